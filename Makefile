@@ -1,0 +1,53 @@
+# Everything a person needs to type. `make help` lists it.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PWD := $(CURDIR)
+include .env
+export
+export PATH := $(CURDIR)/$(BIN):$(PATH)
+
+# The small default campaign of `make run`: the first three runs of each of the six modes.
+FIRST := lidar_passthrough|run000
+LAST := delayed_fakeobject|run002
+
+.PHONY: help setup run ui test lint types bench constraints clean
+.DEFAULT_GOAL := help
+
+help: ## Show this list
+	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
+
+setup: $(VENV)/.ready ## Make .venv with the pinned versions
+
+$(VENV)/.ready: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo "This needs Python 3.11 or newer; say which with: make setup PYTHON=python3.12"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+run: setup ## Simulate the small campaign, analyse it, and say where the report is
+	dagster asset materialize -m oracle_pipeline.definitions --select '*' \
+		--partition-range '$(FIRST)...$(LAST)'
+	@echo "Report: $${ORACLE_HOME:-$(CURDIR)/data}/report/index.html"
+
+ui: setup ## Open the pipeline in the browser, on 127.0.0.1
+	dagster dev -w workspace.yaml -h 127.0.0.1
+
+test: setup lint types ## Check style and types, then run every test that needs only Python and PyPI
+	pytest -n 2
+
+lint: setup
+	ruff check .
+	ruff format --check .
+
+types: setup
+	mypy
+
+constraints: setup ## Pin the newest versions that fit pyproject.toml
+	pip-compile --quiet --upgrade --extra dev --strip-extras --no-header --no-annotate \
+		--no-emit-index-url --no-emit-trusted-host --no-emit-find-links --output-file constraints.txt pyproject.toml
+
+clean: ## Remove the environment and all caches; recorded data stay
+	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis

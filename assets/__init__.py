@@ -1,0 +1,1 @@
+"""The Dagster layer: partitions, assets, checks, jobs, schedules."""

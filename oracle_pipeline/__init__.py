@@ -1,0 +1,1 @@
+"""The analysis: bags and graphs in, features, datasets, clusters and reports out."""

@@ -1,0 +1,1 @@
+"""The testbeds: robot experiments in MuJoCo, recorded as rosbag2."""
