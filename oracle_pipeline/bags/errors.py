@@ -1,0 +1,21 @@
+"""The one tree of errors that this distribution raises on purpose."""
+
+
+class OracleError(Exception):
+    """Root of the tree; its text says what, where, and what to do next."""
+
+
+class BagError(OracleError):
+    """A bag cannot be written, opened, read or decoded."""
+
+
+class ManifestError(OracleError):
+    """A ``manifest.json`` is missing, unreadable or not what its schema says."""
+
+
+class RunDirectoryError(OracleError):
+    """A run directory has a bad name, or is not complete."""
+
+
+class GraphError(OracleError):
+    """A GEXF or GraphML file is unreadable or not one of ours."""

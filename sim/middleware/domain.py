@@ -1,0 +1,263 @@
+"""One ROS domain: who is in the graph, what each publishes and hears, and delivery.
+
+Introspection answers what ``ros2 node list`` and ``ros2 node info`` answer. Endpoints are made
+through ``node``; a sample is serialised at most once, whoever listens.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from rosbags.interfaces import Qos
+
+from oracle_pipeline.bags.types import deserialize, serialize
+from sim.middleware.executor import Executor
+from sim.middleware.qos import compatible, is_latched
+
+_Endpoint = TypeVar("_Endpoint")
+
+
+class Sample:
+    """One published message, as an object, as CDR bytes, or as both."""
+
+    __slots__ = ("_data", "_message", "msgtype")
+
+    def __init__(self, msgtype: str, message: Any = None, data: bytes | None = None) -> None:
+        self.msgtype = msgtype
+        self._message = message
+        self._data = data
+
+    @property
+    def message(self) -> Any:
+        """The message object; shared by all receivers, so nobody writes to it."""
+        if self._message is None:
+            self._message = deserialize(self.data, self.msgtype)
+        return self._message
+
+    @property
+    def data(self) -> bytes:
+        """The CDR bytes, encapsulation header included."""
+        if self._data is None:
+            self._data = serialize(self._message, self.msgtype)
+        return self._data
+
+
+@dataclass(slots=True, eq=False)
+class Subscription:
+    """One node's interest in a topic; without a callback it only counts."""
+
+    node: str
+    topic: str
+    msgtype: str
+    qos: Qos
+    callback: Callable[[Any], None] | None
+    raw: bool  # the callback takes CDR bytes instead of a message
+    latency_ns: int
+    messages: int = 0
+    message_bytes: int = 0
+
+    def deliver(self, sample: Sample) -> None:
+        """Hand a sample to the callback."""
+        if self.callback is not None:
+            self.callback(sample.data if self.raw else sample.message)
+
+
+@dataclass(slots=True, eq=False)
+class Publisher:
+    """One node's voice on a topic."""
+
+    domain: "Domain"
+    node: str
+    topic: str
+    msgtype: str
+    qos: Qos
+    subscriptions: list[Subscription] = field(default_factory=list)
+    retained: deque[Sample] | None = None  # for late subscribers, when latched
+    messages: int = 0
+    message_bytes: int = 0
+
+    def publish(self, message: Any) -> None:
+        """Send a message object; the caller must not change it afterwards."""
+        self._send(Sample(self.msgtype, message=message))
+
+    def publish_serialized(self, data: bytes) -> None:
+        """Send CDR bytes as they are."""
+        self._send(Sample(self.msgtype, data=data))
+
+    def has_subscribers(self) -> bool:
+        """Tell whether a sample would reach anyone (Nav2 skips costly messages otherwise)."""
+        return bool(self.subscriptions)
+
+    def _send(self, sample: Sample) -> None:
+        if self.retained is not None:
+            self.retained.append(sample)
+        # Sizes are counted once a recorder listens: only then is the sample serialised anyway.
+        size = len(sample.data) if any(s.raw for s in self.subscriptions) else 0
+        self.messages += 1
+        self.message_bytes += size
+        for subscription in self.subscriptions:
+            self.deliver(subscription, sample, size)
+
+    def deliver(self, subscription: Subscription, sample: Sample, size: int) -> None:
+        """Schedule a sample's arrival at one subscription."""
+        subscription.messages += 1
+        subscription.message_bytes += size
+        if subscription.callback is not None:
+            executor = self.domain.executor
+            due_ns = executor.now_ns + subscription.latency_ns
+            executor.call_at(due_ns, subscription.deliver, sample)
+
+
+@dataclass(slots=True, eq=False)
+class Service:
+    """A named function of one node that others may call."""
+
+    node: str
+    name: str
+    srvtype: str
+    handler: Callable[[Any], Any]
+
+
+@dataclass(slots=True, eq=False)
+class ActionEndpoint:
+    """A named action and the object that serves it."""
+
+    node: str
+    name: str
+    action_type: str
+    server: Any
+
+
+class Domain:
+    """Everything that can see each other, as with one ``ROS_DOMAIN_ID``."""
+
+    def __init__(self, executor: Executor) -> None:
+        self.executor = executor
+        self.topics: dict[str, str] = {}  # name -> message type, in order of appearance
+        self._publishers: dict[str, list[Publisher]] = {}  # by topic
+        self._subscriptions: dict[str, list[Subscription]] = {}  # by topic
+        self._nodes: dict[str, None] = {}
+        self._services: dict[str, Service] = {}
+        self._clients: list[tuple[str, str, str]] = []  # node, service, type
+        self._action_servers: dict[str, ActionEndpoint] = {}  # by action
+        self._action_clients: list[tuple[str, str, str]] = []  # node, action, type
+
+    # -- making endpoints (called by Node) -------------------------------------------------
+
+    def add_node(self, name: str) -> None:
+        """Register a node by its full name."""
+        if name in self._nodes:
+            raise ValueError(f"node {name} is in the graph already; give this one another name")
+        self._nodes[name] = None
+
+    def add_publisher(self, node: str, msgtype: str, topic: str, qos: Qos) -> Publisher:
+        """Connect a new publisher to the subscriptions that fit."""
+        self._declare(topic, msgtype)
+        retained = deque[Sample](maxlen=qos.depth) if is_latched(qos) else None
+        publisher = Publisher(self, node, topic, msgtype, qos, retained=retained)
+        publisher.subscriptions += [s for s in self._subscriptions[topic] if compatible(qos, s.qos)]
+        self._publishers[topic].append(publisher)
+        return publisher
+
+    def add_subscription(self, subscription: Subscription) -> None:
+        """Connect a new subscription; latched samples arrive at once."""
+        self._declare(subscription.topic, subscription.msgtype)
+        self._subscriptions[subscription.topic].append(subscription)
+        for publisher in self._publishers[subscription.topic]:
+            if compatible(publisher.qos, subscription.qos):
+                publisher.subscriptions.append(subscription)
+                if publisher.retained and is_latched(subscription.qos):
+                    for sample in publisher.retained:
+                        size = len(sample.data) if subscription.raw else 0
+                        publisher.deliver(subscription, sample, size)
+
+    def add_service(self, service: Service) -> None:
+        """Register a service by its full name."""
+        if service.name in self._services:
+            raise ValueError(f"service {service.name} is offered twice")
+        self._services[service.name] = service
+
+    def add_client(self, node: str, name: str, srvtype: str) -> None:
+        """Register a node as a client of a service."""
+        self._clients.append((node, name, srvtype))
+
+    def add_action_server(self, endpoint: ActionEndpoint) -> None:
+        """Register the server of an action."""
+        self._action_servers[endpoint.name] = endpoint
+
+    def add_action_client(self, node: str, name: str, action_type: str) -> None:
+        """Register a node as a client of an action."""
+        self._action_clients.append((node, name, action_type))
+
+    def service(self, name: str) -> Service:
+        """Return a service that is up."""
+        try:
+            return self._services[name]
+        except KeyError:
+            raise LookupError(f"no node offers the service {name}") from None
+
+    def action_server(self, name: str) -> Any:
+        """Return the server of an action that is up."""
+        try:
+            return self._action_servers[name].server
+        except KeyError:
+            raise LookupError(f"no node serves the action {name}") from None
+
+    def _declare(self, topic: str, msgtype: str) -> None:
+        declared = self.topics.setdefault(topic, msgtype)
+        if declared != msgtype:
+            raise TypeError(f"topic {topic} is {declared}; it cannot also be {msgtype}")
+        self._publishers.setdefault(topic, [])
+        self._subscriptions.setdefault(topic, [])
+
+    # -- introspection ---------------------------------------------------------------------
+
+    def node_names(self) -> list[str]:
+        """Return the full name of every node, as ``ros2 node list`` does."""
+        return sorted(self._nodes)
+
+    def publishers(self, topic: str | None = None) -> Iterator[Publisher]:
+        """Yield the publishers of one topic, or of all."""
+        yield from _endpoints(self._publishers, topic)
+
+    def subscriptions(self, topic: str | None = None) -> Iterator[Subscription]:
+        """Yield the subscriptions of one topic, or of all."""
+        yield from _endpoints(self._subscriptions, topic)
+
+    def publishers_of(self, node: str) -> dict[str, str]:
+        """Return topic -> type of what a node publishes, as ``ros2 node info`` does."""
+        return {p.topic: p.msgtype for p in self.publishers() if p.node == node}
+
+    def subscriptions_of(self, node: str) -> dict[str, str]:
+        """Return topic -> type of what a node subscribes to."""
+        return {s.topic: s.msgtype for s in self.subscriptions() if s.node == node}
+
+    def services_of(self, node: str) -> dict[str, str]:
+        """Return service -> type of what a node offers."""
+        return {s.name: s.srvtype for s in self._services.values() if s.node == node}
+
+    def clients_of(self, node: str) -> dict[str, str]:
+        """Return service -> type of what a node calls."""
+        return {name: srvtype for owner, name, srvtype in self._clients if owner == node}
+
+    def action_servers_of(self, node: str) -> dict[str, str]:
+        """Return action -> type of what a node serves."""
+        return {a.name: a.action_type for a in self._action_servers.values() if a.node == node}
+
+    def action_clients_of(self, node: str) -> dict[str, str]:
+        """Return action -> type of what a node asks for."""
+        return {name: kind for owner, name, kind in self._action_clients if owner == node}
+
+
+def is_hidden(topic: str) -> bool:
+    """Tell whether a name is hidden by the ROS convention (a token starts with ``_``)."""
+    return "/_" in topic
+
+
+def _endpoints(by_topic: Mapping[str, list[_Endpoint]], topic: str | None) -> Iterator[_Endpoint]:
+    if topic is not None:
+        yield from by_topic.get(topic, [])
+        return
+    for endpoints in by_topic.values():
+        yield from endpoints

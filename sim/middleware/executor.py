@@ -1,0 +1,57 @@
+"""Simulated time and the order in which things happen in it.
+
+Callbacks due at the same instant run in the order in which they were scheduled; nothing else
+decides, so a run depends on its inputs only.
+"""
+
+import heapq
+from collections.abc import Callable
+from typing import Any
+
+Callback = Callable[..., None]
+
+SECOND = 1_000_000_000
+MILLISECOND = 1_000_000
+
+
+class Executor:
+    """A clock and a queue of callbacks.
+
+    Parameters
+    ----------
+    on_advance
+        Called with the new time [ns] whenever the clock moves, before any callback of that
+        instant: this is where the physics catches up.
+    """
+
+    def __init__(self, on_advance: Callable[[int], None] = lambda _: None) -> None:
+        self.now_ns = 0
+        self._on_advance = on_advance
+        self._queue: list[tuple[int, int, Callback, tuple[Any, ...]]] = []
+        self._scheduled = 0
+
+    def call_at(self, time_ns: int, callback: Callback, *arguments: Any) -> None:
+        """Run ``callback(*arguments)`` at ``time_ns``, which must not lie in the past."""
+        if time_ns < self.now_ns:
+            raise ValueError(f"cannot schedule at {time_ns} ns, it is {self.now_ns} ns already")
+        heapq.heappush(self._queue, (time_ns, self._scheduled, callback, arguments))
+        self._scheduled += 1
+
+    def run_until(self, time_ns: int, stop: Callable[[], bool] = lambda: False) -> None:
+        """Run everything due up to and including ``time_ns``.
+
+        Returns early, with the clock where it is, once ``stop()`` holds after a callback.
+        """
+        queue = self._queue
+        while queue and queue[0][0] <= time_ns:
+            due_ns, _, callback, arguments = heapq.heappop(queue)
+            if due_ns > self.now_ns:
+                self._advance(due_ns)
+            callback(*arguments)
+            if stop():
+                return
+        self._advance(time_ns)
+
+    def _advance(self, time_ns: int) -> None:
+        self.now_ns = time_ns
+        self._on_advance(time_ns)

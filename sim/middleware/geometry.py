@@ -1,0 +1,55 @@
+"""Planar rigid transforms (REP 103: x forward, y left, yaw counter-clockwise; m, rad)."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def wrap_angle(angle: float) -> float:
+    """Return the same direction in [-pi, pi) [rad]."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class Pose2D:
+    """A planar pose, or the transform that takes its coordinates into the parent frame."""
+
+    x: float = 0.0  # [m]
+    y: float = 0.0  # [m]
+    yaw: float = 0.0  # [rad]
+
+    def compose(self, other: "Pose2D") -> "Pose2D":
+        """Return ``other``, given in this frame, in the parent frame."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return Pose2D(
+            self.x + c * other.x - s * other.y,
+            self.y + s * other.x + c * other.y,
+            wrap_angle(self.yaw + other.yaw),
+        )
+
+    def inverse(self) -> "Pose2D":
+        """Return the parent frame's pose in this frame."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return Pose2D(-c * self.x - s * self.y, s * self.x - c * self.y, wrap_angle(-self.yaw))
+
+    def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Take points of shape (n, 2) from this frame into the parent frame [m]."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        moved: NDArray[np.float64] = points @ np.array([[c, s], [-s, c]]) + (self.x, self.y)
+        return moved
+
+    def distance_to(self, other: "Pose2D") -> float:
+        """Return the straight distance to ``other`` in the same frame [m]."""
+        return math.hypot(self.x - other.x, self.y - other.y)
+
+
+def quaternion_yaw(x: float, y: float, z: float, w: float) -> float:
+    """Return the yaw of a unit quaternion [rad]."""
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
+    """Return (x, y, z, w) of a rotation about z."""
+    return 0.0, 0.0, math.sin(yaw / 2.0), math.cos(yaw / 2.0)

@@ -1,0 +1,62 @@
+"""Quality-of-service profiles that Nav2 and Gazebo use, and which of them talk to each other.
+
+A profile is ``rosbags.interfaces.Qos``, so what an endpoint offers is what a bag records.
+"""
+
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+
+_INFINITE = QosTime(9223372036, 854775807)  # what rmw writes for "no limit"
+
+
+def profile(
+    depth: int,
+    *,
+    reliable: bool = True,
+    latched: bool = False,
+    lifespan: QosTime = _INFINITE,
+) -> Qos:
+    """Return a keep-last profile; ``latched`` is durability transient local."""
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=depth,
+        reliability=QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
+        durability=QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+        deadline=_INFINITE,
+        lifespan=lifespan,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=_INFINITE,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+RELIABLE = profile(1)  # rclcpp::QoS(1)
+DEFAULT = profile(10)  # rclcpp::QoS(10)
+LATCHED = profile(1, latched=True)
+SENSOR_DATA = profile(5, reliable=False)
+ROSOUT = profile(1000, latched=True, lifespan=QosTime(10, 0))
+PARAMETER_EVENTS = profile(1000)
+CLOCK = profile(1, reliable=False)
+TF = profile(100)
+
+
+def is_latched(qos: Qos) -> bool:
+    """Tell whether a late subscriber gets the last samples."""
+    return qos.durability is QosDurability.TRANSIENT_LOCAL
+
+
+def is_reliable(qos: Qos) -> bool:
+    """Tell whether lost samples are sent again."""
+    return qos.reliability is not QosReliability.BEST_EFFORT
+
+
+def compatible(offered: Qos, requested: Qos) -> bool:
+    """Tell whether a publisher's offer meets a subscriber's request (the DDS rule)."""
+    too_lossy = is_reliable(requested) and not is_reliable(offered)
+    return not too_lossy and (is_latched(offered) or not is_latched(requested))

@@ -1,0 +1,175 @@
+"""Transforms between frames over time: buffer, listener, broadcaster (planar, REP 105 names).
+
+Every frame that navigation asks about moves in the plane, so a transform is kept as x, y and yaw.
+"""
+
+from bisect import bisect_right
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from oracle_pipeline.bags.types import message_class
+from sim.middleware import qos
+from sim.middleware.domain import Domain
+from sim.middleware.executor import SECOND
+from sim.middleware.geometry import Pose2D, quaternion_yaw, wrap_angle, yaw_quaternion
+from sim.middleware.node import Node
+from sim.middleware.stamps import header, stamp_ns
+
+_Quaternion = message_class("geometry_msgs/msg/Quaternion")
+_TFMessage = message_class("tf2_msgs/msg/TFMessage")
+_Transform = message_class("geometry_msgs/msg/Transform")
+_TransformStamped = message_class("geometry_msgs/msg/TransformStamped")
+_Vector3 = message_class("geometry_msgs/msg/Vector3")
+
+CACHE_NS = 10 * SECOND  # tf2's default cache time
+_TF = "tf2_msgs/msg/TFMessage"
+_TF_STATIC_QOS = qos.profile(100, latched=True)
+
+
+class TransformError(LookupError):
+    """A transform is unknown, or not known at that time."""
+
+
+@dataclass(slots=True)
+class _Link:
+    """A child frame in its parent over the last ten seconds."""
+
+    parent: str
+    static: bool
+    times: list[int] = field(default_factory=list)
+    poses: list[Pose2D] = field(default_factory=list)
+
+    def add(self, time_ns: int, pose: Pose2D) -> None:
+        index = bisect_right(self.times, time_ns)
+        self.times.insert(index, time_ns)
+        self.poses.insert(index, pose)
+        if len(self.times) > 1024 or self.static:  # trimmed seldom: deleting costs the length
+            keep = bisect_right(self.times, self.times[-1] - CACHE_NS) if not self.static else -1
+            del self.times[:keep], self.poses[:keep]
+
+    def at(self, time_ns: int | None, child: str) -> Pose2D:
+        if self.static or time_ns is None:
+            return self.poses[-1]
+        index = bisect_right(self.times, time_ns)
+        if index == 0 or (index == len(self.times) and time_ns > self.times[-1]):
+            raise TransformError(
+                f"{child} in {self.parent} is known from {self.times[0] / 1e9:.3f} s "
+                f"to {self.times[-1] / 1e9:.3f} s, not at {time_ns / 1e9:.3f} s"
+            )
+        before = self.poses[index - 1]
+        if self.times[index - 1] == time_ns:
+            return before
+        after = self.poses[index]
+        share = (time_ns - self.times[index - 1]) / (self.times[index] - self.times[index - 1])
+        return Pose2D(
+            before.x + share * (after.x - before.x),
+            before.y + share * (after.y - before.y),
+            wrap_angle(before.yaw + share * wrap_angle(after.yaw - before.yaw)),
+        )
+
+
+class TransformBuffer:
+    """The tree of frames, as far as it was heard."""
+
+    def __init__(self) -> None:
+        self._links: dict[str, _Link] = {}
+
+    def receive(self, message: Any, *, static: bool) -> None:
+        """Take a ``tf2_msgs/msg/TFMessage`` in."""
+        for stamped in message.transforms:
+            child = stamped.child_frame_id
+            link = self._links.get(child)
+            if link is None or link.parent != stamped.header.frame_id:
+                link = self._links[child] = _Link(stamped.header.frame_id, static)
+            translation, q = stamped.transform.translation, stamped.transform.rotation
+            yaw = quaternion_yaw(q.x, q.y, q.z, q.w)
+            link.add(stamp_ns(stamped.header.stamp), Pose2D(translation.x, translation.y, yaw))
+
+    def lookup(self, target: str, source: str, time_ns: int | None = None) -> Pose2D:
+        """Return the transform that takes coordinates in ``source`` into ``target``.
+
+        Parameters
+        ----------
+        target, source
+            Frame ids.
+        time_ns
+            When [ns]; the latest known if omitted.
+
+        Raises
+        ------
+        TransformError
+            If the frames are not connected, or not known at that time.
+        """
+        root_target, from_target = self._to_root(target, time_ns)
+        root_source, from_source = self._to_root(source, time_ns)
+        if root_target != root_source:
+            raise TransformError(f"frames {target} and {source} are not connected")
+        return from_target.inverse().compose(from_source)
+
+    def latest_common_ns(self, target: str, source: str) -> int:
+        """Return the newest time at which ``lookup(target, source)`` is known [ns]."""
+        self.lookup(target, source)
+        newest = [
+            self._links[frame].times[-1]
+            for end in (target, source)
+            for frame in self._ancestors(end)
+            if frame in self._links and not self._links[frame].static
+        ]
+        return min(newest, default=0)
+
+    def _ancestors(self, frame: str) -> Iterable[str]:
+        yield frame
+        while frame in self._links:
+            frame = self._links[frame].parent
+            yield frame
+
+    def _to_root(self, frame: str, time_ns: int | None) -> tuple[str, Pose2D]:
+        pose = Pose2D()
+        while frame in self._links:
+            link = self._links[frame]
+            pose = link.at(time_ns, frame).compose(pose)
+            frame = link.parent
+        return frame, pose
+
+
+class TransformListener(Node):
+    """The node that tf2 makes for itself when it is given none; it fills a buffer.
+
+    Listeners that share a buffer hear the same messages, so only the first of them feeds it.
+    """
+
+    def __init__(self, domain: Domain, suffix: str, buffer: TransformBuffer | None = None) -> None:
+        super().__init__(domain, f"/transform_listener_impl_{suffix}", endpoints="E")
+        feed = buffer is None
+        self.buffer = TransformBuffer() if buffer is None else buffer
+        self.create_subscription(_TF, "/tf", self._on_tf if feed else None, qos.TF)
+        self.create_subscription(
+            _TF, "/tf_static", self._on_tf_static if feed else None, _TF_STATIC_QOS
+        )
+
+    def _on_tf(self, message: Any) -> None:
+        self.buffer.receive(message, static=False)
+
+    def _on_tf_static(self, message: Any) -> None:
+        self.buffer.receive(message, static=True)
+
+
+class TransformBroadcaster:
+    """A node's voice on ``/tf``, or on ``/tf_static``."""
+
+    def __init__(self, node: Node, *, static: bool = False) -> None:
+        topic, profile = ("/tf_static", qos.LATCHED) if static else ("/tf", qos.TF)
+        self._publisher = node.create_publisher(_TF, topic, profile)
+
+    def send(self, transforms: list[Any]) -> None:
+        """Publish ``geometry_msgs/msg/TransformStamped`` messages in one go."""
+        self._publisher.publish(_TFMessage(transforms))
+
+
+def planar_transform(time_ns: int, parent: str, child: str, pose: Pose2D, z: float = 0.0) -> Any:
+    """Return a ``TransformStamped`` of a planar pose, ``z`` above the parent [m]."""
+    rotation = _Quaternion(*yaw_quaternion(pose.yaw))
+    return _TransformStamped(
+        header(time_ns, parent), child, _Transform(_Vector3(pose.x, pose.y, z), rotation)
+    )
