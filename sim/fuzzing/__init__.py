@@ -1,0 +1,1 @@
+"""The nodes that stand between the second LiDAR and the attacked topic."""
