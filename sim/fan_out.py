@@ -1,13 +1,13 @@
-"""Many independent jobs over one ``concurrent.futures`` executor, each failing alone.
+"""Many independent jobs over ``concurrent.futures`` executors, each failing alone.
 
 A job that raises becomes an outcome with the error's text. A worker process that dies breaks its
-whole pool; the jobs it took along are tried once more in a new one, so only the job that kills
-its worker twice is lost.
+whole pool, and nobody knows which job did it: what was unfinished is run once more together, then
+one by one, so that only a job that kills its worker on its own is lost.
 """
 
 import multiprocessing
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -17,7 +17,7 @@ from oracle_pipeline.bags.errors import OracleError
 J = TypeVar("J")
 R = TypeVar("R")
 
-_ATTEMPTS = 2
+_ROUNDS_TOGETHER = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,23 +48,38 @@ def fan_out(
     make_executor
         Gives an executor to run them on, and another one if that breaks.
     """
-    attempts = [0] * len(jobs)
-    waiting = list(range(len(jobs)))
-    while waiting:
-        with make_executor() as executor:
-            futures = {executor.submit(function, jobs[i]): i for i in waiting}
-            waiting = []
-            for future in as_completed(futures):
-                index = futures[future]
-                outcome = _outcome(jobs[index], future)
-                if outcome is None:
-                    attempts[index] += 1
-                    if attempts[index] < _ATTEMPTS:
-                        waiting.append(index)
-                        continue
-                    outcome = Outcome(jobs[index], error="its worker process died, twice")
+    unfinished = list(jobs)
+    for _ in range(_ROUNDS_TOGETHER):
+        if unfinished:
+            unfinished = yield from _together(function, unfinished, make_executor)
+    for job in unfinished:
+        for killer in (yield from _together(function, [job], make_executor)):
+            yield Outcome(killer, error="its worker process died; is there enough memory?")
+
+
+def _together(
+    function: Callable[[J], R], jobs: Sequence[J], make_executor: Callable[[], Executor]
+) -> Generator[Outcome[J, R], None, list[J]]:
+    """Yield the outcomes of jobs in one executor; return those that it broke under."""
+    broken: list[int] = []
+    futures: dict[Future[R], int] = {}
+    executor = make_executor()
+    try:
+        for index, job in enumerate(jobs):
+            try:
+                futures[executor.submit(function, job)] = index
+            except BrokenExecutor:
+                broken.append(index)
+        for future in as_completed(futures):
+            index = futures[future]
+            outcome = _outcome(jobs[index], future)
+            if outcome is None:
+                broken.append(index)
+            else:
                 yield outcome
-        waiting.sort()
+    finally:  # also when the consumer stops early: what has not started never will
+        executor.shutdown(cancel_futures=True)
+    return [jobs[index] for index in sorted(broken)]
 
 
 def _outcome(job: J, future: Future[R]) -> Outcome[J, R] | None:
