@@ -1,0 +1,139 @@
+"""GEXF and GraphML files of a ROS graph.
+
+A graph is a ``networkx.DiGraph`` whose vertices are ROS nodes and topics (in a full view services
+and actions too). A vertex's identifier is ``kind:name``, since a ROS node and a topic may share a
+name. Attributes of a vertex: ``label`` (the plain name), ``kind``, ``type`` (message type, empty
+for ROS nodes). Edges run from node to topic (publish) and from topic to node (subscribe) and count
+``messages`` and ``bytes``. Equal graphs make equal bytes: no dates, everything sorted.
+"""
+
+import io
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import networkx as nx
+
+from oracle_pipeline.bags.errors import GraphError
+
+if TYPE_CHECKING:
+    RosGraph: TypeAlias = nx.DiGraph[str]
+else:  # generic in its type stubs only
+    RosGraph = nx.DiGraph
+
+Kind: TypeAlias = Literal["node", "topic", "service", "action"]
+
+KINDS: tuple[Kind, ...] = ("node", "topic", "service", "action")
+_VERTEX_ATTRIBUTES = ("kind", "type")
+_EDGE_ATTRIBUTES = ("messages", "bytes")
+
+
+def vertex_id(kind: Kind, name: str) -> str:
+    """Return the identifier of a vertex, such as ``topic:/scan``."""
+    return f"{kind}:{name}"
+
+
+def write_gexf(graph: RosGraph, path: Path) -> None:
+    """Write GEXF 1.2, which Gephi and NetworkX open."""
+    root = ET.Element("gexf", xmlns="http://www.gexf.net/1.2draft", version="1.2")
+    element = ET.SubElement(root, "graph", defaultedgetype="directed", mode="static")
+    for owner, names, kind in (
+        ("node", _VERTEX_ATTRIBUTES, "string"),
+        ("edge", _EDGE_ATTRIBUTES, "long"),
+    ):
+        attributes = ET.SubElement(element, "attributes", {"class": owner, "mode": "static"})
+        for name in names:
+            ET.SubElement(attributes, "attribute", id=name, title=name, type=kind)
+    nodes = ET.SubElement(element, "nodes")
+    for vertex in sorted(graph.nodes):
+        data = graph.nodes[vertex]
+        node = ET.SubElement(nodes, "node", id=vertex, label=data["label"])
+        values = ET.SubElement(node, "attvalues")
+        for name in _VERTEX_ATTRIBUTES:
+            ET.SubElement(values, "attvalue", {"for": name, "value": data[name]})
+    edges = ET.SubElement(element, "edges")
+    for number, (source, target) in enumerate(sorted(graph.edges)):
+        data = graph.edges[source, target]
+        edge = ET.SubElement(edges, "edge", id=str(number), source=source, target=target)
+        values = ET.SubElement(edge, "attvalues")
+        for name in _EDGE_ATTRIBUTES:
+            ET.SubElement(values, "attvalue", {"for": name, "value": str(data[name])})
+    _write(root, path)
+
+
+def write_graphml(graph: RosGraph, path: Path) -> None:
+    """Write GraphML, the format of the thesis's single graph."""
+    root = ET.Element("graphml", xmlns="http://graphml.graphdrawing.org/xmlns")
+    for owner, names, kind in (
+        ("node", ("label", *_VERTEX_ATTRIBUTES), "string"),
+        ("edge", _EDGE_ATTRIBUTES, "long"),
+    ):
+        for name in names:
+            ET.SubElement(
+                root, "key", {"id": name, "for": owner, "attr.name": name, "attr.type": kind}
+            )
+    element = ET.SubElement(root, "graph", edgedefault="directed")
+    for vertex in sorted(graph.nodes):
+        data = graph.nodes[vertex]
+        node = ET.SubElement(element, "node", id=vertex)
+        for name in ("label", *_VERTEX_ATTRIBUTES):
+            ET.SubElement(node, "data", key=name).text = data[name]
+    for source, target in sorted(graph.edges):
+        data = graph.edges[source, target]
+        edge = ET.SubElement(element, "edge", source=source, target=target)
+        for name in _EDGE_ATTRIBUTES:
+            ET.SubElement(edge, "data", key=name).text = str(data[name])
+    _write(root, path)
+
+
+def read_gexf(path: Path) -> RosGraph:
+    """Read a file that ``write_gexf`` wrote.
+
+    Raises
+    ------
+    GraphError
+        If the file is missing, broken, has a document type, or lacks an attribute.
+    """
+    return _read(path, nx.read_gexf)
+
+
+def read_graphml(path: Path) -> RosGraph:
+    """Read a file that ``write_graphml`` wrote; raises as ``read_gexf`` does."""
+    return _read(path, nx.read_graphml)
+
+
+def _write(root: ET.Element, path: Path) -> None:
+    ET.indent(root)
+    path.write_bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
+
+
+class _NoDocumentType(ET.TreeBuilder):
+    """Refuses a DTD, and with it every entity, before anything is expanded."""
+
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:  # noqa: ARG002
+        raise GraphError("it has a document type, which a graph file never needs")
+
+
+def _read(path: Path, parse: Callable[[io.BytesIO], Any]) -> RosGraph:
+    try:
+        data = path.read_bytes()
+        ET.XMLParser(target=_NoDocumentType()).feed(data)  # noqa: S314
+        return _checked(parse(io.BytesIO(data)))
+    except (OSError, ET.ParseError, nx.NetworkXError, GraphError, KeyError, ValueError) as error:
+        raise GraphError(
+            f"Could not read the graph {path}: {error}. Take the graph from the run again."
+        ) from error
+
+
+def _checked(parsed: Any) -> RosGraph:
+    """Return the parsed graph with the attributes of our schema and no others."""
+    graph: RosGraph = nx.DiGraph()
+    for vertex, data in parsed.nodes(data=True):
+        kind, name = data["kind"], data["label"]
+        if kind not in KINDS or vertex != vertex_id(kind, name):
+            raise GraphError(f"vertex {vertex!r} is not 'kind:name' of a known kind")
+        graph.add_node(vertex, label=name, kind=kind, type=data.get("type") or "")
+    for source, target, data in parsed.edges(data=True):
+        graph.add_edge(source, target, **{name: int(data[name]) for name in _EDGE_ATTRIBUTES})
+    return graph

@@ -1,0 +1,172 @@
+"""The manifest of a run: what was asked for, what happened, what it was made with.
+
+``manifest.json`` is written last, so a directory with one is complete; its JSON Schema stands
+beside this module. Positions are in the map frame [m, rad], times in seconds of the recording.
+Everything but ``measured`` is a function of the recipe. Labels come from here, never from a name.
+"""
+
+import dataclasses
+import functools
+import json
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal, Self, TypeAlias
+
+import jsonschema
+
+from oracle_pipeline.bags.errors import ManifestError
+
+SCHEMA_VERSION = 1
+
+Label: TypeAlias = Literal["malicious", "normal", "control"]
+Outcome: TypeAlias = Literal["succeeded", "aborted", "timeout"]
+
+LABELS: tuple[Label, ...] = ("malicious", "normal", "control")
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Pose:
+    """A pose in the map frame (REP 105)."""
+
+    x: float  # [m]
+    y: float  # [m]
+    yaw: float  # counter-clockwise from the x axis [rad]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class GoalResult:
+    """What became of one goal; a goal that was never sent has none."""
+
+    accepted_s: float
+    ended_s: float | None  # None: the run ended first
+    outcome: Outcome
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Contact:
+    """The robot's hull began to touch a piece of the world."""
+
+    stamp_s: float
+    piece: str  # name in the world, for example two_two
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class TopicCount:
+    """What the bag holds of one topic."""
+
+    type: str
+    messages: int
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Software:
+    """What the run was made with; equal software and recipe make equal messages."""
+
+    code: str  # version of this distribution
+    dependencies: str  # digest of the locked dependencies
+    cpu: str  # class of the processor, for example x86_64-v3
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Measured:
+    """What differs between two makings of the same run."""
+
+    wall_s: float
+    bytes: Mapping[str, int]  # part of the run directory -> bytes on disk
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class Manifest:
+    """One run, as ``manifest.json`` tells it."""
+
+    mode: str
+    label: Label
+    run: int
+    block: int  # runs of one block share start, goals and nuisance
+    session: int
+    seed: int
+    start: Pose
+    goals: tuple[Pose, ...]
+    goal_results: tuple[GoalResult, ...]
+    outcome: Outcome  # the worst of the goals'
+    onset_s: float | None  # when the attack began; None: never
+    attack: Mapping[str, Any]  # parameters drawn for it; empty without one
+    scenario: str
+    scenario_hash: str
+    task_effect: bool | None  # did the attack change what the robot achieved; None: not judged
+    recording_s: float
+    contacts: tuple[Contact, ...]
+    topics: Mapping[str, TopicCount]
+    content_hash: str  # BagWriter.content_hash
+    recipe: Mapping[str, Any]  # all that the run is a function of
+    software: Software
+    measured: Measured
+    schema_version: int = SCHEMA_VERSION
+
+    def save(self, path: Path) -> None:
+        """Write ``manifest.json``.
+
+        Raises
+        ------
+        ManifestError
+            If a value is not what the schema allows; nothing is written then.
+        """
+        document = dataclasses.asdict(self)
+        # What json makes of tuples is what the schema speaks about.
+        text = json.dumps(document, indent=2, allow_nan=False) + "\n"
+        _validate(json.loads(text), path)
+        path.write_text(text, encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read and check ``manifest.json``.
+
+        Raises
+        ------
+        ManifestError
+            Naming the file and the field, if it is missing, broken, of another schema version, or
+            not what the schema says.
+        """
+        try:
+            document = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise ManifestError(
+                f"Could not read {path}: {error}. Record the run again, or restore the file."
+            ) from error
+        _validate(document, path)
+        return cls(
+            **{
+                **document,
+                "start": Pose(**document["start"]),
+                "goals": tuple(Pose(**goal) for goal in document["goals"]),
+                "goal_results": tuple(GoalResult(**goal) for goal in document["goal_results"]),
+                "contacts": tuple(Contact(**contact) for contact in document["contacts"]),
+                "topics": {name: TopicCount(**topic) for name, topic in document["topics"].items()},
+                "software": Software(**document["software"]),
+                "measured": Measured(**document["measured"]),
+            }
+        )
+
+
+@functools.cache
+def schema() -> dict[str, Any]:
+    """Return the JSON Schema of ``manifest.json``."""
+    text = files(__package__).joinpath("manifest.schema.json").read_text("utf-8")
+    document: dict[str, Any] = json.loads(text)
+    return document
+
+
+def _validate(document: Any, path: Path) -> None:
+    version = document.get("schema_version") if isinstance(document, dict) else None
+    if isinstance(version, int) and version != SCHEMA_VERSION:
+        raise ManifestError(
+            f"{path} has schema version {version}, this release reads {SCHEMA_VERSION}; "
+            "install the release that wrote it, or record the run again."
+        )
+    error = jsonschema.exceptions.best_match(
+        jsonschema.Draft202012Validator(schema()).iter_errors(document)
+    )
+    if error is not None:
+        field = ".".join(str(part) for part in error.absolute_path) or "(top level)"
+        raise ManifestError(f"{path}, field {field}: {error.message}. Record the run again.")

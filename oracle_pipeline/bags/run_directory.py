@@ -1,0 +1,181 @@
+"""Where a run lives, and how it gets there whole.
+
+``<root>/runs/<mode>/run003`` holds ``manifest.json``, ``bag/`` and ``graphs/``. A run is written in
+a scratch directory beside its place (``.run003.<token>``), which its writer keeps locked, and
+renamed into place. Whatever moment a process dies at, no half-written run is ever at its place.
+"""
+
+import contextlib
+import fcntl
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.manifest import Manifest
+
+MANIFEST_FILE = "manifest.json"
+BAG_FOLDER = "bag"
+GRAPHS_FOLDER = "graphs"
+
+_MODE = re.compile(r"[a-z0-9_]+")
+_RUN = re.compile(r"run(\d{3,})")
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class RunDirectory:
+    """The place of one run of one mode below a root.
+
+    Raises
+    ------
+    RunDirectoryError
+        If mode or run cannot be part of a path.
+    """
+
+    root: Path
+    mode: str
+    run: int
+
+    def __post_init__(self) -> None:
+        if not _MODE.fullmatch(self.mode):
+            raise RunDirectoryError(
+                f"Mode {self.mode!r} is not a name; use small letters, digits and underscores."
+            )
+        if self.run < 0:
+            raise RunDirectoryError(
+                f"Run {self.run} of mode {self.mode} is negative; count from 0."
+            )
+
+    @property
+    def run_id(self) -> str:
+        """``run003``."""
+        return f"run{self.run:03d}"
+
+    @property
+    def key(self) -> str:
+        """``fake_object|run003``, the run's partition key."""
+        return f"{self.mode}|{self.run_id}"
+
+    @property
+    def path(self) -> Path:
+        """The run's own directory."""
+        return self.root / "runs" / self.mode / self.run_id
+
+    @property
+    def manifest_path(self) -> Path:
+        """Its manifest, which is written last."""
+        return self.path / MANIFEST_FILE
+
+    @property
+    def bag(self) -> Path:
+        """Folder of its rosbag2."""
+        return self.path / BAG_FOLDER
+
+    @property
+    def graphs(self) -> Path:
+        """Folder of its graphs: one a 10 s interval, ``run.gexf`` and ``run.graphml``."""
+        return self.path / GRAPHS_FOLDER
+
+    def is_complete(self) -> bool:
+        """Tell whether the run is there."""
+        return self.manifest_path.is_file()
+
+    def manifest(self) -> Manifest:
+        """Read its manifest; raises ``ManifestError``."""
+        return Manifest.load(self.manifest_path)
+
+    @contextlib.contextmanager
+    def staged(self) -> Iterator[Path]:
+        """Give a scratch directory that becomes the run when the block ends.
+
+        It takes the place of a run that is there already. When the block raises, the scratch
+        directory is removed and the place is left as it was. What dead writers of this run left
+        behind is removed first.
+
+        Yields
+        ------
+        Path
+            An empty directory; the block writes ``bag``, ``graphs`` and, last, the manifest there.
+
+        Raises
+        ------
+        RunDirectoryError
+            If the directory cannot be made, or the block wrote no manifest.
+        """
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._remove_leftovers()
+            scratch = self._beside()
+            scratch.mkdir()
+        except OSError as error:
+            raise RunDirectoryError(
+                f"Could not make a directory for {self.key} below {self.root}: {error}. "
+                "Choose a root that can be written to."
+            ) from error
+        with _lock(scratch):
+            try:
+                yield scratch
+                if not (scratch / MANIFEST_FILE).is_file():
+                    raise RunDirectoryError(f"{self.key} was left without its {MANIFEST_FILE}.")
+                _sync_tree(scratch)
+                self._swap_in(scratch)
+            except BaseException:
+                shutil.rmtree(scratch, ignore_errors=True)
+                raise
+
+    def _beside(self) -> Path:
+        return self.path.with_name(f".{self.run_id}.{secrets.token_hex(4)}")
+
+    def _swap_in(self, scratch: Path) -> None:
+        """Rename into place; a former run is moved aside first, so that it is whole or gone."""
+        former = self._beside()
+        if self.path.exists():
+            self.path.rename(former)
+        scratch.rename(self.path)
+        _sync(self.path.parent)
+        shutil.rmtree(former, ignore_errors=True)
+
+    def _remove_leftovers(self) -> None:
+        for leftover in self.path.parent.glob(f".{self.run_id}.*"):
+            with contextlib.suppress(BlockingIOError), _lock(leftover):
+                shutil.rmtree(leftover, ignore_errors=True)
+
+
+def find_runs(root: Path) -> list[RunDirectory]:
+    """Return the complete runs below ``root``, sorted by mode and number."""
+    return sorted(
+        directory
+        for path in root.glob("runs/*/run*")
+        if _MODE.fullmatch(path.parent.name) and (match := _RUN.fullmatch(path.name))
+        if (directory := RunDirectory(root, path.parent.name, int(match[1]))).is_complete()
+    )
+
+
+@contextlib.contextmanager
+def _lock(directory: Path) -> Iterator[None]:
+    """Hold a directory; the kernel lets go when the process dies, however it dies."""
+    descriptor = os.open(directory, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _sync_tree(directory: Path) -> None:
+    for folder, _, names in os.walk(directory):
+        for name in names:
+            _sync(Path(folder, name))
+        _sync(Path(folder))
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,195 @@
+"""Write a rosbag2, as ``ros2 bag record`` would have left it.
+
+rosbags writes the storage and ``metadata.yaml``; here are the hash of the content, the rule for QoS
+profiles, and errors that name the bag. Nothing depends on the clock: equal calls make equal bytes.
+"""
+
+import shutil
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Literal, Self
+
+from rosbags.interfaces import Connection, Qos
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
+
+from oracle_pipeline.bags.content import ContentHash
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.types import definition, type_hash
+
+# The newest that Humble's `ros2 bag` opens; 9 turns the QoS profiles into a list it cannot parse.
+_METADATA_VERSION: Literal[8] = 8
+
+
+class _Topic:
+    """A topic on its way into the bag; ``connection`` is set from its first message on."""
+
+    __slots__ = ("connection", "count", "msgtype", "prefix", "qos")
+
+    def __init__(self, name: str, msgtype: str, qos: list[Qos]) -> None:
+        self.msgtype = msgtype
+        self.qos = qos
+        self.prefix = ContentHash.prefix(name, msgtype)
+        self.connection: Connection | None = None
+        self.count = 0
+
+
+class BagWriter:
+    """Write messages into a new bag; a context manager.
+
+    The bag appears at ``path`` when the ``with`` block ends, and not at all when it raises.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the bag, which must not exist. Its one file is ``<name>_0.mcap`` or ``.db3``.
+    storage : {"mcap", "sqlite3"}
+        MCAP is compressed by chunk with zstd. SQLite is not compressed: rosbag2 can only compress
+        the whole file or each blob, and then no plain SQLite reader opens it.
+
+    Attributes
+    ----------
+    message_bytes : int
+        Payload bytes written so far, before compression.
+
+    Raises
+    ------
+    BagError
+        If the path exists, a topic is unknown or has two types, or the disk is full.
+
+    Examples
+    --------
+    >>> with BagWriter(tmp_path / "bag") as bag:
+    ...     bag.add_topic("/clock", "rosgraph_msgs/msg/Clock", [])
+    ...     bag.write("/clock", 0, serialize(clock, "rosgraph_msgs/msg/Clock"))
+    """
+
+    def __init__(self, path: Path, storage: Literal["mcap", "sqlite3"] = "mcap") -> None:
+        self.path = path
+        self.message_bytes = 0
+        self._hash = ContentHash()
+        self._topics: dict[str, _Topic] = {}
+        # rosbags names the file after the folder, rosbag2 adds "_0": so it is written as
+        # "<name>_0" and the folder is renamed at the end.
+        self._unfinished = path.with_name(f"{path.name}_0")
+        if path.exists():
+            raise BagError(f"{path} exists already; a bag is never written over another.")
+        with self._errors():
+            self._writer = Writer(
+                self._unfinished,
+                version=_METADATA_VERSION,
+                storage_plugin=StoragePlugin[storage.upper()],
+            )
+            if storage == "mcap":
+                self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            self._writer.open()
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages written so far, by topic; topics without any included."""
+        return {name: topic.count for name, topic in self._topics.items()}
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 over (topic, type, stamp, payload) of the messages, in recorded order."""
+        return self._hash.hexdigest()
+
+    def add_topic(self, name: str, msgtype: str, qos: Sequence[Qos]) -> None:
+        """Announce a topic, or one more publisher of it.
+
+        Parameters
+        ----------
+        name, msgtype : str
+            ``/scan`` and ``sensor_msgs/msg/LaserScan``; the type's definition goes into the bag.
+        qos : sequence of Qos
+            What the publisher offers. Profiles of all publishers are kept until the topic's first
+            message; what comes later is not in the bag, as with ``ros2 bag record``.
+        """
+        known = self._topics.get(name)
+        if known is None:
+            definition(msgtype)
+            self._topics[name] = _Topic(name, msgtype, list(qos))
+        elif known.msgtype != msgtype:
+            raise BagError(
+                f"{name} is of type {known.msgtype} in {self.path} and cannot also be {msgtype}; "
+                "record it under another name."
+            )
+        elif known.connection is None:
+            known.qos.extend(qos)
+
+    def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        """Append one message.
+
+        Parameters
+        ----------
+        topic : str
+            A topic announced with ``add_topic``.
+        stamp_ns : int
+            When it was received [ns].
+        data : bytes
+            CDR bytes, encapsulation header included.
+        """
+        try:
+            entry = self._topics[topic]
+        except KeyError:
+            raise BagError(f"{topic} is unknown to {self.path}; call add_topic first.") from None
+        try:
+            connection = entry.connection or self._connect(topic, entry)
+            self._writer.write(connection, stamp_ns, data)
+        except (OSError, sqlite3.Error, WriterError) as error:
+            raise self._error(error) from error
+        self._hash.add(entry.prefix, stamp_ns, data)
+        entry.count += 1
+        self.message_bytes += len(data)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc_value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if exc_type is not None:
+            self._discard()
+            return
+        try:
+            with self._errors():
+                for name, topic in self._topics.items():
+                    if topic.connection is None:
+                        self._connect(name, topic)
+                self._writer.close()
+                self._unfinished.rename(self.path)
+        except BaseException:
+            self._discard()
+            raise
+
+    def _connect(self, name: str, topic: _Topic) -> Connection:
+        topic.connection = self._writer.add_connection(
+            name,
+            topic.msgtype,
+            msgdef=definition(topic.msgtype),
+            rihs01=type_hash(topic.msgtype),
+            offered_qos_profiles=topic.qos,
+        )
+        return topic.connection
+
+    def _discard(self) -> None:
+        self._writer.abort()
+        shutil.rmtree(self._unfinished, ignore_errors=True)
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, sqlite3.Error, WriterError) as error:
+            raise self._error(error) from error
+
+    def _error(self, error: Exception) -> BagError:
+        return BagError(
+            f"Could not write the bag {self.path}: {error}. Nothing was kept of it; "
+            "check free space and permissions, then record again."
+        )

@@ -1,0 +1,56 @@
+"""The map that Nav2 ships for this world, as an occupancy grid, and where it lies.
+
+The original was made by SLAM: walls are one or two cells thick, what no ray reached is unknown,
+and the whole is turned and shifted a little against the world. Figures: docs/world.md.
+"""
+
+import functools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from sim.middleware.geometry import Pose2D
+from sim.turtlebot3.arena import clearance
+
+RESOLUTION_M = 0.05
+CELLS = 384  # a side
+ORIGIN_M = -10.0  # of both axes
+
+FREE, OCCUPIED, UNKNOWN = 0, 100, -1  # nav_msgs/msg/OccupancyGrid
+
+# The bias of the original, fitted over its nine cylinders.
+WORLD_IN_MAP = Pose2D(0.030, -0.002, math.radians(-1.05))
+
+# SLAM smears a wall over the cells whose centres lie this far in front of and behind its surface.
+_BEFORE_M, _BEHIND_M = 0.025, 0.065
+
+
+@dataclass(frozen=True, slots=True)
+class OccupancyMap:
+    """A map in the map frame; row 0 and column 0 lie at the origin."""
+
+    data: NDArray[np.int8]  # (height, width): FREE, OCCUPIED or UNKNOWN
+    resolution: float  # [m]
+    origin_x: float  # [m]
+    origin_y: float  # [m]
+
+
+@functools.cache
+def turtlebot3_world_map() -> OccupancyMap:
+    """Return the map of the world without additional obstacles; treat it as read-only."""
+    centres = ORIGIN_M + RESOLUTION_M * (np.arange(CELLS) + 0.5)
+    x, y = np.meshgrid(centres, centres)
+    points = WORLD_IN_MAP.inverse().apply(np.column_stack([x.ravel(), y.ravel()]))
+    distance = clearance(points).reshape(CELLS, CELLS)
+    pockets, _ = ndimage.label(distance > 0.0)
+    inside = int(-ORIGIN_M / RESOLUTION_M) + 10  # half a metre from the centre: between pillars
+    reachable = pockets == pockets[inside, inside]
+    seen = ndimage.binary_dilation(reachable, np.ones((5, 5), bool))
+    data = np.full((CELLS, CELLS), UNKNOWN, np.int8)
+    data[reachable] = FREE
+    data[seen & (distance <= _BEFORE_M) & (distance > -_BEHIND_M)] = OCCUPIED
+    data.flags.writeable = False
+    return OccupancyMap(data, RESOLUTION_M, ORIGIN_M, ORIGIN_M)
