@@ -80,7 +80,9 @@ class GoalHandle:
 
     def cancel(self) -> None:
         """Ask the server to stop; the client's side of the handle."""
-        if self.is_active and self.status is not Status.CANCELING:
+        if self.status is Status.ACCEPTED:  # not started, so there is nothing to wind up
+            self.canceled()
+        elif self.status is Status.EXECUTING:
             self._set(Status.CANCELING)
             self._server.node.call_later(0, self._server.on_cancel, self)
 
@@ -117,6 +119,7 @@ class ActionServer:
         goal at a time ends the one before itself.
     on_cancel
         Called when a client asks to stop; answers, now or later, with ``handle.canceled()``.
+        A server with a loop needs none: it looks at the handle's status.
     """
 
     def __init__(
@@ -125,7 +128,7 @@ class ActionServer:
         action_type: str,
         name: str,
         on_goal: Callable[[GoalHandle], None],
-        on_cancel: Callable[[GoalHandle], None],
+        on_cancel: Callable[[GoalHandle], None] = lambda _: None,
     ) -> None:
         self.node = node
         self.name = name
@@ -154,9 +157,14 @@ class ActionServer:
         self.node.call_later(self.node.latency_ns, self._start, handle)
         return handle
 
+    @property
+    def feedback_is_heard(self) -> bool:
+        """Tell whether anybody does something with the hidden feedback topic."""
+        return any(s.callback is not None for s in self._feedback.subscriptions)
+
     def publish_feedback(self, handle: GoalHandle, feedback: Any) -> None:
         """Publish on the hidden feedback topic if somebody listens."""
-        if self._feedback.has_subscribers():
+        if self.feedback_is_heard:
             self._feedback.publish(self._feedback_type(_uuid(handle.goal_id), feedback))
 
     def publish_status(self) -> None:

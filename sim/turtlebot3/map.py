@@ -6,13 +6,12 @@ and the whole is turned and shifted a little against the world. Figures: docs/wo
 
 import functools
 import math
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from sim.middleware.geometry import Pose2D
+from sim.nav2.map_server import OccupancyMap
 from sim.turtlebot3.arena import clearance
 
 RESOLUTION_M = 0.05
@@ -26,16 +25,6 @@ WORLD_IN_MAP = Pose2D(0.030, -0.002, math.radians(-1.05))
 
 # SLAM smears a wall over the cells whose centres lie this far in front of and behind its surface.
 _BEFORE_M, _BEHIND_M = 0.025, 0.065
-
-
-@dataclass(frozen=True, slots=True)
-class OccupancyMap:
-    """A map in the map frame; row 0 and column 0 lie at the origin."""
-
-    data: NDArray[np.int8]  # (height, width): FREE, OCCUPIED or UNKNOWN
-    resolution: float  # [m]
-    origin_x: float  # [m]
-    origin_y: float  # [m]
 
 
 @functools.cache
@@ -53,4 +42,4 @@ def turtlebot3_world_map() -> OccupancyMap:
     data[reachable] = FREE
     data[seen & (distance <= _BEFORE_M) & (distance > -_BEHIND_M)] = OCCUPIED
     data.flags.writeable = False
-    return OccupancyMap(data, RESOLUTION_M, ORIGIN_M, ORIGIN_M)
+    return OccupancyMap(data, RESOLUTION_M, (ORIGIN_M, ORIGIN_M))

@@ -1,0 +1,233 @@
+"""What a run is made from: everything that is drawn is drawn here, from the campaign's seed.
+
+Run i of every mode belongs to block i: same start, goals, fake object and nuisance, so that a mode
+and its control differ in the mode only. Three sessions take turns; a session is a day in the
+laboratory, with its own LiDAR bias, floor and processor load.
+"""
+
+import functools
+import math
+import os
+import zlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.errors import OracleError
+from sim.fuzzing.relays import FakeObject
+from sim.middleware.geometry import Pose2D
+from sim.modes import modes
+from sim.nav2.costmap import Costmap2D
+from sim.nav2.costmap_layers import InflationLayer, static_costs
+from sim.nav2.footprint import INSCRIBED_RADIUS
+from sim.nav2.navfn import plan
+from sim.turtlebot3.arena import RING, clearance
+from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
+
+Storage = Literal["mcap", "sqlite3"]
+
+DEFAULT_SEED = 20260101
+SESSIONS = 3
+NOISE_LEVEL = 0.10  # of every range; the thesis's
+
+MIN_CLEARANCE_M = 0.45  # of start and goals from every obstacle
+MIN_LEG_M = 1.5  # straight distance from one goal to the next
+FAKE_OBJECT_CLEARANCE_M = 0.7  # of the fake object from start and goals
+_OBJECT_DRAWS = 64
+
+# Branches of the seed: what is drawn on one does not move what is drawn on another.
+_SESSION, _BLOCK, _NODE, _ATTACK = range(4)
+
+
+class RecipeError(OracleError):
+    """A campaign was asked for something that cannot be drawn."""
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """What all runs of a campaign have in common."""
+
+    seed: int = DEFAULT_SEED
+    goals_per_run: int = 8  # 1 is the thesis's protocol
+    storage: Storage = "mcap"
+    timeout_s: float = 600.0  # of simulated time
+
+    @classmethod
+    def from_environment(cls) -> Self:
+        """Return the default campaign, with ``ORACLE_GOALS_PER_RUN`` goals a run."""
+        text = os.environ.get("ORACLE_GOALS_PER_RUN", "8")
+        if not text.isdecimal() or int(text) < 1:
+            raise RecipeError(f"ORACLE_GOALS_PER_RUN is {text!r}; give a whole number from 1 on.")
+        return cls(goals_per_run=int(text))
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """What stays the same for a day and differs from the next."""
+
+    index: int
+    lidar_bias_m: float
+    lidar_noise_m: float  # standard deviation
+    friction: float  # of the floor, relative to the robot's model
+    mass: float  # of the robot, relative to its model
+    latency_ms: float  # of every node that processes messages
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """All that a run is a function of. Poses are in the map frame, the object in ``odom``."""
+
+    mode: str
+    run: int
+    block: int
+    seed: int
+    session: Session
+    start: Pose2D
+    goals: tuple[Pose2D, ...]
+    fake_object: FakeObject
+    noise_level: float
+    storage: Storage
+    timeout_s: float
+
+    def generator(self, node: str) -> np.random.Generator:
+        """Return the randomness of one node; the same in every mode of the block."""
+        return _generator(self.seed, _NODE, self.block, zlib.crc32(node.encode()))
+
+    def attack_seed(self) -> int:
+        """Return the key of the attack's own, counter-based randomness."""
+        return int(_sequence(self.seed, _ATTACK, self.block).generate_state(1, np.uint64)[0])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the recipe as JSON knows it."""
+        return {**asdict(self), "goals": [asdict(goal) for goal in self.goals]}
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> Self:
+        """Return the recipe that ``to_dict`` gave."""
+        return cls(
+            **{
+                **document,
+                "session": Session(**document["session"]),
+                "start": Pose2D(**document["start"]),
+                "goals": tuple(Pose2D(**goal) for goal in document["goals"]),
+                "fake_object": FakeObject(**document["fake_object"]),
+            }
+        )
+
+
+def _sequence(seed: int, *branch: int) -> np.random.SeedSequence:
+    return np.random.SeedSequence(seed, spawn_key=branch)
+
+
+def _generator(seed: int, *branch: int) -> np.random.Generator:
+    return np.random.default_rng(_sequence(seed, *branch))
+
+
+def draw_session(seed: int, index: int) -> Session:
+    """Draw the conditions of a session."""
+    rng = _generator(seed, _SESSION, index)
+    return Session(
+        index=index,
+        lidar_bias_m=rng.uniform(-0.01, 0.01),
+        lidar_noise_m=rng.uniform(0.008, 0.015),
+        friction=rng.uniform(0.8, 1.2),
+        mass=rng.uniform(0.9, 1.1),
+        latency_ms=rng.uniform(1.0, 8.0),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """What the runs of one block share; poses in the map frame, the object in ``odom``."""
+
+    start: Pose2D
+    goals: tuple[Pose2D, ...]
+    fake_object: FakeObject
+
+
+def draw_block(seed: int, block: int, goals: int) -> Block:
+    """Draw a patrol that can be driven, and a fake object beside it.
+
+    Start and goals keep ``MIN_CLEARANCE_M`` from every obstacle, lie ``MIN_LEG_M`` apart, and the
+    planner finds a path between them.
+    """
+    rng = _generator(seed, _BLOCK, block)
+    grid = _planning_grid()
+    stops = [_draw_free_pose(rng)]
+    legs: list[NDArray[np.float64]] = []
+    while len(legs) < goals:
+        stop = _draw_free_pose(rng)
+        if stop.distance_to(stops[-1]) < MIN_LEG_M:
+            continue
+        path = plan(grid, (stops[-1].x, stops[-1].y), (stop.x, stop.y))
+        if path is not None:
+            stops.append(stop)
+            legs.append(path)
+    return Block(stops[0], tuple(stops[1:]), _draw_fake_object(rng, legs, stops))
+
+
+def _draw_free_pose(rng: np.random.Generator) -> Pose2D:
+    """Draw a pose in the map frame that keeps clear of everything."""
+    while True:
+        x, y = rng.uniform(-RING.circumradius, RING.circumradius, 2)
+        if clearance(np.array([[x, y]]))[0] >= MIN_CLEARANCE_M:
+            return WORLD_IN_MAP.compose(Pose2D(x, y, rng.uniform(-math.pi, math.pi)))
+
+
+def _draw_fake_object(
+    rng: np.random.Generator, legs: list[NDArray[np.float64]], stops: list[Pose2D]
+) -> FakeObject:
+    """Draw a cylinder near the middle of a leg, clear of where the robot must start and stop.
+
+    Where patrols are so dense that no draw is clear enough, the clearest is taken.
+    """
+    later = legs[1:] or legs  # a delayed attack meets the robot on its second leg or after
+    middles = [leg[int(0.3 * len(leg)) : int(0.7 * len(leg)) + 1] for leg in later]
+    chosen = [middles[i] for i in rng.integers(len(middles), size=_OBJECT_DRAWS)]
+    places = np.array([middle[rng.integers(len(middle))] for middle in chosen])
+    places += rng.normal(0.0, 0.05, places.shape)
+    avoid = np.array([(stop.x, stop.y) for stop in stops])
+    clear = np.hypot(*(places[:, None] - avoid).transpose(2, 0, 1)).min(axis=1)
+    place = places[np.argmax(np.minimum(clear, FAKE_OBJECT_CLEARANCE_M))]  # the first of the best
+    # The odometry is the simulator's ground truth, so its frame is the world's.
+    ((x, y),) = WORLD_IN_MAP.inverse().apply(place[None]).tolist()
+    return FakeObject(x, y, radius=rng.uniform(0.15, 0.25))
+
+
+@functools.cache
+def _planning_grid() -> Costmap2D:
+    """Return the global costmap of an empty world: the static map, inflated."""
+    world = turtlebot3_world_map()
+    costs = static_costs(world.data)
+    InflationLayer(world.resolution, INSCRIBED_RADIUS).add_to(costs)
+    origin_x, origin_y = world.origin
+    return Costmap2D(costs, world.resolution, origin_x, origin_y, "map")
+
+
+def recipe_for(mode: str, run: int, campaign: Campaign) -> Recipe:
+    """Return the recipe of one run of a campaign.
+
+    Raises
+    ------
+    RecipeError
+        If there is no such mode.
+    """
+    if mode not in modes():
+        raise RecipeError(f"There is no mode {mode!r}; there are {', '.join(modes())}.")
+    block = draw_block(campaign.seed, run, campaign.goals_per_run)
+    return Recipe(
+        mode=mode,
+        run=run,
+        block=run,
+        seed=campaign.seed,
+        session=draw_session(campaign.seed, run % SESSIONS),
+        start=block.start,
+        goals=block.goals,
+        fake_object=block.fake_object,
+        noise_level=NOISE_LEVEL,
+        storage=campaign.storage,
+        timeout_s=campaign.timeout_s,
+    )

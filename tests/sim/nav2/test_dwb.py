@@ -1,0 +1,277 @@
+"""DWB against hand-computed cases and against a slow, obvious copy of its scoring."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from sim.middleware.geometry import Pose2D
+from sim.nav2 import dwb
+from sim.nav2.dwb import CostGrid, LocalPlanner, Parameters
+
+CELLS, RESOLUTION = 60, 0.05
+HALF = CELLS * RESOLUTION / 2
+MAP_TO_ODOM = Pose2D()
+
+
+def free_grid():
+    return CostGrid(np.zeros((CELLS, CELLS), np.uint8), RESOLUTION, -HALF, -HALF)
+
+
+def straight_plan(length=2.0, yaw=0.0):
+    along = np.arange(0.0, length + 1e-9, 0.025)
+    return np.column_stack([along * math.cos(yaw), along * math.sin(yaw), np.full(len(along), yaw)])
+
+
+def planner_on(plan, **parameters):
+    planner = LocalPlanner(Parameters(**parameters))
+    planner.set_plan(plan)
+    return planner
+
+
+# -- sampling and rollout ------------------------------------------------------------------
+
+
+def test_a_cruising_robot_has_419_twists_to_try():
+    forward = dwb._samples(0.26, 0.0, 0.26, 2.5 * 1.7, -2.5 * 1.7, 20)
+    turning = dwb._samples(0.0, -1.0, 1.0, 3.2 * 1.7, -3.2 * 1.7, 20)
+    assert (len(forward), len(turning)) == (20, 21)  # zero joins the even number of turns
+    assert forward[[0, -1]] == pytest.approx([0.0, 0.26])
+    assert np.count_nonzero(turning == 0.0) == 1
+    twists = {(v, w) for v in forward for w in turning} - {(0.0, 0.0)}
+    assert len(twists) == 419
+
+
+def test_samples_stay_within_what_can_be_reached():
+    assert dwb._samples(0.0, -1.0, 1.0, 0.2, -0.1, 3) == pytest.approx([-0.1, 0.0, 0.05, 0.2])
+
+
+@given(v=st.floats(0.0, 0.26), w=st.floats(-1.0, 1.0))
+def test_a_rollout_has_3_to_70_poses_and_its_last_one_twice(v, w):
+    rollout = np.empty((dwb._steps(Parameters(), (v, w)) + 2, 3))
+    assert dwb._roll(Parameters(), (0.0, 0.0, 0.0), (0.0, 0.0), (v, w), rollout) == len(rollout)
+    assert 3 <= len(rollout) <= 70
+    assert rollout[0] == pytest.approx([0.0, 0.0, 0.0])
+    assert np.array_equal(rollout[-1], rollout[-2])
+
+
+def test_a_rollout_at_cruise_is_straight_and_1_7_seconds_long():
+    rollout = np.empty((dwb._steps(Parameters(), (0.26, 0.0)) + 2, 3))
+    dwb._roll(Parameters(), (1.0, 2.0, math.pi / 2), (0.26, 0.0), (0.26, 0.0), rollout)
+    assert len(rollout) == 11  # 0.442 m in steps of at most 0.05 m
+    assert rollout[-1] == pytest.approx([1.0, 2.442, math.pi / 2])
+
+
+def test_a_rollout_from_standstill_accelerates_first():
+    steps = dwb._steps(Parameters(), (0.26, 0.0))
+    rollout = np.empty((steps + 2, 3))
+    dwb._roll(Parameters(), (0.0, 0.0, 0.0), (0.0, 0.0), (0.26, 0.0), rollout)
+    dt = 1.7 / steps  # 0.189 s: 2.5 m/s^2 reach full speed within the first step
+    assert np.diff(rollout[:, 0])[:-1] == pytest.approx(np.full(steps, 0.26 * dt))
+
+
+@given(w=st.floats(0.05, 1.0), yaw=st.floats(-3.0, 3.0))
+def test_the_stepwise_heading_is_that_of_the_exact_angle(w, yaw):
+    rollout = np.empty((dwb._steps(Parameters(), (0.26, w)) + 2, 3))
+    dwb._roll(Parameters(), (0.0, 0.0, yaw), (0.0, 0.0), (0.26, w), rollout)
+    chords = np.diff(rollout[:-1, :2], axis=0)
+    headings = np.arctan2(chords[:, 1], chords[:, 0])
+    assert np.exp(1j * headings) == pytest.approx(np.exp(1j * rollout[:-2, 2]))
+
+
+# -- choice --------------------------------------------------------------------------------
+
+
+def test_in_a_straight_corridor_it_drives_straight_and_fast():
+    grid = free_grid()
+    for rows in (slice(0, 20), slice(40, 60)):  # walls 0.5 m to either side
+        grid.costs[rows] = 254
+    cycle = planner_on(straight_plan()).compute(grid, Pose2D(), (0.26, 0.0), MAP_TO_ODOM)
+    assert cycle.twist is not None
+    assert cycle.twist[0] > 0.2
+    assert cycle.twist[1] == 0.0
+    assert np.abs(cycle.trajectory[:, 1]).max() == 0.0
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_beside_the_path_it_turns_towards_it(side):
+    cycle = planner_on(straight_plan()).compute(
+        free_grid(), Pose2D(0.0, 0.3 * side), (0.26, 0.0), MAP_TO_ODOM
+    )
+    assert cycle.twist is not None
+    assert cycle.twist[1] * side < 0.0
+
+
+def test_a_wall_all_around_leaves_no_legal_trajectory():
+    grid = free_grid()
+    grid.costs[:] = 253
+    cycle = planner_on(straight_plan()).compute(grid, Pose2D(), (0.0, 0.0), MAP_TO_ODOM)
+    assert cycle.twist is None
+    assert len(cycle.trajectory) == 0
+
+
+def test_a_plan_that_is_nowhere_near_is_not_followed():
+    far = straight_plan() + (10.0, 0.0, 0.0)
+    cycle = planner_on(far).compute(free_grid(), Pose2D(), (0.0, 0.0), MAP_TO_ODOM)
+    assert cycle.twist is None
+
+
+def test_the_plan_is_cut_to_the_costmap_and_what_was_passed_is_forgotten():
+    planner = planner_on(straight_plan(6.0))
+    cycle = planner.compute(free_grid(), Pose2D(), (0.0, 0.0), MAP_TO_ODOM)
+    assert cycle.plan[[0, -1], 0] == pytest.approx([0.0, 1.5])
+    grid = free_grid()._replace(origin_x=2.0 - HALF)
+    cycle = planner.compute(grid, Pose2D(2.0, 0.0), (0.0, 0.0), MAP_TO_ODOM)
+    assert cycle.plan[[0, -1], 0] == pytest.approx([0.525, 3.5])
+    assert planner.plan[0, 0] == pytest.approx(0.525)
+
+
+def test_the_plan_is_taken_into_the_costmaps_frame():
+    from_plan = Pose2D(0.5, 0.0, math.pi / 2)
+    cycle = planner_on(straight_plan()).compute(
+        free_grid(), Pose2D(0.5, 0.0, math.pi / 2), (0.26, 0.0), from_plan
+    )
+    assert cycle.plan[-1] == pytest.approx([0.5, 1.5, math.pi / 2], abs=0.03)
+    assert cycle.twist is not None
+    assert cycle.twist[1] == 0.0
+
+
+def test_at_the_goal_it_turns_on_the_spot_towards_the_goals_yaw():
+    plan = straight_plan(0.2)
+    plan[-1, 2] = 2.0
+    planner = planner_on(plan)
+    cycle = planner.compute(free_grid(), Pose2D(), (0.1, 0.0), MAP_TO_ODOM)
+    assert cycle.twist is not None
+    assert cycle.twist[0] == 0.0
+    assert cycle.twist[1] == pytest.approx(1.0)
+
+
+def test_at_the_goal_and_still_fast_it_slows_down():
+    planner = planner_on(straight_plan(0.2), trans_stopped_velocity=0.1)
+    cycle = planner.compute(free_grid(), Pose2D(), (0.2, 0.0), MAP_TO_ODOM)
+    assert cycle.twist is not None
+    assert cycle.twist[0] < 0.2
+
+
+def test_turning_back_and_forth_on_the_spot_is_forbidden_until_the_robot_got_on():
+    trend = dwb._Trend()
+    trend.debrief((0.0, 0.5), Pose2D())
+    assert trend.only == 0
+    trend.debrief((0.0, -0.5), Pose2D())
+    assert trend.only == -1  # no more turning left
+    trend.debrief((0.0, -0.5), Pose2D(yaw=-0.15))
+    assert trend.only == -1
+    trend.debrief((0.0, -0.5), Pose2D(yaw=-0.25))
+    assert trend.only == 0
+
+
+def test_turning_while_driving_is_no_oscillation():
+    trend = dwb._Trend()
+    for turn in (0.5, -0.5, 0.5):
+        trend.debrief((0.1, turn), Pose2D())
+    assert trend.only == 0
+
+
+def test_an_oscillating_robot_gets_no_twist_to_the_forbidden_side():
+    plan = straight_plan(2.0, yaw=3.0)  # behind, to the left
+    planner = planner_on(plan)
+    planner._turns.debrief((0.0, 1.0), Pose2D())
+    planner._turns.debrief((0.0, -1.0), Pose2D())
+    cycle = planner.compute(free_grid(), Pose2D(), (0.0, 0.0), MAP_TO_ODOM)
+    assert cycle.twist is not None
+    assert cycle.twist[1] <= 0.0
+
+
+def test_a_speed_limit_scales_both_speeds_and_zero_lifts_it():
+    planner = planner_on(straight_plan())
+    planner.limit_speed(50.0, percentage=True)
+    cycle = planner.compute(free_grid(), Pose2D(), (0.0, 0.0), MAP_TO_ODOM)
+    assert cycle.twist is not None
+    assert 0.1 < cycle.twist[0] <= 0.13
+    planner.limit_speed(0.0, percentage=False)
+    cycle = planner.compute(free_grid(), Pose2D(), (0.0, 0.0), MAP_TO_ODOM)
+    assert cycle.twist is not None
+    assert cycle.twist[0] > 0.2
+
+
+# -- the slow, obvious copy ----------------------------------------------------------------
+
+
+def naive_cycle(grid, pose, velocity, plan):
+    """Score every twist by the definitions of the critics; return (twist, total) of the best."""
+    p = Parameters()
+
+    def cell(x, y):
+        return (
+            math.floor((x - grid.origin_x) / grid.resolution),
+            math.floor((y - grid.origin_y) / grid.resolution),
+        )
+
+    def on_grid(column, row):
+        return 0 <= column < CELLS and 0 <= row < CELLS
+
+    on_path = np.ones((CELLS, CELLS), bool)
+    goal = None
+    for x, y, _ in plan:
+        column, row = cell(x, y)
+        if on_grid(column, row):
+            on_path[row, column] = False
+            goal = (column, row)
+        elif goal is not None:
+            break
+    distance = ndimage.distance_transform_cdt(on_path, metric="taxicab")
+    ahead = math.atan2(plan[-1, 1] - pose.y, plan[-1, 0] - pose.x)
+    nose = cell(plan[-1, 0] + 0.1 * math.cos(ahead), plan[-1, 1] + 0.1 * math.sin(ahead))
+    best, best_total = None, math.inf
+    for v in np.linspace(0.0, 0.26, 20):
+        for w in sorted({*np.linspace(-1.0, 1.0, 20), 0.0}):
+            if v == 0.0 and w == 0.0:
+                continue
+            steps = max(1, math.ceil(max(v * 1.7 / 0.05, abs(w) * 1.7 / 0.025)))
+            dt = 1.7 / steps
+            x, y, yaw = pose.x, pose.y, pose.yaw
+            speed, turn = velocity
+            legal = grid.costs[cell(x, y)[::-1]] < 253
+            for _ in range(steps):
+                speed += min(max(v - speed, -2.5 * dt), 2.5 * dt)
+                turn += min(max(w - turn, -3.2 * dt), 3.2 * dt)
+                x, y = x + speed * math.cos(yaw) * dt, y + speed * math.sin(yaw) * dt
+                yaw += turn * dt
+                legal = legal and grid.costs[cell(x, y)[::-1]] < 253
+            if not legal:
+                continue
+            front = cell(x + 0.1 * math.cos(yaw), y + 0.1 * math.sin(yaw))
+            here = cell(x, y)
+            total = 0.02 * grid.costs[here[::-1]] + 0.5 * RESOLUTION * (
+                p.goal_align_scale * (abs(front[0] - nose[0]) + abs(front[1] - nose[1]))
+                + p.path_align_scale * distance[front[::-1]]
+                + p.path_dist_scale * distance[here[::-1]]
+                + p.goal_dist_scale * (abs(here[0] - goal[0]) + abs(here[1] - goal[1]))
+            )
+            if total < best_total - 1e-9:
+                best, best_total = (v, w), total
+    return best, best_total
+
+
+@settings(max_examples=25)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    yaw=st.floats(-3.0, 3.0),
+    speed=st.floats(0.0, 0.26),
+    turn=st.floats(-1.0, 1.0),
+)
+def test_the_choice_is_that_of_the_critics_definitions(seed, yaw, speed, turn):
+    rng = np.random.default_rng(seed)
+    grid = free_grid()
+    grid.costs[:] = rng.integers(0, 252, grid.costs.shape)
+    grid.costs[rng.random(grid.costs.shape) < 0.02] = 254
+    plan = straight_plan(1.2, yaw=rng.uniform(-3.0, 3.0))
+    pose = Pose2D(*rng.uniform(-0.2, 0.2, 2), yaw)
+    cycle = planner_on(plan).compute(grid, pose, (speed, turn), MAP_TO_ODOM)
+    best, _ = naive_cycle(grid, pose, (speed, turn), plan)
+    assert (cycle.twist is None) == (best is None)
+    if best is not None:
+        assert cycle.twist == pytest.approx(best)

@@ -1,0 +1,140 @@
+import hashlib
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sim.middleware.executor import SECOND
+from sim.middleware.geometry import Pose2D, wrap_angle
+from sim.turtlebot3.arena import BLOCKS, CYLINDERS, RING, Cylinder, clearance
+from sim.turtlebot3.world import WHEEL_RADIUS_M, WHEEL_SEPARATION_M, World, WorldParameters
+
+BEARINGS = np.linspace(0.0, 6.28, 90)
+HEIGHT_M = 0.132
+
+
+def drive(world, forward, turning, seconds):
+    turn = turning * WHEEL_SEPARATION_M / 2.0
+    world.command_wheels((forward - turn) / WHEEL_RADIUS_M, (forward + turn) / WHEEL_RADIUS_M)
+    world.advance_to(world.time_ns + round(seconds * SECOND))
+
+
+def slow_ray(sensor, bearing):
+    """March along one ray until a surface is reached: obvious, and good to a tenth of a mm."""
+    direction = np.array([math.cos(sensor.yaw + bearing), math.sin(sensor.yaw + bearing)])
+    distance = 0.0
+    while distance < 20.0:
+        free = clearance((np.array([sensor.x, sensor.y]) + distance * direction)[None])[0]
+        if free < 1e-4:
+            return distance
+        distance += free
+    return math.inf
+
+
+@settings(max_examples=25)
+@given(st.floats(-2.5, 2.5), st.floats(-2.4, 2.4), st.floats(-math.pi, math.pi))
+def test_rays_end_where_a_slow_march_through_the_geometry_ends(x, y, yaw):
+    if clearance(np.array([[x, y]]))[0] < 0.3:
+        return
+    world = World(WorldParameters(Pose2D(x, y, yaw)))
+    mount = Pose2D(-0.064, 0.0, 0.0)
+    measured = world.scan(mount, HEIGHT_M, BEARINGS, 20.0)
+    sensor = world.pose.compose(mount)
+    expected = [slow_ray(sensor, bearing) for bearing in BEARINGS]
+    # A ray that grazes an edge may end on either side of it.
+    agree = np.abs(measured - expected) < 5e-3
+    assert agree.mean() >= 0.97
+
+
+def test_a_scan_never_sees_the_robot_itself():
+    world = World(WorldParameters(Pose2D(0.55, 0.55, 0.3)))
+    assert world.scan(Pose2D(-0.064, 0.0), HEIGHT_M, BEARINGS, 20.0).min() > 0.5
+
+
+def test_beyond_its_reach_a_sensor_sees_nothing():
+    world = World(WorldParameters(Pose2D(0.55, 0.55, 0.3)))
+    assert np.isinf(world.scan(Pose2D(), HEIGHT_M, BEARINGS, 0.3)).all()
+
+
+def test_an_added_obstacle_is_seen_and_can_be_touched():
+    obstacle = Cylinder("crate", 0.55, 0.0, radius=0.1)
+    world = World(WorldParameters(Pose2D(0.55, 0.55, -math.pi / 2), obstacles=[obstacle]))
+    assert world.scan(Pose2D(), HEIGHT_M, np.zeros(1), 20.0)[0] == pytest.approx(0.45, abs=1e-3)
+    drive(world, 0.2, 0.0, 4.0)
+    assert [touch.piece for touch in world.touches] == ["crate"]
+
+
+def test_a_robot_that_is_not_commanded_stays_where_it_is():
+    world = World(WorldParameters(Pose2D(-2.0, -0.5, 0.4)))
+    world.advance_to(60 * SECOND)
+    assert world.pose.distance_to(Pose2D(-2.0, -0.5)) < 1e-3
+    assert abs(world.pose.yaw - 0.4) < 1e-3
+    assert world.touches == []
+
+
+@pytest.mark.parametrize("mass", [0.9, 1.1])
+@pytest.mark.parametrize("friction", [0.8, 1.2])
+def test_wheels_carry_the_robot_as_far_as_they_are_told_to(mass, friction):
+    world = World(WorldParameters(Pose2D(-0.55, -0.55, 0.0), friction, mass))
+    drive(world, 0.2, 0.0, 5.0)
+    assert world.pose.x + 0.55 == pytest.approx(1.0, rel=0.02)
+    before = world.pose.yaw
+    drive(world, 0.0, 0.5, 4.0)
+    # The wheels stand 0.288 m apart and are driven as if it were 0.287 m.
+    assert wrap_angle(world.pose.yaw - before) == pytest.approx(2.0, rel=0.03)
+
+
+def test_touching_a_pillar_is_one_episode_with_its_name_and_time():
+    world = World(WorldParameters(Pose2D(-2.0, 0.0, 0.0)))
+    assert clearance(np.array([[-2.0, 0.0]]))[0] > 0.3
+    drive(world, 0.2, 0.0, 8.0)
+    (touch,) = world.touches
+    assert touch.piece == "one_two"
+    # The front of the box is 0.0685 m ahead, the wheels' hull is no wider than the box here.
+    gap = -1.1 - 0.15 - (-2.0 + 0.0685)
+    assert touch.stamp_ns / SECOND == pytest.approx(gap / 0.2, abs=0.15)
+
+
+def test_an_imu_at_rest_measures_gravity_upwards_and_no_turning():
+    world = World(WorldParameters(Pose2D(-2.0, -0.5, 0.0)))
+    world.advance_to(SECOND)
+    sample = world.imu()
+    # The casters end a millimetre above the wheels' lowest point: the robot leans back a little.
+    lean = 9.8 * 0.001 / 0.177
+    assert sample.linear_acceleration == pytest.approx([lean, 0.0, 9.8], abs=0.02)
+    assert sample.angular_velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-3)
+    drive(world, 0.0, 0.5, 2.0)
+    assert world.imu().angular_velocity[2] == pytest.approx(0.5, rel=0.03)
+
+
+def test_every_piece_of_the_arena_stands_in_the_physics():
+    names = {piece.name for piece in (RING, *BLOCKS, *CYLINDERS)}
+    assert set(World(WorldParameters(Pose2D(-2.0, -0.5)))._piece_of_geom.values()) == names
+
+
+FINGERPRINT = """
+import hashlib
+from sim.middleware.geometry import Pose2D
+from sim.turtlebot3.world import World, WorldParameters
+world = World(WorldParameters(Pose2D(-2.0, -0.5, 0.1), 0.9, 1.05))
+world.command_wheels(5.0, 7.0)
+world.advance_to(10_000_000_000)
+print(hashlib.sha256(repr((world.pose, world.twist, world.touches)).encode()).hexdigest())
+"""
+
+
+def test_the_same_commands_give_the_same_bits_in_another_process():
+    world = World(WorldParameters(Pose2D(-2.0, -0.5, 0.1), 0.9, 1.05))
+    world.command_wheels(5.0, 7.0)
+    for time_ns in range(0, 10 * SECOND + 1, 34_000_000):
+        world.advance_to(time_ns)
+    world.advance_to(10 * SECOND)
+    state = repr((world.pose, world.twist, world.touches))
+    other = subprocess.run(
+        [sys.executable, "-c", FINGERPRINT], capture_output=True, text=True, check=True
+    )
+    assert other.stdout.strip() == hashlib.sha256(state.encode()).hexdigest()
