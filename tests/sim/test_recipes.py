@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -35,7 +36,7 @@ def test_start_and_goals_are_clear_of_obstacles_inside_the_ring_and_apart(seed, 
     assert len(recipe.goals) == goals
     assert (clearance(in_world(stops)) >= MIN_CLEARANCE_M - 1e-9).all()
     assert (RING.signed_distance(in_world(stops)) < 0.0).all()
-    assert all(a.distance_to(b) >= MIN_LEG_M for a, b in zip(stops, stops[1:], strict=False))
+    assert all(a.distance_to(b) >= MIN_LEG_M for a, b in pairwise(stops))
 
 
 @settings(max_examples=20)
