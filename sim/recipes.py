@@ -172,7 +172,7 @@ def draw_block(seed: int, block: int, goals: int) -> Block:
 def _draw_free_pose(rng: np.random.Generator) -> Pose2D:
     """Draw a pose in the map frame that keeps clear of everything."""
     while True:
-        x, y = rng.uniform(-RING.circumradius, RING.circumradius, 2)
+        x, y = rng.uniform(-RING.circumradius, RING.circumradius, 2).tolist()
         if clearance(np.array([[x, y]]))[0] >= MIN_CLEARANCE_M:
             return WORLD_IN_MAP.compose(Pose2D(x, y, rng.uniform(-math.pi, math.pi)))
 

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.middleware.geometry import Pose2D, quaternion_yaw
+from sim.middleware.geometry import Pose2D, quaternion_yaw, wrap_angle
 from sim.turtlebot3.arena import BLOCKS, CYLINDERS, RING, RING_THICKNESS, Cylinder, Hexagon
 
 STEP_NS = 5_000_000
@@ -20,10 +20,15 @@ STEP_NS = 5_000_000
 WHEEL_RADIUS_M = 0.033
 WHEEL_SEPARATION_M = 0.287  # the diff drive's figure; the model's geometry says 0.288
 MAX_WHEEL_TORQUE_NM = 20.0
+# A stiffer motor would reach its set-point within one step, and kick the robot off the floor.
+_MOTOR_GAIN = 0.2  # [N m s/rad]
 
 _EPISODE_GAP_NS = 1_000_000_000  # a robot that grinds along a wall bounces off and on
 
 _STATIC, _ROBOT, _FLOOR = 0, 1, 2  # geom groups: rays see the first only
+# A wheel stands on the floor at one point, as a sphere does: two edges of a cylinder would scrub
+# against each other in every turn. The cylinder is what meets the pieces of the world.
+_TREAD_BIT = 2
 _SEEN_BY_RAYS = np.array([1, 0, 0, 0, 0, 0], np.uint8)
 
 
@@ -72,6 +77,7 @@ class World:
         )  # fmt: skip
         mujoco.mj_forward(self._model, self._data)
         self._steps = 0
+        self._ahead_s = 0.0  # of the last step, until the next one is due
         self._last_touch_ns: dict[str, int] = {}
         self.touches: list[Touch] = []
         groups = self._model.geom_group
@@ -89,11 +95,16 @@ class World:
         return self._steps * STEP_NS
 
     def advance_to(self, time_ns: int) -> None:
-        """Take every step that is due by ``time_ns``, and note new contacts after each."""
+        """Take every step that is due by ``time_ns``, and note new contacts after each.
+
+        Poses and wheel angles are carried on to ``time_ns`` itself with their speeds: Gazebo
+        steps five times as often, and odometry that jumps by a step would look like slip.
+        """
         for _ in range(time_ns // STEP_NS - self._steps):
             mujoco.mj_step(self._model, self._data)
             self._steps += 1
             self._watch_contacts()
+        self._ahead_s = (time_ns - self.time_ns) / 1e9
 
     def command_wheels(self, left: float, right: float) -> None:
         """Set what the wheel motors hold from now on [rad/s]."""
@@ -104,7 +115,9 @@ class World:
     def pose(self) -> Pose2D:
         """Ground truth of ``base_footprint`` in the world."""
         x, y, _, w, qx, qy, qz = self._data.qpos[:7].tolist()
-        return Pose2D(x, y, quaternion_yaw(qx, qy, qz, w))
+        vx, vy, _, _, _, turning = self._data.qvel[:6].tolist()
+        yaw = wrap_angle(quaternion_yaw(qx, qy, qz, w) + self._ahead_s * turning)
+        return Pose2D(x + self._ahead_s * vx, y + self._ahead_s * vy, yaw)
 
     @property
     def twist(self) -> tuple[float, float]:
@@ -115,8 +128,12 @@ class World:
 
     def wheel_states(self) -> tuple[list[float], list[float]]:
         """Return angles [rad] and speeds [rad/s] of the left and the right wheel."""
-        angles = [float(self._data.qpos[i]) for i in self._wheel_angles]
-        return angles, [float(self._data.qvel[i]) for i in self._wheel_speeds]
+        speeds = [float(self._data.qvel[i]) for i in self._wheel_speeds]
+        angles = [
+            float(self._data.qpos[i]) + self._ahead_s * speed
+            for i, speed in zip(self._wheel_angles, speeds, strict=True)
+        ]
+        return angles, speeds
 
     def imu(self) -> ImuSample:
         """Return what an ideal inertial unit in ``imu_link`` measures."""
@@ -182,9 +199,13 @@ def _mjcf(parameters: WorldParameters) -> str:
   <default>
     <geom friction="{parameters.friction} 0.005 0.0001"/>
     <default class="robot"><geom group="{_ROBOT}"/></default>
+    <default class="on_floor">
+      <geom group="{_ROBOT}" contype="{_TREAD_BIT}" conaffinity="{_TREAD_BIT}"/>
+    </default>
   </default>
   <worldbody>
-    <geom name="floor" type="plane" size="50 50 1" group="{_FLOOR}"/>
+    <geom name="floor" type="plane" size="50 50 1" group="{_FLOOR}"
+          contype="{_TREAD_BIT}" conaffinity="{_TREAD_BIT}"/>
     {pieces}
     <body name="base_footprint">
       <freejoint/>
@@ -192,9 +213,9 @@ def _mjcf(parameters: WorldParameters) -> str:
             mass="{1.0 * parameters.mass}"/>
       <geom class="robot" type="cylinder" size="0.0508 0.0275" pos="-0.052 0 0.111"
             mass="{0.125 * parameters.mass}"/>
-      <geom class="robot" type="sphere" size="0.005" pos="-0.177 0.064 -0.004" mass="0.001"
+      <geom class="on_floor" type="sphere" size="0.005" pos="-0.177 0.064 -0.004" mass="0.001"
             condim="1" priority="1"/>
-      <geom class="robot" type="sphere" size="0.005" pos="-0.177 -0.064 -0.004" mass="0.001"
+      <geom class="on_floor" type="sphere" size="0.005" pos="-0.177 -0.064 -0.004" mass="0.001"
             condim="1" priority="1"/>
       <site name="imu_link" pos="0 0 0.068"/>
       {_wheel("wheel_left", 0.144)}
@@ -215,12 +236,13 @@ def _wheel(name: str, y: float) -> str:
         <inertial pos="0 0 0" mass="0.1" diaginertia="0.001 0.001 0.001"/>
         <joint name="{name}" axis="0 1 0"/>
         <geom class="robot" type="cylinder" size="{WHEEL_RADIUS_M} 0.009" euler="90 0 0"/>
+        <geom class="on_floor" type="sphere" size="{WHEEL_RADIUS_M}" mass="0"/>
       </body>"""
 
 
 def _motor(joint: str) -> str:
     limit = MAX_WHEEL_TORQUE_NM
-    return f'<velocity joint="{joint}" kv="1" forcerange="-{limit} {limit}"/>'
+    return f'<velocity joint="{joint}" kv="{_MOTOR_GAIN}" forcerange="-{limit} {limit}"/>'
 
 
 def _block(hexagon: Hexagon) -> str:

@@ -62,6 +62,14 @@ def test_topics_come_at_their_rates_on_humble():
     assert rates == pytest.approx(RATES, rel=0.02)
 
 
+def test_wheel_transforms_come_at_the_rate_measured_on_humble():
+    robot = Robot()
+    robot.listen("/tf")
+    robot.executor.run_until(40 * SECOND)
+    wheels = [m for m in robot.heard["/tf"] if len(m.transforms) == 2]
+    assert len(wheels) / 40.0 == pytest.approx(19.4, rel=0.01)
+
+
 def test_a_velocity_command_moves_the_robot_and_the_odometry_tells_the_truth():
     robot = Robot(Pose2D(-0.55, -0.55, 0.0))
     robot.listen("/odom")
