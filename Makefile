@@ -36,7 +36,7 @@ ui: setup ## Open the pipeline in the browser, on 127.0.0.1
 	dagster dev -w workspace.yaml -h 127.0.0.1
 
 test: setup lint types ## Check style and types, then run every test that needs only Python and PyPI
-	pytest -n 2
+	pytest -n 2 --dist loadfile
 
 lint: setup
 	ruff check .
