@@ -112,9 +112,10 @@ class Manifest:
         ManifestError
             If a value is not what the schema allows; nothing is written then.
         """
-        document = dataclasses.asdict(self)
-        # What json makes of tuples is what the schema speaks about.
-        text = json.dumps(document, indent=2, allow_nan=False) + "\n"
+        try:
+            text = json.dumps(dataclasses.asdict(self), indent=2, allow_nan=False) + "\n"
+        except (TypeError, ValueError) as error:
+            raise ManifestError(f"{path} cannot hold this manifest: {error}.") from error
         _validate(json.loads(text), path)
         path.write_text(text, encoding="utf-8")
 

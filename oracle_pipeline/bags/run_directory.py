@@ -106,43 +106,62 @@ class RunDirectory:
         RunDirectoryError
             If the directory cannot be made, or the block wrote no manifest.
         """
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._remove_leftovers()
-            scratch = self._beside()
-            scratch.mkdir()
-        except OSError as error:
-            raise RunDirectoryError(
-                f"Could not make a directory for {self.key} below {self.root}: {error}. "
-                "Choose a root that can be written to."
-            ) from error
-        with _lock(scratch):
+        with contextlib.ExitStack() as locks:
+            try:
+                scratch = locks.enter_context(self._scratch())
+            except OSError as error:
+                raise RunDirectoryError(
+                    f"Could not make a directory for {self.key} below {self.root}: {error}. "
+                    "Choose a root that can be written to."
+                ) from error
             try:
                 yield scratch
-                if not (scratch / MANIFEST_FILE).is_file():
-                    raise RunDirectoryError(f"{self.key} was left without its {MANIFEST_FILE}.")
-                _sync_tree(scratch)
-                self._swap_in(scratch)
+                self._put_in_place(scratch)
             except BaseException:
                 shutil.rmtree(scratch, ignore_errors=True)
                 raise
 
-    def _beside(self) -> Path:
-        return self.path.with_name(f".{self.run_id}.{secrets.token_hex(4)}")
+    @contextlib.contextmanager
+    def _scratch(self) -> Iterator[Path]:
+        """Make and hold a scratch directory; what dead writers of this run left is removed."""
+        parent = self.path.parent
+        parent.mkdir(parents=True, exist_ok=True)
+        with contextlib.ExitStack() as held:
+            with _lock(parent):
+                for leftover in parent.glob(f".{self.run_id}.*"):
+                    with contextlib.suppress(BlockingIOError), _lock(leftover, wait=False):
+                        shutil.rmtree(leftover, ignore_errors=True)
+                scratch = self._beside()
+                scratch.mkdir()
+                held.enter_context(_lock(scratch))
+            yield scratch
 
-    def _swap_in(self, scratch: Path) -> None:
-        """Rename into place; a former run is moved aside first, so that it is whole or gone."""
+    def _put_in_place(self, scratch: Path) -> None:
+        """Rename; a former run is moved aside first, so that it is whole or gone."""
+        if not (scratch / MANIFEST_FILE).is_file():
+            raise RunDirectoryError(f"{self.key} was left without its {MANIFEST_FILE}.")
         former = self._beside()
-        if self.path.exists():
-            self.path.rename(former)
-        scratch.rename(self.path)
-        _sync(self.path.parent)
+        try:
+            _sync_tree(scratch)
+            with _lock(self.path.parent):
+                if self.path.exists():
+                    self.path.rename(former)
+                try:
+                    scratch.rename(self.path)
+                except BaseException:
+                    if former.exists():
+                        former.rename(self.path)
+                    raise
+                _sync(self.path.parent)
+        except OSError as error:
+            raise RunDirectoryError(
+                f"Could not put {self.key} into {self.path}: {error}. Check free space and "
+                "permissions, then record it again."
+            ) from error
         shutil.rmtree(former, ignore_errors=True)
 
-    def _remove_leftovers(self) -> None:
-        for leftover in self.path.parent.glob(f".{self.run_id}.*"):
-            with contextlib.suppress(BlockingIOError), _lock(leftover):
-                shutil.rmtree(leftover, ignore_errors=True)
+    def _beside(self) -> Path:
+        return self.path.with_name(f".{self.run_id}.{secrets.token_hex(4)}")
 
 
 def find_runs(root: Path) -> list[RunDirectory]:
@@ -156,11 +175,11 @@ def find_runs(root: Path) -> list[RunDirectory]:
 
 
 @contextlib.contextmanager
-def _lock(directory: Path) -> Iterator[None]:
+def _lock(directory: Path, *, wait: bool = True) -> Iterator[None]:
     """Hold a directory; the kernel lets go when the process dies, however it dies."""
     descriptor = os.open(directory, os.O_RDONLY)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     finally:
         os.close(descriptor)

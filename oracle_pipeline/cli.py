@@ -1,0 +1,102 @@
+"""``oracle``: the analysis from the command line, without Dagster.
+
+Exit codes: 0 done, 2 could not be done, whatever the reason.
+"""
+
+import json
+import traceback
+from pathlib import Path
+from typing import Any
+
+import click
+import pandas as pd
+
+from oracle_pipeline import features as feature_extraction
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.datasets import MISSING, field_metadata, write_table
+from oracle_pipeline.runs import open_run
+
+
+class _Failure(click.ClickException):
+    """One line on stderr."""
+
+    exit_code = 2
+
+
+class _Group(click.Group):
+    """Ends every failure with exit code 2; a defect of ours shows its traceback."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except (OracleError, OSError) as error:
+            raise _Failure(str(error)) from error
+        except (click.ClickException, click.exceptions.Exit, click.Abort):
+            raise
+        except Exception as error:
+            traceback.print_exc()
+            raise _Failure("This is a defect; please report it with the lines above.") from error
+
+
+@click.group(cls=_Group)
+def main() -> None:
+    """Tell right behaviour of a ROS 2 system from wrong, from its recordings."""
+
+
+@main.command()
+@click.argument("run_or_bag", type=click.Path(path_type=Path))
+@click.option(
+    "--table", type=click.Choice(["run", "window"]), default="run", show_default=True,
+    help="One row for the recording, or one for each window of 10 s (every 5 s).",
+)  # fmt: skip
+@click.option(
+    "--format", "file_format", type=click.Choice(["json", "parquet"]), default="json",
+    show_default=True, help="JSON for reading and jq; Parquet for pandas, units in its schema.",
+)  # fmt: skip
+@click.option(
+    "--output", type=click.Path(path_type=Path, dir_okay=False),
+    help="File to write; Parquet needs one.  [default: standard output]",
+)  # fmt: skip
+@click.option(
+    "--plugins", type=click.Path(path_type=Path), envvar="ORACLE_PLUGINS",
+    help="Folder of feature plugins.  [default: $ORACLE_PLUGINS, if set]",
+)  # fmt: skip
+def features(
+    run_or_bag: Path, table: str, file_format: str, output: Path | None, plugins: Path | None
+) -> None:
+    r"""Compute the features of one recording.
+
+    RUN_OR_BAG is a run directory, the folder of a rosbag2 (SQLite or MCAP, split or compressed), a
+    single .mcap or .db3 file, or a ROS 1 .bag file. No ROS is needed. A feature that this recording
+    does not give is null, and "missing" says why.
+
+    \b
+    Examples:
+        oracle features data/runs/fake_object/run003
+        oracle features my_robot_bag/ | jq '.rows[0]["contextual.total_turning"]'
+        oracle features my_robot_bag/ --table window --format parquet --output windows.parquet
+    """
+    if file_format == "parquet" and output is None:
+        raise click.UsageError("Parquet is not text: name a file with --output.")
+    manager = feature_extraction.build_manager(plugins)
+    with open_run(run_or_bag) as run:
+        tables = feature_extraction.extract(run, manager)
+    wanted = tables.run if table == "run" else tables.windows
+    if output is None:
+        click.echo(_json(wanted))
+    elif file_format == "parquet":
+        write_table(wanted, output)
+    else:
+        output.write_text(_json(wanted) + "\n", encoding="utf-8")
+
+
+def _json(table: pd.DataFrame) -> str:
+    """Return the rows of a feature table, NaN as null, and what its columns mean."""
+    rows = [
+        {
+            **{column: None if pd.isna(value) else value for column, value in row.items()},
+            MISSING: json.loads(row[MISSING]),
+        }
+        for row in table.to_dict("records")
+    ]
+    return json.dumps({"rows": rows, "fields": field_metadata(table)}, indent=2, allow_nan=False)

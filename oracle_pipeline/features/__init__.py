@@ -1,0 +1,35 @@
+"""Features of runs: plugins, their manager, and the two tables they fill.
+
+A plugin needs no more than what is named here.
+"""
+
+from oracle_pipeline.features.extraction import FeatureTables, extract, write
+from oracle_pipeline.features.manager import FeatureManager, build_manager
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Missing,
+    PluginError,
+    Request,
+    Series,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.thesis import FeatureExtractionPlugin
+
+__all__ = [
+    "Feature",
+    "FeatureExtractionPlugin",
+    "FeatureManager",
+    "FeaturePlugin",
+    "FeatureTables",
+    "Missing",
+    "PluginError",
+    "Request",
+    "Series",
+    "Window",
+    "build_manager",
+    "extract",
+    "hookimpl",
+    "write",
+]

@@ -1,0 +1,234 @@
+"""From a run to its two feature tables: one row for the run, one row for each window.
+
+A plugin that raises costs its own columns, with the reason in the column ``missing``; never the
+run. What the manifest says becomes key columns; no plugin sees it.
+"""
+
+import json
+import logging
+import math
+from collections.abc import Iterable, Mapping
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import networkx as nx
+import numpy as np
+import pandas as pd
+
+from oracle_pipeline.bags.graph_files import RosGraph
+from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.datasets import KEYS, MISSING, write_table
+from oracle_pipeline.features.manager import FeatureManager
+from oracle_pipeline.features.plugin import Feature, FeaturePlugin, Missing, Values, Window
+from oracle_pipeline.features.recording import Recording, Span
+from oracle_pipeline.features.thesis import MessageTable, ThesisPlugin
+from oracle_pipeline.graphs.intervals import graph_between
+from oracle_pipeline.runs import Run
+
+WINDOW_START = "window_start_s"
+
+_SECOND_NS = 1_000_000_000
+_WINDOW_NS = 10 * _SECOND_NS
+_HOP_NS = 5 * _SECOND_NS  # windows at multiples of 10 s match a graph file
+_SHORTEST_WINDOW_NS = 5 * _SECOND_NS  # of one that the end of the recording cuts off
+
+_log = logging.getLogger(__name__)
+
+
+class FeatureTables(NamedTuple):
+    """The features of one recording; what each column means is in ``attrs["fields"]``."""
+
+    run: pd.DataFrame  # one row
+    windows: pd.DataFrame  # one row a window, by start
+
+
+@dataclass(slots=True)
+class _Row:
+    """Features of one span, and why some of them are NaN."""
+
+    values: dict[str, float] = field(default_factory=dict)
+    missing: dict[str, str] = field(default_factory=dict)
+
+    def put(self, column: str, value: Any) -> None:
+        """Keep a finite number; anything else is missing."""
+        if isinstance(value, Missing):
+            reason = value.reason
+        else:
+            number = float(value)
+            if math.isfinite(number):
+                self.values[column] = number
+                return
+            reason = f"the plugin returned {number}"
+        self.values[column] = math.nan
+        self.missing[column] = reason
+
+
+def extract(run: Run, manager: FeatureManager) -> FeatureTables:
+    """Compute all features of a recording.
+
+    Parameters
+    ----------
+    run : Run
+        An open run directory or foreign bag. A foreign bag's keys are mode ``foreign``, label
+        ``unknown``, block and session -1.
+    manager : FeatureManager
+        The plugins to use.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read to its end.
+    """
+    whole = Span(0, run.bag.end_ns - run.bag.start_ns + 1)
+    with closing(MessageTable(run.bag)) as messages:
+        every_message = messages.add if manager.thesis else None
+        recording = Recording.read(run.bag, manager.plugins, every_message)
+        extraction = _Extraction(run, manager, recording)
+        of_run = extraction.row(whole)
+        fields = _fields(manager.features())
+        for plugin in manager.thesis:
+            fields |= extraction.add_thesis_columns(of_run, plugin, whole, messages)
+    of_run.missing |= manager.broken
+    spans = window_spans(whole)
+    of_windows = [extraction.row(span, per_window=True) for span in spans]
+    windowed = {c: f for c, f in manager.features().items() if f.per_window}
+    starts = {WINDOW_START: [span.start_s for span in spans]}
+    window_fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}
+    return FeatureTables(
+        _table(_keys(run), {}, of_run.values, [of_run], fields),
+        _table(_keys(run), starts, windowed, of_windows, window_fields),
+    )
+
+
+def window_spans(whole: Span) -> list[Span]:
+    """Return the windows of a recording: 10 s, each 5 s; cut off by the end, at least 5 s."""
+    return [
+        Span(start_ns, min(start_ns + _WINDOW_NS, whole.end_ns))
+        for start_ns in range(0, whole.end_ns - _SHORTEST_WINDOW_NS, _HOP_NS)
+    ]
+
+
+def write(tables: FeatureTables, directory: RunDirectory) -> tuple[Path, Path]:
+    """Write the tables to ``<root>/features/{run,window}/<mode>/<run>.parquet``, each atomically.
+
+    Returns
+    -------
+    tuple of Path
+        Of the table of the run, and of that of its windows.
+    """
+    root = directory.root / "features"
+    of_run, of_windows = (
+        root / table / directory.mode / f"{directory.run_id}.parquet" for table in ("run", "window")
+    )
+    write_table(tables.windows, of_windows)
+    write_table(tables.run, of_run)
+    return of_run, of_windows
+
+
+class _Extraction:
+    """Calls the plugins on spans of one recording."""
+
+    def __init__(self, run: Run, manager: FeatureManager, recording: Recording) -> None:
+        self._run = run
+        self._plugins = manager.plugins
+        self._recording = recording
+        self._failed: set[str] = set()  # plugins whose failure is in the log
+
+    def row(self, span: Span, *, per_window: bool = False) -> _Row:
+        """Return all features of a span, or only those that make sense for a window."""
+        row = _Row()
+        graph = self._graph(span)
+        for plugin in self._plugins:
+            values = self._compute(plugin, self._recording.window(plugin, span, graph))
+            for feature in plugin.features:
+                if feature.per_window or not per_window:
+                    row.put(plugin.column(feature), values[feature.name])
+        return row
+
+    def add_thesis_columns(
+        self, row: _Row, plugin: ThesisPlugin, span: Span, messages: MessageTable
+    ) -> dict[str, dict[str, str]]:
+        """Add what a plugin in the thesis's form returns, and return what its columns mean.
+
+        How many there are is known only when it succeeds; a failure is kept under its own name.
+        """
+        graph = self._graph(span)
+        try:
+            with messages.cursor() as cursor:
+                numbers = plugin.extract(nx.DiGraph() if graph is None else graph, cursor)
+        except Exception as error:  # foreign code
+            row.missing[plugin.column] = self._failure(plugin.column, error).reason
+            return {}
+        features = {f"{plugin.column}_{i}": plugin.feature(i) for i in range(len(numbers))}
+        for column, number in zip(features, numbers, strict=True):
+            row.put(column, number)
+        return _fields(features)
+
+    def _graph(self, span: Span) -> RosGraph | None:
+        graph = graph_between(self._run.intervals, span.start_s, span.end_s)
+        return None if graph is None else nx.freeze(graph)
+
+    def _compute(self, plugin: FeaturePlugin, window: Window | Missing) -> Values:
+        """Call a plugin; whatever it does, there is an entry for each of its features."""
+        names = [feature.name for feature in plugin.features]
+        if isinstance(window, Missing):
+            return dict.fromkeys(names, window)
+        try:
+            values = plugin.compute(window)
+            if isinstance(values, Missing):
+                return dict.fromkeys(names, values)
+            if values.keys() != set(names):
+                raise KeyError(f"returned {sorted(values)} instead of {sorted(names)}")
+            return {n: v if isinstance(v, Missing) else float(v) for n, v in values.items()}
+        except Exception as error:  # foreign code
+            return dict.fromkeys(names, self._failure(plugin.name, error))
+
+    def _failure(self, plugin: str, error: Exception) -> Missing:
+        """Log a plugin's first failure, called where it is handled."""
+        if plugin not in self._failed:
+            self._failed.add(plugin)
+            _log.error("Plugin %s failed on %s", plugin, self._run.path, exc_info=error)
+        return Missing(f"{type(error).__name__}: {error}")
+
+
+def _keys(run: Run) -> dict[str, Any]:
+    manifest = run.manifest
+    if manifest is None:
+        values: tuple[Any, ...] = (run.path.resolve().name, "foreign", "unknown", -1, -1)
+    else:
+        key = f"{manifest.mode}|run{manifest.run:03d}"
+        values = (key, manifest.mode, manifest.label, manifest.block, manifest.session)
+    return dict(zip(KEYS, values, strict=True))
+
+
+def _table(
+    keys: Mapping[str, Any],
+    more_keys: Mapping[str, list[float]],
+    columns: Iterable[str],
+    rows: list[_Row],
+    fields: dict[str, dict[str, str]],
+) -> pd.DataFrame:
+    """Lay rows out: the keys, the columns as float64, and what is missing as JSON."""
+    data: dict[str, Any] = {key: [value] * len(rows) for key, value in keys.items()}
+    data |= {key: np.array(values, dtype=np.float64) for key, values in more_keys.items()}
+    data |= {c: np.array([row.values[c] for row in rows], dtype=np.float64) for c in columns}
+    data[MISSING] = [json.dumps(row.missing, sort_keys=True) for row in rows]
+    table = pd.DataFrame(data)
+    table.attrs["fields"] = fields
+    return table
+
+
+def _fields(features: Mapping[str, Feature]) -> dict[str, dict[str, str]]:
+    """Return what the Parquet schema says of each column."""
+    return {
+        column: {
+            "unit": feature.unit,
+            "floor": str(feature.floor),
+            "origin": feature.origin,
+            "shortcut": str(feature.shortcut).lower(),
+            "description": feature.description,
+        }
+        for column, feature in features.items()
+    }

@@ -1,0 +1,162 @@
+"""How long navigation took and what came of it, from what Nav2 says.
+
+The thesis takes the length of the bag, in nanoseconds. Here it is the time with a goal under way,
+from the action's status if it was recorded (``-a`` leaves that hidden topic out), else from the
+behaviour tree's log. Times are those of the recording.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Missing,
+    Request,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+
+STATUS_TOPIC = "/navigate_to_pose/_action/status"
+LOG_TOPIC = "/behavior_tree_log"
+PLAN_TOPIC = "/plan"
+
+FEATURES = (
+    Feature("duration", "s", 0.1, "time with a goal under way", "navigation"),
+    Feature(
+        "goals_reached", "1", 0.01, "share of the goals that were reached", "navigation",
+        per_window=False,
+    ),
+    Feature(
+        "time_per_planned_metre", "s/m", 0.1,
+        "duration of the ended goals over the lengths of their first plans", "navigation",
+        per_window=False,
+    ),
+)  # fmt: skip
+
+# States of action_msgs/msg/GoalStatus.
+_ACTIVE = (1, 2, 3)  # accepted, executing, canceling
+_SUCCEEDED = 4
+_ROOT = "NavigateRecovery"  # root node of Nav2's behaviour trees
+_REPORTS = ("SUCCESS", "FAILURE")
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """One goal, in seconds of the recording; no end yet: it was still under way."""
+
+    accepted_s: float
+    ended_s: float | None = None
+    reached: bool = False
+
+
+def compute(window: Window) -> Values | Missing:
+    """Compute from all that was said up to the end of the window."""
+    goals = _goals(window)
+    if goals is None:
+        return Missing(f"neither {STATUS_TOPIC} nor {LOG_TOPIC} is recorded")
+    none = Missing("no goal was accepted")
+    return {
+        "duration": _time_under_way(goals, window),
+        "goals_reached": sum(g.reached for g in goals) / len(goals) if goals else none,
+        "time_per_planned_metre": _time_per_planned_metre(goals, window),
+    }
+
+
+def goals_of_status(series: Series) -> list[Goal]:
+    """Return the goals in messages of ``action_msgs/msg/GoalStatusArray``.
+
+    A goal that was over when first heard of belongs to the time before the recording.
+    """
+    goals: dict[bytes, Goal] = {}
+    for time_s, states in zip(series.times_s, series.values, strict=True):
+        for goal_id, status in states:
+            goal = goals.get(goal_id)
+            if goal is None and status in _ACTIVE:
+                goals[goal_id] = Goal(time_s)
+            elif goal is not None and goal.ended_s is None and status not in _ACTIVE:
+                goals[goal_id] = Goal(goal.accepted_s, time_s, status == _SUCCEEDED)
+    return list(goals.values())
+
+
+def goals_of_log(series: Series) -> list[Goal]:
+    """Return the goals in messages of ``nav2_msgs/msg/BehaviorTreeLog``.
+
+    A goal is under way while the root of the tree runs. The root is halted before it reports, so
+    a goal that ends has the changes ``RUNNING -> IDLE -> SUCCESS`` (or ``FAILURE``) in one message,
+    and one that is cancelled only the first.
+    """
+    goals: list[Goal] = []
+    for time_s, states in zip(series.times_s, series.values, strict=True):
+        for state in states:
+            under_way = bool(goals) and goals[-1].ended_s is None
+            just_ended = bool(goals) and goals[-1].ended_s == time_s
+            if (under_way and state != "RUNNING") or (just_ended and state in _REPORTS):
+                goals[-1] = Goal(goals[-1].accepted_s, time_s, state == "SUCCESS")
+            elif not under_way and state == "RUNNING":
+                goals.append(Goal(time_s))
+            elif state in _REPORTS:  # ended in the tick that it began in
+                goals.append(Goal(time_s, time_s, state == "SUCCESS"))
+    return goals
+
+
+def keep_status(message: Any) -> list[tuple[bytes, int]]:
+    """Return identifier and state of each goal."""
+    return [(s.goal_info.goal_id.uuid.tobytes(), s.status) for s in message.status_list]
+
+
+def keep_log(message: Any) -> list[str]:
+    """Return what the root of the tree became, one after the other."""
+    return [c.current_status for c in message.event_log if c.node_name == _ROOT]
+
+
+def keep_plan(message: Any) -> float:
+    """Return the length of a path [m]."""
+    points = np.array([(p.pose.position.x, p.pose.position.y) for p in message.poses])
+    return float(np.hypot(*np.diff(points.reshape(-1, 2), axis=0).T).sum())
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of navigation."""
+    topics = {
+        "status": Request(keep_status, STATUS_TOPIC, dtype=object, optional=True),
+        "log": Request(keep_log, LOG_TOPIC, dtype=object, optional=True),
+        "plan": Request(keep_plan, PLAN_TOPIC, optional=True),
+    }
+    return [FeaturePlugin("goals", "contextual", FEATURES, compute, topics)]
+
+
+def _goals(window: Window) -> list[Goal] | None:
+    status = window.history["status"].get(STATUS_TOPIC)
+    if status is not None and len(status.times_s):
+        return goals_of_status(status)
+    log = window.history["log"].get(LOG_TOPIC)
+    return None if log is None else goals_of_log(log)
+
+
+def _time_under_way(goals: list[Goal], window: Window) -> float:
+    def overlap_s(goal: Goal) -> float:
+        ended_s = window.end_s if goal.ended_s is None else min(goal.ended_s, window.end_s)
+        return max(0.0, ended_s - max(goal.accepted_s, window.start_s))
+
+    return float(sum(map(overlap_s, goals)))
+
+
+def _time_per_planned_metre(goals: list[Goal], window: Window) -> float | Missing:
+    plans = window.history["plan"].get(PLAN_TOPIC)
+    if plans is None:
+        return Missing(f"{PLAN_TOPIC} is not recorded")
+    time_s = planned_m = 0.0
+    for goal in goals:
+        if goal.ended_s is None:
+            continue
+        first, after = np.searchsorted(plans.times_s, (goal.accepted_s, goal.ended_s))
+        if first < after:
+            time_s += goal.ended_s - goal.accepted_s
+            planned_m += float(plans.values[first])
+    return time_s / planned_m if planned_m > 0.0 else Missing("no goal that ended had a plan")

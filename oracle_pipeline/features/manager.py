@@ -1,0 +1,180 @@
+"""Finds the feature plugins: built in, of other distributions, and of a folder.
+
+``build_manager`` makes one, so a test or a worker has its own. A file of the folder may hold both
+forms: a ``register_features`` hook, and classes in the thesis's form.
+"""
+
+import importlib.metadata
+import importlib.util
+import inspect
+import logging
+import os
+import sys
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pluggy
+
+from oracle_pipeline.features import goals, laser, odometry, structural
+from oracle_pipeline.features.plugin import PROJECT, Feature, FeaturePlugin, Hooks, PluginError
+from oracle_pipeline.features.ros_stand_ins import stand_ins
+from oracle_pipeline.features.thesis import FeatureExtractionPlugin, ThesisPlugin
+
+FOLDER_VARIABLE = "ORACLE_PLUGINS"
+
+_BUILT_IN = (structural, odometry, laser, goals)
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureManager:
+    """The plugins in use, in the order of their columns."""
+
+    plugins: tuple[FeaturePlugin, ...]
+    thesis: tuple[ThesisPlugin, ...] = ()
+    broken: dict[str, str] = field(default_factory=dict)  # what could not be loaded, and why
+
+    def features(self) -> dict[str, Feature]:
+        """Return what is known of each column of the native plugins."""
+        return {p.column(feature): feature for p in self.plugins for feature in p.features}
+
+
+def build_manager(folder: Path | None = None) -> FeatureManager:
+    """Collect the plugins: built in, then entry points, then the files of a folder, by name.
+
+    What cannot be loaded is logged and kept in ``broken``; the others work without it.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Folder of plugin files; by default the one that ``ORACLE_PLUGINS`` names, if it is set.
+
+    Raises
+    ------
+    PluginError
+        If the folder is missing, or two plugins offer the same column.
+    """
+    if folder is None and (named := os.environ.get(FOLDER_VARIABLE)):
+        folder = Path(named)
+    registry = pluggy.PluginManager(PROJECT)
+    registry.add_hookspecs(Hooks)
+    for module in _BUILT_IN:
+        registry.register(module)
+    broken: dict[str, str] = {}
+    _register_entry_points(registry, broken)
+    modules = _load_folder(registry, folder, broken) if folder is not None else {}
+    manager = FeatureManager(_offered(registry, broken), _thesis_plugins(modules, broken), broken)
+    for name, reason in broken.items():
+        _log.error("Plugin %s is left out: %s", name, reason)
+    _check_names(manager.plugins)
+    return manager
+
+
+def _register_entry_points(registry: pluggy.PluginManager, broken: dict[str, str]) -> None:
+    for entry_point in sorted(importlib.metadata.entry_points(group=PROJECT)):
+        try:
+            registry.register(entry_point.load(), entry_point.name)
+        except Exception as error:  # foreign code
+            broken[entry_point.name] = _reason(error)
+
+
+def _load_folder(
+    registry: pluggy.PluginManager, folder: Path, broken: dict[str, str]
+) -> dict[str, ModuleType]:
+    if not folder.is_dir():
+        raise PluginError(
+            f"There is no plugin folder {folder}; make it, or set {FOLDER_VARIABLE} to another."
+        )
+    modules: dict[str, ModuleType] = {}
+    for path in sorted(folder.glob("*.py")):
+        try:
+            module = _load(path)
+            registry.register(module, path.stem)
+            modules[path.stem] = module
+        except Exception as error:  # foreign code
+            broken[path.stem] = _reason(error)
+    return modules
+
+
+def _load(path: Path) -> ModuleType:
+    """Import a file under a name of its own; the thesis's files import ``plugin_interface``."""
+    spec = importlib.util.spec_from_file_location(f"oracle_plugins.{path.stem}", path)
+    assert spec is not None  # noqa: S101 -- a .py file has a loader
+    assert spec.loader is not None  # noqa: S101
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+    interface = ModuleType("plugin_interface")
+    vars(interface)["FeatureExtractionPlugin"] = FeatureExtractionPlugin
+    shadowed = sys.modules.get("plugin_interface")
+    sys.modules["plugin_interface"] = interface
+    try:
+        with stand_ins():
+            spec.loader.exec_module(module)
+    finally:
+        del sys.modules["plugin_interface"]
+        if shadowed is not None:
+            sys.modules["plugin_interface"] = shadowed
+    return module
+
+
+def _offered(registry: pluggy.PluginManager, broken: dict[str, str]) -> tuple[FeaturePlugin, ...]:
+    plugins: list[FeaturePlugin] = []
+    for implementation in registry.hook.register_features.get_hookimpls():
+        try:
+            plugins += _checked(implementation.function())
+        except Exception as error:  # foreign code
+            broken[implementation.plugin_name] = _reason(error)
+    return tuple(plugins)
+
+
+def _checked(offered: Any) -> list[FeaturePlugin]:
+    if not isinstance(offered, list) or not all(isinstance(p, FeaturePlugin) for p in offered):
+        raise TypeError("register_features must return a list of FeaturePlugin")
+    return offered
+
+
+def _thesis_plugins(
+    modules: dict[str, ModuleType], broken: dict[str, str]
+) -> tuple[ThesisPlugin, ...]:
+    plugins: list[ThesisPlugin] = []
+    for stem, module in modules.items():
+        classes = _classes(module)
+        for each in classes:
+            name = stem if len(classes) == 1 else f"{stem}_{each.__name__}"
+            try:
+                plugins.append(ThesisPlugin(name, each()))
+            except Exception as error:  # foreign code
+                broken[f"thesis.{name}"] = _reason(error)
+    return tuple(plugins)
+
+
+def _classes(module: ModuleType) -> list[type[FeatureExtractionPlugin]]:
+    """Return the classes in the thesis's form that a file defines, not those it imports."""
+    return [
+        each
+        for _, each in inspect.getmembers(module, inspect.isclass)
+        if issubclass(each, FeatureExtractionPlugin) and each.__module__ == module.__name__
+    ]
+
+
+def _check_names(plugins: tuple[FeaturePlugin, ...]) -> None:
+    """Refuse what would overwrite or hide something: plugins and columns have one name each."""
+    names = Counter(plugin.name for plugin in plugins)
+    for name in (name for name, count in names.items() if count > 1):
+        raise PluginError(f"{names[name]} plugins are called {name!r}; rename all but one.")
+    offered: dict[str, str] = {}
+    for plugin in plugins:
+        for column in map(plugin.column, plugin.features):
+            if column in offered:
+                raise PluginError(
+                    f"Feature {column!r} is offered twice, by {offered[column]} and by "
+                    f"{plugin.name}; rename one or leave its plugin out."
+                )
+            offered[column] = plugin.name
+
+
+def _reason(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"

@@ -1,0 +1,60 @@
+"""How the robot turned, from its odometry.
+
+The thesis takes the variance of yaw wrapped to (-pi, pi], which jumps when the robot faces -x;
+here it is the circular one, beside turning and the rate of it.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Missing,
+    Request,
+    Values,
+    Window,
+    hookimpl,
+)
+
+FEATURES = (
+    Feature(
+        "yaw_variance", "1", 1e-3, "circular variance of yaw, 1 - abs(mean exp(i yaw))", "domain"
+    ),
+    Feature("total_turning", "rad", 0.05, "sum of the absolute changes of yaw", "domain"),
+    Feature("turning_per_metre", "rad/m", 0.05, "total turning over the path length", "domain"),
+    Feature("yaw_rate_variance", "rad^2/s^2", 1e-4, "variance of the measured yaw rate", "domain"),
+)
+
+_SHORTEST_PATH_M = 0.1  # shorter ones are noise of the odometry
+
+
+def keep(message: Any) -> tuple[float, float, float, float]:
+    """Return x [m], y [m], yaw [rad] and yaw rate [rad/s] of a ``nav_msgs/msg/Odometry``."""
+    position, q = message.pose.pose.position, message.pose.pose.orientation
+    yaw = np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return position.x, position.y, float(yaw), message.twist.twist.angular.z
+
+
+def compute(window: Window) -> Values | Missing:
+    """Compute from ``/odom``, or from the first odometry topic by name if there is no such."""
+    topics = window.topics["odometry"]
+    series = topics.get("/odom") or topics[min(topics)]
+    x, y, yaw, rate = series.values.T
+    turning = float(np.abs(np.angle(np.exp(1j * np.diff(yaw)))).sum())
+    path_m = float(np.hypot(np.diff(x), np.diff(y)).sum())
+    still = Missing(f"the robot moved less than {_SHORTEST_PATH_M} m")
+    return {
+        "yaw_variance": max(0.0, 1.0 - float(np.abs(np.mean(np.exp(1j * yaw))))),
+        "total_turning": turning,
+        "turning_per_metre": turning / path_m if path_m >= _SHORTEST_PATH_M else still,
+        "yaw_rate_variance": float(rate.var()),
+    }
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of odometry."""
+    topics = {"odometry": Request(keep, msgtype="nav_msgs/msg/Odometry")}
+    return [FeaturePlugin("odometry", "contextual", FEATURES, compute, topics)]

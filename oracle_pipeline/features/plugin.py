@@ -1,0 +1,157 @@
+"""What a feature plugin is: named outputs, the topics it asks for, and a plain function.
+
+A plugin registers through pluggy: a hook returns its description, the manager does the rest. The
+bag is read once for all plugins, so a plugin says what it wants to keep of each message, and its
+function gets that as arrays, already cut to a window. The thesis's own contract is in
+``oracle_pipeline.features.thesis``.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+import pluggy
+from numpy.typing import DTypeLike, NDArray
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.graph_files import RosGraph
+from oracle_pipeline.bags.reader import Topic
+
+PROJECT = "oracle_pipeline"  # the entry-point group that other distributions use
+
+hookspec = pluggy.HookspecMarker(PROJECT)
+hookimpl = pluggy.HookimplMarker(PROJECT)
+
+Origin: TypeAlias = Literal["generic", "domain", "navigation"]
+
+
+class PluginError(OracleError):
+    """Plugins cannot be loaded as they are configured."""
+
+
+@dataclass(frozen=True, slots=True)
+class Missing:
+    """Stands in place of a number that this window does not give; the reason is kept."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Feature:
+    """One output of a plugin: a column of the feature tables, without its family."""
+
+    name: str
+    unit: str  # "1" for a pure number
+    floor: float  # the smallest difference that means something, in the unit; scalers use it
+    description: str
+    origin: Origin = "generic"  # generic: any bag; domain: needs a sensor; navigation: needs Nav2
+    shortcut: bool = False  # tells a run by who was there instead of by what it did
+    per_window: bool = True  # False: makes sense for a whole run only
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """The topics that a plugin wants to read, and what it keeps of each message.
+
+    Parameters
+    ----------
+    keep : callable
+        Takes a decoded message and returns a number, a tuple of numbers or an array of the same
+        shape each time; with ``dtype=object`` anything. Called once a message.
+    name, msgtype : str
+        Globs over topic names and message types; a topic must match both.
+    dtype : dtype
+        Of the array that the kept values become.
+    optional : bool
+        Compute even when no topic matches, or none of them has a message in the window.
+    """
+
+    keep: Callable[[Any], Any]
+    name: str = "*"
+    msgtype: str = "*"
+    dtype: DTypeLike = np.float64
+    optional: bool = False
+
+    def matches(self, topic: Topic) -> bool:
+        """Tell whether a topic of a bag is asked for."""
+        return fnmatchcase(topic.name, self.name) and fnmatchcase(topic.msgtype, self.msgtype)
+
+    def __str__(self) -> str:
+        return " of type ".join(part for part in (self.name, self.msgtype) if part != "*")
+
+
+class Series(NamedTuple):
+    """What a plugin kept of the messages of one topic; read-only."""
+
+    times_s: NDArray[np.float64]  # shape (n,), recorded at, since the start of the recording [s]
+    values: NDArray[Any]  # shape (n, ...)
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A span of a recording, as one plugin sees it: no label, no mode, no ground truth.
+
+    Attributes
+    ----------
+    start_s, end_s : float
+        Since the start of the recording [s].
+    graph : DiGraph or None
+        The ROS graph of the span, frozen; None if the bag came without.
+    topics : mapping of str to (mapping of str to Series)
+        By name of the request, then of the topic: the messages within the span. Topics that are
+        silent in it are left out; if all are, ``compute`` is only called for optional requests.
+    history : mapping of str to (mapping of str to Series)
+        The same from the start of the recording to the end of the span, silent topics included.
+    """
+
+    start_s: float
+    end_s: float
+    graph: RosGraph | None
+    topics: Mapping[str, Mapping[str, Series]]
+    history: Mapping[str, Mapping[str, Series]]
+
+
+Values: TypeAlias = Mapping[str, "float | Missing"]
+
+
+@dataclass(frozen=True, slots=True)
+class FeaturePlugin:
+    """A plain function of a window and what must be known to call it.
+
+    Parameters
+    ----------
+    name : str
+        Of the plugin, for messages.
+    family : str
+        Columns are named ``<family>.<feature>``.
+    features : tuple of Feature
+        What ``compute`` returns, all of it and nothing else.
+    compute : callable
+        Takes a window and returns a number, or ``Missing``, by feature name; or one ``Missing``
+        for all.
+    topics : mapping of str to Request
+        What to read from the bag, under names of the plugin's own.
+    needs_graph : bool
+        Without a graph, ``compute`` is not called and the features are missing.
+    """
+
+    name: str
+    family: str
+    features: tuple[Feature, ...]
+    compute: Callable[[Window], Values | Missing]
+    topics: Mapping[str, Request] = field(default_factory=dict)
+    needs_graph: bool = False
+
+    def column(self, feature: Feature) -> str:
+        """Return the name of a feature's column."""
+        return f"{self.family}.{feature.name}"
+
+
+class Hooks:
+    """The hooks that plugins implement."""
+
+    @hookspec
+    def register_features(self) -> list[FeaturePlugin]:  # type: ignore[empty-body]
+        """Return the feature plugins that a module offers."""

@@ -1,0 +1,105 @@
+"""Features of the ROS graph's shape: the thesis's seven, as their names promise, and companions.
+
+The thesis's code computes other things than its text says; its numbers and ours stand side by side
+in docs/features.md. Everything is computed on the system view: without observers.
+"""
+
+import functools
+
+import networkx as nx
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.graph_files import RosGraph
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Missing,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.graphs.views import system_view
+
+FEATURES = (
+    Feature("max_degree", "1", 1.0, "largest number of edges at one vertex"),
+    Feature("max_in_degree", "1", 1.0, "largest number of edges into one vertex"),
+    Feature("max_out_degree", "1", 1.0, "largest number of edges out of one vertex"),
+    Feature("average_degree", "1", 0.01, "mean number of edges at a vertex, 2m/n"),
+    Feature("density", "1", 1e-4, "edges among all conceivable ones, m/(n(n-1))"),
+    Feature(
+        "bipartite_density",
+        "1",
+        1e-3,
+        "edges among the possible ones, m/(2 nodes topics): nodes only meet topics",
+    ),
+    Feature("degree_entropy", "nat", 0.01, "entropy of the distribution of degrees"),
+    Feature(
+        "node_entropy",
+        "1",
+        1e-3,
+        "entropy of a vertex drawn by its degree, over that of an even draw (ln n)",
+    ),
+    Feature("degree_variance", "1", 0.1, "variance of the degrees"),
+    Feature("degree_cv", "1", 0.01, "standard deviation of the degrees over their mean"),
+    Feature("max_in_degree_centrality", "1", 1e-3, "largest in-degree over n-1"),
+    Feature("mean_betweenness", "1", 1e-5, "mean share of shortest paths through a vertex"),
+)
+
+
+def graph_shape(graph: RosGraph) -> dict[str, float]:
+    """Compute the structural features of a graph of ROS nodes and topics with at least one edge.
+
+    With n vertices, m edges, degrees d_i and q_k the share of vertices of degree k: the degree
+    entropy is -sum q_k ln q_k, the node entropy -sum p_i ln p_i / ln n with p_i = d_i / 2m.
+    """
+    n, m = graph.number_of_nodes(), graph.number_of_edges()
+    degrees = np.array([degree for _, degree in graph.degree()], dtype=np.float64)
+    in_degrees = [degree for _, degree in graph.in_degree()]
+    out_degrees = [degree for _, degree in graph.out_degree()]
+    n_nodes = sum(data["kind"] == "node" for _, data in graph.nodes(data=True))
+    return {
+        "max_degree": float(degrees.max()),
+        "max_in_degree": float(max(in_degrees)),
+        "max_out_degree": float(max(out_degrees)),
+        "average_degree": 2.0 * m / n,
+        "density": m / (n * (n - 1)),
+        "bipartite_density": m / (2 * n_nodes * (n - n_nodes)),
+        "degree_entropy": _entropy(np.unique(degrees, return_counts=True)[1] / n),
+        "node_entropy": _entropy(degrees[degrees > 0] / degrees.sum()) / np.log(n),
+        "degree_variance": float(degrees.var()),
+        "degree_cv": float(degrees.std() / degrees.mean()),
+        "max_in_degree_centrality": max(in_degrees) / (n - 1),
+        "mean_betweenness": float(np.mean(list(nx.betweenness_centrality(graph).values()))),
+    }
+
+
+def compute(window: Window) -> Values | Missing:
+    """Compute the shape of a window's graph."""
+    assert window.graph is not None  # noqa: S101 -- the plugin needs a graph
+    graph = system_view(window.graph)
+    if not graph.edges:
+        return Missing("the graph has no edges")
+    vertices = frozenset((vertex, data["kind"]) for vertex, data in graph.nodes(data=True))
+    return _shape(vertices, frozenset(graph.edges))
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the structural features."""
+    return [FeaturePlugin("structural", "structural", FEATURES, compute, needs_graph=True)]
+
+
+@functools.lru_cache(maxsize=64)
+def _shape(
+    vertices: frozenset[tuple[str, str]], edges: frozenset[tuple[str, str]]
+) -> dict[str, float]:
+    """Most windows of a run have the same graph: compute its shape once."""
+    graph: RosGraph = nx.DiGraph()
+    graph.add_nodes_from((vertex, {"kind": kind}) for vertex, kind in sorted(vertices))
+    graph.add_edges_from(sorted(edges))
+    return graph_shape(graph)
+
+
+def _entropy(shares: NDArray[np.float64]) -> float:
+    return float(-np.sum(shares * np.log(shares)))

@@ -1,0 +1,70 @@
+"""The graphs of a run, one each 10 s of the recording, and their composition."""
+
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import networkx as nx
+
+from oracle_pipeline.bags.errors import GraphError
+from oracle_pipeline.bags.graph_files import RosGraph, read_gexf
+
+INTERVAL_S = 10.0  # from one graph to the next
+
+_FILE = re.compile(r"(\d{6,})\.gexf")
+
+
+class Interval(NamedTuple):
+    """The graph of one interval: who was there, and what went over each edge."""
+
+    start_s: float  # since the start of the recording [s]
+    graph: RosGraph
+
+
+def read_intervals(folder: Path) -> tuple[Interval, ...]:
+    """Read ``000000.gexf``, ``000010.gexf``, ... in order of time.
+
+    A recording shorter than half an interval has none.
+
+    Raises
+    ------
+    GraphError
+        If the folder is missing, a graph is missing in between, or one cannot be read.
+    """
+    files = folder.glob("*.gexf")
+    starts = {int(match[1]): path for path in files if (match := _FILE.fullmatch(path.name))}
+    expected = [int(number * INTERVAL_S) for number in range(len(starts))]
+    if not folder.is_dir() or sorted(starts) != expected:
+        raise GraphError(
+            f"{folder} should hold one graph each {INTERVAL_S:.0f} s from 000000.gexf on, but has "
+            f"those at {sorted(starts)} s; record the run again."
+        )
+    return tuple(Interval(float(start), read_gexf(starts[start])) for start in expected)
+
+
+def compose(graphs: Iterable[RosGraph]) -> RosGraph:
+    """Return the union of graphs, traffic of common edges added up."""
+    union: RosGraph = nx.DiGraph()
+    for graph in graphs:
+        union.add_nodes_from(graph.nodes(data=True))
+        for source, target, traffic in graph.edges(data=True):
+            if not union.has_edge(source, target):
+                union.add_edge(source, target, messages=0, bytes=0)
+            edge = union.edges[source, target]
+            edge["messages"] += traffic["messages"]
+            edge["bytes"] += traffic["bytes"]
+    return union
+
+
+def graph_between(intervals: Sequence[Interval], start_s: float, end_s: float) -> RosGraph | None:
+    """Return the graph of a span of time: all intervals that it touches, composed.
+
+    None if it touches none, as in a bag that was recorded without graphs.
+    """
+    touched = [
+        interval.graph
+        for interval in intervals
+        if interval.start_s < end_s and start_s < interval.start_s + INTERVAL_S
+    ]
+    return compose(touched) if touched else None

@@ -1,0 +1,72 @@
+"""Ways to look at a graph: everything (raw), the system without its observers, the thesis's.
+
+Observers are the recorder, command line tools and launch processes: their presence says how the
+system was watched, not how it behaves. Names that a process makes up as it starts say nothing at
+all, so they are numbered instead.
+"""
+
+import re
+
+import networkx as nx
+
+from oracle_pipeline.bags.graph_files import RosGraph, vertex_id
+
+_OBSERVERS = re.compile(r"/(rosbag2_recorder|rosbag2_player|_ros2cli_\w+|launch_ros_\d+)")
+_MADE_UP_SUFFIX = re.compile(r"(/transform_listener_impl)_[0-9a-f]+")
+
+
+def system_view(graph: RosGraph) -> RosGraph:
+    """Return the graph without observers and without what only they use.
+
+    ``/transform_listener_impl_<address>`` become ``/transform_listener_impl_0``, ``_1``, ..., in
+    the order of what they are connected to, so that equal systems have equal views.
+    """
+    observers = [
+        vertex
+        for vertex, data in graph.nodes(data=True)
+        if data["kind"] == "node" and _OBSERVERS.fullmatch(data["label"])
+    ]
+    view: RosGraph = graph.copy()
+    view.remove_nodes_from(observers)
+    view.remove_nodes_from(
+        [
+            vertex
+            for vertex, data in graph.nodes(data=True)
+            if data["kind"] != "node" and view.degree(vertex) == 0 and graph.degree(vertex) > 0
+        ]
+    )
+    return _numbered(view)
+
+
+def thesis_view(graph: RosGraph) -> RosGraph:
+    """Return the graph as the thesis's plugins expect it: plain names, ROS nodes and topics only.
+
+    A ROS node and a topic of the same name become one vertex, as they did there.
+    """
+    kept = [v for v, data in graph.nodes(data=True) if data["kind"] in ("node", "topic")]
+    view: RosGraph = nx.relabel_nodes(
+        graph.subgraph(kept), {vertex: graph.nodes[vertex]["label"] for vertex in kept}
+    )
+    return view
+
+
+def _numbered(graph: RosGraph) -> RosGraph:
+    """Give numbers to made-up names; every other vertex keeps its own."""
+
+    def neighbours(vertex: str) -> tuple[list[str], list[str], str]:
+        return sorted(graph.predecessors(vertex)), sorted(graph.successors(vertex)), vertex
+
+    count: dict[str, int] = {}
+    names: dict[str, str] = {}
+    made_up = [v for v in graph if _MADE_UP_SUFFIX.fullmatch(graph.nodes[v]["label"])]
+    for vertex in sorted(made_up, key=neighbours):
+        stem = _MADE_UP_SUFFIX.sub(r"\1", graph.nodes[vertex]["label"])
+        names[vertex] = f"{stem}_{count.get(stem, 0)}"
+        count[stem] = count.get(stem, 0) + 1
+    kinds = {vertex: graph.nodes[vertex]["kind"] for vertex in names}
+    view: RosGraph = nx.relabel_nodes(
+        graph, {vertex: vertex_id(kinds[vertex], name) for vertex, name in names.items()}
+    )
+    for vertex, name in names.items():
+        view.nodes[vertex_id(kinds[vertex], name)]["label"] = name
+    return view

@@ -1,0 +1,167 @@
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.reader import BagReader, content_hash
+from oracle_pipeline.bags.writer import BagWriter
+
+CLOCK = "rosgraph_msgs/msg/Clock"
+STORAGES = ("mcap", "sqlite3")
+
+recordings = st.lists(
+    st.tuples(st.integers(0, 3), st.integers(0, 10**9), st.binary(max_size=40)), max_size=40
+)
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_what_was_written_is_read_back_in_order(storage, tmp_path_factory):
+    @settings(max_examples=25)
+    @given(recordings)
+    def check(recording):
+        path = tmp_path_factory.mktemp("bag") / "bag"
+        stamp_ns, written = 0, []
+        with BagWriter(path, storage) as bag:
+            for name in range(4):
+                bag.add_topic(f"/topic{name}", CLOCK, [])
+            for name, step_ns, data in recording:
+                stamp_ns += step_ns
+                bag.write(f"/topic{name}", stamp_ns, data)
+                written.append((f"/topic{name}", stamp_ns, data))
+        with BagReader(path) as read:
+            assert list(read.messages()) == written
+            assert {n: t.count for n, t in read.topics.items()} == bag.counts
+            assert (read.start_ns, read.end_ns) == (
+                (written[0][1], written[-1][1]) if written else (0, 0)
+            )
+        assert content_hash(path) == bag.content_hash
+        assert bag.message_bytes == sum(len(data) for _, _, data in written)
+
+    check()
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_equal_calls_make_equal_bytes(storage, write_bag, tmp_path):
+    once, again = write_bag(tmp_path / "a" / "bag", storage), write_bag(tmp_path / "bag", storage)
+    names = sorted(path.name for path in once.iterdir())
+    assert names == [f"bag_0.{'mcap' if storage == 'mcap' else 'db3'}", "metadata.yaml"]
+    for name in names:
+        assert (once / name).read_bytes() == (again / name).read_bytes()
+
+
+@settings(max_examples=30)
+@given(recordings, recordings)
+def test_hash_tells_recordings_apart(tmp_path_factory, one, other):
+    def digest(recording):
+        with BagWriter(tmp_path_factory.mktemp("bag") / "bag") as bag:
+            for name, stamp_ns, data in recording:
+                bag.add_topic(f"/topic{name}", CLOCK, [])
+                bag.write(f"/topic{name}", stamp_ns, data)
+        return bag.content_hash
+
+    assert (digest(one) == digest(other)) == (one == other)
+
+
+def test_metadata_is_what_humble_reads(write_bag, tmp_path):
+    text = (write_bag(tmp_path / "bag") / "metadata.yaml").read_text("utf-8")
+    bag = yaml.safe_load(text)["rosbag2_bagfile_information"]
+    assert bag["version"] == 8
+    assert bag["relative_file_paths"] == [bag["files"][0]["path"]] == ["bag_0.mcap"]
+    topics = {t["topic_metadata"]["name"]: t for t in bag["topics_with_message_count"]}
+    assert topics["/chatter"]["message_count"] == 20
+    profiles = yaml.safe_load(topics["/chatter"]["topic_metadata"]["offered_qos_profiles"])
+    assert [profile["depth"] for profile in profiles] == [10, 5]
+    assert profiles[0]["reliability"] == 1
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_profiles_of_publishers_are_kept_until_the_first_message(storage, qos, tmp_path):
+    with BagWriter(tmp_path / "bag", storage) as bag:
+        bag.add_topic("/a", CLOCK, [qos(1)])
+        bag.add_topic("/a", CLOCK, [qos(2)])
+        bag.add_topic("/silent", CLOCK, [qos(1)])
+        bag.write("/a", 0, b"")
+        bag.add_topic("/a", CLOCK, [qos(3)])
+        bag.add_topic("/silent", CLOCK, [qos(2)])
+        bag.write("/a", 1, b"")
+    with BagReader(tmp_path / "bag") as read:
+        depths = {name: [q.depth for q in topic.qos] for name, topic in read.topics.items()}
+        assert depths == {"/a": [1, 2], "/silent": [1, 2]}
+        assert len(list(read.messages())) == 2
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_bag_that_fails_leaves_nothing(storage, tmp_path):
+    def fail() -> None:
+        with BagWriter(tmp_path / "bag", storage) as bag:
+            bag.add_topic("/a", CLOCK, [])
+            bag.write("/a", 0, b"")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_wrong_calls_are_named(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/a", CLOCK, [])
+        with pytest.raises(BagError, match=r"/b is unknown.*add_topic"):
+            bag.write("/b", 0, b"")
+        with pytest.raises(BagError, match=r"/a is of type rosgraph_msgs/msg/Clock.*std_msgs"):
+            bag.add_topic("/a", "std_msgs/msg/String", [])
+        with pytest.raises(BagError, match="no_msgs/msg/Nothing"):
+            bag.add_topic("/c", "no_msgs/msg/Nothing", [])
+    with pytest.raises(BagError, match="exists already"):
+        BagWriter(tmp_path / "bag")
+
+
+def run_python(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", textwrap.dedent(code), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_full_disk_is_told_and_leaves_nothing(storage, tmp_path):
+    code = """
+        import os, resource, signal, sys
+        from pathlib import Path
+        from oracle_pipeline.bags.errors import BagError
+        from oracle_pipeline.bags.writer import BagWriter
+
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a write beyond the limit fails instead
+        resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+        try:
+            with BagWriter(Path(sys.argv[1]), sys.argv[2]) as bag:
+                bag.add_topic("/a", "rosgraph_msgs/msg/Clock", [])
+                for stamp_ns in range(1000):
+                    bag.write("/a", stamp_ns, os.urandom(10_000))
+        except BagError as error:
+            print(error)
+    """
+    done = run_python(code, str(tmp_path / "bag"), storage)
+    assert f"Could not write the bag {tmp_path / 'bag'}" in done.stdout, done.stderr
+    assert "free space" in done.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_killed_writer_leaves_no_bag(tmp_path: Path):
+    code = """
+        import os, signal, sys
+        from pathlib import Path
+        from oracle_pipeline.bags.writer import BagWriter
+
+        with BagWriter(Path(sys.argv[1])) as bag:
+            bag.add_topic("/a", "rosgraph_msgs/msg/Clock", [])
+            bag.write("/a", 0, b"data")
+            os.kill(os.getpid(), signal.SIGKILL)
+    """
+    assert run_python(code, str(tmp_path / "bag")).returncode == -signal.SIGKILL
+    assert not (tmp_path / "bag").exists()

@@ -1,0 +1,107 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from oracle_pipeline.cli import main
+from oracle_pipeline.datasets import read_table
+
+ORACLE = Path(sys.executable).with_name("oracle")
+
+
+def oracle(*arguments: object):
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def test_features_of_a_run_are_json(make_run):
+    done = oracle("features", make_run().path)
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.stdout)
+    (row,) = document["rows"]
+    assert row["run_id"] == "fake_object|run003"
+    assert row["contextual.duration"] == pytest.approx(23.0)
+    assert row["missing"] == {}
+    assert document["fields"]["contextual.duration"]["unit"] == "s"
+
+
+def test_features_of_any_bag_are_json_with_reasons(foreign_bag):
+    done = oracle("features", foreign_bag, "--table", "window")
+    assert done.exit_code == 0, done.output
+    rows = json.loads(done.stdout)["rows"]
+    assert [row["window_start_s"] for row in rows[:3]] == [0.0, 5.0, 10.0]
+    assert rows[0]["structural.density"] is None
+    assert "graphs" in rows[0]["missing"]["structural.density"]
+
+
+@pytest.mark.parametrize("table", ["run", "window"])
+def test_parquet_goes_to_a_file(table, make_run, tmp_path):
+    target = tmp_path / "features.parquet"
+    options = ("--table", table, "--format", "parquet")
+    done = oracle("features", make_run().path, *options, "--output", target)
+    assert done.exit_code == 0, done.output
+    assert done.output == ""
+    assert len(read_table(target)) == (1 if table == "run" else 5)
+    done = oracle("features", make_run().path, *options)
+    assert done.exit_code == 2
+    assert "--output" in done.stderr
+
+
+def test_json_can_go_to_a_file(make_run, tmp_path):
+    assert oracle("features", make_run().path, "--output", tmp_path / "f.json").exit_code == 0
+    assert json.loads((tmp_path / "f.json").read_text())["rows"]
+
+
+def test_plugins_of_a_folder_are_used(make_run, tmp_path):
+    (tmp_path / "plugins").mkdir()
+    (tmp_path / "plugins" / "size.py").write_text(
+        "from plugin_interface import FeatureExtractionPlugin\n"
+        "class Size(FeatureExtractionPlugin):\n"
+        "    def extract_features(self, G, cur):\n"
+        "        return [len(G)]\n"
+    )
+    done = oracle("features", make_run().path, "--plugins", tmp_path / "plugins")
+    assert json.loads(done.stdout)["rows"][0]["thesis.size_0"] == 8
+
+
+def test_every_failure_is_one_line_and_exit_code_2(tmp_path, make_run):
+    corrupt = make_run()
+    (corrupt.bag / "bag_0.mcap").write_bytes(b"\x89MCAP0\r\n")
+    for arguments, text in (
+        ((tmp_path / "absent",), "There is no bag"),
+        ((tmp_path,), "is not a bag"),
+        ((corrupt.path,), "Could not open the bag"),
+        ((tmp_path, "--plugins", tmp_path / "none"), "no plugin folder"),
+    ):
+        done = oracle("features", *arguments)
+        assert done.exit_code == 2
+        assert text in done.stderr
+        assert done.stderr.startswith("Error: ")
+        assert done.stderr.count("\n") == 1
+        assert done.stdout == ""
+    blocked = ("--format", "json", "--output", tmp_path / "absent" / "file.json")
+    done = oracle("features", make_run(run=4).path, *blocked)
+    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
+    assert oracle("features").exit_code == 2
+    assert oracle("features", tmp_path, "--format", "csv").exit_code == 2
+
+
+def test_a_defect_of_ours_ends_with_exit_code_2_too(make_run, monkeypatch):
+    monkeypatch.setattr("oracle_pipeline.cli._json", lambda _: 1 / 0)
+    done = oracle("features", make_run().path)
+    assert done.exit_code == 2
+    assert "ZeroDivisionError" in done.stderr
+
+
+def test_the_installed_command_works(make_run):
+    command = [ORACLE, "features", make_run().path]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["rows"]
+
+
+def test_help_has_an_example():
+    assert "oracle features data/runs/" in oracle("features", "--help").output
+    assert "features" in oracle("--help").output

@@ -1,0 +1,181 @@
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from oracle_pipeline import features
+from oracle_pipeline.features import laser, odometry
+from oracle_pipeline.features.goals import goals_of_log
+from oracle_pipeline.features.plugin import Series, Window
+from oracle_pipeline.runs import open_run
+
+MANAGER = features.build_manager()
+
+
+def of_run(path) -> dict:
+    """Contextual features of a bag's whole recording, reasons in place of numbers."""
+    with open_run(path) as run:
+        table = features.extract(run, MANAGER).run
+    row = table.iloc[0].to_dict()
+    values = {**row, **json.loads(row["missing"])}
+    return {k.removeprefix("contextual."): v for k, v in values.items() if "contextual" in k}
+
+
+def turned(yaws, rates=None, x=None, y=None) -> dict:
+    n = len(yaws)
+    columns = [np.zeros(n) if c is None else np.asarray(c) for c in (x, y)]
+    values = np.column_stack([*columns, yaws, np.zeros(n) if rates is None else rates])
+    topics = {"odometry": {"/odom": Series(np.arange(n, dtype=float), values)}}
+    return odometry.compute(Window(0.0, 10.0, None, topics, topics))
+
+
+def test_yaw_variance_does_not_jump_at_the_back():
+    assert turned([3.1, -3.1])["yaw_variance"] == pytest.approx(0.00086, abs=1e-5)
+    assert turned([3.1, -3.1])["total_turning"] == pytest.approx(2 * np.pi - 6.2)
+
+
+yaws = st.lists(st.floats(-3.1, 3.1), min_size=1, max_size=20)
+
+
+@given(yaws, st.floats(-10, 10))
+def test_turning_does_not_depend_on_where_yaw_is_zero(yaws, offset):
+    ours, theirs = turned(yaws), turned([yaw + offset for yaw in yaws])
+    assert ours["total_turning"] == pytest.approx(theirs["total_turning"], abs=1e-9)
+    assert ours["yaw_variance"] == pytest.approx(theirs["yaw_variance"], abs=1e-9)
+    assert 0 <= ours["yaw_variance"] <= 1
+
+
+def test_turning_per_metre_needs_metres():
+    values = turned([0.0, 1.0, 2.0], x=[0.0, 1.0, 2.0])
+    assert values["turning_per_metre"] == pytest.approx(1.0)
+    assert "less than 0.1 m" in turned([0.0, 1.0])["turning_per_metre"].reason
+
+
+def test_yaw_rate_variance_is_that_of_the_measured_rate():
+    assert turned([0, 0, 0, 0], rates=[1, -1, 1, -1])["yaw_rate_variance"] == pytest.approx(1.0)
+
+
+def test_odometry_is_read_from_the_quaternion(messages):
+    for yaw in (-3.0, -0.5, 0.0, 2.0):
+        assert odometry.keep(messages.odometry(0, 1.0, 2.0, yaw, 0.3)) == pytest.approx(
+            (1.0, 2.0, yaw, 0.3)
+        )
+
+
+@given(st.lists(st.floats(0.25, 3.25, width=32), min_size=1), st.integers(0, 5), st.integers(0, 5))
+def test_rays_without_a_range_are_counted_and_change_nothing_else(messages, valid, infs, nans):
+    whole = laser.keep(messages.scan(0, valid))
+    variance, non_finite = laser.keep(
+        messages.scan(0, [*valid, *[np.inf] * infs, *[np.nan] * nans, 9.0, 0.01])
+    )
+    assert variance == pytest.approx(whole[0])
+    assert variance == pytest.approx(np.var(np.float32(valid).astype(float)), abs=1e-6)
+    assert non_finite == pytest.approx((infs + nans) / (len(valid) + infs + nans + 2))
+
+
+def test_scanners_are_reduced_one_at_a_time(bag_of, messages):
+    near = [(t, "/scan", messages.scan(t, [1.0, 3.0])) for t in range(5)]
+    far = [(t, "/scan_tom", messages.scan(t, [1.0, 1.0, np.inf, np.inf])) for t in range(5)]
+    odd = [(5, "/scan", messages.scan(5, [0.2, 3.4, np.inf]))]  # one scan does not move a median
+    values = of_run(bag_of([*near, *far, *odd]))
+    assert values["range_variance_max"] == pytest.approx(1.0)
+    assert values["range_variance_mean"] == pytest.approx(0.5)
+    assert values["non_finite_max"] == pytest.approx(0.5)
+    assert values["non_finite_mean"] == pytest.approx(0.25)
+
+
+def test_a_scanner_that_sees_nothing_is_no_zero(bag_of, messages):
+    values = of_run(bag_of([(t, "/scan", messages.scan(t, [np.inf, np.inf])) for t in range(3)]))
+    assert values["range_variance_mean"] == "no scan has a valid range"
+    assert values["non_finite_mean"] == 1.0
+
+
+ROOT = "NavigateRecovery"
+
+
+def test_times_of_goals_come_from_the_tree_if_the_status_is_hidden(bag_of, messages):
+    log = messages.tree_log
+    values = of_run(
+        bag_of(
+            [
+                (0.0, "/plan", messages.plan(0, 100.0)),
+                (1.0, "/behavior_tree_log", log(1, (ROOT, "IDLE", "RUNNING"))),
+                (1.5, "/plan", messages.plan(1, 2.0)),
+                (2.5, "/plan", messages.plan(2, 50.0)),
+                (3.0, "/behavior_tree_log", log(3, ("Spin", "IDLE", "RUNNING"))),
+                (5.0, "/behavior_tree_log", log(5, (ROOT, "RUNNING", "SUCCESS"))),
+                (5.1, "/behavior_tree_log", log(5, (ROOT, "SUCCESS", "IDLE"))),
+                (6.0, "/behavior_tree_log", log(6, (ROOT, "IDLE", "RUNNING"))),
+                (6.5, "/plan", messages.plan(6, 3.0)),
+                (9.0, "/behavior_tree_log", log(9, (ROOT, "RUNNING", "FAILURE"))),
+                (9.5, "/behavior_tree_log", log(9, (ROOT, "IDLE", "RUNNING"))),
+                (10.0, "/behavior_tree_log", log(10, (ROOT, "RUNNING", "IDLE"))),
+                (11.0, "/plan", messages.plan(11, 1.0)),
+            ]
+        )
+    )
+    assert values["duration"] == pytest.approx(4.0 + 3.0 + 0.5)
+    assert values["goals_reached"] == pytest.approx(1 / 3)
+    assert values["time_per_planned_metre"] == pytest.approx(7.0 / 5.0)
+
+
+@pytest.mark.parametrize(
+    ("states", "expected"),
+    [
+        ([(0, "RUNNING"), (4, "IDLE", "SUCCESS")], [(0, 4, True)]),  # as Nav2 logs it
+        ([(0, "RUNNING"), (4, "IDLE", "FAILURE"), (5, "IDLE")], [(0, 4, False)]),
+        ([(0, "RUNNING"), (4, "SUCCESS", "IDLE")], [(0, 4, True)]),
+        ([(0, "RUNNING"), (4, "IDLE")], [(0, 4, False)]),  # cancelled
+        ([(0, "RUNNING")], [(0, None, False)]),
+        ([(3, "SUCCESS")], [(3, 3, True)]),
+        ([(0, "RUNNING"), (4, "IDLE", "SUCCESS", "IDLE", "RUNNING")],
+         [(0, 4, True), (4, None, False)]),
+        ([(0, "RUNNING"), (2, "RUNNING"), (4, "IDLE"), (6, "RUNNING"), (7, "IDLE", "SUCCESS")],
+         [(0, 4, False), (6, 7, True)]),
+        ([(0, "IDLE")], []),
+    ],
+)  # fmt: skip
+def test_goals_are_what_the_root_of_the_tree_says(states, expected):
+    times = np.array([time for time, *_ in states], dtype=float)
+    log = np.fromiter((rest for _, *rest in states), dtype=object, count=len(states))
+    goals = goals_of_log(Series(times, log))
+    assert [(g.accepted_s, g.ended_s, g.reached) for g in goals] == expected
+
+
+def test_times_of_goals_come_from_the_status_if_it_is_recorded(bag_of, messages):
+    topic = "/navigate_to_pose/_action/status"
+    status = messages.goal_status
+    values = of_run(
+        bag_of(
+            [
+                (0.0, topic, status(0, (9, 4))),  # of before the recording
+                (1.0, topic, status(1, (9, 4), (1, 1))),
+                (1.1, topic, status(1, (9, 4), (1, 2))),
+                (4.0, topic, status(4, (1, 4))),
+                (5.0, topic, status(5, (1, 4), (2, 2))),
+                (5.0, "/behavior_tree_log", messages.tree_log(5, (ROOT, "IDLE", "RUNNING"))),
+                (8.0, topic, status(8, (2, 6))),
+            ]
+        )
+    )
+    assert values["duration"] == pytest.approx(6.0)
+    assert values["goals_reached"] == pytest.approx(0.5)
+    assert values["time_per_planned_metre"] == "/plan is not recorded"
+
+
+def test_without_navigation_there_is_a_reason(bag_of, messages):
+    values = of_run(bag_of([(0, "/scan", messages.scan(0, [1.0]))]))
+    assert "neither /navigate_to_pose/_action/status nor /behavior_tree_log" in values["duration"]
+    assert values["total_turning"] == "no topic nav_msgs/msg/Odometry is recorded"
+
+
+def test_a_goal_under_way_counts_in_each_window(make_run):
+    with open_run(make_run().path) as run:
+        tables = features.extract(run, MANAGER)
+    assert tables.run["contextual.duration"].tolist() == pytest.approx([20.0 + 3.0])
+    windows = dict(zip(tables.windows["window_start_s"], tables.windows["contextual.duration"],
+                       strict=True))  # fmt: skip
+    assert windows == pytest.approx({0.0: 8.0, 5.0: 10.0, 10.0: 10.0, 15.0: 8.0, 20.0: 5.0})
+    assert tables.run["contextual.time_per_planned_metre"].tolist() == pytest.approx([5.0])

@@ -1,0 +1,139 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from oracle_pipeline import features
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.datasets import KEYS, feature_columns, feature_dataset, read_table
+from oracle_pipeline.features.extraction import Span, window_spans
+from oracle_pipeline.runs import open_run
+
+MANAGER = features.build_manager()
+SECOND = 1_000_000_000
+
+
+def extract(path: Path) -> features.FeatureTables:
+    with open_run(path) as run:
+        return features.extract(run, MANAGER)
+
+
+@given(st.integers(0, 700 * SECOND))
+def test_windows_cover_the_recording_each_five_seconds(duration_ns):
+    spans = window_spans(Span(0, duration_ns + 1))
+    assert [span.start_s for span in spans] == [5.0 * number for number in range(len(spans))]
+    assert len(spans) == duration_ns // (5 * SECOND)
+    for span in spans:
+        assert span.end_ns == min(span.start_ns + 10 * SECOND, duration_ns + 1)
+        assert span.end_ns - span.start_ns > 5 * SECOND
+
+
+def test_tables_have_keys_of_the_manifest_and_features(make_run):
+    tables = extract(make_run().path)
+    for table in tables:
+        assert tuple(table.columns[:5]) == KEYS
+        assert table.columns[-1] == "missing"
+        assert set(table["run_id"]) == {"fake_object|run003"}
+        assert set(table["label"]) == {"malicious"}
+        assert set(table["block"]) == {3}
+        for column in feature_columns(table):
+            assert table[column].dtype == np.float64
+            assert table.attrs["fields"][column]["unit"]
+    assert tables.windows["window_start_s"].tolist() == [0.0, 5.0, 10.0, 15.0, 20.0]
+    assert len(tables.run) == 1
+
+
+def test_every_nan_has_a_reason_and_nothing_else_has(make_run, foreign_bag):
+    for path in (make_run().path, foreign_bag):
+        for table in extract(path):
+            for _, row in table.iterrows():
+                absent = {column for column in feature_columns(table) if pd.isna(row[column])}
+                assert set(json.loads(row["missing"])) == absent
+
+
+def test_a_run_of_ours_gives_every_feature(make_run):
+    assert json.loads(extract(make_run().path).run["missing"].iloc[0]) == {}
+
+
+def test_features_do_not_depend_on_what_the_manifest_says(make_run):
+    ours = extract(make_run().path)
+    theirs = extract(
+        make_run(
+            "lidar_passthrough", 0, label="normal", onset_s=None, attack={}, recipe={}, block=9,
+            session=2, recording_s=1.0, task_effect=None, outcome="succeeded",
+        ).path
+    )  # fmt: skip
+    for mine, other in zip(ours, theirs, strict=True):
+        columns = feature_columns(mine)
+        pd.testing.assert_frame_equal(mine[columns], other[columns])
+
+
+def test_storage_does_not_matter(make_run):
+    ours, theirs = extract(make_run().path), extract(make_run(run=4, storage="sqlite3").path)
+    for mine, other in zip(ours, theirs, strict=True):
+        columns = feature_columns(mine)
+        pd.testing.assert_frame_equal(mine[columns], other[columns])
+
+
+def test_a_window_has_the_graph_of_its_interval(make_run):
+    windows = extract(make_run().path).windows.set_index("window_start_s")
+    edges = windows["structural.average_degree"]
+    # Without the recorder: 4 edges and 5 vertices, in the second interval 1 edge and 2 more.
+    assert edges.to_dict() == pytest.approx(
+        {0.0: 8 / 5, 5.0: 10 / 7, 10.0: 10 / 7, 15.0: 10 / 7, 20.0: 8 / 5}
+    )
+
+
+def test_a_foreign_bag_gives_what_it_can(foreign_bag):
+    tables = extract(foreign_bag)
+    assert tables.run["mode"].tolist() == ["foreign"]
+    assert tables.run["label"].tolist() == ["unknown"]
+    missing = json.loads(tables.run["missing"].iloc[0])
+    assert missing["structural.density"] == "the bag was recorded without graphs"
+    assert len(tables.windows) >= 4
+
+
+def test_tables_are_written_where_others_look_for_them(make_run):
+    directory = make_run()
+    tables = extract(directory.path)
+    of_run, of_windows = features.write(tables, directory)
+    assert of_run == directory.root / "features" / "run" / "fake_object" / "run003.parquet"
+    assert of_windows == directory.root / "features" / "window" / "fake_object" / "run003.parquet"
+    for table, path in zip(tables, (of_run, of_windows), strict=True):
+        pd.testing.assert_frame_equal(read_table(path), table)
+        assert read_table(path).attrs["fields"] == table.attrs["fields"]
+    assert read_table(of_windows).attrs["fields"]["window_start_s"] == {"unit": "s"}
+    assert len(feature_dataset([read_table(of_run)])) == 1
+
+
+def test_equal_runs_make_equal_bytes(make_run):
+    directory = make_run()
+    once = [path.read_bytes() for path in features.write(extract(directory.path), directory)]
+    again = [path.read_bytes() for path in features.write(extract(directory.path), directory)]
+    assert once == again
+
+
+def test_a_recording_too_short_for_a_window_has_none(bag_of, messages):
+    tables = extract(bag_of([(t, "/scan", messages.scan(t, [1.0, 2.0])) for t in range(4)]))
+    assert len(tables.windows) == 0
+    assert tables.windows["contextual.range_variance_max"].dtype == np.float64
+    assert tables.run["contextual.range_variance_max"].tolist() == [0.25]
+
+
+def test_an_empty_bag_has_no_features_and_says_why(bag_of):
+    table = extract(bag_of([])).run
+    assert table[feature_columns(table)].isna().all(axis=None)
+
+
+def test_a_corrupt_bag_is_no_missing_feature(make_run):
+    directory = make_run()
+    (file,) = directory.bag.glob("*.mcap")
+    data = bytearray(file.read_bytes())
+    data[len(data) // 4] ^= 0xFF
+    file.write_bytes(data)
+    with pytest.raises(BagError, match=str(directory.bag)):
+        extract(directory.path)

@@ -1,0 +1,233 @@
+import json
+import logging
+import textwrap
+
+import numpy as np
+import pytest
+
+from oracle_pipeline import features
+from oracle_pipeline.features import Feature, FeatureManager, FeaturePlugin, Missing, Request
+from oracle_pipeline.runs import open_run
+
+PLUGIN = """
+    from oracle_pipeline.features import Feature, FeaturePlugin, Request, hookimpl
+
+    def compute(window):
+        return {"messages": len(window.topics["scans"]["/scan"].times_s)}
+
+    @hookimpl
+    def register_features():
+        topics = {"scans": Request(lambda scan: 0.0, "/scan")}
+        feature = Feature("messages", "1", 1.0, "scans in the window")
+        return [FeaturePlugin("counter", "my_lab", (feature,), compute, topics)]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "plugins").mkdir()
+    return tmp_path / "plugins"
+
+
+def write(folder, name: str, code: str) -> None:
+    (folder / name).write_text(textwrap.dedent(code))
+
+
+def extract(path, manager) -> features.FeatureTables:
+    with open_run(path) as run:
+        return features.extract(run, manager)
+
+
+def reasons(table, row=0) -> dict[str, str]:
+    return json.loads(table["missing"].iloc[row])
+
+
+def plugin_of(compute, name="odd", topics=None, **options) -> FeaturePlugin:
+    feature = Feature("value", "1", 0.0, "a value")
+    return FeaturePlugin(name, name, (feature,), compute, topics or {}, **options)
+
+
+def test_every_built_in_feature_says_what_it_is():
+    manager = features.build_manager()
+    assert len(manager.features()) > 20
+    for column, feature in manager.features().items():
+        assert column.split(".")[0] in ("structural", "contextual")
+        assert feature.unit
+        assert feature.description
+        assert feature.floor > 0
+
+
+def test_a_file_of_the_folder_adds_its_columns(folder, make_run):
+    write(folder, "counter.py", PLUGIN)
+    manager = features.build_manager(folder)
+    tables = extract(make_run().path, manager)
+    assert tables.run["my_lab.messages"].tolist() == [136.0]
+    assert tables.windows["my_lab.messages"].tolist() == [50.0, 50.0, 50.0, 50.0, 36.0]
+    assert tables.run.attrs["fields"]["my_lab.messages"]["unit"] == "1"
+
+
+def test_a_file_may_be_any_python(folder):
+    data = """
+        from __future__ import annotations
+        from dataclasses import dataclass
+
+        @dataclass
+        class Setting:
+            width_m: float = 1.0
+    """
+    write(folder, "counter.py", textwrap.dedent(data) + textwrap.dedent(PLUGIN))
+    assert features.build_manager(folder).broken == {}
+
+
+def test_the_folder_can_come_from_the_environment(folder, monkeypatch):
+    write(folder, "counter.py", PLUGIN)
+    monkeypatch.setenv("ORACLE_PLUGINS", str(folder))
+    assert "my_lab.messages" in features.build_manager().features()
+
+
+def test_a_missing_folder_is_told(tmp_path):
+    with pytest.raises(features.PluginError, match=r"no plugin folder .*absent"):
+        features.build_manager(tmp_path / "absent")
+
+
+def test_a_column_offered_twice_is_told(folder):
+    write(folder, "one.py", PLUGIN)
+    write(folder, "two.py", PLUGIN.replace('"counter"', '"other"'))
+    with pytest.raises(features.PluginError, match=r"'my_lab.messages' .*by counter and by other"):
+        features.build_manager(folder)
+    write(folder, "two.py", PLUGIN.replace('"my_lab"', '"your_lab"'))
+    with pytest.raises(features.PluginError, match="2 plugins are called 'counter'"):
+        features.build_manager(folder)
+
+
+@pytest.mark.parametrize(
+    ("code", "reason"),
+    [
+        ("import no_such_module", "No module named 'no_such_module'"),
+        ("def broken(:", "SyntaxError"),
+        (PLUGIN.replace("return [Fea", "return 1 / 0, [Fea"), "ZeroDivisionError"),
+        (PLUGIN.replace("return [", "return 3 or ["), "must return a list"),
+        (PLUGIN.replace("register_features()", "register_features(bag)"), "PluginValidationError"),
+    ],
+)
+def test_a_file_that_cannot_be_loaded_is_kept_as_a_reason(code, reason, folder, make_run, caplog):
+    write(folder, "broken.py", code)
+    manager = features.build_manager(folder)
+    (told,) = manager.broken.values()
+    assert reason in told
+    assert reason in caplog.text
+    tables = extract(make_run().path, manager)
+    assert set(manager.broken.items()) <= set(reasons(tables.run).items())
+    assert np.isfinite(tables.run["structural.density"]).all()
+
+
+def raises(_window):
+    raise ValueError("no good")
+
+
+@pytest.mark.parametrize(
+    ("compute", "reason"),
+    [
+        (raises, "ValueError: no good"),
+        (lambda _: {"value": float("nan")}, "the plugin returned nan"),
+        (lambda _: {"value": float("inf")}, "the plugin returned inf"),
+        (lambda _: {"value": "many"}, "could not convert string to float"),
+        (lambda _: {}, "instead of ['value']"),
+        (lambda _: {"value": 1.0, "more": 2.0}, "instead of ['value']"),
+        (lambda _: None, "NoneType"),
+        (lambda _: Missing("not here"), "not here"),
+        (lambda _: {"value": Missing("not now")}, "not now"),
+        (lambda w: {"value": w.graph.add_node("x")}, "Frozen graph"),
+    ],
+)
+def test_a_plugin_that_fails_costs_its_own_columns(compute, reason, make_run, caplog):
+    good = plugin_of(lambda _: {"value": 1.0}, "good")
+    manager = FeatureManager((plugin_of(compute), good))
+    with caplog.at_level(logging.ERROR):
+        tables = extract(make_run().path, manager)
+    for table in tables:
+        assert table["odd.value"].isna().all()
+        assert (table["good.value"] == 1.0).all()
+        for row in range(len(table)):
+            assert list(reasons(table, row)) == ["odd.value"]
+            assert reason in reasons(table, row)["odd.value"]
+    assert len(caplog.records) <= 1  # once a run, not once a window
+
+
+def test_what_a_plugin_keeps_is_cut_to_the_window(make_run):
+    def compute(window):
+        (series,) = window.topics["odometry"].values()
+        (past,) = window.history["odometry"].values()
+        assert (series.times_s >= window.start_s).all()
+        assert (series.times_s < window.end_s).all()
+        assert (series.values == np.floor(series.times_s)).all()
+        assert past.times_s[0] == 0.0
+        assert past.times_s[-1] == series.times_s[-1]
+        with pytest.raises(ValueError, match="read-only"):
+            series.values[0] = 0.0
+        return {"value": len(series.times_s)}
+
+    topics = {"odometry": Request(lambda m: m.header.stamp.sec, msgtype="nav_msgs/msg/Odom*")}
+    tables = extract(make_run().path, FeatureManager((plugin_of(compute, topics=topics),)))
+    assert reasons(tables.run) == {}
+    assert tables.run["odd.value"].tolist() == [136]
+    assert tables.windows["odd.value"].tolist() == [50, 50, 50, 50, 36]
+
+
+def test_each_message_is_decoded_once_for_all_plugins(make_run):
+    kept = []
+    topics = {"scans": Request(lambda m: kept.append(id(m)) or 0.0, "/scan")}
+    plugins = tuple(plugin_of(lambda _: {"value": 1.0}, f"p{n}", topics) for n in range(3))
+    with open_run(make_run().path) as run:
+        decoded = []
+        decode = run.bag.deserialize
+        run.bag.deserialize = lambda message: decoded.append(message.topic) or decode(message)
+        features.extract(run, FeatureManager(plugins))
+    assert decoded == ["/scan"] * 136
+    assert len(kept) == 3 * 136
+
+
+def test_a_request_can_fail_for_good_reasons(make_run):
+    def computes(_):
+        return {"value": 1.0}
+
+    manager = FeatureManager(
+        (
+            plugin_of(computes, "absent", {"r": Request(float, "/absent", "my/msg/Type")}),
+            plugin_of(computes, "raising", {"r": Request(lambda m: m.nothing, "/scan")}),
+            plugin_of(computes, "ragged", {"r": Request(lambda m: m.no or [1], "/odom")}),
+            plugin_of(computes, "optional", {"r": Request(float, "/absent", optional=True)}),
+            plugin_of(computes, "graph", needs_graph=True),
+        )
+    )
+    run = make_run()
+    missing = reasons(extract(run.path, manager).run)
+    assert missing["absent.value"] == "no topic /absent of type my/msg/Type is recorded"
+    assert "/scan cannot be used: AttributeError" in missing["raising.value"]
+    assert missing.keys() == {"absent.value", "raising.value", "ragged.value"}
+    missing = reasons(extract(run.bag, manager).run)
+    assert missing["graph.value"] == "the bag was recorded without graphs"
+
+
+def test_kept_values_of_different_shapes_are_told(make_run):
+    count = iter(range(1000))
+    topics = {"r": Request(lambda _: [0.0] * next(count), "/scan")}
+    manager = FeatureManager((plugin_of(lambda _: {"value": 1.0}, topics=topics),))
+    assert "same shape" in reasons(extract(make_run().path, manager).run)["odd.value"]
+
+
+def test_plugins_see_neither_ground_truth_nor_manifest(make_run):
+    seen = []
+
+    def compute(window):
+        seen.append({topic for topics in window.topics.values() for topic in topics})
+        assert {f for f in dir(window) if not f.startswith("_")} == {
+            "start_s", "end_s", "graph", "topics", "history",
+        }  # fmt: skip
+        return {"value": 1.0}
+
+    manager = FeatureManager((plugin_of(compute, topics={"all": Request(lambda _: 0.0)}),))
+    assert reasons(extract(make_run().path, manager).run) == {}
+    assert set.union(*seen) == {
+        "/odom", "/scan", "/scan_fakeobject", "/behavior_tree_log", "/plan",
+    }  # fmt: skip
