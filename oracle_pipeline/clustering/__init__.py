@@ -1,0 +1,1 @@
+"""Agglomerative clustering of run features, without labels: scale, grow a tree, cut, score."""

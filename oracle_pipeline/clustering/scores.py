@@ -1,0 +1,85 @@
+"""What a tree says of each run, without labels: a verdict by flat clusters, or a score.
+
+Higher scores are more anomalous. How good they are is measured in ``oracle_pipeline.evaluation``.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.clustering.tree import ClusteringError, Tree
+
+
+def outside_largest(clusters: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Call every row outside the largest cluster anomalous.
+
+    The rule rests on right behaviour being the most common [1]_; between clusters of equal size the
+    first counts as the largest.
+
+    References
+    ----------
+    .. [1] R. Almaghairbe, M. Roper, "Building test oracles by clustering failures", AST 2015.
+
+    Examples
+    --------
+    >>> outside_largest(np.array([2, 1, 2, 3], dtype=np.int32))
+    array([False,  True, False,  True])
+    """
+    names, sizes = np.unique(clusters, return_counts=True)
+    return np.asarray(clusters != names[np.argmax(sizes)], dtype=np.bool_)
+
+
+def hac_height(tree: Tree, reference: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+    """Return the height at which each row joins the majority.
+
+    ``h(x) = min {t : the component of x at height t holds at least half of the reference rows}``,
+    which makes a dendrogram comparable with any detector: an odd row joins late. With single
+    linkage it is the minimax path distance to the majority.
+
+    Parameters
+    ----------
+    tree : Tree
+        Over n rows.
+    reference : ndarray of bool, shape (n,), optional
+        The rows that stand for right behaviour; by default all of them, which presumes that most
+        are right.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        Heights, in the tree's unit of distance.
+    """
+    n = len(tree)
+    reference = np.ones(n, dtype=np.bool_) if reference is None else reference
+    if not reference.any():
+        raise ClusteringError("No row is marked as reference; mark the rows of right behaviour.")
+    children = tree.merges[:, :2].astype(np.intp).tolist()
+    held = [*reference.astype(int).tolist(), *[0] * (n - 1)]
+    for node, (left, right) in enumerate(children, start=n):
+        held[node] = held[left] + held[right]
+
+    half = held[-1] / 2
+    height = [0.0] * n + tree.merges[:, 2].tolist()
+    for node in range(2 * n - 2, n - 1, -1):  # from the root, which holds all, down
+        for child in children[node - n]:
+            if held[child] < half:
+                height[child] = height[node]
+    return np.array(height[:n])
+
+
+def small_cluster_score(tree: Tree, kappa: float) -> NDArray[np.float64]:
+    """Return ``1 - |cluster of x| / n`` when the tree is cut into ``round(kappa n)`` clusters.
+
+    Parameters
+    ----------
+    tree : Tree
+        Over n rows.
+    kappa : float
+        Number of clusters over number of rows; 0.15 to 0.20 in the literature.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        In [0, 1).
+    """
+    clusters = tree.cut("maxclust", max(1, round(kappa * len(tree))))
+    return np.asarray(1.0 - np.bincount(clusters)[clusters] / len(tree), dtype=np.float64)

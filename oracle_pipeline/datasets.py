@@ -1,0 +1,306 @@
+"""Tables of run features: joined, checked, kept with their units, and drawn from with replacement.
+
+One row is one run. Features are computed in ``oracle_pipeline.features``; scaling and clustering
+live in ``oracle_pipeline.clustering``. What a column means (unit, resolution floor) travels in the
+field metadata of the Parquet schema and, in memory, in ``DataFrame.attrs["fields"]``.
+"""
+
+import hashlib
+import json
+import os
+import secrets
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.manifest import LABELS
+
+KEYS = ("run_id", "mode", "label", "block", "session")
+MISSING = "missing"  # the column that says why a feature is NaN
+
+#: Pairs of modes with equal graphs by construction: (control, attacked).
+PAIRS = (
+    ("lidar_passthrough", "random_noise"),
+    ("lidar_passthrough_odom", "fake_object"),
+    ("delayed_passthrough", "delayed_fakeobject"),
+)
+
+
+class DatasetError(OracleError):
+    """A feature table cannot be joined, read or drawn from."""
+
+
+def feature_columns(df: pd.DataFrame, families: Collection[str] | None = None) -> list[str]:
+    """Return the feature columns, in table order.
+
+    Parameters
+    ----------
+    df : DataFrame
+        A ``run_features`` table; features are named ``<family>.<name>``.
+    families : collection of str, optional
+        Keep these families only; by default every family.
+    """
+    columns = [str(column) for column in df.columns if "." in str(column)]
+    if families is None:
+        return columns
+    return [column for column in columns if column.split(".", 1)[0] in families]
+
+
+def feature_families(df: pd.DataFrame) -> list[str]:
+    """Return the families present, in the order of their first column."""
+    return list(dict.fromkeys(column.split(".", 1)[0] for column in feature_columns(df)))
+
+
+def field_metadata(df: pd.DataFrame) -> dict[str, dict[str, str]]:
+    """Return what is declared of each column (``unit``, ``floor``, ...); empty if nothing is."""
+    return dict(df.attrs.get("fields", {}))
+
+
+def feature_floors(df: pd.DataFrame) -> dict[str, float]:
+    """Return the resolution of each feature that declares one, in the feature's unit."""
+    fields = field_metadata(df)
+    return {name: float(field["floor"]) for name, field in fields.items() if field.get("floor")}
+
+
+def is_malicious(df: pd.DataFrame) -> NDArray[np.bool_]:
+    """Return True for the rows of attacked runs; every other label is the negative class."""
+    return np.asarray(df["label"] == "malicious", dtype=np.bool_)
+
+
+def feature_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
+    """Join the feature tables of many runs into one, a row a run, sorted by ``run_id``.
+
+    A feature that a table lacks becomes NaN if the table's ``missing`` column says why.
+
+    Raises
+    ------
+    DatasetError
+        Nothing to join, a key column missing or empty, a run given twice, an unknown label, or
+        tables whose columns, types or units differ.
+    """
+    parts = [table for table in tables if len(table)]
+    if not parts:
+        raise DatasetError("There are no run features to join; record runs and extract features.")
+    for part in parts:
+        _check_keys(part)
+    parts.sort(key=lambda part: str(part["run_id"].iloc[0]))
+    columns = list(dict.fromkeys(column for part in parts for column in feature_columns(part)))
+    for part in parts:
+        _check_columns(part, columns)
+    joined = pd.concat(parts, ignore_index=True).astype(dict.fromkeys(columns, np.float64))
+    repeated = joined.loc[joined["run_id"].duplicated(), "run_id"].unique()
+    if len(repeated):
+        raise DatasetError(
+            f"Runs {', '.join(sorted(repeated))} stand in more than one feature table; "
+            "remove the stale files under features/run and join again."
+        )
+    joined = joined[[*KEYS, *columns, MISSING]]
+    joined = joined.sort_values("run_id", kind="stable", ignore_index=True)
+    joined.attrs["fields"] = _joined_fields(parts)
+    return joined
+
+
+def _check_keys(table: pd.DataFrame) -> None:
+    absent = [key for key in (*KEYS, MISSING) if key not in table.columns]
+    if absent:
+        raise DatasetError(
+            f"A feature table lacks the columns {', '.join(absent)}; "
+            "it was not written by the feature extraction. Extract its features again."
+        )
+    for key in KEYS:
+        if table[key].isna().any():
+            raise DatasetError(f"Key column {key!r} is empty in {_runs(table)}; extract it again.")
+    unknown = sorted(set(table["label"]) - set(LABELS))
+    if unknown:
+        raise DatasetError(
+            f"Label {unknown[0]!r} of {_runs(table)} is not one of {', '.join(LABELS)}; "
+            "leave out runs whose label is not known."
+        )
+
+
+def _check_columns(table: pd.DataFrame, columns: list[str]) -> None:
+    reasons = {reason for text in table[MISSING] for reason in json.loads(text)}
+    absent = [column for column in columns if column not in table.columns]
+    unexplained = [column for column in absent if not column.startswith(tuple(reasons))]
+    if unexplained:
+        raise DatasetError(
+            f"{_runs(table)} lacks the features {', '.join(unexplained)}, which other runs have; "
+            "extract all runs with the same plugins."
+        )
+    for column in feature_columns(table):
+        if not pd.api.types.is_float_dtype(table[column]):
+            raise DatasetError(
+                f"Feature {column!r} of {_runs(table)} is {table[column].dtype}, not float64; "
+                "extract it again."
+            )
+
+
+def _joined_fields(tables: list[pd.DataFrame]) -> dict[str, dict[str, str]]:
+    joined: dict[str, dict[str, str]] = {}
+    for table in tables:
+        for column, field in field_metadata(table).items():
+            if joined.setdefault(column, field) != field:
+                raise DatasetError(
+                    f"Column {column!r} of {_runs(table)} is declared as {field}, elsewhere as "
+                    f"{joined[column]}; extract all runs with the same plugins."
+                )
+    return joined
+
+
+def _runs(table: pd.DataFrame) -> str:
+    shown = str(table["run_id"].iloc[0])
+    return shown if len(table) == 1 else f"{shown} and {len(table) - 1} more"
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """Give a file to write that takes the place of `path` once it is whole and on the disk."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scratch = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    try:
+        with scratch.open("xb") as sink:
+            yield sink
+            sink.flush()
+            os.fsync(sink.fileno())
+        scratch.replace(path)
+    finally:
+        scratch.unlink(missing_ok=True)
+
+
+def write_table(df: pd.DataFrame, path: Path) -> None:
+    """Write a table as Parquet, units in the schema; a reader sees all of it or the old one."""
+    fields = field_metadata(df)
+    table = pa.Table.from_pandas(df, preserve_index=False).replace_schema_metadata(None)
+    schema = pa.schema([field.with_metadata(fields.get(field.name)) for field in table.schema])
+    with replacing(path) as sink:
+        pq.write_table(table.cast(schema), sink)
+
+
+def read_table(path: Path) -> pd.DataFrame:
+    """Read a Parquet table back; what its columns mean is in ``attrs["fields"]``.
+
+    Raises
+    ------
+    DatasetError
+        The file is absent or is not Parquet.
+    """
+    try:
+        table = pq.read_table(path)
+    except FileNotFoundError as error:
+        raise DatasetError(f"There is no table {path}; make it first.") from error
+    except pa.ArrowInvalid as error:
+        raise DatasetError(f"{path} is not a Parquet table ({error}); make it again.") from error
+    df: pd.DataFrame = table.replace_schema_metadata(None).to_pandas()
+    df.attrs["fields"] = {
+        field.name: {key.decode(): value.decode() for key, value in field.metadata.items()}
+        for field in table.schema
+        if field.metadata
+    }
+    return df
+
+
+def content_hash(df: pd.DataFrame) -> str:
+    """Return the SHA-256 of a table's column names and values, whatever file it was stored in."""
+    digest = hashlib.sha256()
+    for column in df.columns:
+        digest.update(json.dumps(str(column)).encode())
+        values = df[column]
+        if pd.api.types.is_numeric_dtype(values):
+            digest.update(np.ascontiguousarray(values.to_numpy(dtype="<f8")).tobytes())
+        else:
+            digest.update(json.dumps([str(value) for value in values]).encode())
+    return digest.hexdigest()
+
+
+def bootstrap(df: pd.DataFrame, n: int, malicious_rate: float, seed: int) -> pd.DataFrame:
+    """Draw ``n`` rows with replacement, a fixed share of them attacked.
+
+    Copies add no information: each row keeps its ``run_id``, and `distinct_runs` tells how many
+    runs there really are.
+
+    Parameters
+    ----------
+    df : DataFrame
+        A row a run.
+    n : int
+        Rows to draw.
+    malicious_rate : float
+        Share of the rows that are drawn from the attacked runs, in [0, 1].
+    seed : int
+        Of the generator that draws.
+
+    Returns
+    -------
+    DataFrame of n rows
+        Sorted as `df`, copies side by side.
+
+    Raises
+    ------
+    DatasetError
+        The sizes make no sense, or a class to draw from has no run.
+    """
+    if n < 1 or not 0.0 <= malicious_rate <= 1.0:
+        raise DatasetError(
+            f"Cannot draw {n} rows with a malicious rate of {malicious_rate}; "
+            "give at least 1 row and a rate from 0 to 1."
+        )
+    malicious = is_malicious(df)
+    rng = np.random.default_rng(seed)
+    n_malicious = round(n * malicious_rate)
+    drawn = []
+    for wanted, size, name in (
+        (malicious, n_malicious, "malicious"),
+        (~malicious, n - n_malicious, "normal"),
+    ):
+        if size and not wanted.any():
+            raise DatasetError(
+                f"There is no {name} run to draw {size} rows from; record runs of a {name} mode "
+                f"or set the malicious rate to {1 if name == 'normal' else 0}."
+            )
+        if size:
+            drawn.append(rng.choice(np.flatnonzero(wanted), size))
+    return df.iloc[np.sort(np.concatenate(drawn))].reset_index(drop=True)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DistinctRuns:
+    """The runs behind rows that may be copies; arrays of shape (n_runs,), by ``run_id``."""
+
+    first: NDArray[np.intp]  # row of the run's first copy
+    copies: NDArray[np.int64]  # rows the run takes up
+    malicious: NDArray[np.bool_]
+    block: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+
+def distinct_runs(df: pd.DataFrame) -> DistinctRuns:
+    """Return the distinct runs of a table and how many rows each takes up."""
+    _, first, copies = np.unique(
+        df["run_id"].to_numpy(dtype=object), return_index=True, return_counts=True
+    )
+    return DistinctRuns(
+        first=first,
+        copies=copies,
+        malicious=is_malicious(df)[first],
+        block=df["block"].to_numpy(dtype=np.int64)[first],
+    )
+
+
+def lacking(df: pd.DataFrame) -> str:
+    """Return which class of runs a table lacks for any comparison, in words; empty if neither."""
+    malicious = is_malicious(df)
+    absent = [
+        name for name, rows in (("malicious", malicious), ("normal", ~malicious)) if not rows.any()
+    ]
+    return f"no {' and no '.join(absent)} runs" if absent else ""

@@ -1,0 +1,1 @@
+"""Reports: the thesis's tables beside ours, our evaluation, pictures, one HTML page."""

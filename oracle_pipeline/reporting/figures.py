@@ -1,0 +1,242 @@
+"""Charts as PNG bytes: dendrogram, ROC curves, principal components, grid, intervals.
+
+A run seen from above is drawn in ``oracle_pipeline.reporting.scene``.
+
+Every picture is transparent and drawn in inks of equal contrast to white and to near-black paper,
+so one file reads in light and in dark. Labels differ in marker as well as in colour. Nothing here
+reads a clock, a file or a user's Matplotlib settings: the same numbers give the same bytes.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from io import BytesIO
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.cluster.hierarchy import leaves_list
+
+from oracle_pipeline.clustering.tree import Tree
+from oracle_pipeline.evaluation.estimate import Estimate
+from oracle_pipeline.evaluation.metrics import RocCurve
+
+INK = "#757a83"
+AMBER = "#a8761a"
+COLORS = {"normal": "#3f83d8", "control": "#1f9486", "malicious": "#d4583a"}
+MARKERS = {"normal": "o", "control": "s", "malicious": "^"}
+SERIES = ("#3f83d8", "#d4583a", "#1f9486", "#8b6fd0", AMBER)
+DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
+
+DPI = 160
+
+_STYLE: dict[Any, Any] = {
+    "axes.edgecolor": INK,
+    "axes.facecolor": "none",
+    "axes.labelcolor": INK,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlelocation": "left",
+    "axes.titlesize": "medium",
+    "figure.facecolor": "none",
+    "font.size": 9.0,
+    "grid.alpha": 0.25,
+    "grid.color": INK,
+    "legend.frameon": False,
+    "savefig.facecolor": "none",
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+}
+
+
+@contextmanager
+def drawing(width: float, height: float) -> Iterator[tuple[Axes, BytesIO]]:
+    """Give axes of a figure [inches] and the buffer that holds its PNG once the block is left."""
+    png = BytesIO()
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_STYLE)
+        figure = Figure(figsize=(width, height), layout="constrained")
+        FigureCanvasAgg(figure)
+        yield figure.add_subplot(), png
+        figure.savefig(png, format="png", dpi=DPI, metadata={"Software": None})
+
+
+def _legend_above(axes: Axes) -> None:
+    axes.figure.legend(loc="outside upper right", ncols=4)
+
+
+def dendrogram(tree: Tree, labels: Sequence[str]) -> bytes:
+    """Draw a tree; links over runs of one label have its colour, mixed ones are grey.
+
+    Parameters
+    ----------
+    tree : Tree
+        Over n rows.
+    labels : sequence of str, length n
+        ``normal``, ``control`` or ``malicious``.
+    """
+    n = len(tree)
+    order = leaves_list(tree.merges).tolist()
+    x, height = np.empty(2 * n - 1), np.concatenate([np.zeros(n), tree.merges[:, 2]])
+    x[order] = np.arange(n)
+    kind = [*labels, *[""] * (n - 1)]
+    links, colors = [], []
+    for node, (left, right) in enumerate(tree.merges[:, :2].astype(int).tolist(), start=n):
+        x[node] = (x[left] + x[right]) / 2.0
+        kind[node] = kind[left] if kind[left] == kind[right] else ""
+        top = height[node]
+        links.append(
+            [(x[left], height[left]), (x[left], top), (x[right], top), (x[right], height[right])]
+        )
+        colors.append(COLORS.get(kind[node], INK))
+
+    with drawing(4.7, 3.2) as (axes, png):
+        axes.add_collection(LineCollection(links, colors=colors, linewidths=0.8))
+        strip = np.array([[to_rgb(COLORS[labels[leaf]]) for leaf in order]])
+        tallest = max(float(height[-1]), 1e-12)
+        extent = (-0.5, n - 0.5, -0.07 * tallest, -0.02 * tallest)
+        axes.imshow(strip, extent=extent, aspect="auto", interpolation="nearest")
+        axes.set(xlim=(-0.5, n - 0.5), ylim=(-0.07 * tallest, 1.03 * tallest))
+        axes.set(xticks=[], xlabel=f"{n} rows", ylabel=f"{tree.method} height")
+        axes.spines["bottom"].set_visible(False)
+        present = [label for label in COLORS if label in set(labels)]
+        for label, color in [*((label, COLORS[label]) for label in present), ("mixed", INK)]:
+            axes.plot([], [], color=color, lw=3, label=label)
+        _legend_above(axes)
+    return png.getvalue()
+
+
+def roc_curves(curves: Mapping[str, tuple[RocCurve, Estimate]]) -> bytes:
+    """Draw ROC curves with their bands; the legend gives each AUC with its interval."""
+    with drawing(4.7, 4.7) as (axes, png):
+        axes.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
+        for number, (name, (curve, area)) in enumerate(curves.items()):
+            color, dash = SERIES[number % len(SERIES)], DASHES[number % len(DASHES)]
+            axes.fill_between(curve.fpr, curve.low, curve.high, color=color, alpha=0.13, lw=0)
+            fpr, tpr = np.append(0.0, curve.fpr), np.append(0.0, curve.tpr)
+            axes.plot(fpr, tpr, color=color, ls=dash, lw=1.8, label=f"{name}  AUC {area}")
+        axes.set(xlim=(-0.01, 1.01), ylim=(-0.01, 1.01), aspect="equal")
+        axes.set(xlabel="false-positive rate", ylabel="true-positive rate")
+        axes.legend(loc="lower right", fontsize="small")
+    return png.getvalue()
+
+
+def principal_components(
+    X: NDArray[np.float64], labels: Sequence[str], copies: NDArray[np.int64] | None = None
+) -> bytes:
+    """Scatter runs in the first two principal components of their scaled features.
+
+    Parameters
+    ----------
+    X : ndarray of shape (n, n_features)
+        Scaled.
+    labels : sequence of str, length n
+    copies : ndarray of shape (n,), optional
+        How often each run was drawn; the marker's area grows with it.
+    """
+    padded = np.pad(X - X.mean(axis=0), (0, 2))  # so that there are two components, whatever X is
+    left, singular, directions = np.linalg.svd(padded, full_matrices=False)
+    # A component's sign is arbitrary: make its largest loading positive.
+    sign = np.sign(directions[np.arange(len(directions)), np.abs(directions).argmax(axis=1)])
+    scores = (left * singular * sign)[: len(X), :2]
+    shares = singular[:2] ** 2 / (float((singular**2).sum()) or 1.0)
+    size = np.full(len(X), 26.0) if copies is None else 26.0 * copies / copies.mean()
+
+    with drawing(4.7, 4.7) as (axes, png):
+        for label in COLORS:
+            these = np.array([other == label for other in labels])
+            if these.any():
+                axes.scatter(
+                    scores[these, 0],
+                    scores[these, 1],
+                    s=size[these],
+                    color=COLORS[label],
+                    marker=MARKERS[label],
+                    alpha=0.7,
+                    linewidths=0,
+                    label=f"{label} ({these.sum()})",
+                )
+        for axis, name, share in (
+            (axes.xaxis, "first", shares[0]),
+            (axes.yaxis, "second", shares[1]),
+        ):
+            axis.set_label_text(f"{name} component, {share:.0%} of the variance")
+        axes.grid(True)
+        _legend_above(axes)
+    return png.getvalue()
+
+
+def grid_heat_map(table: pd.DataFrame) -> bytes:
+    """Draw the balanced accuracy of the verdict without labels for every setting of the grid.
+
+    Parameters
+    ----------
+    table : DataFrame
+        As made by ``oracle_pipeline.reporting.tables.grid_search_table``.
+    """
+    settings = list(dict.fromkeys(zip(table["criterion"], table["t"], strict=True)))
+    methods = list(dict.fromkeys(table["linkage"]))
+    with drawing(7.2, 0.62 * len(methods) + 0.8) as (axes, png):
+        for _, row in table.iterrows():
+            column = settings.index((row["criterion"], row["t"]))
+            line = methods.index(row["linkage"])
+            area = Estimate(*(row[f"balanced_accuracy{end}"] for end in ("", "_low", "_high")))
+            better = COLORS["control" if area.value >= 0.5 else "malicious"]
+            strength = 0.0 if np.isnan(area.value) else 1.4 * abs(area.value - 0.5)
+            cell = (column - 0.48, column + 0.48)
+            axes.fill_between(cell, line - 0.46, line + 0.46, color=better, alpha=strength, lw=0)
+            axes.text(column, line, str(area), ha="center", va="center")
+        axes.set_xticks(range(len(settings)), [f"{name} {t:g}" for name, t in settings])
+        axes.set_yticks(range(len(methods)), methods)
+        axes.set(xlim=(-0.5, len(settings) - 0.5), ylim=(len(methods) - 0.5, -0.5))
+        axes.spines[:].set_visible(False)
+        axes.tick_params(length=0)
+    return png.getvalue()
+
+
+def intervals(
+    ours: Mapping[str, Estimate],
+    thesis: Mapping[str, float],
+    quantity: str = "AUC",
+    chance: float | None = 0.5,
+) -> bytes:
+    """Draw estimates under each other with their intervals, the thesis's figure beside where known.
+
+    Parameters
+    ----------
+    ours : mapping of str to Estimate
+        By the name of the line, from the top down.
+    thesis : mapping of str to float
+        By the same names; lines without one are left out.
+    quantity : str
+        Label of the axis, which runs from 0 to 1.
+    chance : float, optional
+        Where to draw a dotted line.
+    """
+    names = list(ours)
+    with drawing(7.2, 0.3 * len(names) + 1.0) as (axes, png):
+        if chance is not None:
+            axes.axvline(chance, color=INK, lw=0.8, ls=":")
+        lines = range(len(names))
+        blue, areas = COLORS["normal"], list(ours.values())
+        axes.hlines(lines, [a.low for a in areas], [a.high for a in areas], color=blue, lw=1.6)
+        values = [a.value for a in areas]
+        axes.plot(values, lines, "o", color=blue, ms=6, label="ours, 95% interval")
+        beside = [(thesis[name], line) for line, name in enumerate(names) if name in thesis]
+        if beside:
+            axes.plot(*zip(*beside, strict=True), "D", color=AMBER, mfc="none", label="thesis")
+        _legend_above(axes)
+        axes.set(xlim=(-0.02, 1.02), ylim=(len(names) - 0.5, -0.5), xlabel=quantity)
+        axes.set_yticks(range(len(names)), names)
+        axes.grid(True, axis="x")
+        axes.spines["left"].set_visible(False)
+        axes.tick_params(axis="y", length=0)
+    return png.getvalue()

@@ -1,0 +1,70 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from oracle_pipeline.clustering.scores import hac_height, outside_largest, small_cluster_score
+from oracle_pipeline.clustering.tree import LINKAGES, ClusteringError, Tree, grow_tree
+
+
+def slow_hac_height(tree, reference):
+    """Try every height from below: the definition, word by word."""
+    heights = np.full(len(tree), np.nan)
+    for t in [0.0, *tree.merges[:, 2]]:
+        clusters = tree.cut("distance", t)
+        for x in range(len(tree)):
+            component = clusters == clusters[x]
+            if np.isnan(heights[x]) and reference[component].sum() >= reference.sum() / 2:
+                heights[x] = t
+    return heights
+
+
+@st.composite
+def trees(draw):
+    n = draw(st.integers(2, 14))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    X = rng.normal(size=(n, 2))[rng.integers(0, n, size=n)]  # with copies
+    return grow_tree(X, draw(st.sampled_from(LINKAGES)))
+
+
+@given(trees(), st.randoms(use_true_random=False))
+def test_hac_height_is_the_lowest_height_that_holds_half_of_the_reference(tree, random):
+    reference = np.array([random.random() < 0.5 for _ in range(len(tree))])
+    reference[random.randrange(len(tree))] = True
+    assert hac_height(tree, reference).tolist() == slow_hac_height(tree, reference).tolist()
+
+
+def test_an_odd_run_joins_the_majority_last():
+    X = np.r_[np.random.default_rng(0).normal(size=(40, 3)), [[30.0, 0.0, 0.0]]]
+    for method in LINKAGES:
+        assert hac_height(grow_tree(X, method)).argmax() == 40
+
+
+def test_a_chain_of_ten_thousand_runs_needs_no_recursion():
+    n = 10_000
+    nodes = np.r_[0, n + np.arange(n - 2)]
+    merges = np.c_[nodes, np.arange(1, n), np.arange(1.0, n), np.arange(2, n + 1)]
+    height = hac_height(Tree("single", merges))
+    assert height[0] == n / 2 - 1
+    assert height[-1] == n - 1
+
+
+def test_a_reference_without_runs_is_refused():
+    tree = grow_tree(np.eye(3))
+    with pytest.raises(ClusteringError, match="No row is marked as reference"):
+        hac_height(tree, np.zeros(3, dtype=bool))
+
+
+@given(trees(), st.floats(0.0, 1.0))
+def test_small_cluster_score_is_one_less_the_share_of_the_own_cluster(tree, kappa):
+    clusters = tree.cut("maxclust", max(1, round(kappa * len(tree))))
+    shares = [(clusters == own).sum() / len(tree) for own in clusters]
+    assert np.allclose(small_cluster_score(tree, kappa), 1.0 - np.array(shares))
+
+
+@given(st.lists(st.integers(1, 4), min_size=1, max_size=20))
+def test_what_is_outside_the_largest_cluster_is_never_the_most_common(clusters):
+    names = np.array(clusters, dtype=np.int32)
+    inside = names[~outside_largest(names)]
+    assert len(set(inside.tolist())) == 1
+    assert len(inside) == max(clusters.count(name) for name in clusters)

@@ -1,0 +1,127 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.metrics import balanced_accuracy_score, matthews_corrcoef, roc_auc_score
+
+from oracle_pipeline.datasets import DistinctRuns
+from oracle_pipeline.evaluation.estimate import NOTHING
+from oracle_pipeline.evaluation.metrics import (
+    MetricError,
+    auc,
+    confusion,
+    decode_thesis_row,
+    false_positive_rate,
+    roc_curve,
+    true_positive_rate,
+)
+
+
+def rng():
+    return np.random.default_rng(0)
+
+
+def runs_of(malicious, copies=None, block=None):
+    n = len(malicious)
+    return DistinctRuns(
+        first=np.arange(n),
+        copies=np.ones(n, dtype=np.int64) if copies is None else np.asarray(copies),
+        malicious=np.asarray(malicious, dtype=bool),
+        block=np.arange(n) if block is None else np.asarray(block),
+    )
+
+
+@st.composite
+def samples(draw):
+    """Runs of both classes, some copied, with a score that has ties."""
+    n = draw(st.integers(2, 25))
+    malicious = draw(
+        st.lists(st.booleans(), min_size=n, max_size=n).filter(lambda x: 0 < sum(x) < n)
+    )
+    numbers = st.integers(0, 5)
+    copies = draw(st.lists(st.integers(1, 9), min_size=n, max_size=n))
+    block = draw(st.lists(numbers, min_size=n, max_size=n))
+    score = draw(st.lists(numbers, min_size=n, max_size=n))
+    return np.array(score, dtype=float), runs_of(malicious, copies, block)
+
+
+@settings(max_examples=25)
+@given(samples())
+def test_auc_is_that_of_the_rows_and_lies_in_its_interval(sample):
+    score, runs = sample
+    area = auc(score, runs, rng())
+    assert area.value == pytest.approx(
+        roc_auc_score(runs.malicious, score, sample_weight=runs.copies)
+    )
+    assert 0.0 <= area.low <= area.value <= area.high <= 1.0
+
+
+@settings(max_examples=25)
+@given(samples(), st.integers(2, 50))
+def test_copying_every_run_is_no_evidence(sample, times):
+    score, runs = sample
+    copied = replace(runs, copies=runs.copies * times)
+    once, often = auc(score, runs, rng()), auc(score, copied, rng())
+    assert (once.low, once.high) == pytest.approx((often.low, often.high))
+    flagged = score > 2
+    assert true_positive_rate(flagged, runs) == true_positive_rate(flagged, copied)
+
+
+@settings(max_examples=25)
+@given(samples())
+def test_verdicts_are_counted_by_rows(sample):
+    score, runs = sample
+    flagged = score > 2
+    counts = confusion(flagged, runs)
+    weights = {"sample_weight": runs.copies}
+    assert counts.tp + counts.fn == runs.copies[runs.malicious].sum()
+    assert counts.fp + counts.tn == runs.copies[~runs.malicious].sum()
+    assert counts.mcc == pytest.approx(matthews_corrcoef(runs.malicious, flagged, **weights))
+    balanced = balanced_accuracy_score(runs.malicious, flagged, **weights)
+    assert auc(flagged.astype(float), runs, rng()).value == pytest.approx(balanced)
+    tpr, fpr = true_positive_rate(flagged, runs), false_positive_rate(flagged, runs)
+    assert (tpr.value + 1 - fpr.value) / 2 == pytest.approx(balanced)
+
+
+def test_a_missing_class_gives_nothing_instead_of_a_number():
+    runs = runs_of([True, True])
+    assert auc(np.array([1.0, 2.0]), runs, rng()) == NOTHING
+    assert false_positive_rate(np.array([True, False]), runs) == NOTHING
+    assert np.isnan(confusion(np.array([True, False]), runs).mcc)
+    with pytest.raises(MetricError, match="runs of both classes"):
+        roc_curve(np.array([1.0, 2.0]), runs, rng())
+
+
+def test_runs_without_a_score_are_left_out():
+    score = np.array([3.0, np.nan, 1.0, 2.0])
+    whole = auc(score, runs_of([True, True, False, False]), rng())
+    assert whole.value == auc(score[[0, 2, 3]], runs_of([True, False, False]), rng()).value == 1.0
+
+
+def test_runs_of_one_block_count_as_one_when_the_interval_is_made():
+    generator = np.random.default_rng(3)
+    malicious = np.tile([True, False], 30)
+    score = generator.normal(size=60) + np.repeat(generator.normal(size=6), 10) * ~malicious
+    loose = auc(score, runs_of(malicious), rng())
+    blocked = auc(score, runs_of(malicious, block=np.repeat(np.arange(6), 10)), rng())
+    assert blocked.high - blocked.low > 1.3 * (loose.high - loose.low)
+
+
+@settings(max_examples=25)
+@given(samples())
+def test_a_roc_curve_rises_within_its_band_and_encloses_the_auc(sample):
+    score, runs = sample
+    curve = roc_curve(score, runs, rng())
+    assert (np.diff(curve.tpr) >= 0).all()
+    assert (curve.fpr[0], curve.fpr[-1], curve.tpr[-1]) == (0.0, 1.0, 1.0)
+    assert (curve.low <= curve.tpr).all()
+    assert (curve.tpr <= curve.high).all()
+    area = np.trapezoid(curve.tpr, curve.fpr)
+    assert area == pytest.approx(auc(score, runs, rng()).value, abs=0.01 * len(np.unique(score)))
+
+
+def test_two_figures_that_no_hard_verdict_gives_are_refused():
+    with pytest.raises(MetricError, match=r"recall of 0\.9 and an AUC of 0\.3"):
+        decode_thesis_row(tpr=0.9, auc=0.3)
