@@ -18,6 +18,7 @@ from oracle_pipeline.datasets import (
     distinct_runs,
     feature_columns,
     feature_families,
+    is_malicious,
     lacking,
 )
 from oracle_pipeline.evaluation.clustering import scale_rows
@@ -37,9 +38,12 @@ def bootstrapped_dataset(
 ) -> Report:
     """Draw rows with replacement; the report's table holds them.
 
-    Parameters and errors are those of `oracle_pipeline.datasets.bootstrap`.
+    Parameters and errors are those of `oracle_pipeline.datasets.bootstrap`; but of a campaign that
+    has only one class so far, all rows are drawn from that one, and the summary says so.
     """
-    rows = bootstrap(df, n, malicious_rate, seed)
+    lacks = lacking(df)
+    rate = float(is_malicious(df).mean()) if lacks else malicious_rate
+    rows = bootstrap(df, n, rate, seed)
     runs = distinct_runs(rows)
     drawn = rows.iloc[runs.first]
     X = scale_rows(drawn, feature_columns(rows, ALL_FAMILIES))
@@ -52,6 +56,7 @@ def bootstrapped_dataset(
         "most_copies_of_a_run": int(runs.copies.max()),
         "seed": seed,
         "content_hash": content_hash(rows),
+        "note": lacks,
     }
     return Report(rows, {"principal_components": picture}, summary)
 

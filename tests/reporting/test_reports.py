@@ -6,7 +6,6 @@ import pandas as pd
 import pytest
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.datasets import bootstrap
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.reporting.reports import (
     bootstrapped_dataset,
@@ -23,7 +22,7 @@ from tests.datasets.synthetic import run_features
 N = 60
 REPORTS = {
     "bootstrapped": lambda df: bootstrapped_dataset(df, N),
-    "grid": lambda df: clustering_grid_search(bootstrap(df, N, 0.3, seed=0)),
+    "grid": lambda df: clustering_grid_search(bootstrapped_dataset(df, N).table),
     "rates": lambda df: malicious_rate_report(df, N),
     "pairs": lambda df: pairwise_report(df, N),
     "evaluation": oracle_evaluation,
@@ -37,11 +36,7 @@ CAMPAIGNS = {
     "one block, no graphs": run_features(runs=1)[[c for c in SMALL if "structural" not in c]],
     "nothing known": SMALL.assign(**dict.fromkeys(FEATURES, np.nan)),
 }
-REFUSED = {  # what has no honest table at all
-    "no attack": {"bootstrapped", "grid"},
-    "one run": {"bootstrapped", "grid"},
-    "nothing known": {"grid"},
-}
+REFUSED = {"nothing known": {"grid"}}  # what has no honest table at all
 
 
 @functools.cache
@@ -119,3 +114,12 @@ def test_a_strong_attack_stands_out_in_the_evaluation():
 )
 def test_the_headline_says_no_more_than_the_interval(area, said):
     assert said in headline(area)
+
+
+@pytest.mark.parametrize("malicious", [True, False])
+def test_a_campaign_of_one_class_is_drawn_from_that_class_and_says_so(malicious):
+    campaign = run_features(runs=3)
+    one_class = campaign[(campaign["label"] == "malicious") == malicious]
+    report = bootstrapped_dataset(one_class, n=50)
+    assert report.summary["malicious_rows"] == (50 if malicious else 0)
+    assert report.summary["note"] == f"no {'normal' if malicious else 'malicious'} runs"
