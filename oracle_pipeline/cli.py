@@ -64,7 +64,7 @@ def main() -> None:
 def features(
     run_or_bag: Path, table: str, file_format: str, output: Path | None, plugins: Path | None
 ) -> None:
-    r"""Compute the features of one recording.
+    """Compute the features of one recording.
 
     RUN_OR_BAG is a run directory, the folder of a rosbag2 (SQLite or MCAP, split or compressed), a
     single .mcap or .db3 file, or a ROS 1 .bag file. No ROS is needed. A feature that this recording
@@ -75,7 +75,7 @@ def features(
         oracle features data/runs/fake_object/run003
         oracle features my_robot_bag/ | jq '.rows[0]["contextual.total_turning"]'
         oracle features my_robot_bag/ --table window --format parquet --output windows.parquet
-    """
+    """  # noqa: D301 -- click reads the control character
     if file_format == "parquet" and output is None:
         raise click.UsageError("Parquet is not text: name a file with --output.")
     manager = feature_extraction.build_manager(plugins)

@@ -62,7 +62,7 @@ def record(
     workers: int,
     refresh: bool,
 ) -> None:
-    r"""Record N runs of one mode.
+    """Record N runs of one mode.
 
     Run i of every mode has the same start, goals and nuisance (block i), so runs compare across
     modes. What is recorded already is left as it is; an interrupted call is completed by the
@@ -72,7 +72,7 @@ def record(
     Example:
         oracle-sim record -m fake_object -n 3 --out data
         oracle features 'data/runs/fake_object/run000'
-    """
+    """  # noqa: D301 -- click reads the control character
     campaign = Campaign(seed=seed, goals_per_run=goals, storage=storage)
     job = functools.partial(_record, mode, campaign, out, refresh)
     failed = 0
