@@ -1,0 +1,234 @@
+"""AMCL: where the robot is on the map, from odometry and laser scans.
+
+The filter's mathematics are in ``particle_filter`` and ``likelihood_field``; here are topics,
+transforms and the gates that decide when a scan updates the filter.
+"""
+
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.types import message_class, serialize
+from sim.middleware import qos
+from sim.middleware.domain import Domain
+from sim.middleware.executor import MILLISECOND, SECOND
+from sim.middleware.geometry import Pose2D, wrap_angle
+from sim.middleware.stamps import header, stamp_ns
+from sim.middleware.tf import (
+    TransformBroadcaster,
+    TransformBuffer,
+    TransformError,
+    TransformListener,
+    planar_transform,
+)
+from sim.nav2.lifecycle import LifecycleNode
+from sim.nav2.likelihood_field import LikelihoodField
+from sim.nav2.messages import pose_message, pose_yaw
+from sim.nav2.particle_filter import MAX_PARTICLES, ParticleFilter
+
+_ParticleCloud = message_class("nav2_msgs/msg/ParticleCloud")
+_PoseWithCovariance = message_class("geometry_msgs/msg/PoseWithCovariance")
+_PoseWithCovarianceStamped = message_class("geometry_msgs/msg/PoseWithCovarianceStamped")
+
+MAP_FRAME = "map"
+ODOM_FRAME = "odom"
+BASE_FRAME = "base_footprint"
+MAX_BEAMS = 60
+UPDATE_MIN_D = 0.25  # along one axis of the odometry frame [m]
+UPDATE_MIN_A = 0.2  # [rad]
+TRANSFORM_TOLERANCE_NS = SECOND  # how long map -> odom stays valid after its scan
+LASER_MAX_RANGE = 100.0  # [m]
+_RETRY_NS = 10 * MILLISECOND
+_CLOUD_TYPE = "nav2_msgs/msg/ParticleCloud"
+_ENCAPSULATION = 4  # bytes before the first field of a CDR message
+_PLANAR = np.ix_([0, 1, 5], [0, 1, 5])  # x, y and yaw in a 6x6 covariance
+
+
+class Amcl(LifecycleNode):
+    """Localises the robot and publishes map -> odom; silent until it is told where it starts.
+
+    Parameters
+    ----------
+    domain
+        Where the node lives.
+    listener
+        Suffix of its transform listener's name.
+    rng
+        Moves and draws the particles.
+    transforms
+        Buffer to share with other listeners; its own if omitted.
+    latency_ns
+        From a scan's publication to its arrival here.
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        listener: str,
+        *,
+        rng: np.random.Generator,
+        transforms: TransformBuffer | None = None,
+        latency_ns: int = 0,
+    ) -> None:
+        super().__init__(domain, "/amcl", rng=rng, latency_ns=latency_ns)
+        self._transforms = TransformListener(domain, listener, transforms).buffer
+        self._broadcaster = TransformBroadcaster(self)
+        self._field: LikelihoodField | None = None
+        self._filter: ParticleFilter | None = None
+        self._updated_at: Pose2D | None = None  # robot in odom at the last update
+        self._map_to_odom: Pose2D | None = None
+        self._scan: Any = None  # the latest one
+        self._is_forced = False
+
+        self._pose = self.create_publisher(
+            "geometry_msgs/msg/PoseWithCovarianceStamped", "/amcl_pose", qos.LATCHED
+        )
+        self._cloud = self.create_publisher(_CLOUD_TYPE, "/particle_cloud", qos.SENSOR_DATA)
+        empty = "std_srvs/srv/Empty"
+        self.create_service(empty, "/reinitialize_global_localization", self._scatter)
+        self.create_service(empty, "/request_nomotion_update", self._force_update)
+        self.create_service("nav2_msgs/srv/SetInitialPose", "/set_initial_pose", self._on_pose)
+
+    def on_configure(self) -> None:
+        """Listen to map, scans and initial poses."""
+        self.create_subscription("nav_msgs/msg/OccupancyGrid", "/map", self._on_map, qos.LATCHED)
+        self.create_subscription(
+            "sensor_msgs/msg/LaserScan", "/scan", self._on_scan, qos.SENSOR_DATA
+        )
+        self.create_subscription(
+            "geometry_msgs/msg/PoseWithCovarianceStamped",
+            "/initialpose",
+            self._on_pose,
+            qos.SYSTEM_SUBSCRIPTION,
+        )
+
+    # -- what comes in ---------------------------------------------------------------------
+
+    def _on_map(self, message: Any) -> None:
+        meta = message.info
+        occupancy = message.data.reshape(meta.height, meta.width)
+        corner = meta.origin.position
+        self._field = LikelihoodField(occupancy, meta.resolution, corner.x, corner.y)
+
+    def _on_pose(self, message: Any) -> None:
+        """Start anew around a ``PoseWithCovarianceStamped`` in the map frame."""
+        position = message.pose.pose.position
+        mean = np.array([position.x, position.y, pose_yaw(message.pose.pose)])
+        covariance = np.reshape(message.pose.covariance, (6, 6))[_PLANAR]
+        poses = self.rng.multivariate_normal(mean, covariance, MAX_PARTICLES, method="eigh")
+        self._filter = ParticleFilter(poses, self.rng)
+        self._updated_at = None
+
+    def _on_scan(self, scan: Any) -> None:
+        self._scan = scan
+        self._process(scan)
+
+    def _process(self, scan: Any) -> None:
+        """Use a scan as soon as odometry at its stamp is known, unless a newer one came."""
+        if scan is not self._scan or not self.is_active:
+            return
+        if self._field is None or self._filter is None:
+            return
+        time_ns = stamp_ns(scan.header.stamp)
+        try:
+            odom = self._transforms.lookup(ODOM_FRAME, BASE_FRAME, time_ns)
+            laser = self._transforms.lookup(BASE_FRAME, scan.header.frame_id, time_ns)
+        except TransformError:
+            self.call_later(_RETRY_NS, self._process, scan)
+            return
+        if self._updated_at is None:
+            self._update(self._field, self._filter, scan, odom, laser)
+        elif self._is_forced or _has_moved(self._updated_at, odom):
+            self._filter.move(self._updated_at, odom)
+            self._update(self._field, self._filter, scan, odom, laser)
+        self._send_transform(time_ns)
+
+    # -- what goes out ---------------------------------------------------------------------
+
+    def _update(
+        self,
+        field: LikelihoodField,
+        belief: ParticleFilter,
+        scan: Any,
+        odom: Pose2D,
+        laser: Pose2D,
+    ) -> None:
+        """Weigh and resample the particles by a scan; publish cloud and pose."""
+        range_max = min(scan.range_max, LASER_MAX_RANGE)
+        belief.weigh(field.weights(belief.poses, laser.apply(_beams(scan, range_max)), range_max))
+        belief.resample()
+        self._updated_at = odom
+        self._is_forced = False
+        pose, covariance = belief.estimate()
+        self._map_to_odom = pose.compose(odom.inverse())
+        self._cloud.publish_serialized(_cloud_data(self.now_ns, belief))
+        full = np.zeros((6, 6))
+        full[_PLANAR] = covariance
+        message = _PoseWithCovarianceStamped(
+            header(stamp_ns(scan.header.stamp), MAP_FRAME),
+            _PoseWithCovariance(pose_message(pose.x, pose.y, pose.yaw), full.ravel()),
+        )
+        self._pose.publish(message)
+
+    def _send_transform(self, time_ns: int) -> None:
+        if self._map_to_odom is not None:
+            valid_ns = time_ns + TRANSFORM_TOLERANCE_NS
+            transform = planar_transform(valid_ns, MAP_FRAME, ODOM_FRAME, self._map_to_odom)
+            self._broadcaster.send([transform])
+
+    # -- services --------------------------------------------------------------------------
+
+    def _scatter(self, _request: None) -> None:
+        """Spread the particles over all free space."""
+        if self._field is not None:
+            poses = self._field.random_free_poses(MAX_PARTICLES, self.rng)
+            self._filter = ParticleFilter(poses, self.rng)
+            self._updated_at = None
+
+    def _force_update(self, _request: None) -> None:
+        """Let the next scan update the filter wherever the robot is."""
+        self._is_forced = True
+
+
+def _has_moved(before: Pose2D, after: Pose2D) -> bool:
+    """Tell whether the robot moved enough for an update; each axis counts by itself."""
+    return (
+        abs(after.x - before.x) > UPDATE_MIN_D
+        or abs(after.y - before.y) > UPDATE_MIN_D
+        or abs(wrap_angle(after.yaw - before.yaw)) > UPDATE_MIN_A
+    )
+
+
+def _beams(scan: Any, range_max: float) -> NDArray[np.float64]:
+    """Return the ends of the beams that AMCL looks at, in the sensor frame, shape (n, 2) [m].
+
+    Readings that hit nothing, or are too near to be one, are left out.
+    """
+    ranges = np.asarray(scan.ranges, dtype=np.float64)
+    step = max(1, (ranges.size - 1) // (MAX_BEAMS - 1))
+    angles = scan.angle_min + scan.angle_increment * np.arange(0, ranges.size, step)
+    ranges = ranges[::step]
+    hit = (ranges > scan.range_min) & (ranges < range_max)
+    ranges, angles = ranges[hit], angles[hit]
+    return np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])
+
+
+def _cloud_data(time_ns: int, belief: ParticleFilter) -> bytes:
+    """Return ``nav2_msgs/msg/ParticleCloud`` as CDR bytes.
+
+    Written from arrays: two thousand message objects would cost more than the filter itself.
+    """
+    empty = serialize(_ParticleCloud(header(time_ns, MAP_FRAME), []), _CLOUD_TYPE)
+    before_count = empty[: -struct.calcsize("<I")]
+    count = len(belief.poses)
+    # x, y, z, quaternion x, y, z, w, weight; float64 is aligned to 8 behind the encapsulation.
+    particles = np.zeros((count, 8))
+    particles[:, :2] = belief.poses[:, :2]
+    particles[:, 5] = np.sin(belief.poses[:, 2] / 2.0)
+    particles[:, 6] = np.cos(belief.poses[:, 2] / 2.0)
+    particles[:, 7] = belief.weights
+    prefix = before_count + struct.pack("<I", count)
+    padding = bytes(-(len(prefix) - _ENCAPSULATION) % 8)
+    return prefix + padding + particles.astype("<f8").tobytes()

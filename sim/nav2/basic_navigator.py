@@ -1,0 +1,153 @@
+"""The client: tells AMCL where the robot starts and sends it on a patrol.
+
+It is ``BasicNavigator`` of ``nav2_simple_commander``, which opens a client for every action.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from oracle_pipeline.bags.types import message_class
+from sim.middleware import qos
+from sim.middleware.action import ActionClient, GoalHandle, Status
+from sim.middleware.domain import Domain
+from sim.middleware.executor import SECOND
+from sim.middleware.geometry import Pose2D
+from sim.middleware.node import Node, Timer
+from sim.middleware.stamps import header
+from sim.nav2.messages import pose_message, pose_stamped
+
+_NavigateToPose = message_class("nav2_msgs/action/NavigateToPose_Goal")
+_PoseWithCovariance = message_class("geometry_msgs/msg/PoseWithCovariance")
+_PoseWithCovarianceStamped = message_class("geometry_msgs/msg/PoseWithCovarianceStamped")
+
+Outcome = Literal["succeeded", "aborted", "canceled"]
+
+_OTHER_ACTIONS = (
+    ("navigate_through_poses", "NavigateThroughPoses"),
+    ("follow_waypoints", "FollowWaypoints"),
+    ("follow_path", "FollowPath"),
+    ("compute_path_to_pose", "ComputePathToPose"),
+    ("compute_path_through_poses", "ComputePathThroughPoses"),
+    ("smooth_path", "SmoothPath"),
+    ("spin", "Spin"),
+    ("backup", "BackUp"),
+    ("assisted_teleop", "AssistedTeleop"),
+)
+_SERVICES = (
+    ("LoadMap", "/map_server/load_map"),
+    ("ClearEntireCostmap", "/global_costmap/clear_entirely_global_costmap"),
+    ("ClearEntireCostmap", "/local_costmap/clear_entirely_local_costmap"),
+    ("GetCostmap", "/global_costmap/get_costmap"),
+    ("GetCostmap", "/local_costmap/get_costmap"),
+)
+_OUTCOMES: dict[Status, Outcome] = {
+    Status.SUCCEEDED: "succeeded",
+    Status.ABORTED: "aborted",
+    Status.CANCELED: "canceled",
+}
+
+
+@dataclass(slots=True)
+class GoalResult:
+    """How one goal of a patrol went."""
+
+    goal: Pose2D  # in the map
+    accepted_ns: int
+    ended_ns: int | None = None  # None while it is under way
+    outcome: Outcome | None = None
+    number_of_recoveries: int = 0
+
+
+class BasicNavigator(Node):
+    """Sends goals, one after the other.
+
+    Parameters
+    ----------
+    domain, latency_ns
+        As for `Node`.
+
+    Attributes
+    ----------
+    results
+        One entry for each goal sent so far.
+    """
+
+    def __init__(self, domain: Domain, *, latency_ns: int = 0) -> None:
+        super().__init__(domain, "/basic_navigator", endpoints="P", latency_ns=latency_ns)
+        self.results: list[GoalResult] = []
+        self._localized = False
+        self._initial_pose = self.create_publisher(
+            "geometry_msgs/msg/PoseWithCovarianceStamped", "/initialpose"
+        )
+        self.create_subscription(
+            "geometry_msgs/msg/PoseWithCovarianceStamped",
+            "/amcl_pose",
+            self._on_amcl_pose,
+            qos.LATCHED,
+        )
+        self._client = ActionClient(self, "nav2_msgs/action/NavigateToPose", "/navigate_to_pose")
+        for name, action in _OTHER_ACTIONS:
+            ActionClient(self, f"nav2_msgs/action/{action}", f"/{name}")
+        for srvtype, service in _SERVICES:
+            self.create_client(f"nav2_msgs/srv/{srvtype}", service)
+
+    def set_initial_pose(self, pose: Pose2D) -> None:
+        """Tell AMCL the robot's pose in the map, once a second until it answers."""
+        self._localized = False
+
+        def tell() -> None:
+            if self._localized:
+                timer.cancel()
+                return
+            self._initial_pose.publish(
+                _PoseWithCovarianceStamped(
+                    header(self.now_ns, "map"),
+                    _PoseWithCovariance(pose_message(pose.x, pose.y, pose.yaw), np.zeros(36)),
+                )
+            )
+
+        timer: Timer = self.create_timer(SECOND, tell, phase_ns=0)
+
+    def follow(
+        self,
+        goals: Sequence[Pose2D],
+        on_done: Callable[[], None],
+        on_accepted: Callable[[GoalResult], None] = lambda _: None,
+    ) -> None:
+        """Drive to poses in the map, in order; a goal that is not reached ends the patrol.
+
+        Parameters
+        ----------
+        goals
+            The poses.
+        on_done
+            Called when the last goal is reached, or one is not; see ``results``.
+        on_accepted
+            Called with the new result when a goal has been accepted.
+        """
+        if not goals:
+            on_done()
+            return
+        goal, *others = goals
+
+        def on_feedback(feedback: Any) -> None:
+            result.number_of_recoveries = int(feedback.number_of_recoveries)
+
+        def on_result(status: Status, _result: Any) -> None:
+            result.ended_ns = self.now_ns
+            result.outcome = _OUTCOMES[status]
+            self.follow(others if status is Status.SUCCEEDED else [], on_done, on_accepted)
+
+        pose = pose_stamped(self.now_ns, "map", goal.x, goal.y, goal.yaw)
+        handle: GoalHandle = self._client.send_goal(
+            _NavigateToPose(pose, ""), on_result, on_feedback
+        )
+        result = GoalResult(goal, handle.accepted_ns)
+        self.results.append(result)
+        on_accepted(result)
+
+    def _on_amcl_pose(self, _pose: Any) -> None:
+        self._localized = True

@@ -1,0 +1,349 @@
+"""The behaviour server: short blind manoeuvres that may free a stuck robot.
+
+As on Humble, velocities go straight to ``/cmd_vel``, past velocity smoother and collision
+monitor; what keeps them from harm is a look ahead in the local costmap.
+"""
+
+import enum
+import functools
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from oracle_pipeline.bags.types import message_class
+from sim.middleware import qos
+from sim.middleware.action import ActionServer, GoalHandle, Status
+from sim.middleware.domain import Domain
+from sim.middleware.executor import SECOND
+from sim.middleware.geometry import Pose2D, wrap_angle
+from sim.middleware.node import Timer
+from sim.middleware.stamps import duration_message, stamp_ns
+from sim.middleware.tf import TransformBuffer, TransformError, TransformListener
+from sim.nav2.costmap import LETHAL, Costmap2D, footprint_cost
+from sim.nav2.lifecycle import LifecycleNode
+from sim.nav2.messages import TWIST, twist_message
+
+_BackUpFeedback = message_class("nav2_msgs/action/BackUp_Feedback")
+_DriveFeedback = message_class("nav2_msgs/action/DriveOnHeading_Feedback")
+_SpinFeedback = message_class("nav2_msgs/action/Spin_Feedback")
+_WaitFeedback = message_class("nav2_msgs/action/Wait_Feedback")
+
+CYCLE_HZ = 10
+LOOK_AHEAD_S = 2.0
+ODOM_FRAME = "odom"
+BASE_FRAME = "base_link"
+MAX_ROTATIONAL_VEL = 1.0  # [rad/s]
+MIN_ROTATIONAL_VEL = 0.4  # [rad/s]
+ROTATIONAL_ACC_LIM = 3.2  # [rad/s^2]
+_REACHED_RAD = 1e-6
+
+
+class Outcome(enum.Enum):
+    """What one cycle of a behaviour came to."""
+
+    RUNNING = enum.auto()
+    SUCCEEDED = enum.auto()
+    FAILED = enum.auto()
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """The result of one cycle."""
+
+    outcome: Outcome
+    linear: float = 0.0  # velocity to send while running [m/s]
+    angular: float = 0.0  # [rad/s]
+    feedback: Any = None
+
+
+class Surroundings:
+    """Where the robot is and whether it would fit elsewhere."""
+
+    def __init__(self, transforms: TransformBuffer) -> None:
+        self._transforms = transforms
+        self._grid: Costmap2D | None = None
+
+    def on_costmap(self, message: Any) -> None:
+        """Take the local costmap in."""
+        self._grid = Costmap2D.from_message(message)
+
+    def pose(self) -> Pose2D | None:
+        """Return the robot's pose in the odometry frame; None while it is not known."""
+        try:
+            return self._transforms.lookup(ODOM_FRAME, BASE_FRAME)
+        except TransformError:
+            return None
+
+    def is_free(self, pose: Pose2D) -> bool:
+        """Tell whether the robot's outline at ``pose`` touches no obstacle and no unknown space."""
+        return self._grid is not None and footprint_cost(self._grid, pose) < LETHAL
+
+
+class Behavior(ABC):
+    """One action of the server; ten cycles a second while it runs.
+
+    Parameters
+    ----------
+    node
+        The server.
+    surroundings
+        What the server knows.
+    """
+
+    name: ClassVar[str]  # of the action, without the slash
+    action: ClassVar[str]  # its type, without the package
+
+    def __init__(self, node: LifecycleNode, surroundings: Surroundings) -> None:
+        self.node = node
+        self.surroundings = surroundings
+        self._velocity = node.create_publisher(TWIST, "/cmd_vel", qos.RELIABLE)
+        self._goal: GoalHandle | None = None
+        self._loop: Timer
+        self._deadline_ns: int | None = None
+        action_type = f"nav2_msgs/action/{self.action}"
+        ActionServer(node, action_type, f"/{self.name}", self._on_goal)
+
+    @abstractmethod
+    def start(self, goal: Any, pose: Pose2D) -> bool:
+        """Begin at ``pose`` (odometry frame); False if the goal cannot be done."""
+
+    @abstractmethod
+    def step(self, pose: Pose2D) -> Step:
+        """Do one cycle at ``pose`` (odometry frame)."""
+
+    def allow(self, time: Any) -> None:
+        """Set the time allowance (``builtin_interfaces/msg/Duration``); none is no limit."""
+        allowance_ns = stamp_ns(time)
+        self._deadline_ns = self.node.now_ns + allowance_ns if allowance_ns else None
+
+    def is_overdue(self) -> bool:
+        """Tell, and log, whether the time allowance is used up."""
+        if self._deadline_ns is None or self.node.now_ns <= self._deadline_ns:
+            return False
+        self.node.warn(f"Exceeded time allowance before reaching the {self.action} goal")
+        return True
+
+    def _on_goal(self, goal: GoalHandle) -> None:
+        if self._goal is not None:  # as in life, a behaviour cannot be preempted: both goals end
+            self._end(self._goal.abort)
+            goal.abort()
+            return
+        self.node.info(f"Running {self.name}")
+        pose = self.surroundings.pose()
+        if pose is None or not self.start(goal.goal, pose):
+            self.node.error(f"{self.name} could not be started")
+            goal.abort()
+            return
+        self._goal = goal
+        cycle = functools.partial(self._cycle, goal)
+        self._loop = self.node.create_timer(SECOND // CYCLE_HZ, cycle, phase_ns=0)
+
+    def _cycle(self, goal: GoalHandle) -> None:
+        pose = self.surroundings.pose()
+        if goal.status is Status.CANCELING:
+            self._end(goal.canceled)
+            return
+        step = self.step(pose) if pose is not None else Step(Outcome.FAILED)
+        if step.feedback is not None:
+            goal.publish_feedback(step.feedback)
+        if step.outcome is Outcome.RUNNING:
+            self.drive(step.linear, step.angular)
+        else:
+            self._end(goal.succeed if step.outcome is Outcome.SUCCEEDED else goal.abort)
+
+    def drive(self, linear: float, angular: float) -> None:
+        """Send a velocity to the wheels."""
+        self._velocity.publish(twist_message(linear, angular))
+
+    def _end(self, answer: Callable[[], None]) -> None:
+        self._loop.cancel()
+        self._goal = None
+        self.drive(0.0, 0.0)
+        self.node.info(f"{self.name} ended")
+        answer()
+
+
+class Spin(Behavior):
+    """Turns on the spot by an angle."""
+
+    name = "spin"
+    action = "Spin"
+
+    def start(self, goal: Any, pose: Pose2D) -> bool:
+        """Begin to turn."""
+        self._target = float(goal.target_yaw)
+        self._turned = 0.0
+        self._yaw = pose.yaw
+        self.allow(goal.time_allowance)
+        return True
+
+    def step(self, pose: Pose2D) -> Step:
+        """Turn on, slower towards the end."""
+        if self.is_overdue():
+            return Step(Outcome.FAILED)
+        self._turned += wrap_angle(pose.yaw - self._yaw)
+        self._yaw = pose.yaw
+        feedback = _SpinFeedback(self._turned)
+        remaining = abs(self._target) - abs(self._turned)
+        if remaining < _REACHED_RAD:
+            return Step(Outcome.SUCCEEDED, feedback=feedback)
+        speed = math.sqrt(2.0 * ROTATIONAL_ACC_LIM * remaining)
+        speed = min(max(speed, MIN_ROTATIONAL_VEL), MAX_ROTATIONAL_VEL)
+        velocity = math.copysign(speed, self._target)
+        if not self._is_clear(velocity, pose):
+            self.node.warn("Collision Ahead - Exiting Spin")
+            return Step(Outcome.FAILED, feedback=feedback)
+        return Step(Outcome.RUNNING, angular=velocity, feedback=feedback)
+
+    def _is_clear(self, velocity: float, pose: Pose2D) -> bool:
+        # Nav2 stops looking at the angle turned so far, not at the one that remains; so do we.
+        for seconds in _look_ahead():
+            change = velocity * seconds
+            if abs(self._turned) <= abs(change):
+                break
+            if not self.surroundings.is_free(Pose2D(pose.x, pose.y, pose.yaw + change)):
+                return False
+        return True
+
+
+class DriveOnHeading(Behavior):
+    """Drives straight ahead for a distance."""
+
+    name = "drive_on_heading"
+    action = "DriveOnHeading"
+    feedback: ClassVar[type[Any]] = _DriveFeedback
+
+    def start(self, goal: Any, pose: Pose2D) -> bool:
+        """Begin to drive; only straight, and speed and distance in the same direction."""
+        self._distance, self._speed = self.command(goal)
+        self._from = pose
+        self.allow(goal.time_allowance)
+        return goal.target.y == goal.target.z == 0.0 and self._distance * self._speed > 0.0
+
+    def command(self, goal: Any) -> tuple[float, float]:
+        """Return signed distance [m] and speed [m/s]."""
+        return float(goal.target.x), float(goal.speed)
+
+    def step(self, pose: Pose2D) -> Step:
+        """Drive on."""
+        if self.is_overdue():
+            return Step(Outcome.FAILED)
+        driven = pose.distance_to(self._from)
+        feedback = self.feedback(driven)
+        if driven >= abs(self._distance):
+            return Step(Outcome.SUCCEEDED, feedback=feedback)
+        if not self._is_clear(abs(self._distance) - driven, pose):
+            self.node.warn(f"Collision Ahead - Exiting {self.action}")
+            return Step(Outcome.FAILED, feedback=feedback)
+        return Step(Outcome.RUNNING, linear=self._speed, feedback=feedback)
+
+    def _is_clear(self, remaining: float, pose: Pose2D) -> bool:
+        for seconds in _look_ahead():
+            change = self._speed * seconds
+            if remaining <= abs(change):
+                break
+            if not self.surroundings.is_free(pose.compose(Pose2D(change))):
+                return False
+        return True
+
+
+class BackUp(DriveOnHeading):
+    """Drives straight back for a distance."""
+
+    name = "backup"
+    action = "BackUp"
+    feedback = _BackUpFeedback
+
+    def command(self, goal: Any) -> tuple[float, float]:
+        """Return signed distance [m] and speed [m/s], both backwards whatever was asked."""
+        return -abs(float(goal.target.x)), -abs(float(goal.speed))
+
+
+class Wait(Behavior):
+    """Does nothing for a time."""
+
+    name = "wait"
+    action = "Wait"
+
+    def start(self, goal: Any, pose: Pose2D) -> bool:  # noqa: ARG002 -- wherever it is
+        """Begin to wait."""
+        self._until_ns = self.node.now_ns + stamp_ns(goal.time)
+        return True
+
+    def step(self, pose: Pose2D) -> Step:  # noqa: ARG002 -- wherever it is
+        """Look at the clock."""
+        left_ns = self._until_ns - self.node.now_ns
+        feedback = _WaitFeedback(duration_message(max(0, left_ns)))
+        return Step(Outcome.RUNNING if left_ns > 0 else Outcome.SUCCEEDED, feedback=feedback)
+
+    def drive(self, linear: float, angular: float) -> None:
+        """Send nothing."""
+
+
+class AssistedTeleop(Behavior):
+    """Would drive as a person steers; nobody steers here, so no goal is accepted."""
+
+    name = "assisted_teleop"
+    action = "AssistedTeleop"
+
+    def start(self, goal: Any, pose: Pose2D) -> bool:  # noqa: ARG002 -- it never starts
+        """Refuse."""
+        return False
+
+    def step(self, pose: Pose2D) -> Step:  # noqa: ARG002 -- it never starts
+        """Fail."""
+        return Step(Outcome.FAILED)
+
+
+class BehaviorServer(LifecycleNode):
+    """Serves the five behaviours.
+
+    Parameters
+    ----------
+    domain, latency_ns
+        As for `LifecycleNode`.
+    listener
+        Suffix of its transform listener's name.
+    transforms
+        Buffer to share with other listeners; its own if omitted.
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        listener: str,
+        *,
+        transforms: TransformBuffer | None = None,
+        latency_ns: int = 0,
+    ) -> None:
+        super().__init__(domain, "/behavior_server", latency_ns=latency_ns)
+        self._surroundings = Surroundings(TransformListener(domain, listener, transforms).buffer)
+
+    def on_configure(self) -> None:
+        """Open the topics and the actions."""
+        self.create_subscription(
+            "nav2_msgs/msg/Costmap",
+            "/local_costmap/costmap_raw",
+            self._surroundings.on_costmap,
+            qos.LATCHED,
+        )
+        # Heard as in life; the outline never changes, so it is not taken from here.
+        self.create_subscription(
+            "geometry_msgs/msg/PolygonStamped",
+            "/local_costmap/published_footprint",
+            None,
+            qos.SYSTEM_SUBSCRIPTION,
+        )
+        self.create_subscription(TWIST, "/cmd_vel_teleop", None, qos.SYSTEM_SUBSCRIPTION)
+        self.create_subscription(
+            "std_msgs/msg/Empty", "/preempt_teleop", None, qos.SYSTEM_SUBSCRIPTION
+        )
+        for behavior in (Spin, BackUp, DriveOnHeading, AssistedTeleop, Wait):
+            behavior(self, self._surroundings)
+
+
+def _look_ahead() -> list[float]:
+    """Return the times at which a behaviour looks for obstacles [s]."""
+    return [cycle / CYCLE_HZ for cycle in range(int(CYCLE_HZ * LOOK_AHEAD_S))]

@@ -1,0 +1,424 @@
+"""A small behaviour-tree engine with the node types of Nav2's navigation tree.
+
+Statuses, halting and memory follow BehaviorTree.CPP 3 and ``nav2_behavior_tree`` on Humble: a
+child that is halted while it runs forgets where it was, one that has ended only goes idle.
+"""
+
+import enum
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from sim.middleware.action import ActionClient, GoalHandle
+from sim.middleware.action import Status as GoalStatus
+from sim.middleware.node import Client
+
+
+class Status(enum.Enum):
+    """What a node came to when it was last ticked."""
+
+    IDLE = enum.auto()
+    RUNNING = enum.auto()
+    SUCCESS = enum.auto()
+    FAILURE = enum.auto()
+
+
+class TreeNode(ABC):
+    """A node of the tree.
+
+    Parameters
+    ----------
+    name
+        As it appears in the log.
+
+    Attributes
+    ----------
+    on_change
+        Called with the node, its previous and its new status at every change.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.status = Status.IDLE
+        self.on_change: Callable[[TreeNode, Status, Status], None] = lambda *_: None
+
+    def execute(self) -> Status:
+        """Tick the node and keep the outcome as its status."""
+        self.set_status(self.tick())
+        return self.status
+
+    def set_status(self, status: Status) -> None:
+        """Change the status and tell whoever logs."""
+        if status is not self.status:
+            previous, self.status = self.status, status
+            self.on_change(self, previous, status)
+
+    def walk(self) -> Iterator["TreeNode"]:
+        """Yield the node and all below it."""
+        yield self
+
+    @abstractmethod
+    def tick(self) -> Status:
+        """Do the node's work of one tick."""
+
+    def halt(self) -> None:
+        """Interrupt the node."""
+        self.set_status(Status.IDLE)
+
+
+class ControlNode(TreeNode):
+    """A node that ticks its children by some rule."""
+
+    def __init__(self, name: str, children: Sequence[TreeNode]) -> None:
+        super().__init__(name)
+        self.children = children
+
+    def walk(self) -> Iterator[TreeNode]:
+        """Yield the node and all below it."""
+        yield self
+        for child in self.children:
+            yield from child.walk()
+
+    def halt(self) -> None:
+        """Interrupt the node and its children."""
+        self.halt_children()
+        super().halt()
+
+    def halt_child(self, child: TreeNode) -> None:
+        """Interrupt a child if it runs, and let it be idle."""
+        if child.status is Status.RUNNING:
+            child.halt()
+        child.set_status(Status.IDLE)
+
+    def halt_children(self) -> None:
+        """Do so with every child."""
+        for child in self.children:
+            self.halt_child(child)
+
+
+class SequenceNode(ControlNode):
+    """Ticks its children one after the other until one fails."""
+
+    def __init__(self, name: str, children: Sequence[TreeNode]) -> None:
+        super().__init__(name, children)
+        self._current = 0
+
+    def tick(self) -> Status:
+        """Go on with the child whose turn it is."""
+        self.set_status(Status.RUNNING)
+        while self._current < len(self.children):
+            status = self.children[self._current].execute()
+            if status is Status.RUNNING:
+                return status
+            if status is Status.FAILURE:
+                self._reset()
+                return status
+            self._current += 1
+        self._reset()
+        return Status.SUCCESS
+
+    def halt(self) -> None:
+        """Interrupt, and start from the first child next time."""
+        self._current = 0
+        super().halt()
+
+    def _reset(self) -> None:
+        self.halt_children()
+        self._current = 0
+
+
+class PipelineSequence(ControlNode):
+    """A sequence that ticks the children before the running one again in every tick."""
+
+    def __init__(self, name: str, children: Sequence[TreeNode]) -> None:
+        super().__init__(name, children)
+        self._furthest = 0
+
+    def tick(self) -> Status:
+        """Tick from the first child on, as far as the pipeline has come."""
+        for index, child in enumerate(self.children):
+            status = child.execute()
+            if status is Status.FAILURE:
+                self._reset()
+                return status
+            if status is Status.RUNNING and index >= self._furthest:
+                self._furthest = index
+                return status
+        self._reset()
+        return Status.SUCCESS
+
+    def halt(self) -> None:
+        """Interrupt, and start an empty pipeline next time."""
+        self._furthest = 0
+        super().halt()
+
+    def _reset(self) -> None:
+        self.halt_children()
+        self._furthest = 0
+
+
+class RecoveryNode(ControlNode):
+    """Ticks its first child; when that fails, the second one, and then the first again.
+
+    Parameters
+    ----------
+    name, child, recovery
+        The work, and what may help when it fails.
+    retries
+        How often.
+    """
+
+    def __init__(self, name: str, child: TreeNode, recovery: TreeNode, retries: int) -> None:
+        super().__init__(name, (child, recovery))
+        self._retries = retries
+        self._tries = 0
+        self._recovering = False
+
+    def tick(self) -> Status:
+        """Work, or recover."""
+        self.set_status(Status.RUNNING)
+        child, recovery = self.children
+        while True:
+            if not self._recovering:
+                status = child.execute()
+                if status is Status.RUNNING:
+                    return status
+                if status is Status.SUCCESS or self._tries >= self._retries:
+                    self.halt()
+                    return status
+                self.halt_child(child)
+                self._recovering = True
+            else:
+                status = recovery.execute()
+                if status is Status.RUNNING:
+                    return status
+                if status is Status.FAILURE:
+                    self.halt()
+                    return status
+                self.halt_child(recovery)
+                self._recovering = False
+                self._tries += 1
+
+    def halt(self) -> None:
+        """Interrupt, with all retries left next time."""
+        super().halt()
+        self._tries = 0
+        self._recovering = False
+
+
+class ReactiveFallback(ControlNode):
+    """Ticks its children from the first on in every tick until one does not fail."""
+
+    def tick(self) -> Status:
+        """Look for a child that succeeds or runs."""
+        for child in self.children:
+            status = child.execute()
+            if status is Status.RUNNING:
+                return status
+            if status is Status.SUCCESS:
+                break
+        self.halt_children()
+        return status
+
+
+class RoundRobin(ControlNode):
+    """Ticks one child until it ends, and the next one when asked again.
+
+    Its place outlasts success, so the next failure of a navigation meets the next recovery.
+    """
+
+    def __init__(self, name: str, children: Sequence[TreeNode]) -> None:
+        super().__init__(name, children)
+        self._current = 0
+        self._failed = 0
+
+    def tick(self) -> Status:
+        """Go on with the child whose turn it is, past those that fail."""
+        self.set_status(Status.RUNNING)
+        while self._failed < len(self.children):
+            status = self.children[self._current].execute()
+            if status is Status.RUNNING:
+                return status
+            self._current = (self._current + 1) % len(self.children)
+            if status is Status.SUCCESS:
+                self._failed = 0
+                self.halt_children()
+                return status
+            self._failed += 1
+        self.halt()
+        return Status.FAILURE
+
+    def halt(self) -> None:
+        """Interrupt, and start with the first child next time."""
+        super().halt()
+        self._current = 0
+        self._failed = 0
+
+
+class RateController(ControlNode):
+    """Ticks its child at once, then once a period; a running child in every tick.
+
+    Parameters
+    ----------
+    child
+        The only one.
+    period_ns
+        From one success of the child to its next tick.
+    now_ns
+        The clock.
+    wake_at
+        Asks for a tick of the tree at a time [ns].
+    """
+
+    def __init__(
+        self,
+        child: TreeNode,
+        period_ns: int,
+        now_ns: Callable[[], int],
+        wake_at: Callable[[int], None],
+    ) -> None:
+        super().__init__("RateController", (child,))
+        self._period_ns = period_ns
+        self._now_ns = now_ns
+        self._wake_at = wake_at
+        self._due_ns = 0
+
+    def tick(self) -> Status:
+        """Tick the child if it is due."""
+        if self.status is Status.IDLE:
+            self._due_ns = self._now_ns()
+        self.set_status(Status.RUNNING)
+        (child,) = self.children
+        if child.status is Status.RUNNING or self._now_ns() >= self._due_ns:
+            status = child.execute()
+            if status is not Status.SUCCESS:
+                return status
+            self._due_ns = self._now_ns() + self._period_ns
+            self._wake_at(self._due_ns)
+            return status
+        return Status.RUNNING
+
+
+class Condition(TreeNode):
+    """Succeeds if something holds."""
+
+    def __init__(self, name: str, holds: Callable[[], bool]) -> None:
+        super().__init__(name)
+        self._holds = holds
+
+    def tick(self) -> Status:
+        """Ask."""
+        return Status.SUCCESS if self._holds() else Status.FAILURE
+
+
+class ServiceNode(TreeNode):
+    """Calls a service and succeeds when it has answered.
+
+    Parameters
+    ----------
+    name, client
+        What to call.
+    on_start
+        Called with every request.
+    wake
+        Asks for a tick of the tree, as soon as there is an answer.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        client: Client,
+        on_start: Callable[[], None],
+        wake: Callable[[], None],
+    ) -> None:
+        super().__init__(name)
+        self._client = client
+        self._on_start = on_start
+        self._wake = wake
+        self._answered = False
+
+    def tick(self) -> Status:
+        """Call, or look for the answer."""
+        if self.status is Status.IDLE:
+            self._answered = False
+            self._on_start()
+            self._client.call(None, self._on_answer)
+            return Status.RUNNING
+        return Status.SUCCESS if self._answered else Status.RUNNING
+
+    def _on_answer(self, _response: Any) -> None:
+        self._answered = True
+        self._wake()
+
+
+class ActionNode(TreeNode):
+    """Has an action done.
+
+    Parameters
+    ----------
+    name, client
+        What to ask for.
+    make_goal
+        Called for the goal at the start, and in every tick after that: another object than
+        before is sent as a new goal, in place of the running one.
+    wake
+        Asks for a tick of the tree, as soon as there is a result.
+    on_start
+        Called when the action starts.
+    on_success
+        Called with the result of a goal that was reached.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        client: ActionClient,
+        make_goal: Callable[[], Any],
+        wake: Callable[[], None],
+        *,
+        on_start: Callable[[], None] = lambda: None,
+        on_success: Callable[[Any], None] = lambda _: None,
+    ) -> None:
+        super().__init__(name)
+        self._client = client
+        self._make_goal = make_goal
+        self._wake = wake
+        self._on_start = on_start
+        self._on_success = on_success
+        self._goal: Any = None
+        self._handle: GoalHandle | None = None
+        self._result: tuple[GoalStatus, Any] | None = None
+
+    def tick(self) -> Status:
+        """Send the goal, or look for its result."""
+        if self.status is Status.IDLE:
+            self._on_start()
+            self._goal = None
+            self._result = None
+        if self._result is None:
+            goal = self._make_goal()
+            if goal is not self._goal:
+                self._send(goal)
+            return Status.RUNNING
+        status, result = self._result
+        self._handle = None
+        if status is GoalStatus.SUCCEEDED:
+            self._on_success(result)
+        return Status.FAILURE if status is GoalStatus.ABORTED else Status.SUCCESS
+
+    def halt(self) -> None:
+        """Cancel the goal."""
+        if self._handle is not None and self._handle.is_active:
+            self._handle.cancel()
+        self._handle = None
+        super().halt()
+
+    def _send(self, goal: Any) -> None:
+        self._goal = goal
+
+        def on_result(status: GoalStatus, result: Any) -> None:
+            if self._handle is handle:  # not that of a goal that was replaced or given up
+                self._result = (status, result)
+                self._wake()
+
+        handle = self._handle = self._client.send_goal(goal, on_result)

@@ -1,0 +1,140 @@
+"""Nav2 as ``tb3_simulation_launch.py`` brings it up on Humble, with collision monitor and client.
+
+Here the nodes are made, wired and put under their lifecycle managers; the simulator's own nodes
+are added by ``sim.turtlebot3``.
+"""
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.middleware.domain import Domain
+from sim.middleware.node import Node
+from sim.middleware.tf import TransformListener
+from sim.nav2.amcl import Amcl
+from sim.nav2.basic_navigator import BasicNavigator
+from sim.nav2.behavior_server import BehaviorServer
+from sim.nav2.bt_navigator import BtNavigator
+from sim.nav2.collision_monitor import CollisionMonitor
+from sim.nav2.controller_server import ControllerServer
+from sim.nav2.costmap_node import GlobalCostmap, LocalCostmap
+from sim.nav2.lifecycle import LifecycleManager
+from sim.nav2.map_server import MapServer, OccupancyMap
+from sim.nav2.planner_server import PlannerServer
+from sim.nav2.rviz import NavigationDialog, RViz
+from sim.nav2.smoother_server import SmootherServer
+from sim.nav2.velocity_smoother import VelocitySmoother
+from sim.nav2.waypoint_follower import WaypointFollower
+
+OBSTACLE_SOURCES = ("/scan", "/scan_fakeobject")  # of both costmaps
+
+
+@dataclass(frozen=True, slots=True)
+class Nav2:
+    """What an experiment needs of a running Nav2."""
+
+    navigator: BasicNavigator
+    managers: tuple[LifecycleManager, ...]
+
+    @property
+    def is_active(self) -> bool:
+        """Tell whether all managed nodes are active, so that goals can be sent."""
+        return all(manager.is_active for manager in self.managers)
+
+
+def bring_up(
+    domain: Domain,
+    world_map: OccupancyMap,
+    *,
+    generator: Callable[[str], np.random.Generator],
+    latency_ns: int = 0,
+    run: int = 0,
+) -> Nav2:
+    """Put Nav2 into a domain; it becomes active once AMCL was told where the robot starts.
+
+    Parameters
+    ----------
+    domain
+        Where the simulator's nodes are.
+    world_map
+        The map to navigate on.
+    generator
+        Gives each node, by name, its randomness.
+    latency_ns
+        Of every node that processes messages, from a sample's publication to its callback.
+    run
+        Index of the run: process ids and addresses in node names come from it.
+    """
+
+    def listener(owner: str) -> str:
+        """Return what stands for the heap address of a node's transform listener."""
+        return f"5581{zlib.crc32(f'{owner}#{run}'.encode()):08x}"
+
+    # All listeners hear the same, so one of them fills the buffer of all.
+    transforms = TransformListener(domain, listener("rviz")).buffer
+
+    Node(domain, "/nav2_container", endpoints="E")
+    Node(domain, f"/launch_ros_{4000 + run}", endpoints="P")
+
+    MapServer(domain, {"turtlebot3_world": world_map}, "turtlebot3_world")
+    Amcl(
+        domain,
+        listener("amcl"),
+        rng=generator("/amcl"),
+        transforms=transforms,
+        latency_ns=latency_ns,
+    )
+    local_costmap = LocalCostmap(
+        domain,
+        listener("local_costmap"),
+        OBSTACLE_SOURCES,
+        rng=generator("/local_costmap/local_costmap"),
+        transforms=transforms,
+        latency_ns=latency_ns,
+    )
+    global_costmap = GlobalCostmap(
+        domain,
+        listener("global_costmap"),
+        OBSTACLE_SOURCES,
+        rng=generator("/global_costmap/global_costmap"),
+        transforms=transforms,
+        latency_ns=latency_ns,
+    )
+    ControllerServer(domain, local_costmap, transforms, latency_ns=latency_ns)
+    SmootherServer(
+        domain, listener("smoother_server"), transforms=transforms, latency_ns=latency_ns
+    )
+    PlannerServer(domain, global_costmap, latency_ns=latency_ns)
+    BehaviorServer(
+        domain, listener("behavior_server"), transforms=transforms, latency_ns=latency_ns
+    )
+    BtNavigator(domain, transforms, latency_ns=latency_ns)
+    WaypointFollower(domain, latency_ns=latency_ns)
+    VelocitySmoother(domain, latency_ns=latency_ns)
+    CollisionMonitor(
+        domain, listener("collision_monitor"), transforms=transforms, latency_ns=latency_ns
+    )
+
+    managers = (
+        LifecycleManager(domain, "/lifecycle_manager_localization", ["/map_server", "/amcl"]),
+        LifecycleManager(
+            domain,
+            "/lifecycle_manager_navigation",
+            [
+                "/controller_server",
+                "/smoother_server",
+                "/planner_server",
+                "/behavior_server",
+                "/bt_navigator",
+                "/waypoint_follower",
+                "/velocity_smoother",
+            ],
+        ),
+        LifecycleManager(domain, "/lifecycle_manager", ["/collision_monitor"]),
+    )
+
+    RViz(domain)
+    NavigationDialog(domain)
+    return Nav2(BasicNavigator(domain, latency_ns=latency_ns), managers)

@@ -1,0 +1,242 @@
+"""The collision monitor: the last word on a velocity before it reaches the wheels.
+
+For every command it counts the sensor points inside each polygon around the robot and stops the
+robot or slows it down, as Nav2's collision monitor does on Humble.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.jit import jit
+from sim.middleware import qos
+from sim.middleware.domain import Domain, Publisher
+from sim.middleware.executor import SECOND
+from sim.middleware.stamps import stamp_ns
+from sim.middleware.tf import TransformBuffer, TransformError, TransformListener
+from sim.nav2.footprint import polygon_message
+from sim.nav2.laser import scan_points
+from sim.nav2.lifecycle import LifecycleNode
+from sim.nav2.messages import TWIST, twist_message
+
+Points = NDArray[np.float64]  # shape (n, 2): x, y [m]
+
+
+BASE_FRAME = "base_footprint"
+ODOM_FRAME = "odom"
+SOURCE_TIMEOUT_NS = 5 * SECOND
+STOP_PUB_TIMEOUT_NS = 2 * SECOND
+_RANGE_STEP_RAD = math.radians(1.0)
+
+
+@dataclass(frozen=True)
+class Polygon:
+    """A zone around the robot and what happens when something is in it."""
+
+    name: str
+    topic: str
+    vertices: Points  # in ``BASE_FRAME``
+    action: Literal["stop", "slowdown"]
+    slowdown_ratio: float = 0.0
+    max_points: int = 3  # the action is taken for more points than this
+
+
+POLYGON_STOP = Polygon(
+    "PolygonStop",
+    "/polygon_stop",
+    np.array([(0.3, 0.3), (0.3, -0.3), (0.0, -0.3), (0.0, 0.3)]),
+    "stop",
+)
+POLYGON_SLOW = Polygon(
+    "PolygonSlow",
+    "/polygon_slowdown",
+    np.array([(0.4, 0.3), (0.4, -0.3), (-0.25, -0.3), (-0.25, 0.3)]),
+    "slowdown",
+    slowdown_ratio=0.3,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A topic of obstacles: laser scans, or single ranges (``sensor_msgs/msg/Range``)."""
+
+    topic: str
+    msgtype: Literal["sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range"]
+
+
+SOURCES = (
+    Source("/scan", "sensor_msgs/msg/LaserScan"),
+    Source("/scan_tom", "sensor_msgs/msg/LaserScan"),
+    Source("/scan_fakeobject", "sensor_msgs/msg/LaserScan"),
+    Source("/range_ella", "sensor_msgs/msg/Range"),
+)
+
+
+@dataclass(slots=True)
+class _Seen:
+    """What a source saw last, in its own frame."""
+
+    stamp_ns: int = 0
+    frame: str = ""
+    points: Points = field(default_factory=lambda: np.empty((0, 2)))
+
+
+class CollisionMonitor(LifecycleNode):
+    """Answers every command on ``/cmd_vel_raw`` with one on ``/cmd_vel``.
+
+    A source that is silent, or was for five seconds, has no points; the strictest polygon wins;
+    a robot that was stopped for two seconds gets no more commands.
+
+    Parameters
+    ----------
+    domain, latency_ns
+        As for `LifecycleNode`.
+    listener
+        Suffix of its transform listener's name.
+    transforms
+        Buffer to share with other listeners; its own if omitted. The robot's motion since a scan
+        is taken out with the newest odometry transform.
+    polygons
+        In the order in which they are looked at; none after one that stops the robot.
+    sources
+        Where points come from.
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        listener: str,
+        *,
+        transforms: TransformBuffer | None = None,
+        polygons: Sequence[Polygon] = (POLYGON_STOP, POLYGON_SLOW),
+        sources: Sequence[Source] = SOURCES,
+        latency_ns: int = 0,
+    ) -> None:
+        super().__init__(domain, "/collision_monitor", latency_ns=latency_ns)
+        self._transforms = TransformListener(domain, listener, transforms).buffer
+        self._polygons = polygons
+        self._sources = sources
+        self._seen: list[_Seen] = []
+        self._action = ""  # polygon that acts
+        self._halted_ns: int | None = None  # since when the robot is told to stand
+
+    def on_configure(self) -> None:
+        """Open the topics."""
+        self._publisher = self.create_publisher(TWIST, "/cmd_vel", qos.RELIABLE)
+        self._shapes: list[Publisher] = [
+            self.create_publisher("geometry_msgs/msg/PolygonStamped", polygon.topic)
+            for polygon in self._polygons
+        ]
+        for source in self._sources:
+            self._listen(source)
+
+    def on_activate(self) -> None:
+        """Show the polygons and start to answer."""
+        self._publish_polygons()
+        self.create_subscription(TWIST, "/cmd_vel_raw", self._on_command, qos.RELIABLE)
+
+    def _listen(self, source: Source) -> None:
+        seen = _Seen()
+        self._seen.append(seen)
+        is_scan = source.msgtype == "sensor_msgs/msg/LaserScan"
+        points_of = scan_points if is_scan else range_points
+
+        def receive(message: Any) -> None:
+            seen.stamp_ns = stamp_ns(message.header.stamp)
+            seen.frame = message.header.frame_id
+            seen.points = points_of(message)
+
+        self.create_subscription(source.msgtype, source.topic, receive, qos.SENSOR_DATA)
+
+    def _on_command(self, twist: Any) -> None:
+        command = (twist.linear.x, twist.angular.z)
+        (linear, angular), polygon = self._judge(command, self._points())
+        if polygon != self._action:
+            self.info(
+                f"Robot acts on {polygon}" if polygon else "Robot to continue normal operation"
+            )
+            self._action = polygon
+        self._publish(linear, angular)
+        self._publish_polygons()
+
+    def _points(self) -> Points:
+        """Return what all sources see, in the base frame as it is now."""
+        return np.concatenate([self._corrected(seen) for seen in self._seen])
+
+    def _corrected(self, seen: _Seen) -> Points:
+        if not len(seen.points) or self.now_ns - seen.stamp_ns > SOURCE_TIMEOUT_NS:
+            return seen.points[:0]
+        try:
+            then = self._transforms.lookup(ODOM_FRAME, seen.frame, seen.stamp_ns)
+            now = self._transforms.lookup(ODOM_FRAME, BASE_FRAME)
+        except TransformError:
+            return seen.points[:0]
+        return now.inverse().compose(then).apply(seen.points)
+
+    def _judge(
+        self, command: tuple[float, float], points: Points
+    ) -> tuple[tuple[float, float], str]:
+        """Return the velocity to send and the name of the polygon behind it, if any."""
+        request, cause = command, ""
+        for polygon in self._polygons:
+            if points_inside(polygon.vertices, points) <= polygon.max_points:
+                continue
+            if polygon.action == "stop":
+                return (0.0, 0.0), polygon.name
+            ratio = polygon.slowdown_ratio
+            slower = (command[0] * ratio, command[1] * ratio)
+            if math.hypot(*slower) < math.hypot(*request):
+                request, cause = slower, polygon.name
+        return request, cause
+
+    def _publish(self, linear: float, angular: float) -> None:
+        if linear == 0.0 and angular == 0.0:
+            if self._halted_ns is None:
+                self._halted_ns = self.now_ns
+            elif self.now_ns - self._halted_ns > STOP_PUB_TIMEOUT_NS:
+                return
+        else:
+            self._halted_ns = None
+        self._publisher.publish(twist_message(linear, angular))
+
+    def _publish_polygons(self) -> None:
+        for polygon, publisher in zip(self._polygons, self._shapes, strict=True):
+            publisher.publish(polygon_message(self.now_ns, BASE_FRAME, polygon.vertices))
+
+
+def range_points(message: Any) -> Points:
+    """Return the arc of a ``Range`` in the sensor's frame: a point a degree and one at the end."""
+    if not message.min_range <= message.range <= message.max_range:
+        return np.empty((0, 2))
+    half = message.field_of_view / 2.0
+    angles = np.append(np.arange(-half, half, _RANGE_STEP_RAD), half)
+    arc: Points = message.range * np.column_stack([np.cos(angles), np.sin(angles)])
+    return arc
+
+
+@jit
+def points_inside(vertices: Points, points: Points) -> int:
+    """Count the points inside a polygon (even-odd rule).
+
+    Parameters
+    ----------
+    vertices, points : ndarray of shape (n, 2)
+        In the same frame [m].
+    """
+    count = 0
+    for k in range(len(points)):
+        x, y = points[k, 0], points[k, 1]
+        inside = False
+        j = len(vertices) - 1
+        for i in range(len(vertices)):
+            if (vertices[i, 1] <= y) == (vertices[j, 1] > y):
+                share = (y - vertices[i, 1]) / (vertices[j, 1] - vertices[i, 1])
+                if x < vertices[i, 0] + share * (vertices[j, 0] - vertices[i, 0]):
+                    inside = not inside
+            j = i
+        count += inside
+    return count

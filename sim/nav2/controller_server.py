@@ -1,0 +1,251 @@
+"""The controller server: follows the path it is given, 20 times a second.
+
+The velocity comes from ``dwb``; here are the action, the topics, and the checkers that say
+whether the robot gets on and whether it is there.
+"""
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from oracle_pipeline.bags.types import message_class
+from sim.middleware import qos
+from sim.middleware.action import ActionServer, GoalHandle, Status
+from sim.middleware.domain import Domain
+from sim.middleware.executor import MILLISECOND, SECOND
+from sim.middleware.geometry import Pose2D, wrap_angle
+from sim.middleware.node import Timer
+from sim.middleware.stamps import stamp_ns
+from sim.middleware.tf import TransformBuffer, TransformError
+from sim.nav2 import dwb
+from sim.nav2.costmap import Costmap2D
+from sim.nav2.lifecycle import LifecycleNode
+from sim.nav2.messages import TWIST, twist_message
+from sim.nav2.paths import PATH, length_ahead, path_bytes, path_poses
+from sim.nav2.rotation_shim import RotationShim
+
+_Feedback = message_class("nav2_msgs/action/FollowPath_Feedback")
+
+PERIOD_NS = 50 * MILLISECOND
+FAILURE_TOLERANCE_NS = 300 * MILLISECOND
+MIN_X_VELOCITY = 0.001  # slower counts as standing [m/s]
+MIN_THETA_VELOCITY = 0.001  # [rad/s]
+
+
+class LocalCostmap(Protocol):
+    """What a controller needs of the local costmap node; it is the only node that drives it."""
+
+    grid: Costmap2D
+    is_current: bool
+
+    def robot_pose(self) -> Pose2D | None:
+        """Return the robot's latest pose in the costmap's frame."""
+
+    def is_ready(self) -> bool:
+        """Tell whether it could be activated."""
+
+    def configure(self) -> None:
+        """Configure the node."""
+
+    def activate(self) -> bool:
+        """Activate the node."""
+
+
+class ProgressChecker:
+    """Nav2's ``SimpleProgressChecker``: so far within so much time, or the robot is stuck."""
+
+    RADIUS_M = 0.5
+    ALLOWANCE_NS = 10 * SECOND
+
+    def __init__(self) -> None:
+        self._from: Pose2D | None = None
+        self._since_ns = 0
+
+    def check(self, pose: Pose2D, now_ns: int) -> bool:
+        """Tell whether the robot still gets on."""
+        if self._from is None or pose.distance_to(self._from) > self.RADIUS_M:
+            self._from, self._since_ns = pose, now_ns
+        return now_ns - self._since_ns <= self.ALLOWANCE_NS
+
+
+class GoalChecker:
+    """Nav2's ``SimpleGoalChecker``, stateful: near once is near enough, then the yaw counts."""
+
+    XY_TOLERANCE_M = 0.25
+    YAW_TOLERANCE_RAD = 0.25
+
+    def __init__(self) -> None:
+        self._near = False
+
+    def is_reached(self, pose: Pose2D, goal: Pose2D) -> bool:
+        """Tell whether the robot has arrived; both poses are in the same frame."""
+        self._near |= pose.distance_to(goal) <= self.XY_TOLERANCE_M
+        return self._near and abs(wrap_angle(goal.yaw - pose.yaw)) <= self.YAW_TOLERANCE_RAD
+
+
+class _ControllerError(Exception):
+    """The path cannot be followed any further."""
+
+
+class ControllerServer(LifecycleNode):
+    """Serves ``/follow_path``; a new goal takes the place of the running one without a stop.
+
+    Parameters
+    ----------
+    domain, latency_ns
+        As for `LifecycleNode`.
+    costmap
+        The local costmap; it is configured and activated together with this node.
+    transforms
+        Transforms from the path's frame into the costmap's.
+    parameters
+        Of the DWB planner.
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        costmap: LocalCostmap,
+        transforms: TransformBuffer,
+        *,
+        parameters: dwb.Parameters | None = None,
+        latency_ns: int = 0,
+    ) -> None:
+        super().__init__(domain, "/controller_server", latency_ns=latency_ns)
+        self._costmap = costmap
+        self._transforms = transforms
+        self._planner = RotationShim(parameters, period_ns=PERIOD_NS)
+        self._progress = ProgressChecker()
+        self._goal_checker = GoalChecker()
+        self._velocity = (0.0, 0.0)
+        self._goals: list[GoalHandle] = []  # the running one and the one to take its place
+        self._loop: Timer
+        self._valid_ns = 0  # when a velocity was found last
+
+    def is_ready(self) -> bool:
+        """Tell whether the local costmap can start."""
+        return self._costmap.is_ready()
+
+    def on_configure(self) -> None:
+        """Configure the costmap and open the topics."""
+        self._costmap.configure()
+        self._commands = self.create_publisher(TWIST, "/cmd_vel_nav", qos.RELIABLE)
+        self._received = self.create_publisher(PATH, "/received_global_plan", qos.RELIABLE)
+        self._transformed = self.create_publisher(PATH, "/transformed_global_plan", qos.RELIABLE)
+        self._local = self.create_publisher(PATH, "/local_plan", qos.RELIABLE)
+        # Debug topics: advertised as in life, silent here.
+        for msgtype, topic in (
+            ("dwb_msgs/msg/LocalPlanEvaluation", "/evaluation"),
+            ("visualization_msgs/msg/MarkerArray", "/marker"),
+            ("sensor_msgs/msg/PointCloud2", "/cost_cloud"),
+        ):
+            self.create_publisher(msgtype, topic, qos.RELIABLE)
+        self.create_subscription(
+            "nav_msgs/msg/Odometry", "/odom", self._on_odometry, qos.SYSTEM_SUBSCRIPTION
+        )
+        self.create_subscription("nav2_msgs/msg/SpeedLimit", "/speed_limit", self._on_speed_limit)
+        self._actions = ActionServer(
+            self, "nav2_msgs/action/FollowPath", "/follow_path", self._on_goal
+        )
+
+    def on_activate(self) -> None:
+        """Activate the costmap."""
+        self._costmap.activate()
+
+    def _on_odometry(self, odometry: Any) -> None:
+        linear, angular = odometry.twist.twist.linear.x, odometry.twist.twist.angular.z
+        self._velocity = (
+            linear if abs(linear) > MIN_X_VELOCITY else 0.0,
+            angular if abs(angular) > MIN_THETA_VELOCITY else 0.0,
+        )
+
+    def _on_speed_limit(self, message: Any) -> None:
+        self._planner.limit_speed(message.speed_limit, percentage=message.percentage)
+
+    def _on_goal(self, goal: GoalHandle) -> None:
+        for replaced in self._goals[1:]:
+            replaced.abort()
+        self._goals[1:] = [goal]
+        if self._goals == [goal]:
+            self._start()
+
+    def _start(self) -> None:
+        self.info("Received a goal, begin computing control effort.")
+        self._progress = ProgressChecker()
+        self._valid_ns = self.now_ns
+        self._take_path()
+        self._loop = self.create_timer(PERIOD_NS, self._cycle, phase_ns=0)
+
+    def _take_path(self) -> None:
+        path = self._goals[0].goal.path
+        self._frame = path.header.frame_id
+        self._stamp_ns = stamp_ns(path.header.stamp)
+        self._path = path_poses(path)
+        self._goal_checker = GoalChecker()
+        self._planner.set_plan(self._path)
+        self._received.publish_serialized(path_bytes(self._stamp_ns, self._frame, self._path))
+
+    def _cycle(self) -> None:
+        if self._goals[0].status is Status.CANCELING:
+            self._end(self._goals[0].canceled)
+            return
+        if not self._costmap.is_current:
+            return
+        if len(self._goals) > 1:
+            self.info("Passing new path to controller.")
+            self._goals.pop(0).abort()
+            self._take_path()
+        try:
+            reached = self._control()
+        except _ControllerError as error:
+            self.error(str(error))
+            self._end(self._goals[0].abort)
+        else:
+            if reached:
+                self.info("Reached the goal!")
+                self._end(self._goals[0].succeed)
+
+    def _control(self) -> bool:
+        """Send one velocity and tell whether the goal is reached."""
+        pose = self._costmap.robot_pose()
+        grid = self._costmap.grid
+        if pose is None:
+            raise _ControllerError("Failed to obtain robot pose")
+        if not self._progress.check(pose, self.now_ns):
+            raise _ControllerError("Failed to make progress")
+        if not len(self._path):
+            raise _ControllerError("Path is empty.")
+        try:
+            from_path = self._transforms.lookup(grid.frame, self._frame)
+        except TransformError as error:
+            raise _ControllerError(str(error)) from None
+        cells = dwb.CostGrid(grid.costs, grid.resolution, grid.origin_x, grid.origin_y)
+        cycle = self._planner.compute(cells, pose, self._velocity, from_path)
+        self._publish_plans(cycle, grid.frame)
+        if cycle.twist is not None:
+            self._valid_ns = self.now_ns
+        elif self.now_ns - self._valid_ns > FAILURE_TOLERANCE_NS:
+            raise _ControllerError("Controller patience exceeded")
+        else:
+            self.warn("No valid trajectories out of the sampled ones!")
+        twist = cycle.twist or (0.0, 0.0)
+        if self._actions.feedback_is_heard:
+            robot = from_path.inverse().compose(pose)
+            distance = length_ahead(self._path, robot.x, robot.y)
+            self._goals[0].publish_feedback(_Feedback(distance, abs(twist[0])))
+        self._commands.publish(twist_message(*twist))
+        return self._goal_checker.is_reached(pose, from_path.compose(Pose2D(*self._path[-1])))
+
+    def _publish_plans(self, cycle: dwb.Cycle, frame: str) -> None:
+        self._received.publish_serialized(
+            path_bytes(self._stamp_ns, self._frame, self._planner.plan)
+        )
+        self._transformed.publish_serialized(path_bytes(self.now_ns, frame, cycle.plan))
+        self._local.publish_serialized(path_bytes(self.now_ns, frame, cycle.trajectory))
+
+    def _end(self, answer: Callable[[], None]) -> None:
+        self._loop.cancel()
+        self._goals.pop(0)
+        self._commands.publish(twist_message(0.0, 0.0))
+        answer()
+        if self._goals:
+            self._start()

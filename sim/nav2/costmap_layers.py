@@ -1,0 +1,230 @@
+"""What fills a costmap: obstacles seen by lasers, the static map, and inflation around both.
+
+Pure functions of grids and points; transforms, topics and timers are in ``costmap_node``.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.jit import jit
+from sim.nav2.costmap import FREE_SPACE, INSCRIBED, LETHAL, NO_INFORMATION, Costmap2D, Costs, Points
+
+OBSTACLE_RANGE = 2.5  # marks nothing from here on [m]
+RAYTRACE_RANGE = 3.0  # clears nothing from here on [m]
+INFLATION_RADIUS = 0.55  # [m]
+COST_SCALING = 3.0  # [1/m]
+_TINY = 1e-9  # instead of a length of zero [m]
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What one sensor saw at one moment, in the costmap's frame."""
+
+    stamp_ns: int
+    x: float  # of the sensor [m]
+    y: float  # of the sensor [m]
+    points: Points  # (n, 2), where its beams ended [m]
+
+
+class ObstacleLayer:
+    """Obstacles that sensors see, and the space they see through.
+
+    Parameters
+    ----------
+    grid
+        Where the layer lies; only its geometry is used.
+    margin
+        Clearing stops this far before what a beam hit [m]: nothing in Nav2's obstacle layer,
+        two cells in its voxel layer.
+
+    Attributes
+    ----------
+    costs
+        Free, lethal, or unknown where no beam has been; as large as the grid.
+    """
+
+    def __init__(self, grid: Costmap2D, *, margin: float = 0.0) -> None:
+        self.costs = np.full_like(grid.costs, NO_INFORMATION)
+        self._margin = margin
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.costs[:] = NO_INFORMATION
+
+    def update(
+        self, grid: Costmap2D, observations: Sequence[Observation], footprint: Points
+    ) -> None:
+        """Clear along all beams, then mark where they ended, then clear under the robot."""
+        place = (grid.resolution, grid.origin_x, grid.origin_y)
+        for seen in observations:
+            _clear(self.costs, *place, seen.x, seen.y, beam_ends(grid, seen, self._margin))
+        for seen in observations:
+            _mark(self.costs, *place, seen.x, seen.y, seen.points)
+        _fill_convex(self.costs, *place, footprint)
+
+    def add_to(self, costs: Costs) -> None:
+        """Raise ``costs`` to this layer's where it knows something."""
+        known = self.costs != NO_INFORMATION
+        higher = (costs == NO_INFORMATION) | (self.costs > costs)
+        np.copyto(costs, self.costs, where=known & higher)
+
+
+def beam_ends(grid: Costmap2D, seen: Observation, margin: float) -> Points:
+    """Return how far each beam clears: short of its hit, in range, on the grid, (n, 2) [m]."""
+    sensor = np.array([seen.x, seen.y])
+    ray = seen.points - sensor
+    distance = np.hypot(ray[:, 0], ray[:, 1])
+    height, width = grid.costs.shape
+    low = np.array([grid.origin_x, grid.origin_y])
+    # A hair inside, so that a beam's end at the far border still has a cell.
+    high = low + grid.resolution * (np.array([width, height]) - 1e-6)
+    to_border = np.where(ray > 0.0, high - sensor, sensor - low) / np.maximum(np.abs(ray), _TINY)
+    share = np.clip(distance - margin, 0.0, RAYTRACE_RANGE) / np.maximum(distance, _TINY)
+    share = np.minimum(share, np.maximum(to_border.min(axis=1), 0.0))
+    ends: Points = sensor + share[:, np.newaxis] * ray
+    return ends
+
+
+def shift(costs: Costs, columns: int, rows: int, fill: int) -> Costs:
+    """Return a grid's content after its origin moved by whole cells; new cells hold ``fill``."""
+    height, width = costs.shape
+    moved = np.full_like(costs, fill)
+    if abs(rows) < height and abs(columns) < width:
+        target = np.s_[
+            max(0, -rows) : height - max(0, rows), max(0, -columns) : width - max(0, columns)
+        ]
+        source = np.s_[
+            max(0, rows) : height + min(0, rows), max(0, columns) : width + min(0, columns)
+        ]
+        moved[target] = costs[source]
+    return moved
+
+
+def static_costs(occupancy: NDArray[np.int8]) -> Costs:
+    """Return a map's occupancies as costs (Nav2's trinary mode, unknown space tracked)."""
+    costs: Costs = np.where(occupancy >= 100, LETHAL, FREE_SPACE).astype(np.uint8)
+    costs[occupancy < 0] = NO_INFORMATION
+    return costs
+
+
+class InflationLayer:
+    """Costs that fall with the distance from obstacles.
+
+    Parameters
+    ----------
+    resolution
+        Edge of a cell [m].
+    inscribed_radius
+        Distance within which the robot collides whatever its heading [m].
+    """
+
+    def __init__(self, resolution: float, inscribed_radius: float) -> None:
+        reach = round(INFLATION_RADIUS / resolution)
+        cells = np.arange(-reach, reach + 1)
+        distance = np.hypot(*np.meshgrid(cells, cells)) * resolution
+        decay = np.exp(-COST_SCALING * (distance - inscribed_radius))
+        costs = np.where(distance <= inscribed_radius, INSCRIBED, np.floor((INSCRIBED - 1) * decay))
+        costs[distance > reach * resolution + 1e-9] = FREE_SPACE
+        self._stamp = costs.astype(np.uint8)
+
+    def add_to(self, costs: Costs) -> None:
+        """Raise ``costs`` around its lethal cells."""
+        _inflate(costs, self._stamp, np.flatnonzero(costs == LETHAL))
+
+
+@jit
+def _inflate(costs: Costs, stamp: Costs, obstacles: NDArray[np.int64]) -> None:
+    """Press the stamp around every obstacle: cost falls with distance, so the nearest one wins.
+
+    Unknown cells become inscribed within the inscribed radius and stay unknown beyond it.
+    """
+    height, width = costs.shape
+    reach = stamp.shape[0] // 2
+    for obstacle in obstacles:
+        row, column = obstacle // width, obstacle % width
+        inside = 0 < row < height - 1 and 0 < column < width - 1
+        if inside and (
+            costs[row - 1, column] == LETHAL
+            and costs[row + 1, column] == LETHAL
+            and costs[row, column - 1] == LETHAL
+            and costs[row, column + 1] == LETHAL
+        ):
+            continue  # every cell outside has one of the neighbours nearer
+        for r in range(max(0, row - reach), min(height, row + reach + 1)):
+            for c in range(max(0, column - reach), min(width, column + reach + 1)):
+                cost = stamp[r - row + reach, c - column + reach]
+                old = costs[r, c]
+                if cost > old or (old == NO_INFORMATION and cost == INSCRIBED):
+                    costs[r, c] = cost
+
+
+@jit
+def _clear(
+    costs: Costs,
+    resolution: float,
+    origin_x: float,
+    origin_y: float,
+    sensor_x: float,
+    sensor_y: float,
+    ends: Points,
+) -> None:
+    """Free the cells from the sensor to every end, one a step along the longer axis."""
+    height, width = costs.shape
+    from_x = (sensor_x - origin_x) / resolution
+    from_y = (sensor_y - origin_y) / resolution
+    if not (0.0 <= from_x < width and 0.0 <= from_y < height):
+        return
+    column, row = int(from_x), int(from_y)
+    for i in range(ends.shape[0]):
+        columns = int((ends[i, 0] - origin_x) / resolution) - column
+        rows = int((ends[i, 1] - origin_y) / resolution) - row
+        steps = max(abs(columns), abs(rows))
+        for step in range(steps + 1):
+            share = step / max(steps, 1)
+            costs[row + round(share * rows), column + round(share * columns)] = FREE_SPACE
+
+
+@jit
+def _mark(
+    costs: Costs,
+    resolution: float,
+    origin_x: float,
+    origin_y: float,
+    sensor_x: float,
+    sensor_y: float,
+    points: Points,
+) -> None:
+    """Make the cells of all points in range lethal."""
+    height, width = costs.shape
+    for i in range(points.shape[0]):
+        x, y = points[i]
+        if np.hypot(x - sensor_x, y - sensor_y) >= OBSTACLE_RANGE:
+            continue
+        column = int(np.floor((x - origin_x) / resolution))
+        row = int(np.floor((y - origin_y) / resolution))
+        if 0 <= row < height and 0 <= column < width:
+            costs[row, column] = LETHAL
+
+
+@jit
+def _fill_convex(
+    costs: Costs, resolution: float, origin_x: float, origin_y: float, polygon: Points
+) -> None:
+    """Free the cells whose centre lies in a convex, counter-clockwise polygon."""
+    height, width = costs.shape
+    cells_x = (polygon[:, 0] - origin_x) / resolution
+    cells_y = (polygon[:, 1] - origin_y) / resolution
+    for row in range(max(0, int(cells_y.min())), min(height, int(cells_y.max()) + 1)):
+        for column in range(max(0, int(cells_x.min())), min(width, int(cells_x.max()) + 1)):
+            inside = True
+            for i in range(polygon.shape[0]):
+                j = (i + 1) % polygon.shape[0]
+                cross = (cells_x[j] - cells_x[i]) * (row + 0.5 - cells_y[i]) - (
+                    cells_y[j] - cells_y[i]
+                ) * (column + 0.5 - cells_x[i])
+                inside = inside and cross >= 0.0
+            if inside:
+                costs[row, column] = FREE_SPACE

@@ -1,0 +1,378 @@
+"""The two costmap nodes: scans and the map in, grids, footprint and clearing services out.
+
+How cells get their costs is in ``costmap_layers``. A server of the same process reads the node's
+``grid`` and ``robot_pose()`` directly, as Nav2's controller and planner do.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.types import message_class
+from sim.middleware import qos
+from sim.middleware.domain import Domain
+from sim.middleware.executor import MILLISECOND, SECOND
+from sim.middleware.geometry import Pose2D
+from sim.middleware.stamps import header, stamp_ns
+from sim.middleware.tf import TransformBuffer, TransformError, TransformListener
+from sim.nav2.costmap import (
+    FREE_SPACE,
+    LETHAL,
+    NO_INFORMATION,
+    Costmap2D,
+    Costs,
+    costmap_message,
+    occupancy_grid,
+)
+from sim.nav2.costmap_layers import (
+    InflationLayer,
+    Observation,
+    ObstacleLayer,
+    beam_ends,
+    shift,
+    static_costs,
+)
+from sim.nav2.footprint import FOOTPRINT, INSCRIBED_RADIUS, polygon_message
+from sim.nav2.laser import scan_points
+from sim.nav2.lifecycle import LifecycleNode
+
+_Point32 = message_class("geometry_msgs/msg/Point32")
+_PointCloud2 = message_class("sensor_msgs/msg/PointCloud2")
+_PointField = message_class("sensor_msgs/msg/PointField")
+_Vector3 = message_class("geometry_msgs/msg/Vector3")
+_VoxelGrid = message_class("nav2_msgs/msg/VoxelGrid")
+
+BASE_FRAME = "base_link"
+_SCAN_QOS = qos.profile(50, reliable=False)
+_WAKE_UP_JITTER_NS = MILLISECOND
+_CLEAR_RADIUS = 3.0  # reset distance of the clearing services [m]
+
+LOCAL_SIZE = 60  # cells along an edge
+LOCAL_RESOLUTION = 0.05  # [m]
+_VOXEL_LEVELS = 16
+_VOXEL_HEIGHT = 0.05  # [m]
+_LASER_Z = 0.132  # of the scan plane above the ground [m], by the robot's URDF
+_LASER_LEVEL = int(_LASER_Z / _VOXEL_HEIGHT)
+
+
+class _ScanSource:
+    """The latest scan of one topic that could be placed in the costmap's frame.
+
+    A scan waits until the transform at its stamp is known. As in Nav2 with persistence 0, the
+    latest one stays valid until the next arrives, however old it gets.
+    """
+
+    def __init__(self, frame: str) -> None:
+        self.observation: Observation | None = None
+        self._frame = frame
+        # Of two scans, the older one's transform is known for sure, once transforms flow.
+        self._waiting: deque[Any] = deque(maxlen=2)
+
+    def receive(self, scan: Any) -> None:
+        """Take a ``sensor_msgs/msg/LaserScan`` in."""
+        self._waiting.append(scan)
+
+    def place(self, transforms: TransformBuffer) -> None:
+        """Make the newest waiting scan whose transform is known the observation."""
+        for index in reversed(range(len(self._waiting))):
+            scan = self._waiting[index]
+            time_ns = stamp_ns(scan.header.stamp)
+            try:
+                sensor = transforms.lookup(self._frame, scan.header.frame_id, time_ns)
+            except TransformError:
+                continue
+            points = sensor.apply(scan_points(scan))
+            self.observation = Observation(time_ns, sensor.x, sensor.y, points)
+            for _ in range(index + 1):
+                self._waiting.popleft()
+            return
+
+
+class CostmapNode(LifecycleNode):
+    """What the local and the global costmap have in common.
+
+    Parameters
+    ----------
+    domain
+        Where the node lives.
+    listener
+        Suffix of its transform listener's name.
+    scan_topics
+        Obstacle sources; their publishers may appear late or never.
+    rng
+        Draws how late the update loop wakes up. Nav2 publishes when *more* than a period has
+        passed, so this decides whether the global costmap goes out after one second or two.
+    transforms
+        Buffer to share with other listeners; its own if omitted.
+    latency_ns
+        From a scan's publication to its arrival here.
+
+    Attributes
+    ----------
+    grid
+        The costs, renewed at every update; read it, do not keep it.
+    is_current
+        False from a complete clearing to the next update: not fit to plan on.
+    """
+
+    label: ClassVar[str]
+    frame: ClassVar[str]
+    update_period_ns: ClassVar[int]
+    publish_period_ns: ClassVar[int]
+    clearing_margin: ClassVar[float] = 0.0  # see `ObstacleLayer` [m]
+
+    def __init__(
+        self,
+        domain: Domain,
+        listener: str,
+        scan_topics: Sequence[str],
+        *,
+        rng: np.random.Generator,
+        transforms: TransformBuffer | None = None,
+        latency_ns: int = 0,
+    ) -> None:
+        label = self.label
+        super().__init__(domain, f"/{label}/{label}", bond=False, rng=rng, latency_ns=latency_ns)
+        self.is_current = True
+        self._transforms = TransformListener(domain, listener, transforms).buffer
+        self.set_grid(self.initial_grid())
+        self._published_ns = 0
+
+        self._footprint = self.create_publisher(
+            "geometry_msgs/msg/PolygonStamped", f"/{label}/published_footprint"
+        )
+        self._occupancy = self.create_publisher(
+            "nav_msgs/msg/OccupancyGrid", f"/{label}/costmap", qos.LATCHED
+        )
+        self._raw = self.create_publisher(
+            "nav2_msgs/msg/Costmap", f"/{label}/costmap_raw", qos.LATCHED
+        )
+        # Silent: always_send_full_costmap is set.
+        self.create_publisher(
+            "map_msgs/msg/OccupancyGridUpdate", f"/{label}/costmap_updates", qos.LATCHED
+        )
+        self.create_subscription(
+            "geometry_msgs/msg/Polygon", f"/{label}/footprint", None, qos.SYSTEM_SUBSCRIPTION
+        )
+        self._sources = [_ScanSource(self.frame) for _ in scan_topics]
+        for topic, source in zip(scan_topics, self._sources, strict=True):
+            self.create_subscription("sensor_msgs/msg/LaserScan", topic, source.receive, _SCAN_QOS)
+        for service, srvtype, handler in (
+            (f"clear_except_{label}", "ClearCostmapExceptRegion", self._clear_except),
+            (f"clear_around_{label}", "ClearCostmapAroundRobot", self._clear_around),
+            (f"clear_entirely_{label}", "ClearEntireCostmap", self._clear_entirely),
+            ("get_costmap", "GetCostmap", self._get_costmap),
+        ):
+            self.create_service(f"nav2_msgs/srv/{srvtype}", f"/{label}/{service}", handler)
+
+    def is_ready(self) -> bool:
+        """Tell whether the robot's pose is known, which activation waits for."""
+        return self.robot_pose() is not None
+
+    def on_activate(self) -> None:
+        """Start the update loop."""
+        self.create_timer(self.update_period_ns, self._wake_up, phase_ns=0)
+
+    def robot_pose(self) -> Pose2D | None:
+        """Return the robot's latest pose in the costmap's frame; None while it is not known."""
+        try:
+            return self._transforms.lookup(self.frame, BASE_FRAME)
+        except TransformError:
+            return None
+
+    def update(self) -> None:
+        """Bring the grid up to date; nothing happens while the robot's pose is not known."""
+        pose = self.robot_pose()
+        if pose is None:
+            return
+        for source in self._sources:
+            source.place(self._transforms)
+        observations = [s.observation for s in self._sources if s.observation is not None]
+        footprint = pose.apply(FOOTPRINT)
+        self.follow(pose)
+        self.obstacles.update(self.grid, observations, footprint)
+        costs = self.background()
+        self.obstacles.add_to(costs)
+        self._inflation.add_to(costs)
+        self.grid.costs = costs
+        self.is_current = True
+        self.publish_layers(observations)
+        self._footprint.publish(polygon_message(self.now_ns, self.frame, footprint))
+
+    def initial_grid(self) -> Costmap2D:
+        """Return the grid to begin with."""
+        raise NotImplementedError
+
+    def follow(self, pose: Pose2D) -> None:
+        """Move the grid with the robot, if it rolls."""
+
+    def background(self) -> Costs:
+        """Return new costs as they are before obstacles are added."""
+        raise NotImplementedError
+
+    def publish_layers(self, observations: Sequence[Observation]) -> None:
+        """Publish what a layer publishes itself, at every update."""
+
+    def set_grid(self, grid: Costmap2D) -> None:
+        """Start anew on another grid."""
+        self.grid = grid
+        self.obstacles = ObstacleLayer(grid, margin=self.clearing_margin)
+        self._inflation = InflationLayer(grid.resolution, INSCRIBED_RADIUS)
+
+    def _wake_up(self) -> None:
+        self.call_later(int(self.rng.integers(_WAKE_UP_JITTER_NS)), self._cycle)
+
+    def _cycle(self) -> None:
+        self.update()
+        if self.now_ns - self._published_ns > self.publish_period_ns:
+            self._published_ns = self.now_ns
+            if self._raw.has_subscribers():
+                self._raw.publish(costmap_message(self.now_ns, self.grid))
+            if self._occupancy.has_subscribers():
+                self._occupancy.publish(occupancy_grid(self.now_ns, self.grid))
+
+    # -- services --------------------------------------------------------------------------
+
+    def _clear_entirely(self, _request: None) -> None:
+        self.obstacles.reset()
+        self.is_current = False
+
+    def _clear_around(self, _request: None) -> None:
+        self._clear_square(around=True)
+
+    def _clear_except(self, _request: None) -> None:
+        self._clear_square(around=False)
+
+    def _clear_square(self, *, around: bool) -> None:
+        """Forget obstacles in a square around the robot, or everywhere else."""
+        pose = self.robot_pose()
+        if pose is None:
+            return
+        half = _CLEAR_RADIUS / 2.0
+        left, bottom = self.grid.cell(pose.x - half, pose.y - half)
+        right, top = self.grid.cell(pose.x + half, pose.y + half)
+        square = np.zeros(self.grid.costs.shape, dtype=bool)
+        square[max(0, bottom) : max(0, top + 1), max(0, left) : max(0, right + 1)] = True
+        self.obstacles.costs[square == around] = NO_INFORMATION
+
+    def _get_costmap(self, _request: None) -> Any:
+        return costmap_message(self.now_ns, self.grid)
+
+
+class LocalCostmap(CostmapNode):
+    """A window of 3 m that rolls with the robot in the odometry frame: voxels and inflation.
+
+    The laser's plane crosses a single level of the voxels, so one cost a column says it all.
+    """
+
+    label = "local_costmap"
+    frame = "odom"
+    update_period_ns = SECOND // 5
+    publish_period_ns = SECOND // 2
+    clearing_margin = 2.0 * LOCAL_RESOLUTION
+
+    def on_configure(self) -> None:
+        """Offer what the voxel layer publishes."""
+        self._voxels = self.create_publisher(
+            "nav2_msgs/msg/VoxelGrid", f"/{self.label}/voxel_grid", qos.LATCHED
+        )
+        self._endpoints = self.create_publisher(
+            "sensor_msgs/msg/PointCloud2", f"/{self.label}/clearing_endpoints", qos.LATCHED
+        )
+
+    def initial_grid(self) -> Costmap2D:
+        """Return a free window; it jumps to the robot at the first update."""
+        costs = np.full((LOCAL_SIZE, LOCAL_SIZE), FREE_SPACE, np.uint8)
+        return Costmap2D(costs, LOCAL_RESOLUTION, 0.0, 0.0, self.frame)
+
+    def follow(self, pose: Pose2D) -> None:
+        """Keep the robot in the middle cell; what leaves the window is forgotten."""
+        grid = self.grid
+        half = LOCAL_SIZE * LOCAL_RESOLUTION / 2.0
+        columns, rows = grid.cell(pose.x - half, pose.y - half)
+        if columns or rows:
+            self.obstacles.costs = shift(self.obstacles.costs, columns, rows, NO_INFORMATION)
+            grid.origin_x += columns * grid.resolution
+            grid.origin_y += rows * grid.resolution
+
+    def background(self) -> Costs:
+        """Return free space: unknown space is not tracked here."""
+        return np.full_like(self.grid.costs, FREE_SPACE)
+
+    def publish_layers(self, observations: Sequence[Observation]) -> None:
+        """Publish the voxels, and per source where its beams stopped clearing."""
+        if self._voxels.has_subscribers():
+            self._voxels.publish(_voxel_grid(self.now_ns, self.grid, self.obstacles.costs))
+        if self._endpoints.has_subscribers():
+            for seen in observations:
+                ends = beam_ends(self.grid, seen, self.clearing_margin)
+                self._endpoints.publish(_cloud(seen.stamp_ns, self.frame, ends))
+
+
+class GlobalCostmap(CostmapNode):
+    """The whole map, obstacles on it, and inflation; it is empty until the map arrives."""
+
+    label = "global_costmap"
+    frame = "map"
+    update_period_ns = SECOND
+    publish_period_ns = SECOND
+
+    def on_configure(self) -> None:
+        """Ask for the map."""
+        self.create_subscription("nav_msgs/msg/OccupancyGrid", "/map", self._on_map, qos.LATCHED)
+
+    def initial_grid(self) -> Costmap2D:
+        """Return a grid without cells."""
+        return Costmap2D(np.empty((0, 0), np.uint8), LOCAL_RESOLUTION, 0.0, 0.0, self.frame)
+
+    def is_ready(self) -> bool:
+        """Tell whether map and robot's pose are known."""
+        return self.grid.costs.size > 0 and super().is_ready()
+
+    def background(self) -> Costs:
+        """Return the static map."""
+        return self._static.copy()
+
+    def _on_map(self, message: Any) -> None:
+        meta = message.info
+        self._static = static_costs(message.data.reshape(meta.height, meta.width))
+        corner = meta.origin.position
+        costs = self._static.copy()
+        self.set_grid(Costmap2D(costs, meta.resolution, corner.x, corner.y, self.frame))
+
+
+def _voxel_grid(time_ns: int, grid: Costmap2D, seen: NDArray[np.uint8]) -> Any:
+    """Return ``nav2_msgs/msg/VoxelGrid``: per level, bits z and z + 16 say what is known.
+
+    Both set: marked. The lower one alone: unknown. None: free.
+    """
+    level = np.uint32(1 << _LASER_LEVEL)
+    columns = np.full(seen.size, (1 << _VOXEL_LEVELS) - 1, np.uint32)
+    columns[seen.ravel() == FREE_SPACE] &= ~level
+    columns[seen.ravel() == LETHAL] |= level << np.uint32(_VOXEL_LEVELS)
+    height, width = seen.shape
+    return _VoxelGrid(
+        header(time_ns, grid.frame),
+        columns,
+        _Point32(grid.origin_x, grid.origin_y, 0.0),
+        _Vector3(grid.resolution, grid.resolution, _VOXEL_HEIGHT),
+        width,
+        height,
+        _VOXEL_LEVELS,
+    )
+
+
+def _cloud(time_ns: int, frame: str, points: NDArray[np.float64]) -> Any:
+    """Return ``sensor_msgs/msg/PointCloud2`` of points in the laser's plane, shape (n, 2) [m]."""
+    count = len(points)
+    xyz = np.full((count, 3), _LASER_Z, np.float32)
+    xyz[:, :2] = points
+    float32 = _PointField.FLOAT32
+    fields = [_PointField(name, 4 * i, float32, 1) for i, name in enumerate("xyz")]
+    data = xyz.view(np.uint8).ravel()
+    return _PointCloud2(
+        header(time_ns, frame), 1, count, fields, False, 12, 12 * count, data, is_dense=True
+    )

@@ -1,0 +1,220 @@
+"""Managed nodes, the managers that bring them up in order, and the bonds between the two.
+
+Services here answer with plain values: their messages never reach a topic, so no bag holds them.
+"""
+
+import enum
+import struct
+import uuid
+from collections.abc import Sequence
+
+import numpy as np
+
+from oracle_pipeline.bags.types import message_class, serialize
+from sim.middleware import qos
+from sim.middleware.domain import Domain
+from sim.middleware.executor import MILLISECOND, SECOND
+from sim.middleware.node import Client, Node
+from sim.middleware.stamps import header
+
+_BondStatus = message_class("bond/msg/Status")
+_DiagnosticArray = message_class("diagnostic_msgs/msg/DiagnosticArray")
+_DiagnosticStatus = message_class("diagnostic_msgs/msg/DiagnosticStatus")
+_State = message_class("lifecycle_msgs/msg/State")
+_Transition = message_class("lifecycle_msgs/msg/Transition")
+_TransitionEvent = message_class("lifecycle_msgs/msg/TransitionEvent")
+
+HEARTBEAT_NS = 100 * MILLISECOND
+BOND_TIMEOUT_S = 4.0
+_RETRY_NS = 100 * MILLISECOND
+_STAMP_OFFSET = 4  # bytes of the CDR encapsulation header
+_BOND_PUBLISHER = qos.profile(5)
+_BOND_SUBSCRIPTION = qos.profile(100)
+
+
+class State(enum.IntEnum):
+    """States of ``lifecycle_msgs/msg/State``."""
+
+    UNCONFIGURED = 1
+    INACTIVE = 2
+    ACTIVE = 3
+    CONFIGURING = 10
+    ACTIVATING = 13
+
+
+class Transition(enum.IntEnum):
+    """Transitions of ``lifecycle_msgs/msg/Transition`` that a manager asks for."""
+
+    CONFIGURE = 1
+    ACTIVATE = 3
+
+
+class _Bond:
+    """One end of a bond: tells the other end ten times a second that this one lives."""
+
+    def __init__(self, node: Node, bond_id: str) -> None:
+        self._node = node
+        self._publisher = node.create_publisher("bond/msg/Status", "/bond", _BOND_PUBLISHER)
+        instance = str(uuid.uuid5(uuid.NAMESPACE_URL, f"{node.name}/{bond_id}"))
+        status = _BondStatus(
+            header(0, ""), bond_id, instance, True, BOND_TIMEOUT_S, HEARTBEAT_NS / SECOND
+        )
+        self._data = bytearray(serialize(status, "bond/msg/Status"))
+        node.create_timer(HEARTBEAT_NS, self._beat, phase_ns=0)
+
+    def _beat(self) -> None:
+        # Only the stamp changes, so it is written over the serialised message.
+        struct.pack_into("<iI", self._data, _STAMP_OFFSET, *divmod(self._node.now_ns, SECOND))
+        self._publisher.publish_serialized(bytes(self._data))
+
+
+class LifecycleNode(Node):
+    """A node that a manager configures and activates.
+
+    Parameters
+    ----------
+    domain, name, rng, latency_ns
+        As for `Node`.
+    bond
+        Whether the node beats on ``/bond`` once active; costmap nodes do not.
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        name: str,
+        *,
+        bond: bool = True,
+        rng: np.random.Generator | None = None,
+        latency_ns: int = 0,
+    ) -> None:
+        super().__init__(domain, name, rng=rng, latency_ns=latency_ns)
+        self.state = State.UNCONFIGURED
+        self._bonded = bond
+        self._events = self.create_publisher(
+            "lifecycle_msgs/msg/TransitionEvent", f"{name}/transition_event"
+        )
+        self.create_service("lifecycle_msgs/srv/ChangeState", f"{name}/change_state", self._change)
+        self.create_service("lifecycle_msgs/srv/GetState", f"{name}/get_state", self._get_state)
+        for service, srvtype in (
+            ("get_available_states", "GetAvailableStates"),
+            ("get_available_transitions", "GetAvailableTransitions"),
+            ("get_transition_graph", "GetAvailableTransitions"),
+        ):
+            self.create_service(f"lifecycle_msgs/srv/{srvtype}", f"{name}/{service}", _nothing)
+
+    @property
+    def is_active(self) -> bool:
+        """Tell whether the node does its work."""
+        return self.state is State.ACTIVE
+
+    def is_ready(self) -> bool:
+        """Tell whether what activation waits for is there; Nav2's costmaps block on TF here."""
+        return True
+
+    def on_configure(self) -> None:
+        """Make what the node needs before it works."""
+
+    def on_activate(self) -> None:
+        """Start work."""
+
+    def configure(self) -> None:
+        """Go from unconfigured to inactive."""
+        self._enter(State.CONFIGURING)
+        self.on_configure()
+        self._enter(State.INACTIVE)
+
+    def activate(self) -> bool:
+        """Go from inactive to active; False, to be asked again, while the node is not ready."""
+        if self.state is State.INACTIVE:
+            self._enter(State.ACTIVATING)
+        if not self.is_ready():
+            return False
+        self.on_activate()
+        self._enter(State.ACTIVE)
+        if self._bonded:
+            self.create_subscription("bond/msg/Status", "/bond", None, _BOND_SUBSCRIPTION)
+            _Bond(self, self.name.lstrip("/"))
+        return True
+
+    def _enter(self, state: State) -> None:
+        # rcl fills in the two states only, never stamp and transition.
+        event = _TransitionEvent(
+            0, _Transition(0, ""), _state_message(self.state), _state_message(state)
+        )
+        self.state = state
+        self._events.publish(event)
+
+    def _change(self, transition: Transition) -> bool:
+        if transition is Transition.CONFIGURE:
+            self.configure()
+            return True
+        return self.activate()
+
+    def _get_state(self, _request: None) -> State:
+        return self.state
+
+
+class LifecycleManager(Node):
+    """Brings nodes up: configures all in order, then activates all in order.
+
+    Parameters
+    ----------
+    domain, name, latency_ns
+        As for `Node`.
+    managed
+        Full names of the nodes in the order of bring-up; they may appear later.
+    """
+
+    def __init__(
+        self, domain: Domain, name: str, managed: Sequence[str], *, latency_ns: int = 0
+    ) -> None:
+        super().__init__(domain, name, latency_ns=latency_ns)
+        self.is_active = False
+        self._diagnostics = self.create_publisher(
+            "diagnostic_msgs/msg/DiagnosticArray", "/diagnostics", qos.profile(1)
+        )
+        self.create_service("nav2_msgs/srv/ManageLifecycleNodes", f"{name}/manage_nodes", _nothing)
+        self.create_service("std_srvs/srv/Trigger", f"{name}/is_active", lambda _: self.is_active)
+        self.create_subscription("bond/msg/Status", "/bond", None, _BOND_SUBSCRIPTION)
+        self._clients = {node: self._client(node) for node in managed}
+        for node in managed:
+            self.create_client("lifecycle_msgs/srv/GetState", f"{node}/get_state")
+        self._todo = [(step, node) for step in Transition for node in managed]
+        self.create_timer(SECOND, self._diagnose)
+        self.call_later(0, self._next)
+
+    def _client(self, node: str) -> Client:
+        return self.create_client("lifecycle_msgs/srv/ChangeState", f"{node}/change_state")
+
+    def _next(self) -> None:
+        """Ask for the next transition, or be done."""
+        if not self._todo:
+            self.is_active = True
+            self.info("Managed nodes are active")
+            return
+        step, node = self._todo[0]
+        self._clients[node].call(step, self._answered)
+
+    def _answered(self, success: bool) -> None:
+        if not success:
+            self.call_later(_RETRY_NS, self._next)
+            return
+        step, node = self._todo.pop(0)
+        if step is Transition.ACTIVATE:
+            _Bond(self, node.lstrip("/"))
+            self.info(f"Server {node.lstrip('/')} connected with bond.")
+        self._next()
+
+    def _diagnose(self) -> None:
+        level, text = (0, "Nav2 is active") if self.is_active else (2, "Nav2 is inactive")
+        status = _DiagnosticStatus(level, f"{self.name[1:]}: Nav2 Health", text, "", [])
+        self._diagnostics.publish(_DiagnosticArray(header(self.now_ns, ""), [status]))
+
+
+def _state_message(state: State) -> object:
+    return _State(int(state), state.name.lower())
+
+
+def _nothing(_request: object) -> None:
+    """Answer a service that is offered, as in life, but that nobody here calls."""

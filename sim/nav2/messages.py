@@ -1,0 +1,37 @@
+"""Messages of planar poses and velocities, which several nodes build."""
+
+from typing import Any
+
+from oracle_pipeline.bags.types import message_class
+from sim.middleware.geometry import quaternion_yaw, yaw_quaternion
+from sim.middleware.stamps import header
+
+TWIST = "geometry_msgs/msg/Twist"
+
+_Point = message_class("geometry_msgs/msg/Point")
+_Pose = message_class("geometry_msgs/msg/Pose")
+_PoseStamped = message_class("geometry_msgs/msg/PoseStamped")
+_Quaternion = message_class("geometry_msgs/msg/Quaternion")
+_Twist = message_class(TWIST)
+_Vector3 = message_class("geometry_msgs/msg/Vector3")
+
+
+def twist_message(linear: float, angular: float) -> Any:
+    """Return ``geometry_msgs/msg/Twist`` of a robot that cannot move sideways [m/s, rad/s]."""
+    return _Twist(_Vector3(linear, 0.0, 0.0), _Vector3(0.0, 0.0, angular))
+
+
+def pose_message(x: float, y: float, yaw: float) -> Any:
+    """Return ``geometry_msgs/msg/Pose`` of a planar pose."""
+    return _Pose(_Point(x, y, 0.0), _Quaternion(*yaw_quaternion(yaw)))
+
+
+def pose_stamped(time_ns: int, frame: str, x: float, y: float, yaw: float) -> Any:
+    """Return ``geometry_msgs/msg/PoseStamped`` of a planar pose."""
+    return _PoseStamped(header(time_ns, frame), pose_message(x, y, yaw))
+
+
+def pose_yaw(pose: Any) -> float:
+    """Return the yaw of a pose message [rad]."""
+    q = pose.orientation
+    return quaternion_yaw(q.x, q.y, q.z, q.w)

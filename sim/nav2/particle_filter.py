@@ -1,0 +1,155 @@
+"""AMCL's particle filter: poses that move with odometry and survive by how well scans fit.
+
+The motion model is the differential one, resampling is multinomial with KLD-adapted size, as in
+Nav2. Maps and scans come in as a `LikelihoodField`'s weights; messages are the node's business.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from sim.middleware.geometry import Pose2D, wrap_angle
+
+MIN_PARTICLES = 500
+MAX_PARTICLES = 2000
+BIN = np.array([0.5, 0.5, math.radians(10.0)])  # of the histogram: x, y [m], yaw [rad]
+_YAW_BINS = 36
+_KLD_ERROR = 0.05
+_KLD_Z = 0.99
+_ALPHA = 0.2  # alpha1 to alpha4 of the motion model
+
+
+def kld_limits() -> NDArray[np.int64]:
+    """Return how many particles are enough for k occupied bins, by k from 0 to the maximum.
+
+    With one bin or none the maximum is asked for: a filter that has converged tightly never
+    shrinks, which is AMCL's way.
+    """
+    k = np.arange(2, MAX_PARTICLES + 1)
+    b = 2.0 / (9.0 * (k - 1))
+    n = np.ceil((k - 1) / (2.0 * _KLD_ERROR) * (1.0 - b + np.sqrt(b) * _KLD_Z) ** 3)
+    enough = np.clip(n, MIN_PARTICLES, MAX_PARTICLES).astype(np.int64)
+    return np.concatenate([[MAX_PARTICLES, MAX_PARTICLES], enough])
+
+
+_LIMITS = kld_limits()
+
+
+class ParticleFilter:
+    """A belief about the robot's pose.
+
+    Parameters
+    ----------
+    poses
+        Shape (n, 3), equally likely: x, y [m], yaw [rad] of the robot's base in the map.
+    rng
+        The only source of randomness.
+
+    Attributes
+    ----------
+    poses
+        Shape (n, 3), as above, after the latest step.
+    weights
+        Shape (n,), sum one.
+    """
+
+    def __init__(self, poses: NDArray[np.float64], rng: np.random.Generator) -> None:
+        self._rng = rng
+        self.poses = poses
+        self.weights = np.full(len(poses), 1.0 / len(poses))
+
+    def move(self, before: Pose2D, after: Pose2D) -> None:
+        """Move every particle as odometry says, each with its own slip.
+
+        Parameters
+        ----------
+        before, after
+            The robot in the odometry frame.
+        """
+        translation = before.distance_to(after)
+        turn = wrap_angle(after.yaw - before.yaw)
+        heading = math.atan2(after.y - before.y, after.x - before.x)
+        # On the spot the direction of travel is noise.
+        first = wrap_angle(heading - before.yaw) if translation >= 0.01 else 0.0
+        second = wrap_angle(turn - first)
+        # Driving backwards is no turn by pi.
+        slip1, slip2 = (min(abs(a), math.pi - abs(a)) for a in (first, second))
+        along = math.sqrt(_ALPHA * (translation**2 + slip1**2 + slip2**2))
+        noise = self._rng.standard_normal((3, len(self.poses)))
+        first_hat = first - noise[0] * math.sqrt(_ALPHA * (slip1**2 + translation**2))
+        translation_hat = translation - noise[1] * along
+        second_hat = second - noise[2] * math.sqrt(_ALPHA * (slip2**2 + translation**2))
+        x, y, yaw = self.poses.T
+        self.poses = np.column_stack(
+            [
+                x + translation_hat * np.cos(yaw + first_hat),
+                y + translation_hat * np.sin(yaw + first_hat),
+                yaw + first_hat + second_hat,
+            ]
+        )
+
+    def weigh(self, factors: NDArray[np.float64]) -> None:
+        """Multiply the weights by how well a scan fits each particle."""
+        weights = self.weights * factors
+        self.weights = weights / weights.sum()
+
+    def resample(self) -> None:
+        """Draw a new generation by weight, as large as the spread of the draws asks for."""
+        cumulative = np.cumsum(self.weights)
+        draws = self._rng.random(MAX_PARTICLES) * cumulative[-1]
+        chosen = np.searchsorted(cumulative, draws, side="right")
+        drawn = self.poses[np.minimum(chosen, len(self.poses) - 1)]
+        _, first, _ = _occupied_bins(drawn)
+        is_new = np.zeros(MAX_PARTICLES, dtype=np.int64)
+        is_new[first] = 1
+        enough = np.arange(1, MAX_PARTICLES + 1) >= _LIMITS[np.cumsum(is_new)]
+        count = int(np.argmax(enough)) + 1
+        self.poses = drawn[:count]
+        self.weights = np.full(count, 1.0 / count)
+
+    def estimate(self) -> tuple[Pose2D, NDArray[np.float64]]:
+        """Return the mean of the heaviest cluster, and the covariance of all, shape (3, 3)."""
+        labels = cluster_labels(self.poses)
+        heaviest = labels == np.argmax(np.bincount(labels, self.weights))
+        mean = _mean(self.poses[heaviest], self.weights[heaviest])
+        away = self.poses - _mean(self.poses, self.weights)
+        away[:, 2] = (away[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
+        # Without BLAS, whose sums depend on its threads: the same run gives the same bytes.
+        covariance: NDArray[np.float64] = np.einsum("n,ni,nj->ij", self.weights, away, away)
+        return Pose2D(*mean.tolist()), covariance
+
+
+def cluster_labels(poses: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return a cluster number for each pose: occupied bins that touch, also at a corner, are one.
+
+    Parameters
+    ----------
+    poses
+        Shape (n, 3): x, y [m], yaw [rad].
+    """
+    bins, first, bin_of = _occupied_bins(poses)
+    gaps = np.abs(bins[first, np.newaxis] - bins[np.newaxis, first])
+    gaps[:, :, 2] = np.minimum(gaps[:, :, 2], _YAW_BINS - gaps[:, :, 2])
+    _, labels = connected_components(np.all(gaps <= 1, axis=2), directed=False)
+    clusters: NDArray[np.int64] = labels[bin_of].astype(np.int64)
+    return clusters
+
+
+def _occupied_bins(
+    poses: NDArray[np.float64],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the bin of each pose (n, 3), the first pose in each occupied bin, and each one's."""
+    bins = np.floor(poses / BIN).astype(np.int64)
+    bins[:, 2] %= _YAW_BINS
+    keys = (bins[:, 0] * 100_000 + bins[:, 1]) * _YAW_BINS + bins[:, 2]
+    _, first, bin_of = np.unique(keys, return_index=True, return_inverse=True)
+    return bins, first, bin_of
+
+
+def _mean(poses: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    share = weights / weights.sum()
+    x, y, yaw = poses.T
+    direction = math.atan2(np.sum(share * np.sin(yaw)), np.sum(share * np.cos(yaw)))
+    return np.array([np.sum(share * x), np.sum(share * y), direction])

@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+
+from oracle_pipeline.bags.types import deserialize
+from sim.middleware import qos
+from sim.middleware.domain import Domain
+from sim.middleware.executor import SECOND, Executor
+from sim.middleware.node import Node
+from sim.nav2.map_server import MapServer, OccupancyMap
+
+GRID = "nav_msgs/msg/OccupancyGrid"
+
+
+def small_map(value):
+    data = np.array([[0, 100, -1], [value, 0, 0]], np.int8)
+    return OccupancyMap(data, 0.05, (-1.0, -2.0))
+
+
+@pytest.fixture
+def rig():
+    executor = Executor()
+    domain = Domain(executor)
+    server = MapServer(domain, {"first": small_map(0), "second": small_map(100)}, "first")
+    heard = []
+    Node(domain, "/late").create_subscription(GRID, "/map", heard.append, qos.LATCHED, raw=True)
+    server.configure()
+    executor.run_until(SECOND)
+    assert heard == []  # inactive
+    server.activate()
+    return executor, domain, heard
+
+
+def test_map_goes_out_once_and_reaches_who_comes_later(rig):
+    executor, domain, heard = rig
+    executor.run_until(60 * SECOND)
+    late = []
+    Node(domain, "/later").create_subscription(GRID, "/map", late.append, qos.LATCHED, raw=True)
+    executor.run_until(61 * SECOND)
+    assert len(heard) == 1
+    assert late == heard
+
+
+def test_map_message_says_what_the_map_says(rig):
+    executor, _, heard = rig
+    executor.run_until(2 * SECOND)
+    message = deserialize(heard[0], GRID)
+    assert message.header.frame_id == "map"
+    assert (message.info.width, message.info.height) == (3, 2)
+    assert message.info.resolution == pytest.approx(0.05)
+    assert (message.info.origin.position.x, message.info.origin.position.y) == (-1.0, -2.0)
+    assert message.data.tolist() == [0, 100, -1, 0, 0, 0]
+
+
+def test_loading_a_map_publishes_it_and_an_unknown_name_changes_nothing(rig):
+    executor, domain, heard = rig
+    answers = []
+    client = Node(domain, "/client").create_client("nav2_msgs/srv/LoadMap", "/map_server/load_map")
+    client.call("second", answers.append)
+    client.call("third", answers.append)
+    executor.run_until(2 * SECOND)
+    assert answers == [True, False]
+    assert len(heard) == 2
+    assert deserialize(heard[1], GRID).data.tolist() == [0, 100, -1, 100, 0, 0]

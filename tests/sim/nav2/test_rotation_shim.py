@@ -1,0 +1,73 @@
+"""The rotation shim against paths in every direction."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sim.middleware.executor import MILLISECOND
+from sim.middleware.geometry import Pose2D, wrap_angle
+from sim.nav2.dwb import CostGrid
+from sim.nav2.rotation_shim import RotationShim, ShimParameters
+
+GRID = CostGrid(np.zeros((60, 60), np.uint8), 0.05, -1.5, -1.5)
+THRESHOLD = ShimParameters().angular_dist_threshold
+HERE = Pose2D()
+
+
+def plan(bearing, start=0.0, length=1.2):
+    along = np.arange(start, length, 0.025)
+    return np.column_stack(
+        [along * math.cos(bearing), along * math.sin(bearing), np.full(len(along), bearing)]
+    )
+
+
+def shim(poses):
+    made = RotationShim(period_ns=50 * MILLISECOND)
+    made.set_plan(poses)
+    return made
+
+
+@given(st.floats(-3.1, 3.1))
+def test_the_robot_turns_on_the_spot_towards_a_path_it_does_not_face_and_drives_along_others(
+    bearing,
+):
+    forward, turning = shim(plan(bearing)).compute(GRID, HERE, (0.0, 0.0), HERE).twist
+    if abs(wrap_angle(bearing)) > THRESHOLD + 1e-6:
+        assert forward == 0.0
+        assert turning * bearing > 0.0
+    elif abs(bearing) < THRESHOLD - 1e-6:
+        assert forward > 0.0
+
+
+def test_turning_speeds_up_no_faster_than_its_limit():
+    turner, speed, seen = shim(plan(2.0)), 0.0, []
+    for _ in range(10):
+        _, speed = turner.compute(GRID, HERE, (0.0, speed), HERE).twist
+        seen.append(speed)
+    assert seen[:6] == pytest.approx([0.16 * (i + 1) for i in range(6)])
+    assert seen[-1] == pytest.approx(1.0)
+
+
+def test_once_it_faces_the_path_dwb_drives_until_the_next_path_comes():
+    turner = shim(plan(1.0))
+    facing, away = Pose2D(0.0, 0.0, 1.0), Pose2D(0.0, 0.0, -1.0)
+    assert turner.compute(GRID, HERE, (0.0, 0.0), HERE).twist[0] == 0.0
+    assert turner.compute(GRID, facing, (0.0, 0.0), HERE).twist[0] > 0.0
+    assert not turner._facing
+    turner.compute(GRID, away, (0.0, 0.0), HERE)
+    assert not turner._facing
+    turner.set_plan(plan(1.0))
+    assert turner.compute(GRID, away, (0.0, 0.0), HERE).twist[0] == 0.0
+
+
+def test_what_lies_behind_the_robot_on_its_path_does_not_turn_it():
+    assert shim(plan(0.0, start=-1.0)).compute(GRID, HERE, (0.0, 0.0), HERE).twist[0] > 0.0
+
+
+def test_a_path_shorter_than_the_sampling_distance_is_left_to_dwb():
+    made = shim(plan(1.5, length=0.2))
+    made.compute(GRID, HERE, (0.0, 0.0), HERE)
+    assert not made._facing
