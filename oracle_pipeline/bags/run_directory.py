@@ -130,11 +130,18 @@ class RunDirectory:
             with _lock(parent):
                 for leftover in parent.glob(f".{self.run_id}.*"):
                     with contextlib.suppress(BlockingIOError), _lock(leftover, wait=False):
-                        shutil.rmtree(leftover, ignore_errors=True)
+                        self._salvage(leftover)
                 scratch = self._beside()
                 scratch.mkdir()
                 held.enter_context(_lock(scratch))
             yield scratch
+
+    def _salvage(self, leftover: Path) -> None:
+        """Put back a whole run whose writer died while it moved it; remove anything else."""
+        if not self.path.exists() and (leftover / MANIFEST_FILE).is_file():
+            leftover.rename(self.path)
+        else:
+            shutil.rmtree(leftover, ignore_errors=True)
 
     def _put_in_place(self, scratch: Path) -> None:
         """Rename; a former run is moved aside first, so that it is whole or gone."""

@@ -74,6 +74,15 @@ def test_a_new_run_takes_the_place_of_the_former_one(tmp_path):
     assert [path.name for path in directory.path.parent.iterdir()] == ["run000"]
 
 
+def test_a_run_that_was_being_replaced_when_its_writer_died_is_not_lost(tmp_path):
+    directory = RunDirectory(tmp_path, "a", 0)
+    stage(directory, "former")
+    directory.path.rename(directory.path.with_name(".run000.0badcafe"))  # and then: kill -9
+    with pytest.raises(TypeError), directory.staged() as scratch:
+        (scratch / MANIFEST_FILE).write_text(b"not text")
+    assert directory.manifest_path.read_text() == "former"
+
+
 def test_a_run_without_manifest_is_refused(tmp_path):
     directory = RunDirectory(tmp_path, "a", 0)
     without = pytest.raises(RunDirectoryError, match=r"a\|run000 was left without its manifest")
