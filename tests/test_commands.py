@@ -17,10 +17,11 @@ MATERIALIZE = ("dagster", "asset", "materialize", "-m", "oracle_pipeline.definit
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """A home of its own for the runs and for Dagster."""
-    root = tmp_path_factory.mktemp("home")
-    (root / "dagster").mkdir()
-    shutil.copy(REPOSITORY / ".dagster_home" / "dagster.yaml", root / "dagster")
+    """A folder like a checkout's: `.env` there decides where Dagster keeps its instance."""
+    root = tmp_path_factory.mktemp("checkout")
+    (root / ".dagster_home").mkdir()
+    for name in (".env", "workspace.yaml", ".dagster_home/dagster.yaml"):
+        shutil.copy(REPOSITORY / name, root / name)
     return root
 
 
@@ -28,12 +29,11 @@ def command(place, *words, expect=0):
     environment = {
         **os.environ,
         "PATH": f"{BIN}:{os.environ['PATH']}",
-        "DAGSTER_HOME": str(place / "dagster"),
         "ORACLE_HOME": str(place / "data"),
         "ORACLE_GOALS_PER_RUN": "1",
     }
     done = subprocess.run(
-        words, cwd=REPOSITORY, env=environment, capture_output=True, text=True, check=False
+        words, cwd=place, env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == expect, done.stdout + done.stderr
     return done
@@ -80,7 +80,11 @@ def test_the_workspace_loads(place):
 
 
 def test_make_help_lists_what_the_readme_promises(place):
-    listed = set(re.findall(r"^  make (\w+)", command(place, "make", "help").stdout, re.M))
+    listed = set(
+        re.findall(
+            r"^  make (\w+)", command(place, "make", "-C", str(REPOSITORY), "help").stdout, re.M
+        )
+    )
     promised = set(re.findall(r"^make (\w+)", (REPOSITORY / "README.md").read_text(), re.M))
     assert promised <= listed
 
