@@ -1,0 +1,46 @@
+"""The one partitions definition: every run of every experiment mode.
+
+A key reads ``fake_object|run003``. Runs are static, so that a new one appears in every mode at
+once and the grid stays whole; how many there are is read when the code location loads.
+"""
+
+import os
+from collections.abc import Mapping
+
+import dagster as dg
+
+from oracle_pipeline.bags.errors import OracleError
+from sim.modes import modes
+
+
+class ConfigurationError(OracleError):
+    """A setting of the environment makes no sense."""
+
+
+def run_count(environment: Mapping[str, str]) -> int:
+    """Return how many runs each mode has: ``ORACLE_RUNS``, or the thesis's 15.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is not a whole number from 1 on.
+    """
+    text = environment.get("ORACLE_RUNS") or "15"
+    if not text.isdecimal() or int(text) < 1:
+        raise ConfigurationError(
+            f"ORACLE_RUNS is {text!r}; give the runs of each mode, a whole number from 1 on."
+        )
+    return int(text)
+
+
+def runs_of_modes(count: int) -> dg.MultiPartitionsDefinition:
+    """Return ``count`` runs of every mode, modes in their own order."""
+    return dg.MultiPartitionsDefinition(
+        {
+            "mode": dg.StaticPartitionsDefinition(list(modes())),
+            "run": dg.StaticPartitionsDefinition([f"run{run:03d}" for run in range(count)]),
+        }
+    )
+
+
+RUNS = runs_of_modes(run_count(os.environ))

@@ -1,0 +1,97 @@
+"""What the Dagster UI shows of a table, a picture and a report.
+
+Metadata take plain Python values only: no NumPy scalars, no NaN.
+"""
+
+import base64
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import dagster as dg
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from oracle_pipeline.reporting.result import Report
+
+MAX_PNG_BYTES = 100_000  # pictures live in the event log, which every page load reads
+MAX_ROWS = 40
+
+Metadata = dict[str, dg.MetadataValue]
+
+
+def png(picture: bytes) -> dg.MetadataValue:
+    """Return a picture that shows inline."""
+    return dg.MetadataValue.md(
+        f"![](data:image/png;base64,{base64.b64encode(picture).decode('ascii')})"
+    )
+
+
+def table(df: "pd.DataFrame") -> dg.TableMetadataValue:
+    """Return the first rows of a table: numbers to four digits, estimates with their intervals."""
+    bounds = {f"{name}_{end}" for name in df.columns for end in ("low", "high")}
+    shown = [str(name) for name in df.columns if name not in bounds]
+    records = [
+        dg.TableRecord({name: _cell(row, name) for name in shown})
+        for _, row in df.head(MAX_ROWS).iterrows()
+    ]
+    return dg.MetadataValue.table(
+        records, schema=dg.TableSchema([dg.TableColumn(name, "string") for name in shown])
+    )
+
+
+def _cell(row: "pd.Series", name: str) -> str:
+    from oracle_pipeline.evaluation.estimate import Estimate
+
+    value = row[name]
+    if f"{name}_low" in row.index:
+        return str(Estimate(value, row[f"{name}_low"], row[f"{name}_high"]))
+    if isinstance(value, float):
+        return "" if math.isnan(value) else f"{value:.4g}"
+    return str(value)
+
+
+def columns(df: "pd.DataFrame") -> dg.TableSchema:
+    """Return a feature table's columns with unit and meaning, for the Columns tab."""
+    from oracle_pipeline.datasets import field_metadata
+
+    fields = field_metadata(df)
+    return dg.TableSchema(
+        [
+            dg.TableColumn(str(name), str(dtype), description=_meaning(fields.get(str(name), {})))
+            for name, dtype in df.dtypes.items()
+        ]
+    )
+
+
+def _meaning(field: Mapping[str, str]) -> str | None:
+    if not field:
+        return None
+    return f"{field.get('description', '')} [{field.get('unit', '?')}]".strip()
+
+
+def facts(summary: Mapping[str, float | int | str]) -> Metadata:
+    """Return a report's plain facts; a number stays a number, so that it is plotted over time."""
+    return {
+        name: dg.MetadataValue.text(value) if isinstance(value, str)
+        else dg.MetadataValue.int(value) if isinstance(value, int)
+        else dg.MetadataValue.float(value)
+        for name, value in summary.items()
+    }  # fmt: skip
+
+
+def pictures(named: Mapping[str, bytes]) -> Metadata:
+    """Return the first picture that is small enough for the event log."""
+    small = [data for data in named.values() if len(data) < MAX_PNG_BYTES]
+    return {"picture": png(small[0])} if small else {}
+
+
+def report(result: "Report") -> Metadata:
+    """Return a report's facts, its table and one of its pictures."""
+    return {
+        **facts(result.summary),
+        "table": table(result.table),
+        "table_rows": dg.MetadataValue.int(len(result.table)),
+        **pictures(result.figures),
+    }

@@ -1,0 +1,58 @@
+"""The roof: all assets, checks, resources, jobs and schedules in one ``Definitions``.
+
+Nobody imports this module but Dagster and tests. ``build_defs`` takes other resources in place of
+the default ones, so that a test or a script swaps a part without patching anything.
+"""
+
+import os
+import warnings
+
+import dagster as dg
+
+# Backfill policies, partition mappings and partitioned checks are what this pipeline stands on;
+# Dagster calls them beta or preview, and would say so at each load. Before our own assets load.
+warnings.filterwarnings("ignore", category=dg.BetaWarning)
+warnings.filterwarnings("ignore", category=dg.PreviewWarning)
+
+from assets import automation, checks, reports, runs  # noqa: E402
+from resources.budget import StorageBudget  # noqa: E402
+from resources.campaign import CampaignSettings  # noqa: E402
+from resources.fleet import Fleet  # noqa: E402
+from resources.store import RunStore  # noqa: E402
+from sim.recipes import Campaign  # noqa: E402
+
+
+def build_defs(**overrides: object) -> dg.Definitions:
+    """Return the definitions, with some resources replaced.
+
+    Parameters
+    ----------
+    **overrides
+        Resources by name: ``store``, ``fleet``, ``campaign``, ``budget``.
+
+    Raises
+    ------
+    TypeError
+        If there is no such resource.
+    """
+    resources: dict[str, object] = {
+        "store": RunStore(root=dg.EnvVar("ORACLE_HOME"))
+        if "ORACLE_HOME" in os.environ
+        else RunStore(),
+        "fleet": Fleet(),
+        "campaign": CampaignSettings(goals_per_run=Campaign.from_environment().goals_per_run),
+        "budget": StorageBudget(),
+    }
+    if unknown := overrides.keys() - resources.keys():
+        raise TypeError(f"No resource is called {sorted(unknown)}; there are {sorted(resources)}.")
+    return dg.Definitions(
+        assets=dg.load_assets_from_modules([runs, reports]),
+        asset_checks=[checks.checks_of_runs],
+        jobs=[automation.everything],
+        schedules=[automation.nightly],
+        resources=resources | overrides,
+        executor=dg.in_process_executor,  # the assets fan out themselves
+    )
+
+
+defs = build_defs()

@@ -1,0 +1,28 @@
+"""What all runs of the campaign have in common."""
+
+from typing import Literal
+
+import dagster as dg
+from pydantic import Field
+
+from sim.recipes import DEFAULT_SEED, Campaign
+
+
+class CampaignSettings(dg.ConfigurableResource[None]):
+    """Settings of the experiment runs; another value makes other runs."""
+
+    seed: int = Field(
+        default=DEFAULT_SEED,
+        ge=0,
+        description="What all randomness comes from; the same seed gives the same messages.",
+    )
+    goals_per_run: int = Field(
+        default=8, ge=1, description="Goals of the patrol of one run; 1 is the thesis's protocol."
+    )
+    storage: Literal["mcap", "sqlite3"] = Field(
+        default="mcap", description="Storage of the recorded bags."
+    )
+
+    def campaign(self) -> Campaign:
+        """Return the campaign that recipes are drawn from."""
+        return Campaign(seed=self.seed, goals_per_run=self.goals_per_run, storage=self.storage)

@@ -1,0 +1,48 @@
+"""One short campaign, materialized once: two modes that are a pair, two runs, one goal each."""
+
+import fcntl
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.assets.laboratory import EVERYTHING, KEYS, PER_RUN, Laboratory, dagster_home
+
+
+@pytest.fixture(scope="session")
+def shared_root(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
+    """A folder that all test processes share, so that the campaign is simulated once."""
+    base = tmp_path_factory.getbasetemp()
+    root = (base if worker_id == "master" else base.parent) / "campaign"
+    root.mkdir(exist_ok=True)
+    return root
+
+
+@pytest.fixture(scope="session")
+def campaign(shared_root: Path) -> Iterator[Laboratory]:
+    """The whole graph over the short campaign; tests read it and change nothing."""
+    with (shared_root / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with dagster_home(shared_root / "home") as instance:
+            laboratory = Laboratory(shared_root / "data", instance)
+            if not (shared_root / "done").exists():
+                assert laboratory.materialize(PER_RUN, KEYS[0], KEYS[1]).success
+                assert laboratory.materialize(EVERYTHING, KEYS[2], KEYS[3]).success
+                (shared_root / "done").touch()
+            fcntl.flock(lock, fcntl.LOCK_UN)
+            yield laboratory
+
+
+@pytest.fixture
+def copy_of_campaign(campaign: Laboratory, tmp_path: Path) -> Iterator[Laboratory]:
+    """The same files with an instance of their own, to change."""
+    shutil.copytree(campaign.root, tmp_path / "data")
+    with dagster_home(tmp_path / "home") as instance:
+        yield Laboratory(tmp_path / "data", instance)
+
+
+@pytest.fixture
+def empty(tmp_path: Path) -> Iterator[Laboratory]:
+    with dagster_home(tmp_path / "home") as instance:
+        yield Laboratory(tmp_path / "data", instance)

@@ -1,0 +1,111 @@
+"""A root for runs with a Dagster instance of its own, and the campaign that the tests share."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import dagster as dg
+
+from oracle_pipeline.definitions import build_defs
+from resources.campaign import CampaignSettings
+from resources.fleet import Fleet
+from resources.store import RunStore
+
+CONTROL, ATTACKED = "lidar_passthrough", "random_noise"  # a pair of modes with short runs
+KEYS = [f"{mode}|run00{run}" for mode in (CONTROL, ATTACKED) for run in (0, 1)]
+KEY, PARTNER = f"{ATTACKED}|run000", f"{CONTROL}|run000"
+PER_RUN = ["experiment_runs", "bags", "interval_graphs", "window_features", "run_features"]
+EVERYTHING = [
+    *PER_RUN,
+    "feature_dataset",
+    "bootstrapped_dataset",
+    "clustering_grid_search",
+    "malicious_rate_report",
+    "pairwise_report",
+    "oracle_evaluation",
+    "oracle_report",
+]
+
+
+ROOT = Path(__file__).parent.parent.parent
+
+
+@contextmanager
+def dagster_home(home: Path) -> Iterator[dg.DagsterInstance]:
+    """An instance as `.dagster_home` configures it, in a folder of its own."""
+    home.mkdir(exist_ok=True)
+    shutil.copy(ROOT / ".dagster_home" / "dagster.yaml", home)
+    with dg.DagsterInstance.from_config(str(home)) as instance:
+        yield instance
+
+
+@dataclass
+class Laboratory:
+    """A root for runs and a Dagster instance of its own, as a user has them."""
+
+    root: Path
+    instance: dg.DagsterInstance
+
+    @property
+    def store(self) -> RunStore:
+        return RunStore(root=str(self.root))
+
+    def defs(self, **overrides: Any) -> dg.Definitions:
+        resources = {
+            "store": self.store,
+            "fleet": Fleet(workers=2),
+            "campaign": CampaignSettings(goals_per_run=1),
+        }
+        return build_defs(**(resources | overrides))
+
+    def materialize(
+        self,
+        assets: list[str],
+        first: str | None = None,
+        last: str | None = None,
+        *,
+        config: dict[str, Any] | None = None,
+        **overrides: Any,
+    ) -> dg.ExecuteInProcessResult:
+        """Do what `dagster asset materialize --select ...` does, with one partition or a range."""
+        job = self.defs(**overrides).resolve_implicit_global_asset_job_def()
+        between = {
+            "dagster/asset_partition_range_start": str(first),
+            "dagster/asset_partition_range_end": str(last),
+        }
+        return job.execute_in_process(
+            asset_selection=[dg.AssetKey(asset) for asset in assets],
+            instance=self.instance,
+            partition_key=None if last else first,
+            tags=between if last else None,
+            run_config={"ops": {name: {"config": of} for name, of in (config or {}).items()}},
+            raise_on_error=False,
+        )
+
+    def materialized(self, asset: str) -> set[str]:
+        return set(self.instance.get_materialized_partitions(dg.AssetKey(asset)))
+
+    def latest(self, asset: str, key: str | None = None) -> dg.AssetMaterialization:
+        records = self.instance.fetch_materializations(
+            dg.AssetRecordsFilter(
+                asset_key=dg.AssetKey(asset), asset_partitions=[key] if key else None
+            ),
+            limit=1,
+        ).records
+        found = records[0].asset_materialization
+        assert found is not None
+        return found
+
+    def figures(self, asset: str, key: str | None = None) -> dict[str, Any]:
+        return {name: value.value for name, value in self.latest(asset, key).metadata.items()}
+
+    def files(self) -> dict[str, tuple[int, int]]:
+        """Every file below the root with its time stamp and size."""
+        return {
+            str(path.relative_to(self.root)): (path.stat().st_mtime_ns, path.stat().st_size)
+            for path in sorted(self.root.rglob("*"))
+            if path.is_file()
+        }

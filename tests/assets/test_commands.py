@@ -1,0 +1,97 @@
+"""Dagster from the command line, in a checkout with its `.env`: a range, and the UI."""
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import dagster as dg
+import pytest
+
+from tests.assets.laboratory import ATTACKED, KEYS, ROOT, Laboratory, dagster_home
+
+BIN = Path(sys.executable).parent
+MATERIALIZE = ["dagster", "asset", "materialize", "-m", "oracle_pipeline.definitions"]
+
+
+@pytest.fixture
+def checkout(campaign: Laboratory, tmp_path: Path) -> Path:
+    """The files that commands read, and the runs of the short campaign."""
+    for file in (".env", "workspace.yaml", ".dagster_home/dagster.yaml"):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / file, tmp_path / file)
+    for part in ("runs", "features"):
+        shutil.copytree(campaign.root / part, tmp_path / "data" / part)
+    return tmp_path
+
+
+def environment(checkout: Path) -> dict[str, str]:
+    """What a shell in the checkout would hand on."""
+    ours = {name: value for name, value in os.environ.items() if not name.startswith("ORACLE_")}
+    return ours | {
+        "PWD": str(checkout),
+        "PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}",
+        "ORACLE_GOALS_PER_RUN": "1",
+    }
+
+
+def run(checkout: Path, *command: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command,
+        cwd=checkout,
+        env=environment(checkout),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_a_range_is_one_dagster_run_and_names_what_failed(checkout: Path) -> None:
+    (checkout / "data/runs" / ATTACKED / "run001" / "manifest.json").write_text("{}")
+    done = run(
+        checkout, *MATERIALIZE, "--select", "+run_features", "--partition-range",
+        f"{KEYS[2]}...{KEYS[3]}",
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert "run/s" not in done.stderr  # no progress bar: this is no terminal
+    assert "1 of 2 runs failed" in done.stderr + done.stdout
+    assert f"{KEYS[3]}: " in done.stderr + done.stdout
+    with dagster_home(checkout / ".dagster_home") as instance:
+        assert instance.get_materialized_partitions(dg.AssetKey("run_features")) == {KEYS[2]}
+        assert len(instance.get_run_records()) == 1
+
+
+def test_the_ui_comes_up(checkout: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    command = ["dagster", "dev", "-w", "workspace.yaml", "-h", "127.0.0.1", "-p", str(port)]
+    with (checkout / "log").open("w") as log:
+        server = subprocess.Popen(
+            command, cwd=checkout, env=environment(checkout), stdout=log, stderr=log,
+            start_new_session=True,
+        )  # fmt: skip
+        try:
+            answer = wait_for(f"http://127.0.0.1:{port}/server_info", seconds=60)
+        finally:
+            os.killpg(server.pid, signal.SIGINT)
+            server.wait(timeout=60)
+    assert answer["dagster_version"].startswith("1.13"), (checkout / "log").read_text()
+
+
+def wait_for(url: str, seconds: float) -> dict[str, str]:
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        try:
+            with urllib.request.urlopen(url) as response:  # noqa: S310
+                found: dict[str, str] = json.load(response)
+                return found
+        except urllib.error.URLError:
+            time.sleep(0.2)
+    raise TimeoutError(f"{url} did not answer within {seconds} s")

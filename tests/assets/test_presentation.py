@@ -1,0 +1,51 @@
+"""What the UI is given: plain Python values, small pictures, readable tables."""
+
+import base64
+
+import dagster as dg
+import numpy as np
+import pandas as pd
+
+from assets import presentation
+from oracle_pipeline.reporting.result import Report
+
+TABLE = pd.DataFrame(
+    {
+        "mode": ["a", "b"],
+        "auc": [0.75, np.nan],
+        "auc_low": [0.5, np.nan],
+        "auc_high": [1.0, np.nan],
+        "mcc": [0.123456, np.nan],
+        "runs": [1, 2],
+    }
+)
+TABLE.attrs["fields"] = {"mcc": {"unit": "1", "description": "Matthews correlation"}}
+
+
+def test_a_report_is_facts_table_and_one_picture_that_fits() -> None:
+    large, small = b"x" * presentation.MAX_PNG_BYTES, b"small"
+    shown = presentation.report(
+        Report(TABLE, {"large": large, "small": small}, {"runs": 2, "auc": 0.5, "note": "few"})
+    )
+    assert (shown["runs"], shown["auc"], shown["note"]) == (
+        dg.MetadataValue.int(2),
+        dg.MetadataValue.float(0.5),
+        dg.MetadataValue.text("few"),
+    )
+    picture = shown["picture"].value
+    assert isinstance(picture, str)
+    assert base64.b64encode(small).decode() in picture
+
+
+def test_estimates_keep_their_intervals_and_gaps_are_empty() -> None:
+    assert [record.data for record in presentation.table(TABLE).records] == [
+        {"mode": "a", "auc": "0.75 [0.50, 1.00]", "mcc": "0.1235", "runs": "1"},
+        {"mode": "b", "auc": "n/a", "mcc": "", "runs": "2"},
+    ]
+
+
+def test_columns_tell_unit_and_meaning() -> None:
+    described = {column.name: column for column in presentation.columns(TABLE).columns}
+    assert described["mcc"].type == "float64"
+    assert described["mcc"].description == "Matthews correlation [1]"
+    assert described["mode"].description is None

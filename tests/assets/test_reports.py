@@ -1,0 +1,88 @@
+"""The assets over all runs read what is on disk, and say so when that is too little."""
+
+import shutil
+from dataclasses import replace
+
+import dagster as dg
+import pytest
+
+from oracle_pipeline.datasets import read_table
+from oracle_pipeline.reporting.result import Report
+from tests.assets.laboratory import ATTACKED, CONTROL, EVERYTHING, KEYS, PER_RUN, Laboratory
+
+AGGREGATES = [asset for asset in EVERYTHING if asset not in PER_RUN]
+
+
+def test_the_dataset_holds_every_run_that_is_there(campaign: Laboratory) -> None:
+    df = read_table(campaign.store.dataset("features"))
+    assert list(df["run_id"]) == sorted(KEYS)
+    figures = campaign.figures("feature_dataset")
+    assert figures["runs_of_mode"] == {CONTROL: 2, ATTACKED: 2}
+    assert (figures["runs"], figures["malicious_runs"]) == (4, 2)
+
+
+def test_a_run_that_ended_before_its_onset_is_left_out_and_named(
+    copy_of_campaign: Laboratory,
+) -> None:
+    run = copy_of_campaign.store.run(KEYS[0])
+    replace(run.manifest(), onset_s=None).save(run.manifest_path)
+    assert copy_of_campaign.materialize(["feature_dataset"]).success
+    df = read_table(copy_of_campaign.store.dataset("features"))
+    assert list(df["run_id"]) == sorted(KEYS[1:])
+    assert copy_of_campaign.figures("feature_dataset")["left_out"] == KEYS[0]
+
+
+@pytest.mark.parametrize("asset", AGGREGATES)
+def test_an_aggregate_knows_where_it_is_and_what_it_is_made_of(
+    campaign: Laboratory, asset: str
+) -> None:
+    materialization = campaign.latest(asset)
+    assert materialization.partition is None
+    assert isinstance(materialization.metadata["path"], dg.PathMetadataValue)
+    assert (campaign.root / str(materialization.metadata["path"].value)).exists()
+    assert len((materialization.tags or {})["dagster/data_version"]) == 64
+
+
+def test_the_report_is_one_file_with_pictures_of_a_pair(campaign: Laboratory) -> None:
+    page = campaign.store.report.read_text(encoding="utf-8")
+    for asset in ("random_noise|run000", "lidar_passthrough|run000"):
+        assert asset in page
+    assert 'src="http' not in page
+    assert campaign.figures("oracle_report")["url"] == campaign.store.report.as_uri()
+
+
+def test_reports_are_drawn_as_the_bootstrapped_dataset_was(copy_of_campaign: Laboratory) -> None:
+    drawn = {"rows": 40, "malicious_rate": 0.5, "seed": 7}
+    assert copy_of_campaign.materialize(
+        ["bootstrapped_dataset", "pairwise_report"], config={"bootstrapped_dataset": drawn}
+    ).success
+    summary = Report.load(copy_of_campaign.store.results("pairwise_report")).summary
+    assert {name: summary[name] for name in drawn} == drawn
+
+
+def test_the_same_runs_give_the_same_versions(
+    copy_of_campaign: Laboratory, campaign: Laboratory
+) -> None:
+    assert copy_of_campaign.materialize(AGGREGATES).success
+    for asset in AGGREGATES:
+        ours, theirs = copy_of_campaign.latest(asset).tags, campaign.latest(asset).tags
+        assert ours is not None
+        assert theirs is not None
+        assert ours["dagster/data_version"] == theirs["dagster/data_version"]
+
+
+def test_one_run_alone_is_reported_as_what_it_is(copy_of_campaign: Laboratory) -> None:
+    features = copy_of_campaign.root / "features" / "run"
+    shutil.rmtree(features / CONTROL)
+    (features / ATTACKED / "run001.parquet").unlink()
+    assert copy_of_campaign.materialize(AGGREGATES).success
+    assert copy_of_campaign.figures("feature_dataset")["runs"] == 1
+    assert "no normal runs" in copy_of_campaign.store.report.read_text(encoding="utf-8")
+
+
+def test_no_runs_at_all_fail_with_what_to_do(empty: Laboratory) -> None:
+    result = empty.materialize(["feature_dataset"])
+    failure = result.failure_data_for_node("feature_dataset")
+    assert failure is not None
+    assert failure.user_failure_data is not None
+    assert "record runs" in str(failure.user_failure_data.description)

@@ -1,0 +1,130 @@
+"""The real web server on the committed workspace shows what people look for."""
+
+import json
+import threading
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import uvicorn
+from dagster._core.workspace.context import WorkspaceProcessContext
+from dagster._core.workspace.load_target import WorkspaceFileTarget
+from dagster_webserver.webserver import DagsterWebserver
+
+from assets.checks import CHECKS
+from tests.assets.laboratory import ATTACKED, CONTROL, EVERYTHING, KEY, PER_RUN, ROOT, Laboratory
+
+Query = Callable[[str], Any]
+
+
+@pytest.fixture(scope="module")
+def ui(campaign: Laboratory) -> Iterator[Query]:
+    """A server on a free port of the loopback interface, asked in GraphQL as the browser does."""
+    target = WorkspaceFileTarget(paths=[str(ROOT / "workspace.yaml")])
+    with WorkspaceProcessContext(campaign.instance, target) as workspace:
+        app = DagsterWebserver(workspace).create_asgi_app()
+        server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, log_level="error"))
+        thread = threading.Thread(target=server.run)
+        thread.start()
+        while not server.started:
+            time.sleep(0.01)
+        port = server.servers[0].sockets[0].getsockname()[1]
+
+        def query(text: str) -> Any:
+            request = urllib.request.Request(
+                f"http://127.0.0.1:{port}/graphql",
+                data=json.dumps({"query": text}).encode(),
+                headers={"Content-Type": "application/json"},
+            )
+            with urllib.request.urlopen(request) as answer:  # noqa: S310
+                document = json.load(answer)
+            assert "errors" not in document, document
+            return document["data"]
+
+        yield query
+        server.should_exit = True
+        thread.join()
+
+
+def test_the_ui_shows_every_asset_with_kinds_owners_and_partitions(ui: Query) -> None:
+    nodes = ui(
+        "{ assetNodes { assetKey { path } groupName kinds description isPartitioned"
+        "  owners { ... on TeamAssetOwner { team } }"
+        "  partitionKeysByDimension { name partitionKeys } } }"
+    )["assetNodes"]
+    assert {node["assetKey"]["path"][0] for node in nodes} == set(EVERYTHING)
+    for node in nodes:
+        assert node["kinds"], node
+        assert node["owners"], node
+        if node["isPartitioned"]:
+            mode, run = node["partitionKeysByDimension"]
+            assert (mode["name"], run["name"]) == ("mode", "run")
+            assert mode["partitionKeys"][:3] == [
+                "lidar_passthrough",
+                "lidar_passthrough_odom",
+                "fake_object",
+            ]
+            assert run["partitionKeys"] == [f"run{i:03d}" for i in range(15)]
+
+
+def test_the_ui_shows_job_and_schedule(ui: Query) -> None:
+    repository = ui(
+        "{ repositoriesOrError { ... on RepositoryConnection { nodes {"
+        "  jobs { name } schedules { name scheduleState { status } } } } } }"
+    )["repositoriesOrError"]["nodes"][0]
+    assert "everything" in {job["name"] for job in repository["jobs"]}
+    assert repository["schedules"] == [{"name": "nightly", "scheduleState": {"status": "STOPPED"}}]
+
+
+def test_the_matrix_shows_which_runs_are_there(ui: Query) -> None:
+    nodes = ui(
+        "{ assetNodes { assetKey { path } assetPartitionStatuses { ... on MultiPartitionStatuses {"
+        "  ranges { primaryDimStartKey primaryDimEndKey secondaryDim {"
+        "  ... on DefaultPartitionStatuses { materializedPartitions failedPartitions } } } } } } }"
+    )["assetNodes"]
+    shown = {node["assetKey"]["path"][0]: node["assetPartitionStatuses"] for node in nodes}
+    there = {"materializedPartitions": ["run000", "run001"], "failedPartitions": []}
+    for asset in PER_RUN:
+        assert shown[asset]["ranges"] == [
+            {"primaryDimStartKey": mode, "primaryDimEndKey": mode, "secondaryDim": there}
+            for mode in (CONTROL, ATTACKED)
+        ]
+
+
+@pytest.mark.parametrize("asset", EVERYTHING)
+def test_nothing_is_stale_that_was_just_made(ui: Query, asset: str) -> None:
+    partition = f'(partition: "{KEY}")' if asset in PER_RUN else ""
+    (node,) = ui(
+        f'{{ assetNodes(assetKeys: [{{path: ["{asset}"]}}]) {{'
+        f"  staleStatus{partition} staleCauses{partition} {{ reason }} }} }}"
+    )["assetNodes"]
+    assert node == {"staleStatus": "FRESH", "staleCauses": []}
+
+
+def test_a_report_shows_its_table_and_a_picture(ui: Query) -> None:
+    (node,) = ui(
+        '{ assetNodes(assetKeys: [{path: ["clustering_grid_search"]}]) {'
+        "  assetMaterializations(limit: 1) { metadataEntries { label"
+        "  ... on MarkdownMetadataEntry { mdStr } ... on TableMetadataEntry { table { records } }"
+        "  } } } }"
+    )["assetNodes"]
+    (materialization,) = node["assetMaterializations"]
+    entries = {entry["label"]: entry for entry in materialization["metadataEntries"]}
+    assert entries["picture"]["mdStr"].startswith("![](data:image/png;base64,")
+    assert json.loads(entries["table"]["table"]["records"][0])["linkage"] == "ward"
+
+
+def test_each_check_shows_a_result_for_each_run(ui: Query) -> None:
+    nodes = ui(
+        "{ assetNodes { assetChecksOrError { ... on AssetChecks { checks { name partitionStatuses {"
+        "  ... on AssetCheckMultiPartitionStatuses { ranges { primaryDimEndKey secondaryDim {"
+        "  ... on AssetCheckDefaultPartitionStatuses { succeededPartitions } } } } } } } } } }"
+    )["assetNodes"]
+    checks = [check for node in nodes for check in node["assetChecksOrError"]["checks"]]
+    assert {check["name"] for check in checks} == {each.name for each in CHECKS}
+    for check in checks:
+        last = check["partitionStatuses"]["ranges"][-1]
+        assert last["primaryDimEndKey"] == ATTACKED
+        assert last["secondaryDim"]["succeededPartitions"] == ["run000", "run001"]

@@ -1,0 +1,27 @@
+"""The fleet: every job has an outcome, and a job that fails fails alone."""
+
+import math
+import os
+
+import pytest
+
+from resources.fleet import Fleet
+
+
+def test_every_job_has_an_outcome_and_a_failure_its_reason() -> None:
+    outcomes = {o.job: o for o in Fleet(workers=2).outcomes(math.sqrt, [4.0, -1.0, 9.0])}
+    assert {job: o.result for job, o in outcomes.items()} == {4.0: 2.0, -1.0: None, 9.0: 3.0}
+    assert "ValueError" in str(outcomes[-1.0].error)
+
+
+def test_nothing_to_do_starts_nothing() -> None:
+    assert list(Fleet().outcomes(math.sqrt, [])) == []
+
+
+def test_by_default_every_processor_works() -> None:
+    assert Fleet().workers == os.cpu_count()
+
+
+def test_a_fleet_without_workers_is_refused() -> None:
+    with pytest.raises(ValueError, match="workers"):
+        Fleet(workers=0)
