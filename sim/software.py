@@ -6,6 +6,7 @@ The same recipe gives the same messages as long as these three stay the same.
 import functools
 import hashlib
 import platform
+from collections.abc import Iterable, Iterator
 from importlib.metadata import version
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -14,6 +15,7 @@ import llvmlite.binding
 
 from oracle_pipeline.bags.manifest import Software
 
+_SUFFIXES = (".py", ".msg", ".srv", ".action", ".yaml", ".j2")
 # Libraries whose arithmetic, random numbers or serialisation end up in messages.
 _LIBRARIES = ("llvmlite", "mujoco", "numba", "numpy", "rosbags", "scipy")
 
@@ -23,26 +25,30 @@ def software() -> Software:
     """Return what this process makes runs with."""
     libraries = " ".join(f"{name}-{version(name)}" for name in _LIBRARIES)
     return Software(
-        code=_digest(["sim", "oracle_pipeline.bags"]),
+        code=source_digest([files("sim"), files("oracle_pipeline") / "bags"]),
         dependencies=f"python-{platform.python_version()} {libraries}",
         cpu=f"{platform.machine()} {llvmlite.binding.get_host_cpu_name()}",
     )
 
 
-def _digest(packages: list[str]) -> str:
-    """Return a hash over the source files of our packages."""
+def source_digest(folders: Iterable[Traversable], *others: str) -> str:
+    """Return a hash over the source files in folders, and over other texts.
+
+    Names and contents count, the folders' own places do not.
+    """
     digest = hashlib.sha256()
-    for package in packages:
-        for path, content in sorted(_sources(files(package), package)):
-            digest.update(path.encode() + b"\0" + content)
+    for folder in folders:
+        for part in _sources(folder):
+            digest.update(len(part).to_bytes(8) + part)
+    for text in others:
+        digest.update(text.encode() + b"\0")
     return digest.hexdigest()[:16]
 
 
-def _sources(folder: Traversable, path: str) -> list[tuple[str, bytes]]:
-    found = []
-    for entry in folder.iterdir():
-        if entry.is_dir() and entry.name != "__pycache__":
-            found += _sources(entry, f"{path}/{entry.name}")
-        elif entry.name.endswith((".py", ".msg", ".srv", ".action", ".yaml")):
-            found.append((f"{path}/{entry.name}", entry.read_bytes()))
-    return found
+def _sources(folder: Traversable) -> Iterator[bytes]:
+    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
+        if entry.is_dir():
+            yield from _sources(entry)
+        elif entry.name.endswith(_SUFFIXES):
+            yield entry.name.encode()
+            yield entry.read_bytes()

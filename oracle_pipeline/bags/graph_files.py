@@ -12,6 +12,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from xml.parsers import expat
 
 import networkx as nx
 
@@ -108,19 +109,19 @@ def _write(root: ET.Element, path: Path) -> None:
     path.write_bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
 
 
-class _NoDocumentType(ET.TreeBuilder):
-    """Refuses a DTD, and with it every entity, before anything is expanded."""
-
-    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:  # noqa: ARG002
-        raise GraphError("it has a document type, which a graph file never needs")
+def _refuse_document_type(*_declaration: object) -> None:
+    """Refuse a DTD, and with it every entity, before anything is expanded."""
+    raise GraphError("it has a document type, which a graph file never needs")
 
 
 def _read(path: Path, parse: Callable[[io.BytesIO], Any]) -> RosGraph:
     try:
         data = path.read_bytes()
-        ET.XMLParser(target=_NoDocumentType()).feed(data)  # noqa: S314
+        scanner = expat.ParserCreate()
+        scanner.StartDoctypeDeclHandler = _refuse_document_type
+        scanner.Parse(data, True)
         return _checked(parse(io.BytesIO(data)))
-    except (OSError, ET.ParseError, nx.NetworkXError, GraphError, KeyError, ValueError) as error:
+    except (OSError, expat.ExpatError, nx.NetworkXError, GraphError, KeyError, ValueError) as error:
         raise GraphError(
             f"Could not read the graph {path}: {error}. Take the graph from the run again."
         ) from error
