@@ -113,7 +113,7 @@ class ControllerServer(LifecycleNode):
         super().__init__(domain, "/controller_server", latency_ns=latency_ns)
         self._costmap = costmap
         self._transforms = transforms
-        self._planner = RotationShim(parameters, period_ns=PERIOD_NS)
+        self._planner = RotationShim(parameters)
         self._progress = ProgressChecker()
         self._goal_checker = GoalChecker()
         self._velocity = (0.0, 0.0)

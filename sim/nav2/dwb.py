@@ -24,8 +24,7 @@ _EPSILON = 1e-5
 class Parameters(NamedTuple):
     """The Waffle's values in ``nav2_params.yaml``; names as there.
 
-    The four scales of the map critics are ours (there: 24 for the goal, 32 for the path); why is
-    in docs/navigation.md.
+    Only ``sim_time`` is ours (there: 1.7 s); why is in docs/navigation.md.
     """
 
     max_vel_x: float = 0.26  # [m/s]; the robot never drives backwards
@@ -36,7 +35,7 @@ class Parameters(NamedTuple):
     decel_lim_theta: float = -3.2  # [rad/s^2]
     vx_samples: int = 20
     vtheta_samples: int = 20
-    sim_time: float = 1.7  # [s]
+    sim_time: float = 1.0  # [s]
     linear_granularity: float = 0.05  # [m]
     angular_granularity: float = 0.025  # [rad]
     prune_distance: float = 2.0  # of the plan kept behind the robot [m]
@@ -47,10 +46,10 @@ class Parameters(NamedTuple):
     forward_point_distance: float = 0.1  # [m]
     rotate_to_goal_scale: float = 32.0
     base_obstacle_scale: float = 0.02
-    goal_align_scale: float = 16.0
-    path_align_scale: float = 64.0
-    path_dist_scale: float = 64.0
-    goal_dist_scale: float = 16.0
+    goal_align_scale: float = 24.0
+    path_align_scale: float = 32.0
+    path_dist_scale: float = 32.0
+    goal_dist_scale: float = 24.0
 
 
 class CostGrid(NamedTuple):

@@ -10,40 +10,33 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.middleware.executor import SECOND
 from sim.middleware.geometry import Pose2D, wrap_angle
 from sim.nav2.dwb import CostGrid, Cycle, LocalPlanner, Parameters
 from sim.nav2.paths import Poses
 
 
 class ShimParameters(NamedTuple):
-    """Names as in the original, which has 0.785 rad, 0.5 m and 1.8 rad/s by default."""
+    """Names as in the original, which has 0.785 rad and 0.5 m by default."""
 
     angular_dist_threshold: float = 0.35  # heading errors above this are turned away first [rad]
     forward_sampling_distance: float = 0.3  # where on the path the heading is looked up [m]
-    rotate_to_heading_angular_vel: float = 1.0  # [rad/s]
-    max_angular_accel: float = 3.2  # [rad/s^2]
 
 
 class RotationShim(LocalPlanner):
-    """DWB that first faces each new path.
+    """DWB that first faces each new path, turning as fast as DWB may.
 
-    The footprint is a circle, so turning on the spot needs no look at the costmap.
+    The footprint is a circle, so turning on the spot needs no look at the costmap; the velocity
+    smoother sees to the acceleration.
 
     Parameters
     ----------
     dwb, shim
         Of the planner, and of the turn before it takes over.
-    period_ns
-        From one call of ``compute`` to the next.
     """
 
-    def __init__(
-        self, dwb: Parameters | None = None, shim: ShimParameters | None = None, *, period_ns: int
-    ) -> None:
+    def __init__(self, dwb: Parameters | None = None, shim: ShimParameters | None = None) -> None:
         super().__init__(dwb)
         self._shim = shim or ShimParameters()
-        self._period_s = period_ns / SECOND
         self._facing = False  # still to be checked whether the robot faces the plan
 
     def set_plan(self, plan: Poses) -> None:
@@ -55,21 +48,21 @@ class RotationShim(LocalPlanner):
         self, grid: CostGrid, pose: Pose2D, velocity: tuple[float, float], from_plan: Pose2D
     ) -> Cycle:
         """Choose the next velocity; parameters are those of `LocalPlanner.compute`."""
-        error = self._heading_error(from_plan.inverse().compose(pose)) if self._facing else 0.0
-        self._facing = abs(error) > self._shim.angular_dist_threshold
-        if not self._facing:
-            return super().compute(grid, pose, velocity, from_plan)
-        step = self._shim.max_angular_accel * self._period_s
-        wanted = math.copysign(self._shim.rotate_to_heading_angular_vel, error)
-        turning = min(max(wanted, velocity[1] - step), velocity[1] + step)
-        return Cycle((0.0, turning), self.followed(pose, grid, from_plan), np.empty((0, 3)))
+        if self._facing:
+            near = self.followed(pose, grid, from_plan)
+            error = self._heading_error(pose, near)
+            self._facing = abs(error) > self._shim.angular_dist_threshold
+            if self._facing:
+                turning = math.copysign(self._limited.max_vel_theta, error)
+                return Cycle((0.0, turning), near, near[:0])
+        return super().compute(grid, pose, velocity, from_plan)
 
-    def _heading_error(self, robot: Pose2D) -> float:
+    def _heading_error(self, robot: Pose2D, plan: Poses) -> float:
         """Return the bearing of the path a little ahead; 0 if the path ends before that."""
-        distances = np.hypot(self.plan[:, 0] - robot.x, self.plan[:, 1] - robot.y)
-        closest = int(np.argmin(distances))
+        distances = np.hypot(plan[:, 0] - robot.x, plan[:, 1] - robot.y)
+        closest = int(np.argmin(distances)) if len(plan) else 0
         ahead = np.flatnonzero(distances[closest:] >= self._shim.forward_sampling_distance)
         if not len(ahead):
             return 0.0
-        x, y, _ = self.plan[closest + ahead[0]].tolist()
+        x, y, _ = plan[closest + ahead[0]].tolist()
         return wrap_angle(math.atan2(y - robot.y, x - robot.x) - robot.yaw)
