@@ -84,7 +84,7 @@ def record(
                 click.echo(f"{directory.key}: {outcome.error}", err=True)
                 continue
             progress.done(outcome.result.recording_s)
-            click.echo(f"{directory.path}: {_summary(outcome.result)}")
+            progress.say(f"{directory.path}: {_summary(outcome.result)}")
     if failed:
         click.echo(f"{failed} of {number} runs failed; call again to complete them.", err=True)
         sys.exit(1)
@@ -98,7 +98,10 @@ def _record(mode: str, campaign: Campaign, out: Path, refresh: bool, run: int) -
 
 def _summary(manifest: Manifest) -> str:
     reached = sum(result.outcome == "succeeded" for result in manifest.goal_results)
+    factor = manifest.recording_s / manifest.measured.wall_s
+    megabytes = sum(manifest.measured.bytes.values()) / 1e6
     return (
         f"{manifest.outcome}, {reached} of {len(manifest.goals)} goals, "
-        f"{manifest.recording_s:.0f} s, {sum(manifest.measured.bytes.values()) / 1e6:.1f} MB"
+        f"{manifest.recording_s:.0f} s at {factor:.0f}x real time, "
+        f"{megabytes:.1f} MB ({megabytes / manifest.recording_s * 60:.1f} MB a minute)"
     )

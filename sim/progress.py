@@ -1,5 +1,6 @@
 """Progress of many runs: how many are done, how fast, and how long it will take."""
 
+import sys
 import time
 from types import TracebackType
 from typing import Self
@@ -27,6 +28,10 @@ class RunProgress:
         factor = self._recorded_s / (time.monotonic() - self._started)
         self._bar.set_postfix_str(f"{factor:.0f}x real time", refresh=False)
         self._bar.update()
+
+    def say(self, text: str) -> None:
+        """Print a line to standard output, above the bar."""
+        self._bar.write(text, file=sys.stdout)
 
     def __enter__(self) -> Self:
         return self

@@ -4,9 +4,10 @@ For every command it counts the sensor points inside each polygon around the rob
 robot or slows it down, as Nav2's collision monitor does on Humble.
 """
 
+import contextlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -76,13 +77,31 @@ SOURCES = (
 )
 
 
-@dataclass(slots=True)
 class _Seen:
-    """What a source saw last, in its own frame."""
+    """What a source saw last that could be placed in the odometry frame.
 
-    stamp_ns: int = 0
-    frame: str = ""
-    points: Points = field(default_factory=lambda: np.empty((0, 2)))
+    Nav2 waits for the transform at a message's stamp; here the message before stands in for it.
+    """
+
+    def __init__(self) -> None:
+        self._stamp_ns = 0
+        self._points: Points = np.empty((0, 2))
+        self._waiting: tuple[Any, Points] | None = None  # header, points in the sensor's frame
+
+    def receive(self, header: Any, points: Points) -> None:
+        """Take a new message in."""
+        self._waiting = (header, points)
+
+    def points(self, transforms: TransformBuffer, now_ns: int) -> Points:
+        """Return the points in the odometry frame; none if they are too old."""
+        if self._waiting is not None:
+            header, points = self._waiting
+            time_ns = stamp_ns(header.stamp)
+            with contextlib.suppress(TransformError):
+                sensor = transforms.lookup(ODOM_FRAME, header.frame_id, time_ns)
+                self._stamp_ns, self._points = time_ns, sensor.apply(points)
+                self._waiting = None
+        return self._points if now_ns - self._stamp_ns <= SOURCE_TIMEOUT_NS else self._points[:0]
 
 
 class CollisionMonitor(LifecycleNode):
@@ -146,9 +165,7 @@ class CollisionMonitor(LifecycleNode):
         points_of = scan_points if is_scan else range_points
 
         def receive(message: Any) -> None:
-            seen.stamp_ns = stamp_ns(message.header.stamp)
-            seen.frame = message.header.frame_id
-            seen.points = points_of(message)
+            seen.receive(message.header, points_of(message))
 
         self.create_subscription(source.msgtype, source.topic, receive, qos.SENSOR_DATA)
 
@@ -165,17 +182,11 @@ class CollisionMonitor(LifecycleNode):
 
     def _points(self) -> Points:
         """Return what all sources see, in the base frame as it is now."""
-        return np.concatenate([self._corrected(seen) for seen in self._seen])
-
-    def _corrected(self, seen: _Seen) -> Points:
-        if not len(seen.points) or self.now_ns - seen.stamp_ns > SOURCE_TIMEOUT_NS:
-            return seen.points[:0]
+        points = np.concatenate([s.points(self._transforms, self.now_ns) for s in self._seen])
         try:
-            then = self._transforms.lookup(ODOM_FRAME, seen.frame, seen.stamp_ns)
-            now = self._transforms.lookup(ODOM_FRAME, BASE_FRAME)
+            return self._transforms.lookup(BASE_FRAME, ODOM_FRAME).apply(points)
         except TransformError:
-            return seen.points[:0]
-        return now.inverse().compose(then).apply(seen.points)
+            return points[:0]
 
     def _judge(
         self, command: tuple[float, float], points: Points

@@ -132,6 +132,15 @@ def test_a_scan_in_an_unknown_frame_has_no_points(rig):
     assert rig.command() == (0.2, 0.5)
 
 
+def test_a_scan_newer_than_the_odometry_waits_and_the_one_before_stands_in(rig):
+    rig.see(*IN_STOP)
+    rig.domain.executor.run_until(200 * MILLISECOND)
+    rig.see()  # nothing there any more, but where was the robot?
+    assert rig.command() == (0.0, 0.0)
+    rig.place(Pose2D())
+    assert rig.command() == (0.2, 0.5)
+
+
 def test_a_halted_robot_gets_no_more_commands_after_two_seconds(rig):
     rig.see(*IN_STOP)
     assert rig.command() == (0.0, 0.0)
@@ -139,6 +148,7 @@ def test_a_halted_robot_gets_no_more_commands_after_two_seconds(rig):
     assert rig.command() == (0.0, 0.0)
     rig.domain.executor.run_until(2 * SECOND + MILLISECOND)
     assert rig.command() is None
+    rig.place(Pose2D())
     rig.see()
     assert rig.command() == (0.2, 0.5)
 
