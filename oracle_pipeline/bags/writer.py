@@ -7,7 +7,7 @@ profiles, and errors that name the bag. Nothing depends on the clock: equal call
 import shutil
 import sqlite3
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Literal, Self
@@ -178,7 +178,9 @@ class BagWriter:
         return topic.connection
 
     def _discard(self) -> None:
-        self._writer.abort()
+        # Closing flushes: on a full disk it fails as the write did, and that error is on its way.
+        with suppress(OSError, sqlite3.Error):
+            self._writer.abort()
         shutil.rmtree(self._unfinished, ignore_errors=True)
 
     @contextmanager
