@@ -83,25 +83,31 @@ class _Seen:
     Nav2 waits for the transform at a message's stamp; here the message before stands in for it.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, transforms: TransformBuffer) -> None:
+        self._transforms = transforms
         self._stamp_ns = 0
         self._points: Points = np.empty((0, 2))
         self._waiting: tuple[Any, Points] | None = None  # header, points in the sensor's frame
 
     def receive(self, header: Any, points: Points) -> None:
-        """Take a new message in."""
+        """Take a new message in; by now the one before can be placed."""
+        self._place()
         self._waiting = (header, points)
 
-    def points(self, transforms: TransformBuffer, now_ns: int) -> Points:
+    def points(self, now_ns: int) -> Points:
         """Return the points in the odometry frame; none if they are too old."""
-        if self._waiting is not None:
-            header, points = self._waiting
-            time_ns = stamp_ns(header.stamp)
-            with contextlib.suppress(TransformError):
-                sensor = transforms.lookup(ODOM_FRAME, header.frame_id, time_ns)
-                self._stamp_ns, self._points = time_ns, sensor.apply(points)
-                self._waiting = None
+        self._place()
         return self._points if now_ns - self._stamp_ns <= SOURCE_TIMEOUT_NS else self._points[:0]
+
+    def _place(self) -> None:
+        if self._waiting is None:
+            return
+        header, points = self._waiting
+        time_ns = stamp_ns(header.stamp)
+        with contextlib.suppress(TransformError):
+            sensor = self._transforms.lookup(ODOM_FRAME, header.frame_id, time_ns)
+            self._stamp_ns, self._points = time_ns, sensor.apply(points)
+            self._waiting = None
 
 
 class CollisionMonitor(LifecycleNode):
@@ -159,7 +165,7 @@ class CollisionMonitor(LifecycleNode):
         self.create_subscription(TWIST, "/cmd_vel_raw", self._on_command, qos.RELIABLE)
 
     def _listen(self, source: Source) -> None:
-        seen = _Seen()
+        seen = _Seen(self._transforms)
         self._seen.append(seen)
         is_scan = source.msgtype == "sensor_msgs/msg/LaserScan"
         points_of = scan_points if is_scan else range_points
@@ -182,7 +188,7 @@ class CollisionMonitor(LifecycleNode):
 
     def _points(self) -> Points:
         """Return what all sources see, in the base frame as it is now."""
-        points = np.concatenate([s.points(self._transforms, self.now_ns) for s in self._seen])
+        points = np.concatenate([s.points(self.now_ns) for s in self._seen])
         try:
             return self._transforms.lookup(BASE_FRAME, ODOM_FRAME).apply(points)
         except TransformError:

@@ -19,7 +19,7 @@ class ShimParameters(NamedTuple):
     """Names as in the original, which has 0.785 rad and 0.5 m by default."""
 
     angular_dist_threshold: float = 0.35  # heading errors above this are turned away first [rad]
-    forward_sampling_distance: float = 0.3  # where on the path the heading is looked up [m]
+    forward_sampling_distance: float = 0.4  # where on the path the heading is looked up [m]
 
 
 class RotationShim(LocalPlanner):
