@@ -38,11 +38,15 @@ class Recorder(Node):
         super().__init__(domain, "/rosbag2_recorder", endpoints="E")
         self._writer = writer
         self._endpoints: dict[str, int] = {}  # topic -> publishers whose QoS is in the bag
+        self._revision = 0  # of the domain when it was last looked through
         self.create_publisher("rosbag2_interfaces/msg/WriteSplitEvent", "/events/write_split")
         self._discover()
         self.create_timer(_DISCOVERY_NS, self._discover)
 
     def _discover(self) -> None:
+        if self._revision == self.domain.revision:
+            return
+        self._revision = self.domain.revision
         for topic, msgtype in list(self.domain.topics.items()):
             if is_hidden(topic) and topic != GROUND_TRUTH_TOPIC:
                 continue

@@ -160,7 +160,7 @@ class ActionServer:
     @property
     def feedback_is_heard(self) -> bool:
         """Tell whether anybody does something with the hidden feedback topic."""
-        return any(s.callback is not None for s in self._feedback.subscriptions)
+        return self._feedback.is_heard()
 
     def publish_feedback(self, handle: GoalHandle, feedback: Any) -> None:
         """Publish on the hidden feedback topic if somebody listens."""

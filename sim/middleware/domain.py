@@ -52,10 +52,20 @@ class Subscription:
     msgtype: str
     qos: Qos
     callback: Callable[[Any], None] | None
-    raw: bool  # the callback takes CDR bytes instead of a message
+    raw: bool  # the callback takes CDR bytes, in the instant they are sent
     latency_ns: int
-    messages: int = 0
-    message_bytes: int = 0
+    # Publishers, and what each had sent before it was connected: traffic is counted once, there.
+    links: list[tuple["Publisher", int, int]] = field(default_factory=list)
+
+    @property
+    def messages(self) -> int:
+        """Samples received so far."""
+        return sum(publisher.messages - before for publisher, before, _ in self.links)
+
+    @property
+    def message_bytes(self) -> int:
+        """Their CDR bytes, as far as a recorder listened."""
+        return sum(publisher.message_bytes - before for publisher, _, before in self.links)
 
     def deliver(self, sample: Sample) -> None:
         """Hand a sample to the callback."""
@@ -67,7 +77,7 @@ class Subscription:
 class Publisher:
     """One node's voice on a topic."""
 
-    domain: "Domain"
+    executor: Executor
     node: str
     topic: str
     msgtype: str
@@ -75,11 +85,16 @@ class Publisher:
     subscriptions: list[Subscription] = field(default_factory=list)
     retained: deque[Sample] | None = None  # for late subscribers, when latched
     messages: int = 0
-    message_bytes: int = 0
+    message_bytes: int = 0  # sent while a recorder listened; else nothing need be serialised
+    _recorders: list[Subscription] = field(default_factory=list)
+    _listeners: list[Subscription] = field(default_factory=list)
 
-    def publish(self, message: Any) -> None:
-        """Send a message object; the caller must not change it afterwards."""
-        self._send(Sample(self.msgtype, message=message))
+    def publish(self, message: Any, data: bytes | None = None) -> None:
+        """Send a message object; the caller must not change it afterwards.
+
+        ``data`` are its CDR bytes, if the caller has them cheaper than by serialising.
+        """
+        self._send(Sample(self.msgtype, message, data))
 
     def publish_serialized(self, data: bytes) -> None:
         """Send CDR bytes as they are."""
@@ -89,24 +104,38 @@ class Publisher:
         """Tell whether a sample would reach anyone (Nav2 skips costly messages otherwise)."""
         return bool(self.subscriptions)
 
+    def is_heard(self) -> bool:
+        """Tell whether any of the subscribers does something with a sample."""
+        return bool(self._recorders or self._listeners)
+
+    def connect(self, subscription: Subscription) -> None:
+        """Send to a subscription from now on; if latched, what was sent last as well."""
+        self.subscriptions.append(subscription)
+        if subscription.callback is not None:
+            (self._recorders if subscription.raw else self._listeners).append(subscription)
+        late = list(self.retained or ()) if is_latched(subscription.qos) else []
+        size = sum(len(sample.data) for sample in late) if self._recorders else 0
+        subscription.links.append((self, self.messages - len(late), self.message_bytes - size))
+        for sample in late:
+            self._deliver(subscription, sample)
+
     def _send(self, sample: Sample) -> None:
+        self.messages += 1
         if self.retained is not None:
             self.retained.append(sample)
-        # Sizes are counted once a recorder listens: only then is the sample serialised anyway.
-        size = len(sample.data) if any(s.raw for s in self.subscriptions) else 0
-        self.messages += 1
-        self.message_bytes += size
-        for subscription in self.subscriptions:
-            self.deliver(subscription, sample, size)
+        if self._recorders:
+            self.message_bytes += len(sample.data)
+        for subscription in self._recorders:
+            subscription.deliver(sample)
+        for subscription in self._listeners:
+            self._deliver(subscription, sample)
 
-    def deliver(self, subscription: Subscription, sample: Sample, size: int) -> None:
-        """Schedule a sample's arrival at one subscription."""
-        subscription.messages += 1
-        subscription.message_bytes += size
-        if subscription.callback is not None:
-            executor = self.domain.executor
-            due_ns = executor.now_ns + subscription.latency_ns
-            executor.call_at(due_ns, subscription.deliver, sample)
+    def _deliver(self, subscription: Subscription, sample: Sample) -> None:
+        if subscription.raw:
+            subscription.deliver(sample)
+        else:
+            due_ns = self.executor.now_ns + subscription.latency_ns
+            self.executor.call_at(due_ns, subscription.deliver, sample)
 
 
 @dataclass(slots=True, eq=False)
@@ -134,6 +163,7 @@ class Domain:
 
     def __init__(self, executor: Executor) -> None:
         self.executor = executor
+        self.revision = 0  # counts publishers: who looks for new ones need not look when it stands
         self.topics: dict[str, str] = {}  # name -> message type, in order of appearance
         self._publishers: dict[str, list[Publisher]] = {}  # by topic
         self._subscriptions: dict[str, list[Subscription]] = {}  # by topic
@@ -155,9 +185,12 @@ class Domain:
         """Connect a new publisher to the subscriptions that fit."""
         self._declare(topic, msgtype)
         retained = deque[Sample](maxlen=qos.depth) if is_latched(qos) else None
-        publisher = Publisher(self, node, topic, msgtype, qos, retained=retained)
-        publisher.subscriptions += [s for s in self._subscriptions[topic] if compatible(qos, s.qos)]
+        publisher = Publisher(self.executor, node, topic, msgtype, qos, retained=retained)
         self._publishers[topic].append(publisher)
+        self.revision += 1
+        for subscription in self._subscriptions[topic]:
+            if compatible(qos, subscription.qos):
+                publisher.connect(subscription)
         return publisher
 
     def add_subscription(self, subscription: Subscription) -> None:
@@ -166,11 +199,7 @@ class Domain:
         self._subscriptions[subscription.topic].append(subscription)
         for publisher in self._publishers[subscription.topic]:
             if compatible(publisher.qos, subscription.qos):
-                publisher.subscriptions.append(subscription)
-                if publisher.retained and is_latched(subscription.qos):
-                    for sample in publisher.retained:
-                        size = len(sample.data) if subscription.raw else 0
-                        publisher.deliver(subscription, sample, size)
+                publisher.connect(subscription)
 
     def add_service(self, service: Service) -> None:
         """Register a service by its full name."""

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.jit import jit
+
 
 def wrap_angle(angle: float) -> float:
     """Return the same direction in [-pi, pi) [rad]."""
@@ -36,13 +38,22 @@ class Pose2D:
 
     def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Take points of shape (n, 2) from this frame into the parent frame [m]."""
-        c, s = math.cos(self.yaw), math.sin(self.yaw)
-        moved: NDArray[np.float64] = points @ np.array([[c, s], [-s, c]]) + (self.x, self.y)
-        return moved
+        return _moved(points, self.x, self.y, math.cos(self.yaw), math.sin(self.yaw))
 
     def distance_to(self, other: "Pose2D") -> float:
         """Return the straight distance to ``other`` in the same frame [m]."""
         return math.hypot(self.x - other.x, self.y - other.y)
+
+
+@jit
+def _moved(
+    points: NDArray[np.float64], x: float, y: float, c: float, s: float
+) -> NDArray[np.float64]:
+    moved = np.empty(points.shape)
+    for i in range(len(points)):
+        moved[i, 0] = x + c * points[i, 0] - s * points[i, 1]
+        moved[i, 1] = y + s * points[i, 0] + c * points[i, 1]
+    return moved
 
 
 def quaternion_yaw(x: float, y: float, z: float, w: float) -> float:

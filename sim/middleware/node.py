@@ -120,7 +120,8 @@ class Node:
     ) -> Subscription:
         """Listen to a topic; without a callback the endpoint exists but nothing is done.
 
-        With ``raw`` the callback gets CDR bytes instead of a message object.
+        With ``raw`` the callback gets CDR bytes instead of a message object, in the instant they
+        are sent; it must not publish.
         """
         subscription = Subscription(self.name, topic, msgtype, qos, callback, raw, self.latency_ns)
         self.domain.add_subscription(subscription)

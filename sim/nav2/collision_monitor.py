@@ -13,13 +13,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.template import STAMP, Template
 from sim.jit import jit
 from sim.middleware import qos
 from sim.middleware.domain import Domain, Publisher
 from sim.middleware.executor import SECOND
 from sim.middleware.stamps import stamp_ns
 from sim.middleware.tf import TransformBuffer, TransformError, TransformListener
-from sim.nav2.footprint import polygon_message
+from sim.nav2.footprint import POLYGON, polygon_message
 from sim.nav2.laser import scan_points
 from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.messages import TWIST, twist_message
@@ -152,8 +153,12 @@ class CollisionMonitor(LifecycleNode):
     def on_configure(self) -> None:
         """Open the topics."""
         self._publisher = self.create_publisher(TWIST, "/cmd_vel", qos.RELIABLE)
-        self._shapes: list[Publisher] = [
-            self.create_publisher("geometry_msgs/msg/PolygonStamped", polygon.topic)
+        # The shapes stay as they are in the robot's frame: only their stamps change.
+        self._shapes: list[tuple[Publisher, Template]] = [
+            (
+                self.create_publisher(POLYGON, polygon.topic),
+                Template(polygon_message(0, BASE_FRAME, polygon.vertices), POLYGON, STAMP),
+            )
             for polygon in self._polygons
         ]
         for source in self._sources:
@@ -221,8 +226,9 @@ class CollisionMonitor(LifecycleNode):
         self._publisher.publish(twist_message(linear, angular))
 
     def _publish_polygons(self) -> None:
-        for polygon, publisher in zip(self._polygons, self._shapes, strict=True):
-            publisher.publish(polygon_message(self.now_ns, BASE_FRAME, polygon.vertices))
+        stamp = divmod(self.now_ns, SECOND)
+        for publisher, shape in self._shapes:
+            publisher.publish_serialized(shape.data(*stamp))
 
 
 def range_points(message: Any) -> Points:

@@ -3,6 +3,7 @@
 Pure functions of grids and points; transforms, topics and timers are in ``costmap_node``.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -56,14 +57,19 @@ class ObstacleLayer:
 
     def update(
         self, grid: Costmap2D, observations: Sequence[Observation], footprint: Points
-    ) -> None:
-        """Clear along all beams, then mark where they ended, then clear under the robot."""
+    ) -> list[Points]:
+        """Clear along all beams, then mark where they ended, then clear under the robot.
+
+        Returns how far the beams of each observation cleared, arrays of shape (n, 2) [m].
+        """
         place = (grid.resolution, grid.origin_x, grid.origin_y)
-        for seen in observations:
-            _clear(self.costs, *place, seen.x, seen.y, beam_ends(grid, seen, self._margin))
+        ends = [beam_ends(grid, seen, self._margin) for seen in observations]
+        for seen, cleared in zip(observations, ends, strict=True):
+            _clear(self.costs, *place, seen.x, seen.y, cleared)
         for seen in observations:
             _mark(self.costs, *place, seen.x, seen.y, seen.points)
         _fill_convex(self.costs, *place, footprint)
+        return ends
 
     def add_to(self, costs: Costs) -> None:
         """Raise ``costs`` to this layer's where it knows something."""
@@ -74,17 +80,34 @@ class ObstacleLayer:
 
 def beam_ends(grid: Costmap2D, seen: Observation, margin: float) -> Points:
     """Return how far each beam clears: short of its hit, in range, on the grid, (n, 2) [m]."""
-    sensor = np.array([seen.x, seen.y])
-    ray = seen.points - sensor
-    distance = np.hypot(ray[:, 0], ray[:, 1])
     height, width = grid.costs.shape
-    low = np.array([grid.origin_x, grid.origin_y])
     # A hair inside, so that a beam's end at the far border still has a cell.
-    high = low + grid.resolution * (np.array([width, height]) - 1e-6)
-    to_border = np.where(ray > 0.0, high - sensor, sensor - low) / np.maximum(np.abs(ray), _TINY)
-    share = np.clip(distance - margin, 0.0, RAYTRACE_RANGE) / np.maximum(distance, _TINY)
-    share = np.minimum(share, np.maximum(to_border.min(axis=1), 0.0))
-    ends: Points = sensor + share[:, np.newaxis] * ray
+    right = grid.origin_x + grid.resolution * (width - 1e-6)
+    top = grid.origin_y + grid.resolution * (height - 1e-6)
+    return _ends(grid.origin_x, grid.origin_y, right, top, seen.x, seen.y, seen.points, margin)
+
+
+@jit
+def _ends(
+    left: float,
+    bottom: float,
+    right: float,
+    top: float,
+    sensor_x: float,
+    sensor_y: float,
+    points: Points,
+    margin: float,
+) -> Points:
+    ends = np.empty(points.shape)
+    for i in range(len(points)):
+        x, y = points[i, 0] - sensor_x, points[i, 1] - sensor_y
+        distance = math.hypot(x, y)
+        share = min(max(distance - margin, 0.0), RAYTRACE_RANGE) / max(distance, _TINY)
+        to_x = (right - sensor_x if x > 0.0 else sensor_x - left) / max(abs(x), _TINY)
+        to_y = (top - sensor_y if y > 0.0 else sensor_y - bottom) / max(abs(y), _TINY)
+        share = min(share, max(min(to_x, to_y), 0.0))
+        ends[i, 0] = sensor_x + share * x
+        ends[i, 1] = sensor_y + share * y
     return ends
 
 

@@ -24,6 +24,7 @@ from sim.nav2.costmap import (
     NO_INFORMATION,
     Costmap2D,
     Costs,
+    Points,
     costmap_message,
     occupancy_grid,
 )
@@ -31,7 +32,6 @@ from sim.nav2.costmap_layers import (
     InflationLayer,
     Observation,
     ObstacleLayer,
-    beam_ends,
     shift,
     static_costs,
 )
@@ -193,13 +193,13 @@ class CostmapNode(LifecycleNode):
         observations = [s.observation for s in self._sources if s.observation is not None]
         footprint = pose.apply(FOOTPRINT)
         self.follow(pose)
-        self.obstacles.update(self.grid, observations, footprint)
+        cleared = self.obstacles.update(self.grid, observations, footprint)
         costs = self.background()
         self.obstacles.add_to(costs)
         self._inflation.add_to(costs)
         self.grid.costs = costs
         self.is_current = True
-        self.publish_layers(observations)
+        self.publish_layers(observations, cleared)
         self._footprint.publish(polygon_message(self.now_ns, self.frame, footprint))
 
     def initial_grid(self) -> Costmap2D:
@@ -213,8 +213,10 @@ class CostmapNode(LifecycleNode):
         """Return new costs as they are before obstacles are added."""
         raise NotImplementedError
 
-    def publish_layers(self, observations: Sequence[Observation]) -> None:
-        """Publish what a layer publishes itself, at every update."""
+    def publish_layers(
+        self, observations: Sequence[Observation], cleared: Sequence[Points]
+    ) -> None:
+        """Publish what a layer publishes itself at every update, and how far beams cleared."""
 
     def set_grid(self, grid: Costmap2D) -> None:
         """Start anew on another grid."""
@@ -302,13 +304,14 @@ class LocalCostmap(CostmapNode):
         """Return free space: unknown space is not tracked here."""
         return np.full_like(self.grid.costs, FREE_SPACE)
 
-    def publish_layers(self, observations: Sequence[Observation]) -> None:
+    def publish_layers(
+        self, observations: Sequence[Observation], cleared: Sequence[Points]
+    ) -> None:
         """Publish the voxels, and per source where its beams stopped clearing."""
         if self._voxels.has_subscribers():
             self._voxels.publish(_voxel_grid(self.now_ns, self.grid, self.obstacles.costs))
         if self._endpoints.has_subscribers():
-            for seen in observations:
-                ends = beam_ends(self.grid, seen, self.clearing_margin)
+            for seen, ends in zip(observations, cleared, strict=True):
                 self._endpoints.publish(_cloud(seen.stamp_ns, self.frame, ends))
 
 

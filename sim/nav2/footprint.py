@@ -35,6 +35,8 @@ def inscribed_radius(polygon: NDArray[np.float64]) -> float:
     return float(np.min(np.abs(cross) / lengths))
 
 
+POLYGON = "geometry_msgs/msg/PolygonStamped"
+
 FOOTPRINT = padded_circle(ROBOT_RADIUS, PADDING)
 FOOTPRINT.setflags(write=False)
 INSCRIBED_RADIUS = inscribed_radius(FOOTPRINT)  # 0.2264 m

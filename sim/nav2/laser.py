@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.jit import jit
+
 
 def scan_points(scan: Any) -> NDArray[np.float64]:
     """Return where the beams of a scan ended.
@@ -21,11 +23,24 @@ def scan_points(scan: Any) -> NDArray[np.float64]:
     ndarray of shape (n_valid, 2)
         In the sensor frame [m].
     """
-    ranges = np.asarray(scan.ranges, dtype=np.float64)
-    seen = (ranges >= scan.range_min) & (ranges < scan.range_max)
-    bearings = _bearings(scan.angle_min, scan.angle_increment, ranges.size)
-    points: NDArray[np.float64] = ranges[seen, np.newaxis] * bearings[seen]
-    return points
+    bearings = _bearings(scan.angle_min, scan.angle_increment, len(scan.ranges))
+    return _projected(scan.ranges, bearings, scan.range_min, scan.range_max)
+
+
+@jit
+def _projected(
+    ranges: NDArray[np.float32],
+    bearings: NDArray[np.float64],
+    range_min: float,
+    range_max: float,
+) -> NDArray[np.float64]:
+    points = np.empty(bearings.shape)
+    count = 0
+    for i in range(len(ranges)):
+        if range_min <= ranges[i] < range_max:
+            points[count] = np.float64(ranges[i]) * bearings[i]
+            count += 1
+    return points[:count]
 
 
 @functools.lru_cache(maxsize=16)

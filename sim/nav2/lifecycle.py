@@ -4,13 +4,13 @@ Services here answer with plain values: their messages never reach a topic, so n
 """
 
 import enum
-import struct
 import uuid
 from collections.abc import Sequence
 
 import numpy as np
 
-from oracle_pipeline.bags.types import message_class, serialize
+from oracle_pipeline.bags.template import STAMP, Template
+from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
@@ -27,7 +27,6 @@ _TransitionEvent = message_class("lifecycle_msgs/msg/TransitionEvent")
 HEARTBEAT_NS = 100 * MILLISECOND
 BOND_TIMEOUT_S = 4.0
 _RETRY_NS = 100 * MILLISECOND
-_STAMP_OFFSET = 4  # bytes of the CDR encapsulation header
 _BOND_PUBLISHER = qos.profile(5)
 _BOND_SUBSCRIPTION = qos.profile(100)
 
@@ -59,13 +58,12 @@ class _Bond:
         status = _BondStatus(
             header(0, ""), bond_id, instance, True, BOND_TIMEOUT_S, HEARTBEAT_NS / SECOND
         )
-        self._data = bytearray(serialize(status, "bond/msg/Status"))
+        self._status = Template(status, "bond/msg/Status", STAMP)  # only the stamp changes
         node.create_timer(HEARTBEAT_NS, self._beat, phase_ns=0)
 
     def _beat(self) -> None:
-        # Only the stamp changes, so it is written over the serialised message.
-        struct.pack_into("<iI", self._data, _STAMP_OFFSET, *divmod(self._node.now_ns, SECOND))
-        self._publisher.publish_serialized(bytes(self._data))
+        stamp = divmod(self._node.now_ns, SECOND)
+        self._publisher.publish_serialized(self._status.data(*stamp))
 
 
 class LifecycleNode(Node):

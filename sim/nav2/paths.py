@@ -4,6 +4,7 @@ A path has up to some hundred poses and goes out at 20 Hz, so ``path_bytes`` lay
 array instead of building and serialising one object a pose.
 """
 
+import math
 import struct
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.types import message_class
+from sim.jit import jit
 from sim.middleware.stamps import header
 from sim.nav2.messages import pose_stamped, pose_yaw
 
@@ -45,13 +47,22 @@ def path_bytes(time_ns: int, frame: str, poses: Poses) -> bytes:
     # multiple of 8.
     first = (front + stamp).ljust(-8 * (-(len(front) + len(stamp)) // 8), b"\0")
     padded = stamp.ljust(-8 * (-len(stamp) // 8), b"\0")
-    record = np.zeros(len(poses), dtype=[("header", f"V{len(padded)}"), ("pose", "<f8", 7)])
-    record["header"] = np.void(padded)
-    values = record["pose"]
-    values[:, :2] = poses[:, :2]
-    values[:, 5] = np.sin(poses[:, 2] / 2.0)
-    values[:, 6] = np.cos(poses[:, 2] / 2.0)
-    return _CDR_LITTLE_ENDIAN + first + record.tobytes()[len(padded) :]
+    record = np.frombuffer(padded + bytes(56), np.float64)
+    return _CDR_LITTLE_ENDIAN + first + _records(record, poses).tobytes()[len(padded) :]
+
+
+@jit
+def _records(record: NDArray[np.float64], poses: Poses) -> NDArray[np.float64]:
+    """Return a row a pose: header and zeros of ``record``, with x, y and quaternion filled in."""
+    rows = np.empty((len(poses), len(record)))
+    end = len(record)
+    for i in range(len(poses)):
+        rows[i] = record
+        rows[i, end - 7] = poses[i, 0]
+        rows[i, end - 6] = poses[i, 1]
+        rows[i, end - 2] = math.sin(poses[i, 2] / 2.0)
+        rows[i, end - 1] = math.cos(poses[i, 2] / 2.0)
+    return rows
 
 
 def length_ahead(poses: Poses, x: float, y: float) -> float:

@@ -162,7 +162,7 @@ def test_polygons_are_shown_at_activation_and_with_every_command(rig):
     rig.command()
     assert len(shapes) == 2
     corners = [(p.x, p.y) for p in shapes[0].polygon.points]
-    assert corners == [tuple(v) for v in POLYGON_STOP.vertices]
+    assert corners == [tuple(v) for v in POLYGON_STOP.vertices.astype(np.float32).tolist()]
 
 
 def test_a_range_is_an_arc_with_a_point_a_degree_and_one_at_each_end():
