@@ -71,10 +71,11 @@ def _meaning(field: Mapping[str, str]) -> str | None:
     return f"{field.get('description', '')} [{field.get('unit', '?')}]".strip()
 
 
-def facts(summary: Mapping[str, float | int | str]) -> Metadata:
-    """Return a report's plain facts; a number stays a number, so that it is plotted over time."""
+def facts(summary: Mapping[str, float | int | str | bytes]) -> Metadata:
+    """Return plain facts and pictures; a number stays one, so that it is plotted over time."""
     return {
-        name: dg.MetadataValue.text(value) if isinstance(value, str)
+        name: png(value) if isinstance(value, bytes)
+        else dg.MetadataValue.text(value) if isinstance(value, str)
         else dg.MetadataValue.int(value) if isinstance(value, int)
         else dg.MetadataValue.float(value)
         for name, value in summary.items()

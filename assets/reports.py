@@ -181,15 +181,11 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
     """
     from oracle_pipeline.reporting import html
     from oracle_pipeline.reporting.result import Report
-    from oracle_pipeline.reporting.run_picture import run_picture
-    from oracle_pipeline.runs import open_run
+    from oracle_pipeline.reporting.run_picture import kept_picture
 
     with clear_failures():
         df = _dataset(store)
-        pictures = {}
-        for key in _shown_runs(df):
-            with open_run(store.run(key).path) as run:
-                pictures[key] = run_picture(run)
+        pictures = {key: kept_picture(store.run(key).path) for key in _shown_runs(df)}
         evaluation = Report.load(store.results("oracle_evaluation"))
         page = html.render(
             df,

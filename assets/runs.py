@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import dagster as dg
 from pydantic import Field
 
-from assets import terminal
+from assets import presentation, terminal
 from assets.common import OWNERS, SINGLE_RUN
 from assets.events import materialization, no_further_event
 from assets.partitions import RUNS
@@ -37,7 +37,8 @@ EXPERIMENT_RUNS = dg.AssetSpec(
 
 Run *i* of every mode has the same start, goals and nuisance (block *i*). The manifest holds
 recipe, outcome, onset, contacts and hashes: `<root>/runs/<mode>/run003/manifest.json`.
-The same recipe gives the same messages, byte for byte.""",
+The same recipe gives the same messages, byte for byte. The run from above is in the metadata and in
+`picture.png`; `oracle-sim replay` makes a film of it.""",
 )
 BAGS = dg.AssetSpec(
     "bags",
@@ -61,7 +62,8 @@ INTERVAL_GRAPHS = dg.AssetSpec(
     description="""The ROS graph of every 10 s of the recording, and of the whole run.
 
 GEXF: ROS nodes and topics, an edge for each publisher and subscription with its messages and bytes
-in the interval. In `<root>/runs/<mode>/run003/graphs`; opens in Gephi and NetworkX.""",
+in the interval. In `<root>/runs/<mode>/run003/graphs`; opens in Gephi and NetworkX;
+`full.gexf` is the whole run with services and actions.""",
 )
 WINDOW_FEATURES = dg.AssetSpec(
     "window_features",
@@ -141,7 +143,10 @@ def recorded_runs(
                     keys[key],
                     data_version=made.version,
                     code_version=made.code,
-                    metadata={**made.figures, "path": dg.MetadataValue.path(made.path)},
+                    metadata={
+                        **presentation.facts(made.figures),
+                        "path": dg.MetadataValue.path(made.path),
+                    },
                 )
             progress.done(outcome.result.simulated_s)
             simulated += outcome.result.simulated_s > 0.0

@@ -23,7 +23,7 @@ RECORDED = ("experiment_runs", "bags", "interval_graphs")  # made together, by t
 # Made together, from the recording.
 TABLES: dict[str, Table] = {"window_features": "window", "run_features": "run"}
 
-Figures = dict[str, int | float | str]
+Figures = dict[str, int | float | str | bytes]  # bytes: a picture, PNG
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +67,8 @@ def process_run(job: RunJob) -> RunReport:
     manifest = job.directory.manifest()
     if not job.wanted.isdisjoint(RECORDED):
         made |= _recording(job.directory, manifest, _status(recorded))
+    if "experiment_runs" in job.wanted:
+        made["experiment_runs"].figures["picture"] = _picture(job.directory)
     if not job.wanted.isdisjoint(TABLES):
         made |= _features(job, manifest)
     return RunReport(
@@ -126,6 +128,16 @@ def _recording(directory: RunDirectory, manifest: Manifest, status: str) -> dict
         asset: Made(path, manifest.software.code, str(figures["content_hash"]), figures)
         for asset, (path, figures) in zip(RECORDED, described, strict=True)
     }
+
+
+def _picture(directory: RunDirectory) -> bytes | str:
+    """Return the run from above, or why it could not be drawn: a run is not lost for a picture."""
+    from oracle_pipeline.reporting.run_picture import kept_picture
+
+    try:
+        return kept_picture(directory.path)
+    except Exception as error:
+        return f"not drawn: {error}"
 
 
 def _features(job: RunJob, manifest: Manifest) -> dict[str, Made]:

@@ -3,7 +3,9 @@
 import functools
 import os
 import sys
+from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any, cast, get_args
 
 import click
 
@@ -13,12 +15,29 @@ from sim.experiments import record_run
 from sim.fan_out import fan_out, process_pool
 from sim.modes import modes
 from sim.progress import RunProgress
-from sim.recipes import DEFAULT_SEED, Campaign, Storage, recipe_for
+from sim.recipes import DEFAULT_SEED, Campaign, Options, Storage, Wiring, recipe_for
+from sim.turtlebot3.map import OdometrySource
+
+COMMANDS = "oracle_sim.commands"  # entry points of commands that come from elsewhere
 
 
-@click.group()
+class _Group(click.Group):
+    """Commands of this module, and those of other packages, loaded when they are asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return sorted({*super().list_commands(ctx), *entry_points(group=COMMANDS).names})
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if (ours := super().get_command(ctx, cmd_name)) is not None:
+            return ours
+        for found in entry_points(group=COMMANDS, name=cmd_name):
+            return cast(click.Command, found.load())
+        return None
+
+
+@click.group(cls=_Group)
 def main() -> None:
-    """Record robot experiments in the simulated TurtleBot3 testbed, as rosbag2."""
+    """Record robot experiments in the simulated TurtleBot3 testbed, as rosbag2; look at them."""
 
 
 @main.command()
@@ -48,6 +67,29 @@ def main() -> None:
     help="Storage of the bag.",
 )  # fmt: skip
 @click.option(
+    "--wiring", default="additive", show_default=True, type=click.Choice(get_args(Wiring)),
+    help="Whether the collision monitor hears the mode's topic as one more LiDAR (additive), in "
+    "place of the LiDAR it comes from (replace), or there is no such node (absent).",
+)  # fmt: skip
+@click.option(
+    "--odometry-source", default="world", show_default=True,
+    type=click.Choice(get_args(OdometrySource)),
+    help="Where /odom comes from: ground truth, as on Humble, or the wheels' turns.",
+)  # fmt: skip
+@click.option("--cameras", is_flag=True, help="Depth camera on: 15 MB a second.")
+@click.option(
+    "--debug-topics", is_flag=True,
+    help="Record the controller's /evaluation and /marker: 20 MB a second while it drives.",
+)  # fmt: skip
+@click.option(
+    "--include-hidden-topics", "hidden_topics", is_flag=True,
+    help="Record feedback and status of actions.",
+)  # fmt: skip
+@click.option(
+    "--receive-stamps", is_flag=True,
+    help="Bag stamps are the recorder's wall clock, as without --use-sim-time.",
+)  # fmt: skip
+@click.option(
     "--workers", default=lambda: os.cpu_count() or 1, type=click.IntRange(min=1),
     help="Runs at a time.  [default: one a processor]",
 )  # fmt: skip
@@ -61,6 +103,7 @@ def record(
     storage: Storage,
     workers: int,
     refresh: bool,
+    **options: Any,
 ) -> None:
     """Record N runs of one mode.
 
@@ -73,7 +116,7 @@ def record(
         oracle-sim record -m fake_object -n 3 --out data
         oracle features 'data/runs/fake_object/run000'
     """  # noqa: D301 -- click reads the control character
-    campaign = Campaign(seed=seed, goals_per_run=goals, storage=storage)
+    campaign = Campaign(seed=seed, goals_per_run=goals, storage=storage, options=Options(**options))
     job = functools.partial(_record, mode, campaign, out, refresh)
     failed = 0
     with RunProgress(number) as progress:

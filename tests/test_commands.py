@@ -67,6 +67,13 @@ def test_features_of_a_run_directory_and_of_its_bag_alone(place):
     assert of_bag
 
 
+def test_a_run_is_replayed_beside_its_manifest(place):
+    run = place / "data/runs/fake_object/run003"
+    command(place, "oracle-sim", "replay", str(run))
+    assert (run / "replay.gif").read_bytes().startswith(b"GIF89a")
+    assert (run / "picture.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_a_file_that_is_no_recording_is_refused_in_one_line(place):
     done = command(place, "oracle", "features", str(REPOSITORY / "README.md"), expect=2)
     assert done.stdout == ""

@@ -57,12 +57,19 @@ _STYLE: dict[Any, Any] = {
 
 
 @contextmanager
-def drawing(width: float, height: float) -> Iterator[tuple[Axes, BytesIO]]:
-    """Give axes of a figure [inches] and the buffer that holds its PNG once the block is left."""
-    png = BytesIO()
+def house_style() -> Iterator[None]:
+    """Draw as all our pictures are drawn, whatever the user's settings."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_STYLE)
+        yield
+
+
+@contextmanager
+def drawing(width: float, height: float) -> Iterator[tuple[Axes, BytesIO]]:
+    """Give axes of a figure [inches] and the buffer that holds its PNG once the block is left."""
+    png = BytesIO()
+    with house_style():
         figure = Figure(figsize=(width, height), layout="constrained")
         FigureCanvasAgg(figure)
         yield figure.add_subplot(), png

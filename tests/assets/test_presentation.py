@@ -37,6 +37,12 @@ def test_a_report_is_facts_table_and_one_picture_that_fits() -> None:
     assert base64.b64encode(small).decode() in picture
 
 
+def test_a_picture_among_facts_shows_inline() -> None:
+    shown = presentation.facts({"runs": 2, "picture": b"small"})
+    assert shown["picture"] == presentation.png(b"small")
+    assert shown["runs"] == dg.MetadataValue.int(2)
+
+
 def test_estimates_keep_their_intervals_and_gaps_are_empty() -> None:
     assert [record.data for record in presentation.table(TABLE).records] == [
         {"mode": "a", "auc": "0.75 [0.50, 1.00]", "mcc": "0.1235", "runs": "1"},

@@ -1,6 +1,8 @@
 """The five assets of a run: what is done, what is left alone, and what a failure leaves."""
 
+import base64
 import json
+import re
 
 import dagster as dg
 import pytest
@@ -34,6 +36,26 @@ def test_figures_tell_what_a_run_was(campaign: Laboratory) -> None:
     assert min(graphs["nodes"], graphs["topics"], graphs["edges"]) > 0
     assert campaign.figures("run_features", KEY)["rows"] == 1
     assert campaign.figures("window_features", KEY)["rows"] > 1
+
+
+def test_a_run_is_seen_from_above_where_its_outcome_is(campaign: Laboratory) -> None:
+    for key in KEYS:
+        kept = (campaign.store.run(key).path / "picture.png").read_bytes()
+        start, _, encoded = campaign.figures("experiment_runs", key)["picture"].partition("base64,")
+        assert start == "![](data:image/png;"
+        assert base64.b64decode(encoded.removesuffix(")")) == kept
+        assert kept.startswith(b"\x89PNG")
+        assert len(kept) < 40_000  # a thousand of them are in the event log
+
+
+def test_a_run_that_cannot_be_drawn_is_kept_and_says_why(copy_of_campaign: Laboratory) -> None:
+    picture = copy_of_campaign.store.run(KEY).path / "picture.png"
+    picture.unlink()
+    picture.mkdir()  # so that nothing can be written there
+    assert copy_of_campaign.materialize(["experiment_runs"], KEY).success
+    figures = copy_of_campaign.figures("experiment_runs", KEY)
+    assert figures["status"] == "verified"
+    assert re.fullmatch(r"not drawn: .*picture\.png.*", figures["picture"])
 
 
 def test_data_versions_are_hashes_of_the_content(campaign: Laboratory) -> None:

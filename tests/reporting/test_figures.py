@@ -4,12 +4,13 @@ import pandas as pd
 import pytest
 from matplotlib.colors import to_rgb
 
+from oracle_pipeline.bags.manifest import GoalResult
 from oracle_pipeline.clustering.tree import LINKAGES, grow_tree
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
 from oracle_pipeline.evaluation.metrics import RocCurve
 from oracle_pipeline.reporting import figures
 from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, SERIES
-from oracle_pipeline.reporting.scene import Scene, top_down
+from oracle_pipeline.reporting.scene import Grid, Scene, top_down
 
 LABELS = ["normal", "malicious", "control"] * 10
 X = np.random.default_rng(0).normal(size=(30, 4))
@@ -26,16 +27,20 @@ GRID = pd.DataFrame(
     }
 )
 SCENE = Scene(
-    occupancy=np.array([[-1, 0, 100], [0, 0, 100]], dtype=np.int8),
-    resolution_m=0.5,
-    origin=(-1.0, -2.0),
+    title="fake_object|run003",
+    frame="map",
+    map=Grid(np.array([[-1, 0, 100], [0, 0, 100]], dtype=np.int8), 0.5, (-1.0, -2.0, 0.1)),
     path=np.array([[0.0, 0.0], [0.5, 0.2]]),
     start=(0.0, 0.0),
-    goals=np.array([[0.4, 0.2, 0.0]]),
+    duration_s=10.0,
+    goals=np.array([[0.4, 0.2, 0.0], [0.4, 0.3, 0.0]]),
+    results=(GoalResult(1.0, 5.0, "succeeded", driven_m=1.0, recoveries=0),),
     disc=(0.2, 0.1, 0.15),
     scan=X[:, :2],
 )
-EMPTY = Scene(SCENE.occupancy, 0.5, (0.0, 0.0), np.zeros((1, 2)), (0.0, 0.0), np.zeros((0, 3)))
+EMPTY = Scene(
+    title="", frame="odom", map=None, path=np.zeros((1, 2)), start=(0.0, 0.0), duration_s=0.0
+)
 PICTURES = {
     **{m: lambda m=m: figures.dendrogram(grow_tree(X, m), LABELS) for m in LINKAGES},
     "tree of copies": lambda: figures.dendrogram(grow_tree(np.ones((6, 1))), LABELS[:6]),
@@ -46,8 +51,8 @@ PICTURES = {
     "intervals": lambda: figures.intervals(
         {"a": Estimate(0.5, 0.4, 0.6), "b": NOTHING}, {"a": 1.0}
     ),
-    "run": lambda: top_down(SCENE, "fake_object|run003"),
-    "run without goals": lambda: top_down(EMPTY, "no goals"),
+    "run": lambda: top_down(SCENE),
+    "run of which little is known": lambda: top_down(EMPTY),
 }
 
 
