@@ -49,5 +49,8 @@ constraints: setup ## Pin the newest versions that fit pyproject.toml
 	pip-compile --quiet --upgrade --extra dev --strip-extras --no-header --no-annotate \
 		--no-emit-index-url --no-emit-trusted-host --no-emit-find-links --output-file constraints.txt pyproject.toml
 
+bench: setup ## Measure speed, size and memory, as ratios of one run
+	python -m bench
+
 clean: ## Remove the environment and all caches; recorded data stay
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis

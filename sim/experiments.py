@@ -8,6 +8,7 @@ or when time is up. World, nodes and loop meet here and nowhere else.
 import hashlib
 import time
 from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,18 +22,21 @@ from oracle_pipeline.bags.run_directory import (
     RunDirectory,
 )
 from oracle_pipeline.bags.writer import BagWriter
-from sim.fuzzing.relays import FakeObjectRelay, NoiseRelay, Relay
+from sim.fuzzing.relays import INPUT_TOPIC, FakeObject, FakeObjectRelay, NoiseRelay, Relay
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.middleware.geometry import Pose2D
-from sim.modes import DELAY_S, Mode, modes
+from sim.modes import DELAY_S, modes
 from sim.nav2.basic_navigator import GoalResult
 from sim.nav2.bringup import bring_up
+from sim.nav2.collision_monitor import SOURCES
+from sim.odometer import Odometer
+from sim.pairs import judge_pair
 from sim.recipes import Recipe
-from sim.recording import GraphRecorder, Recorder
+from sim.recording import DEBUG_TOPICS, GraphRecorder, ReceiveClock, Recorder
 from sim.software import software
 from sim.turtlebot3 import frames
-from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
+from sim.turtlebot3.map import WORLD_IN_MAP, odom_in_map, turtlebot3_world_map
 from sim.turtlebot3.nodes import LidarNoise, add_robot
 from sim.turtlebot3.world import World, WorldParameters
 
@@ -79,7 +83,8 @@ def record_run(recipe: Recipe, directory: RunDirectory, *, refresh: bool = False
         run.go()
         manifest = run.manifest(wall_s=time.perf_counter() - started)
         manifest.save(scratch / MANIFEST_FILE)
-    return manifest
+    judge_pair(directory)
+    return directory.manifest()
 
 
 def _verified(directory: RunDirectory, recipe: Recipe) -> Manifest:
@@ -114,7 +119,7 @@ class Run:
         self._recipe = recipe
         self._mode = modes()[recipe.mode]
         self._folder = folder
-        session = recipe.session
+        session, options = recipe.session, recipe.options
         self._latency_ns = round(session.latency_ms * MILLISECOND)
         self._world = World(
             WorldParameters(
@@ -124,14 +129,27 @@ class Run:
         self._executor = Executor(on_advance=self._world.advance_to)
         self._domain = Domain(self._executor)
         noise = LidarNoise(session.lidar_noise_m, session.lidar_bias_m)
-        add_robot(self._domain, self._world, noise, recipe.generator)
+        add_robot(
+            self._domain,
+            self._world,
+            noise,
+            recipe.generator,
+            odometry_source=options.odometry_source,
+            cameras=options.cameras,
+        )
         self._nav2 = bring_up(
             self._domain,
             turtlebot3_world_map(),
             generator=recipe.generator,
             latency_ns=self._latency_ns,
             run=recipe.run,
+            monitored=[
+                source
+                for source in SOURCES
+                if not (options.wiring == "replace" and source.topic == INPUT_TOPIC)
+            ],
         )
+        self._odometer = Odometer(self._executor, lambda: self._world.pose)
         self._patrol_over = False
         self._start_ns = 0  # of the recording
         self._end_ns = 0
@@ -151,7 +169,14 @@ class Run:
         graphs = self._folder / GRAPHS_FOLDER
         graphs.mkdir()
         with BagWriter(self._folder / BAG_FOLDER, self._recipe.storage) as self._bag:
-            Recorder(self._domain, self._bag)
+            options = self._recipe.options
+            Recorder(
+                self._domain,
+                self._bag,
+                leave_out=() if options.debug_topics else DEBUG_TOPICS,
+                hidden_topics=options.hidden_topics,
+                receive_clock=self._receive_clock() if options.receive_stamps else None,
+            )
             graph = GraphRecorder(self._domain, graphs)
             self._executor.run_until(self._start_ns + BEFORE_FIRST_GOAL_NS)
             navigator.follow(self._recipe.goals, self._on_patrol_over, self._on_goal_accepted)
@@ -165,7 +190,9 @@ class Run:
     def manifest(self, wall_s: float) -> Manifest:
         """Return what the finished run was."""
         recipe, mode = self._recipe, self._mode
-        results = tuple(self._goal_result(result) for result in self._nav2.navigator.results)
+        results = tuple(
+            map(self._goal_result, self._nav2.navigator.results, self._odometer.distances())
+        )
         # The worst of the goals': one that was never reached counts for those never sent.
         worst: schema.Outcome = next(
             (result.outcome for result in results if result.outcome != "succeeded"), "succeeded"
@@ -182,10 +209,10 @@ class Run:
             goal_results=results,
             outcome=worst,
             onset_s=None if self._onset_ns is None else self._seconds(self._onset_ns),
-            attack=_attack(mode, recipe),
+            attack=self._attack(),
             scenario=mode.id,
             scenario_hash=hashlib.sha256(repr(mode).encode()).hexdigest(),
-            task_effect=None,
+            task_effect=None,  # until the run and its control are both there
             recording_s=self._seconds(self._end_ns),
             contacts=tuple(
                 schema.Contact(self._seconds(touch.stamp_ns), touch.piece)
@@ -201,10 +228,19 @@ class Run:
             measured=schema.Measured(wall_s=wall_s, bytes=_bytes_on_disk(self._folder)),
         )
 
+    def _attack(self) -> Mapping[str, Any]:
+        """Return what was drawn for the mode's attack."""
+        if self._mode.operation == "fake_object":
+            return {"frame": "odom", **asdict(self._fake_object())}
+        if self._mode.operation == "random_noise":
+            return {"level": self._recipe.noise_level}
+        return {}
+
     def _on_patrol_over(self) -> None:
         self._patrol_over = True
 
     def _on_goal_accepted(self, _result: GoalResult) -> None:
+        self._odometer.mark()
         first = len(self._nav2.navigator.results) == 1
         if first and self._mode.delayed:
             due_ns = self._executor.now_ns + round(DELAY_S * SECOND)
@@ -212,15 +248,18 @@ class Run:
 
     def _start_relay(self) -> None:
         """Put the mode's node into the graph."""
-        self._onset_ns = self._executor.now_ns
         latency_ns, mode, recipe = self._latency_ns, self._mode, self._recipe
+        if recipe.options.wiring == "absent":
+            return
+        self._onset_ns = self._executor.now_ns
         if mode.operation == "fake_object":
             x, y, _ = frames.BASE_SCAN_TOM.xyz
             FakeObjectRelay(
                 self._domain,
-                target=recipe.fake_object,
+                target=self._fake_object(),
                 mount=Pose2D(x, y),
                 latency_ns=latency_ns,
+                shadow=mode.shadow,
             )
         elif mode.operation == "random_noise":
             NoiseRelay(
@@ -229,30 +268,39 @@ class Run:
                 seed=recipe.attack_seed(),
                 with_odometry=mode.with_odometry,
                 latency_ns=latency_ns,
+                shadow=mode.shadow,
             )
         else:
             Relay(self._domain, with_odometry=mode.with_odometry, latency_ns=latency_ns)
 
-    def _goal_result(self, result: GoalResult) -> schema.GoalResult:
+    def _fake_object(self) -> FakeObject:
+        """Return where the fake object is for its node, which knows the odometry frame only."""
+        recipe = self._recipe
+        odom = odom_in_map(recipe.options.odometry_source, recipe.start)
+        drawn = recipe.fake_object
+        there = odom.inverse().compose(Pose2D(drawn.x, drawn.y))
+        return replace(drawn, x=there.x, y=there.y)
+
+    def _receive_clock(self) -> ReceiveClock:
+        rng = self._recipe.generator("/rosbag2_recorder")
+        return ReceiveClock(self._executor.now_ns, rng)
+
+    def _goal_result(self, result: GoalResult, driven_m: float) -> schema.GoalResult:
         ended_s = None if result.ended_ns is None else self._seconds(result.ended_ns)
         outcome: schema.Outcome = "timeout"  # the run ended before the goal did
         if result.outcome is not None:
             outcome = "succeeded" if result.outcome == "succeeded" else "aborted"
-        return schema.GoalResult(self._seconds(result.accepted_ns), ended_s, outcome)
+        return schema.GoalResult(
+            self._seconds(result.accepted_ns),
+            ended_s,
+            outcome,
+            driven_m,
+            result.number_of_recoveries,
+        )
 
     def _seconds(self, time_ns: int) -> float:
         """Return a time in seconds of the recording; what was before it began is at 0."""
         return max(time_ns - self._start_ns, 0) / SECOND
-
-
-def _attack(mode: Mode, recipe: Recipe) -> Mapping[str, Any]:
-    """Return what was drawn for the mode's attack."""
-    if mode.operation == "fake_object":
-        target = recipe.fake_object
-        return {"frame": "odom", "x": target.x, "y": target.y, "radius": target.radius}
-    if mode.operation == "random_noise":
-        return {"level": recipe.noise_level}
-    return {}
 
 
 def _pose(pose: Pose2D) -> schema.Pose:

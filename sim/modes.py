@@ -4,7 +4,7 @@ Names, order and pairs are those of the experiments this project reproduces; the
 the work is made in ``sim.fuzzing``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 Operation = Literal["passthrough", "random_noise", "fake_object"]
@@ -22,9 +22,10 @@ class Mode:
     title: str
     with_odometry: bool = False  # the node also listens to /odom
     delayed: bool = False  # the node appears ``DELAY_S`` after the first goal was accepted
+    shadow: bool = False  # the node does its work and hands the message on unchanged
 
 
-_MODES = (
+_THESIS = (
     Mode("lidar_passthrough", "normal", "passthrough", "Second LiDAR handed on unchanged"),
     Mode(
         "lidar_passthrough_odom",
@@ -59,6 +60,18 @@ _MODES = (
     ),
 )
 
+_SHADOWS = tuple(
+    replace(
+        mode,
+        id=f"{mode.id}_shadow",
+        label="control",
+        title=f"{mode.title}: worked out, and not sent",
+        shadow=True,
+    )
+    for mode in _THESIS
+    if mode.label == "malicious"
+)
+
 PAIRS: tuple[tuple[str, str], ...] = (
     ("lidar_passthrough", "random_noise"),
     ("lidar_passthrough_odom", "fake_object"),
@@ -69,4 +82,4 @@ PAIRS: tuple[tuple[str, str], ...] = (
 
 def modes() -> dict[str, Mode]:
     """Return every mode by name, in the order in which they are shown."""
-    return {mode.id: mode for mode in _MODES}
+    return {mode.id: mode for mode in (*_THESIS, *_SHADOWS)}

@@ -25,9 +25,10 @@ from sim.nav2.costmap_layers import InflationLayer, static_costs
 from sim.nav2.footprint import INSCRIBED_RADIUS
 from sim.nav2.navfn import plan
 from sim.turtlebot3.arena import RING, clearance
-from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
+from sim.turtlebot3.map import WORLD_IN_MAP, OdometrySource, turtlebot3_world_map
 
 Storage = Literal["mcap", "sqlite3"]
+Wiring = Literal["additive", "replace", "absent"]
 
 DEFAULT_SEED = 20260101
 SESSIONS = 3
@@ -47,6 +48,21 @@ class RecipeError(OracleError):
 
 
 @dataclass(frozen=True, slots=True)
+class Options:
+    """What a launch file and ``ros2 bag record`` would be told; by default as on Humble."""
+
+    # How the mode's node stands in the system. Additive: what it publishes is one more source of
+    # obstacles, as in the thesis. Replace: the collision monitor hears it instead of the LiDAR
+    # that it mutates. Absent: there is no such node.
+    wiring: Wiring = "additive"
+    odometry_source: OdometrySource = "world"
+    cameras: bool = False  # images and points of the depth camera, 15 MB a second
+    debug_topics: bool = False  # /evaluation and /marker, 20 MB a second while driving
+    hidden_topics: bool = False  # feedback and status of actions
+    receive_stamps: bool = False  # bag stamps are the recorder's wall clock, not simulated time
+
+
+@dataclass(frozen=True, slots=True)
 class Campaign:
     """What all runs of a campaign have in common."""
 
@@ -54,6 +70,7 @@ class Campaign:
     goals_per_run: int = 8  # 1 is the thesis's protocol
     storage: Storage = "mcap"
     timeout_s: float = 600.0  # of simulated time
+    options: Options = Options()
 
     @classmethod
     def from_environment(cls) -> Self:
@@ -78,7 +95,7 @@ class Session:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """All that a run is a function of. Poses are in the map frame, the object in ``odom``."""
+    """All that a run is a function of; poses and the fake object are in the map frame."""
 
     mode: str
     run: int
@@ -91,6 +108,7 @@ class Recipe:
     noise_level: float
     storage: Storage
     timeout_s: float
+    options: Options
 
     def generator(self, node: str) -> np.random.Generator:
         """Return the randomness of one node; the same in every mode of the block."""
@@ -114,6 +132,7 @@ class Recipe:
                 "start": Pose2D(**document["start"]),
                 "goals": tuple(Pose2D(**goal) for goal in document["goals"]),
                 "fake_object": FakeObject(**document["fake_object"]),
+                "options": Options(**document["options"]),
             }
         )
 
@@ -141,7 +160,7 @@ def draw_session(seed: int, index: int) -> Session:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """What the runs of one block share; poses in the map frame, the object in ``odom``."""
+    """What the runs of one block share, in the map frame."""
 
     start: Pose2D
     goals: tuple[Pose2D, ...]
@@ -192,8 +211,7 @@ def _draw_fake_object(
     avoid = np.array([(stop.x, stop.y) for stop in stops])
     clear = np.hypot(*(places[:, None] - avoid).transpose(2, 0, 1)).min(axis=1)
     place = places[np.argmax(np.minimum(clear, FAKE_OBJECT_CLEARANCE_M))]  # the first of the best
-    # The odometry is the simulator's ground truth, so its frame is the world's.
-    ((x, y),) = WORLD_IN_MAP.inverse().apply(place[None]).tolist()
+    x, y = place.tolist()
     return FakeObject(x, y, radius=rng.uniform(0.15, 0.25))
 
 
@@ -213,10 +231,12 @@ def recipe_for(mode: str, run: int, campaign: Campaign) -> Recipe:
     Raises
     ------
     RecipeError
-        If there is no such mode.
+        If there is no such mode, or it is an attack and its node is to be absent.
     """
     if mode not in modes():
         raise RecipeError(f"There is no mode {mode!r}; there are {', '.join(modes())}.")
+    if campaign.options.wiring == "absent" and modes()[mode].label == "malicious":
+        raise RecipeError(f"{mode} without its node is no attack; take a passthrough mode.")
     block = draw_block(campaign.seed, run, campaign.goals_per_run)
     return Recipe(
         mode=mode,
@@ -230,4 +250,5 @@ def recipe_for(mode: str, run: int, campaign: Campaign) -> Recipe:
         noise_level=NOISE_LEVEL,
         storage=campaign.storage,
         timeout_s=campaign.timeout_s,
+        options=campaign.options,
     )

@@ -1,25 +1,27 @@
 """The recorder: what ``ros2 bag record -a`` would have taken, and the ROS graph every 10 s.
 
-Bag stamps are seconds of simulated time at receipt. The graph of an interval holds who was there
-at its end and what went over each edge during it; hidden topics are in no graph.
+Bag stamps are simulated time at receipt unless asked otherwise. The graph of an interval holds who
+was there at its end and what went over each edge during it; hidden topics are in no graph.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
 import networkx as nx
+import numpy as np
 
-from oracle_pipeline.bags.graph_files import RosGraph, vertex_id, write_gexf, write_graphml
+from oracle_pipeline.bags.graph_files import Kind, RosGraph, vertex_id, write_gexf, write_graphml
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.bags.writer import BagWriter
 from sim.middleware import qos
-from sim.middleware.domain import Domain, Publisher, Subscription, is_hidden
+from sim.middleware.domain import Domain, Offer, Publisher, Subscription, is_hidden
 from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.node import Node
 
 INTERVAL_NS = 10 * SECOND
 SHORTEST_INTERVAL_NS = 5 * SECOND  # a last, partial interval shorter than this is dropped
+DEBUG_TOPICS = ("/evaluation", "/marker")  # of the controller: 20 MB a second while it drives
 _DISCOVERY_NS = 100 * MILLISECOND  # rosbag2 looks for new topics this often
 
 
@@ -32,11 +34,28 @@ class Recorder(Node):
         What to record.
     writer
         Open bag.
+    leave_out
+        Topics that are not recorded (``ros2 bag record --exclude``).
+    hidden_topics
+        Whether hidden topics are recorded (``--include-hidden-topics``).
+    receive_clock
+        Gives the bag's stamps; simulated time (``--use-sim-time``) if omitted.
     """
 
-    def __init__(self, domain: Domain, writer: BagWriter) -> None:
+    def __init__(
+        self,
+        domain: Domain,
+        writer: BagWriter,
+        *,
+        leave_out: Collection[str] = (),
+        hidden_topics: bool = False,
+        receive_clock: "ReceiveClock | None" = None,
+    ) -> None:
         super().__init__(domain, "/rosbag2_recorder", endpoints="E")
         self._writer = writer
+        self._leave_out = leave_out
+        self._hidden_topics = hidden_topics
+        self._receive_clock = receive_clock
         self._endpoints: dict[str, int] = {}  # topic -> publishers whose QoS is in the bag
         self._revision = 0  # of the domain when it was last looked through
         self.create_publisher("rosbag2_interfaces/msg/WriteSplitEvent", "/events/write_split")
@@ -48,7 +67,7 @@ class Recorder(Node):
             return
         self._revision = self.domain.revision
         for topic, msgtype in list(self.domain.topics.items()):
-            if is_hidden(topic) and topic != GROUND_TRUTH_TOPIC:
+            if topic in self._leave_out or not self._is_wanted(topic):
                 continue
             offered = [publisher.qos for publisher in self.domain.publishers(topic)]
             known = self._endpoints.get(topic, 0)
@@ -58,15 +77,49 @@ class Recorder(Node):
                 if known == 0:
                     self._subscribe(topic, msgtype, offered)
 
+    def _is_wanted(self, topic: str) -> bool:
+        return self._hidden_topics or topic == GROUND_TRUTH_TOPIC or not is_hidden(topic)
+
     def _subscribe(self, topic: str, msgtype: str, offered: list[Any]) -> None:
         reliable = all(qos.is_reliable(profile) for profile in offered)
         latched = all(qos.is_latched(profile) for profile in offered)
         requested = qos.profile(10, reliable=reliable, latched=latched)
 
+        executor, clock = self.domain.executor, self._receive_clock
+
         def write(data: bytes) -> None:
-            self._writer.write(topic, self.now_ns, data)
+            now_ns = executor.now_ns
+            self._writer.write(topic, now_ns if clock is None else clock.stamp_ns(now_ns), data)
 
         self.create_subscription(msgtype, topic, write, requested, raw=True)
+
+
+class ReceiveClock:
+    """The clock on the recorder's wall: when a message arrived, in nanoseconds since 1970.
+
+    It runs as fast as simulated time; each message takes its own time to arrive.
+
+    Parameters
+    ----------
+    start_ns
+        Simulated time at which it shows ``EPOCH_NS``.
+    rng
+        Draws how long messages take.
+    """
+
+    EPOCH_NS = 1_767_225_600 * SECOND  # 2026-01-01 00:00 UTC
+    _MEAN_DELAY_NS = 0.3 * MILLISECOND
+
+    def __init__(self, start_ns: int, rng: np.random.Generator) -> None:
+        self._offset_ns = self.EPOCH_NS - start_ns
+        self._rng = rng
+        self._last_ns = 0
+
+    def stamp_ns(self, now_ns: int) -> int:
+        """Return the stamp of a message that is sent now; never before the last one."""
+        delay_ns = int(self._rng.exponential(self._MEAN_DELAY_NS))
+        self._last_ns = max(self._last_ns, self._offset_ns + now_ns + delay_ns)
+        return self._last_ns
 
 
 class GraphRecorder:
@@ -92,11 +145,12 @@ class GraphRecorder:
         domain.executor.call_at(self._start_ns + INTERVAL_NS, self._end_interval)
 
     def finish(self) -> None:
-        """Write the last interval if it is long enough, and the graph of the run."""
+        """Write the last interval if it is long enough, and the graphs of the run."""
         if self._domain.executor.now_ns - self._interval_ns >= SHORTEST_INTERVAL_NS:
             self._write_interval()
         write_gexf(self._run, self._folder / "run.gexf")
         write_graphml(self._run, self._folder / "run.graphml")
+        write_gexf(self._full(), self._folder / "full.gexf")
 
     def _end_interval(self) -> None:
         self._write_interval()
@@ -122,6 +176,28 @@ class GraphRecorder:
             node, topic = vertex_id("node", endpoint.node), vertex_id("topic", endpoint.topic)
             ends = (node, topic) if isinstance(endpoint, Publisher) else (topic, node)
             _count(graph, *ends, *self._traffic(endpoint))
+        return graph
+
+    def _full(self) -> RosGraph:
+        """Return the graph of the run with services and actions.
+
+        Edges run from who asks to the service or action, and on to who offers it. Requests travel
+        inside the process, so their traffic is 0.
+        """
+        graph: RosGraph = self._run.copy()
+        kinds: tuple[tuple[Kind, Iterator[Offer]], ...] = (
+            ("service", self._domain.services()),
+            ("action", self._domain.actions()),
+        )
+        for kind, offers in kinds:
+            for offer in offers:
+                if is_hidden(offer.name):  # the three services of an action: it stands for them
+                    continue
+                vertex = vertex_id(kind, offer.name)
+                graph.add_node(vertex, kind=kind, type=offer.type, label=offer.name)
+                _count(graph, vertex, vertex_id("node", offer.server), 0, 0)
+                for client in offer.clients:
+                    _count(graph, vertex_id("node", client), vertex, 0, 0)
         return graph
 
     def _endpoints(self) -> Iterator[Publisher | Subscription]:

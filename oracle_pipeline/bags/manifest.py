@@ -17,7 +17,7 @@ import jsonschema
 
 from oracle_pipeline.bags.errors import ManifestError
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 Label: TypeAlias = Literal["malicious", "normal", "control"]
 Outcome: TypeAlias = Literal["succeeded", "aborted", "timeout"]
@@ -41,6 +41,8 @@ class GoalResult:
     accepted_s: float
     ended_s: float | None  # None: the run ended first
     outcome: Outcome
+    driven_m: float  # length of the way there
+    recoveries: int  # that Nav2 tried on it, costmap clearings included
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

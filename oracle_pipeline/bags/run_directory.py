@@ -88,6 +88,27 @@ class RunDirectory:
         """Read its manifest; raises ``ManifestError``."""
         return Manifest.load(self.manifest_path)
 
+    def amend(self, manifest: Manifest) -> None:
+        """Put another manifest in the place of that of a complete run, in one step.
+
+        Raises
+        ------
+        RunDirectoryError
+            If the run is not there, or the manifest cannot be written; the former one stays.
+        """
+        scratch = self.path / f".{MANIFEST_FILE}.{secrets.token_hex(4)}"
+        try:
+            manifest.save(scratch)
+            _sync(scratch)
+            scratch.replace(self.path / MANIFEST_FILE)
+            _sync(self.path)
+        except OSError as error:
+            scratch.unlink(missing_ok=True)
+            raise RunDirectoryError(
+                f"Could not amend the manifest of {self.path}: {error}. Check free space and "
+                "permissions, then record it again."
+            ) from error
+
     @contextlib.contextmanager
     def staged(self) -> Iterator[Path]:
         """Give a scratch directory that becomes the run when the block ends.

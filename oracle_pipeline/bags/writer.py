@@ -25,7 +25,7 @@ from oracle_pipeline.bags.types import definition, type_hash
 _METADATA_VERSION: Literal[8] = 8
 
 
-class _McapStorage(McapWriter):  # type: ignore[misc] -- rosbags' types are not seen by mypy
+class _McapStorage(McapWriter):
     """rosbags' own, but a message's record is packed in one go instead of field by field.
 
     A run has a hundred thousand small messages, and this is half of what writing one costs.
@@ -36,7 +36,7 @@ class _McapStorage(McapWriter):  # type: ignore[misc] -- rosbags' types are not 
     _FIELDS_SIZE = 22
     _CHUNK_SIZE = 2**20
 
-    def write(self, connection: Connection, timestamp: int, data: bytes) -> None:
+    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
         """Append one message to the open chunk."""
         chunk, channel = self.chunk, connection.id
         self.message_start_time = min(timestamp, self.message_start_time)
@@ -52,7 +52,7 @@ class _McapStorage(McapWriter):  # type: ignore[misc] -- rosbags' types are not 
             self.close_chunk()
 
 
-class _Writer(Writer):  # type: ignore[misc] -- rosbags' types are not seen by mypy
+class _Writer(Writer):
     STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: _McapStorage}  # noqa: RUF012
 
 

@@ -30,8 +30,8 @@ Ranges = NDArray[np.float32]
 class FakeObject:
     """A cylinder that is not there."""
 
-    x: float  # in the odometry frame [m]
-    y: float  # in the odometry frame [m]
+    x: float  # [m]
+    y: float  # [m]
     radius: float  # [m]
 
 
@@ -46,12 +46,17 @@ class Relay(Node):
         Also listen to ``/odom``, as the fake object must.
     latency_ns
         From hearing a scan to having handed it on.
+    shadow
+        Work the mutation out and hand the scan on unchanged: what an attack's own load does.
     """
 
     operation = "passthrough"
 
-    def __init__(self, domain: Domain, *, with_odometry: bool, latency_ns: int) -> None:
+    def __init__(
+        self, domain: Domain, *, with_odometry: bool, latency_ns: int, shadow: bool = False
+    ) -> None:
         super().__init__(domain, NAME, latency_ns=latency_ns)
+        self._shadow = shadow
         self._messages = 0
         self._output = self.create_publisher(_SCAN, ATTACKED_TOPIC, qos.DEFAULT)
         self._truth = self.create_publisher(GROUND_TRUTH_TYPE, GROUND_TRUTH_TOPIC, qos.DEFAULT)
@@ -69,6 +74,8 @@ class Relay(Node):
 
     def _on_scan(self, scan: Any) -> None:
         ranges = self.mutate(scan, self._messages)
+        if self._shadow:
+            ranges = scan.ranges
         changed = ranges != scan.ranges
         with np.errstate(invalid="ignore"):
             change = np.abs(ranges - scan.ranges)[changed & np.isfinite(ranges)]
@@ -96,9 +103,16 @@ class NoiseRelay(Relay):
     operation = "random_noise"
 
     def __init__(
-        self, domain: Domain, *, level: float, seed: int, with_odometry: bool, latency_ns: int
+        self,
+        domain: Domain,
+        *,
+        level: float,
+        seed: int,
+        with_odometry: bool,
+        latency_ns: int,
+        shadow: bool = False,
     ) -> None:
-        super().__init__(domain, with_odometry=with_odometry, latency_ns=latency_ns)
+        super().__init__(domain, with_odometry=with_odometry, latency_ns=latency_ns, shadow=shadow)
         self._level = level
         self._seed = seed
 
@@ -119,10 +133,16 @@ class FakeObjectRelay(Relay):
     operation = "fake_object"
 
     def __init__(
-        self, domain: Domain, *, target: FakeObject, mount: Pose2D, latency_ns: int
+        self,
+        domain: Domain,
+        *,
+        target: FakeObject,
+        mount: Pose2D,
+        latency_ns: int,
+        shadow: bool = False,
     ) -> None:
-        super().__init__(domain, with_odometry=True, latency_ns=latency_ns)
-        self._target = target
+        super().__init__(domain, with_odometry=True, latency_ns=latency_ns, shadow=shadow)
+        self._target = target  # in the odometry frame
         self._mount = mount  # of the LiDAR in the robot's frame
         self._sensor: Pose2D | None = None  # in the odometry frame
 

@@ -7,7 +7,7 @@ through ``node``; a sample is serialised at most once, whoever listens.
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from rosbags.interfaces import Qos
 
@@ -158,6 +158,15 @@ class ActionEndpoint:
     server: Any
 
 
+class Offer(NamedTuple):
+    """A service or an action: what it is, which node offers it, and which ask for it."""
+
+    name: str
+    type: str
+    server: str
+    clients: list[str]
+
+
 class Domain:
     """Everything that can see each other, as with one ``ROS_DOMAIN_ID``."""
 
@@ -277,6 +286,18 @@ class Domain:
     def action_clients_of(self, node: str) -> dict[str, str]:
         """Return action -> type of what a node asks for."""
         return {name: kind for owner, name, kind in self._action_clients if owner == node}
+
+    def services(self) -> Iterator[Offer]:
+        """Yield the services of all nodes, those of actions included."""
+        for service in self._services.values():
+            clients = [node for node, name, _ in self._clients if name == service.name]
+            yield Offer(service.name, service.srvtype, service.node, clients)
+
+    def actions(self) -> Iterator[Offer]:
+        """Yield the actions of all nodes."""
+        for action in self._action_servers.values():
+            clients = [node for node, name, _ in self._action_clients if name == action.name]
+            yield Offer(action.name, action.action_type, action.node, clients)
 
 
 def is_hidden(topic: str) -> bool:

@@ -102,7 +102,9 @@ class Behavior(ABC):
         self._goal: GoalHandle | None = None
         self._loop: Timer
         self._deadline_ns: int | None = None
+        self._start_ns = 0
         action_type = f"nav2_msgs/action/{self.action}"
+        self._result_type = message_class(f"{action_type}_Result")
         ActionServer(node, action_type, f"/{self.name}", self._on_goal)
 
     @abstractmethod
@@ -128,13 +130,14 @@ class Behavior(ABC):
     def _on_goal(self, goal: GoalHandle) -> None:
         if self._goal is not None:  # as in life, a behaviour cannot be preempted: both goals end
             self._end(self._goal.abort)
-            goal.abort()
+            goal.abort(self._result())
             return
         self.node.info(f"Running {self.name}")
+        self._start_ns = self.node.now_ns
         pose = self.surroundings.pose()
         if pose is None or not self.start(goal.goal, pose):
             self.node.error(f"{self.name} could not be started")
-            goal.abort()
+            goal.abort(self._result())
             return
         self._goal = goal
         cycle = functools.partial(self._cycle, goal)
@@ -157,12 +160,16 @@ class Behavior(ABC):
         """Send a velocity to the wheels."""
         self._velocity.publish(twist_message(linear, angular))
 
-    def _end(self, answer: Callable[[], None]) -> None:
+    def _end(self, answer: Callable[[Any], None]) -> None:
         self._loop.cancel()
         self._goal = None
         self.drive(0.0, 0.0)
         self.node.info(f"{self.name} ended")
-        answer()
+        answer(self._result())
+
+    def _result(self) -> Any:
+        """Return how long it took."""
+        return self._result_type(duration_message(self.node.now_ns - self._start_ns))
 
 
 class Spin(Behavior):

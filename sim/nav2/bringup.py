@@ -5,7 +5,7 @@ are added by ``sim.turtlebot3``.
 """
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from sim.nav2.amcl import Amcl
 from sim.nav2.basic_navigator import BasicNavigator
 from sim.nav2.behavior_server import BehaviorServer
 from sim.nav2.bt_navigator import BtNavigator
-from sim.nav2.collision_monitor import CollisionMonitor
+from sim.nav2.collision_monitor import SOURCES, CollisionMonitor, Source
 from sim.nav2.controller_server import ControllerServer
 from sim.nav2.costmap_node import GlobalCostmap, LocalCostmap
 from sim.nav2.lifecycle import LifecycleManager
@@ -51,6 +51,7 @@ def bring_up(
     generator: Callable[[str], np.random.Generator],
     latency_ns: int = 0,
     run: int = 0,
+    monitored: Sequence[Source] = SOURCES,
 ) -> Nav2:
     """Put Nav2 into a domain; it becomes active once AMCL was told where the robot starts.
 
@@ -66,6 +67,8 @@ def bring_up(
         Of every node that processes messages, from a sample's publication to its callback.
     run
         Index of the run: process ids and addresses in node names come from it.
+    monitored
+        Topics that the collision monitor takes its points from.
     """
 
     def listener(owner: str) -> str:
@@ -114,7 +117,11 @@ def bring_up(
     WaypointFollower(domain, latency_ns=latency_ns)
     VelocitySmoother(domain, latency_ns=latency_ns)
     CollisionMonitor(
-        domain, listener("collision_monitor"), transforms=transforms, latency_ns=latency_ns
+        domain,
+        listener("collision_monitor"),
+        transforms=transforms,
+        sources=monitored,
+        latency_ns=latency_ns,
     )
 
     managers = (

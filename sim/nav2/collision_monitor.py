@@ -1,7 +1,7 @@
 """The collision monitor: the last word on a velocity before it reaches the wheels.
 
 For every command it counts the sensor points inside each polygon around the robot and stops the
-robot or slows it down, as Nav2's collision monitor does on Humble.
+robot, slows it down or lets it approach, as Nav2's collision monitor does on Humble.
 """
 
 import contextlib
@@ -18,9 +18,10 @@ from sim.jit import jit
 from sim.middleware import qos
 from sim.middleware.domain import Domain, Publisher
 from sim.middleware.executor import SECOND
+from sim.middleware.geometry import Pose2D
 from sim.middleware.stamps import stamp_ns
 from sim.middleware.tf import TransformBuffer, TransformError, TransformListener
-from sim.nav2.footprint import POLYGON, polygon_message
+from sim.nav2.footprint import FOOTPRINT, POLYGON, polygon_message
 from sim.nav2.laser import scan_points
 from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.messages import TWIST, twist_message
@@ -40,11 +41,33 @@ class Polygon:
     """A zone around the robot and what happens when something is in it."""
 
     name: str
-    topic: str
+    topic: str | None  # where it is shown, if it is
     vertices: Points  # in ``BASE_FRAME``
-    action: Literal["stop", "slowdown"]
+    action: Literal["stop", "slowdown", "approach"]
     slowdown_ratio: float = 0.0
     max_points: int = 3  # the action is taken for more points than this
+    time_before_collision: float = 2.0  # how far an approach looks ahead [s]
+    simulation_time_step: float = 0.1  # of that look [s]
+
+    def share(self, command: tuple[float, float], points: Points) -> float:
+        """Return how much of a command (m/s, rad/s) may be sent: 1 all of it, 0 nothing."""
+        inside = points_inside(self.vertices, points)
+        if self.action != "approach":
+            return self.slowdown_ratio if inside > self.max_points else 1.0
+        if inside >= self.max_points:  # Humble is stricter here than in the look ahead
+            return 0.0
+        return min(1.0, self._time_to_collision(command, points) / self.time_before_collision)
+
+    def _time_to_collision(self, command: tuple[float, float], points: Points) -> float:
+        """Return the start of the first step of the look ahead that ends in a collision [s]."""
+        step = self.simulation_time_step
+        move = Pose2D(command[0] * step, 0.0, command[1] * step)
+        pose = Pose2D()
+        for number in range(round(self.time_before_collision / step) + 1):
+            pose = pose.compose(move)
+            if points_inside(self.vertices, pose.inverse().apply(points)) > self.max_points:
+                return number * step
+        return math.inf
 
 
 POLYGON_STOP = Polygon(
@@ -60,6 +83,8 @@ POLYGON_SLOW = Polygon(
     "slowdown",
     slowdown_ratio=0.3,
 )
+# Not among the polygons of a run, as in Humble's parameters, where it is defined but not listed.
+FOOTPRINT_APPROACH = Polygon("FootprintApproach", None, FOOTPRINT, "approach", max_points=5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +185,13 @@ class CollisionMonitor(LifecycleNode):
                 Template(polygon_message(0, BASE_FRAME, polygon.vertices), POLYGON, STAMP),
             )
             for polygon in self._polygons
+            if polygon.topic is not None
         ]
+        if any(polygon.action == "approach" for polygon in self._polygons):
+            # Heard as in life; the outline never changes, so it is not taken from here.
+            self.create_subscription(
+                POLYGON, "/local_costmap/published_footprint", None, qos.SYSTEM_SUBSCRIPTION
+            )
         for source in self._sources:
             self._listen(source)
 
@@ -205,12 +236,12 @@ class CollisionMonitor(LifecycleNode):
         """Return the velocity to send and the name of the polygon behind it, if any."""
         request, cause = command, ""
         for polygon in self._polygons:
-            if points_inside(polygon.vertices, points) <= polygon.max_points:
+            share = polygon.share(command, points)
+            if share == 1.0:
                 continue
             if polygon.action == "stop":
                 return (0.0, 0.0), polygon.name
-            ratio = polygon.slowdown_ratio
-            slower = (command[0] * ratio, command[1] * ratio)
+            slower = (command[0] * share, command[1] * share)
             if math.hypot(*slower) < math.hypot(*request):
                 request, cause = slower, polygon.name
         return request, cause

@@ -7,6 +7,8 @@ whether the robot gets on and whether it is there.
 from collections.abc import Callable
 from typing import Any, Protocol
 
+import numpy as np
+
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
 from sim.middleware.action import ActionServer, GoalHandle, Status
@@ -18,6 +20,7 @@ from sim.middleware.stamps import stamp_ns
 from sim.middleware.tf import TransformBuffer, TransformError
 from sim.nav2 import dwb
 from sim.nav2.costmap import Costmap2D
+from sim.nav2.dwb_debug import DebugTopics
 from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.messages import TWIST, twist_message
 from sim.nav2.paths import PATH, length_ahead, path_bytes, path_poses
@@ -132,13 +135,9 @@ class ControllerServer(LifecycleNode):
         self._received = self.create_publisher(PATH, "/received_global_plan", qos.RELIABLE)
         self._transformed = self.create_publisher(PATH, "/transformed_global_plan", qos.RELIABLE)
         self._local = self.create_publisher(PATH, "/local_plan", qos.RELIABLE)
-        # Debug topics: advertised as in life, silent here.
-        for msgtype, topic in (
-            ("dwb_msgs/msg/LocalPlanEvaluation", "/evaluation"),
-            ("visualization_msgs/msg/MarkerArray", "/marker"),
-            ("sensor_msgs/msg/PointCloud2", "/cost_cloud"),
-        ):
-            self.create_publisher(msgtype, topic, qos.RELIABLE)
+        self._debug = DebugTopics(self)
+        # Advertised and silent, as in life (publish_cost_grid_pc is off).
+        self.create_publisher("sensor_msgs/msg/PointCloud2", "/cost_cloud", qos.RELIABLE)
         self.create_subscription(
             "nav_msgs/msg/Odometry", "/odom", self._on_odometry, qos.SYSTEM_SUBSCRIPTION
         )
@@ -172,6 +171,7 @@ class ControllerServer(LifecycleNode):
         self.info("Received a goal, begin computing control effort.")
         self._progress = ProgressChecker()
         self._valid_ns = self.now_ns
+        self._path = np.empty((0, 3))
         self._take_path()
         self._loop = self.create_timer(PERIOD_NS, self._cycle, phase_ns=0)
 
@@ -179,9 +179,13 @@ class ControllerServer(LifecycleNode):
         path = self._goals[0].goal.path
         self._frame = path.header.frame_id
         self._stamp_ns = stamp_ns(path.header.stamp)
-        self._path = path_poses(path)
-        self._goal_checker = GoalChecker()
-        self._planner.set_plan(self._path)
+        path_before, self._path = self._path, path_poses(path)
+        # Nav2 forgets with every path, once a second, that the robot was near the goal; see
+        # docs/navigation.md for what comes of it.
+        same_goal = np.array_equal(path_before[-1:], self._path[-1:])
+        if not same_goal:
+            self._goal_checker = GoalChecker()
+        self._planner.set_plan(self._path, same_goal=same_goal)
         self._received.publish_serialized(path_bytes(self._stamp_ns, self._frame, self._path))
 
     def _cycle(self) -> None:
@@ -221,6 +225,8 @@ class ControllerServer(LifecycleNode):
         cells = dwb.CostGrid(grid.costs, grid.resolution, grid.origin_x, grid.origin_y)
         cycle = self._planner.compute(cells, pose, self._velocity, from_path)
         self._publish_plans(cycle, grid.frame)
+        if cycle.scoring is not None:
+            self._debug.publish(self.now_ns, grid.frame, cycle.scoring)
         if cycle.twist is not None:
             self._valid_ns = self.now_ns
         elif self.now_ns - self._valid_ns > FAILURE_TOLERANCE_NS:

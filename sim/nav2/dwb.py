@@ -77,6 +77,16 @@ class _Critics(NamedTuple):
     turn: int  # 1 or -1: turn to this side only, 0: to any
 
 
+class Scoring(NamedTuple):
+    """All that the choice of one cycle is a function of."""
+
+    parameters: Parameters
+    grid: CostGrid
+    pose: tuple[float, float, float]  # of the robot in the costmap's frame [m, m, rad]
+    velocity: tuple[float, float]  # of the robot [m/s, rad/s]
+    critics: _Critics
+
+
 @dataclass(frozen=True, slots=True)
 class Cycle:
     """What one control cycle came to; poses are in the costmap's frame."""
@@ -84,6 +94,7 @@ class Cycle:
     twist: tuple[float, float] | None  # [m/s, rad/s]; None if no trajectory is legal
     plan: Poses  # the part of the plan that was followed
     trajectory: Poses  # the rollout of ``twist``
+    scoring: Scoring | None = None  # what the critics were asked; None if they were not
 
 
 class LocalPlanner:
@@ -103,10 +114,14 @@ class LocalPlanner:
         self._rotating = False
         self._turns = _Trend()
 
-    def set_plan(self, plan: Poses) -> None:
-        """Follow ``plan`` of shape (n, 3) from now on; the critics forget what was."""
+    def set_plan(self, plan: Poses, *, same_goal: bool = False) -> None:
+        """Follow ``plan`` of shape (n, 3) from now on; the critics forget what was.
+
+        On the way to the same goal as before, what they know of the arrival stays.
+        """
         self.plan = plan
-        self._near_goal = self._rotating = False
+        self._near_goal &= same_goal
+        self._rotating &= same_goal
         self._turns = _Trend()
 
     def limit_speed(self, limit: float, *, percentage: bool) -> None:
@@ -141,14 +156,15 @@ class LocalPlanner:
             return Cycle(None, near, near)
         goal = from_plan.compose(Pose2D(*self.plan[-1]))
         critics = self._prepare(grid, pose, velocity, goal, near)
-        twist = _search(parameters, grid, (pose.x, pose.y, pose.yaw), velocity, critics)
+        scoring = Scoring(parameters, grid, (pose.x, pose.y, pose.yaw), velocity, critics)
+        twist = _search(*scoring)
         legal = not math.isnan(twist[0])
         self._turns.debrief(twist if legal else (0.0, 0.0), pose)
         if not legal:
-            return Cycle(None, near, near[:0])
+            return Cycle(None, near, near[:0], scoring)
         rollout = np.empty((_steps(parameters, twist) + 2, 3))
-        _roll(parameters, (pose.x, pose.y, pose.yaw), velocity, twist, rollout)
-        return Cycle(twist, near, rollout)
+        _roll(parameters, scoring.pose, velocity, twist, rollout)
+        return Cycle(twist, near, rollout, scoring)
 
     def followed(self, pose: Pose2D, grid: CostGrid, from_plan: Pose2D) -> Poses:
         """Forget what lies behind; return the part to follow, in the costmap's frame."""
@@ -337,6 +353,31 @@ def _samples(
 
 
 @jit
+def _twists(
+    parameters: Parameters, velocity: tuple[float, float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the forward and the turning speeds to try; every pair but (0, 0) is a twist."""
+    time = parameters.sim_time
+    forward = _samples(
+        velocity[0],
+        0.0,
+        parameters.max_vel_x,
+        parameters.acc_lim_x * time,
+        parameters.decel_lim_x * time,
+        parameters.vx_samples,
+    )
+    turning = _samples(
+        velocity[1],
+        -parameters.max_vel_theta,
+        parameters.max_vel_theta,
+        parameters.acc_lim_theta * time,
+        parameters.decel_lim_theta * time,
+        parameters.vtheta_samples,
+    )
+    return forward, turning
+
+
+@jit
 def _steps(parameters: Parameters, twist: tuple[float, float]) -> int:
     """Return in how many steps a velocity is rolled out."""
     linear = abs(twist[0]) * parameters.sim_time / parameters.linear_granularity
@@ -395,12 +436,13 @@ def _obstacle_cost(grid: CostGrid, rollout: Poses) -> int:
 
 
 @jit
-def _map_score(
+def _map_cells(
     parameters: Parameters, grid: CostGrid, critics: _Critics, end: NDArray[np.float64]
-) -> float:
-    """Return the weighted sum of the four critics that look at the end of a rollout.
+) -> tuple[int, int, int, int]:
+    """Return what the four critics that look at the end of a rollout say [cells].
 
-    Infinite if the rollout, or the point in front of the robot, ends outside the costmap.
+    They are goal align, path align (0 where it is off), path dist and goal dist; all are -1 if
+    the rollout, or the point in front of the robot, ends outside the costmap.
     """
     column, row = _cell(grid, end[0], end[1])
     ahead_column, ahead_row = _cell(
@@ -409,14 +451,38 @@ def _map_score(
         end[1] + parameters.forward_point_distance * math.sin(end[2]),
     )
     if column < 0 or ahead_column < 0:
-        return math.inf
+        return -1, -1, -1, -1
     goal_align = abs(ahead_column - critics.nose_x) + abs(ahead_row - critics.nose_y)
     goal_dist = abs(column - critics.goal_x) + abs(row - critics.goal_y)
+    path_dist = int(critics.path_distance[row, column])
+    path_align = int(critics.path_distance[ahead_row, ahead_column]) if critics.align_path else 0
+    return goal_align, path_align, path_dist, goal_dist
+
+
+@jit
+def _map_score(
+    parameters: Parameters, grid: CostGrid, critics: _Critics, end: NDArray[np.float64]
+) -> float:
+    """Return the weighted sum of those four critics; infinite outside the costmap."""
+    goal_align, path_align, path_dist, goal_dist = _map_cells(parameters, grid, critics, end)
+    if goal_align < 0:
+        return math.inf
     total = parameters.goal_align_scale * goal_align + parameters.goal_dist_scale * goal_dist
-    total += parameters.path_dist_scale * critics.path_distance[row, column]
-    if critics.align_path:
-        total += parameters.path_align_scale * critics.path_distance[ahead_row, ahead_column]
+    total += parameters.path_dist_scale * path_dist
+    total += parameters.path_align_scale * path_align
     return 0.5 * grid.resolution * float(total)
+
+
+@jit
+def _rotate_to_goal(
+    parameters: Parameters, critics: _Critics, v: float, end: NDArray[np.float64]
+) -> float:
+    """Return what the critic near the goal says: slow down, then face the goal's yaw."""
+    if not (critics.slowing or critics.rotating):
+        return 0.0
+    off = float((critics.goal_yaw - end[2] + math.pi) % (2.0 * math.pi) - math.pi)
+    slow = parameters.slowing_factor * v * v if critics.slowing else 0.0
+    return slow + abs(off)
 
 
 @jit
@@ -431,23 +497,7 @@ def _search(
     best, best_v, best_w = math.inf, math.nan, math.nan
     if critics.goal_x < 0:
         return best_v, best_w
-    time = parameters.sim_time
-    forward = _samples(
-        velocity[0],
-        0.0,
-        parameters.max_vel_x,
-        parameters.acc_lim_x * time,
-        parameters.decel_lim_x * time,
-        parameters.vx_samples,
-    )
-    turning = _samples(
-        velocity[1],
-        -parameters.max_vel_theta,
-        parameters.max_vel_theta,
-        parameters.acc_lim_theta * time,
-        parameters.decel_lim_theta * time,
-        parameters.vtheta_samples,
-    )
+    forward, turning = _twists(parameters, velocity)
     longest = _steps(parameters, (parameters.max_vel_x, parameters.max_vel_theta))
     rollout = np.empty((longest + 2, 3))
     for v in forward:
@@ -461,10 +511,7 @@ def _search(
             length = _roll(parameters, pose, velocity, (v, w), rollout)
             end = rollout[length - 1]
             total = _map_score(parameters, grid, critics, end)
-            if critics.slowing or critics.rotating:
-                off = (critics.goal_yaw - end[2] + math.pi) % (2.0 * math.pi) - math.pi
-                slow = parameters.slowing_factor * v * v if critics.slowing else 0.0
-                total += parameters.rotate_to_goal_scale * (slow + abs(off))
+            total += parameters.rotate_to_goal_scale * _rotate_to_goal(parameters, critics, v, end)
             if total >= best:  # the obstacle critic can only add to it
                 continue
             cost = _obstacle_cost(grid, rollout[:length])

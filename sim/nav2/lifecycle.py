@@ -54,6 +54,7 @@ class _Bond:
     def __init__(self, node: Node, bond_id: str) -> None:
         self._node = node
         self._publisher = node.create_publisher("bond/msg/Status", "/bond", _BOND_PUBLISHER)
+        node.create_subscription("bond/msg/Status", "/bond", None, _BOND_SUBSCRIPTION)
         instance = str(uuid.uuid5(uuid.NAMESPACE_URL, f"{node.name}/{bond_id}"))
         status = _BondStatus(
             header(0, ""), bond_id, instance, True, BOND_TIMEOUT_S, HEARTBEAT_NS / SECOND
@@ -131,7 +132,6 @@ class LifecycleNode(Node):
         self.on_activate()
         self._enter(State.ACTIVE)
         if self._bonded:
-            self.create_subscription("bond/msg/Status", "/bond", None, _BOND_SUBSCRIPTION)
             _Bond(self, self.name.lstrip("/"))
         return True
 
@@ -174,7 +174,6 @@ class LifecycleManager(Node):
         )
         self.create_service("nav2_msgs/srv/ManageLifecycleNodes", f"{name}/manage_nodes", _nothing)
         self.create_service("std_srvs/srv/Trigger", f"{name}/is_active", lambda _: self.is_active)
-        self.create_subscription("bond/msg/Status", "/bond", None, _BOND_SUBSCRIPTION)
         self._clients = {node: self._client(node) for node in managed}
         for node in managed:
             self.create_client("lifecycle_msgs/srv/GetState", f"{node}/get_state")

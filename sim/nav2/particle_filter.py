@@ -110,14 +110,20 @@ class ParticleFilter:
         self.weights = np.full(count, 1.0 / count)
 
     def estimate(self) -> tuple[Pose2D, NDArray[np.float64]]:
-        """Return the mean of the heaviest cluster, and the covariance of all, shape (3, 3)."""
+        """Return the mean of the heaviest cluster, and the covariance of all, shape (3, 3).
+
+        As in Nav2 the yaw has its circular variance, and none with x and y.
+        """
         labels = cluster_labels(self.poses)
         heaviest = labels == np.argmax(np.bincount(labels, self.weights))
         mean = _mean(self.poses[heaviest], self.weights[heaviest])
-        away = self.poses - _mean(self.poses, self.weights)
-        away[:, 2] = (away[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
+        away = (self.poses - _mean(self.poses, self.weights))[:, :2]
+        covariance = np.zeros((3, 3))
         # Without BLAS, whose sums depend on its threads: the same run gives the same bytes.
-        covariance: NDArray[np.float64] = np.einsum("n,ni,nj->ij", self.weights, away, away)
+        covariance[:2, :2] = np.einsum("n,ni,nj->ij", self.weights, away, away)
+        yaw = self.poses[:, 2]
+        concentration = np.hypot(*(np.sum(self.weights * f(yaw)) for f in (np.cos, np.sin)))
+        covariance[2, 2] = -2.0 * np.log(min(concentration, 1.0))
         return Pose2D(*mean.tolist()), covariance
 
 

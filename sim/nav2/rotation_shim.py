@@ -39,9 +39,9 @@ class RotationShim(LocalPlanner):
         self._shim = shim or ShimParameters()
         self._facing = False  # still to be checked whether the robot faces the plan
 
-    def set_plan(self, plan: Poses) -> None:
+    def set_plan(self, plan: Poses, *, same_goal: bool = False) -> None:
         """Follow ``plan`` of shape (n, 3) from now on, after turning towards it."""
-        super().set_plan(plan)
+        super().set_plan(plan, same_goal=same_goal)
         self._facing = True
 
     def compute(

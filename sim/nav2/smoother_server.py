@@ -21,6 +21,7 @@ _Result = message_class(f"{_ACTION}_Result")
 
 DATA_WEIGHT = 0.2  # pull towards the original path
 SMOOTH_WEIGHT = 0.3  # pull towards the middle between the neighbours
+REFINEMENTS = 4  # times that what was smoothed is smoothed again (do_refinement)
 
 
 class SmootherServer(LifecycleNode):
@@ -89,7 +90,8 @@ def smooth(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the path that Nav2's simple smoother converges to; the ends stay where they are.
 
     Its sweeps move every point until the pull of the original and that of the neighbours cancel
-    out, so the result is the solution of a tridiagonal system.
+    out, so their result is the solution of a tridiagonal system; each refinement takes it for the
+    original.
 
     Parameters
     ----------
@@ -101,7 +103,8 @@ def smooth(points: NDArray[np.float64]) -> NDArray[np.float64]:
     bands[1] = 1.0
     bands[1, 1:-1] = DATA_WEIGHT + 2.0 * SMOOTH_WEIGHT
     bands[0, 2:] = bands[2, :-2] = -SMOOTH_WEIGHT
-    right = points.copy()
-    right[1:-1] *= DATA_WEIGHT
-    smoothed: NDArray[np.float64] = solve_banded((1, 1), bands, right)
-    return smoothed
+    for _ in range(1 + REFINEMENTS):
+        right = points.copy()
+        right[1:-1] *= DATA_WEIGHT
+        points = solve_banded((1, 1), bands, right)
+    return points

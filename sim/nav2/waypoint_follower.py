@@ -1,5 +1,6 @@
 """The waypoint follower: visits poses one after the other through ``/navigate_to_pose``."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,14 @@ _Feedback = message_class("nav2_msgs/action/FollowWaypoints_Feedback")
 _NavigateToPose = message_class("nav2_msgs/action/NavigateToPose_Goal")
 _Result = message_class("nav2_msgs/action/FollowWaypoints_Result")
 
-PAUSE_NS = 200 * MILLISECOND
+LOOP_NS = 50 * MILLISECOND
+PAUSE_NS = 200 * MILLISECOND  # at a waypoint that was reached
 
 
 class WaypointFollower(LifecycleNode):
     """Serves ``/follow_waypoints``; a waypoint that cannot be reached is left out.
+
+    A new goal takes the place of the running one at once.
 
     Parameters
     ----------
@@ -28,39 +32,54 @@ class WaypointFollower(LifecycleNode):
 
     def __init__(self, domain: Domain, *, latency_ns: int = 0) -> None:
         super().__init__(domain, "/waypoint_follower", latency_ns=latency_ns)
-        self._under_way: GoalHandle | None = None
+        self._goal: GoalHandle | None = None
+        self._index = 0  # of the waypoint that is being visited
+        self._missed: list[int] = []
+        self._drive: GoalHandle | None = None  # to that waypoint
 
     def on_configure(self) -> None:
         """Open the actions."""
         self._client = ActionClient(self, "nav2_msgs/action/NavigateToPose", "/navigate_to_pose")
-        ActionServer(
-            self,
-            "nav2_msgs/action/FollowWaypoints",
-            "/follow_waypoints",
-            self._on_goal,
-            self._on_cancel,
-        )
+        ActionServer(self, "nav2_msgs/action/FollowWaypoints", "/follow_waypoints", self._on_goal)
 
     def _on_goal(self, goal: GoalHandle) -> None:
-        self._visit(goal, 0, [])
+        if self._goal is not None:
+            self._end(self._goal.abort)
+        self._goal, self._index, self._missed, self._drive = goal, 0, [], None
+        if goal.goal.poses:
+            self._cycle(goal)
+        else:
+            self.error("There is no waypoint in the goal; send at least one.")
+            self._end(goal.abort)
 
-    def _on_cancel(self, _goal: GoalHandle) -> None:
-        if self._under_way is not None:
-            self._under_way.cancel()
-
-    def _visit(self, goal: GoalHandle, index: int, missed: list[int]) -> None:
+    def _cycle(self, goal: GoalHandle) -> None:
+        """Send the robot to the waypoint whose turn it is, or look how it gets on."""
+        if goal is not self._goal:
+            return
         if goal.status is Status.CANCELING:
-            goal.canceled()
+            if self._drive is not None:
+                self._drive.cancel()
+            self._end(goal.canceled)
             return
-        if index == len(goal.goal.poses):
-            goal.succeed(_Result(np.array(missed, dtype=np.int32)))
+        if self._index == len(goal.goal.poses):
+            self._end(goal.succeed)
             return
-        goal.publish_feedback(_Feedback(index))
+        if self._drive is None:
+            pose = goal.goal.poses[self._index]
+            self._drive = self._client.send_goal(_NavigateToPose(pose, ""), lambda *_: None)
+        goal.publish_feedback(_Feedback(self._index))
+        wait_ns = LOOP_NS if self._drive.is_active else self._arrive(self._drive.status)
+        self.call_later(wait_ns, self._cycle, goal)
 
-        def arrived(status: Status, _result: Any) -> None:
-            failed = [] if status is Status.SUCCEEDED else [index]
-            self.call_later(PAUSE_NS, self._visit, goal, index + 1, missed + failed)
+    def _arrive(self, status: Status) -> int:
+        """Note how a drive ended and turn to the next waypoint; return when [ns from now]."""
+        reached = status is Status.SUCCEEDED
+        if not reached:
+            self._missed.append(self._index)
+        self._index += 1
+        self._drive = None
+        return PAUSE_NS if reached else LOOP_NS
 
-        self._under_way = self._client.send_goal(
-            _NavigateToPose(goal.goal.poses[index], ""), arrived
-        )
+    def _end(self, answer: Callable[[Any], None]) -> None:
+        self._goal = None
+        answer(_Result(np.array(self._missed, dtype=np.int32)))

@@ -1,4 +1,4 @@
-"""The map that Nav2 ships for this world, as an occupancy grid, and where it lies.
+"""The map that Nav2 ships for this world, as an occupancy grid, and what lies where in it.
 
 The original was made by SLAM: walls are one or two cells thick, what no ray reached is unknown,
 and the whole is turned and shifted a little against the world. Figures: docs/world.md.
@@ -6,6 +6,7 @@ and the whole is turned and shifted a little against the world. Figures: docs/wo
 
 import functools
 import math
+from typing import Literal
 
 import numpy as np
 from scipy import ndimage
@@ -13,6 +14,8 @@ from scipy import ndimage
 from sim.middleware.geometry import Pose2D
 from sim.nav2.map_server import OccupancyMap
 from sim.turtlebot3.arena import clearance
+
+OdometrySource = Literal["world", "encoder"]  # gazebo_ros_diff_drive's two
 
 RESOLUTION_M = 0.05
 CELLS = 384  # a side
@@ -43,3 +46,16 @@ def turtlebot3_world_map() -> OccupancyMap:
     data[seen & (distance <= _BEFORE_M) & (distance > -_BEHIND_M)] = OCCUPIED
     data.flags.writeable = False
     return OccupancyMap(data, RESOLUTION_M, (ORIGIN_M, ORIGIN_M))
+
+
+def odom_in_map(source: OdometrySource, start: Pose2D) -> Pose2D:
+    """Return where the odometry frame is in the map frame while odometry has not drifted yet.
+
+    Parameters
+    ----------
+    source
+        Of the odometry.
+    start
+        Of the robot, in the map frame.
+    """
+    return start if source == "encoder" else WORLD_IN_MAP

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
 from sim.middleware.domain import Domain
@@ -22,7 +23,10 @@ from sim.middleware.node import Node
 from sim.middleware.stamps import header, stamp_ns, time_message
 from sim.middleware.tf import TransformBroadcaster, planar_transform
 from sim.turtlebot3 import frames
-from sim.turtlebot3.world import WHEEL_RADIUS_M, WHEEL_SEPARATION_M, ImuSample, World
+from sim.turtlebot3.camera import add_depth_camera
+from sim.turtlebot3.map import OdometrySource
+from sim.turtlebot3.wheel_odometry import WheelOdometry
+from sim.turtlebot3.world import WHEEL_RADIUS_M, WHEEL_SEPARATION_M, ImuSamples, World
 
 _Clock = message_class("rosgraph_msgs/msg/Clock")
 _Imu = message_class("sensor_msgs/msg/Imu")
@@ -42,11 +46,12 @@ _Twist = message_class("geometry_msgs/msg/Twist")
 _TwistWithCovariance = message_class("geometry_msgs/msg/TwistWithCovariance")
 _Vector3 = message_class("geometry_msgs/msg/Vector3")
 
+_IMU = "sensor_msgs/msg/Imu"
+
 Ranges = NDArray[np.float64]
 
 CLOCK_NS = 100 * MILLISECOND
 METRICS_NS = 200 * MILLISECOND
-IMU_NS = 5 * MILLISECOND
 ODOMETRY_NS = 34 * MILLISECOND  # 30 Hz asked for, in steps of 1 ms
 SCAN_NS = 200 * MILLISECOND
 WHEEL_TF_NS = 50 * MILLISECOND
@@ -96,35 +101,54 @@ class Gazebo(Node):
 
 
 class ImuPlugin(Node):
-    """``/imu``: orientation, turning speed, acceleration, with noise on the last two."""
+    """``/imu``: orientation, turning speed, acceleration, with noise on the last two.
+
+    The samples of an odometry period are measured in one go, at its start: until it ends nothing
+    acts on the robot that does not act at its start.
+
+    Parameters
+    ----------
+    domain, rng
+        As for `Node`.
+    measure
+        What an ideal unit measures after now and up to a time [ns].
+    """
 
     def __init__(
-        self, domain: Domain, measure: Callable[[], ImuSample], rng: np.random.Generator
+        self, domain: Domain, measure: Callable[[int], ImuSamples], rng: np.random.Generator
     ) -> None:
         super().__init__(domain, "/turtlebot3_imu", rng=rng)
         self._measure = measure
-        self._publisher = self.create_publisher("sensor_msgs/msg/Imu", "/imu", qos.profile(5))
-        self._unknown = np.zeros(9)
-        self._gyro_covariance = np.diag([GYRO_NOISE**2] * 3).ravel()
-        self._acceleration_covariance = np.diag([ACCELEROMETER_NOISE**2] * 3).ravel()
-        self.create_timer(IMU_NS, self._publish)
+        self._publisher = self.create_publisher(_IMU, "/imu", qos.profile(5))
+        self._template = Template(
+            _Imu(
+                header(0, "imu_link"),
+                _Quaternion(0.0, 0.0, 0.0, 1.0),
+                np.zeros(9),  # of the orientation: unknown
+                _Vector3(0.0, 0.0, 0.0),
+                np.diag([GYRO_NOISE**2] * 3).ravel(),
+                _Vector3(0.0, 0.0, 0.0),
+                np.diag([ACCELEROMETER_NOISE**2] * 3).ravel(),
+            ),
+            _IMU,
+            (*STAMP, "orientation", "angular_velocity", "linear_acceleration"),
+        )
+        self.create_timer(ODOMETRY_NS, self._publish, phase_ns=0)
 
     def _publish(self) -> None:
-        sample = self._measure()
-        noise = self.rng.standard_normal(6)
-        turning = sample.angular_velocity + GYRO_NOISE * noise[:3]
-        acceleration = sample.linear_acceleration + ACCELEROMETER_NOISE * noise[3:]
-        self._publisher.publish(
-            _Imu(
-                header(self.now_ns, "imu_link"),
-                _Quaternion(*sample.orientation),
-                self._unknown,
-                _Vector3(*turning.tolist()),
-                self._gyro_covariance,
-                _Vector3(*acceleration.tolist()),
-                self._acceleration_covariance,
-            )
+        samples = self._measure(self.now_ns + ODOMETRY_NS)
+        count = len(samples.stamps_ns)
+        noise = self.rng.standard_normal((count, 6))
+        rows = self._template.rows(count)
+        for field, values in zip(STAMP, divmod(samples.stamps_ns, SECOND), strict=True):
+            rows[field] = values
+        rows["orientation"] = samples.orientations
+        rows["angular_velocity"] = samples.angular_velocities + GYRO_NOISE * noise[:, :3]
+        rows["linear_acceleration"] = (
+            samples.linear_accelerations + ACCELEROMETER_NOISE * noise[:, 3:]
         )
+        for due_ns, row in zip(samples.stamps_ns.tolist(), rows, strict=True):
+            self.domain.executor.call_at(due_ns, self._publisher.publish_serialized, row.tobytes())
 
 
 class LaserPlugin(Node):
@@ -229,8 +253,8 @@ class RangePlugin(Node):
 class DiffDrivePlugin(Node):
     """``/cmd_vel`` in; wheel speeds, ``/odom`` and ``odom -> base_footprint`` out.
 
-    As in Humble the odometry is the ground truth (source WORLD), the last command is held for
-    ever, and each update moves the wheels' set-points by at most the acceleration's share.
+    The last command is held for ever, and each update moves the wheels' set-points by at most the
+    acceleration's share. Odometry comes from one of the plugin's two sources (`wheel_odometry`).
     """
 
     def __init__(
@@ -366,26 +390,14 @@ def _transform(
     )
 
 
-def _add_depth_camera(domain: Domain) -> None:
-    """Add the camera's driver; without a rendering context it advertises and stays silent."""
-    camera = Node(domain, "/intel_realsense_r200_depth_driver")
-    for topic, msgtype in (
-        ("camera_info", "CameraInfo"),
-        ("depth/camera_info", "CameraInfo"),
-        ("depth/image_raw", "Image"),
-        ("image_raw", "Image"),
-        ("points", "PointCloud2"),
-    ):
-        camera.create_publisher(
-            f"sensor_msgs/msg/{msgtype}", f"/intel_realsense_r200_depth/{topic}", qos.RELIABLE
-        )
-
-
 def add_robot(
     domain: Domain,
     world: World,
     lidar_noise: LidarNoise,
     generator: Callable[[str], np.random.Generator],
+    *,
+    odometry_source: OdometrySource = "world",
+    cameras: bool = False,
 ) -> None:
     """Put the simulator's and the robot's nodes into a domain.
 
@@ -397,9 +409,12 @@ def add_robot(
         Of both LiDARs.
     generator
         Gives each node, by name, its randomness.
+    odometry_source
+        ``world``: odometry is the ground truth; ``encoder``: it is summed up from the wheels.
+    cameras
+        Whether there is a rendering context, without which the depth camera is silent.
     """
     Gazebo(domain)
-    ImuPlugin(domain, world.imu, generator("/turtlebot3_imu"))
     # The LiDARs and the infrared are separate devices: each fires at its own moment.
     lidars = (
         ("/turtlebot3_laserscan", "/scan", frames.BASE_SCAN, 200),
@@ -416,9 +431,17 @@ def add_robot(
         generator("/turtlebot3_range_ella"),
         330 * MILLISECOND,
     )
-    DiffDrivePlugin(domain, lambda: (world.pose, world.twist), world.command_wheels)
+    DiffDrivePlugin(
+        domain,
+        WheelOdometry(world.wheel_states)
+        if odometry_source == "encoder"
+        else lambda: (world.pose, world.twist),
+        world.command_wheels,
+    )
+    # After the diff drive: it measures what comes of the command that was just given.
+    ImuPlugin(domain, world.imu, generator("/turtlebot3_imu"))
     JointStatePlugin(domain, world.wheel_states)
-    _add_depth_camera(domain)
+    add_depth_camera(domain, world, renders=cameras)
     RobotStatePublisher(domain)
 
 

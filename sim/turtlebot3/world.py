@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from mujoco.rollout import Rollout
 from numpy.typing import NDArray
 
 from sim.middleware.geometry import Pose2D, quaternion_yaw, wrap_angle
@@ -25,11 +26,28 @@ _MOTOR_GAIN = 0.2  # [N m s/rad]
 
 _EPISODE_GAP_NS = 1_000_000_000  # a robot that grinds along a wall bounces off and on
 
-_STATIC, _ROBOT, _FLOOR = 0, 1, 2  # geom groups: rays see the first only
+_STATIC, _ROBOT, _FLOOR = 0, 1, 2  # geom groups
 # A wheel stands on the floor at one point, as a sphere does: two edges of a cylinder would scrub
 # against each other in every turn. The cylinder is what meets the pieces of the world.
 _TREAD_BIT = 2
-_SEEN_BY_RAYS = np.array([1, 0, 0, 0, 0, 0], np.uint8)
+# By geom group. LiDAR rays are horizontal; a camera sees the floor too.
+_SEEN_BY_LIDARS = np.array([1, 0, 0, 0, 0, 0], np.uint8)
+_SEEN_BY_CAMERAS = np.array([1, 0, 1, 0, 0, 0], np.uint8)
+
+# A state is time, positions (robot: x, y, z, quaternion w, x, y, z; wheels) and their speeds.
+_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_POSITION, _QUATERNION, _WHEEL_ANGLES = np.s_[1:4], np.s_[4:8], np.s_[8:10]
+_VELOCITY, _TURNING, _WHEEL_SPEEDS = np.s_[10:13], 15, np.s_[16:18]
+# Sensors: gyro, accelerometer, and per piece of the world how often the robot touches it.
+_GYRO, _ACCELEROMETER, _TOUCHES = np.s_[:3], np.s_[3:6], np.s_[6:]
+
+# Red, green, blue, opacity; our own.
+_WALL_RGBA = "0.45 0.55 0.65 1"
+_PILLAR_RGBA = "0.9 0.9 0.85 1"
+_FLOOR_RGBA = "0.6 0.6 0.55 1"
+_SKY_RGB = np.array([0.7, 0.7, 0.7])
+_AMBIENT = 0.4  # share of the light that comes from everywhere; the rest comes from the sun
+_SUN = np.array([0.5, -0.1, 0.9]) / math.sqrt(1.07)  # where it stands, as seen from the floor
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +60,22 @@ class WorldParameters:
     obstacles: Sequence[Cylinder] = ()  # real ones that are on no map
 
 
-@dataclass(frozen=True, slots=True)
-class ImuSample:
-    """What an ideal inertial unit in ``imu_link`` measures."""
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuSamples:
+    """What an ideal inertial unit in ``imu_link`` measures, a sample a physics step."""
 
-    orientation: tuple[float, float, float, float]  # quaternion x, y, z, w
-    angular_velocity: NDArray[np.float64]  # (3,) [rad/s]
-    linear_acceleration: NDArray[np.float64]  # (3,), gravity included [m/s^2]
+    stamps_ns: NDArray[np.int64]  # (n,)
+    orientations: NDArray[np.float64]  # (n, 4), quaternions x, y, z, w
+    angular_velocities: NDArray[np.float64]  # (n, 3) [rad/s]
+    linear_accelerations: NDArray[np.float64]  # (n, 3), gravity included [m/s^2]
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What an ideal camera sees along its rays."""
+
+    distances: NDArray[np.float64]  # (n,) to the nearest surface [m]; inf where there is none
+    colours: NDArray[np.uint8]  # (n, 3) red, green, blue
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +88,9 @@ class Touch:
 
 class World:
     """The world and the robot in it.
+
+    Nothing but the wheels' command acts on the robot, so the physics runs in blocks, and ahead of
+    the clock where a sensor asks for more than one sample at once.
 
     Parameters
     ----------
@@ -76,23 +106,24 @@ class World:
             start.x, start.y, 0.010, math.cos(start.yaw / 2.0), 0.0, 0.0, math.sin(start.yaw / 2.0)
         )  # fmt: skip
         mujoco.mj_forward(self._model, self._data)
-        self._steps = 0
-        self._ahead_s = 0.0  # of the last step, until the next one is due
+        self._rollout = Rollout(nthread=0)
+        self._command = np.zeros(self._model.nu)
+        self._now_ns = 0
+        # What is known of the steps from ``_first`` on; the first of them is that of now.
+        self._first = 0
+        self._states = np.empty((1, mujoco.mj_stateSize(self._model, _STATE.value)))
+        mujoco.mj_getState(self._model, self._data, self._states[0], _STATE)
+        self._measured = self._data.sensordata[np.newaxis].copy()
+        self._pieces = [*_pieces(parameters)]
         self._last_touch_ns: dict[str, int] = {}
         self.touches: list[Touch] = []
-        groups = self._model.geom_group
-        self._piece_of_geom = {
-            geom: self._model.geom(geom).name.partition("#")[0]
-            for geom in np.flatnonzero(groups == _STATIC).tolist()
-        }
-        joints = [self._model.joint(name) for name in ("wheel_left", "wheel_right")]
-        self._wheel_angles = [int(joint.qposadr[0]) for joint in joints]
-        self._wheel_speeds = [int(joint.dofadr[0]) for joint in joints]
+        # The last row is the sky: a ray that hits nothing reports geom -1.
+        self._colours = np.vstack([self._model.geom_rgba[:, :3], _SKY_RGB])
 
     @property
     def time_ns(self) -> int:
-        """Time of the physics; a multiple of the step [ns]."""
-        return self._steps * STEP_NS
+        """Time of the last physics step; a multiple of its length [ns]."""
+        return self._now_ns // STEP_NS * STEP_NS
 
     def advance_to(self, time_ns: int) -> None:
         """Take every step that is due by ``time_ns``, and note new contacts after each.
@@ -100,46 +131,57 @@ class World:
         Poses and wheel angles are carried on to ``time_ns`` itself with their speeds: Gazebo
         steps five times as often, and odometry that jumps by a step would look like slip.
         """
-        for _ in range(time_ns // STEP_NS - self._steps):
-            mujoco.mj_step(self._model, self._data)
-            self._steps += 1
-            self._watch_contacts()
-        self._ahead_s = (time_ns - self.time_ns) / 1e9
+        self._now_ns = time_ns
+        self._simulate_until(time_ns)
 
     def command_wheels(self, left: float, right: float) -> None:
-        """Set what the wheel motors hold from now on [rad/s]."""
-        self._data.ctrl[0] = left
-        self._data.ctrl[1] = right
+        """Set what the wheel motors hold from now on [rad/s].
+
+        Raises
+        ------
+        ValueError
+            If the physics is ahead of the clock: a sensor was asked for later samples already.
+        """
+        if self._row < len(self._states) - 1:
+            raise ValueError(f"at {self._now_ns} ns the physics has gone on with the last command")
+        self._command = np.array([left, right])
 
     @property
     def pose(self) -> Pose2D:
         """Ground truth of ``base_footprint`` in the world."""
-        x, y, _, w, qx, qy, qz = self._data.qpos[:7].tolist()
-        vx, vy, _, _, _, turning = self._data.qvel[:6].tolist()
-        yaw = wrap_angle(quaternion_yaw(qx, qy, qz, w) + self._ahead_s * turning)
+        state = self._states[self._row]
+        x, y, _ = state[_POSITION].tolist()
+        w, qx, qy, qz = state[_QUATERNION].tolist()
+        vx, vy, _ = state[_VELOCITY].tolist()
+        yaw = wrap_angle(quaternion_yaw(qx, qy, qz, w) + self._ahead_s * float(state[_TURNING]))
         return Pose2D(x + self._ahead_s * vx, y + self._ahead_s * vy, yaw)
 
     @property
     def twist(self) -> tuple[float, float]:
         """Ground truth of the forward [m/s] and the turning speed [rad/s]."""
-        vx, vy, _, _, _, turning = self._data.qvel[:6].tolist()
+        state = self._states[self._row]
+        vx, vy, _ = state[_VELOCITY].tolist()
         yaw = self.pose.yaw
-        return vx * math.cos(yaw) + vy * math.sin(yaw), turning
+        return vx * math.cos(yaw) + vy * math.sin(yaw), float(state[_TURNING])
 
     def wheel_states(self) -> tuple[list[float], list[float]]:
         """Return angles [rad] and speeds [rad/s] of the left and the right wheel."""
-        speeds = [float(self._data.qvel[i]) for i in self._wheel_speeds]
-        angles = [
-            float(self._data.qpos[i]) + self._ahead_s * speed
-            for i, speed in zip(self._wheel_angles, speeds, strict=True)
-        ]
-        return angles, speeds
+        state = self._states[self._row]
+        angles = state[_WHEEL_ANGLES] + self._ahead_s * state[_WHEEL_SPEEDS]
+        return angles.tolist(), state[_WHEEL_SPEEDS].tolist()
 
-    def imu(self) -> ImuSample:
-        """Return what an ideal inertial unit in ``imu_link`` measures."""
-        w, x, y, z = self._data.qpos[3:7].tolist()
-        measured = self._data.sensordata
-        return ImuSample((x, y, z, w), measured[0:3].copy(), measured[3:6].copy())
+    def imu(self, until_ns: int) -> ImuSamples:
+        """Return what an inertial unit measures after now, up to ``until_ns``."""
+        self._simulate_until(until_ns)
+        steps = np.s_[self._row + 1 : until_ns // STEP_NS - self._first + 1]
+        states, measured = self._states[steps], self._measured[steps]
+        first = self._first + steps.start
+        return ImuSamples(
+            STEP_NS * np.arange(first, first + len(states)),
+            np.roll(states[:, _QUATERNION], -1, axis=1),
+            measured[:, _GYRO],
+            measured[:, _ACCELEROMETER],
+        )
 
     def scan(
         self, mount: Pose2D, height: float, bearings: NDArray[np.float64], range_max: float
@@ -165,34 +207,110 @@ class World:
         directions = np.zeros((len(bearings), 3))
         directions[:, 0] = np.cos(bearings + sensor.yaw)
         directions[:, 1] = np.sin(bearings + sensor.yaw)
-        distances = np.empty(len(bearings))
-        geoms = np.empty(len(bearings), np.int32)
         origin = np.array([sensor.x, sensor.y, height])
-        mujoco.mj_multiRay(
-            self._model, self._data, origin, directions.ravel(), _SEEN_BY_RAYS, 1, -1,
-            geoms, distances, None, len(bearings), range_max,
-        )  # fmt: skip
-        distances[(distances < 0.0) | (distances > range_max)] = np.inf
+        distances, _ = self._cast(origin, directions, _SEEN_BY_LIDARS, range_max)
         return distances
 
-    def _watch_contacts(self) -> None:
+    def look(
+        self, mount: Pose2D, height: float, directions: NDArray[np.float64], range_max: float
+    ) -> View:
+        """Look along rays; surfaces are matt (Lambert), shadows are not cast.
+
+        Parameters
+        ----------
+        mount, height
+            The camera's pose in the robot's frame, and its height above the floor [m].
+        directions : ndarray of shape (n, 3)
+            Of the rays, unit vectors in the camera's frame: x forward, y left, z up.
+        range_max
+            How far the camera sees [m].
+        """
+        camera = self.pose.compose(mount)
+        turned = np.empty_like(directions)
+        turned[:, :2] = Pose2D(yaw=camera.yaw).apply(directions[:, :2])
+        turned[:, 2] = directions[:, 2]
+        origin = np.array([camera.x, camera.y, height])
+        normals = np.zeros_like(directions)
+        distances, geoms = self._cast(origin, turned, _SEEN_BY_CAMERAS, range_max, normals)
+        light = _AMBIENT + (1.0 - _AMBIENT) * np.maximum(normals @ _SUN, 0.0)
+        light[geoms < 0] = 1.0
+        colours = 255.0 * light[:, None] * self._colours[geoms]
+        return View(distances, np.rint(colours).astype(np.uint8))
+
+    def _cast(
+        self,
+        origin: NDArray[np.float64],
+        directions: NDArray[np.float64],
+        groups: NDArray[np.uint8],
+        range_max: float,
+        normals: NDArray[np.float64] | None = None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """Return how far each ray goes (``inf`` beyond ``range_max``) and which geom it hits.
+
+        The geom is -1 where there is none; ``normals``, if given, is filled with the surfaces'.
+        """
+        rays = len(directions)
+        distances, geoms = np.empty(rays), np.empty(rays, np.int32)
+        mujoco.mj_multiRay(
+            self._model, self._data, origin, directions.ravel(), groups, 1, -1, geoms, distances,
+            None if normals is None else normals.reshape(-1), rays, range_max,
+        )  # fmt: skip
+        missed = (distances < 0.0) | (distances > range_max)
+        distances[missed] = np.inf
+        geoms[missed] = -1
+        return distances, geoms
+
+    @property
+    def _row(self) -> int:
+        """Which of the known steps is that of now."""
+        return self._now_ns // STEP_NS - self._first
+
+    @property
+    def _ahead_s(self) -> float:
+        """How far the clock is ahead of the last step [s]."""
+        return self._now_ns % STEP_NS / 1e9
+
+    def _simulate_until(self, time_ns: int) -> None:
+        """Take the steps that are due by ``time_ns`` and not yet known; forget those before now."""
+        steps = time_ns // STEP_NS - (self._first + len(self._states) - 1)
+        if steps <= 0:
+            return
+        states = np.empty((1, steps, self._states.shape[1]))
+        measured = np.empty((1, steps, self._measured.shape[1]))
+        self._rollout.rollout(
+            [self._model], [self._data], self._states[-1:],
+            np.broadcast_to(self._command, (1, steps, len(self._command))).copy(),
+            skip_checks=True, nstep=steps, initial_warmstart=self._data.qacc_warmstart[np.newaxis],
+            state=states, sensordata=measured,
+        )  # fmt: skip
+        self._watch_contacts(self._first + len(self._states), measured[0, :, _TOUCHES])
+        known = min(self._row, len(self._states) - 1)
+        self._first += known
+        self._states = np.concatenate([self._states[known:], states[0]])
+        self._measured = np.concatenate([self._measured[known:], measured[0]])
+
+    def _watch_contacts(self, first: int, touching: NDArray[np.float64]) -> None:
         """Note each piece that the robot touches and had not touched for a while."""
-        for geom in self._data.contact.geom.ravel().tolist():
-            piece = self._piece_of_geom.get(geom)
-            if piece is None:
-                continue
-            last_ns = self._last_touch_ns.get(piece)
-            if last_ns is None or self.time_ns - last_ns > _EPISODE_GAP_NS:
-                self.touches.append(Touch(self.time_ns, piece))
-            self._last_touch_ns[piece] = self.time_ns
+        for row, piece in np.argwhere(touching).tolist():
+            name, stamp_ns = self._pieces[piece], (first + row) * STEP_NS
+            last_ns = self._last_touch_ns.get(name)
+            if last_ns is None or stamp_ns - last_ns > _EPISODE_GAP_NS:
+                self.touches.append(Touch(stamp_ns, name))
+            self._last_touch_ns[name] = stamp_ns
+
+
+def _pieces(parameters: WorldParameters) -> dict[str, str]:
+    """Return name -> geoms of every piece of the world."""
+    return {
+        **{hexagon.name: _block(hexagon) for hexagon in BLOCKS},
+        RING.name: _ring(),
+        **{c.name: _cylinder(c) for c in (*CYLINDERS, *parameters.obstacles)},
+    }
 
 
 def _mjcf(parameters: WorldParameters) -> str:
     """Return the model; masses and sizes are those of Nav2's Humble ``waffle.model``."""
-    pieces = "".join(
-        [*map(_block, BLOCKS), _ring()]
-        + [_cylinder(c) for c in (*CYLINDERS, *parameters.obstacles)]
-    )
+    pieces = _pieces(parameters)
     return f"""
 <mujoco>
   <option timestep="{STEP_NS / 1e9}" gravity="0 0 -9.8" integrator="implicitfast"/>
@@ -204,15 +322,17 @@ def _mjcf(parameters: WorldParameters) -> str:
     </default>
   </default>
   <worldbody>
-    <geom name="floor" type="plane" size="50 50 1" group="{_FLOOR}"
+    <geom name="floor" type="plane" size="50 50 1" group="{_FLOOR}" rgba="{_FLOOR_RGBA}"
           contype="{_TREAD_BIT}" conaffinity="{_TREAD_BIT}"/>
-    {pieces}
+    {"".join(f'<body name="{name}">{geoms}</body>' for name, geoms in pieces.items())}
     <body name="base_footprint">
       <freejoint/>
       <geom class="robot" type="box" size="0.1325 0.1325 0.0445" pos="-0.064 0 0.048"
             mass="{1.0 * parameters.mass}"/>
       <geom class="robot" type="cylinder" size="0.0508 0.0275" pos="-0.052 0 0.111"
             mass="{0.125 * parameters.mass}"/>
+      <geom class="robot" type="box" size="0.004 0.065 0.011" pos="0.069 0 0.107"
+            mass="{0.035 * parameters.mass}"/>
       <geom class="on_floor" type="sphere" size="0.005" pos="-0.177 0.064 -0.004" mass="0.001"
             condim="1" priority="1"/>
       <geom class="on_floor" type="sphere" size="0.005" pos="-0.177 -0.064 -0.004" mass="0.001"
@@ -226,7 +346,11 @@ def _mjcf(parameters: WorldParameters) -> str:
     {_motor("wheel_left")}
     {_motor("wheel_right")}
   </actuator>
-  <sensor><gyro site="imu_link"/><accelerometer site="imu_link"/></sensor>
+  <sensor>
+    <gyro site="imu_link"/>
+    <accelerometer site="imu_link"/>
+    {"".join(map(_touch_sensor, pieces))}
+  </sensor>
 </mujoco>"""
 
 
@@ -243,6 +367,10 @@ def _wheel(name: str, y: float) -> str:
 def _motor(joint: str) -> str:
     limit = MAX_WHEEL_TORQUE_NM
     return f'<velocity joint="{joint}" kv="{_MOTOR_GAIN}" forcerange="-{limit} {limit}"/>'
+
+
+def _touch_sensor(piece: str) -> str:
+    return f'<contact subtree1="base_footprint" body2="{piece}" data="found"/>'
 
 
 def _block(hexagon: Hexagon) -> str:
@@ -275,7 +403,7 @@ def _box(
     size = " ".join(map(str, half))
     return (
         f'<geom name="{name}" type="box" pos="{x} {y} {z}" size="{size}" '
-        f'euler="0 0 {degrees}" group="{_STATIC}"/>'
+        f'euler="0 0 {degrees}" group="{_STATIC}" rgba="{_WALL_RGBA}"/>'
     )
 
 
@@ -283,5 +411,5 @@ def _cylinder(c: Cylinder) -> str:
     half = c.height / 2.0
     return (
         f'<geom name="{c.name}" type="cylinder" pos="{c.x} {c.y} {half}" '
-        f'size="{c.radius} {half}" group="{_STATIC}"/>'
+        f'size="{c.radius} {half}" group="{_STATIC}" rgba="{_PILLAR_RGBA}"/>'
     )

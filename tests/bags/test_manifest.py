@@ -32,7 +32,9 @@ manifests = st.builds(
     run=counts, block=counts, session=counts, seed=counts,
     start=poses,
     goals=st.lists(poses).map(tuple),
-    goal_results=st.lists(st.builds(GoalResult, seconds, st.none() | seconds, outcomes)).map(tuple),
+    goal_results=st.lists(
+        st.builds(GoalResult, seconds, st.none() | seconds, outcomes, seconds, counts)
+    ).map(tuple),
     outcome=outcomes,
     onset_s=st.none() | seconds,
     attack=parameters,
@@ -52,7 +54,8 @@ def example() -> Manifest:
     return Manifest(
         mode="fake_object", label="malicious", run=3, block=3, session=0, seed=7,
         start=Pose(-2.0, -0.5, 0.0), goals=(Pose(1.0, 0.5, 0.0),),
-        goal_results=(GoalResult(1.0, 21.5, "succeeded"),), outcome="succeeded", onset_s=31.0,
+        goal_results=(GoalResult(1.0, 21.5, "succeeded", 4.2, 0),), outcome="succeeded",
+        onset_s=31.0,
         attack={"radius_m": 0.2}, scenario="fake_object", scenario_hash="abc", task_effect=None,
         recording_s=40.0, contacts=(), topics={"/scan": TopicCount("sensor_msgs/msg/LaserScan", 2)},
         content_hash="0" * 64, recipe={}, software=Software("0.1.0", "abc", "x86_64"),
@@ -115,7 +118,7 @@ def test_fields_are_all_there_and_no_others(change, tmp_path):
 def test_another_schema_version_is_told(tmp_path):
     path = tmp_path / "manifest.json"
     path.write_text('{"schema_version": 7}')
-    with pytest.raises(ManifestError, match="schema version 7, this release reads 1"):
+    with pytest.raises(ManifestError, match="schema version 7, this release reads 2"):
         Manifest.load(path)
 
 

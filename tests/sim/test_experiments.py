@@ -1,4 +1,4 @@
-"""Real runs of all six modes: two goals of block 0, so that delayed nodes appear."""
+"""Real runs of all modes: two goals of block 0, so that delayed nodes appear."""
 
 import json
 import os
@@ -10,6 +10,7 @@ import sys
 import time
 from dataclasses import replace
 
+import networkx as nx
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -25,6 +26,7 @@ from oracle_pipeline.graphs.intervals import read_intervals
 from sim.experiments import record_run
 from sim.fan_out import fan_out, process_pool
 from sim.modes import PAIRS, modes
+from sim.pairs import task_effect
 from sim.recipes import Campaign, recipe_for
 
 CAMPAIGN = Campaign(goals_per_run=2)
@@ -37,11 +39,11 @@ def record(directory):
 
 @pytest.fixture(scope="session")
 def runs(tmp_path_factory):
-    """The six modes' runs of block 0, by mode."""
+    """The runs of block 0, by mode."""
     root = tmp_path_factory.mktemp("campaign")
     directories = [RunDirectory(root, mode, 0) for mode in modes()]
     outcomes = list(fan_out(record, directories, lambda: process_pool(2)))
-    assert [outcome.error for outcome in outcomes] == [None] * 6
+    assert [outcome.error for outcome in outcomes] == [None] * len(modes())
     return {directory.mode: directory for directory in directories}
 
 
@@ -68,7 +70,8 @@ def test_the_same_recipe_gives_the_same_messages_in_another_process(runs, tmp_pa
     (again,) = fan_out(record, [directory], lambda: process_pool(1))
     first, second = runs["fake_object"].manifest(), again.result
     assert second.content_hash == first.content_hash
-    assert replace(second, measured=first.measured) == first
+    # Its control is not there, so nobody can say what the attack did.
+    assert replace(second, measured=first.measured, task_effect=first.task_effect) == first
     for graph in sorted(directory.graphs.iterdir()):
         assert graph.read_bytes() == (runs["fake_object"].graphs / graph.name).read_bytes()
 
@@ -126,10 +129,46 @@ def test_there_is_a_graph_for_each_interval_and_its_edges_count_what_the_bag_hol
     assert published["bytes"] == published["messages"] * 724
 
 
+@pytest.mark.parametrize("mode", modes())
+def test_graphs_are_as_large_as_the_thesis_reports(runs, mode):
+    node = "node:/lidar_passthrough"
+    for _, graph in read_intervals(runs[mode].graphs):
+        assert len(graph) > 100
+        assert graph.number_of_edges() > 300
+        assert node in graph or modes()[mode].delayed
+
+
+def test_the_full_view_is_the_graph_of_the_run_with_services_and_actions(runs):
+    graphs = runs["fake_object"].graphs
+    full, run = read_gexf(graphs / "full.gexf"), read_gexf(graphs / "run.gexf")
+    kinds = {vertex: data["kind"] for vertex, data in full.nodes(data=True)}
+    plain = [vertex for vertex, kind in kinds.items() if kind in ("node", "topic")]
+    assert nx.utils.graphs_equal(full.subgraph(plain), run)
+    assert list(kinds.values()).count("action") == 12
+    assert 250 < list(kinds.values()).count("service") < 300  # some 270 on Humble
+    spin = "action:/spin"
+    assert list(full.successors(spin)) == ["node:/behavior_server"]
+    assert "node:/basic_navigator" in full.predecessors(spin)
+    assert full.nodes[spin]["type"] == "nav2_msgs/action/Spin"
+
+
 @pytest.mark.parametrize("pair", PAIRS)
 def test_graphs_of_a_pair_are_equal(runs, pair):
     control, attacked = (read_intervals(runs[mode].graphs) for mode in pair)
     assert graph_differences(control, attacked) == []
+
+
+@pytest.mark.parametrize(("control", "attack"), PAIRS)
+def test_a_shadow_control_is_the_passthrough_message_for_message(runs, control, attack):
+    with BagReader(runs[control].bag) as right, BagReader(runs[f"{attack}_shadow"].bag) as shadow:
+        assert list(right.messages()) == list(shadow.messages())
+
+
+@pytest.mark.parametrize(("control", "attack"), PAIRS)
+def test_what_an_attack_did_to_the_task_is_told_once_its_control_is_there(runs, control, attack):
+    right, attacked = runs[control].manifest(), runs[attack].manifest()
+    assert right.task_effect is None
+    assert attacked.task_effect is task_effect(attacked, right)
 
 
 def test_a_delayed_node_appears_30_s_after_the_first_goal(runs):

@@ -175,6 +175,13 @@ def test_estimate_is_the_mean_of_the_heaviest_cluster_not_of_all():
     assert covariance[0, 0] == pytest.approx(0.7 * 0.3 * 49.0, rel=0.02)
 
 
+def test_covariance_by_hand_of_four_particles():
+    poses = np.array([[1.0, 2.0, 0.3], [1.0, 4.0, -0.3], [3.0, 2.0, -0.3], [3.0, 4.0, 0.3]])
+    _, covariance = ParticleFilter(poses, np.random.default_rng(0)).estimate()
+    # Yaw goes with x and y, but only its circular variance is told.
+    assert covariance == pytest.approx(np.diag([1.0, 1.0, -2.0 * math.log(math.cos(0.3))]))
+
+
 def test_clusters_are_bins_that_touch():
     half, ten = 0.5, math.radians(10.0)
     bins = np.array([[0, 0, 0], [1, 1, 1], [3, 1, 1], [1, 2, 2], [0, 0, 35], [0, 0, 18]])

@@ -5,7 +5,7 @@ from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
 from sim.middleware.action import ActionClient, Status
 from sim.middleware.executor import SECOND
-from sim.middleware.stamps import duration_message
+from sim.middleware.stamps import duration_message, stamp_ns
 from sim.nav2.behavior_server import BehaviorServer
 from sim.nav2.costmap import LETHAL, Costmap2D, costmap_message
 from tests.sim.nav2.robot import IdealRobot
@@ -31,6 +31,7 @@ class Rig(IdealRobot):
         self.server.activate()
         self.publish_costmap()
         self.ended = []
+        self.elapsed_ns = None
 
     def publish_costmap(self):
         self.costmap.publish(costmap_message(self.now_ns, self.grid))
@@ -39,9 +40,11 @@ class Rig(IdealRobot):
     def do(self, name, action, *fields):
         client = ActionClient(self, f"nav2_msgs/action/{action}", f"/{name}")
         goal = GOALS[action](*fields)
-        return client.send_goal(
-            goal, lambda status, _: self.ended.append((status, self.now_ns / SECOND))
-        )
+        return client.send_goal(goal, self.on_result)
+
+    def on_result(self, status, result):
+        self.ended.append((status, self.now_ns / SECOND))
+        self.elapsed_ns = stamp_ns(result.total_elapsed_time)
 
 
 @pytest.fixture
@@ -124,6 +127,7 @@ def test_wait_waits_and_sends_nothing(rig):
     assert status is Status.SUCCEEDED
     assert ended - started == pytest.approx(5.0)
     assert rig.twists == []
+    assert rig.elapsed_ns == 5 * SECOND
 
 
 def test_cancelling_stops_the_robot(rig):
@@ -133,6 +137,7 @@ def test_cancelling_stops_the_robot(rig):
     rig.run(0.2)
     assert [status for status, _ in rig.ended] == [Status.CANCELED]
     assert rig.twists[-1][1:] == (0.0, 0.0)
+    assert rig.elapsed_ns == pytest.approx(SECOND, abs=0.1 * SECOND)
 
 
 def test_a_second_goal_ends_both_as_in_life(rig):

@@ -11,9 +11,10 @@ from sim.middleware.action import ActionClient, ActionServer, Status
 from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.geometry import Pose2D
 from sim.middleware.node import Node
+from sim.middleware.stamps import stamp_ns
 from sim.nav2.basic_navigator import BasicNavigator
 from sim.nav2.bt_navigator import BtNavigator
-from sim.nav2.messages import pose_stamped
+from sim.nav2.messages import TWIST, pose_stamped, twist_message
 from sim.nav2.paths import path_message
 from tests.sim.nav2.robot import IdealRobot
 
@@ -269,6 +270,22 @@ def test_feedback_says_how_far_it_is(rig):
     assert last.distance_remaining == pytest.approx(1.0)
     assert last.number_of_recoveries == 0
     assert last.current_pose.header.frame_id == "map"
+
+
+def test_the_time_that_remains_is_that_of_the_distance_at_the_present_speed(rig):
+    wheels = rig.create_publisher(TWIST, "/cmd_vel")
+    rig.go(1.0)
+    wheels.publish(twist_message(0.2, 0.0))
+    rig.run(2.5)
+    last = rig.feedback[-1]
+    assert last.distance_remaining == pytest.approx(1.0 - rig.pose.x, abs=0.13)  # up to 0.5 s ago
+    assert stamp_ns(last.estimated_time_remaining) == pytest.approx(
+        last.distance_remaining / 0.2 * SECOND
+    )
+    assert 2.0 * SECOND <= stamp_ns(last.navigation_time) <= 2.5 * SECOND
+    wheels.publish(twist_message(0.0, 0.0))
+    rig.run(1.5)
+    assert stamp_ns(rig.feedback[-1].estimated_time_remaining) == 0
 
 
 def test_feedback_comes_at_100_hz_if_the_hidden_topic_is_heard(rig):

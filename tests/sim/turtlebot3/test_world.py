@@ -88,6 +88,13 @@ def test_wheels_carry_the_robot_as_far_as_they_are_told_to(mass, friction):
     assert wrap_angle(world.pose.yaw - before) == pytest.approx(2.0, rel=0.015)
 
 
+def last_imu(world):
+    """Go on by one step; return turning speed and acceleration of it."""
+    samples = world.imu(world.time_ns + 5_000_000)
+    world.advance_to(world.time_ns + 5_000_000)
+    return samples.angular_velocities[-1], samples.linear_accelerations[-1]
+
+
 def test_touching_a_pillar_is_one_episode_with_its_name_and_time():
     world = World(WorldParameters(Pose2D(-2.0, 0.0, 0.0)))
     assert clearance(np.array([[-2.0, 0.0]]))[0] > 0.3
@@ -102,13 +109,49 @@ def test_touching_a_pillar_is_one_episode_with_its_name_and_time():
 def test_an_imu_at_rest_measures_gravity_upwards_and_no_turning():
     world = World(WorldParameters(Pose2D(-2.0, -0.5, 0.0)))
     world.advance_to(SECOND)
-    sample = world.imu()
+    turning, acceleration = last_imu(world)
     # The casters end a millimetre above the wheels' lowest point: the robot leans back a little.
     lean = 9.8 * 0.001 / 0.177
-    assert sample.linear_acceleration == pytest.approx([lean, 0.0, 9.8], abs=0.02)
-    assert sample.angular_velocity == pytest.approx([0.0, 0.0, 0.0], abs=1e-3)
+    assert acceleration == pytest.approx([lean, 0.0, 9.8], abs=0.02)
+    assert turning == pytest.approx([0.0, 0.0, 0.0], abs=1e-3)
     drive(world, 0.0, 0.5, 2.0)
-    assert world.imu().angular_velocity[2] == pytest.approx(0.5, rel=0.03)
+    turning, _ = last_imu(world)
+    assert turning[2] == pytest.approx(0.5, rel=0.03)
+
+
+def test_the_physics_does_not_depend_on_how_far_it_is_asked_to_go_at_once():
+    stride, blocks = World(WorldParameters(Pose2D())), World(WorldParameters(Pose2D()))
+    for world in (stride, blocks):
+        world.command_wheels(3.0, 4.0)
+    stride.advance_to(SECOND)
+    for time_ns in (3_000_000, 5_000_000, 34_000_000, 500_000_000, SECOND):
+        blocks.advance_to(time_ns)
+        blocks.imu(time_ns + 1_000_000)
+    assert blocks.pose == stride.pose
+    assert blocks.twist == stride.twist
+    assert blocks.wheel_states() == stride.wheel_states()
+
+
+def test_imu_samples_are_those_of_the_steps_after_now_and_do_not_move_the_robot():
+    world = World(WorldParameters(Pose2D()))
+    world.command_wheels(3.0, 3.0)
+    world.advance_to(34_000_000)
+    pose = world.pose
+    samples = world.imu(68_000_000)
+    assert samples.stamps_ns.tolist() == [ms * 1_000_000 for ms in (35, 40, 45, 50, 55, 60, 65)]
+    assert world.pose == pose
+    assert world.imu(68_000_000).linear_accelerations.tolist() == (
+        samples.linear_accelerations.tolist()
+    )
+
+
+def test_a_command_that_comes_too_late_for_samples_already_given_is_refused():
+    world = World(WorldParameters(Pose2D()))
+    world.imu(34_000_000)
+    with pytest.raises(ValueError, match="gone on"):
+        world.command_wheels(1.0, 1.0)
+    world.advance_to(34_000_000)
+    world.command_wheels(1.0, 1.0)
 
 
 def test_starting_and_stopping_do_not_make_the_robot_hop():
@@ -119,8 +162,8 @@ def test_starting_and_stopping_do_not_make_the_robot_hop():
     for rung in ramp:
         world.command_wheels(*[min(rung * 0.034, 0.26) / WHEEL_RADIUS_M] * 2)
         for _ in range(7):
-            world.advance_to(world.time_ns + 5_000_000)
-            up.append(world.imu().linear_acceleration[2])
+            _, acceleration = last_imu(world)
+            up.append(acceleration[2])
     assert np.ptp(up) < 2.0  # a hop would fall freely, then hit the floor: -5 to 27 m/s^2
 
 
@@ -136,7 +179,7 @@ def test_the_pose_moves_evenly_between_the_steps_of_the_physics():
 
 def test_every_piece_of_the_arena_stands_in_the_physics():
     names = {piece.name for piece in (RING, *BLOCKS, *CYLINDERS)}
-    assert set(World(WorldParameters(Pose2D(-2.0, -0.5)))._piece_of_geom.values()) == names
+    assert set(World(WorldParameters(Pose2D(-2.0, -0.5)))._pieces) == names
 
 
 FINGERPRINT = """

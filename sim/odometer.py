@@ -1,0 +1,43 @@
+"""How far the robot really drove: for the manifest, not for any node."""
+
+from collections.abc import Callable
+
+from sim.middleware.executor import MILLISECOND, Executor
+from sim.middleware.geometry import Pose2D
+
+_PERIOD_NS = 100 * MILLISECOND  # a tenth of a second at 0.26 m/s is 3 cm of a smooth arc
+
+
+class Odometer:
+    """Adds up the way of the robot, in parts.
+
+    Parameters
+    ----------
+    executor
+        Whose clock it runs by.
+    pose
+        Ground truth of the robot.
+    """
+
+    def __init__(self, executor: Executor, pose: Callable[[], Pose2D]) -> None:
+        self._executor = executor
+        self._pose = pose
+        self._last = pose()
+        self._total_m = 0.0
+        self._marks: list[float] = []
+        self._measure()
+
+    def mark(self) -> None:
+        """Begin a new part."""
+        self._marks.append(self._total_m)
+
+    def distances(self) -> list[float]:
+        """Return the length of each part so far [m]."""
+        ends = [*self._marks[1:], self._total_m]
+        return [end - begin for begin, end in zip(self._marks, ends, strict=True)]
+
+    def _measure(self) -> None:
+        here = self._pose()
+        self._total_m += here.distance_to(self._last)
+        self._last = here
+        self._executor.call_at(self._executor.now_ns + _PERIOD_NS, self._measure)

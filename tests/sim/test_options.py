@@ -1,0 +1,110 @@
+"""What a launch and a recording can be told otherwise, each on a real run of one goal."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from oracle_pipeline.bags.graph_files import read_gexf
+from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.bags.run_directory import RunDirectory
+from sim.experiments import record_run
+from sim.recipes import Campaign, Options, Recipe, RecipeError, recipe_for
+from sim.recording import DEBUG_TOPICS, ReceiveClock
+
+CAMPAIGN = Campaign(goals_per_run=1)
+MONITOR, RELAY = "node:/collision_monitor", "node:/lidar_passthrough"
+
+
+@pytest.fixture
+def record(tmp_path):
+    def record(mode="lidar_passthrough", *, timeout_s=600.0, **options):
+        campaign = replace(CAMPAIGN, options=Options(**options), timeout_s=timeout_s)
+        root = tmp_path / "-".join(map(str, options.items() or ["default"]))
+        directory = RunDirectory(root, mode, 0)
+        record_run(recipe_for(mode, 0, campaign), directory)
+        return directory
+
+    return record
+
+
+def counts(directory):
+    with BagReader(directory.bag) as bag:
+        return {name: topic.count for name, topic in bag.topics.items()}
+
+
+def test_by_default_neither_debug_nor_hidden_topics_are_in_the_bag_and_cameras_are_silent(record):
+    held = counts(record(timeout_s=10.0))
+    assert not set(DEBUG_TOPICS) & set(held)
+    assert not [topic for topic in held if "/_" in topic]
+    assert held["/intel_realsense_r200_depth/points"] == 0
+
+
+def test_debug_topics_come_with_every_cycle_in_which_dwb_chose_the_velocity(record):
+    held = counts(record(timeout_s=6.0, debug_topics=True))
+    evaluations, markers = (held[topic] for topic in DEBUG_TOPICS)
+    assert evaluations == markers
+    # In the other cycles the rotation shim turns the robot towards its path.
+    assert 0 < evaluations < held["/local_plan"]
+
+
+def test_hidden_topics_are_feedback_and_status_of_every_action(record):
+    held = counts(record(timeout_s=6.0, hidden_topics=True))
+    hidden = {topic for topic in held if "/_" in topic}
+    assert len(hidden) == 24  # of 12 actions
+    assert held["/navigate_to_pose/_action/feedback"] > 0
+    assert held["/navigate_to_pose/_action/status"] > 0
+
+
+def test_the_camera_sends_five_images_a_second_on_every_topic(record):
+    held = counts(record(timeout_s=3.0, cameras=True))
+    cameras = {n: count for n, count in held.items() if n.startswith("/intel_realsense")}
+    assert len(cameras) == 5
+    assert set(cameras.values()) <= {14, 15, 16}
+
+
+def test_receive_stamps_are_later_than_what_they_stamp_by_the_way_through_the_recorder(record):
+    by_clock, by_time = record(receive_stamps=True), record()
+    stamped = []
+    for directory in (by_clock, by_time):
+        with BagReader(directory.bag) as bag:
+            stamped.append([(m.topic, m.data, m.stamp_ns) for m in bag.messages(["/odom", "/imu"])])
+    clock, time = (np.array([stamp for *_, stamp in run]) for run in stamped)
+    assert [run[:2] for run in stamped[0]] == [run[:2] for run in stamped[1]]
+    assert np.all(np.diff(clock) >= 0)
+    assert clock[0] >= ReceiveClock.EPOCH_NS
+    late = (clock - ReceiveClock.EPOCH_NS) - (time - time[0])
+    assert np.median(late - late.min()) == pytest.approx(0.3e6, rel=0.5)
+
+
+def test_wiring_decides_what_the_collision_monitor_hears(record):
+    heard = {}
+    for wiring in ("additive", "replace", "absent"):
+        directory = record(timeout_s=10.0, wiring=wiring)
+        graph = read_gexf(directory.graphs / "000000.gexf")
+        sources = ("topic:/scan_tom", "topic:/scan_fakeobject")
+        heard[wiring] = [graph.has_edge(topic, MONITOR) for topic in sources]
+        assert (RELAY in graph) is (wiring != "absent")
+    assert heard == {
+        "additive": [True, True], "replace": [False, True], "absent": [True, True]
+    }  # fmt: skip
+
+
+def test_an_attack_without_its_node_is_refused():
+    campaign = replace(CAMPAIGN, options=Options(wiring="absent"))
+    with pytest.raises(RecipeError, match="no attack"):
+        recipe_for("fake_object", 0, campaign)
+
+
+def test_with_wheel_odometry_the_robot_starts_at_zero_and_finds_its_goal(record):
+    directory = record(odometry_source="encoder")
+    assert directory.manifest().outcome == "succeeded"
+    with BagReader(directory.bag) as bag:
+        first = bag.deserialize(next(iter(bag.messages(["/odom"])))).pose.pose.position
+    assert (first.x, first.y) == pytest.approx((0.0, 0.0), abs=0.05)
+
+
+def test_a_recipe_with_options_survives_its_manifest(record):
+    directory = record(timeout_s=6.0, wiring="replace", receive_stamps=True)
+    recipe = Recipe.from_dict(directory.manifest().recipe)
+    assert recipe.options == Options(wiring="replace", receive_stamps=True)

@@ -1,0 +1,82 @@
+"""Attacked runs against their controls, on manifests written down by hand."""
+
+import dataclasses
+
+import pytest
+
+from oracle_pipeline.bags.manifest import GoalResult, Manifest, Measured, Pose, Software
+from oracle_pipeline.bags.run_directory import RunDirectory
+from sim.modes import PAIRS
+from sim.pairs import judge_pair, task_effect
+
+SUCCEEDED = GoalResult(2.0, 20.0, "succeeded", 4.0, 0)
+RECIPE = {"mode": "lidar_passthrough", "seed": 1, "storage": "mcap"}
+
+
+def manifest(mode="lidar_passthrough", *goals, **recipe):
+    return Manifest(
+        mode=mode, label="normal", run=0, block=0, session=0, seed=1, start=Pose(0.0, 0.0, 0.0),
+        goals=(), goal_results=goals or (SUCCEEDED,), outcome="succeeded", onset_s=None, attack={},
+        scenario=mode, scenario_hash="h", task_effect=None, recording_s=30.0, contacts=(),
+        topics={}, content_hash="0" * 64, recipe={**RECIPE, "mode": mode, **recipe},
+        software=Software("c", "d", "x"), measured=Measured(1.0, {}),
+    )  # fmt: skip
+
+
+def place(root, run):
+    directory = RunDirectory(root, run.mode, run.run)
+    directory.path.mkdir(parents=True)
+    run.save(directory.manifest_path)
+    return directory
+
+
+@pytest.mark.parametrize(
+    ("goal", "effect"),
+    [
+        (SUCCEEDED, False),
+        (dataclasses.replace(SUCCEEDED, driven_m=4.6), False),
+        (dataclasses.replace(SUCCEEDED, driven_m=4.61), True),
+        (dataclasses.replace(SUCCEEDED, driven_m=1.0), False),
+        (dataclasses.replace(SUCCEEDED, recoveries=1), True),
+        (dataclasses.replace(SUCCEEDED, outcome="aborted"), True),
+        (dataclasses.replace(SUCCEEDED, ended_s=90.0), False),
+    ],
+)
+def test_an_effect_is_another_outcome_a_longer_way_or_a_recovery_more(goal, effect):
+    assert task_effect(manifest("random_noise", SUCCEEDED, goal), manifest(
+        "lidar_passthrough", SUCCEEDED, SUCCEEDED
+    )) is effect  # fmt: skip
+
+
+def test_a_goal_that_was_never_sent_is_an_effect():
+    control = manifest("lidar_passthrough", SUCCEEDED, SUCCEEDED)
+    assert task_effect(manifest("random_noise", SUCCEEDED), control)
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+@pytest.mark.parametrize("pair", PAIRS)
+def test_whichever_of_a_pair_comes_last_has_the_effect_noted(tmp_path, pair, order):
+    longer = dataclasses.replace(SUCCEEDED, driven_m=9.0)
+    runs = [manifest(pair[0]), manifest(pair[1], longer)]
+    for index in order:
+        judge_pair(place(tmp_path, runs[index]))
+    control, attack = (RunDirectory(tmp_path, mode, 0).manifest() for mode in pair)
+    assert control.task_effect is None
+    assert attack.task_effect is True
+    assert [file.name for file in RunDirectory(tmp_path, pair[1], 0).path.iterdir()] == [
+        "manifest.json"
+    ]
+
+
+def test_runs_of_different_campaigns_are_not_compared(tmp_path):
+    place(tmp_path, manifest("lidar_passthrough", seed=2))
+    directory = place(tmp_path, manifest("random_noise"))
+    judge_pair(directory)
+    assert directory.manifest().task_effect is None
+
+
+def test_a_bag_kept_in_another_storage_is_compared(tmp_path):
+    place(tmp_path, manifest("lidar_passthrough", storage="sqlite3"))
+    directory = place(tmp_path, manifest("random_noise"))
+    judge_pair(directory)
+    assert directory.manifest().task_effect is False
