@@ -146,21 +146,22 @@ class GraphRecorder:
 
     def finish(self) -> None:
         """Write the last interval if it is long enough, and the graphs of the run."""
-        if self._domain.executor.now_ns - self._interval_ns >= SHORTEST_INTERVAL_NS:
-            self._write_interval()
+        is_long = self._domain.executor.now_ns - self._interval_ns >= SHORTEST_INTERVAL_NS
+        self._close_interval(write=is_long)
         write_gexf(self._run, self._folder / "run.gexf")
         write_graphml(self._run, self._folder / "run.graphml")
         write_gexf(self._full(), self._folder / "full.gexf")
 
     def _end_interval(self) -> None:
-        self._write_interval()
+        self._close_interval(write=True)
         self._interval_ns += INTERVAL_NS
         self._domain.executor.call_at(self._interval_ns + INTERVAL_NS, self._end_interval)
 
-    def _write_interval(self) -> None:
+    def _close_interval(self, *, write: bool) -> None:
         graph = self._snapshot()
-        second = (self._interval_ns - self._start_ns) // SECOND
-        write_gexf(graph, self._folder / f"{second:06d}.gexf")
+        if write:
+            second = (self._interval_ns - self._start_ns) // SECOND
+            write_gexf(graph, self._folder / f"{second:06d}.gexf")
         self._run.add_nodes_from(graph.nodes(data=True))
         for source, target, traffic in graph.edges(data=True):
             _count(self._run, source, target, traffic["messages"], traffic["bytes"])

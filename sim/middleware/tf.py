@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
+from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
 from sim.middleware.domain import Domain
@@ -162,9 +163,25 @@ class TransformBroadcaster:
         topic, profile = ("/tf_static", qos.LATCHED) if static else ("/tf", qos.TF)
         self._publisher = node.create_publisher(_TF, topic, profile)
 
-    def send(self, transforms: list[Any]) -> None:
-        """Publish ``geometry_msgs/msg/TransformStamped`` messages in one go."""
-        self._publisher.publish(_TFMessage(transforms))
+    def send(self, transforms: list[Any], data: bytes | None = None) -> None:
+        """Publish ``geometry_msgs/msg/TransformStamped`` messages in one go.
+
+        ``data`` are the CDR bytes of the whole, if the caller has them.
+        """
+        self._publisher.publish(_TFMessage(transforms), data)
+
+
+def transforms_template(transforms: list[Any]) -> Template:
+    """Return a template of a ``tf2_msgs/msg/TFMessage`` with the frames of ``transforms``.
+
+    Of each, the seconds and nanoseconds of the stamp and the seven numbers of the transform differ.
+    """
+    fields = [
+        f"transforms.{index}.{field}"
+        for index in range(len(transforms))
+        for field in (*STAMP, "transform")
+    ]
+    return Template(_TFMessage(transforms), _TF, fields)
 
 
 def planar_transform(time_ns: int, parent: str, child: str, pose: Pose2D, z: float = 0.0) -> Any:

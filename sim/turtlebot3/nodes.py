@@ -21,7 +21,7 @@ from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.geometry import Pose2D, yaw_quaternion
 from sim.middleware.node import Node
 from sim.middleware.stamps import header, stamp_ns, time_message
-from sim.middleware.tf import TransformBroadcaster, planar_transform
+from sim.middleware.tf import TransformBroadcaster, planar_transform, transforms_template
 from sim.turtlebot3 import frames
 from sim.turtlebot3.camera import add_depth_camera
 from sim.turtlebot3.map import OdometrySource
@@ -47,6 +47,13 @@ _TwistWithCovariance = message_class("geometry_msgs/msg/TwistWithCovariance")
 _Vector3 = message_class("geometry_msgs/msg/Vector3")
 
 _IMU = "sensor_msgs/msg/Imu"
+_JOINT_STATE = "sensor_msgs/msg/JointState"
+_ODOMETRY = "nav_msgs/msg/Odometry"
+
+# Of the diff drive's pose and of its twist: x, y and yaw, as good as the plugin says they are.
+_ODOMETRY_COVARIANCE = np.diag([1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3]).ravel()
+_ODOMETRY_COVARIANCE.setflags(write=False)
+_WHEEL_ROTATIONS = [mount.quaternion() for mount in frames.WHEELS]
 
 Ranges = NDArray[np.float64]
 
@@ -268,10 +275,14 @@ class DiffDrivePlugin(Node):
         self._command_wheels = command_wheels
         self._target = (0.0, 0.0)  # rim speeds, left and right [m/s]
         self._set_point = (0.0, 0.0)
-        covariance = np.diag([1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3]).ravel()
-        self._covariance = covariance
-        self._publisher = self.create_publisher("nav_msgs/msg/Odometry", "/odom", qos.RELIABLE)
+        self._publisher = self.create_publisher(_ODOMETRY, "/odom", qos.RELIABLE)
         self._tf = TransformBroadcaster(self)
+        self._odometry_bytes = Template(
+            _odometry_message(0, Pose2D(), 0.0, 0.0),
+            _ODOMETRY,
+            (*STAMP, "pose.pose", "twist.twist"),
+        )
+        self._tf_bytes = transforms_template([_odom_transform(0, Pose2D())])
         self.create_subscription(
             "geometry_msgs/msg/Twist", "/cmd_vel", self._on_command, qos.RELIABLE
         )
@@ -285,21 +296,32 @@ class DiffDrivePlugin(Node):
         left, right = self._set_point = next_set_point(self._set_point, self._target)
         self._command_wheels(left / WHEEL_RADIUS_M, right / WHEEL_RADIUS_M)
         pose, (forward, turning) = self._odometry()
+        now_ns = self.now_ns
+        stamp = divmod(now_ns, SECOND)
+        where = (pose.x, pose.y, 0.0, *yaw_quaternion(pose.yaw))
         self._publisher.publish(
-            _Odometry(
-                header(self.now_ns, "odom"),
-                "base_footprint",
-                _PoseWithCovariance(
-                    _Pose(_Point(pose.x, pose.y, 0.0), _Quaternion(*yaw_quaternion(pose.yaw))),
-                    self._covariance,
-                ),
-                _TwistWithCovariance(
-                    _Twist(_Vector3(forward, 0.0, 0.0), _Vector3(0.0, 0.0, turning)),
-                    self._covariance,
-                ),
-            )
+            _odometry_message(now_ns, pose, forward, turning),
+            self._odometry_bytes.data(*stamp, where, (forward, 0.0, 0.0, 0.0, 0.0, turning)),
         )
-        self._tf.send([planar_transform(self.now_ns, "odom", "base_footprint", pose)])
+        self._tf.send([_odom_transform(now_ns, pose)], self._tf_bytes.data(*stamp, where))
+
+
+def _odometry_message(time_ns: int, pose: Pose2D, forward: float, turning: float) -> Any:
+    return _Odometry(
+        header(time_ns, "odom"),
+        "base_footprint",
+        _PoseWithCovariance(
+            _Pose(_Point(pose.x, pose.y, 0.0), _Quaternion(*yaw_quaternion(pose.yaw))),
+            _ODOMETRY_COVARIANCE,
+        ),
+        _TwistWithCovariance(
+            _Twist(_Vector3(forward, 0.0, 0.0), _Vector3(0.0, 0.0, turning)), _ODOMETRY_COVARIANCE
+        ),
+    )
+
+
+def _odom_transform(time_ns: int, pose: Pose2D) -> Any:
+    return planar_transform(time_ns, "odom", "base_footprint", pose)
 
 
 def next_set_point(now: tuple[float, float], target: tuple[float, float]) -> tuple[float, float]:
@@ -321,23 +343,24 @@ class JointStatePlugin(Node):
     ) -> None:
         super().__init__(domain, "/turtlebot3_joint_state")
         self._measure = measure
-        self._no_effort = np.zeros(0)
-        self._publisher = self.create_publisher(
-            "sensor_msgs/msg/JointState", "/joint_states", qos.profile(1000)
+        self._publisher = self.create_publisher(_JOINT_STATE, "/joint_states", qos.profile(1000))
+        self._bytes = Template(
+            _joint_state(0, [0.0, 0.0], [0.0, 0.0]), _JOINT_STATE, (*STAMP, "position", "velocity")
         )
         self.create_timer(ODOMETRY_NS, self._publish)
 
     def _publish(self) -> None:
         angles, speeds = self._measure()
+        stamp = divmod(self.now_ns, SECOND)
         self._publisher.publish(
-            _JointState(
-                header(self.now_ns, ""),
-                list(frames.WHEEL_JOINTS),
-                np.array(angles),
-                np.array(speeds),
-                self._no_effort,
-            )
+            _joint_state(self.now_ns, angles, speeds), self._bytes.data(*stamp, angles, speeds)
         )
+
+
+def _joint_state(time_ns: int, angles: list[float], speeds: list[float]) -> Any:
+    names = list(frames.WHEEL_JOINTS)
+    no_effort = np.zeros(0)
+    return _JointState(header(time_ns, ""), names, np.array(angles), np.array(speeds), no_effort)
 
 
 class RobotStatePublisher(Node):
@@ -352,6 +375,9 @@ class RobotStatePublisher(Node):
         static = TransformBroadcaster(self, static=True)
         self._last_ns = -WHEEL_TF_NS
         self.create_subscription("sensor_msgs/msg/JointState", "/joint_states", self._on_joints)
+        self._tf_bytes = transforms_template(
+            [_transform(0, mount, mount.quaternion()) for mount in frames.WHEELS]
+        )
         description.publish(_String(frames.robot_description()))
         static.send([_transform(self.now_ns, mount, mount.quaternion()) for mount in frames.STATIC])
 
@@ -363,11 +389,17 @@ class RobotStatePublisher(Node):
         if now_ns < min(clock_ns, self._last_ns) + WHEEL_TF_NS:
             return
         self._last_ns = now_ns
+        stamp = divmod(now_ns, SECOND)
+        turned = [
+            _turned(rotation, angle)
+            for rotation, angle in zip(_WHEEL_ROTATIONS, state.position.tolist(), strict=True)
+        ]
+        wheels = list(zip(frames.WHEELS, turned, strict=True))
         self._tf.send(
-            [
-                _transform(now_ns, mount, _turned(mount.quaternion(), angle))
-                for mount, angle in zip(frames.WHEELS, state.position.tolist(), strict=True)
-            ]
+            [_transform(now_ns, mount, rotation) for mount, rotation in wheels],
+            self._tf_bytes.data(
+                *(part for mount, turn in wheels for part in (*stamp, (*mount.xyz, *turn)))
+            ),
         )
 
 

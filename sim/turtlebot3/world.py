@@ -37,6 +37,7 @@ _SEEN_BY_CAMERAS = np.array([1, 0, 1, 0, 0, 0], np.uint8)
 # A state is time, positions (robot: x, y, z, quaternion w, x, y, z; wheels) and their speeds.
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _POSITION, _QUATERNION, _WHEEL_ANGLES = np.s_[1:4], np.s_[4:8], np.s_[8:10]
+_QUATERNION_XYZW = [5, 6, 7, 4]
 _VELOCITY, _TURNING, _WHEEL_SPEEDS = np.s_[10:13], 15, np.s_[16:18]
 # Sensors: gyro, accelerometer, and per piece of the world how often the robot touches it.
 _GYRO, _ACCELEROMETER, _TOUCHES = np.s_[:3], np.s_[3:6], np.s_[6:]
@@ -178,7 +179,7 @@ class World:
         first = self._first + steps.start
         return ImuSamples(
             STEP_NS * np.arange(first, first + len(states)),
-            np.roll(states[:, _QUATERNION], -1, axis=1),
+            states[:, _QUATERNION_XYZW],
             measured[:, _GYRO],
             measured[:, _ACCELEROMETER],
         )
@@ -279,7 +280,7 @@ class World:
         measured = np.empty((1, steps, self._measured.shape[1]))
         self._rollout.rollout(
             [self._model], [self._data], self._states[-1:],
-            np.broadcast_to(self._command, (1, steps, len(self._command))).copy(),
+            np.tile(self._command, (1, steps, 1)),
             skip_checks=True, nstep=steps, initial_warmstart=self._data.qacc_warmstart[np.newaxis],
             state=states, sensordata=measured,
         )  # fmt: skip
