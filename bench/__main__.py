@@ -1,17 +1,25 @@
-"""Run the benchmarks that are named, or all, and print a table of each."""
+"""Run the benchmarks that are named, or the default, and print a table of each."""
 
 import argparse
 
-from bench import testbed
+from bench import navigation, testbed
 
-BENCHMARKS = {"testbed": testbed.rows}
+BENCHMARKS = {"testbed": testbed.rows, "navigation": navigation.rows}
+DEFAULT = ("testbed",)  # speed, size and memory; the others take longer
 
 
 def main() -> None:
-    """Print one line a figure: what, its median, the goal."""
+    """Print one line a figure: what it is, its median, the goal."""
     parser = argparse.ArgumentParser(prog="python -m bench", description=main.__doc__)
-    parser.add_argument("names", nargs="*", choices=[*BENCHMARKS, []], help="default: all")
-    for name in parser.parse_args().names or BENCHMARKS:
+    parser.add_argument(
+        "names", nargs="*", default=DEFAULT, metavar="NAME",
+        help=f"of {', '.join(BENCHMARKS)}; default: {', '.join(DEFAULT)}",
+    )  # fmt: skip
+    names = parser.parse_args().names
+    for name in names:
+        if name not in BENCHMARKS:
+            parser.error(f"there is no benchmark {name!r}; there are {', '.join(BENCHMARKS)}")
+    for name in names:
         print(f"\n{name}")
         for row in BENCHMARKS[name]():
             print(f"  {row}", flush=True)

@@ -20,8 +20,8 @@ from oracle_pipeline.bags.errors import OracleError
 from sim.fuzzing.relays import FakeObject
 from sim.middleware.geometry import Pose2D
 from sim.modes import modes
-from sim.nav2.costmap import Costmap2D
-from sim.nav2.costmap_layers import InflationLayer, static_costs
+from sim.nav2.costmap import LETHAL, Costmap2D, Costs
+from sim.nav2.costmap_layers import GLOBAL_COST_SCALING, InflationLayer, static_costs
 from sim.nav2.footprint import INSCRIBED_RADIUS
 from sim.nav2.navfn import plan
 from sim.turtlebot3.arena import RING, clearance
@@ -34,10 +34,12 @@ DEFAULT_SEED = 20260101
 SESSIONS = 3
 NOISE_LEVEL = 0.10  # of every range; the thesis's
 
-MIN_CLEARANCE_M = 0.45  # of start and goals from every obstacle
+MIN_CLEARANCE_M = 0.55  # of start and goals from every obstacle; see docs/navigation.md
 MIN_LEG_M = 1.5  # straight distance from one goal to the next
-FAKE_OBJECT_CLEARANCE_M = 0.7  # of the fake object from start and goals
-_OBJECT_DRAWS = 64
+FAKE_OBJECT_CLEARANCE_M = 0.6  # of the fake object from start and goals
+MIN_DETOUR = 1.35  # the way around the fake object over the way that it lies across
+_OBJECT_DRAWS = 100
+_FIRST_LATE_LEG = 2  # a delayed attack begins on the second or third leg
 
 # Branches of the seed: what is drawn on one does not move what is drawn on another.
 _SESSION, _BLOCK, _NODE, _ATTACK = range(4)
@@ -168,13 +170,13 @@ class Block:
 
 
 def draw_block(seed: int, block: int, goals: int) -> Block:
-    """Draw a patrol that can be driven, and a fake object beside it.
+    """Draw a patrol that can be driven, and a fake object across it.
 
     Start and goals keep ``MIN_CLEARANCE_M`` from every obstacle, lie ``MIN_LEG_M`` apart, and the
     planner finds a path between them.
     """
     rng = _generator(seed, _BLOCK, block)
-    grid = _planning_grid()
+    grid = planning_grid()
     stops = [_draw_free_pose(rng)]
     legs: list[NDArray[np.float64]] = []
     while len(legs) < goals:
@@ -199,30 +201,56 @@ def _draw_free_pose(rng: np.random.Generator) -> Pose2D:
 def _draw_fake_object(
     rng: np.random.Generator, legs: list[NDArray[np.float64]], stops: list[Pose2D]
 ) -> FakeObject:
-    """Draw a cylinder near the middle of a leg, clear of where the robot must start and stop.
+    """Draw a cylinder across the path of a late leg, where the way around it is a detour.
 
-    Where patrols are so dense that no draw is clear enough, the clearest is taken.
+    It keeps clear of where the robot must start and stop. Where no draw is a detour, the one with
+    the longest way around is taken.
     """
-    later = legs[1:] or legs  # a delayed attack meets the robot on its second leg or after
-    middles = [leg[int(0.3 * len(leg)) : int(0.7 * len(leg)) + 1] for leg in later]
-    chosen = [middles[i] for i in rng.integers(len(middles), size=_OBJECT_DRAWS)]
-    places = np.array([middle[rng.integers(len(middle))] for middle in chosen])
-    places += rng.normal(0.0, 0.05, places.shape)
     avoid = np.array([(stop.x, stop.y) for stop in stops])
-    clear = np.hypot(*(places[:, None] - avoid).transpose(2, 0, 1)).min(axis=1)
-    place = places[np.argmax(np.minimum(clear, FAKE_OBJECT_CLEARANCE_M))]  # the first of the best
-    x, y = place.tolist()
-    return FakeObject(x, y, radius=rng.uniform(0.15, 0.25))
+    first = min(_FIRST_LATE_LEG, len(legs) - 1)
+    longest, chosen = 0.0, None
+    for _ in range(_OBJECT_DRAWS):
+        index = int(rng.integers(first, len(legs)))
+        leg = legs[index]
+        middle = leg[int(0.3 * len(leg)) : int(0.7 * len(leg)) + 1]
+        x, y = (middle[rng.integers(len(middle))] + rng.normal(0.0, 0.05, 2)).tolist()
+        drawn = FakeObject(x, y, radius=rng.uniform(0.15, 0.25))
+        if chosen is None:
+            chosen = drawn
+        if np.hypot(*(avoid - (x, y)).T).min() < FAKE_OBJECT_CLEARANCE_M:
+            continue
+        around = plan(planning_grid(drawn), avoid[index], avoid[index + 1])
+        detour = 0.0 if around is None else path_length(around) / path_length(leg)
+        if detour > longest:
+            longest, chosen = detour, drawn
+        if longest >= MIN_DETOUR:
+            break
+    assert chosen is not None  # noqa: S101 -- there is at least one draw
+    return chosen
 
 
-@functools.cache
-def _planning_grid() -> Costmap2D:
-    """Return the global costmap of an empty world: the static map, inflated."""
+def path_length(path: NDArray[np.float64]) -> float:
+    """Return the length of a path of shape (n, 2) [m]."""
+    return float(np.hypot(*np.diff(path, axis=0).T).sum())
+
+
+@functools.lru_cache(maxsize=1)
+def _static_costs() -> Costs:
+    return static_costs(turtlebot3_world_map().data)
+
+
+def planning_grid(obstacle: FakeObject | None = None) -> Costmap2D:
+    """Return the global costmap of the world, empty or with an obstacle in it."""
     world = turtlebot3_world_map()
-    costs = static_costs(world.data)
-    InflationLayer(world.resolution, INSCRIBED_RADIUS).add_to(costs)
     origin_x, origin_y = world.origin
-    return Costmap2D(costs, world.resolution, origin_x, origin_y, "map")
+    grid = Costmap2D(_static_costs().copy(), world.resolution, origin_x, origin_y, "map")
+    if obstacle is not None:
+        rows, columns = (np.arange(cells) + 0.5 for cells in grid.costs.shape)
+        x = origin_x + world.resolution * columns - obstacle.x
+        y = origin_y + world.resolution * rows - obstacle.y
+        grid.costs[x**2 + y[:, None] ** 2 <= obstacle.radius**2] = LETHAL
+    InflationLayer(world.resolution, INSCRIBED_RADIUS, GLOBAL_COST_SCALING).add_to(grid.costs)
+    return grid
 
 
 def recipe_for(mode: str, run: int, campaign: Campaign) -> Recipe:

@@ -16,7 +16,9 @@ from sim.nav2.costmap import FREE_SPACE, INSCRIBED, LETHAL, NO_INFORMATION, Cost
 OBSTACLE_RANGE = 2.5  # marks nothing from here on [m]
 RAYTRACE_RANGE = 3.0  # clears nothing from here on [m]
 INFLATION_RADIUS = 0.55  # [m]
-COST_SCALING = 3.0  # [1/m]
+COST_SCALING = 3.0  # how fast cost falls with distance [1/m]
+# Of the global costmap, where it decides how far a path keeps from the middle of a gap.
+GLOBAL_COST_SCALING = 10.0
 _TINY = 1e-9  # instead of a length of zero [m]
 
 
@@ -142,13 +144,17 @@ class InflationLayer:
         Edge of a cell [m].
     inscribed_radius
         Distance within which the robot collides whatever its heading [m].
+    cost_scaling
+        How fast cost falls with distance [1/m].
     """
 
-    def __init__(self, resolution: float, inscribed_radius: float) -> None:
+    def __init__(
+        self, resolution: float, inscribed_radius: float, cost_scaling: float = COST_SCALING
+    ) -> None:
         reach = round(INFLATION_RADIUS / resolution)
         cells = np.arange(-reach, reach + 1)
         distance = np.hypot(*np.meshgrid(cells, cells)) * resolution
-        decay = np.exp(-COST_SCALING * (distance - inscribed_radius))
+        decay = np.exp(-cost_scaling * (distance - inscribed_radius))
         costs = np.where(distance <= inscribed_radius, INSCRIBED, np.floor((INSCRIBED - 1) * decay))
         costs[distance > reach * resolution + 1e-9] = FREE_SPACE
         self._stamp = costs.astype(np.uint8)

@@ -29,6 +29,8 @@ from sim.nav2.costmap import (
     occupancy_grid,
 )
 from sim.nav2.costmap_layers import (
+    COST_SCALING,
+    GLOBAL_COST_SCALING,
     InflationLayer,
     Observation,
     ObstacleLayer,
@@ -123,6 +125,7 @@ class CostmapNode(LifecycleNode):
     update_period_ns: ClassVar[int]
     publish_period_ns: ClassVar[int]
     clearing_margin: ClassVar[float] = 0.0  # see `ObstacleLayer` [m]
+    cost_scaling: ClassVar[float] = COST_SCALING
 
     def __init__(
         self,
@@ -222,7 +225,7 @@ class CostmapNode(LifecycleNode):
         """Start anew on another grid."""
         self.grid = grid
         self.obstacles = ObstacleLayer(grid, margin=self.clearing_margin)
-        self._inflation = InflationLayer(grid.resolution, INSCRIBED_RADIUS)
+        self._inflation = InflationLayer(grid.resolution, INSCRIBED_RADIUS, self.cost_scaling)
 
     def _wake_up(self) -> None:
         self.call_later(int(self.rng.integers(_WAKE_UP_JITTER_NS)), self._cycle)
@@ -319,6 +322,7 @@ class GlobalCostmap(CostmapNode):
     """The whole map, obstacles on it, and inflation; it is empty until the map arrives."""
 
     label = "global_costmap"
+    cost_scaling = GLOBAL_COST_SCALING
     frame = "map"
     update_period_ns = SECOND
     publish_period_ns = SECOND

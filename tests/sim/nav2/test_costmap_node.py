@@ -132,7 +132,8 @@ def test_obstacle_is_marked_and_inflated_in_the_costmaps_frame(rig):
     rig.robot.run(2.5)
     assert rig.cost(1.02, 0.01) == LETHAL
     assert rig.cost(0.82, 0.01) == 253
-    assert rig.cost(0.72, 0.01) == 202
+    # 252 exp(-s (0.30 m - 0.2264 m)), by the costmap's own scaling s.
+    assert rig.cost(0.72, 0.01) == {3.0: 202, 10.0: 120}[rig.costmap.cost_scaling]
 
 
 def test_source_may_appear_late_and_its_last_scan_stays(rig):

@@ -1,0 +1,135 @@
+"""How well the robot drives when nobody attacks it, and what a fake object does to it.
+
+Blocks 0 to 99, a third in each normal mode; of the first 30 also the run with the fake object and
+the run without any mode's node. Bags are read for what AMCL believed, and dropped.
+"""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bench.figures import Row, median
+from oracle_pipeline.bags.manifest import GoalResult, Manifest
+from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.bags.run_directory import RunDirectory
+from sim.experiments import record_run
+from sim.fan_out import fan_out, process_pool
+from sim.middleware.geometry import Pose2D, quaternion_yaw
+from sim.middleware.stamps import stamp_ns
+from sim.nav2.navfn import plan
+from sim.pairs import task_effect
+from sim.progress import RunProgress
+from sim.recipes import Campaign, Options, Wiring, path_length, planning_grid, recipe_for
+from sim.turtlebot3.map import WORLD_IN_MAP
+
+BLOCKS, ATTACKED_BLOCKS = 100, 30
+CONTROL, ATTACK = "lidar_passthrough_odom", "fake_object"
+OTHERS = ("lidar_passthrough", "delayed_passthrough")
+
+
+@dataclass(frozen=True)
+class _Job:
+    mode: str
+    block: int
+    wiring: Wiring = "additive"
+
+
+@dataclass(frozen=True)
+class _Drive:
+    manifest: Manifest
+    amcl_errors_m: list[float]
+    detours: list[float]  # driven over shortest, of goals that were reached
+
+
+def rows() -> Iterator[Row]:
+    """Yield the figures."""
+    normal = [_Job(CONTROL, block) for block in range(ATTACKED_BLOCKS)]
+    normal += [_Job(OTHERS[b % 2], b) for b in range(ATTACKED_BLOCKS, BLOCKS)]
+    attacked = [_Job(ATTACK, block) for block in range(ATTACKED_BLOCKS)]
+    absent = [_Job(CONTROL, block, "absent") for block in range(ATTACKED_BLOCKS)]
+    drives = _drive([*normal, *attacked, *absent])
+
+    runs = [drives[job] for job in normal]
+    goals = [goal for run in runs for goal in _goals(run.manifest)]
+    reached = sum(goal is not None and goal.outcome == "succeeded" for goal in goals)
+    yield Row(f"goals reached, of {len(goals)} in {BLOCKS} blocks", 100.0 * reached / len(goals),
+              "%", 97, False)  # fmt: skip
+    yield Row("runs with a contact", sum(bool(r.manifest.contacts) for r in runs), "", 0)
+    errors = [error for run in runs for error in run.amcl_errors_m]
+    yield Row("AMCL position error, median", median(errors), "m", 0.10)
+    yield Row("way driven over the shortest, median", median([d for r in runs for d in r.detours]),
+              "", 1.25)  # fmt: skip
+    recoveries = [sum(goal.recoveries for goal in run.manifest.goal_results) for run in runs]
+    yield Row("runs with a recovery", 100.0 * sum(map(bool, recoveries)) / len(runs), "%")
+    blocks = range(ATTACKED_BLOCKS)
+    controls = [drives[job].manifest for job in normal[:ATTACKED_BLOCKS]]
+    for name, jobs, goal, at_most in (
+        ("fake object against passthrough: task effect", attacked, 80, False),
+        ("passthrough against no node: task effect", absent, 5, True),
+    ):
+        effects = [task_effect(drives[jobs[b]].manifest, controls[b]) for b in blocks]
+        yield Row(name, 100.0 * sum(effects) / len(effects), "%", goal, at_most)
+
+
+def _goals(manifest: Manifest) -> list[GoalResult | None]:
+    """Return what became of each goal; None for those that were never sent."""
+    results: list[GoalResult | None] = list(manifest.goal_results)
+    return results + [None] * (len(manifest.goals) - len(results))
+
+
+def _drive(jobs: list[_Job]) -> dict[_Job, _Drive]:
+    drives = {}
+    with RunProgress(len(jobs)) as progress:
+        for outcome in fan_out(_drive_one, jobs, lambda: process_pool(os.cpu_count() or 1)):
+            if outcome.result is None:
+                raise RuntimeError(f"{outcome.job}: {outcome.error}")
+            drives[outcome.job] = outcome.result
+            progress.done(outcome.result.manifest.recording_s)
+    return drives
+
+
+def _drive_one(job: _Job) -> _Drive:
+    recipe = recipe_for(job.mode, job.block, Campaign(options=Options(wiring=job.wiring)))
+    root = Path(tempfile.mkdtemp())
+    try:
+        directory = RunDirectory(root, job.mode, job.block)
+        manifest = record_run(recipe, directory)
+        errors = _amcl_errors_m(directory)
+    finally:
+        shutil.rmtree(root)
+    stops = [recipe.start, *recipe.goals]
+    grid = planning_grid()
+    detours = []
+    for result, begin, end in zip(manifest.goal_results, stops, stops[1:], strict=False):
+        path = plan(grid, (begin.x, begin.y), (end.x, end.y))
+        if result.outcome == "succeeded" and path is not None:
+            detours.append(result.driven_m / path_length(path))
+    return _Drive(manifest, errors, detours)
+
+
+def _amcl_errors_m(directory: RunDirectory) -> list[float]:
+    """Return how far each pose of AMCL is from the truth, which the odometry is."""
+    times, truth, believed = [], [], []
+    with BagReader(directory.bag) as bag:
+        for raw in bag.messages(["/odom", "/amcl_pose"]):
+            message = bag.deserialize(raw)
+            pose, time_ns = message.pose.pose, stamp_ns(message.header.stamp)
+            x, y, q = pose.position.x, pose.position.y, pose.orientation
+            if raw.topic == "/odom":
+                robot = WORLD_IN_MAP.compose(Pose2D(x, y, quaternion_yaw(q.x, q.y, q.z, q.w)))
+                times.append(time_ns)
+                truth.append((robot.x, robot.y))
+            else:
+                believed.append((time_ns, x, y))
+    errors = []
+    known, there = np.array(times), np.array(truth)
+    for time_ns, x, y in believed:
+        if known[0] <= time_ns <= known[-1]:
+            where = [np.interp(time_ns, known, there[:, axis]) for axis in (0, 1)]
+            errors.append(float(np.hypot(x - where[0], y - where[1])))
+    return errors
