@@ -17,7 +17,7 @@ from oracle_pipeline.bags.manifest import Software
 
 _SUFFIXES = (".py", ".msg", ".srv", ".action", ".yaml", ".j2")
 # Libraries whose arithmetic, random numbers or serialisation end up in messages.
-_LIBRARIES = ("llvmlite", "mujoco", "numba", "numpy", "rosbags", "scipy")
+_LIBRARIES = ("geographiclib", "llvmlite", "mujoco", "numba", "numpy", "rosbags", "scipy")
 
 
 @functools.cache

@@ -19,6 +19,7 @@ from oracle_pipeline.bags.types import serialize, typestore
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 """The fields of a header's stamp, which differs in every message."""
 
+_NUMPY_NAMES = {"byte": "int8", "char": "uint8", "octet": "uint8"}  # others are numpy's own
 _HEADER = 4  # bytes of CDR's encapsulation; alignment counts from behind them
 
 
@@ -126,7 +127,7 @@ def _leaves(msgtype: str, message: Any) -> Iterator[_Leaf]:
 
     def numbers(path: str, name: str, shape: tuple[int, ...]) -> Iterator[_Leaf]:
         nonlocal position
-        dtype = np.dtype("u1" if name in ("byte", "octet", "char") else name).newbyteorder("<")
+        dtype = np.dtype(_NUMPY_NAMES.get(name, name)).newbyteorder("<")
         count = math.prod(shape)
         if count:  # an empty array is not aligned
             position = _aligned(position, dtype.itemsize)

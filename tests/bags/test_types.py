@@ -20,7 +20,15 @@ from oracle_pipeline.bags.types import (
 )
 from oracle_pipeline.bags.writer import BagWriter
 
-OURS = ("nav2_msgs/", "dwb_msgs/", "bond/", "map_msgs/", "gazebo_msgs/", "oracle_msgs/")
+OURS = (
+    "atc_msgs/",
+    "nav2_msgs/",
+    "dwb_msgs/",
+    "bond/",
+    "map_msgs/",
+    "gazebo_msgs/",
+    "oracle_msgs/",
+)
 ALL_TYPES = sorted(typestore().fielddefs)
 
 

@@ -118,6 +118,46 @@ def test_a_new_path_takes_over_without_a_stop(rig):
     assert rig.ended == [Status.ABORTED, Status.SUCCEEDED]
 
 
+def arrived_and_turning():
+    """Return a rig that has arrived at (1, 0), turns, and learns that it is 5 cm farther away."""
+    rig = Rig()
+    rig.follow(line(1.0, end_yaw=2.0))
+    while rig.pose.yaw < 0.5:
+        rig.run(0.05)
+    rig.pose = Pose2D(rig.pose.x - 0.05, rig.pose.y, rig.pose.yaw)
+    assert math.hypot(1.0 - rig.pose.x, rig.pose.y) > 0.25
+    rig.twists.clear()
+    return rig
+
+
+def test_a_new_path_to_the_same_goal_does_not_make_a_robot_that_has_arrived_set_off_again():
+    rig = arrived_and_turning()
+    rig.follow(line(1.0, end_yaw=2.0))
+    rig.run(5.0)
+    assert rig.ended == [Status.ABORTED, Status.SUCCEEDED]
+    assert {linear for _, linear, _ in rig.twists} == {0.0}
+
+
+def test_to_another_goal_it_does():
+    rig = arrived_and_turning()
+    rig.follow(line(1.1, end_yaw=2.0))
+    rig.run(10.0)
+    assert rig.ended == [Status.ABORTED, Status.SUCCEEDED]
+    assert math.hypot(1.1 - rig.pose.x, rig.pose.y) <= 0.25
+
+
+def test_a_robot_that_was_stopped_on_arrival_starts_afresh():
+    rig = arrived_and_turning()
+    handle = rig.follow(line(1.0, end_yaw=2.0))
+    rig.run(0.1)
+    handle.cancel()
+    rig.run(0.1)
+    rig.follow(line(1.0, end_yaw=2.0))
+    rig.run(10.0)
+    assert rig.ended[-1] is Status.SUCCEEDED
+    assert math.hypot(1.0 - rig.pose.x, rig.pose.y) <= 0.25
+
+
 def test_a_robot_that_is_held_is_given_up_after_ten_seconds_even_with_new_paths(rig):
     rig.is_stuck = True
     started_ns = rig.now_ns

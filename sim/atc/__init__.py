@@ -1,0 +1,1 @@
+"""The second testbed: air traffic control around an airport, with ADS-B, two radars and fusion."""

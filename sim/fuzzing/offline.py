@@ -1,0 +1,252 @@
+"""A scenario over a recorded bag: what the node would have published, without a simulator.
+
+The mutant is the bag with the output topic added, or in place of the one that was recorded, and
+with the scenario's own ground truth. All other topics keep their messages, stamps and QoS.
+"""
+
+import dataclasses
+import heapq
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.reader import BagReader, RawMessage
+from oracle_pipeline.bags.types import (
+    GROUND_TRUTH_TOPIC,
+    GROUND_TRUTH_TYPE,
+    message_class,
+    serialize,
+)
+from oracle_pipeline.bags.writer import BagWriter
+from sim.fuzzing.mutation import PASSTHROUGH, Mutation, Program, Result
+from sim.middleware import qos
+from sim.middleware.executor import SECOND
+
+_STATUS_TOPIC = "/navigate_to_pose/_action/status"
+_LOG_TOPIC = "/behavior_tree_log"
+_UNDER_WAY = (1, 2, 3)  # accepted, executing, canceling in action_msgs/msg/GoalStatus
+_ROOT = "NavigateRecovery"  # root node of Nav2's behaviour trees
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What became of a bag."""
+
+    onset_s: float  # in seconds of the recording
+    heard: int  # messages of the input topic while the node was there
+    touched: int  # of them, and of the timer's beats, those that were not just handed on
+    published: int  # messages on the output topic
+
+
+def mutate_bag(
+    bag_in: Path,
+    bag_out: Path,
+    program: Program,
+    run_seed: int,
+    at_s: float | None = None,
+    parameters: Mapping[str, Any] | None = None,
+) -> Summary:
+    """Run a program over a bag.
+
+    Parameters
+    ----------
+    bag_in : Path
+        A rosbag2 of either storage; it is only read.
+    bag_out : Path
+        Where the mutant goes, in the same storage; must not exist.
+    program : Program
+        What is done.
+    run_seed : int
+        The key of its draws, together with the scenario's seed.
+    at_s : float, optional
+        Onset in seconds of the recording; by default what the scenario says, for which the bag
+        may have to show when a goal was accepted.
+    parameters : mapping, optional
+        Values that are to be others than the defaults.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read or written, lacks a topic, or does not show the onset.
+    ScenarioError
+        If a parameter cannot have its value.
+    """
+    mutation = program.start(run_seed, parameters)
+    with BagReader(bag_in) as reader:
+        _check_topics(reader, program)
+        onset_ns = _onset_ns(reader, program, at_s)
+        with BagWriter(bag_out, _storage(bag_in)) as writer:
+            run = _Run(reader, writer, mutation, onset_ns)
+            for message in reader.messages():
+                run.take(message)
+            run.finish()
+    onset_s = (onset_ns - reader.start_ns) / SECOND
+    return Summary(onset_s, run.heard, run.touched, writer.counts[program.output_topic])
+
+
+class _Run:
+    """One bag on its way into another, in time order."""
+
+    def __init__(
+        self, reader: BagReader, writer: BagWriter, mutation: Mutation, onset_ns: int
+    ) -> None:
+        self._reader = reader
+        self._writer = writer
+        self._mutation = mutation
+        self._program = program = mutation.program
+        self._onset_ns = onset_ns
+        self._due: list[tuple[int, int, str, bytes]] = []  # what is still to be written
+        self._order = itertools.count()
+        self._decoded: set[str] = set()
+        self._source_names: dict[str, list[str]] = {}
+        for name, source in program.sources.items():
+            self._source_names.setdefault(source.topic, []).append(name)
+        period_ns = mutation.timer_period_ns
+        self._beats = itertools.count(onset_ns + period_ns, period_ns) if period_ns else None
+        self._beat_ns = next(self._beats) if self._beats else None
+        self.heard = 0
+        self.touched = 0
+        for topic in reader.topics.values():
+            writer.add_topic(topic.name, topic.msgtype, topic.qos)
+        if program.output_topic not in reader.topics:
+            writer.add_topic(program.output_topic, program.type.name, [qos.DEFAULT])
+        writer.add_topic(GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE, [qos.DEFAULT])
+
+    def take(self, raw: RawMessage) -> None:
+        """Take the next message of the bag."""
+        self._advance(raw.stamp_ns)
+        if raw.topic != self._program.output_topic:
+            self._writer.write(*raw)
+        if raw.stamp_ns < self._onset_ns and self._program.activation.before == "absent":
+            return
+        for name in self._source_names.get(raw.topic, ()):
+            self._mutation.on_source(name, self._decode(raw), raw.stamp_ns)
+        if raw.topic == self._program.input_topic:
+            self.heard += 1
+            message = self._decode(raw)
+            result = self._mutation.on_message(message, raw.stamp_ns, self._t_s(raw.stamp_ns))
+            self._publish(result, raw.stamp_ns, message, raw.data)
+            self._write_due(raw.stamp_ns)
+
+    def finish(self) -> None:
+        """Write what is due until the end of the recording."""
+        self._advance(self._reader.end_ns)
+
+    def _advance(self, now_ns: int) -> None:
+        """Let the timer beat, and write what is due, up to a time."""
+        while self._beats is not None and self._beat_ns is not None and self._beat_ns <= now_ns:
+            self._write_due(self._beat_ns)
+            result = self._mutation.on_timer(self._beat_ns, self._t_s(self._beat_ns))
+            self._publish(result, self._beat_ns)
+            self._beat_ns = next(self._beats)
+        self._write_due(now_ns)
+
+    def _write_due(self, now_ns: int) -> None:
+        while self._due and self._due[0][0] <= now_ns:
+            due_ns, _, topic, data = heapq.heappop(self._due)
+            self._writer.write(topic, due_ns, data)
+
+    def _publish(self, result: Result, now_ns: int, message: Any = None, data: bytes = b"") -> None:
+        """Put what a message or a beat led to in the queue; what came keeps its bytes."""
+        program = self._program
+        for due_ns, output in result.outputs:
+            same = output is message
+            self._put(
+                due_ns,
+                program.output_topic,
+                data if same else serialize(output, program.type.name),
+            )
+        if result.truth is not None:
+            self.touched += result.truth.operation != PASSTHROUGH
+            truth = serialize(result.truth.message(), GROUND_TRUTH_TYPE)
+            self._put(now_ns, GROUND_TRUTH_TOPIC, truth)
+
+    def _put(self, due_ns: int, topic: str, data: bytes) -> None:
+        heapq.heappush(self._due, (due_ns, next(self._order), topic, data))
+
+    def _decode(self, raw: RawMessage) -> Any:
+        message = self._reader.deserialize(raw)
+        if raw.topic not in self._decoded:
+            self._decoded.add(raw.topic)
+            msgtype = self._reader.topics[raw.topic].msgtype
+            if not _is_alike(message, msgtype):
+                raise BagError(
+                    f"{self._reader.path} defines {msgtype} otherwise than we do, so {raw.topic} "
+                    "cannot be mutated; put its definition into oracle_pipeline/bags/msg."
+                )
+        return message
+
+    def _t_s(self, stamp_ns: int) -> float:
+        return (stamp_ns - self._onset_ns) / SECOND
+
+
+def _is_alike(message: Any, msgtype: str) -> bool:
+    """Tell whether a message that the bag's definition decoded has the fields that we know."""
+    theirs, ours = type(message), message_class(msgtype)
+    if theirs is ours:
+        return True
+    fields, known = ([(f.name, f.type) for f in dataclasses.fields(c)] for c in (theirs, ours))
+    values = [getattr(message, name) for name, _ in fields]
+    firsts = [v[0] if isinstance(v, list) and v else v for v in values]
+    nested = [v for v in firsts if hasattr(v, "__msgtype__")]
+    return fields == known and all(_is_alike(value, value.__msgtype__) for value in nested)
+
+
+def _check_topics(reader: BagReader, program: Program) -> None:
+    """Refuse a bag that does not have what the scenario hears."""
+    if reader.serialization != "cdr":
+        raise BagError(f"{reader.path} is a ROS 1 bag; convert it with `rosbags-convert` first.")
+    needed = {source.topic: source.type.name for source in program.sources.values()}
+    needed[program.input_topic] = program.type.name
+    for name, msgtype in needed.items():
+        if name not in reader.topics:
+            same = [topic.name for topic in reader.topics.values() if topic.msgtype == msgtype]
+            raise BagError(
+                f"{reader.path} has no topic {name}, which {program.scenario.id} hears; of type "
+                f"{msgtype} it has {', '.join(same) or 'none'}. Name one of these in the scenario."
+            )
+    for name, msgtype in {**needed, program.output_topic: program.type.name}.items():
+        if name in reader.topics and reader.topics[name].msgtype != msgtype:
+            raise BagError(
+                f"{reader.path} has {name} as {reader.topics[name].msgtype}, "
+                f"{program.scenario.id} needs {msgtype}."
+            )
+
+
+def _onset_ns(reader: BagReader, program: Program, at_s: float | None) -> int:
+    activation = program.activation
+    if at_s is not None:
+        return reader.start_ns + round(at_s * SECOND)
+    begin_ns: int | None = reader.start_ns
+    if activation.after == "goal_accepted":
+        begin_ns = _first_goal_ns(reader)
+    if begin_ns is None:
+        raise BagError(
+            f"{reader.path} does not show when a goal was accepted ({_STATUS_TOPIC}, "
+            f"{_LOG_TOPIC}); say when {program.scenario.id} is to begin, in seconds of the "
+            "recording."
+        )
+    return begin_ns + round(activation.seconds * SECOND)
+
+
+def _first_goal_ns(reader: BagReader) -> int | None:
+    """Return when the first goal was under way, by the action's status or else by the tree's."""
+    status = reader.topics.get(_STATUS_TOPIC)
+    if status is not None and status.count:
+        for raw in reader.messages([_STATUS_TOPIC]):
+            goals = reader.deserialize(raw).status_list
+            if any(goal.status in _UNDER_WAY for goal in goals):
+                return raw.stamp_ns
+    for raw in reader.messages([_LOG_TOPIC]):
+        for change in reader.deserialize(raw).event_log:
+            if change.node_name == _ROOT and change.current_status == "RUNNING":
+                return raw.stamp_ns
+    return None
+
+
+def _storage(path: Path) -> Literal["mcap", "sqlite3"]:
+    files = path.iterdir() if path.is_dir() else [path]
+    return "sqlite3" if any(".db3" in file.name for file in files) else "mcap"

@@ -1,0 +1,315 @@
+import os
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader
+
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.reader import BagReader, read_ground_truth
+from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, serialize
+from oracle_pipeline.bags.writer import BagWriter
+from sim.experiments import record_run
+from sim.fuzzing.mutation import PASSTHROUGH
+from sim.fuzzing.offline import mutate_bag
+from sim.fuzzing.program import compile_scenario
+from sim.fuzzing.scenario import builtin_scenarios, parse_scenarios
+from sim.middleware import qos
+from sim.middleware.domain import Domain
+from sim.middleware.executor import Executor
+from sim.middleware.node import Node
+from sim.recipes import Campaign, recipe_for
+from sim.recording import Recorder
+from tests.sim.fuzzing.workbench import BUILTINS, builtin, examples, odometry, scans
+
+LATENCY_NS = 3_000_000
+BEGIN_NS = 1_000_000_000  # of the small recording
+ONSET_S = 2.1
+
+_FOREIGN = os.environ.get("ORACLE_FOREIGN_BAGS")
+FOREIGN_BAGS = sorted(Path(_FOREIGN).glob("*/metadata.yaml")) if _FOREIGN else []
+
+
+@pytest.fixture(scope="session")
+def recorded(tmp_path_factory):
+    """The bag of a real run: one goal, every scan handed on."""
+    mode = "lidar_passthrough_odom"
+    directory = RunDirectory(tmp_path_factory.mktemp("campaign"), mode, 0)
+    manifest = record_run(recipe_for(mode, 0, Campaign(goals_per_run=1)), directory)
+    return directory.bag, manifest
+
+
+@pytest.fixture(scope="session")
+def run_bag(recorded, tmp_path_factory):
+    """As much of it as a scenario hears and says, and what tells of goals."""
+    bag, manifest = recorded
+    topics = ["/scan_tom", "/odom", "/scan_fakeobject", "/behavior_tree_log", "/clock"]
+    path = tmp_path_factory.mktemp("trimmed") / "bag"
+    with BagReader(bag) as reader, BagWriter(path) as writer:
+        for topic in topics:
+            writer.add_topic(topic, reader.topics[topic].msgtype, reader.topics[topic].qos)
+        for message in reader.messages(topics):
+            writer.write(*message)
+    return path, manifest
+
+
+@pytest.fixture(params=[*FOREIGN_BAGS, "simulated"], ids=lambda p: str(p)[-40:])
+def any_bag(request):
+    """Each real bag at hand, and that of a simulated run."""
+    if isinstance(request.param, Path):
+        return request.param.parent
+    return request.getfixturevalue("recorded")[0]
+
+
+def content(path, topics=None):
+    with BagReader(path) as bag:
+        return list(bag.messages(topics))
+
+
+def on(path, topic):
+    return [(m.stamp_ns, m.data) for m in content(path, [topic])]
+
+
+def scenario_for(path):
+    """A scenario that makes noise on the topic of the bag that has the most numbers in it."""
+    with BagReader(path) as bag:
+        topic = next(
+            topic
+            for msgtype, field in (
+                ("sensor_msgs/msg/LaserScan", "ranges"),
+                ("sensor_msgs/msg/Imu", "linear_acceleration_covariance"),
+            )
+            for topic in bag.topics.values()
+            if topic.msgtype == msgtype
+        )
+    field = {"LaserScan": "ranges", "Imu": "linear_acceleration.x"}[topic.msgtype.split("/")[-1]]
+    text = f"""\
+schema: mutant/v1
+id: noisy
+label: malicious
+main: {{type: {topic.msgtype}, input: {topic.name}, output: {topic.name}_fuzzed}}
+transform:
+  actions:
+    - name: noise
+      do: [{{noise: {{field: {field}, dist: gauss, absolute: 0.1}}}}, {{delay: {{seconds: 0.05}}}}]
+"""
+    (scenario,) = parse_scenarios(text.encode(), "noisy.yaml")
+    return compile_scenario(scenario)
+
+
+def test_a_mutated_bag_has_all_that_was_recorded_and_the_output_besides(any_bag, tmp_path):
+    program = scenario_for(any_bag)
+    summary = mutate_bag(any_bag, tmp_path / "mutant", program, 1)
+    ours = {program.output_topic}
+    assert content(any_bag) == [m for m in content(tmp_path / "mutant") if m.topic not in ours]
+    with BagReader(any_bag) as before, BagReader(tmp_path / "mutant") as after:
+        kept = {name: topic for name, topic in after.topics.items() if name not in ours}
+        assert kept == before.topics
+        assert after.topics[program.output_topic].count == summary.published
+        assert before.topics[program.input_topic].count == summary.heard == summary.touched
+    truth = read_ground_truth(tmp_path / "mutant")
+    assert Counter(message.operation for _, message in truth) == {"noise": summary.touched}
+
+
+def test_a_mutated_bag_opens_in_other_readers(any_bag, tmp_path):
+    program = scenario_for(any_bag)
+    mutate_bag(any_bag, tmp_path / "mutant", program, 1)
+    told = Counter(m.topic for m in content(tmp_path / "mutant"))
+    with Reader(tmp_path / "mutant") as bag:
+        found = Counter(connection.topic for connection, _, _ in bag.messages())
+    assert found == told | {GROUND_TRUTH_TOPIC: found[GROUND_TRUTH_TOPIC]}
+    files = list((tmp_path / "mutant").glob("*.mcap"))
+    assert [f.suffix for f in (tmp_path / "mutant").iterdir() if f.suffix != ".yaml"] == [
+        next(f.suffix for f in any_bag.iterdir() if f.suffix != ".yaml")
+    ]
+    for file in files:
+        with file.open("rb") as stream:
+            read = Counter(channel.topic for _, channel, _ in make_reader(stream).iter_messages())
+        assert read == found
+
+
+class MutationNode(Node):
+    """The node that a program is: it hears a moment later what was published."""
+
+    def __init__(self, domain, program, onset_ns):
+        super().__init__(domain, "/mutant", latency_ns=LATENCY_NS)
+        self._onset_ns = onset_ns
+        self._mutation = program.start(1)
+        self._output = self.create_publisher(program.type.name, program.output_topic)
+        for name, source in program.sources.items():
+            self.create_subscription(
+                source.type.name,
+                source.topic,
+                lambda message, name=name: self._mutation.on_source(name, message, self._then_ns),
+            )
+        self.create_subscription(program.type.name, program.input_topic, self._on_message)
+        if self._mutation.timer_period_ns is not None:
+            phase_ns = onset_ns + self._mutation.timer_period_ns + LATENCY_NS - self.now_ns
+            self.create_timer(self._mutation.timer_period_ns, self._on_timer, phase_ns=phase_ns)
+
+    @property
+    def _then_ns(self):
+        return self.now_ns - LATENCY_NS
+
+    def _on_message(self, message):
+        t_s = (self._then_ns - self._onset_ns) / 1e9
+        self._publish(self._mutation.on_message(message, self._then_ns, t_s))
+
+    def _on_timer(self):
+        t_s = (self._then_ns - self._onset_ns) / 1e9
+        self._publish(self._mutation.on_timer(self._then_ns, t_s))
+
+    def _publish(self, result):
+        for due_ns, message in result.outputs:
+            self.call_later(due_ns - self._then_ns, self._output.publish, message)
+
+
+def record_online(program, path, storage="mcap"):
+    """Record a program at work on a few seconds of messages."""
+    executor = Executor()
+    domain = Domain(executor)
+    sender = Node(domain, "/sender")
+    outlets = {program.input_topic: program.type.name}
+    outlets |= {source.topic: source.type.name for source in program.sources.values()}
+    publishers = {topic: sender.create_publisher(kind, topic) for topic, kind in outlets.items()}
+    executor.run_until(BEGIN_NS)
+    onset_ns = BEGIN_NS + round(ONSET_S * 1e9)
+    with BagWriter(path, storage) as writer:
+        if program.activation.before == "forward":
+            MutationNode(domain, program, onset_ns)
+        Recorder(domain, writer)
+        for n, message in enumerate(examples(program, 60)):
+            publish = publishers[program.input_topic].publish
+            executor.call_at(BEGIN_NS + n * 200_000_000, publish, message)
+            if "/odom" in publishers and program.input_topic != "/odom":
+                place = odometry(n, 0.01 * n, 0.0, 0.1 * n)
+                executor.call_at(BEGIN_NS + n * 200_000_000, publishers["/odom"].publish, place)
+        if program.activation.before == "absent":
+            executor.call_at(onset_ns, MutationNode, domain, program, onset_ns)
+        executor.run_until(BEGIN_NS + 70 * 200_000_000)
+
+
+@pytest.mark.parametrize("name", BUILTINS)
+def test_offline_gives_the_bytes_that_the_node_gave(name, tmp_path):
+    program = builtin(name)
+    record_online(program, tmp_path / "online")
+    mutate_bag(tmp_path / "online", tmp_path / "offline", program, 1, at_s=ONSET_S)
+    online, offline = (on(tmp_path / bag, program.output_topic) for bag in ("online", "offline"))
+    assert len(online) > 20
+    # The node heard it a moment later; what was under way at the end is in one of them only.
+    end = min(len(online), len(offline))
+    assert [data for _, data in offline[:end]] == [data for _, data in online[:end]]
+    assert {late - at for (at, _), (late, _) in zip(offline, online, strict=False)} == {LATENCY_NS}
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_both_storages_give_the_same_bytes(storage, tmp_path):
+    program = builtin("random_noise")
+    record_online(program, tmp_path / "bag", storage)
+    mutate_bag(tmp_path / "bag", tmp_path / "mutant", program, 1, at_s=ONSET_S)
+    assert on(tmp_path / "mutant", program.output_topic) != []
+    record_online(program, tmp_path / "other")
+    mutate_bag(tmp_path / "other", tmp_path / "other_mutant", program, 1, at_s=ONSET_S)
+    assert content(tmp_path / "mutant") == content(tmp_path / "other_mutant")
+
+
+def test_passthrough_over_a_run_is_what_its_node_published(run_bag, tmp_path):
+    bag, _ = run_bag
+    program = builtin("lidar_passthrough_odom")
+    mutate_bag(bag, tmp_path / "mutant", program, 1)
+    published = [data for _, data in on(bag, program.output_topic)]
+    heard = [data for _, data in on(tmp_path / "mutant", program.output_topic)]
+    assert len(published) > 20
+    assert heard[: len(published)] == published
+    assert len(heard) - len(published) <= 1  # one may have been under way at the end
+
+
+def test_a_run_shows_when_its_goal_was_accepted(run_bag, tmp_path):
+    bag, manifest = run_bag
+    program = builtin("sensor_freeze")
+    summary = mutate_bag(bag, tmp_path / "mutant", program, 1)
+    accepted_s = manifest.goal_results[0].accepted_s
+    assert summary.onset_s == pytest.approx(accepted_s + 5.0, abs=0.2)
+    truth = read_ground_truth(tmp_path / "mutant")
+    with BagReader(bag) as reader:
+        frozen = [(ns - reader.start_ns) / 1e9 for ns, m in truth if m.operation != PASSTHROUGH]
+    assert frozen[0] == pytest.approx(summary.onset_s, abs=0.2)
+    assert len(frozen) == summary.touched
+
+
+def test_an_onset_may_be_said_and_an_absent_node_says_nothing_before(run_bag, tmp_path):
+    bag, _ = run_bag
+    program = builtin("delayed_fakeobject")
+    place = {"x": 1.5, "y": 0.0, "radius": 0.3}
+    summary = mutate_bag(bag, tmp_path / "mutant", program, 1, at_s=4.0, parameters=place)
+    with BagReader(bag) as reader:
+        start_ns = reader.start_ns
+    first_ns, _ = on(tmp_path / "mutant", program.output_topic)[0]
+    assert summary.onset_s == 4.0
+    assert 4.0 <= (first_ns - start_ns) / 1e9 <= 4.3
+
+
+def test_a_shadow_of_a_run_has_the_scans_that_came(run_bag, tmp_path):
+    bag, _ = run_bag
+    program = compile_scenario(builtin_scenarios()["fake_object"].as_shadow())
+    mutate_bag(bag, tmp_path / "mutant", program, 1)
+    came = [data for _, data in on(bag, program.input_topic)]
+    assert [data for _, data in on(tmp_path / "mutant", program.output_topic)] == came
+
+
+def test_the_bag_that_is_mutated_stays_as_it_is(run_bag, tmp_path):
+    bag, _ = run_bag
+    before = {file.name: file.read_bytes() for file in bag.iterdir()}
+    mutate_bag(bag, tmp_path / "mutant", builtin("random_noise"), 1)
+    assert {file.name: file.read_bytes() for file in bag.iterdir()} == before
+
+
+def write(path, *topics):
+    with BagWriter(path) as bag:
+        for name, message in topics:
+            msgtype = message.__msgtype__
+            bag.add_topic(name, msgtype, [qos.DEFAULT])
+            bag.write(name, 1, serialize(message, msgtype))
+    return path
+
+
+def test_a_bag_without_the_topic_is_refused_and_told_what_there_is(tmp_path):
+    (scan,) = scans(1)
+    bag = write(tmp_path / "bag", ("/scan", scan))
+    with pytest.raises(BagError, match=r"no topic /scan_tom, which random_noise .* it has /scan\."):
+        mutate_bag(bag, tmp_path / "mutant", builtin("random_noise"), 1)
+    assert not (tmp_path / "mutant").exists()
+
+
+def test_a_topic_of_another_type_is_refused(tmp_path):
+    bag = write(tmp_path / "bag", ("/scan_tom", odometry()))
+    with pytest.raises(BagError, match=r"/scan_tom as nav_msgs/msg/Odometry, random_noise needs"):
+        mutate_bag(bag, tmp_path / "mutant", builtin("random_noise"), 1)
+
+
+def test_a_bag_that_shows_no_goal_needs_an_onset(tmp_path):
+    (scan,) = scans(1)
+    bag = write(tmp_path / "bag", ("/scan_tom", scan))
+    with pytest.raises(BagError, match="does not show when a goal was accepted"):
+        mutate_bag(bag, tmp_path / "mutant", builtin("sensor_freeze"), 1)
+    assert mutate_bag(bag, tmp_path / "mutant", builtin("sensor_freeze"), 1, at_s=0.0).touched == 1
+
+
+def test_a_bag_is_never_written_over_another(run_bag, tmp_path):
+    bag, _ = run_bag
+    (tmp_path / "mutant").mkdir()
+    with pytest.raises(BagError, match="exists already"):
+        mutate_bag(bag, tmp_path / "mutant", builtin("random_noise"), 1)
+
+
+def test_what_is_not_changed_keeps_its_bytes_even_where_they_are_odd(tmp_path):
+    (scan,) = scans(1)
+    msgtype = scan.__msgtype__
+    odd = serialize(scan, msgtype) + b"\0\0\0"  # padding that a serializer left at the end
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/scan_tom", msgtype, [qos.DEFAULT])
+        bag.write("/scan_tom", 1, odd)
+    mutate_bag(tmp_path / "bag", tmp_path / "mutant", builtin("lidar_passthrough"), 1)
+    assert on(tmp_path / "mutant", "/scan_fakeobject") == [(1, odd)]

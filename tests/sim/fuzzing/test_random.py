@@ -1,0 +1,58 @@
+"""A draw depends on the seeds, the message, the operation and its place, and on nothing else."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sim.fuzzing.random import Draws
+
+words = st.integers(0, 2**64 - 1)
+seeds = st.builds(Draws, words, words)
+counts = st.integers(0, 50)
+
+
+@given(seeds, words, words, st.lists(st.tuples(words, words, counts), max_size=5))
+def test_a_draw_is_the_same_whatever_was_drawn_before(draws, message, operation, others):
+    fresh = Draws(draws.run_seed, draws.scenario_seed)
+    for other in others:
+        draws.uniform(*other)
+        draws.normal(*other)
+    for law in ("uniform", "normal"):
+        np.testing.assert_array_equal(
+            getattr(draws, law)(message, operation, 20), getattr(fresh, law)(message, operation, 20)
+        )
+
+
+@given(seeds, words, words, counts, counts)
+def test_the_first_draws_do_not_depend_on_how_many_follow(draws, message, operation, n, more):
+    for law in (draws.uniform, draws.normal):
+        np.testing.assert_array_equal(
+            law(message, operation, n), law(message, operation, n + more)[:n]
+        )
+
+
+@given(st.lists(st.tuples(*[words] * 5), min_size=2, max_size=8, unique=True))
+def test_other_seeds_messages_operations_and_places_draw_other_numbers(keys):
+    drawn = {
+        Draws(run, scenario).generator(message, operation, place).random(4).tobytes()
+        for run, scenario, message, operation, place in keys
+    }
+    assert len(drawn) == len(keys)
+
+
+def test_the_seeds_are_not_exchangeable_and_neither_are_message_and_operation():
+    one = Draws(1, 2).uniform(3, 4, 8)
+    assert not np.array_equal(one, Draws(2, 1).uniform(3, 4, 8))
+    assert not np.array_equal(one, Draws(1, 2).uniform(4, 3, 8))
+
+
+def test_draws_of_neighbouring_messages_are_uniform_and_normal():
+    draws = Draws(7, 11)
+    uniform = np.concatenate([draws.uniform(message, 0, 50) for message in range(400)])
+    normal = np.concatenate([draws.normal(message, 0, 50) for message in range(400)])
+    assert ((uniform >= 0.0) & (uniform < 1.0)).all()
+    # Five standard errors of the mean and of the variance of 20,000 draws.
+    assert abs(uniform.mean() - 0.5) < 5 * np.sqrt(1 / 12 / 20_000)
+    assert abs(uniform.var() - 1 / 12) < 5 * np.sqrt(1 / 180 / 20_000)
+    assert abs(normal.mean()) < 5 / np.sqrt(20_000)
+    assert abs(normal.var() - 1.0) < 5 * np.sqrt(2 / 20_000)
