@@ -38,7 +38,7 @@ _THESIS = (
         "fake_object",
         "malicious",
         "fake_object",
-        "A cylinder that is not there, near the planned path",
+        "A cylinder that is not there, across the planned path",
         with_odometry=True,
     ),
     Mode("random_noise", "malicious", "random_noise", "Every range off by up to ten per cent"),

@@ -70,7 +70,7 @@ def test_a_ray_that_starts_inside_a_circle_does_not_see_it(bearing, share, direc
 
 @given(bearings, metres, metres, metres, metres)
 def test_a_ray_ends_on_the_wall_that_it_meets(bearing, x1, y1, x2, y2):
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(all="ignore"):
         distance = ray_segment(bearing, x1, y1, x2, y2)
     assume(np.isfinite(distance))
     x, y = distance * math.cos(bearing), distance * math.sin(bearing)
