@@ -6,7 +6,6 @@ or when time is up. World, nodes and loop meet here and nowhere else.
 """
 
 import hashlib
-import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -18,8 +17,8 @@ from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import (
     BAG_FOLDER,
     GRAPHS_FOLDER,
-    MANIFEST_FILE,
     RunDirectory,
+    bytes_on_disk,
 )
 from oracle_pipeline.bags.writer import BagWriter
 from sim.fuzzing.relays import INPUT_TOPIC, FakeObject, FakeObjectRelay, NoiseRelay, Relay
@@ -32,6 +31,7 @@ from sim.nav2.bringup import bring_up
 from sim.nav2.collision_monitor import SOURCES
 from sim.odometer import Odometer
 from sim.pairs import judge_pair
+from sim.protocol import make
 from sim.recipes import Recipe
 from sim.recording import DEBUG_TOPICS, GraphRecorder, ReceiveClock, Recorder
 from sim.software import software
@@ -77,12 +77,7 @@ def record_run(recipe: Recipe, directory: RunDirectory, *, refresh: bool = False
     """
     if directory.is_complete() and not refresh:
         return _verified(directory, recipe)
-    with directory.staged() as scratch:
-        started = time.perf_counter()  # only for ``measured``: nothing that is recorded sees it
-        run = Run(recipe, scratch)
-        run.go()
-        manifest = run.manifest(wall_s=time.perf_counter() - started)
-        manifest.save(scratch / MANIFEST_FILE)
+    make(directory, lambda folder: Run(recipe, folder))
     judge_pair(directory)
     return directory.manifest()
 
@@ -95,7 +90,7 @@ def _verified(directory: RunDirectory, recipe: Recipe) -> Manifest:
             f"{directory.path} was made from another recipe (seed {found.seed}, "
             f"{len(found.goals)} goals); refresh it, or choose another root for this campaign."
         )
-    sizes = _bytes_on_disk(directory.path)
+    sizes = bytes_on_disk(directory.path)
     if sizes != found.measured.bytes:
         raise RunDirectoryError(
             f"{directory.path} is damaged: its parts should have {dict(found.measured.bytes)} "
@@ -218,14 +213,11 @@ class Run:
                 schema.Contact(self._seconds(touch.stamp_ns), touch.piece)
                 for touch in self._world.touches
             ),
-            topics={
-                name: schema.TopicCount(self._domain.topics[name], count)
-                for name, count in self._bag.counts.items()
-            },
+            topics=self._bag.topics,
             content_hash=self._bag.content_hash,
             recipe=recipe.to_dict(),
             software=software(),
-            measured=schema.Measured(wall_s=wall_s, bytes=_bytes_on_disk(self._folder)),
+            measured=schema.Measured(wall_s=wall_s, bytes=bytes_on_disk(self._folder)),
         )
 
     def _attack(self) -> Mapping[str, Any]:
@@ -305,11 +297,3 @@ class Run:
 
 def _pose(pose: Pose2D) -> schema.Pose:
     return schema.Pose(pose.x, pose.y, pose.yaw)
-
-
-def _bytes_on_disk(folder: Path) -> dict[str, int]:
-    """Return the size of each part of a run directory."""
-    return {
-        part: sum(file.stat().st_size for file in (folder / part).rglob("*") if file.is_file())
-        for part in (BAG_FOLDER, GRAPHS_FOLDER)
-    }

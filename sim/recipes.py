@@ -8,7 +8,6 @@ laboratory, with its own LiDAR bias, floor and processor load.
 import functools
 import math
 import os
-import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, Self
@@ -24,6 +23,7 @@ from sim.nav2.costmap import LETHAL, Costmap2D, Costs
 from sim.nav2.costmap_layers import GLOBAL_COST_SCALING, InflationLayer, static_costs
 from sim.nav2.footprint import INSCRIBED_RADIUS
 from sim.nav2.navfn import plan
+from sim.seeds import generator, node_generator, sequence
 from sim.turtlebot3.arena import RING, clearance
 from sim.turtlebot3.map import WORLD_IN_MAP, OdometrySource, turtlebot3_world_map
 
@@ -114,11 +114,11 @@ class Recipe:
 
     def generator(self, node: str) -> np.random.Generator:
         """Return the randomness of one node; the same in every mode of the block."""
-        return _generator(self.seed, _NODE, self.block, zlib.crc32(node.encode()))
+        return node_generator(self.seed, _NODE, self.block, node)
 
     def attack_seed(self) -> int:
         """Return the key of the attack's own, counter-based randomness."""
-        return int(_sequence(self.seed, _ATTACK, self.block).generate_state(1, np.uint64)[0])
+        return int(sequence(self.seed, _ATTACK, self.block).generate_state(1, np.uint64)[0])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the recipe as JSON knows it."""
@@ -139,17 +139,9 @@ class Recipe:
         )
 
 
-def _sequence(seed: int, *branch: int) -> np.random.SeedSequence:
-    return np.random.SeedSequence(seed, spawn_key=branch)
-
-
-def _generator(seed: int, *branch: int) -> np.random.Generator:
-    return np.random.default_rng(_sequence(seed, *branch))
-
-
 def draw_session(seed: int, index: int) -> Session:
     """Draw the conditions of a session."""
-    rng = _generator(seed, _SESSION, index)
+    rng = generator(seed, _SESSION, index)
     return Session(
         index=index,
         lidar_bias_m=rng.uniform(-0.01, 0.01),
@@ -169,13 +161,14 @@ class Block:
     fake_object: FakeObject
 
 
+@functools.cache  # all modes of a block share it
 def draw_block(seed: int, block: int, goals: int) -> Block:
     """Draw a patrol that can be driven, and a fake object across it.
 
     Start and goals keep ``MIN_CLEARANCE_M`` from every obstacle, lie ``MIN_LEG_M`` apart, and the
     planner finds a path between them.
     """
-    rng = _generator(seed, _BLOCK, block)
+    rng = generator(seed, _BLOCK, block)
     grid = planning_grid()
     stops = [_draw_free_pose(rng)]
     legs: list[NDArray[np.float64]] = []
@@ -208,25 +201,24 @@ def _draw_fake_object(
     """
     avoid = np.array([(stop.x, stop.y) for stop in stops])
     first = min(_FIRST_LATE_LEG, len(legs) - 1)
-    longest, chosen = 0.0, None
-    for _ in range(_OBJECT_DRAWS):
+    drawn: list[tuple[float, FakeObject]] = []  # how long the way around it is, and the object
+    while len(drawn) < _OBJECT_DRAWS and (not drawn or drawn[-1][0] < MIN_DETOUR):
         index = int(rng.integers(first, len(legs)))
         leg = legs[index]
         middle = leg[int(0.3 * len(leg)) : int(0.7 * len(leg)) + 1]
         x, y = (middle[rng.integers(len(middle))] + rng.normal(0.0, 0.05, 2)).tolist()
-        drawn = FakeObject(x, y, radius=rng.uniform(0.15, 0.25))
-        if chosen is None:
-            chosen = drawn
-        if np.hypot(*(avoid - (x, y)).T).min() < FAKE_OBJECT_CLEARANCE_M:
-            continue
-        around = plan(planning_grid(drawn), avoid[index], avoid[index + 1])
-        detour = 0.0 if around is None else path_length(around) / path_length(leg)
-        if detour > longest:
-            longest, chosen = detour, drawn
-        if longest >= MIN_DETOUR:
-            break
-    assert chosen is not None  # noqa: S101 -- there is at least one draw
+        there = FakeObject(x, y, radius=rng.uniform(0.15, 0.25))
+        is_clear = np.hypot(*(avoid - (x, y)).T).min() >= FAKE_OBJECT_CLEARANCE_M
+        detour = _detour(leg, stops[index], stops[index + 1], there) if is_clear else 0.0
+        drawn.append((detour, there))
+    _, chosen = max(drawn, key=lambda draw: draw[0])
     return chosen
+
+
+def _detour(leg: NDArray[np.float64], begin: Pose2D, end: Pose2D, obstacle: FakeObject) -> float:
+    """Return how many times as long as a leg the way around an obstacle is; 0 if there is none."""
+    around = plan(planning_grid(obstacle), (begin.x, begin.y), (end.x, end.y))
+    return 0.0 if around is None else path_length(around) / path_length(leg)
 
 
 def path_length(path: NDArray[np.float64]) -> float:
@@ -234,7 +226,7 @@ def path_length(path: NDArray[np.float64]) -> float:
     return float(np.hypot(*np.diff(path, axis=0).T).sum())
 
 
-@functools.lru_cache(maxsize=1)
+@functools.cache
 def _static_costs() -> Costs:
     return static_costs(turtlebot3_world_map().data)
 

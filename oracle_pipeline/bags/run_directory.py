@@ -192,6 +192,14 @@ class RunDirectory:
         return self.path.with_name(f".{self.run_id}.{secrets.token_hex(4)}")
 
 
+def bytes_on_disk(path: Path) -> dict[str, int]:
+    """Return the size of each part of a run directory, for the manifest."""
+    return {
+        part: sum(file.stat().st_size for file in (path / part).rglob("*") if file.is_file())
+        for part in (BAG_FOLDER, GRAPHS_FOLDER)
+    }
+
+
 def find_runs(root: Path) -> list[RunDirectory]:
     """Return the complete runs below ``root``, sorted by mode and number."""
     return sorted(

@@ -19,6 +19,7 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 
 from oracle_pipeline.bags.content import ContentHash
 from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.manifest import TopicCount
 from oracle_pipeline.bags.types import definition, type_hash
 
 # The newest that Humble's `ros2 bag` opens; 9 turns the QoS profiles into a list it cannot parse.
@@ -123,6 +124,13 @@ class BagWriter:
     def counts(self) -> dict[str, int]:
         """Messages written so far, by topic; topics without any included."""
         return {name: topic.count for name, topic in self._topics.items()}
+
+    @property
+    def topics(self) -> dict[str, TopicCount]:
+        """What the bag holds of each topic so far, for the manifest."""
+        return {
+            name: TopicCount(topic.msgtype, topic.count) for name, topic in self._topics.items()
+        }
 
     @property
     def content_hash(self) -> str:

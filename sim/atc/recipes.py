@@ -1,6 +1,5 @@
 """What an air traffic run is made from: as `sim.recipes`, for the second testbed."""
 
-import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, Self
@@ -9,6 +8,7 @@ import numpy as np
 
 from sim.atc.airspace import Flight, Waypoint
 from sim.atc.traffic import draw_traffic
+from sim.seeds import generator, node_generator
 
 SESSIONS = 3
 SETTLING_S = 15.0  # three turns of the radars, before the recording begins
@@ -53,7 +53,7 @@ class AtcRecipe:
 
     def generator(self, node: str) -> np.random.Generator:
         """Return the randomness of one node; the same in every mode of the block."""
-        return _generator(self.seed, _NODE, self.block, zlib.crc32(node.encode()))
+        return node_generator(self.seed, _NODE, self.block, node)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the recipe as JSON knows it."""
@@ -90,7 +90,7 @@ def atc_recipe_for(mode: str, run: int, campaign: AtcCampaign) -> AtcRecipe:
         If there is no room for the campaign's flights.
     """
     session = _draw_session(campaign.seed, run % SESSIONS)
-    rng = _generator(campaign.seed, _BLOCK, run)
+    rng = generator(campaign.seed, _BLOCK, run)
     return AtcRecipe(
         mode=mode,
         run=run,
@@ -104,7 +104,7 @@ def atc_recipe_for(mode: str, run: int, campaign: AtcCampaign) -> AtcRecipe:
 
 
 def _draw_session(seed: int, index: int) -> AtcSession:
-    rng = _generator(seed, _SESSION, index)
+    rng = generator(seed, _SESSION, index)
     speed, towards = rng.uniform(0.0, 15.0), rng.uniform(0.0, 2.0 * np.pi)
     return AtcSession(
         index=index,
@@ -113,7 +113,3 @@ def _draw_session(seed: int, index: int) -> AtcSession:
         azimuth_bias_deg=float(rng.uniform(-0.04, 0.04)),
         latency_ms=float(rng.uniform(5.0, 20.0)),
     )
-
-
-def _generator(seed: int, *branch: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=branch))

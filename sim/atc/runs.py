@@ -5,7 +5,6 @@ the recipe's duration.
 """
 
 import hashlib
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,8 +13,8 @@ from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import (
     BAG_FOLDER,
     GRAPHS_FOLDER,
-    MANIFEST_FILE,
     RunDirectory,
+    bytes_on_disk,
 )
 from oracle_pipeline.bags.writer import BagWriter
 from sim.atc.airspace import AirSpace
@@ -33,9 +32,9 @@ from sim.atc.sensors import (
     SecondaryRadar,
     Transponder,
 )
-from sim.experiments import _bytes_on_disk
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
+from sim.protocol import make
 from sim.recording import GraphRecorder, Recorder
 from sim.software import software
 
@@ -62,11 +61,7 @@ def record_atc_run(mode: AtcMode, recipe: AtcRecipe, directory: RunDirectory) ->
     OracleError
         If the run cannot be written; its place is left as it was.
     """
-    with directory.staged() as scratch:
-        started = time.perf_counter()  # only for ``measured``: nothing that is recorded sees it
-        run = AtcRun(mode, recipe, scratch)
-        run.go()
-        run.manifest(wall_s=time.perf_counter() - started).save(scratch / MANIFEST_FILE)
+    make(directory, lambda folder: AtcRun(mode, recipe, folder))
     return directory.manifest()
 
 
@@ -163,12 +158,9 @@ class AtcRun:
             task_effect=None,
             recording_s=recipe.duration_s,
             contacts=(),
-            topics={
-                name: schema.TopicCount(self.domain.topics[name], count)
-                for name, count in self._bag.counts.items()
-            },
+            topics=self._bag.topics,
             content_hash=self._bag.content_hash,
             recipe=recipe.to_dict(),
             software=software(),
-            measured=schema.Measured(wall_s=wall_s, bytes=_bytes_on_disk(self._folder)),
+            measured=schema.Measured(wall_s=wall_s, bytes=bytes_on_disk(self._folder)),
         )
