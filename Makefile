@@ -24,7 +24,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "This needs Python 3.11 or newer; say which with: make setup PYTHON=python3.12"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dask,dev,postgres,s3]'
 	@touch $@
 
 run: setup ## Simulate the small campaign, analyse it, and say where the report is
@@ -46,7 +46,7 @@ types: setup
 	mypy
 
 constraints: setup ## Pin the newest versions that fit pyproject.toml
-	pip-compile --quiet --upgrade --extra dev --strip-extras --no-header --no-annotate \
+	pip-compile --quiet --upgrade --all-extras --strip-extras --no-header --no-annotate \
 		--no-emit-index-url --no-emit-trusted-host --no-emit-find-links --output-file constraints.txt pyproject.toml
 
 bench: setup ## Measure speed, size and memory, as ratios of one run

@@ -12,6 +12,7 @@ import numpy as np
 from assets.feature_tables import feature_table
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.bags.remote import fetched
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.datasets import MISSING, feature_columns, read_table
@@ -25,6 +26,10 @@ class Inspection:
 
     name: str  # of a function in this module
     runs: tuple[RunDirectory, ...]
+
+    def __str__(self) -> str:
+        """Return what is looked at, and where."""
+        return f"{self.name} of {' and '.join(run.key for run in self.runs)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +53,7 @@ def bag_is_complete(run: RunDirectory) -> Finding:
     recorded = {name: topic.messages for name, topic in run.manifest().topics.items()}
     recorded.pop(GROUND_TRUTH_TOPIC, None)
     read = dict.fromkeys(recorded, 0)
-    with BagReader(run.bag) as bag:
+    with fetched(run.bag) as folder, BagReader(folder) as bag:
         for message in bag.messages():
             read[message.topic] = read.get(message.topic, 0) + 1
     wrong = [

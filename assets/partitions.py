@@ -1,7 +1,8 @@
 """The one partitions definition: every run of every experiment mode.
 
 A key reads ``fake_object|run003``. Runs are static, so that a new one appears in every mode at
-once and the grid stays whole; how many there are is read when the code location loads.
+once and the grid stays whole. How many there are, and the scenario files of the user's folder, are
+read when the code location loads; a broken file is named in the log, and the others are there.
 """
 
 import os
@@ -10,7 +11,7 @@ from collections.abc import Mapping
 import dagster as dg
 
 from oracle_pipeline.bags.errors import OracleError
-from sim.modes import modes
+from sim.modes import broken_scenarios, modes
 
 
 class ConfigurationError(OracleError):
@@ -44,3 +45,5 @@ def runs_of_modes(count: int) -> dg.MultiPartitionsDefinition:
 
 
 RUNS = runs_of_modes(run_count(os.environ))
+for broken in broken_scenarios():
+    dg.get_dagster_logger().warning(f"Left out: {broken}")

@@ -7,6 +7,7 @@ it costs: docs/dagster.md.
 
 import contextlib
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import dagster as dg
@@ -21,11 +22,13 @@ from resources.budget import StorageBudget
 from resources.campaign import CampaignSettings
 from resources.fleet import Fleet
 from resources.store import RunStore
+from sim.modes import broken_scenarios
 from sim.progress import RunProgress
 from sim.software import software
 
 if TYPE_CHECKING:
-    from assets.worker import RunJob
+    from assets.worker import RunJob, RunReport
+    from sim.fan_out import Outcome
 
 EXPERIMENT_RUNS = dg.AssetSpec(
     "experiment_runs",
@@ -33,12 +36,12 @@ EXPERIMENT_RUNS = dg.AssetSpec(
     kinds={"mujoco", "ros2"},
     owners=OWNERS,
     code_version=software().code,
-    description="""One patrol of the robot in MuJoCo, normal or attacked, as its recipe says.
+    description="""A patrol of the robot in MuJoCo, or of air traffic, normal or attacked.
 
-Run *i* of every mode has the same start, goals and nuisance (block *i*). The manifest holds
-recipe, outcome, onset, contacts and hashes: `<root>/runs/<mode>/run003/manifest.json`.
-The same recipe gives the same messages, byte for byte. The run from above is in the metadata and in
-`picture.png`; `oracle-sim replay` makes a film of it.""",
+Run *i* of every mode of a testbed has the same start, goals or flights, and nuisance (block *i*).
+The manifest holds recipe, outcome, onset, what was changed, contacts and hashes:
+`<root>/runs/<mode>/run003/manifest.json`. The same recipe gives the same messages, byte for byte.
+A picture of the run is in the metadata and in `picture.png`; `oracle-sim replay` makes a film.""",
 )
 BAGS = dg.AssetSpec(
     "bags",
@@ -118,22 +121,28 @@ def recorded_runs(
     budget: StorageBudget,
 ) -> Iterator[dg.AssetMaterialization | dg.Output[None]]:
     """Take every run of the partitions from recipe to features, block by block."""
-    from assets.worker import process_run
-
+    for broken in broken_scenarios():
+        context.log.warning(f"Left out: {broken}")
     specs = [spec for spec in SPECS if spec.key in context.selected_asset_keys]
     keys = {str(key): key for key in context.partition_keys}
     jobs = [_job(key, specs, store, campaign, refresh=config.refresh) for key in keys]
     jobs.sort(key=lambda job: job.directory.run)  # so that paired modes finish together
     store.require_writable()
-    budget.require_room(store, sum(not job.directory.is_complete() for job in jobs))
 
     failed: dict[str, str] = {}
     simulated = 0
-    with contextlib.redirect_stderr(terminal.stderr()), RunProgress(len(jobs)) as progress:
-        for outcome in fleet.outcomes(process_run, jobs):
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(contextlib.redirect_stderr(terminal.stderr()))
+        progress = stack.enter_context(RunProgress(len(jobs)))
+        if config.refresh or not all(job.directory.is_complete() for job in jobs):
+            stack.enter_context(budget.alone(store))
+        for outcome in _outcomes(jobs, store, fleet, budget):
             key = outcome.job.directory.key
             if outcome.result is None:
                 failed[key] = outcome.error or "no reason was given"
+                continue
+            if not outcome.job.wanted:  # a finished run that had to make room
+                context.log_event(_shrunk(key, outcome.result))
                 continue
             for spec in specs:
                 made = outcome.result.assets[spec.key.to_user_string()]
@@ -145,7 +154,7 @@ def recorded_runs(
                     code_version=made.code,
                     metadata={
                         **presentation.facts(made.figures),
-                        "path": dg.MetadataValue.path(made.path),
+                        "path": dg.MetadataValue.path(str(store.path / made.path)),
                     },
                 )
             progress.done(outcome.result.simulated_s)
@@ -156,6 +165,40 @@ def recorded_runs(
         raise _failure(failed, len(jobs))
     for spec in specs:
         yield no_further_event(spec.key.to_python_identifier())
+
+
+def _outcomes(
+    jobs: Sequence["RunJob"], store: RunStore, fleet: Fleet, budget: StorageBudget
+) -> Iterator["Outcome[RunJob, RunReport]"]:
+    """Do the jobs, block by block; how much stays of each run is planned again as sizes get known.
+
+    Finished runs that have to make room for others are done first.
+    """
+    from assets.worker import RunJob, process_run
+
+    log = dg.get_dagster_logger("oracle")
+    waiting = list(jobs)
+    while waiting:
+        plan = budget.plan(store, [job.directory for job in waiting], fleet.workers)
+        if plan is None:
+            yield from fleet.outcomes(process_run, waiting)
+            return
+        log.info(f"Storage: {plan}.")
+        blocks = sorted({job.directory.run for job in waiting})[: plan.blocks_ahead]
+        now = [job for job in waiting if job.directory.run in blocks]
+        waiting = waiting[len(now) :]
+        making_room = [
+            RunJob(run, jobs[0].campaign, frozenset(), refresh=False, keep=plan.kept[run.run])
+            for run in plan.shrink
+        ]
+        planned = [replace(job, keep=plan.kept[job.directory.run]) for job in now]
+        yield from fleet.outcomes(process_run, [*making_room, *planned])
+
+
+def _shrunk(key: str, report: "RunReport") -> dg.AssetObservation:
+    return dg.AssetObservation(
+        "bags", partition=key, metadata={"kept": report.kept, "freed_bytes": report.freed_bytes}
+    )
 
 
 def _job(

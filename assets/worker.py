@@ -1,22 +1,38 @@
 """One run, from its recipe to its features, in a worker process.
 
 No Dagster here: a fresh interpreter imports this module before it can start. What is there
-already and still right is left as it is and called verified.
+already and still right is left as it is and called verified. What the storage plan does not keep
+is given up once all is made from it, and made again when features need it. A run that belongs into
+an object store is made on this machine's disk and published there, features first, its manifest
+last.
 """
 
+import contextlib
 import hashlib
 import json
+import tempfile
 import time
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
-from assets.feature_tables import Table, ensure_tables, feature_table
+from assets.feature_tables import (
+    Table,
+    ensure_tables,
+    feature_table,
+    tables_are_right,
+    topics_of_features,
+)
 from assets.versions import feature_code
 from oracle_pipeline.bags.graph_files import read_gexf
-from oracle_pipeline.bags.manifest import Manifest
-from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.bags.manifest import KEPT, Kept, Manifest
+from oracle_pipeline.bags.remote import is_local, publish
+from oracle_pipeline.bags.retention import retain
+from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RunDirectory
 from oracle_pipeline.datasets import MISSING, content_hash, feature_columns, read_table
-from sim.experiments import record_run
+from sim.experiments import can_be_made_again, record_run, remake_run
+from sim.pairs import judge_pair
 from sim.recipes import Campaign, recipe_for
 
 RECORDED = ("experiment_runs", "bags", "interval_graphs")  # made together, by the simulation
@@ -24,6 +40,7 @@ RECORDED = ("experiment_runs", "bags", "interval_graphs")  # made together, by t
 TABLES: dict[str, Table] = {"window_features": "window", "run_features": "run"}
 
 Figures = dict[str, int | float | str | bytes]  # bytes: a picture, PNG
+Status = Literal["made", "remade", "verified"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +51,18 @@ class RunJob:
     campaign: Campaign
     wanted: frozenset[str]  # assets
     refresh: bool  # make again what is there already
+    keep: Kept = "full"  # what stays of the bag in the end
+
+    def __str__(self) -> str:
+        """Return the run's partition key."""
+        return self.directory.key
 
 
 @dataclass(frozen=True, slots=True)
 class Made:
     """One asset of one run, as it is now."""
 
-    path: Path
+    path: str  # below the root
     code: str  # version of the code that made it
     version: str  # hash of the content
     figures: Figures
@@ -52,6 +74,8 @@ class RunReport:
 
     simulated_s: float  # of simulated time; 0 if the run was there already
     assets: dict[str, Made]  # those that were wanted
+    kept: Kept
+    freed_bytes: int
 
 
 def process_run(job: RunJob) -> RunReport:
@@ -62,32 +86,93 @@ def process_run(job: RunJob) -> RunReport:
     OracleError
         If the run cannot be recorded, or what was recorded cannot be read.
     """
+    with job.directory.held():
+        former = job.directory.manifest() if job.directory.is_complete() else None
+        to_be_recorded = not job.wanted.isdisjoint(RECORDED)
+        if former is None or (to_be_recorded and job.refresh):
+            with _made_here(job.directory) as here:
+                there = replace(job, directory=here)
+                _record(there)
+                return _finish(there, "made")
+        if to_be_recorded:
+            _record(job)
+        if _lacks_its_bag(job, former):
+            with _made_here(job.directory) as here:
+                remake_run(former, here)
+                return _finish(replace(job, directory=here), "remade")
+        return _finish(job, "verified")
+
+
+def _record(job: RunJob) -> None:
+    """Record the run, or verify it if it is there."""
+    recipe = recipe_for(job.directory.mode, job.directory.run, job.campaign)
+    record_run(recipe, job.directory, refresh=job.refresh)
+
+
+def _lacks_its_bag(job: RunJob, manifest: Manifest) -> bool:
+    """Tell whether features have to be extracted from a bag that is not whole any more."""
+    if manifest.measured.kept == "full" or job.wanted.isdisjoint(TABLES):
+        return False
+    return job.refresh or not tables_are_right(job.directory, manifest)
+
+
+@contextlib.contextmanager
+def _made_here(run: RunDirectory) -> Iterator[RunDirectory]:
+    """Give a place on this machine to make a run in: its own, or one that is published after it."""
+    if is_local(run.root):
+        yield run
+        return
+    with tempfile.TemporaryDirectory(prefix="oracle-") as root:
+        here = replace(run, root=Path(root))
+        try:
+            yield here
+        finally:  # a whole run is kept, whatever became of its features
+            if here.is_complete():
+                _put_in_place(here, run)
+
+
+def _put_in_place(here: RunDirectory, run: RunDirectory) -> None:
+    """Publish a run that was made on this machine, and judge it beside its pair's other one."""
+    for file in (here.root / "features").rglob("*"):
+        if file.is_file():
+            (run.root / file.relative_to(here.root).as_posix()).write_bytes(file.read_bytes())
+    publish(here.path, run.path, MANIFEST_FILE)
+    judge_pair(run)
+
+
+def _finish(job: RunJob, status: Status) -> RunReport:
+    """Extract the features of a run that is there, give up what is not kept, describe the rest."""
     made: dict[str, Made] = {}
-    recorded = _record(job)
     manifest = job.directory.manifest()
-    if not job.wanted.isdisjoint(RECORDED):
-        made |= _recording(job.directory, manifest, _status(recorded))
-    if "experiment_runs" in job.wanted:
-        made["experiment_runs"].figures["picture"] = _picture(job.directory)
+    picture = _picture(job.directory) if "experiment_runs" in job.wanted else ""
     if not job.wanted.isdisjoint(TABLES):
         made |= _features(job, manifest)
+    if KEPT.index(job.keep) > KEPT.index(manifest.measured.kept) and can_be_made_again(manifest):
+        manifest = _retain(job, manifest)
+    if not job.wanted.isdisjoint(RECORDED):
+        made |= _recording(job.directory, manifest, status)
+        made["experiment_runs"].figures["picture"] = picture
+        made["bags"].figures["planned"] = job.keep
     return RunReport(
-        simulated_s=manifest.recording_s if recorded else 0.0,
+        simulated_s=manifest.recording_s if status != "verified" else 0.0,
         assets={asset: described for asset, described in made.items() if asset in job.wanted},
+        kept=manifest.measured.kept,
+        freed_bytes=manifest.measured.freed_bytes,
     )
 
 
-def _record(job: RunJob) -> bool:
-    """Record the run unless it is there; tell whether it was recorded."""
-    complete = job.directory.is_complete()
-    if complete and job.wanted.isdisjoint(RECORDED):
-        return False
-    recipe = recipe_for(job.directory.mode, job.directory.run, job.campaign)
-    record_run(recipe, job.directory, refresh=job.refresh)
-    return job.refresh or not complete
+def _retain(job: RunJob, manifest: Manifest) -> Manifest:
+    """Give up what is not kept, once all is there that is made from the whole bag."""
+    run = job.directory
+    if manifest.measured.kept == "full":
+        ensure_tables(run, manifest, refresh=False)
+        _picture(run)
+    retain(run, job.keep, topics_of_features)
+    judge_pair(run)  # somebody may have, while the run was put back
+    return run.manifest()
 
 
-def _recording(directory: RunDirectory, manifest: Manifest, status: str) -> dict[str, Made]:
+def _recording(directory: RunDirectory, manifest: Manifest, status: Status) -> dict[str, Made]:
     measured = manifest.measured
     run: Figures = {
         "status": status,
@@ -109,6 +194,8 @@ def _recording(directory: RunDirectory, manifest: Manifest, status: str) -> dict
         "bytes": measured.bytes["bag"],
         "messages": sum(topic.messages for topic in manifest.topics.values()),
         "topics": len(manifest.topics),
+        "kept": measured.kept,
+        "freed_bytes": measured.freed_bytes,
         "content_hash": manifest.content_hash,
     }
     graph = read_gexf(directory.graphs / "run.gexf")
@@ -125,7 +212,12 @@ def _recording(directory: RunDirectory, manifest: Manifest, status: str) -> dict
     }
     described = ((directory.path, run), (directory.bag, bag), (directory.graphs, graphs))
     return {
-        asset: Made(path, manifest.software.code, str(figures["content_hash"]), figures)
+        asset: Made(
+            path.relative_to(directory.root).as_posix(),
+            manifest.software.code,
+            str(figures["content_hash"]),
+            figures,
+        )
         for asset, (path, figures) in zip(RECORDED, described, strict=True)
     }
 
@@ -152,7 +244,7 @@ def _features(job: RunJob, manifest: Manifest) -> dict[str, Made]:
         absent = sorted({name for row in reasons for name in row})
         version = content_hash(df)
         figures: Figures = {
-            "status": _status(extracted),
+            "status": "made" if extracted else "verified",
             "rows": len(df),
             "features": len(feature_columns(df)),
             "missing": sum(len(row) for row in reasons),
@@ -161,9 +253,6 @@ def _features(job: RunJob, manifest: Manifest) -> dict[str, Made]:
             "wall_s": wall_s,
             "content_hash": version,
         }
-        made[asset] = Made(place, feature_code(), version, figures)
+        path = place.relative_to(job.directory.root).as_posix()
+        made[asset] = Made(path, feature_code(), version, figures)
     return made
-
-
-def _status(made_now: bool) -> str:
-    return "made" if made_now else "verified"

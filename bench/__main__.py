@@ -2,10 +2,16 @@
 
 import argparse
 
-from bench import navigation, testbed
+from bench import clustering, features, navigation, scenarios, testbed
 
-BENCHMARKS = {"testbed": testbed.rows, "navigation": navigation.rows}
-DEFAULT = ("testbed",)  # speed, size and memory; the others take longer
+BENCHMARKS = {
+    "testbed": testbed.rows,
+    "scenarios": scenarios.rows,
+    "navigation": navigation.rows,
+    "features": features.rows,
+    "clustering": clustering.rows,
+}
+DEFAULT = ("testbed", "scenarios")  # speed, size and memory; the others take longer
 
 
 def main() -> None:

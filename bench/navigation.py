@@ -102,7 +102,7 @@ def _drive_one(job: _Job) -> _Drive:
         errors = _amcl_errors_m(directory)
     finally:
         shutil.rmtree(root)
-    stops = [recipe.start, *recipe.goals]
+    stops = [manifest.start, *manifest.goals]
     grid = planning_grid()
     detours = []
     for result, begin, end in zip(manifest.goal_results, stops, stops[1:], strict=False):

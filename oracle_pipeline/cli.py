@@ -1,6 +1,6 @@
 """``oracle``: the analysis from the command line, without Dagster.
 
-Exit codes: 0 done, 2 could not be done, whatever the reason.
+Exit codes: 0 done, 2 could not be done, whatever the reason. ``oracle score`` adds 1: anomalous.
 """
 
 import json
@@ -13,7 +13,7 @@ import pandas as pd
 
 from oracle_pipeline import features as feature_extraction
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.datasets import MISSING, field_metadata, write_table
+from oracle_pipeline.datasets import MISSING, WHERE, field_metadata, replacing, write_table
 from oracle_pipeline.runs import open_run
 
 
@@ -43,6 +43,12 @@ def main() -> None:
     """Tell right behaviour of a ROS 2 system from wrong, from its recordings."""
 
 
+_plugins = click.option(
+    "--plugins", type=click.Path(path_type=Path), envvar="ORACLE_PLUGINS",
+    help="Folder of feature plugins.  [default: $ORACLE_PLUGINS, if set]",
+)  # fmt: skip
+
+
 @main.command()
 @click.argument("run_or_bag", type=click.Path(path_type=Path))
 @click.option(
@@ -57,10 +63,7 @@ def main() -> None:
     "--output", type=click.Path(path_type=Path, dir_okay=False),
     help="File to write; Parquet needs one.  [default: standard output]",
 )  # fmt: skip
-@click.option(
-    "--plugins", type=click.Path(path_type=Path), envvar="ORACLE_PLUGINS",
-    help="Folder of feature plugins.  [default: $ORACLE_PLUGINS, if set]",
-)  # fmt: skip
+@_plugins
 def features(
     run_or_bag: Path, table: str, file_format: str, output: Path | None, plugins: Path | None
 ) -> None:
@@ -95,8 +98,70 @@ def _json(table: pd.DataFrame) -> str:
     rows = [
         {
             **{column: None if pd.isna(value) else value for column, value in row.items()},
-            MISSING: json.loads(row[MISSING]),
+            **{column: json.loads(row[column]) for column in (WHERE, MISSING)},
         }
         for row in table.to_dict("records")
     ]
     return json.dumps({"rows": rows, "fields": field_metadata(table)}, indent=2, allow_nan=False)
+
+
+@main.command()
+@click.argument("recordings", metavar="RUN_OR_BAG...", nargs=-1, required=True,
+                type=click.Path(path_type=Path))  # fmt: skip
+@click.option(
+    "--reference", required=True, type=click.Path(path_type=Path),
+    help="Right runs to compare with: a table of run features, a root with features/ or runs/, "
+    "or any folder of run directories or bags. Attacked runs in it are left out.",
+)  # fmt: skip
+@click.option(
+    "--far", default=0.05, show_default=True,
+    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
+    help="False-alarm rate: the share of right runs that may be called anomalous.",
+)  # fmt: skip
+@click.option(
+    "--format", "file_format", type=click.Choice(["text", "json"]), default="text",
+    show_default=True, help="Text for reading; one JSON object for programs.",
+)  # fmt: skip
+@click.option(
+    "--junit", type=click.Path(path_type=Path, dir_okay=False),
+    help="File to write the verdicts to as JUnit XML as well, for a CI system.",
+)  # fmt: skip
+@_plugins
+@click.pass_context
+def score(
+    ctx: click.Context,
+    recordings: tuple[Path, ...],
+    reference: Path,
+    far: float,
+    file_format: str,
+    junit: Path | None,
+    plugins: Path | None,
+) -> None:
+    """Judge recordings by the right runs of a reference.
+
+    Exit code 0: all are like them; 1: one is anomalous; 2: one could not be judged, or none.
+
+    RUN_OR_BAG is what `oracle features` takes; several are judged as one suite. Half of the
+    reference runs teach a detector what is usual, the other half calibrate it: the p-value is the
+    share of them that are at least as odd, and a run is anomalous if that is at most --far. With
+    fewer than 19 calibration runs for 5%, or 99 for 1%, nothing is judged.
+
+    \b
+    Examples:
+        oracle score data/runs/fake_object/run003 --reference data/datasets/features.parquet
+        oracle score tonight/* --reference good_bags/ --far 0.1 --junit verdicts.xml
+        oracle score my_robot_bag/ --reference data --format json \\
+            | jq '.recordings[0].evidence[0]'
+    """  # noqa: D301 -- click reads the control character
+    from oracle_pipeline import scoring
+    from oracle_pipeline.reporting import verdicts
+
+    manager = feature_extraction.build_manager(plugins)
+    known = scoring.read_reference(reference, manager)
+    judged = scoring.score(recordings, known, manager, far)
+    show = verdicts.as_json if file_format == "json" else verdicts.as_text
+    click.echo(show(judged, far, known.notes))
+    if junit is not None:
+        with replacing(junit) as sink:
+            sink.write(verdicts.as_junit(judged))
+    ctx.exit(verdicts.exit_code(judged))

@@ -6,6 +6,7 @@ field metadata of the Parquet schema and, in memory, in ``DataFrame.attrs["field
 """
 
 import hashlib
+import io
 import json
 import os
 import secrets
@@ -23,8 +24,11 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import LABELS
+from oracle_pipeline.bags.remote import is_local
 
 KEYS = ("run_id", "mode", "label", "block", "session")
+WINDOW_START = "window_start_s"  # one more key where a row is a window [s of the recording]
+WHERE = "where"  # the column that says at which topic, pair or edge a feature was attained
 MISSING = "missing"  # the column that says why a feature is NaN
 
 #: Pairs of modes with equal graphs by construction: (control, attacked).
@@ -76,6 +80,16 @@ def is_malicious(df: pd.DataFrame) -> NDArray[np.bool_]:
     return np.asarray(df["label"] == "malicious", dtype=np.bool_)
 
 
+def without_empty_families(df: pd.DataFrame) -> pd.DataFrame:
+    """Return a table without the families of which no row has a value: other systems' ones."""
+    columns = feature_columns(df)
+    families = {column.split(".", 1)[0] for column in columns if df[column].notna().any()}
+    empty = [column for column in columns if column.split(".", 1)[0] not in families]
+    kept = df.drop(columns=empty).reset_index(drop=True)
+    kept.attrs["fields"] = {c: f for c, f in field_metadata(df).items() if c not in empty}
+    return kept
+
+
 def feature_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
     """Join the feature tables of many runs into one, a row a run, sorted by ``run_id``.
 
@@ -87,36 +101,52 @@ def feature_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
         Nothing to join, a key column missing or empty, a run given twice, an unknown label, or
         tables whose columns, types or units differ.
     """
+    return _joined(tables, KEYS, "run", ["run_id"])
+
+
+def window_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
+    """Join the window tables of many runs into one, a row a window, by ``run_id`` and start.
+
+    As `feature_dataset`, errors included.
+    """
+    return _joined(tables, (*KEYS, WINDOW_START), "window", ["run_id", WINDOW_START])
+
+
+def _joined(
+    tables: Iterable[pd.DataFrame], keys: tuple[str, ...], kind: str, order: list[str]
+) -> pd.DataFrame:
     parts = [table for table in tables if len(table)]
     if not parts:
-        raise DatasetError("There are no run features to join; record runs and extract features.")
+        raise DatasetError(
+            f"There are no {kind} features to join; record runs and extract features."
+        )
     for part in parts:
-        _check_keys(part)
+        _check_keys(part, keys)
     parts.sort(key=lambda part: str(part["run_id"].iloc[0]))
     columns = list(dict.fromkeys(column for part in parts for column in feature_columns(part)))
     for part in parts:
         _check_columns(part, columns)
     joined = pd.concat(parts, ignore_index=True).astype(dict.fromkeys(columns, np.float64))
-    repeated = joined.loc[joined["run_id"].duplicated(), "run_id"].unique()
+    repeated = joined.loc[joined.duplicated(order), "run_id"].unique()
     if len(repeated):
         raise DatasetError(
             f"Runs {', '.join(sorted(repeated))} stand in more than one feature table; "
-            "remove the stale files under features/run and join again."
+            f"remove the stale files under features/{kind} and join again."
         )
-    joined = joined[[*KEYS, *columns, MISSING]]
-    joined = joined.sort_values("run_id", kind="stable", ignore_index=True)
+    joined = joined[[*keys, *columns, WHERE, MISSING]]
+    joined = joined.sort_values(order, kind="stable", ignore_index=True)
     joined.attrs["fields"] = _joined_fields(parts)
     return joined
 
 
-def _check_keys(table: pd.DataFrame) -> None:
-    absent = [key for key in (*KEYS, MISSING) if key not in table.columns]
+def _check_keys(table: pd.DataFrame, keys: tuple[str, ...]) -> None:
+    absent = [key for key in (*keys, WHERE, MISSING) if key not in table.columns]
     if absent:
         raise DatasetError(
             f"A feature table lacks the columns {', '.join(absent)}; "
             "it was not written by the feature extraction. Extract its features again."
         )
-    for key in KEYS:
+    for key in keys:
         if table[key].isna().any():
             raise DatasetError(f"Key column {key!r} is empty in {_runs(table)}; extract it again.")
     unknown = sorted(set(table["label"]) - set(LABELS))
@@ -164,6 +194,11 @@ def _runs(table: pd.DataFrame) -> str:
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """Give a file to write that takes the place of `path` once it is whole and on the disk."""
+    if not is_local(path):  # an object is there when all of it is
+        whole = io.BytesIO()
+        yield whole
+        path.write_bytes(whole.getvalue())
+        return
     path.parent.mkdir(parents=True, exist_ok=True)
     scratch = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
@@ -194,7 +229,8 @@ def read_table(path: Path) -> pd.DataFrame:
         The file is absent or is not Parquet.
     """
     try:
-        table = pq.read_table(path)
+        with path.open("rb") as source:
+            table = pq.read_table(source)
     except FileNotFoundError as error:
         raise DatasetError(f"There is no table {path}; make it first.") from error
     except pa.ArrowInvalid as error:

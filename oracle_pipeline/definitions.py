@@ -14,7 +14,15 @@ import dagster as dg
 warnings.filterwarnings("ignore", category=dg.BetaWarning)
 warnings.filterwarnings("ignore", category=dg.PreviewWarning)
 
-from assets import automation, checks, reports, runs  # noqa: E402
+from assets import (  # noqa: E402
+    automation,
+    checks,
+    datasets,
+    evaluation,
+    evaluation_checks,
+    reports,
+    runs,
+)
 from resources.budget import StorageBudget  # noqa: E402
 from resources.campaign import CampaignSettings  # noqa: E402
 from resources.fleet import Fleet  # noqa: E402
@@ -39,15 +47,17 @@ def build_defs(**overrides: object) -> dg.Definitions:
         "store": RunStore(root=dg.EnvVar("ORACLE_HOME"))
         if "ORACLE_HOME" in os.environ
         else RunStore(),
-        "fleet": Fleet(),
+        "fleet": Fleet(address=dg.EnvVar("ORACLE_DASK"))
+        if "ORACLE_DASK" in os.environ
+        else Fleet(),
         "campaign": CampaignSettings(goals_per_run=Campaign.from_environment().goals_per_run),
         "budget": StorageBudget(),
     }
     if unknown := overrides.keys() - resources.keys():
         raise TypeError(f"No resource is called {sorted(unknown)}; there are {sorted(resources)}.")
     return dg.Definitions(
-        assets=dg.load_assets_from_modules([runs, reports]),
-        asset_checks=[checks.checks_of_runs],
+        assets=dg.load_assets_from_modules([runs, datasets, evaluation, reports]),
+        asset_checks=[checks.checks_of_runs, evaluation_checks.checks_of_evaluation],
         jobs=[automation.everything],
         schedules=[automation.nightly],
         resources=resources | overrides,

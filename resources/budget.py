@@ -1,45 +1,67 @@
-"""What may be spent on disk: so far, all but a reserve that stays free."""
+"""What may be spent on disk, as a Dagster resource; the planning is in ``resources.stock``."""
 
-import shutil
-import statistics
-from pathlib import Path
+import contextlib
+from collections.abc import Iterator, Sequence
 
 import dagster as dg
 from pydantic import Field
 
+from oracle_pipeline.bags.run_directory import RunDirectory, lock
+from resources.failures import clear_failures
+from resources.stock import StoragePlan, make_plan, parse_budget
 from resources.store import RunStore
-
-FIRST_GUESS = 60_000_000  # bytes a run of 8 goals, while no run is there to be measured
-SAMPLE = 20  # runs, of all modes, that the expected size is the median of
 
 
 class StorageBudget(dg.ConfigurableResource[None]):
-    """A check before work begins, so that a full disk is met at the start and not in the middle."""
+    """A plan before runs are made: a full disk is met at the start and not in the middle."""
 
+    limit: str = Field(
+        default="",
+        description="What everything below the root may take: bytes, or such as `20GiB`; empty: "
+        "what is free, less the reserve.",
+    )
     reserve_mb: int = Field(
         default=500, ge=0, description="Space on the disk of the root that has to stay free [MB]."
     )
 
-    def require_room(self, store: RunStore, runs: int) -> None:
-        """Fail now if so many new runs would eat into the reserve.
+    def plan(
+        self, store: RunStore, wanted: Sequence[RunDirectory], workers: int
+    ) -> StoragePlan | None:
+        """Plan what is kept of which runs; None in an object store, which has no end.
 
-        What a run takes is the median of those that are there.
+        Raises
+        ------
+        dagster.Failure
+            If not even graphs and features fit; it says what would.
         """
-        free = shutil.disk_usage(store.path).free
-        there = store.complete_runs()
-        sizes = [_bytes_on_disk(run.path) for run in there[:: len(there) // SAMPLE + 1]]
-        run_bytes = int(statistics.median(sizes)) if sizes else FIRST_GUESS
-        needed = runs * run_bytes + self.reserve_mb * 1_000_000
-        if runs and needed > free:
-            raise dg.Failure(
-                f"{runs} runs of about {run_bytes / 1e6:.0f} MB and a reserve of "
-                f"{self.reserve_mb} MB do not fit into the {free / 1e6:.0f} MB that are free for "
-                f"{store.path}. Free some space, materialize fewer runs, or point ORACLE_HOME to "
-                "another disk.",
-                metadata={"free_bytes": free, "needed_bytes": needed},
-                allow_retries=False,
+        with clear_failures():
+            budget = parse_budget(self.limit)
+            if not store.is_local:
+                return None
+            return make_plan(
+                store.path,
+                wanted,
+                budget=budget,
+                reserve=self.reserve_mb * 1_000_000,
+                workers=workers,
             )
 
+    @contextlib.contextmanager
+    def alone(self, store: RunStore) -> Iterator[None]:
+        """Spend what is planned: whoever else makes runs below this root waits, or is waited for.
 
-def _bytes_on_disk(folder: Path) -> int:
-    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+        A plan holds only as long as nobody else fills the disk after another one.
+        """
+        if not store.is_local:
+            yield
+            return
+        with contextlib.ExitStack() as held:
+            try:
+                held.enter_context(lock(store.path, wait=False))
+            except BlockingIOError:
+                dg.get_dagster_logger("oracle").info(
+                    f"Another materialization makes runs below {store.path}; this one goes on when "
+                    "that has ended."
+                )
+                held.enter_context(lock(store.path))
+            yield

@@ -1,7 +1,8 @@
-"""Where runs, features, datasets and reports live: the layout of one folder."""
+"""Where runs, features, datasets and reports live: the layout of one folder, here or on S3."""
 
-import tempfile
+import secrets
 from pathlib import Path
+from typing import cast
 
 import dagster as dg
 from pydantic import Field
@@ -14,31 +15,53 @@ class RunStore(dg.ConfigurableResource[None]):
 
     root: str = Field(
         default="data",
-        description="Folder for runs, features, datasets and the report; made if it is not there.",
+        description="Folder for runs, features, datasets and the report, made if it is not there; "
+        "or one in an object store, such as `s3://bucket/prefix`.",
     )
 
     @property
+    def is_local(self) -> bool:
+        """Whether the root is on this machine, or mounted on it."""
+        return "://" not in self.root
+
+    @property
     def path(self) -> Path:
-        """The root, absolute."""
-        return Path(self.root).expanduser().resolve()
+        """The root, absolute; of an object store a ``UPath``, which acts like a ``Path``."""
+        if self.is_local:
+            return Path(self.root).expanduser().resolve()
+        from upath import UPath
+
+        # Other processes write there: what was listed once need not be what is there now.
+        return cast(Path, UPath(self.root, use_listings_cache=False))
 
     def require_writable(self) -> None:
         """Make the root; fail now, with advice, if nothing could be written there later."""
         try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=self.path):
-                pass
-        except OSError as error:
+            if self.is_local:
+                self.path.mkdir(parents=True, exist_ok=True)
+            probe = self.path / f".{secrets.token_hex(4)}"
+            probe.write_bytes(b"")
+            probe.unlink()
+        except ImportError as error:
             raise dg.Failure(
-                f"Nothing can be written below {self.path}: {error.strerror}. "
-                "Point ORACLE_HOME to a folder that can be written to.",
+                f"{self.root} needs a library that is not installed: {error}. Install it with "
+                "pip install 'ros2-behaviour-oracle[s3]', here and where the workers are.",
+                allow_retries=False,
+            ) from error
+        except Exception as error:  # each object store's client has errors of its own
+            place, advice = (
+                (self.path, "a folder that can be written to")
+                if self.is_local
+                else (self.root, "a bucket that can be written to, and check keys and endpoint")
+            )
+            raise dg.Failure(
+                f"Nothing can be written below {place}: {error}. Point ORACLE_HOME to {advice}.",
                 allow_retries=False,
             ) from error
 
     def run(self, key: str) -> RunDirectory:
         """Return the place of a run, by its partition key."""
-        mode, run_id = key.split("|")
-        return RunDirectory(self.path, mode, int(run_id.removeprefix("run")))
+        return RunDirectory.of_key(self.path, key)
 
     def complete_runs(self) -> list[RunDirectory]:
         """Return the runs that are there, sorted by mode and number."""

@@ -1,13 +1,12 @@
-"""One run: the protocol from the first node to the last goal, and its run directory.
+"""Runs of any mode and their run directories; and the protocol of one on the TurtleBot3 testbed.
 
-The robot comes up, is told where it is, and once Nav2 is active the recorder starts; the client
-then sends the patrol's goals. The run ends a moment after the last goal's result, after an abort,
-or when time is up. World, nodes and loop meet here and nowhere else.
+That of the second testbed is in ``sim.atc.runs``. Here the robot comes up, is told where it is, and
+once Nav2 is active the recorder starts; the client then sends the patrol's goals. The run ends a
+moment after the last goal's result, after an abort, or when time is up. World, nodes and loop meet
+here and nowhere else.
 """
 
-import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,22 +20,24 @@ from oracle_pipeline.bags.run_directory import (
     bytes_on_disk,
 )
 from oracle_pipeline.bags.writer import BagWriter
-from sim.fuzzing.relays import INPUT_TOPIC, FakeObject, FakeObjectRelay, NoiseRelay, Relay
+from sim.atc.recipes import AtcRecipe
+from sim.atc.runs import AtcRun
+from sim.fuzzing.node import MutationNode
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.middleware.geometry import Pose2D
-from sim.modes import DELAY_S, modes
+from sim.modes import Mode
 from sim.nav2.basic_navigator import GoalResult
 from sim.nav2.bringup import bring_up
 from sim.nav2.collision_monitor import SOURCES
 from sim.odometer import Odometer
 from sim.pairs import judge_pair
-from sim.protocol import make
+from sim.protocol import compiled, make
 from sim.recipes import Recipe
 from sim.recording import DEBUG_TOPICS, GraphRecorder, ReceiveClock, Recorder
 from sim.software import software
-from sim.turtlebot3 import frames
-from sim.turtlebot3.map import WORLD_IN_MAP, odom_in_map, turtlebot3_world_map
+from sim.turtlebot3.arena import Cylinder
+from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
 from sim.turtlebot3.nodes import LidarNoise, add_robot
 from sim.turtlebot3.world import World, WorldParameters
 
@@ -45,13 +46,17 @@ BEFORE_RECORDING_NS = 1 * SECOND  # from an active Nav2 to the recorder's start
 BEFORE_FIRST_GOAL_NS = 2 * SECOND  # from the recorder's start to the first goal
 AFTER_LAST_GOAL_NS = 2 * SECOND
 
+NODE = "/lidar_passthrough"  # the mode's node, whatever it does
+
 
 class BringUpError(RunDirectoryError):
     """Nav2 did not become active."""
 
 
-def record_run(recipe: Recipe, directory: RunDirectory, *, refresh: bool = False) -> Manifest:
-    """Make one run, whole or not at all.
+def record_run(
+    recipe: Recipe | AtcRecipe, directory: RunDirectory, *, refresh: bool = False
+) -> Manifest:
+    """Make one run on the testbed that its recipe is for, whole or not at all.
 
     Parameters
     ----------
@@ -77,18 +82,86 @@ def record_run(recipe: Recipe, directory: RunDirectory, *, refresh: bool = False
     """
     if directory.is_complete() and not refresh:
         return _verified(directory, recipe)
-    make(directory, lambda folder: Run(recipe, folder))
+    return _make(recipe, directory)
+
+
+def remake_run(former: Manifest, directory: RunDirectory) -> Manifest:
+    """Make a run again whose bag was dropped or trimmed, from the recipe in its manifest.
+
+    Parameters
+    ----------
+    former
+        What is known of the run.
+    directory
+        Where the run belongs; what is there is replaced.
+
+    Returns
+    -------
+    Manifest
+        Of the run as it is now. With the same software its messages are what they were; with other
+        software it is a new generation of the run, and its features have to be made anew.
+
+    Raises
+    ------
+    RunDirectoryError
+        If the manifest holds no recipe that can be followed, or the same software makes other
+        messages.
+    OracleError
+        If the run cannot be written; its place is left as it was.
+    """
+    return _make(recipe_of(former), directory, former)
+
+
+def recipe_of(manifest: Manifest) -> Recipe | AtcRecipe:
+    """Return the recipe in a manifest.
+
+    Raises
+    ------
+    RunDirectoryError
+        If it is none: of another release, or of a run that was derived from another's bag.
+    """
+    testbed = AtcRecipe if "flights" in manifest.recipe else Recipe
+    try:
+        return testbed.from_dict(manifest.recipe)
+    except (KeyError, TypeError) as error:
+        raise RunDirectoryError(
+            f"Run {manifest.run} of {manifest.mode} cannot be made from its recipe: {error}. It "
+            "was derived from another run's bag, or is of another release; make it as it was made."
+        ) from error
+
+
+def can_be_made_again(manifest: Manifest) -> bool:
+    """Tell whether this software makes the very same run from the recipe in its manifest."""
+    if manifest.software != software():
+        return False
+    try:
+        recipe_of(manifest)
+    except RunDirectoryError:
+        return False
+    return True
+
+
+def _make(
+    recipe: Recipe | AtcRecipe, directory: RunDirectory, former: Manifest | None = None
+) -> Manifest:
+    if isinstance(recipe, AtcRecipe):
+        make(directory, lambda folder: AtcRun(recipe, folder), former)
+    else:
+        make(directory, lambda folder: Run(recipe, folder), former)
     judge_pair(directory)
     return directory.manifest()
 
 
-def _verified(directory: RunDirectory, recipe: Recipe) -> Manifest:
+def _verified(directory: RunDirectory, recipe: Recipe | AtcRecipe) -> Manifest:
     """Return the manifest of a finished run, if it is this recipe's and nothing is missing."""
     found = directory.manifest()
-    if Recipe.from_dict(found.recipe) != recipe:
+    ours = recipe.to_dict()
+    if found.recipe != ours:
+        names = {**ours, **found.recipe}
+        other = [name for name in names if found.recipe.get(name) != ours.get(name)]
         raise RunDirectoryError(
-            f"{directory.path} was made from another recipe (seed {found.seed}, "
-            f"{len(found.goals)} goals); refresh it, or choose another root for this campaign."
+            f"{directory.path} was made from another recipe (it differs in {', '.join(other)}); "
+            "refresh it, or choose another root for this campaign."
         )
     sizes = bytes_on_disk(directory.path)
     if sizes != found.measured.bytes:
@@ -112,15 +185,11 @@ class Run:
 
     def __init__(self, recipe: Recipe, folder: Path) -> None:
         self._recipe = recipe
-        self._mode = modes()[recipe.mode]
+        self._program = compiled(recipe.mode, recipe.scenario)
         self._folder = folder
         session, options = recipe.session, recipe.options
         self._latency_ns = round(session.latency_ms * MILLISECOND)
-        self._world = World(
-            WorldParameters(
-                WORLD_IN_MAP.inverse().compose(recipe.start), session.friction, session.mass
-            )
-        )
+        self._world = World(_world_parameters(recipe))
         self._executor = Executor(on_advance=self._world.advance_to)
         self._domain = Domain(self._executor)
         noise = LidarNoise(session.lidar_noise_m, session.lidar_bias_m)
@@ -141,13 +210,15 @@ class Run:
             monitored=[
                 source
                 for source in SOURCES
-                if not (options.wiring == "replace" and source.topic == INPUT_TOPIC)
+                if not (options.wiring == "replace" and source.topic == self._program.input_topic)
             ],
+            speed=recipe.conditions.speed,
         )
         self._odometer = Odometer(self._executor, lambda: self._world.pose)
         self._patrol_over = False
         self._start_ns = 0  # of the recording
         self._end_ns = 0
+        self._node: MutationNode | None = None
         self._onset_ns: int | None = None
 
     def go(self) -> None:
@@ -157,10 +228,13 @@ class Run:
         self._executor.run_until(BRING_UP_NS, stop=lambda: self._nav2.is_active)
         if not self._nav2.is_active:
             raise BringUpError(f"Nav2 was not active after {BRING_UP_NS // SECOND} s; see /rosout.")
-        if not self._mode.delayed:
-            self._start_relay()
+        activation = self._program.activation
+        if activation.before == "forward":
+            self._start_node()
         self._executor.run_until(self._executor.now_ns + BEFORE_RECORDING_NS)
         self._start_ns = self._executor.now_ns
+        if activation.after == "start":
+            self._set_onset(self._start_ns)
         graphs = self._folder / GRAPHS_FOLDER
         graphs.mkdir()
         with BagWriter(self._folder / BAG_FOLDER, self._recipe.storage) as self._bag:
@@ -184,7 +258,7 @@ class Run:
 
     def manifest(self, wall_s: float) -> Manifest:
         """Return what the finished run was."""
-        recipe, mode = self._recipe, self._mode
+        recipe, scenario = self._recipe, self._program.scenario
         results = tuple(
             map(self._goal_result, self._nav2.navigator.results, self._odometer.distances())
         )
@@ -193,8 +267,8 @@ class Run:
             (result.outcome for result in results if result.outcome != "succeeded"), "succeeded"
         )
         return Manifest(
-            mode=mode.id,
-            label=mode.label,
+            mode=recipe.mode,
+            label=scenario.label,
             run=recipe.run,
             block=recipe.block,
             session=recipe.session.index,
@@ -203,11 +277,12 @@ class Run:
             goals=tuple(map(_pose, recipe.goals)),
             goal_results=results,
             outcome=worst,
-            onset_s=None if self._onset_ns is None else self._seconds(self._onset_ns),
+            onset_s=self._onset_s(),
             attack=self._attack(),
-            scenario=mode.id,
-            scenario_hash=hashlib.sha256(repr(mode).encode()).hexdigest(),
+            scenario=scenario.id,
+            scenario_hash=scenario.digest,
             task_effect=None,  # until the run and its control are both there
+            changes=() if self._node is None else self._node.changes(self._start_ns),
             recording_s=self._seconds(self._end_ns),
             contacts=tuple(
                 schema.Contact(self._seconds(touch.stamp_ns), touch.piece)
@@ -220,13 +295,17 @@ class Run:
             measured=schema.Measured(wall_s=wall_s, bytes=bytes_on_disk(self._folder)),
         )
 
+    def _onset_s(self) -> float | None:
+        """Return when the node was there and its scenario began to act; None if it never did."""
+        if self._node is None or self._onset_ns is None or self._onset_ns > self._end_ns:
+            return None
+        return self._seconds(self._onset_ns)
+
     def _attack(self) -> Mapping[str, Any]:
-        """Return what was drawn for the mode's attack."""
-        if self._mode.operation == "fake_object":
-            return {"frame": "odom", **asdict(self._fake_object())}
-        if self._mode.operation == "random_noise":
-            return {"level": self._recipe.noise_level}
-        return {}
+        """Return the scenario's parameters; those of an object are in the odometry frame."""
+        parameters = self._recipe.parameters
+        has_object = Mode(self._program.scenario).has_object
+        return {"frame": "odom", **parameters} if has_object else parameters
 
     def _on_patrol_over(self) -> None:
         self._patrol_over = True
@@ -234,44 +313,27 @@ class Run:
     def _on_goal_accepted(self, _result: GoalResult) -> None:
         self._odometer.mark()
         first = len(self._nav2.navigator.results) == 1
-        if first and self._mode.delayed:
-            due_ns = self._executor.now_ns + round(DELAY_S * SECOND)
-            self._executor.call_at(due_ns, self._start_relay)
+        if first and self._program.activation.after == "goal_accepted":
+            self._set_onset(self._executor.now_ns)
 
-    def _start_relay(self) -> None:
+    def _set_onset(self, after_ns: int) -> None:
+        """Let the scenario act so long after ``after_ns`` as it says."""
+        activation = self._program.activation
+        self._onset_ns = after_ns + round(activation.seconds * SECOND)
+        if activation.before == "absent":
+            self._executor.call_at(self._onset_ns, self._start_node)
+        elif self._node is not None:
+            self._node.begin(self._onset_ns)
+
+    def _start_node(self) -> None:
         """Put the mode's node into the graph."""
-        latency_ns, mode, recipe = self._latency_ns, self._mode, self._recipe
+        recipe = self._recipe
         if recipe.options.wiring == "absent":
             return
-        self._onset_ns = self._executor.now_ns
-        if mode.operation == "fake_object":
-            x, y, _ = frames.BASE_SCAN_TOM.xyz
-            FakeObjectRelay(
-                self._domain,
-                target=self._fake_object(),
-                mount=Pose2D(x, y),
-                latency_ns=latency_ns,
-                shadow=mode.shadow,
-            )
-        elif mode.operation == "random_noise":
-            NoiseRelay(
-                self._domain,
-                level=recipe.noise_level,
-                seed=recipe.attack_seed(),
-                with_odometry=mode.with_odometry,
-                latency_ns=latency_ns,
-                shadow=mode.shadow,
-            )
-        else:
-            Relay(self._domain, with_odometry=mode.with_odometry, latency_ns=latency_ns)
-
-    def _fake_object(self) -> FakeObject:
-        """Return where the fake object is for its node, which knows the odometry frame only."""
-        recipe = self._recipe
-        odom = odom_in_map(recipe.options.odometry_source, recipe.start)
-        drawn = recipe.fake_object
-        there = odom.inverse().compose(Pose2D(drawn.x, drawn.y))
-        return replace(drawn, x=there.x, y=there.y)
+        mutation = self._program.start(recipe.attack_seed(), recipe.parameters)
+        self._node = MutationNode(self._domain, NODE, mutation, latency_ns=self._latency_ns)
+        if self._onset_ns is not None:
+            self._node.begin(self._onset_ns)
 
     def _receive_clock(self) -> ReceiveClock:
         rng = self._recipe.generator("/rosbag2_recorder")
@@ -293,6 +355,20 @@ class Run:
     def _seconds(self, time_ns: int) -> float:
         """Return a time in seconds of the recording; what was before it began is at 0."""
         return max(time_ns - self._start_ns, 0) / SECOND
+
+
+def _world_parameters(recipe: Recipe) -> WorldParameters:
+    """Return what the physics needs to know of a run, in the world frame."""
+    to_world = WORLD_IN_MAP.inverse()
+    obstacles = []
+    if recipe.conditions.obstacle:
+        drawn = recipe.fake_object
+        there = to_world.compose(Pose2D(drawn.x, drawn.y))
+        obstacles = [Cylinder("obstacle", there.x, there.y, drawn.radius)]
+    session = recipe.session
+    return WorldParameters(
+        to_world.compose(recipe.start), session.friction, session.mass, obstacles
+    )
 
 
 def _pose(pose: Pose2D) -> schema.Pose:

@@ -1,8 +1,8 @@
 """Many independent jobs over ``concurrent.futures`` executors, each failing alone.
 
-A job that raises becomes an outcome with the error's text. A worker process that dies breaks its
-whole pool, and nobody knows which job did it: what was unfinished is run once more together, then
-one by one, so that only a job that kills its worker on its own is lost.
+A job that raises becomes an outcome with the error's text. A worker process that dies takes other
+jobs with it (breaks a whole pool), and nobody knows which one did it: what was lost is run once more
+together, then one by one, so that only a job that kills its worker on its own is given up.
 """
 
 import multiprocessing
@@ -35,7 +35,11 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
 
 
 def fan_out(
-    function: Callable[[J], R], jobs: Sequence[J], make_executor: Callable[[], Executor]
+    function: Callable[[J], R],
+    jobs: Sequence[J],
+    make_executor: Callable[[], Executor],
+    *,
+    lost: type[Exception] = BrokenExecutor,
 ) -> Iterator[Outcome[J, R]]:
     """Yield the outcome of every job, as they finish.
 
@@ -47,47 +51,54 @@ def fan_out(
         In the order in which they start.
     make_executor
         Gives an executor to run them on, and another one if that breaks.
+    lost
+        What a job ends with when its worker died.
     """
     unfinished = list(jobs)
     for _ in range(_ROUNDS_TOGETHER):
         if unfinished:
-            unfinished = yield from _together(function, unfinished, make_executor)
+            unfinished = yield from _together(function, unfinished, make_executor, lost)
     for job in unfinished:
-        for killer in (yield from _together(function, [job], make_executor)):
+        for killer in (yield from _together(function, [job], make_executor, lost)):
             yield Outcome(killer, error="its worker process died; is there enough memory?")
 
 
 def _together(
-    function: Callable[[J], R], jobs: Sequence[J], make_executor: Callable[[], Executor]
+    function: Callable[[J], R],
+    jobs: Sequence[J],
+    make_executor: Callable[[], Executor],
+    lost: type[Exception],
 ) -> Generator[Outcome[J, R], None, list[J]]:
-    """Yield the outcomes of jobs in one executor; return those that it broke under."""
-    broken: list[int] = []
+    """Yield the outcomes of jobs in one executor; return those whose worker died."""
+    unfinished: list[int] = []
     futures: dict[Future[R], int] = {}
     executor = make_executor()
     try:
         for index, job in enumerate(jobs):
             try:
                 futures[executor.submit(function, job)] = index
-            except BrokenExecutor:
-                broken.append(index)
+            except lost:
+                unfinished.append(index)
         for future in as_completed(futures):
             index = futures[future]
-            outcome = _outcome(jobs[index], future)
+            outcome = _outcome(jobs[index], future, lost)
             if outcome is None:
-                broken.append(index)
+                unfinished.append(index)
             else:
                 yield outcome
     finally:  # also when the consumer stops early: what has not started never will
         executor.shutdown(cancel_futures=True)
-    return [jobs[index] for index in sorted(broken)]
+    return [jobs[index] for index in sorted(unfinished)]
 
 
-def _outcome(job: J, future: Future[R]) -> Outcome[J, R] | None:
-    """Return a finished job's outcome, or None if its pool broke under it."""
+def _outcome(job: J, future: Future[R], lost: type[Exception]) -> Outcome[J, R] | None:
+    """Return a finished job's outcome, or None if its worker died."""
+    if future.cancelled():  # by a scheduler that went away
+        return None
     error = future.exception()
     if error is None:
         return Outcome(job, result=future.result())
-    if isinstance(error, BrokenExecutor):
+    if isinstance(error, lost):
         return None
     if isinstance(error, OracleError):  # says what, where and what to do; no need of a traceback
         return Outcome(job, error=str(error))

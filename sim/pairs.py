@@ -1,31 +1,52 @@
 """What an attack did to the robot's task: an attacked run against its block's control."""
 
-import dataclasses
+import contextlib
+from typing import Any
 
+from oracle_pipeline.bags.errors import ManifestError, RunDirectoryError
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
 from sim.modes import PAIRS
 
+CONTROL = "lidar_passthrough_odom"  # of attacks that have no pair of their own
 LONGER = 1.15  # a way this much longer than the control's is an effect
 
 
 def judge_pair(directory: RunDirectory) -> None:
-    """Note ``task_effect`` in the attacked run of a pair, once its control is there as well.
+    """Note ``task_effect`` in attacked runs that this run is the control of, or in itself.
 
-    Whichever of the two is finished last does it; runs of different campaigns are not compared.
+    Whichever of the two is finished last does it; runs of different campaigns, conditions or
+    wirings are not compared.
     """
-    for control, attack in PAIRS:
-        if directory.mode not in (control, attack):
-            continue
-        pair = [RunDirectory(directory.root, mode, directory.run) for mode in (control, attack)]
-        if not all(run.is_complete() for run in pair):
-            continue
-        right, attacked = (run.manifest() for run in pair)
-        storage = {"storage": right.recipe["storage"]}  # what a bag is kept in has no effect
-        if {**attacked.recipe, "mode": control, **storage} == right.recipe:
-            effect = task_effect(attacked, right)
-            if effect != attacked.task_effect:
-                pair[1].amend(dataclasses.replace(attacked, task_effect=effect))
+    for path in sorted(directory.root.glob(f"runs/*/{directory.run_id}")):
+        # A folder that is no mode's, or a manifest that cannot be read, is not this run's trouble.
+        with contextlib.suppress(RunDirectoryError, ManifestError):
+            other = RunDirectory(directory.root, path.parent.name, directory.run)
+            for attack, control in ((directory, other), (other, directory)):
+                if _control_of(attack.mode) == control.mode:
+                    _judge(attack, control)
+
+
+def _control_of(mode: str) -> str:
+    """Return the mode whose runs show how an attacked one would have gone."""
+    return next((control for control, attack in PAIRS if attack == mode), CONTROL)
+
+
+def _judge(attack: RunDirectory, control: RunDirectory) -> None:
+    if not (attack.is_complete() and control.is_complete()):
+        return
+    attacked, right = attack.manifest(), control.manifest()
+    if attacked.label != "malicious" or _setting(attacked) != _setting(right):
+        return
+    effect = task_effect(attacked, right)
+    if effect != attacked.task_effect:
+        attack.amend(task_effect=effect)
+
+
+def _setting(run: Manifest) -> dict[str, Any]:
+    """Return what a run was made from, but for what its mode's node does and how it was stored."""
+    aside = ("mode", "scenario", "parameters", "storage")
+    return {key: value for key, value in run.recipe.items() if key not in aside}
 
 
 def task_effect(attacked: Manifest, control: Manifest) -> bool:

@@ -1,12 +1,16 @@
 """How a run of any testbed becomes a run directory: made beside its place, then put into it."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
+from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RunDirectory
+from sim.fuzzing.mutation import Program
+from sim.fuzzing.program import compile_scenario
+from sim.fuzzing.scenario import Scenario
 
 
 class TestbedRun(Protocol):
@@ -19,7 +23,11 @@ class TestbedRun(Protocol):
         """Return what the finished run was."""
 
 
-def make(directory: RunDirectory, bring_up: Callable[[Path], TestbedRun]) -> None:
+def make(
+    directory: RunDirectory,
+    bring_up: Callable[[Path], TestbedRun],
+    former: Manifest | None = None,
+) -> None:
     """Make a run, whole or not at all; it takes the place of one that is there.
 
     Parameters
@@ -28,14 +36,41 @@ def make(directory: RunDirectory, bring_up: Callable[[Path], TestbedRun]) -> Non
         Where it belongs.
     bring_up
         Brings the testbed up, to write into an existing and empty folder.
+    former
+        What this run was when it was made before: with the same software it is the same again.
 
     Raises
     ------
     OracleError
-        If the run cannot be written; its place is left as it was.
+        If the run cannot be written, or is not what it was; its place is left as it was.
     """
     with directory.staged() as scratch:
         started = time.perf_counter()  # only for ``measured``: nothing that is recorded sees it
         run = bring_up(scratch)
         run.go()
-        run.manifest(wall_s=time.perf_counter() - started).save(scratch / MANIFEST_FILE)
+        manifest = run.manifest(wall_s=time.perf_counter() - started)
+        if former is not None:
+            _require_same(former, manifest, directory)
+        manifest.save(scratch / MANIFEST_FILE)
+
+
+def _require_same(former: Manifest, manifest: Manifest, directory: RunDirectory) -> None:
+    same_software = former.software == manifest.software
+    if same_software and former.content_hash != manifest.content_hash:
+        raise RunDirectoryError(
+            f"{directory.path} was made again with the same software, and other messages came out. "
+            "Either the manifest was edited or the machine computes wrongly; what was there is "
+            "kept. Refresh the run to replace it."
+        )
+
+
+def compiled(mode: str, document: Mapping[str, Any]) -> Program:
+    """Compile the scenario in a recipe; whether it may move something was asked before.
+
+    Raises
+    ------
+    ScenarioError
+        If this release's language is no longer that of the recipe.
+    """
+    scenario = Scenario(f"recipe of {mode}", document, {(): 1})
+    return compile_scenario(scenario, allow_actuation=True)

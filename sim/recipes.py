@@ -2,7 +2,8 @@
 
 Run i of every mode belongs to block i: same start, goals, fake object and nuisance, so that a mode
 and its control differ in the mode only. Three sessions take turns; a session is a day in the
-laboratory, with its own LiDAR bias, floor and processor load.
+laboratory, with its own LiDAR bias, floor and processor load. What the second testbed's runs are
+made from is in ``sim.atc.recipes``.
 """
 
 import functools
@@ -16,23 +17,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import OracleError
-from sim.fuzzing.relays import FakeObject
+from sim.atc.recipes import AtcCampaign, AtcRecipe, atc_recipe_for
 from sim.middleware.geometry import Pose2D
-from sim.modes import modes
+from sim.modes import Conditions, Mode, modes
 from sim.nav2.costmap import LETHAL, Costmap2D, Costs
 from sim.nav2.costmap_layers import GLOBAL_COST_SCALING, InflationLayer, static_costs
 from sim.nav2.footprint import INSCRIBED_RADIUS
 from sim.nav2.navfn import plan
 from sim.seeds import generator, node_generator, sequence
 from sim.turtlebot3.arena import RING, clearance
-from sim.turtlebot3.map import WORLD_IN_MAP, OdometrySource, turtlebot3_world_map
+from sim.turtlebot3.map import (
+    WORLD_IN_MAP,
+    OdometrySource,
+    odom_in_map,
+    turtlebot3_world_map,
+)
 
 Storage = Literal["mcap", "sqlite3"]
 Wiring = Literal["additive", "replace", "absent"]
 
 DEFAULT_SEED = 20260101
 SESSIONS = 3
-NOISE_LEVEL = 0.10  # of every range; the thesis's
 
 MIN_CLEARANCE_M = 0.55  # of start and goals from every obstacle; see docs/navigation.md
 MIN_LEG_M = 1.5  # straight distance from one goal to the next
@@ -47,6 +52,15 @@ _SESSION, _BLOCK, _NODE, _ATTACK = range(4)
 
 class RecipeError(OracleError):
     """A campaign was asked for something that cannot be drawn."""
+
+
+@dataclass(frozen=True, slots=True)
+class FakeObject:
+    """A cylinder that is not there."""
+
+    x: float  # [m]
+    y: float  # [m]
+    radius: float  # [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +114,9 @@ class Recipe:
     """All that a run is a function of; poses and the fake object are in the map frame."""
 
     mode: str
+    scenario: Mapping[str, Any]  # the document
+    parameters: Mapping[str, Any]  # a value for each of the scenario's
+    conditions: Conditions
     run: int
     block: int
     seed: int
@@ -107,7 +124,6 @@ class Recipe:
     start: Pose2D
     goals: tuple[Pose2D, ...]
     fake_object: FakeObject
-    noise_level: float
     storage: Storage
     timeout_s: float
     options: Options
@@ -130,6 +146,7 @@ class Recipe:
         return cls(
             **{
                 **document,
+                "conditions": Conditions(**document["conditions"]),
                 "session": Session(**document["session"]),
                 "start": Pose2D(**document["start"]),
                 "goals": tuple(Pose2D(**goal) for goal in document["goals"]),
@@ -245,21 +262,46 @@ def planning_grid(obstacle: FakeObject | None = None) -> Costmap2D:
     return grid
 
 
-def recipe_for(mode: str, run: int, campaign: Campaign) -> Recipe:
+def recipe_for(
+    mode: str | Mode,
+    run: int,
+    campaign: Campaign,
+    parameters: Mapping[str, Any] | None = None,
+) -> Recipe | AtcRecipe:
     """Return the recipe of one run of a campaign.
+
+    Parameters
+    ----------
+    mode
+        One of ``modes`` by its name, or any other.
+    run, campaign
+        Which run, of what.
+    parameters
+        Values of the scenario's parameters, in place of what the block has drawn or the default.
 
     Raises
     ------
     RecipeError
         If there is no such mode, or it is an attack and its node is to be absent.
     """
-    if mode not in modes():
-        raise RecipeError(f"There is no mode {mode!r}; there are {', '.join(modes())}.")
-    if campaign.options.wiring == "absent" and modes()[mode].label == "malicious":
-        raise RecipeError(f"{mode} without its node is no attack; take a passthrough mode.")
+    if isinstance(mode, str):
+        if mode not in modes():
+            raise RecipeError(f"There is no mode {mode!r}; there are {', '.join(modes())}.")
+        mode = modes()[mode]
+    given = parameters or {}
+    if mode.testbed == "atc":
+        skies = AtcCampaign(
+            seed=campaign.seed, duration_s=campaign.timeout_s, storage=campaign.storage
+        )
+        return atc_recipe_for(mode, run, skies, given)
+    if campaign.options.wiring == "absent" and mode.label == "malicious":
+        raise RecipeError(f"{mode.id} without its node is no attack; take a passthrough mode.")
     block = draw_block(campaign.seed, run, campaign.goals_per_run)
     return Recipe(
-        mode=mode,
+        mode=mode.id,
+        scenario=mode.scenario.document,
+        parameters=mode.parameters(_drawn(block, campaign.options), given),
+        conditions=mode.conditions,
         run=run,
         block=run,
         seed=campaign.seed,
@@ -267,8 +309,15 @@ def recipe_for(mode: str, run: int, campaign: Campaign) -> Recipe:
         start=block.start,
         goals=block.goals,
         fake_object=block.fake_object,
-        noise_level=NOISE_LEVEL,
         storage=campaign.storage,
         timeout_s=campaign.timeout_s,
         options=campaign.options,
     )
+
+
+def _drawn(block: Block, options: Options) -> dict[str, float]:
+    """Return what scenarios may ask of a block; a node knows the odometry frame only."""
+    there = block.fake_object
+    odom = odom_in_map(options.odometry_source, block.start)
+    seen = odom.inverse().compose(Pose2D(there.x, there.y))
+    return {"object_x": seen.x, "object_y": seen.y, "object_radius": there.radius}

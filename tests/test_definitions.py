@@ -15,7 +15,7 @@ GRAPH = {
     "interval_graphs": ("recording", {"bags"}),
     "window_features": ("features", {"bags", "interval_graphs"}),
     "run_features": ("features", {"bags", "interval_graphs"}),
-    "feature_dataset": ("datasets", {"run_features"}),
+    "feature_dataset": ("datasets", {"run_features", "window_features"}),
     "bootstrapped_dataset": ("datasets", {"feature_dataset"}),
     "clustering_grid_search": ("thesis_method", {"bootstrapped_dataset"}),
     "malicious_rate_report": ("thesis_method", {"bootstrapped_dataset", "feature_dataset"}),

@@ -11,18 +11,21 @@ import json
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, Self, TypeAlias
+from typing import Any, Literal, NamedTuple, Self, TypeAlias
 
 import jsonschema
 
 from oracle_pipeline.bags.errors import ManifestError
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
+_WITHOUT_CHANGES = 2  # the version before; its runs did not tell what their node changed
 
 Label: TypeAlias = Literal["malicious", "normal", "control"]
 Outcome: TypeAlias = Literal["succeeded", "aborted", "timeout"]
+Kept: TypeAlias = Literal["full", "trimmed", "recipe"]  # what is left of a run's bag
 
 LABELS: tuple[Label, ...] = ("malicious", "normal", "control")
+KEPT: tuple[Kept, ...] = ("full", "trimmed", "recipe")  # from most to least
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -53,6 +56,14 @@ class Contact:
     piece: str  # name in the world, for example two_two
 
 
+class Change(NamedTuple):
+    """What the mode's node changed within five seconds, as it says itself."""
+
+    start_s: float  # a multiple of 5
+    messages: int  # changed, dropped, delayed or made up
+    largest: float | None  # in the unit of what was changed; None: a number was no longer finite
+
+
 @dataclasses.dataclass(frozen=True, slots=True)
 class TopicCount:
     """What the bag holds of one topic."""
@@ -76,6 +87,8 @@ class Measured:
 
     wall_s: float
     bytes: Mapping[str, int]  # part of the run directory -> bytes on disk
+    kept: Kept = "full"
+    freed_bytes: int = 0  # of the bag, to save space
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,6 +117,7 @@ class Manifest:
     recipe: Mapping[str, Any]  # all that the run is a function of
     software: Software
     measured: Measured
+    changes: tuple[Change, ...] = ()  # the five seconds in which anything was changed
     schema_version: int = SCHEMA_VERSION
 
     def save(self, path: Path) -> None:
@@ -137,6 +151,8 @@ class Manifest:
             raise ManifestError(
                 f"Could not read {path}: {error}. Record the run again, or restore the file."
             ) from error
+        if isinstance(document, dict) and document.get("schema_version") == _WITHOUT_CHANGES:
+            document |= {"schema_version": SCHEMA_VERSION, "changes": []}
         _validate(document, path)
         return cls(
             **{
@@ -145,6 +161,7 @@ class Manifest:
                 "goals": tuple(Pose(**goal) for goal in document["goals"]),
                 "goal_results": tuple(GoalResult(**goal) for goal in document["goal_results"]),
                 "contacts": tuple(Contact(**contact) for contact in document["contacts"]),
+                "changes": tuple(Change(*change) for change in document["changes"]),
                 "topics": {name: TopicCount(**topic) for name, topic in document["topics"].items()},
                 "software": Software(**document["software"]),
                 "measured": Measured(**document["measured"]),

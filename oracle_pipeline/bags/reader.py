@@ -30,7 +30,9 @@ from rosbags.typesys.store import Typestore
 from oracle_pipeline.bags import types
 from oracle_pipeline.bags.content import ContentHash
 from oracle_pipeline.bags.errors import BagError
-from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE
+from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE, TypeDefinition
+
+_SEPARATOR = "=" * 80 + "\n"  # between the files of a definition
 
 
 class RawMessage(NamedTuple):
@@ -123,6 +125,20 @@ class BagReader:
                 f"{self.path}: a message on {message.topic} at {message.stamp_ns} ns is not a "
                 f"{msgtype}: {error}. Leave the topic out, or record the bag again."
             ) from error
+
+    def definition(self, msgtype: str) -> TypeDefinition:
+        """Return what the bag says of a type, or else we, to copy its messages as they are."""
+        return self._types.definition(msgtype)
+
+    def typestore(self, msgtype: str) -> Typestore:
+        """Return the store that defines a type as the bag has it; treat it as read-only.
+
+        Raises
+        ------
+        BagError
+            If its definition is neither in the bag nor known to us.
+        """
+        return self._types.store(msgtype)
 
     def close(self) -> None:
         """Close the files."""
@@ -293,19 +309,30 @@ class _BagTypes:
         self._path = path
         self._is_ros1 = serialization == "ros1"  # headers and times differ from ROS 2's
         self._definitions = {c.msgtype: c.msgdef for c in connections}
+        self._hashes = {c.msgtype: c.digest for c in connections}
         self._own = get_typestore(Stores.EMPTY)
         self._decoders: dict[str, Callable[[bytes, str], Any]] = {}
 
     def decoder(self, msgtype: str) -> Callable[[bytes, str], Any]:
         """Return the function that decodes a type's bytes."""
         if msgtype not in self._decoders:
-            store = self._store(msgtype)
+            store = self.store(msgtype)
             self._decoders[msgtype] = (
                 store.deserialize_ros1 if self._is_ros1 else store.deserialize_cdr
             )
         return self._decoders[msgtype]
 
-    def _store(self, msgtype: str) -> Typestore:
+    def definition(self, msgtype: str) -> TypeDefinition:
+        """Return what the bag says of a type, or else we."""
+        form, text = self._definitions[msgtype]
+        if not text and msgtype in types.typestore().fielddefs:
+            return TypeDefinition(types.definition(msgtype), types.type_hash(msgtype))
+        if form is MessageDefinitionFormat.IDL and not text.startswith(_SEPARATOR):
+            text = f"{_SEPARATOR}IDL: {msgtype}\n{text}"  # without it, IDL is taken for .msg
+        return TypeDefinition(text, self._hashes[msgtype])
+
+    def store(self, msgtype: str) -> Typestore:
+        """Return the store that defines a type."""
         definition = self._definitions[msgtype]
         known = msgtype in types.typestore().fielddefs
         # Real bags hold an empty text for action types, whose files rosbag2 does not find.
@@ -332,9 +359,8 @@ class _BagTypes:
 def _parse(definition: MessageDefinition, msgtype: str) -> Any:
     if definition.format is MessageDefinitionFormat.MSG:
         return get_types_from_msg(definition.data, msgtype)
-    separator = "=" * 80 + "\n"
     found: dict[str, Any] = {}
-    for part in definition.data.split(separator):
+    for part in definition.data.split(_SEPARATOR):
         # rosbag2 puts "IDL: <name>" above each file of a definition; plain IDL has no such line.
         text = part.partition("\n")[2] if part.startswith("IDL: ") else part
         if text.strip():

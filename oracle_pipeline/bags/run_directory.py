@@ -3,9 +3,11 @@
 ``<root>/runs/<mode>/run003`` holds ``manifest.json``, ``bag/`` and ``graphs/``. A run is written in
 a scratch directory beside its place (``.run003.<token>``), which its writer keeps locked, and
 renamed into place. Whatever moment a process dies at, no half-written run is ever at its place.
+Locks are the kernel's (``flock``), so they end with the process that holds them.
 """
 
 import contextlib
+import dataclasses
 import fcntl
 import os
 import re
@@ -14,9 +16,11 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Self
 
 from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.remote import is_local
 
 MANIFEST_FILE = "manifest.json"
 BAG_FOLDER = "bag"
@@ -49,6 +53,23 @@ class RunDirectory:
             raise RunDirectoryError(
                 f"Run {self.run} of mode {self.mode} is negative; count from 0."
             )
+
+    @classmethod
+    def of_key(cls, root: Path, key: str) -> Self:
+        """Return the directory of a run, by its name below a root: ``fake_object|run003``."""
+        mode, run_id = key.split("|")
+        return cls(root, mode, int(run_id.removeprefix("run")))
+
+    @classmethod
+    def at(cls, path: Path) -> Self:
+        """Return the run directory at a path, ``<root>/runs/<mode>/run003``."""
+        place = path.resolve()
+        match = _RUN.fullmatch(place.name)
+        if match is None or len(place.parts) < 4 or place.parts[-3] != "runs":
+            raise RunDirectoryError(
+                f"{path} is not the place of a run; name one such as data/runs/fake_object/run003."
+            )
+        return cls(place.parents[2], place.parent.name, int(match[1]))
 
     @property
     def run_id(self) -> str:
@@ -88,26 +109,53 @@ class RunDirectory:
         """Read its manifest; raises ``ManifestError``."""
         return Manifest.load(self.manifest_path)
 
-    def amend(self, manifest: Manifest) -> None:
-        """Put another manifest in the place of that of a complete run, in one step.
+    def amend(self, **found: Any) -> None:
+        """Change fields of the manifest of a complete run, in one step.
 
         Raises
         ------
         RunDirectoryError
             If the run is not there, or the manifest cannot be written; the former one stays.
         """
+        if not is_local(self.path):  # an object is replaced in one step anyway
+            dataclasses.replace(self.manifest(), **found).save(self.manifest_path)
+            return
         scratch = self.path / f".{MANIFEST_FILE}.{secrets.token_hex(4)}"
         try:
-            manifest.save(scratch)
-            _sync(scratch)
-            scratch.replace(self.path / MANIFEST_FILE)
-            _sync(self.path)
+            with lock(self.path.parent):  # nobody else amends it or puts another run here
+                dataclasses.replace(self.manifest(), **found).save(scratch)
+                _sync(scratch)
+                scratch.replace(self.manifest_path)
+                _sync(self.path)
         except OSError as error:
             scratch.unlink(missing_ok=True)
             raise RunDirectoryError(
                 f"Could not amend the manifest of {self.path}: {error}. Check free space and "
                 "permissions, then record it again."
             ) from error
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Work on this run alone: whoever else wants to waits; what dead workers left is removed.
+
+        In an object store nobody waits; there, who is last to publish a run has made the same one.
+        """
+        if not is_local(self.path):
+            yield
+            return
+        parent, name = self.path.parent, f".lock-{self.run_id}"
+        try:
+            parent.mkdir(parents=True, exist_ok=True)
+            descriptor = _hold_file(parent / name)
+        except OSError as error:
+            raise self._unwritable(error) from error
+        try:
+            with lock(parent):
+                self._tidy()
+            yield
+        finally:
+            (parent / name).unlink(missing_ok=True)
+            os.close(descriptor)
 
     @contextlib.contextmanager
     def staged(self) -> Iterator[Path]:
@@ -131,10 +179,7 @@ class RunDirectory:
             try:
                 scratch = locks.enter_context(self._scratch())
             except OSError as error:
-                raise RunDirectoryError(
-                    f"Could not make a directory for {self.key} below {self.root}: {error}. "
-                    "Choose a root that can be written to."
-                ) from error
+                raise self._unwritable(error) from error
             try:
                 yield scratch
                 self._put_in_place(scratch)
@@ -148,14 +193,20 @@ class RunDirectory:
         parent = self.path.parent
         parent.mkdir(parents=True, exist_ok=True)
         with contextlib.ExitStack() as held:
-            with _lock(parent):
-                for leftover in parent.glob(f".{self.run_id}.*"):
-                    with contextlib.suppress(BlockingIOError), _lock(leftover, wait=False):
-                        self._salvage(leftover)
+            with lock(parent):
+                self._tidy()
                 scratch = self._beside()
                 scratch.mkdir()
-                held.enter_context(_lock(scratch))
+                held.enter_context(lock(scratch))
             yield scratch
+
+    def _tidy(self) -> None:
+        """Remove what dead writers left; the parent is locked."""
+        for leftover in self.path.parent.glob(f".{self.run_id}.*"):
+            with contextlib.suppress(BlockingIOError), lock(leftover, wait=False):
+                self._salvage(leftover)
+        for leftover in self.path.glob(f".{MANIFEST_FILE}.*"):
+            leftover.unlink(missing_ok=True)
 
     def _salvage(self, leftover: Path) -> None:
         """Put back a whole run whose writer died while it moved it; remove anything else."""
@@ -171,7 +222,7 @@ class RunDirectory:
         former = self._beside()
         try:
             _sync_tree(scratch)
-            with _lock(self.path.parent):
+            with lock(self.path.parent):
                 if self.path.exists():
                     self.path.rename(former)
                 try:
@@ -190,6 +241,12 @@ class RunDirectory:
 
     def _beside(self) -> Path:
         return self.path.with_name(f".{self.run_id}.{secrets.token_hex(4)}")
+
+    def _unwritable(self, error: OSError) -> RunDirectoryError:
+        return RunDirectoryError(
+            f"Could not make a directory for {self.key} below {self.root}: {error}. "
+            "Choose a root that can be written to."
+        )
 
 
 def bytes_on_disk(path: Path) -> dict[str, int]:
@@ -211,14 +268,25 @@ def find_runs(root: Path) -> list[RunDirectory]:
 
 
 @contextlib.contextmanager
-def _lock(directory: Path, *, wait: bool = True) -> Iterator[None]:
-    """Hold a directory; the kernel lets go when the process dies, however it dies."""
+def lock(directory: Path, *, wait: bool = True) -> Iterator[None]:
+    """Hold a directory; raises ``BlockingIOError`` if it is held and this is not to wait."""
     descriptor = os.open(directory, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     finally:
         os.close(descriptor)
+
+
+def _hold_file(path: Path) -> int:
+    """Make and hold a file that its holder removes in the end; return its descriptor."""
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(descriptor), path.stat()):
+                return descriptor
+        os.close(descriptor)  # its former holder has removed this one
 
 
 def _sync_tree(directory: Path) -> None:

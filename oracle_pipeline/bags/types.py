@@ -10,7 +10,7 @@ import functools
 from collections.abc import Iterator
 from importlib.resources import files
 from importlib.resources.abc import Traversable
-from typing import Any
+from typing import Any, NamedTuple
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -22,6 +22,13 @@ GROUND_TRUTH_TYPE = "oracle_msgs/msg/GroundTruth"
 
 # IDL has no empty struct, so ROS puts this byte into messages without fields.
 _EMPTY = "uint8 structure_needs_at_least_one_member\n"
+
+
+class TypeDefinition(NamedTuple):
+    """What a bag says of a message type."""
+
+    text: str  # that of .msg or .idl files, with all that the type uses; empty: not in the bag
+    type_hash: str  # RIHS01_...; empty: not in the bag
 
 
 @functools.cache

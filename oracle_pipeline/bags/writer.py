@@ -17,13 +17,15 @@ from rosbags.interfaces import Connection, Qos
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
 
+from oracle_pipeline.bags import types
 from oracle_pipeline.bags.content import ContentHash
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.manifest import TopicCount
-from oracle_pipeline.bags.types import definition, type_hash
+from oracle_pipeline.bags.types import TypeDefinition
 
 # The newest that Humble's `ros2 bag` opens; 9 turns the QoS profiles into a list it cannot parse.
 _METADATA_VERSION: Literal[8] = 8
+_NO_HASH = f"RIHS01_{'0' * 64}"  # rosbags insists on one; ROS compares it only where both have one
 
 
 class _McapStorage(McapWriter):
@@ -60,11 +62,12 @@ class _Writer(Writer):
 class _Topic:
     """A topic on its way into the bag; ``connection`` is set from its first message on."""
 
-    __slots__ = ("connection", "count", "msgtype", "prefix", "qos")
+    __slots__ = ("connection", "count", "definition", "msgtype", "prefix", "qos")
 
-    def __init__(self, name: str, msgtype: str, qos: list[Qos]) -> None:
+    def __init__(self, name: str, msgtype: str, qos: list[Qos], definition: TypeDefinition) -> None:
         self.msgtype = msgtype
         self.qos = qos
+        self.definition = definition
         self.prefix = ContentHash.prefix(name, msgtype)
         self.connection: Connection | None = None
         self.count = 0
@@ -137,21 +140,31 @@ class BagWriter:
         """SHA-256 over (topic, type, stamp, payload) of the messages, in recorded order."""
         return self._hash.hexdigest()
 
-    def add_topic(self, name: str, msgtype: str, qos: Sequence[Qos]) -> None:
+    def add_topic(
+        self,
+        name: str,
+        msgtype: str,
+        qos: Sequence[Qos],
+        definition: TypeDefinition | None = None,
+    ) -> None:
         """Announce a topic, or one more publisher of it.
 
         Parameters
         ----------
         name, msgtype : str
-            ``/scan`` and ``sensor_msgs/msg/LaserScan``; the type's definition goes into the bag.
+            ``/scan`` and ``sensor_msgs/msg/LaserScan``.
         qos : sequence of Qos
             What the publisher offers. Profiles of all publishers are kept until the topic's first
             message; what comes later is not in the bag, as with ``ros2 bag record``.
+        definition : TypeDefinition, optional
+            Goes into the bag; by default ours, for which the type must be one that we know.
         """
         known = self._topics.get(name)
         if known is None:
-            definition(msgtype)
-            self._topics[name] = _Topic(name, msgtype, list(qos))
+            definition = definition or TypeDefinition(
+                types.definition(msgtype), types.type_hash(msgtype)
+            )
+            self._topics[name] = _Topic(name, msgtype, list(qos), definition)
         elif known.msgtype != msgtype:
             raise BagError(
                 f"{name} is of type {known.msgtype} in {self.path} and cannot also be {msgtype}; "
@@ -212,8 +225,8 @@ class BagWriter:
         topic.connection = self._writer.add_connection(
             name,
             topic.msgtype,
-            msgdef=definition(topic.msgtype),
-            rihs01=type_hash(topic.msgtype),
+            msgdef=topic.definition.text,
+            rihs01=topic.definition.type_hash or _NO_HASH,
             offered_qos_profiles=topic.qos,
         )
         return topic.connection

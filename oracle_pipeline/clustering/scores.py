@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from oracle_pipeline.clustering.tree import ClusteringError, Tree
 
 
-def outside_largest(clusters: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Call every row outside the largest cluster anomalous.
+def outside_largest(
+    clusters: NDArray[np.int32], copies: NDArray[np.int64] | None = None
+) -> NDArray[np.bool_]:
+    """Call every row outside the largest cluster anomalous, a row counting `copies` times.
 
     The rule rests on right behaviour being the most common [1]_; between clusters of equal size the
     first counts as the largest.
@@ -24,8 +26,8 @@ def outside_largest(clusters: NDArray[np.int32]) -> NDArray[np.bool_]:
     >>> outside_largest(np.array([2, 1, 2, 3], dtype=np.int32))
     array([False,  True, False,  True])
     """
-    names, sizes = np.unique(clusters, return_counts=True)
-    return np.asarray(clusters != names[np.argmax(sizes)], dtype=np.bool_)
+    largest = np.argmax(np.bincount(clusters, weights=copies))
+    return np.asarray(clusters != largest, dtype=np.bool_)
 
 
 def hac_height(tree: Tree, reference: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
@@ -38,7 +40,7 @@ def hac_height(tree: Tree, reference: NDArray[np.bool_] | None = None) -> NDArra
     Parameters
     ----------
     tree : Tree
-        Over n rows.
+        Over n distinct rows; each counts as often as it has copies.
     reference : ndarray of bool, shape (n,), optional
         The rows that stand for right behaviour; by default all of them, which presumes that most
         are right.
@@ -53,7 +55,7 @@ def hac_height(tree: Tree, reference: NDArray[np.bool_] | None = None) -> NDArra
     if not reference.any():
         raise ClusteringError("No row is marked as reference; mark the rows of right behaviour.")
     children = tree.merges[:, :2].astype(np.intp).tolist()
-    held = [*reference.astype(int).tolist(), *[0] * (n - 1)]
+    held = [*(reference * tree.copies).tolist(), *[0] * (n - 1)]
     for node, (left, right) in enumerate(children, start=n):
         held[node] = held[left] + held[right]
 
@@ -67,12 +69,12 @@ def hac_height(tree: Tree, reference: NDArray[np.bool_] | None = None) -> NDArra
 
 
 def small_cluster_score(tree: Tree, kappa: float) -> NDArray[np.float64]:
-    """Return ``1 - |cluster of x| / n`` when the tree is cut into ``round(kappa n)`` clusters.
+    """Return ``1 - |cluster of x| / N`` when the tree is cut into ``round(kappa N)`` clusters.
 
     Parameters
     ----------
     tree : Tree
-        Over n rows.
+        Over n distinct rows, N with their copies.
     kappa : float
         Number of clusters over number of rows; 0.15 to 0.20 in the literature.
 
@@ -81,5 +83,7 @@ def small_cluster_score(tree: Tree, kappa: float) -> NDArray[np.float64]:
     ndarray of shape (n,)
         In [0, 1).
     """
-    clusters = tree.cut("maxclust", max(1, round(kappa * len(tree))))
-    return np.asarray(1.0 - np.bincount(clusters)[clusters] / len(tree), dtype=np.float64)
+    rows = tree.copies.sum()
+    clusters = tree.cut("maxclust", max(1, round(kappa * rows)))
+    share = np.bincount(clusters, weights=tree.copies) / rows
+    return np.asarray(1.0 - share[clusters], dtype=np.float64)

@@ -1,7 +1,7 @@
 """The dendrogram: grown from scaled rows, cut into flat clusters, searched over its settings.
 
-Agglomeration itself is ``scipy.cluster.hierarchy``. What a cut says of a run is in
-``oracle_pipeline.clustering.scores``.
+Who joins whom is found in ``oracle_pipeline.clustering.agglomeration``. What a cut says of a run is
+in ``oracle_pipeline.clustering.scores``.
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,15 +10,16 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.cluster.hierarchy import fcluster, linkage
-from scipy.spatial.distance import pdist
+from scipy.cluster.hierarchy import fcluster
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.clustering import agglomeration
 
 Linkage = Literal["ward", "single", "complete", "average"]
 Criterion = Literal["distance", "maxclust"]
 LINKAGES: tuple[Linkage, ...] = ("ward", "single", "complete", "average")
 CRITERIA: tuple[Criterion, ...] = ("distance", "maxclust")
+MATRIX_ROWS = 15_000  # whose distances take 1.8 GB
 
 
 class ClusteringError(OracleError):
@@ -27,16 +28,20 @@ class ClusteringError(OracleError):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Tree:
-    """A dendrogram over n rows."""
+    """A dendrogram over n distinct rows."""
 
     method: Linkage
     merges: NDArray[np.float64]  # (n - 1, 4), SciPy's linkage matrix: two children, height, leaves
+    copies: NDArray[np.int64]  # (n,), how many rows each leaf stands for
 
     def __len__(self) -> int:
-        return len(self.merges) + 1
+        return len(self.copies)
 
     def cut(self, criterion: Criterion, t: float) -> NDArray[np.int32]:
-        """Return the cluster of each row, numbered from 1.
+        """Return the cluster of each distinct row, numbered from 1.
+
+        Rows at no distance from each other are never parted, whatever `t` is: of as many clusters
+        as there are distinct rows, or more, each distinct row is one.
 
         Parameters
         ----------
@@ -44,30 +49,79 @@ class Tree:
             What `t` is: the greatest height within a cluster, or the greatest number of clusters.
         t : float
         """
-        return fcluster(self.merges, t=t, criterion=criterion).astype(np.int32)
+        if criterion == "maxclust":
+            most = min(max(int(t), 1), len(self))
+            t = np.append(0.0, self.merges[:, 2])[len(self) - most]
+        return fcluster(self.merges, t=t, criterion="distance").astype(np.int32)
 
 
-def grow_tree(X: NDArray[np.float64], method: Linkage = "ward") -> Tree:
-    """Agglomerate rows by their Euclidean distance.
+def grow_tree(
+    X: NDArray[np.float64],
+    method: Linkage = "ward",
+    copies: NDArray[np.int64] | None = None,
+) -> Tree:
+    """Agglomerate rows by their Euclidean distance, exactly.
+
+    The tree is that of the rows repeated `copies` times, at the cost of the distinct ones. Ward and
+    single linkage take memory for the rows alone, so 100,000 rows are a matter of minutes; complete
+    and average linkage take a matrix of all distances and refuse more than `MATRIX_ROWS` rows.
 
     Parameters
     ----------
     X : ndarray of shape (n, n_features)
         Scaled and finite.
     method : {"ward", "single", "complete", "average"}
+    copies : ndarray of shape (n,), optional
+        How many rows each row stands for, at least 1; by default itself alone.
 
     Raises
     ------
     ClusteringError
-        Fewer than two rows, or no column.
+        Fewer than two rows, no column, or too many rows for a matrix.
     """
-    rows, columns = X.shape
-    if rows < 2 or columns < 1:
+    n, columns = X.shape
+    if n < 2 or columns < 1:
         raise ClusteringError(
-            f"Cannot cluster {rows} rows of {columns} features; "
+            f"Cannot cluster {n} rows of {columns} features; "
             "at least two runs and one feature with a finite value are needed."
         )
-    return Tree(method, linkage(pdist(X), method=method))
+    if n > MATRIX_ROWS and method in ("complete", "average"):
+        raise ClusteringError(
+            f"{method.capitalize()} linkage of {n} rows needs a matrix of {8e-9 * n * n:.0f} GB; "
+            f"use ward or single linkage, or at most {MATRIX_ROWS} distinct rows."
+        )
+    copies = np.ones(n, dtype=np.int64) if copies is None else copies
+    match method:
+        case "ward":
+            joins = agglomeration.ward(X, copies)
+        case "single":
+            joins = agglomeration.single(X)
+        case "complete":
+            joins = agglomeration.complete(X)
+        case "average":
+            joins = agglomeration.average(X, copies)
+    return Tree(method, _merges(joins), copies)
+
+
+def _merges(joins: agglomeration.Joins) -> NDArray[np.float64]:
+    """Return SciPy's linkage matrix of the joins, the lowest first."""
+    n = len(joins.height) + 1
+    order = np.argsort(joins.height, kind="stable")
+    within, leaves = list(range(2 * n - 1)), [1] * n  # by node
+
+    def top(node: int) -> int:
+        while within[node] != node:
+            within[node] = node = within[within[node]]
+        return node
+
+    merges = np.empty((n - 1, 4))
+    for merged, (a, b) in enumerate(joins.rows[order].tolist(), start=n):
+        left, right = sorted((top(a), top(b)))
+        within[left] = within[right] = merged
+        leaves.append(leaves[left] + leaves[right])
+        merges[merged - n] = left, right, 0.0, leaves[merged]
+    merges[:, 2] = joins.height[order]
+    return merges
 
 
 class GridPoint(NamedTuple):
@@ -84,10 +138,11 @@ def grid_search(
     methods: Sequence[Linkage] = LINKAGES,
     criteria: Sequence[Criterion] = CRITERIA,
     thresholds: Sequence[float] = (2.0, 4.0),
+    copies: NDArray[np.int64] | None = None,
 ) -> Iterator[GridPoint]:
     """Cluster the rows with every linkage, criterion and threshold, the last varying fastest."""
     for method in methods:
-        tree = grow_tree(X, method)
+        tree = grow_tree(X, method, copies)
         for criterion in criteria:
             for t in thresholds:
                 yield GridPoint(tree, criterion, t, tree.cut(criterion, t))

@@ -1,29 +1,26 @@
 """How well one clustering tells attacked runs from right ones, by our reading and the thesis's."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import pdist
 
-from oracle_pipeline.clustering.scaling import FlooredRobustScaler
 from oracle_pipeline.clustering.scores import hac_height, outside_largest
-from oracle_pipeline.clustering.tree import (
-    ClusteringError,
-    Criterion,
-    GridPoint,
-    Linkage,
-    grow_tree,
-)
-from oracle_pipeline.datasets import DistinctRuns, distinct_runs, feature_floors, lacking
+from oracle_pipeline.clustering.tree import ClusteringError, Criterion, Linkage, Tree, grow_tree
+from oracle_pipeline.datasets import DistinctRuns, distinct_runs, lacking
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
 from oracle_pipeline.evaluation.metrics import (
+    Confusion,
     auc,
     confusion,
     false_positive_rate,
     true_positive_rate,
 )
+from oracle_pipeline.evaluation.variants import CORRECTED, Variant
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +29,7 @@ class ClusteringResult:
 
     The verdict without labels: every run outside the largest cluster is anomalous. The thesis's
     reading: the cluster that holds most of the malicious rows, chosen with the labels, is the
-    malicious one; its recall is what the thesis calls accuracy.
+    malicious one; its recall is what the thesis calls accuracy, its balanced accuracy the AUC.
     """
 
     rows: int = 0  # clustered, copies included
@@ -49,7 +46,9 @@ class ClusteringResult:
     auc: Estimate = NOTHING  # of the HAC height, all rows being the reference
     recall_best_cluster: Estimate = NOTHING
     fpr_best_cluster: Estimate = NOTHING
-    balanced_accuracy_best_cluster: Estimate = NOTHING  # the thesis's AUC
+    balanced_accuracy_best_cluster: Estimate = NOTHING
+    mcc_best_cluster: float = np.nan  # of distinct runs, as decoded from the thesis
+    runs_best_cluster: str = ""  # distinct ones in it, in words
     note: str = ""
 
     def columns(self) -> dict[str, float | int | str]:
@@ -61,57 +60,61 @@ class ClusteringResult:
         return row
 
 
-def scale_rows(rows: pd.DataFrame, columns: Sequence[str]) -> NDArray[np.float64]:
-    """Scale the named features of the rows, floors as declared; shape (n_rows, n_scaled)."""
-    scaler = FlooredRobustScaler(feature_floors(rows))
-    return np.asarray(scaler.fit_transform(rows[list(columns)]), dtype=np.float64)
+def in_words(counts: Confusion) -> str:
+    """Say how many runs of each class are called anomalous.
+
+    Examples
+    --------
+    >>> in_words(Confusion(tp=43, fp=42, fn=2, tn=3))
+    '43/45 malicious, 42/45 others'
+    """
+    malicious, others = counts.tp + counts.fn, counts.fp + counts.tn
+    return f"{counts.tp}/{malicious} malicious, {counts.fp}/{others} others"
 
 
-def in_best_cluster(clusters: NDArray[np.int32], runs: DistinctRuns) -> NDArray[np.bool_]:
+def in_best_cluster(
+    clusters: NDArray[np.int32], runs: DistinctRuns, inspected: int | None = None
+) -> NDArray[np.bool_]:
     """Tell which runs are in the cluster with most of the malicious rows (the first, if tied).
 
     This looks at the labels that it is then measured against: it reads a result as the thesis does
     and is no verdict.
-    """
-    held = np.bincount(clusters, weights=runs.copies * runs.malicious)
-    return np.asarray(clusters == np.argmax(held), dtype=np.bool_)
-
-
-def judge(rows: pd.DataFrame, point: GridPoint, rng: np.random.Generator) -> ClusteringResult:
-    """Measure one clustering of the rows.
 
     Parameters
     ----------
-    rows : DataFrame of n rows
-        What was clustered; copies of runs allowed.
-    point : GridPoint
-        Tree and clusters over those rows.
-    rng : Generator
-        Draws the resamples behind the intervals.
+    clusters : ndarray of shape (n_runs,)
+        Numbered from 1.
+    runs : DistinctRuns
+    inspected : int, optional
+        Consider clusters up to this number only. If none of them holds a malicious row, no run is
+        in the best cluster.
+    """
+    held = np.bincount(clusters, weights=runs.copies * runs.malicious)
+    considered = held if inspected is None else held[: inspected + 1]
+    return np.asarray(clusters == np.argmax(considered), dtype=np.bool_)
+
+
+def grow_over_runs(
+    rows: pd.DataFrame, columns: Sequence[str], method: Linkage, variant: Variant = CORRECTED
+) -> Tree:
+    """Agglomerate rows; the tree's leaves are their distinct runs, in the order of `distinct_runs`.
+
+    Raises
+    ------
+    ClusteringError
+        Fewer than two distinct runs, or no feature with a finite value.
     """
     runs = distinct_runs(rows)
-    height = hac_height(point.tree)[runs.first]
-    flagged = outside_largest(point.clusters)[runs.first]
-    best = in_best_cluster(point.clusters[runs.first], runs)
-    counts = confusion(flagged, runs)
-    return ClusteringResult(
-        rows=len(rows),
-        runs=len(runs),
-        clusters=len(np.unique(point.clusters)),
-        tp=counts.tp,
-        fp=counts.fp,
-        fn=counts.fn,
-        tn=counts.tn,
-        tpr=true_positive_rate(flagged, runs),
-        fpr=false_positive_rate(flagged, runs),
-        balanced_accuracy=auc(flagged.astype(np.float64), runs, rng),
-        mcc=counts.mcc,
-        auc=auc(height, runs, rng),
-        recall_best_cluster=true_positive_rate(best, runs),
-        fpr_best_cluster=false_positive_rate(best, runs),
-        balanced_accuracy_best_cluster=auc(best.astype(np.float64), runs, rng),
-        note=lacking(rows),
-    )
+    return grow_tree(variant.matrix(rows, columns)[runs.first], method, runs.copies)
+
+
+def _numbered_by_rows(X: NDArray[np.float64], method: Linkage, t: float) -> NDArray[np.int32]:
+    """Cut the tree of all rows, copies included, at a distance, and return the cluster of each row.
+
+    The clusters are those of the distinct runs, but which of them are the first depends on the
+    order of the rows, and on how SciPy arranges a tree of them.
+    """
+    return fcluster(linkage(pdist(X), method), t, criterion="distance").astype(np.int32)
 
 
 def cluster_and_judge(
@@ -121,10 +124,54 @@ def cluster_and_judge(
     method: Linkage = "ward",
     criterion: Criterion = "maxclust",
     t: float = 2.0,
+    variant: Variant = CORRECTED,
 ) -> ClusteringResult:
-    """Scale, cluster and measure; rows that cannot be clustered give a result that says why."""
+    """Cluster and measure; rows that cannot be clustered give a result that says why.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Copies of runs allowed.
+    columns : sequence of str
+        Features to use.
+    rng : Generator
+        Draws the resamples behind the intervals.
+    method, criterion, t
+        How the tree is grown and cut.
+    variant : Variant
+        What of the rows is clustered, and how the best cluster is looked for.
+    """
+    runs = distinct_runs(rows)
     try:
-        tree = grow_tree(scale_rows(rows, columns), method)
+        tree = grow_over_runs(rows, columns, method, variant)
     except ClusteringError as error:
-        return ClusteringResult(rows=len(rows), runs=len(distinct_runs(rows)), note=str(error))
-    return judge(rows, GridPoint(tree, criterion, t, tree.cut(criterion, t)), rng)
+        return ClusteringResult(rows=len(rows), runs=len(runs), note=str(error))
+    clusters = tree.cut(criterion, t)
+    flagged = outside_largest(clusters, runs.copies)
+    if variant.first_clusters_only and criterion == "distance":
+        numbered = _numbered_by_rows(variant.matrix(rows, columns), method, t)[runs.first]
+        best = in_best_cluster(numbered, runs, inspected=int(t))
+    else:
+        best = in_best_cluster(clusters, runs)
+    counts = confusion(flagged, runs)
+    counts_best = confusion(best, replace(runs, copies=np.ones_like(runs.copies)))
+    return ClusteringResult(
+        rows=len(rows),
+        runs=len(runs),
+        clusters=len(np.unique(clusters)),
+        tp=counts.tp,
+        fp=counts.fp,
+        fn=counts.fn,
+        tn=counts.tn,
+        tpr=true_positive_rate(flagged, runs),
+        fpr=false_positive_rate(flagged, runs),
+        balanced_accuracy=auc(flagged.astype(np.float64), runs, rng),
+        mcc=counts.mcc,
+        auc=auc(hac_height(tree), runs, rng),
+        recall_best_cluster=true_positive_rate(best, runs),
+        fpr_best_cluster=false_positive_rate(best, runs),
+        balanced_accuracy_best_cluster=auc(best.astype(np.float64), runs, rng),
+        mcc_best_cluster=counts_best.mcc,
+        runs_best_cluster=in_words(counts_best),
+        note=lacking(rows),
+    )

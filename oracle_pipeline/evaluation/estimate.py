@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta, norm
 
-LEVEL = 0.95  # of every interval in this package
+LEVEL = 0.95  # of every interval in this package that does not say otherwise
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A figure and its 95% interval; NaN throughout where nothing could be measured.
+    """A figure and its interval; NaN throughout where nothing could be measured.
 
     Examples
     --------
@@ -48,7 +48,7 @@ class Estimate:
 NOTHING = Estimate(np.nan, np.nan, np.nan)  # what could not be measured
 
 
-def clopper_pearson(rate: float, n: float) -> Estimate:
+def clopper_pearson(rate: float, n: float, level: float = LEVEL) -> Estimate:
     """Return a binomial rate with its exact (Clopper-Pearson) interval.
 
     Parameters
@@ -58,6 +58,8 @@ def clopper_pearson(rate: float, n: float) -> Estimate:
     n : float
         Independent trials behind it. With weighted rows this is the number of distinct runs, and
         ``rate * n`` need not be whole [1]_.
+    level : float
+        Of confidence, two-sided.
 
     References
     ----------
@@ -67,17 +69,17 @@ def clopper_pearson(rate: float, n: float) -> Estimate:
     if np.isnan(rate) or n <= 0:
         return NOTHING
     hits = rate * n
-    tail = (1.0 - LEVEL) / 2.0
+    tail = (1.0 - level) / 2.0
     low = beta.ppf(tail, hits, n - hits + 1.0) if hits > 0 else 0.0
     high = beta.ppf(1.0 - tail, hits + 1.0, n - hits) if hits < n else 1.0
     return Estimate(float(rate), float(low), float(high))
 
 
-def newcombe_auc(value: float, n_positive: int, n_negative: int) -> Estimate:
+def newcombe_auc(value: float, n_positive: int, n_negative: int, level: float = LEVEL) -> Estimate:
     """Return an AUC with Newcombe's score interval (method 5), which is honest at 0 and 1 too.
 
     The interval holds every AUC from which `value` is less than 1.96 Hanley-McNeil standard errors
-    away [1]_, found on a grid of 1e-4.
+    away [1]_ (at a level of 95%), found on a grid of 1e-4.
 
     References
     ----------
@@ -88,6 +90,6 @@ def newcombe_auc(value: float, n_positive: int, n_negative: int) -> Estimate:
     pairs = (n_positive + n_negative) / 2.0 - 1.0
     shape = 1.0 + pairs * ((1.0 - theta) / (2.0 - theta) + theta / (1.0 + theta))
     variance = theta * (1.0 - theta) * shape / (n_positive * n_negative)
-    z = norm.ppf((1.0 + LEVEL) / 2.0)
+    z = norm.ppf((1.0 + level) / 2.0)
     plausible: NDArray[np.float64] = theta[np.abs(theta - value) <= z * np.sqrt(variance)]
     return Estimate(value, float(plausible.min(initial=value)), float(plausible.max(initial=value)))

@@ -1,14 +1,16 @@
-"""Confusion matrix, rates, AUC and ROC curve over distinct runs.
+"""Confusion matrix, rates, AUC, average precision and ROC curve over distinct runs.
 
 Rows may be copies (a bootstrap draws them): every metric here takes one value a *run* and weights
 it by the run's copies, so the figure is that of the rows, while its interval is that of the runs.
-Runs of one block share start, goals and nuisance seed, so resampling draws blocks.
+Runs of one block share start, goals and nuisance seed, so resampling draws blocks. Where runs are
+not copied (our own evaluation), `share` gives a rate with an interval that knows of blocks too.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import gamma
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import DistinctRuns
@@ -57,6 +59,13 @@ class Confusion:
         return (self.tp * self.tn - self.fp * self.fn) / np.sqrt(product) if product else 0.0
 
 
+def only(runs: DistinctRuns, these: NDArray[np.bool_]) -> DistinctRuns:
+    """Return some of the runs."""
+    return DistinctRuns(
+        runs.first[these], runs.copies[these], runs.malicious[these], runs.block[these]
+    )
+
+
 def _ratio(part: int, whole: int) -> float:
     return part / whole if whole else np.nan
 
@@ -91,7 +100,108 @@ def false_positive_rate(flagged: NDArray[np.bool_], runs: DistinctRuns) -> Estim
     return clopper_pearson(confusion(flagged, runs).fpr, int((~runs.malicious).sum()))
 
 
-def auc(score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Generator) -> Estimate:
+def share(
+    hit: NDArray[np.bool_],
+    block: NDArray[np.int64],
+    rng: np.random.Generator,
+    level: float = LEVEL,
+) -> Estimate:
+    """Return the share of runs that are hit, for example the detected ones of the attacked.
+
+    Parameters
+    ----------
+    hit : ndarray of bool, shape (n,)
+        One value for each run that counts.
+    block : ndarray of shape (n,)
+    rng : Generator
+        Draws the blocks.
+    level : float
+        Of confidence, two-sided: the lower end at 0.90 is the one-sided 95% bound.
+
+    Returns
+    -------
+    Estimate
+        The wider, on each side, of Clopper-Pearson's interval on runs and of the percentiles over
+        resampled blocks. Nothing without runs.
+    """
+    if len(hit) == 0:
+        return NOTHING
+    member = np.unique(block, return_inverse=True)[1]
+    runs, hits = np.bincount(member), np.bincount(member, weights=hit)
+    draws = _resampled(len(runs), rng)
+    return _wider(
+        clopper_pearson(float(np.mean(hit)), len(hit), level), draws @ hits / (draws @ runs), level
+    )
+
+
+def quantile(
+    values: NDArray[np.float64], block: NDArray[np.int64], q: float, rng: np.random.Generator
+) -> Estimate:
+    """Return a quantile of values that may be infinite (censored); percentiles over blocks.
+
+    Parameters are those of `share`; the quantile is a value that occurs, the lower of two.
+    """
+    if len(values) == 0:
+        return NOTHING
+    member = np.unique(block, return_inverse=True)[1]
+    occurring, place = np.unique(values, return_inverse=True)
+    counts = np.zeros((member.max() + 1, len(occurring)))
+    np.add.at(counts, (member, place), 1.0)
+    draws = np.vstack([np.ones(len(counts)), _resampled(len(counts), rng)])
+    reached = np.cumsum(draws @ counts, axis=1)
+    first = (reached >= q * reached[:, -1:] - 1e-9).argmax(axis=1)
+    low, high = np.percentile(first[1:], BAND, method="nearest").astype(int)
+    return Estimate(*(float(occurring[place]) for place in (first[0], low, high)))
+
+
+def events_per_hour(
+    events: NDArray[np.int64],
+    seconds: NDArray[np.float64],
+    block: NDArray[np.int64],
+    rng: np.random.Generator,
+) -> Estimate:
+    """Return a rate of events over runs of given lengths.
+
+    The interval is the wider, on each side, of Garwood's for Poisson counts and of the percentiles
+    over resampled blocks.
+    """
+    hours = float(np.sum(seconds)) / 3600.0
+    if hours == 0.0:
+        return NOTHING
+    n, tail = int(np.sum(events)), (1.0 - LEVEL) / 2.0
+    low = gamma.ppf(tail, n) if n else 0.0
+    exact = Estimate(n / hours, float(low) / hours, float(gamma.ppf(1.0 - tail, n + 1)) / hours)
+    member = np.unique(block, return_inverse=True)[1]
+    draws = _resampled(int(member.max()) + 1, rng)
+    happened = draws @ np.bincount(member, weights=events)
+    return _wider(exact, 3600.0 * happened / (draws @ np.bincount(member, weights=seconds)), LEVEL)
+
+
+def matthews(flagged: NDArray[np.bool_], runs: DistinctRuns, rng: np.random.Generator) -> Estimate:
+    """Return Matthews' correlation of verdict and truth, by rows.
+
+    The interval is of percentiles over resampled blocks: of a perfect verdict it shows no doubt.
+    """
+    value = confusion(flagged, runs).mcc
+    if np.isnan(value):
+        return NOTHING
+    names, member = np.unique(runs.block, return_inverse=True)
+    cells = 2 * runs.malicious + flagged  # tn, fp, fn, tp
+    counts = np.zeros((len(names), 4))
+    np.add.at(counts, (member, cells), runs.copies)
+    tn, fp, fn, tp = (_resampled(len(names), rng) @ counts).T
+    margins = (tp + fn) * (fp + tn) * (tp + fp) * (tn + fn)
+    values = np.zeros(len(margins))
+    np.divide(tp * tn - fp * fn, np.sqrt(margins), out=values, where=margins > 0)
+    return _wider(Estimate(value, value, value), values, LEVEL)
+
+
+def auc(
+    score: NDArray[np.float64],
+    runs: DistinctRuns,
+    rng: np.random.Generator,
+    level: float = LEVEL,
+) -> Estimate:
     """Return the chance that a malicious row scores above another one, ties counting half.
 
     Of a hard verdict (0 or 1) this is the balanced accuracy.
@@ -103,6 +213,8 @@ def auc(score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Generator
     runs : DistinctRuns
     rng : Generator
         Draws the blocks.
+    level : float
+        Of confidence, two-sided.
 
     Returns
     -------
@@ -111,15 +223,43 @@ def auc(score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Generator
         for that many distinct runs: a few blocks that happen to be separated show no doubt when
         resampled. Nothing if a class is missing.
     """
-    score, malicious, copies, block = _scored(score, runs)
-    n_malicious = int(malicious.sum())
-    if n_malicious in (0, len(malicious)):
+    known, score = _scored(score, runs)
+    n_malicious = int(known.malicious.sum())
+    if n_malicious in (0, len(known)):
         return NOTHING
-    drawn = copies * _resampled(block, rng)
-    values = _aucs(score, malicious, np.vstack([copies, drawn]))
-    bound = newcombe_auc(float(values[0]), n_malicious, len(malicious) - n_malicious)
-    low, high = np.nanpercentile(values, BAND)
-    return Estimate(bound.value, min(bound.low, float(low)), max(bound.high, float(high)))
+    positive, negative = _by_score(score, known)
+    # Wins of the malicious rows of one block over the other rows of another: an AUC of any
+    # weighting of blocks is a ratio of quadratic forms.
+    wins = positive @ (np.cumsum(negative, axis=1) - negative / 2.0).T
+    draws = np.vstack([np.ones(len(wins)), _resampled(len(wins), rng)])
+    pairs = (draws @ positive.sum(axis=1)) * (draws @ negative.sum(axis=1))
+    values = np.full(len(pairs), np.nan)
+    np.divide(np.einsum("ri,ri->r", draws @ wins, draws), pairs, out=values, where=pairs > 0)
+    bound = newcombe_auc(float(values[0]), n_malicious, len(known) - n_malicious, level)
+    return _wider(bound, values[1:], level)
+
+
+def average_precision(
+    score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Generator
+) -> Estimate:
+    """Return the mean precision over the malicious rows, read from the highest score down.
+
+    A score that tells nothing reaches the prevalence, which therefore has to stand beside it.
+    Parameters are those of `auc`; the interval is of percentiles over resampled blocks alone.
+    """
+    known, score = _scored(score, runs)
+    if known.malicious.all() or not known.malicious.any():
+        return NOTHING
+    positive, negative = (part[:, ::-1] for part in _by_score(score, known))
+    draws = np.vstack([np.ones(len(positive)), _resampled(len(positive), rng)])
+    found = draws @ positive
+    true, false = np.cumsum(found, axis=1), np.cumsum(draws @ negative, axis=1)
+    precision = np.divide(true, true + false, out=np.zeros_like(true), where=true > 0)
+    total = true[:, -1]
+    values = np.full(len(total), np.nan)
+    np.divide((precision * found).sum(axis=1), total, out=values, where=total > 0)
+    value = float(values[0])
+    return _wider(Estimate(value, value, value), values[1:], LEVEL)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -143,65 +283,50 @@ def roc_curve(score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Gen
     MetricError
         A class is missing.
     """
-    score, malicious, copies, block = _scored(score, runs)
-    if malicious.all() or not malicious.any():
+    known, score = _scored(score, runs)
+    if known.malicious.all() or not known.malicious.any():
         raise MetricError("A ROC curve needs runs of both classes; record both.")
-    weights = np.vstack([copies, copies * _resampled(block, rng)])
+    # From the highest score down; the curve joins the points of distinct scores.
+    positive, negative = (part[:, ::-1] for part in _by_score(score, known))
+    draws = np.vstack([np.ones(len(positive)), _resampled(len(positive), rng)])
     grid = np.linspace(0.0, 1.0, 101)
     curves = []
-    for positive, negative in zip(*_by_score(score, malicious, weights), strict=True):
-        if positive.sum() and negative.sum():
-            # From the highest score down; the curve joins the points of distinct scores.
-            x = np.append(0.0, np.cumsum(negative[::-1])) / negative.sum()
-            y = np.append(0.0, np.cumsum(positive[::-1])) / positive.sum()
-            curves.append(np.interp(grid, x, y))
+    for true, false in zip(draws @ positive, draws @ negative, strict=True):
+        if true.sum() and false.sum():
+            x, y = np.append(0.0, np.cumsum(false)), np.append(0.0, np.cumsum(true))
+            curves.append(np.interp(grid, x / x[-1], y / y[-1]))
     low, high = np.percentile(curves, BAND, axis=0)
     return RocCurve(grid, curves[0], np.minimum(low, curves[0]), np.maximum(high, curves[0]))
 
 
 def _scored(
     score: NDArray[np.float64], runs: DistinctRuns
-) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[DistinctRuns, NDArray[np.float64]]:
     known = ~np.isnan(score)
-    return (
-        score[known],
-        runs.malicious[known],
-        runs.copies[known].astype(np.float64),
-        runs.block[known],
-    )
+    return only(runs, known), score[known]
 
 
-def _resampled(block: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return how often each run is drawn when blocks are, shape (RESAMPLES, n_runs)."""
-    names, member = np.unique(block, return_inverse=True)
-    shares = np.full(len(names), 1.0 / len(names))
-    return rng.multinomial(len(names), shares, size=RESAMPLES)[:, member].astype(np.float64)
+def _resampled(blocks: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return how often each block is drawn, shape (RESAMPLES, blocks)."""
+    shares = np.full(blocks, 1.0 / blocks)
+    return rng.multinomial(blocks, shares, size=RESAMPLES).astype(np.float64)
 
 
 def _by_score(
-    score: NDArray[np.float64], malicious: NDArray[np.bool_], weights: NDArray[np.float64]
+    score: NDArray[np.float64], runs: DistinctRuns
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sum the weights of either class by distinct score, ascending; (n_weightings, n_scores)."""
-    order = np.argsort(score, kind="stable")
-    starts = np.flatnonzero(np.diff(score[order], prepend=-np.inf))
-    weights, malicious = weights[:, order], malicious[order]
-    return (
-        np.add.reduceat(weights * malicious, starts, axis=1),
-        np.add.reduceat(weights * ~malicious, starts, axis=1),
-    )
+    """Count the rows of either class by block and distinct score, ascending."""
+    blocks, member = np.unique(runs.block, return_inverse=True)
+    scores, place = np.unique(score, return_inverse=True)
+    counts = np.zeros((2, len(blocks), len(scores)))
+    np.add.at(counts, (runs.malicious.astype(int), member, place), runs.copies)
+    return counts[1], counts[0]
 
 
-def _aucs(
-    score: NDArray[np.float64], malicious: NDArray[np.bool_], weights: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return one AUC a weighting; NaN where a class has no weight."""
-    positive, negative = _by_score(score, malicious, weights)
-    below = np.cumsum(negative, axis=1) - negative / 2.0
-    pairs = positive.sum(axis=1) * negative.sum(axis=1)
-    wins = (positive * below).sum(axis=1)
-    values = np.full(len(pairs), np.nan)
-    np.divide(wins, pairs, out=values, where=pairs > 0)
-    return values
+def _wider(bound: Estimate, values: NDArray[np.float64], level: float) -> Estimate:
+    """Widen an interval to the percentiles of resampled values."""
+    low, high = np.nanpercentile(values, [50.0 * (1.0 - level), 50.0 * (1.0 + level)])
+    return Estimate(bound.value, min(bound.low, float(low)), max(bound.high, float(high)))
 
 
 def decode_thesis_row(tpr: float, auc: float) -> float:

@@ -9,7 +9,7 @@ import logging
 import math
 from collections.abc import Iterable, Mapping
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,15 +19,20 @@ import pandas as pd
 
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.run_directory import RunDirectory
-from oracle_pipeline.datasets import KEYS, MISSING, write_table
+from oracle_pipeline.datasets import KEYS, MISSING, WHERE, WINDOW_START, write_table
 from oracle_pipeline.features.manager import FeatureManager
-from oracle_pipeline.features.plugin import Feature, FeaturePlugin, Missing, Values, Window
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Located,
+    Missing,
+    Values,
+    Window,
+)
 from oracle_pipeline.features.recording import Recording, Span
 from oracle_pipeline.features.thesis import MessageTable, ThesisPlugin
 from oracle_pipeline.graphs.intervals import graph_between
 from oracle_pipeline.runs import Run
-
-WINDOW_START = "window_start_s"
 
 _SECOND_NS = 1_000_000_000
 _WINDOW_NS = 10 * _SECOND_NS
@@ -46,9 +51,10 @@ class FeatureTables(NamedTuple):
 
 @dataclass(slots=True)
 class _Row:
-    """Features of one span, and why some of them are NaN."""
+    """Features of one span, where they were attained, and why some of them are NaN."""
 
     values: dict[str, float] = field(default_factory=dict)
+    where: dict[str, str] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
 
     def put(self, column: str, value: Any) -> None:
@@ -56,9 +62,11 @@ class _Row:
         if isinstance(value, Missing):
             reason = value.reason
         else:
-            number = float(value)
+            number = float(value.value if isinstance(value, Located) else value)
             if math.isfinite(number):
                 self.values[column] = number
+                if isinstance(value, Located):
+                    self.where[column] = value.where
                 return
             reason = f"the plugin returned {number}"
         self.values[column] = math.nan
@@ -85,7 +93,7 @@ def extract(run: Run, manager: FeatureManager) -> FeatureTables:
     with closing(MessageTable(run.bag)) as messages:
         every_message = messages.add if manager.thesis else None
         recording = Recording.read(run.bag, manager.plugins, every_message)
-        extraction = _Extraction(run, manager, recording)
+        extraction = _Extraction(run, manager, recording, whole)
         of_run = extraction.row(whole)
         fields = _fields(manager.features())
         for plugin in manager.thesis:
@@ -130,18 +138,25 @@ def write(tables: FeatureTables, directory: RunDirectory) -> tuple[Path, Path]:
 class _Extraction:
     """Calls the plugins on spans of one recording."""
 
-    def __init__(self, run: Run, manager: FeatureManager, recording: Recording) -> None:
+    def __init__(
+        self, run: Run, manager: FeatureManager, recording: Recording, whole: Span
+    ) -> None:
         self._run = run
         self._plugins = manager.plugins
         self._recording = recording
         self._failed: set[str] = set()  # plugins whose failure is in the log
+        common = self._common(whole)
+        self._prepared = {
+            plugin.name: self._prepare(plugin, recording.window(plugin, whole, common))
+            for plugin in manager.plugins
+        }
 
     def row(self, span: Span, *, per_window: bool = False) -> _Row:
         """Return all features of a span, or only those that make sense for a window."""
         row = _Row()
-        graph = self._graph(span)
+        common = self._common(span)
         for plugin in self._plugins:
-            values = self._compute(plugin, self._recording.window(plugin, span, graph))
+            values = self._compute(plugin, self._recording.window(plugin, span, common))
             for feature in plugin.features:
                 if feature.per_window or not per_window:
                     row.put(plugin.column(feature), values[feature.name])
@@ -170,18 +185,35 @@ class _Extraction:
         graph = graph_between(self._run.intervals, span.start_s, span.end_s)
         return None if graph is None else nx.freeze(graph)
 
+    def _common(self, span: Span) -> Window:
+        return self._recording.span(span, self._graph(span), self._run.intervals)
+
+    def _prepare(self, plugin: FeaturePlugin, window: Window | Missing) -> Any:
+        """Return what a plugin makes of the whole recording, or why it cannot."""
+        if plugin.prepare is None or isinstance(window, Missing):
+            return None
+        try:
+            return plugin.prepare(window)
+        except Exception as error:  # foreign code
+            return self._failure(plugin.name, error)
+
     def _compute(self, plugin: FeaturePlugin, window: Window | Missing) -> Values:
         """Call a plugin; whatever it does, there is an entry for each of its features."""
         names = [feature.name for feature in plugin.features]
-        if isinstance(window, Missing):
-            return dict.fromkeys(names, window)
+        prepared = self._prepared[plugin.name]
+        for obstacle in (window, prepared):
+            if isinstance(obstacle, Missing):
+                return dict.fromkeys(names, obstacle)
+        assert isinstance(window, Window)  # noqa: S101 -- the other case is dealt with
         try:
-            values = plugin.compute(window)
+            values = plugin.compute(replace(window, prepared=prepared))
             if isinstance(values, Missing):
                 return dict.fromkeys(names, values)
             if values.keys() != set(names):
                 raise KeyError(f"returned {sorted(values)} instead of {sorted(names)}")
-            return {n: v if isinstance(v, Missing) else float(v) for n, v in values.items()}
+            return {
+                n: v if isinstance(v, Located | Missing) else float(v) for n, v in values.items()
+            }
         except Exception as error:  # foreign code
             return dict.fromkeys(names, self._failure(plugin.name, error))
 
@@ -210,10 +242,11 @@ def _table(
     rows: list[_Row],
     fields: dict[str, dict[str, str]],
 ) -> pd.DataFrame:
-    """Lay rows out: the keys, the columns as float64, and what is missing as JSON."""
+    """Lay rows out: the keys, the columns as float64; where each was, what is missing, as JSON."""
     data: dict[str, Any] = {key: [value] * len(rows) for key, value in keys.items()}
     data |= {key: np.array(values, dtype=np.float64) for key, values in more_keys.items()}
     data |= {c: np.array([row.values[c] for row in rows], dtype=np.float64) for c in columns}
+    data[WHERE] = [json.dumps(row.where, sort_keys=True) for row in rows]
     data[MISSING] = [json.dumps(row.missing, sort_keys=True) for row in rows]
     table = pd.DataFrame(data)
     table.attrs["fields"] = fields

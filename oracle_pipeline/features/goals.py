@@ -56,15 +56,26 @@ class Goal:
 
 def compute(window: Window) -> Values | Missing:
     """Compute from all that was said up to the end of the window."""
-    goals = _goals(window)
-    if goals is None:
-        return Missing(f"neither {STATUS_TOPIC} nor {LOG_TOPIC} is recorded")
+    goals = goals_told(window)
+    if isinstance(goals, Missing):
+        return goals
     none = Missing("no goal was accepted")
     return {
         "duration": _time_under_way(goals, window),
         "goals_reached": sum(g.reached for g in goals) / len(goals) if goals else none,
         "time_per_planned_metre": _time_per_planned_metre(goals, window),
     }
+
+
+def goals_told(window: Window) -> list[Goal] | Missing:
+    """Return the goals that the action's status, or else the tree's log, tells of so far."""
+    status = window.history["status"].get(STATUS_TOPIC)
+    if status is not None and len(status.times_s):
+        return goals_of_status(status)
+    log = window.history["log"].get(LOG_TOPIC)
+    if log is None:
+        return Missing(f"neither {STATUS_TOPIC} nor {LOG_TOPIC} is recorded")
+    return goals_of_log(log)
 
 
 def goals_of_status(series: Series) -> list[Goal]:
@@ -129,14 +140,6 @@ def register_features() -> list[FeaturePlugin]:
         "plan": Request(keep_plan, PLAN_TOPIC, optional=True),
     }
     return [FeaturePlugin("goals", "contextual", FEATURES, compute, topics)]
-
-
-def _goals(window: Window) -> list[Goal] | None:
-    status = window.history["status"].get(STATUS_TOPIC)
-    if status is not None and len(status.times_s):
-        return goals_of_status(status)
-    log = window.history["log"].get(LOG_TOPIC)
-    return None if log is None else goals_of_log(log)
 
 
 def _time_under_way(goals: list[Goal], window: Window) -> float:

@@ -18,14 +18,50 @@ from typing import Any
 
 import pluggy
 
-from oracle_pipeline.features import goals, laser, odometry, structural
+from oracle_pipeline.features import (
+    atc_reports,
+    atc_tracks,
+    generic,
+    goals,
+    laser,
+    local_costmap,
+    localisation,
+    map_consistency,
+    navigation,
+    odometry,
+    pairs,
+    redundancy,
+    scan,
+    structural,
+    thesis_features,
+    traffic,
+    velocity,
+)
 from oracle_pipeline.features.plugin import PROJECT, Feature, FeaturePlugin, Hooks, PluginError
 from oracle_pipeline.features.ros_stand_ins import stand_ins
 from oracle_pipeline.features.thesis import FeatureExtractionPlugin, ThesisPlugin
 
 FOLDER_VARIABLE = "ORACLE_PLUGINS"
 
-_BUILT_IN = (structural, odometry, laser, goals)
+_BUILT_IN = (
+    structural,
+    odometry,
+    laser,
+    goals,
+    thesis_features,
+    traffic,
+    generic,
+    pairs,
+    redundancy,
+    scan,
+    map_consistency,
+    navigation,
+    velocity,
+    localisation,
+    local_costmap,
+    atc_reports,
+    atc_tracks,
+)
 
 _log = logging.getLogger(__name__)
 

@@ -17,6 +17,7 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
+from oracle_pipeline.features.scan_geometry import main_odometry, pose_of
 
 FEATURES = (
     Feature(
@@ -32,16 +33,12 @@ _SHORTEST_PATH_M = 0.1  # shorter ones are noise of the odometry
 
 def keep(message: Any) -> tuple[float, float, float, float]:
     """Return x [m], y [m], yaw [rad] and yaw rate [rad/s] of a ``nav_msgs/msg/Odometry``."""
-    position, q = message.pose.pose.position, message.pose.pose.orientation
-    yaw = np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
-    return position.x, position.y, float(yaw), message.twist.twist.angular.z
+    return *pose_of(message.pose.pose), message.twist.twist.angular.z
 
 
 def compute(window: Window) -> Values | Missing:
     """Compute from ``/odom``, or from the first odometry topic by name if there is no such."""
-    topics = window.topics["odometry"]
-    series = topics.get("/odom") or topics[min(topics)]
-    x, y, yaw, rate = series.values.T
+    x, y, yaw, rate = main_odometry(window.topics["odometry"]).values.T
     turning = float(np.abs(np.angle(np.exp(1j * np.diff(yaw)))).sum())
     path_m = float(np.hypot(np.diff(x), np.diff(y)).sum())
     still = Missing(f"the robot moved less than {_SHORTEST_PATH_M} m")

@@ -18,6 +18,8 @@ from numpy.typing import DTypeLike, NDArray
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.reader import Topic
+from oracle_pipeline.features.layout import Layout
+from oracle_pipeline.graphs.intervals import Interval
 
 PROJECT = "oracle_pipeline"  # the entry-point group that other distributions use
 
@@ -36,6 +38,14 @@ class Missing:
     """Stands in place of a number that this window does not give; the reason is kept."""
 
     reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Located:
+    """A number, and where in the system it was attained: a topic, a pair of topics, an edge."""
+
+    value: float
+    where: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,13 +69,21 @@ class Request:
     ----------
     keep : callable
         Takes a decoded message and returns a number, a tuple of numbers or an array of the same
-        shape each time; with ``dtype=object`` anything. Called once a message.
+        shape each time; with ``dtype=object`` anything; None leaves the message out. Called once
+        a message, even if several plugins ask with the same ``Request``.
     name, msgtype : str
         Globs over topic names and message types; a topic must match both.
     dtype : dtype
         Of the array that the kept values become.
     optional : bool
         Compute even when no topic matches, or none of them has a message in the window.
+    raw : bool
+        ``keep`` takes a ``RawRecord`` instead; nothing is decoded.
+    every_s : float
+        Of each span of this length, counted from the start of the recording, only the first
+        message of a topic is taken [s]; 0: all.
+    needs_array : bool
+        Only topics whose messages have an array of floating-point numbers (``RawRecord.array``).
     """
 
     keep: Callable[[Any], Any]
@@ -73,13 +91,46 @@ class Request:
     msgtype: str = "*"
     dtype: DTypeLike = np.float64
     optional: bool = False
+    raw: bool = False
+    every_s: float = 0.0
+    needs_array: bool = False
 
-    def matches(self, topic: Topic) -> bool:
+    def matches(self, topic: Topic, layout: Layout) -> bool:
         """Tell whether a topic of a bag is asked for."""
-        return fnmatchcase(topic.name, self.name) and fnmatchcase(topic.msgtype, self.msgtype)
+        return (
+            fnmatchcase(topic.name, self.name)
+            and fnmatchcase(topic.msgtype, self.msgtype)
+            and (layout.has_array or not self.needs_array)
+        )
 
     def __str__(self) -> str:
         return " of type ".join(part for part in (self.name, self.msgtype) if part != "*")
+
+
+class RawRecord(NamedTuple):
+    """A message as it was recorded, and what can be read from it without decoding."""
+
+    data: bytes
+    layout: Layout
+
+    @property
+    def header_stamp_ns(self) -> int | None:
+        """Stamp in the header [ns]; None if it has no header."""
+        return self.layout.header_stamp_ns(self.data)
+
+    @property
+    def array(self) -> NDArray[np.floating[Any]] | None:
+        """Its first array of floating-point numbers; None if it has none."""
+        return self.layout.array(self.data)
+
+
+class Arrivals(NamedTuple):
+    """All messages of one topic, unread; shape (n,) each, read-only."""
+
+    msgtype: str  # sensor_msgs/msg/LaserScan
+    times_s: NDArray[np.float64]  # recorded at, since the start of the recording [s]
+    sizes: NDArray[np.int64]  # serialised [B]
+    header_stamps_ns: NDArray[np.int64]  # shape (0,) if the type has no header
 
 
 class Series(NamedTuple):
@@ -99,21 +150,33 @@ class Window:
         Since the start of the recording [s].
     graph : DiGraph or None
         The ROS graph of the span, frozen; None if the bag came without.
+    system : DiGraph or None
+        The same without observers, ``oracle_pipeline.graphs.views.system_view``.
+    intervals : tuple of Interval
+        The graphs that it was composed of, and those before, in order of time.
+    arrivals : mapping of str to Arrivals
+        When messages came within the span, on every topic of the bag, silent ones included.
     topics : mapping of str to (mapping of str to Series)
         By name of the request, then of the topic: the messages within the span. Topics that are
         silent in it are left out; if all are, ``compute`` is only called for optional requests.
     history : mapping of str to (mapping of str to Series)
         The same from the start of the recording to the end of the span, silent topics included.
+    prepared
+        What the plugin's ``prepare`` made of the whole recording; None if it has none.
     """
 
     start_s: float
     end_s: float
     graph: RosGraph | None
-    topics: Mapping[str, Mapping[str, Series]]
-    history: Mapping[str, Mapping[str, Series]]
+    system: RosGraph | None
+    intervals: tuple[Interval, ...]
+    arrivals: Mapping[str, Arrivals]
+    topics: Mapping[str, Mapping[str, Series]] = field(default_factory=dict)
+    history: Mapping[str, Mapping[str, Series]] = field(default_factory=dict)
+    prepared: Any = None
 
 
-Values: TypeAlias = Mapping[str, "float | Missing"]
+Values: TypeAlias = Mapping[str, "float | Located | Missing"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,12 +192,16 @@ class FeaturePlugin:
     features : tuple of Feature
         What ``compute`` returns, all of it and nothing else.
     compute : callable
-        Takes a window and returns a number, or ``Missing``, by feature name; or one ``Missing``
-        for all.
+        Takes a window and returns a number, ``Located`` or ``Missing`` by feature name; or one
+        ``Missing`` for all.
     topics : mapping of str to Request
         What to read from the bag, under names of the plugin's own.
     needs_graph : bool
         Without a graph, ``compute`` is not called and the features are missing.
+    prepare : callable, optional
+        Takes the window of the whole recording and returns what all calls of ``compute`` share.
+        Called once a recording; a ``Missing``, or an exception, is the reason for all features
+        of the plugin.
     """
 
     name: str
@@ -143,6 +210,7 @@ class FeaturePlugin:
     compute: Callable[[Window], Values | Missing]
     topics: Mapping[str, Request] = field(default_factory=dict)
     needs_graph: bool = False
+    prepare: Callable[[Window], Any] | None = None
 
     def column(self, feature: Feature) -> str:
         """Return the name of a feature's column."""

@@ -1,21 +1,35 @@
 """One pass over a bag for all plugins: what they keep of its messages, as arrays.
 
-Each message is decoded at most once, and only on topics that a plugin asked for. Windows are
-slices of the arrays.
+Each message is decoded at most once, and only if a plugin asked for it. Windows are slices of the
+arrays.
 """
 
-from collections import defaultdict
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import math
+from array import array
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
+import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.reader import BagReader, RawMessage
-from oracle_pipeline.features.plugin import FeaturePlugin, Missing, Request, Series, Window
+from oracle_pipeline.features.layout import Layout
+from oracle_pipeline.features.plugin import (
+    Arrivals,
+    FeaturePlugin,
+    Missing,
+    RawRecord,
+    Request,
+    Series,
+    Window,
+)
+from oracle_pipeline.graphs.intervals import Interval
+from oracle_pipeline.graphs.views import system_view
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +49,10 @@ class Span:
         """End [s]."""
         return self.end_ns / 1e9
 
+    def of(self, times_ns: "array[int]") -> slice:
+        """Return which of ascending times are in the span."""
+        return slice(bisect_left(times_ns, self.start_ns), bisect_left(times_ns, self.end_ns))
+
 
 class _Kept:
     """What one request keeps of one topic."""
@@ -42,22 +60,30 @@ class _Kept:
     def __init__(self, request: Request) -> None:
         self.request = request
         self.error = ""  # why there is nothing to be had from this topic
-        self._stamps_ns: list[int] = []
+        self.due_ns: float = 0  # before that no message is wanted
+        self._every_ns = round(request.every_s * 1e9)
+        self._times_ns = array("q")
         self._rows: list[Any] = []
 
-    def add(self, stamp_ns: int, message: Any) -> None:
-        if self.error:
-            return
+    def add(self, time_ns: int, message: Any) -> None:
+        """Keep what is wanted of a message that is due."""
+        if self._every_ns:
+            self.due_ns = (time_ns // self._every_ns + 1) * self._every_ns
         try:
-            self._rows.append(self.request.keep(message))
+            row = self.request.keep(message)
         except Exception as error:  # foreign code
-            self.error = f"{type(error).__name__}: {error}"
-        else:
-            self._stamps_ns.append(stamp_ns)
+            self.fail(f"{type(error).__name__}: {error}")
+            return
+        if row is not None:
+            self._rows.append(row)
+            self._times_ns.append(time_ns)
 
-    def finish(self, start_ns: int) -> None:
+    def fail(self, error: str) -> None:
+        """Give the topic up."""
+        self.error, self.due_ns = error, math.inf
+
+    def finish(self) -> None:
         """Make arrays of all that was kept, in time order."""
-        stamps = np.array(self._stamps_ns, dtype=np.int64) - start_ns
         try:
             values: NDArray[Any] = (
                 np.fromiter(self._rows, dtype=object, count=len(self._rows))
@@ -67,37 +93,78 @@ class _Kept:
         except ValueError as error:
             self.error = f"what is kept of each message must have the same shape: {error}"
             return
-        order = np.argsort(stamps, kind="stable")
-        self._times_ns = stamps[order]
-        times_s, values = self._times_ns / 1e9, values[order]
-        times_s.flags.writeable = values.flags.writeable = False
-        self._series = Series(times_s, values)
+        times_s, order = _in_order(self._times_ns)
+        self._series = Series(times_s, _read_only(values[order]))
 
-    def between(self, start_ns: int, end_ns: int) -> Series:
-        first, after = np.searchsorted(self._times_ns, (start_ns, end_ns))
-        return Series(self._series.times_s[first:after], self._series.values[first:after])
+    def within(self, span: Span) -> Series:
+        part = span.of(self._times_ns)
+        return Series(self._series.times_s[part], self._series.values[part])
+
+
+class _Topic:
+    """One topic of the bag: when its messages came, and what is kept of them."""
+
+    def __init__(self, msgtype: str, layout: Layout) -> None:
+        self.msgtype, self.layout = msgtype, layout
+        self.kept: dict[int, _Kept] = {}  # by identity of the request
+        self._times_ns = array("q")
+        self._sizes = array("q")
+        self._header_stamps_ns = array("q")
+
+    def add(self, time_ns: int, message: RawMessage, bag: BagReader) -> None:
+        self._times_ns.append(time_ns)
+        self._sizes.append(len(message.data))
+        if (stamp_ns := self.layout.header_stamp_ns(message.data)) is not None:
+            self._header_stamps_ns.append(stamp_ns)
+        content: Any = None
+        for kept in self.kept.values():
+            if time_ns < kept.due_ns:
+                continue
+            if kept.request.raw:
+                kept.add(time_ns, RawRecord(message.data, self.layout))
+                continue
+            try:
+                content = content or bag.deserialize(message)
+            except BagError as error:
+                kept.fail(str(error))
+            else:
+                kept.add(time_ns, content)
+
+    def finish(self) -> None:
+        """Make arrays, in time order."""
+        sizes = np.array(self._sizes, dtype=np.int64)
+        stamps_ns = np.array(self._header_stamps_ns, dtype=np.int64)
+        times_s, order = _in_order(self._times_ns)
+        stamps_ns = stamps_ns[order] if len(stamps_ns) == len(order) else stamps_ns[:0]
+        self._all = Arrivals(self.msgtype, times_s, _read_only(sizes[order]), _read_only(stamps_ns))
+        for kept in self.kept.values():
+            kept.finish()
+
+    def within(self, span: Span) -> Arrivals:
+        part = span.of(self._times_ns)
+        _, times_s, sizes, stamps_ns = self._all
+        return Arrivals(self.msgtype, times_s[part], sizes[part], stamps_ns[part])
 
 
 class Recording:
-    """The kept messages of a bag, by plugin."""
+    """When the messages of a bag came, and what plugins kept of them."""
 
     def __init__(self, bag: BagReader, plugins: tuple[FeaturePlugin, ...]) -> None:
+        self._topics = {
+            name: _Topic(topic.msgtype, Layout(bag, name))
+            for name, topic in sorted(bag.topics.items())
+        }
         self._kept: dict[str, dict[str, dict[str, _Kept]]] = {
             plugin.name: {
                 key: {
-                    name: _Kept(request)
-                    for name, topic in sorted(bag.topics.items())
-                    if request.matches(topic)
+                    name: topic.kept.setdefault(id(request), _Kept(request))
+                    for name, topic in self._topics.items()
+                    if request.matches(bag.topics[name], topic.layout)
                 }
                 for key, request in plugin.topics.items()
             }
             for plugin in plugins
         }
-        self._by_topic: dict[str, list[_Kept]] = defaultdict(list)
-        for requests in self._kept.values():
-            for topics in requests.values():
-                for name, kept in topics.items():
-                    self._by_topic[name].append(kept)
 
     @classmethod
     def read(
@@ -116,21 +183,26 @@ class Recording:
             Called with each message of the bag, asked for or not.
         """
         recording = cls(bag, plugins)
-        wanted = recording._by_topic
-        for message in bag.messages(wanted.keys() if every_message is None else None):
+        topics, start_ns = recording._topics, bag.start_ns
+        for message in bag.messages():
             if every_message is not None:
                 every_message(message)
-            if message.topic in wanted:
-                recording._add(bag, message)
-        for topics in wanted.values():
-            for kept in topics:
-                kept.finish(bag.start_ns)
+            topics[message.topic].add(message.stamp_ns - start_ns, message, bag)
+        for topic in topics.values():
+            topic.finish()
         return recording
 
-    def window(self, plugin: FeaturePlugin, span: Span, graph: RosGraph | None) -> Window | Missing:
-        """Return what a plugin sees of a span, or why it can see nothing."""
+    def span(self, span: Span, graph: RosGraph | None, intervals: Iterable[Interval]) -> Window:
+        """Return what every plugin sees of a span."""
+        past = tuple(each for each in intervals if each.start_s < span.end_s)
+        arrivals = {name: topic.within(span) for name, topic in self._topics.items()}
+        system = None if graph is None else nx.freeze(system_view(graph))
+        return Window(span.start_s, span.end_s, graph, system, past, arrivals)
+
+    def window(self, plugin: FeaturePlugin, span: Span, common: Window) -> Window | Missing:
+        """Return what one plugin sees of a span, or why it can see nothing."""
         requests = self._kept[plugin.name]
-        if plugin.needs_graph and graph is None:
+        if plugin.needs_graph and common.graph is None:
             return Missing("the bag was recorded without graphs")
         for key, request in plugin.topics.items():
             for name, kept in requests[key].items():
@@ -138,35 +210,36 @@ class Recording:
                     return Missing(f"{name} cannot be used: {kept.error}")
             if not request.optional and not requests[key]:
                 return Missing(f"no topic {request} is recorded")
-        topics = _cut(requests, span.start_ns, span.end_ns, silent=False)
+        topics = _cut(requests, span, silent=False)
         for key, request in plugin.topics.items():
             if not request.optional and not topics[key]:
                 return Missing(f"no message on {', '.join(requests[key])} in this window")
-        history = _cut(requests, 0, span.end_ns, silent=True)
-        return Window(span.start_s, span.end_s, graph, topics, history)
-
-    def _add(self, bag: BagReader, message: RawMessage) -> None:
-        interested = [kept for kept in self._by_topic[message.topic] if not kept.error]
-        if not interested:
-            return
-        try:
-            decoded = bag.deserialize(message)
-        except BagError as error:
-            for kept in interested:
-                kept.error = str(error)
-            return
-        for kept in interested:
-            kept.add(message.stamp_ns, decoded)
+        history = _cut(requests, Span(0, span.end_ns), silent=True)
+        return replace(common, topics=topics, history=history)
 
 
 def _cut(
-    requests: Mapping[str, Mapping[str, _Kept]], start_ns: int, end_ns: int, *, silent: bool
+    requests: Mapping[str, Mapping[str, _Kept]], span: Span, *, silent: bool
 ) -> dict[str, dict[str, Series]]:
     return {
         key: {
             name: series
             for name, kept in topics.items()
-            if len((series := kept.between(start_ns, end_ns)).times_s) or silent
+            if len((series := kept.within(span)).times_s) or silent
         }
         for key, topics in requests.items()
     }
+
+
+def _in_order(times_ns: "array[int]") -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Sort times in place; return them [s], and from where each came."""
+    unsorted_ns = np.array(times_ns, dtype=np.int64)
+    order = np.argsort(unsorted_ns, kind="stable")
+    sorted_ns = unsorted_ns[order]
+    times_ns[:] = array("q", sorted_ns.tobytes())
+    return _read_only(sorted_ns / 1e9), order
+
+
+def _read_only(values: NDArray[Any]) -> NDArray[Any]:
+    values.flags.writeable = False
+    return values

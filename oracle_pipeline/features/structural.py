@@ -1,14 +1,17 @@
 """Features of the ROS graph's shape: the thesis's seven, as their names promise, and companions.
 
 The thesis's code computes other things than its text says; its numbers and ours stand side by side
-in docs/features.md. Everything is computed on the system view: without observers.
+in docs/features.md. ``structural.*`` is of the system view, without observers; ``structural_raw.*``
+of everything, which tells also how a run was watched and is therefore marked as a shortcut.
 """
 
 import functools
+from dataclasses import replace
 
 import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import shortest_path
 
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.features.plugin import (
@@ -19,7 +22,6 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.graphs.views import system_view
 
 FEATURES = (
     Feature("max_degree", "1", 1.0, "largest number of edges at one vertex"),
@@ -70,24 +72,36 @@ def graph_shape(graph: RosGraph) -> dict[str, float]:
         "degree_variance": float(degrees.var()),
         "degree_cv": float(degrees.std() / degrees.mean()),
         "max_in_degree_centrality": max(in_degrees) / (n - 1),
-        "mean_betweenness": float(np.mean(list(nx.betweenness_centrality(graph).values()))),
+        "mean_betweenness": _mean_betweenness(graph),
     }
 
 
 def compute(window: Window) -> Values | Missing:
-    """Compute the shape of a window's graph."""
-    assert window.graph is not None  # noqa: S101 -- the plugin needs a graph
-    graph = system_view(window.graph)
-    if not graph.edges:
-        return Missing("the graph has no edges")
-    vertices = frozenset((vertex, data["kind"]) for vertex, data in graph.nodes(data=True))
-    return _shape(vertices, frozenset(graph.edges))
+    """Compute the shape of the system."""
+    return _compute(window.system)
+
+
+def compute_raw(window: Window) -> Values | Missing:
+    """Compute the shape of the whole graph, observers included."""
+    return _compute(window.graph)
 
 
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the structural features."""
-    return [FeaturePlugin("structural", "structural", FEATURES, compute, needs_graph=True)]
+    shortcuts = tuple(replace(feature, shortcut=True) for feature in FEATURES)
+    return [
+        FeaturePlugin("structural", "structural", FEATURES, compute, needs_graph=True),
+        FeaturePlugin("structural_raw", "structural_raw", shortcuts, compute_raw, needs_graph=True),
+    ]
+
+
+def _compute(graph: RosGraph | None) -> Values | Missing:
+    assert graph is not None  # noqa: S101 -- the plugins need a graph
+    if not graph.edges:
+        return Missing("the graph has no edges")
+    vertices = frozenset((vertex, data["kind"]) for vertex, data in graph.nodes(data=True))
+    return _shape(vertices, frozenset(graph.edges))
 
 
 @functools.lru_cache(maxsize=64)
@@ -99,6 +113,14 @@ def _shape(
     graph.add_nodes_from((vertex, {"kind": kind}) for vertex, kind in sorted(vertices))
     graph.add_edges_from(sorted(edges))
     return graph_shape(graph)
+
+
+def _mean_betweenness(graph: RosGraph) -> float:
+    """Return it from distances alone: a shortest path of k edges has k - 1 vertices inside."""
+    n = graph.number_of_nodes()
+    distances = shortest_path(nx.to_scipy_sparse_array(graph, weight=None), unweighted=True)
+    inside = distances[np.isfinite(distances) & (distances > 1.0)] - 1.0
+    return float(inside.sum()) / (n * max(1, (n - 1) * (n - 2)))
 
 
 def _entropy(shares: NDArray[np.float64]) -> float:

@@ -1,4 +1,4 @@
-"""Charts as PNG bytes: dendrogram, ROC curves, principal components, grid, intervals.
+"""Charts as PNG bytes: dendrogram, ROC and other curves, components, heat maps, intervals.
 
 A run seen from above is drawn in ``oracle_pipeline.reporting.scene``.
 
@@ -10,7 +10,7 @@ reads a clock, a file or a user's Matplotlib settings: the same numbers give the
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import BytesIO
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -33,6 +33,7 @@ COLORS = {"normal": "#3f83d8", "control": "#1f9486", "malicious": "#d4583a"}
 MARKERS = {"normal": "o", "control": "s", "malicious": "^"}
 SERIES = ("#3f83d8", "#d4583a", "#1f9486", "#8b6fd0", AMBER)
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
+SHADE = 0.3  # opacity of a heat map's strongest cell: more, and its number is hard to read
 
 DPI = 160
 
@@ -136,6 +137,70 @@ def roc_curves(curves: Mapping[str, tuple[RocCurve, Estimate]]) -> bytes:
     return png.getvalue()
 
 
+class Curve(NamedTuple):
+    """A line with a band around it, if it has one; arrays of shape (n,)."""
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    low: NDArray[np.float64] | None = None
+    high: NDArray[np.float64] | None = None
+
+
+def curves(named: Mapping[str, Curve], x: str, y: str, *, log: bool = False) -> bytes:
+    """Draw shares over something else.
+
+    Parameters
+    ----------
+    named : mapping of str to Curve
+        By the legend's text.
+    x, y : str
+        Labels of the axes.
+    log : bool
+        Whether `x` is on a logarithmic axis.
+    """
+    with drawing(4.7, 3.6) as (axes, png):
+        for number, (name, curve) in enumerate(named.items()):
+            color, dash = SERIES[number % len(SERIES)], DASHES[number % len(DASHES)]
+            if curve.low is not None and curve.high is not None:
+                axes.fill_between(curve.x, curve.low, curve.high, color=color, alpha=0.13, lw=0)
+            axes.plot(curve.x, curve.y, color=color, ls=dash, lw=1.8, label=name)
+        axes.set(xlabel=x, ylabel=y, ylim=(-0.02, 1.02))
+        if log:
+            axes.set_xscale("log")
+        axes.grid(True)
+        axes.legend(loc="best", fontsize="small")
+    return png.getvalue()
+
+
+def kill_heat_map(kills: pd.DataFrame) -> bytes:
+    """Draw the share of killed mutants for every oracle and magnitude of one operator.
+
+    Parameters
+    ----------
+    kills : DataFrame
+        Rows of one scenario and parameter of ``oracle_pipeline.evaluation.grid.kill_matrix``.
+    """
+    names = (kills["detector"] + ", " + kills["features"]).to_numpy()
+    oracles, values = list(dict.fromkeys(names)), sorted(set(kills["value"]))
+    with drawing(7.2, 0.3 * len(oracles) + 1.2) as (axes, png):
+        for name, (_, row) in zip(names, kills.iterrows(), strict=True):
+            column, line, rate = values.index(row["value"]), oracles.index(name), row["kill_rate"]
+            if np.isfinite(rate):
+                cell, color = (column - 0.48, column + 0.48), COLORS["control"]
+                axes.fill_between(
+                    cell, line - 0.46, line + 0.46, color=color, alpha=SHADE * rate, lw=0
+                )
+            text = f"{rate:.2f}" if np.isfinite(rate) else "n/a"
+            axes.text(column, line, text, ha="center", va="center", fontsize="small")
+        axes.set_xticks(range(len(values)), [f"{value:.3g}" for value in values])
+        axes.set_yticks(range(len(oracles)), oracles)
+        axes.set(xlim=(-0.5, len(values) - 0.5), ylim=(len(oracles) - 0.5, -0.5))
+        axes.set_xlabel(f"{kills['parameter'].iloc[0]} of {kills['scenario'].iloc[0]}")
+        axes.spines[:].set_visible(False)
+        axes.tick_params(length=0)
+    return png.getvalue()
+
+
 def principal_components(
     X: NDArray[np.float64], labels: Sequence[str], copies: NDArray[np.int64] | None = None
 ) -> bytes:
@@ -197,7 +262,7 @@ def grid_heat_map(table: pd.DataFrame) -> bytes:
             line = methods.index(row["linkage"])
             area = Estimate(*(row[f"balanced_accuracy{end}"] for end in ("", "_low", "_high")))
             better = COLORS["control" if area.value >= 0.5 else "malicious"]
-            strength = 0.0 if np.isnan(area.value) else 1.4 * abs(area.value - 0.5)
+            strength = 0.0 if np.isnan(area.value) else 2.0 * SHADE * abs(area.value - 0.5)
             cell = (column - 0.48, column + 0.48)
             axes.fill_between(cell, line - 0.46, line + 0.46, color=better, alpha=strength, lw=0)
             axes.text(column, line, str(area), ha="center", va="center")

@@ -1,110 +1,128 @@
 """The report for people: one HTML file that holds everything it shows and asks the network nothing.
 
-Tables and pictures come from ``oracle_pipeline.reporting.reports``; the page itself is
-``templates/report.html.j2``.
+What it says comes from ``oracle_pipeline.reporting.evaluation`` and ``.reports``; its tables are
+chosen in ``page_tables``; the page itself is ``templates/report.html.j2``.
 """
 
 import base64
 import platform
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
-from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
 import jinja2
-import numpy as np
 import pandas as pd
 
 from oracle_pipeline.datasets import content_hash, is_malicious, replacing
 from oracle_pipeline.evaluation.limits import limits
 from oracle_pipeline.evaluation.metrics import RESAMPLES
+from oracle_pipeline.reporting import page_tables
+from oracle_pipeline.reporting.explanation import Explanation
 from oracle_pipeline.reporting.figures import DPI
+from oracle_pipeline.reporting.page_tables import THESIS, Grid
 from oracle_pipeline.reporting.result import Report
 from oracle_pipeline.reporting.tables import estimate
 
 LIBRARIES = ("numpy", "scipy", "scikit-learn", "pandas", "networkx", "matplotlib", "mujoco")
-
-
-class Cell(NamedTuple):
-    """One cell of a table: what it says and, smaller, its interval."""
-
-    text: str
-    interval: str = ""
-
-
-class Column(NamedTuple):
-    """One column of a table, below a group heading."""
-
-    title: str
-    name: str  # of the DataFrame's column
-    group: str = ""
-
-
-class Grid(NamedTuple):
-    """A table ready for the page."""
-
-    title: str
-    groups: Sequence[tuple[str, int]]  # heading, columns below it
-    columns: Sequence[Column]
-    rows: Sequence[Sequence[Cell]]
+NO_STORAGE = pd.DataFrame()
 
 
 class Picture(NamedTuple):
     """A picture inside the page."""
 
+    alt: str
     caption: str
     uri: str
     width: int  # [CSS px]
 
 
-THESIS = "The thesis"
-_AUC, _VERDICT, _BEST = "AUC", "Verdict without labels", "The thesis's reading of our runs"
-_MEASURES = (
-    Column("recall", "recall_best_cluster", _BEST),
-    Column("FPR", "fpr_best_cluster", _BEST),
-    Column("hard AUC", "balanced_accuracy_best_cluster", _BEST),
-    Column("recall", "thesis_recall", THESIS),
-    Column("FPR", "thesis_fpr", THESIS),
-    Column("hard AUC", "thesis_auc", THESIS),
-    Column("TPR", "tpr", _VERDICT),
-    Column("FPR", "fpr", _VERDICT),
-    Column("balanced accuracy", "balanced_accuracy", _VERDICT),
-    Column("MCC", "mcc", _VERDICT),
-    Column("HAC height", "auc", _AUC),
-    Column("note", "note"),
-)
-_GRID = (Column("linkage", "linkage"), Column("criterion", "criterion"), Column("t", "t"))
-_RATES = (Column("malicious rows", "malicious_rate"),)
-_PAIRS = (Column("runs", "scope"), Column("features", "features"))
-_EVALUATION = (
-    *_PAIRS,
-    Column("HAC height, held out", "auc", _AUC),
-    Column("small clusters", "auc_small_clusters", _AUC),
-    Column("malicious runs", "malicious"),
-    Column("right runs", "right"),
-    Column("note", "note"),
-)
+class Check(NamedTuple):
+    """One integrity check, in words."""
 
+    name: str
+    status: str  # green, red or unsupported
+    sentence: str
+
+
+class Explained(NamedTuple):
+    """One run explained."""
+
+    run_id: str
+    verdict: str
+    table: Grid
+    notes: Sequence[str]
+    pictures: Sequence[Picture]
+
+
+# Of each section that is there: its anchor and its heading.
+_SECTIONS = {
+    "verdicts": "What is detected",
+    "integrity": "Can these figures be believed?",
+    "limits": "What these runs cannot support",
+    "curves": "Detection against false alarms",
+    "alarms": "Time to detect",
+    "scorers": "Detectors and families of features",
+    "magnitude": "How weak an attack is still seen",
+    "effort": "How much has to be inspected",
+    "explained": "Attacked runs explained",
+    "radar": "A radar display with and without a ghost",
+    "trees": "Dendrograms",
+    "thesis": "The thesis’s method on these runs",
+    "storage": "What was kept",
+    "reading": "How to read this",
+    "provenance": "Provenance",
+}
+
+# By the name of a figure, or the part before its first underscore: what it is, and what it says.
 _CAPTIONS = {
-    "aucs": "AUC of each feature family, each run taken once; dotted: chance",
-    "grid": "Balanced accuracy of the verdict without labels; 0.5 is chance",
-    "roc": "ROC curves with 95% bands from resampled blocks",
-    "principal_components": "Runs in the first two principal components of all scaled features",
-    "rates": "Recall and false alarms of the best cluster; equal means nothing is told apart",
-    "pairs": "The thesis's AUC, of a hard verdict chosen with labels, ours and its own",
+    "roc": ("ROC curves", "ROC curves with 95% bands from resampled blocks; dotted: chance"),
+    "detection": (
+        "Detection rate over false-alarm rate",
+        "Share of runs called anomalous over the nominal false-alarm rate, with 95% bands; right "
+        "runs should lie on or below the nominal rate",
+    ),
+    "effort": (
+        "Effort curve",
+        "Attacks found by inspecting the most suspicious runs first",
+    ),
+    "kills": ("Kill matrix", "Kill matrix: share of mutants that each oracle calls anomalous"),
+    "magnitude": (
+        "Detection rate over magnitude",
+        "Detection rate over the magnitude of the attack, by family, with 95% intervals",
+    ),
+    "grid": (
+        "Heat map of the grid search",
+        "Balanced accuracy of the verdict without labels; 0.5 is chance",
+    ),
+    "rates": (
+        "Recall and false alarms by share of malicious rows",
+        "Recall and false alarms of the best cluster; equal means nothing is told apart",
+    ),
+    "pairs": (
+        "AUC by pair and features",
+        "The thesis’s AUC, of a hard verdict chosen with labels, ours and its own",
+    ),
+    "reproduced": (
+        "AUC reproduced beside the thesis’s",
+        "The thesis’s AUC, as its method gives it on our runs and as it prints it",
+    ),
 }
 
 
 def render(
     df: pd.DataFrame,
     *,
+    evaluation: Report,
+    explained: Sequence[Explanation],
     grid: Report,
     rates: Report,
     pairs: Report,
-    evaluation: Report,
-    runs: Mapping[str, bytes],
+    side_by_side: Report,
+    null_model: Report,
+    radar: Mapping[str, bytes],
     provenance: Mapping[str, str],
+    storage: pd.DataFrame = NO_STORAGE,
 ) -> str:
     """Return the page.
 
@@ -112,13 +130,18 @@ def render(
     ----------
     df : DataFrame
         The distinct runs, a row each.
-    grid, rates, pairs, evaluation : Report
-        Of `clustering_grid_search`, `malicious_rate_report`, `pairwise_report` and
-        `oracle_evaluation`.
-    runs : mapping of str to bytes
-        PNG pictures of runs from above, by caption.
+    evaluation : Report
+        Of `oracle_pipeline.reporting.evaluation.oracle_evaluation`.
+    explained : sequence of Explanation
+        Attacked runs with what gave them away.
+    grid, rates, pairs, side_by_side, null_model : Report
+        Of the functions of ``oracle_pipeline.reporting.reports``.
+    radar : mapping of str to bytes
+        PNG pictures of an attacked air traffic run and its control, by run; may be empty.
     provenance : mapping of str to str
         What the report was made from and with.
+    storage : DataFrame
+        What was kept of which mode, shown as it is.
     """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("oracle_pipeline.reporting"),
@@ -127,25 +150,45 @@ def render(
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    tables = {
+        **page_tables.of_evaluation(evaluation),
+        **page_tables.of_thesis(
+            grid_search=grid,
+            rates=rates,
+            pairs=pairs,
+            side_by_side=side_by_side,
+            null_model=null_model,
+        ),
+        "storage": page_tables.of_any("What was kept", storage),
+    }
+    there = {
+        "limits": limits(df),
+        "curves": _charts(evaluation, "roc", "detection"),
+        "magnitude": "kills" in tables,
+        "explained": [_explained(each) for each in explained],
+        "radar": [_run_picture(run, png) for run, png in radar.items()],
+        "trees": [*_dendrograms(grid), *_dendrograms(pairs)],
+        "storage": len(storage) > 0,
+    }
     return environment.get_template("report.html.j2").render(
         campaign=_campaign(df),
-        warnings=limits(df),
-        headline=evaluation.summary["headline"],
+        answer=_answer(evaluation),
+        scorer=evaluation.summary["scorer"],
+        checks=_checks(evaluation),
+        sections={name: title for name, title in _SECTIONS.items() if there.get(name, True)},
+        there=there,
+        tables=tables,
+        charts={
+            "magnitude": _charts(evaluation, "kills", "magnitude"),
+            "effort": _charts(evaluation, "effort"),
+            "side_by_side": _charts(side_by_side, "reproduced"),
+            "grid": _charts(grid, "grid", "roc"),
+            "rates": _charts(rates, "rates"),
+            "pairs": _charts(pairs, "pairs"),
+        },
+        warning=side_by_side.summary["warning"],
+        null_headline=null_model.summary["headline"],
         reading=_thesis_reading(pairs.table.iloc[0]),
-        tables={
-            "evaluation": _grid("Our evaluation", evaluation.table, _EVALUATION),
-            "grid": _grid("Grid search", grid.table, (*_GRID, *_MEASURES)),
-            "rates": _grid("Malicious rates", rates.table, (*_RATES, *_MEASURES)),
-            "pairs": _grid("Pairs and features", pairs.table, (*_PAIRS, *_MEASURES)),
-        },
-        pictures={
-            "evaluation": _charts(evaluation),
-            "grid": _charts(grid),
-            "trees": [*_dendrograms(grid), *_dendrograms(pairs)],
-            "rates": _charts(rates),
-            "pairs": _charts(pairs),
-            "runs": [_picture(caption, png) for caption, png in runs.items()],
-        },
         provenance={**provenance, **_draws(pairs, evaluation)},
         THESIS=THESIS,
     )
@@ -174,6 +217,22 @@ def _campaign(df: pd.DataFrame) -> str:
     )
 
 
+def _answer(evaluation: Report) -> str:
+    """Return the headline, or that there is none."""
+    if not evaluation.summary["banner"]:
+        return str(evaluation.summary["headline"])
+    checks = evaluation.tables["checks"]
+    doubtful = int((checks["status"] != "green").sum())
+    return f"The headline is withheld: {doubtful} of {len(checks)} integrity checks are not green."
+
+
+def _checks(evaluation: Report) -> list[Check]:
+    return [
+        Check(row["name"].replace("_", " "), row["status"], row["sentence"])
+        for _, row in evaluation.tables["checks"].iterrows()
+    ]
+
+
 def _draws(pairs: Report, evaluation: Report) -> dict[str, str]:
     drawn = pairs.summary
     return {
@@ -192,41 +251,46 @@ def _thesis_reading(row: pd.Series) -> str:
     )
 
 
-def _grid(title: str, table: pd.DataFrame, columns: Iterable[Column]) -> Grid:
-    shown = [c for c in columns if c.name != "note" or table["note"].astype(bool).any()]
-    groups = [(name, len(list(members))) for name, members in groupby(shown, lambda c: c.group)]
-    rows = [[_cell(row, column.name) for column in shown] for _, row in table.iterrows()]
-    return Grid(title, groups, shown, rows)
-
-
-def _cell(row: pd.Series, name: str) -> Cell:
-    value = row[name]
-    if f"{name}_low" in row.index:
-        text, _, interval = str(estimate(row, name)).partition(" ")
-        return Cell(text, interval)
-    if name == "malicious_rate":
-        return Cell(f"{value:.0%}")
-    if not isinstance(value, float):
-        return Cell(str(value))
-    if np.isnan(value):
-        return Cell("")
-    return Cell(
-        f"{value:g}" if name == "t" else f"{value:z.2f}" if name == "mcc" else f"{value:.3f}"
+def _explained(explanation: Explanation) -> Explained:
+    return Explained(
+        explanation.run_id,
+        explanation.verdict,
+        page_tables.of_explanation(explanation),
+        explanation.notes,
+        [_run_picture(run, png) for run, png in explanation.pictures.items()],
     )
 
 
-def _charts(report: Report) -> list[Picture]:
-    return [
-        _picture(text, report.figures[n]) for n, text in _CAPTIONS.items() if n in report.figures
-    ]
+def _charts(report: Report, *kinds: str) -> list[Picture]:
+    """Return a report's figures of some kinds; what is after the underscore tells them apart."""
+    charts = []
+    for kind in kinds:
+        alt, caption = _CAPTIONS[kind]
+        for name in _named(report.figures, kind):
+            which = name.removeprefix(kind).lstrip("_").replace("_", " ")
+            detail = f": {which}" if which else ""
+            charts.append(_picture(f"{alt}{detail}", f"{caption}{detail}", report.figures[name]))
+    return charts
+
+
+def _named(figures: Iterable[str], kind: str) -> list[str]:
+    return [name for name in figures if name == kind or name.startswith(f"{kind}_")]
 
 
 def _dendrograms(report: Report) -> list[Picture]:
-    trees = {name: png for name, png in report.figures.items() if name.startswith("dendrogram_")}
-    return [_picture(name.removeprefix("dendrogram_"), png) for name, png in sorted(trees.items())]
+    kind = "dendrogram_"
+    names = sorted(name for name in report.figures if name.startswith(kind))
+    return [
+        _picture(f"Dendrogram, {of}", of, report.figures[f"{kind}{of}"])
+        for of in (name.removeprefix(kind) for name in names)
+    ]
 
 
-def _picture(caption: str, png: bytes) -> Picture:
+def _run_picture(run: str, png: bytes) -> Picture:
+    return _picture(f"{run} seen from above", run, png)
+
+
+def _picture(alt: str, caption: str, png: bytes) -> Picture:
     pixels = int.from_bytes(png[16:20], "big")  # the width in a PNG's header
     uri = f"data:image/png;base64,{base64.b64encode(png).decode()}"
-    return Picture(caption, uri, round(pixels * 100 / DPI))
+    return Picture(alt, caption, uri, round(pixels * 100 / DPI))

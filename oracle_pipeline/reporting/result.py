@@ -1,10 +1,10 @@
-"""What every report gives: a table, pictures and a few plain facts, kept together in one folder."""
+"""What every report gives: tables, pictures and a few plain facts, kept together in one folder."""
 
 import json
 import shutil
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import read_table, write_table
 from oracle_pipeline.evaluation.estimate import Estimate
 
-TABLE, FIGURES, SUMMARY = "table.parquet", "figures", "summary.json"
+TABLE, TABLES, FIGURES, SUMMARY = "table.parquet", "tables", "figures", "summary.json"
 
 
 class ReportError(OracleError):
@@ -28,6 +28,7 @@ class Report:
     table: pd.DataFrame
     figures: Mapping[str, bytes]  # PNG by name
     summary: Mapping[str, float | int | str]  # JSON values only, no NaN
+    tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)  # further ones, by name
 
     def save(self, directory: Path) -> None:
         """Write the report to a folder of its own, in place of what was there.
@@ -40,6 +41,8 @@ class Report:
             new, old = scratch / "new", scratch / "old"
             (new / FIGURES).mkdir(parents=True)
             write_table(self.table, new / TABLE)
+            for name, table in self.tables.items():
+                write_table(table, new / TABLES / f"{name}.parquet")
             for name, png in self.figures.items():
                 (new / FIGURES / f"{name}.png").write_bytes(png)
             summary = json.dumps(dict(self.summary), indent=2, ensure_ascii=False, allow_nan=False)
@@ -66,7 +69,10 @@ class Report:
         figures = {
             png.stem: png.read_bytes() for png in sorted((directory / FIGURES).glob("*.png"))
         }
-        return cls(read_table(directory / TABLE), figures, summary)
+        tables = {
+            path.stem: read_table(path) for path in sorted((directory / TABLES).glob("*.parquet"))
+        }
+        return cls(read_table(directory / TABLE), figures, summary, tables)
 
 
 def facts(name: str, estimate: Estimate) -> dict[str, float | str]:

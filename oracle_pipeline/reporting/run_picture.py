@@ -4,8 +4,10 @@ from pathlib import Path
 
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.bags.remote import fetched
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, MANIFEST_FILE
 from oracle_pipeline.datasets import replacing
+from oracle_pipeline.reporting.radar import has_tracks, plan_view, radar_display
 from oracle_pipeline.reporting.scene import top_down
 from oracle_pipeline.reporting.story import run_scene
 from oracle_pipeline.runs import Run
@@ -26,8 +28,11 @@ def kept_picture(path: Path) -> bytes:
     if place.is_file():
         return place.read_bytes()
     manifest = Manifest.load(path / MANIFEST_FILE)
-    with Run(path, BagReader(path / BAG_FOLDER), manifest, ()) as run:  # graphs are not in it
-        png = top_down(run_scene(run))
+    with (
+        fetched(path / BAG_FOLDER) as bag,
+        Run(path, BagReader(bag), manifest, ()) as run,  # graphs are not in it
+    ):
+        png = plan_view(radar_display(run)) if has_tracks(run) else top_down(run_scene(run))
     with replacing(place) as sink:
         sink.write(png)
     return png

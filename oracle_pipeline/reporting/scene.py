@@ -140,7 +140,7 @@ def top_down(scene: Scene) -> bytes:
         axes.set(xlabel=f"x in {scene.frame} [m]", ylabel=f"y in {scene.frame} [m]")
         axes.set_title(scene.title)
         axes.figure.legend(loc="outside lower center", ncols=3, fontsize="small", markerscale=0.8)
-    return _compact(png)
+    return compact(png)
 
 
 def draw_ground(axes: Axes, scene: Scene) -> None:
@@ -185,7 +185,7 @@ def _label_offset(point: NDArray[np.float64], others: NDArray[np.float64]) -> tu
     return LABEL_AWAY * x, LABEL_AWAY * y
 
 
-def _compact(png: BytesIO) -> bytes:
+def compact(png: BytesIO) -> bytes:
     """Reduce a picture to a palette: many pictures lie in Dagster's event log."""
     compact = BytesIO()
     with Image.open(png) as picture:

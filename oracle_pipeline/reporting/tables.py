@@ -2,48 +2,36 @@
 
 Functions of a feature table and a generator to a DataFrame; nothing is drawn or written here. An
 estimate takes up three columns, ``auc``, ``auc_low`` and ``auc_high``; `estimate` puts it together.
+The thesis's tables can be made by either variant of its method, and by both side by side.
 """
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from oracle_pipeline.clustering.scores import small_cluster_score
-from oracle_pipeline.clustering.tree import ClusteringError, grid_search, grow_tree
-from oracle_pipeline.datasets import (
-    PAIRS,
-    DatasetError,
-    bootstrap,
-    distinct_runs,
-    feature_columns,
-    feature_families,
-    lacking,
-)
-from oracle_pipeline.evaluation.clustering import (
-    ClusteringResult,
-    cluster_and_judge,
-    judge,
-    scale_rows,
-)
+from oracle_pipeline.clustering.tree import CRITERIA, LINKAGES
+from oracle_pipeline.datasets import PAIRS, DatasetError
+from oracle_pipeline.evaluation.clustering import ClusteringResult, cluster_and_judge
 from oracle_pipeline.evaluation.estimate import Estimate
-from oracle_pipeline.evaluation.held_out import held_out_heights
-from oracle_pipeline.evaluation.metrics import auc
+from oracle_pipeline.evaluation.metrics import BAND
+from oracle_pipeline.evaluation.null_model import best_cluster_rates
+from oracle_pipeline.evaluation.variants import CORRECTED, THESIS, FeatureSet, Variant
 from oracle_pipeline.reporting.thesis_figures import (
-    ALL_FAMILIES,
     FAMILIES,
     GRID,
+    NO_FIGURE,
     PAIRWISE,
     RATES,
     THRESHOLD,
     ThesisFigure,
 )
 
-FAMILY_SETS = ("all", "structural", "contextual")
+FEATURE_SETS: tuple[FeatureSet, ...] = ("all", "structural", "contextual")
 MALICIOUS_RATES = (0.1, 0.3, 0.5, 0.7, 0.9)
 ALL_MODES = "all modes"
-KAPPA = 0.2  # clusters over runs, the upper end of what the literature uses
+P_LONG = 0.05  # share of very long runs in the null model that its headline is about
 
 
 def estimate(row: pd.Series, name: str) -> Estimate:
@@ -52,34 +40,36 @@ def estimate(row: pd.Series, name: str) -> Estimate:
 
 
 def grid_search_table(
-    rows: pd.DataFrame, rng: np.random.Generator, thresholds: Sequence[float] = (2.0, 4.0)
+    rows: pd.DataFrame,
+    rng: np.random.Generator,
+    variant: Variant = CORRECTED,
+    thresholds: Sequence[float] = (2.0, 4.0),
 ) -> pd.DataFrame:
     """Judge every linkage, criterion and threshold on the same rows (the thesis's table 5.1).
 
-    The thesis's figures stand in the rows that have its threshold: 2 for Ward, 4 otherwise; its
-    distances are of unscaled features, so only its ``maxclust`` rows ask the same question as ours.
+    The thesis's figures stand in the rows that have its threshold: 2 for Ward, 4 otherwise; the
+    thesis's variant has no other rows. Its distances are of unscaled features, so of the corrected
+    variant only the ``maxclust`` rows ask the same question as the thesis.
 
     Parameters
     ----------
     rows : DataFrame
-        Bootstrapped rows.
+        Drawn as the variant draws them.
     rng : Generator
         Draws the resamples behind the intervals.
+    variant : Variant
     thresholds : sequence of float
-        Clusters (``maxclust``) or distance in scales (``distance``).
-
-    Raises
-    ------
-    ClusteringError
-        Fewer than two rows, or no feature with a finite value.
+        Clusters (``maxclust``) or distance (``distance``), in scales if the variant scales.
     """
-    X = scale_rows(rows, feature_columns(rows, ALL_FAMILIES))
+    columns = variant.columns(rows, "all")
     table = []
-    for point in grid_search(X, thresholds=thresholds):
-        method, criterion = point.tree.method, point.criterion
-        thesis = GRID[method, criterion] if point.t == THRESHOLD[method] else None
-        setting = {"linkage": method, "criterion": criterion, "t": point.t}
-        table.append(setting | judge(rows, point, rng).columns() | _beside(thesis))
+    for method, criterion, t in product(LINKAGES, CRITERIA, thresholds):
+        if variant is THESIS and t != THRESHOLD[method]:
+            continue
+        result = cluster_and_judge(rows, columns, rng, method, criterion, t, variant)
+        figure = GRID[method, criterion] if t == THRESHOLD[method] else None
+        setting = {"linkage": method, "criterion": criterion, "t": t}
+        table.append(setting | result.columns() | _beside(figure))
     return pd.DataFrame(table)
 
 
@@ -88,6 +78,7 @@ def malicious_rate_table(
     n: int,
     seed: int,
     rng: np.random.Generator,
+    variant: Variant = CORRECTED,
     rates: Sequence[float] = MALICIOUS_RATES,
 ) -> pd.DataFrame:
     """Cluster bootstraps with different shares of malicious rows (the thesis's table 6.1).
@@ -100,34 +91,44 @@ def malicious_rate_table(
         Of each bootstrap.
     rng : Generator
         Draws the resamples behind the intervals.
+    variant : Variant
     rates : sequence of float
         Shares of malicious rows.
     """
-    columns = feature_columns(df, ALL_FAMILIES)
     table = []
     for rate in rates:
-        result = _bootstrap_and_judge(df, columns, n, rate, seed, rng)
+        result = _bootstrap_and_judge(df, "all", n, rate, seed, rng, variant)
         table.append({"malicious_rate": rate} | result.columns() | _beside(RATES.get(rate)))
     return pd.DataFrame(table)
 
 
 def family_table(
-    df: pd.DataFrame, n: int, malicious_rate: float, seed: int, rng: np.random.Generator
+    df: pd.DataFrame,
+    n: int,
+    malicious_rate: float,
+    seed: int,
+    rng: np.random.Generator,
+    variant: Variant = CORRECTED,
 ) -> pd.DataFrame:
     """Cluster all modes on each set of features (the thesis's sections 6.2 to 6.4).
 
     Parameters are those of `malicious_rate_table`, with one rate.
     """
     table = []
-    for family in FAMILY_SETS:
-        result = _bootstrap_and_judge(df, _columns(df, family), n, malicious_rate, seed, rng)
-        place = {"scope": ALL_MODES, "features": family}
-        table.append(place | result.columns() | _beside(FAMILIES[family]))
+    for features in FEATURE_SETS:
+        result = _bootstrap_and_judge(df, features, n, malicious_rate, seed, rng, variant)
+        place = {"scope": ALL_MODES, "features": features}
+        table.append(place | result.columns() | _beside(FAMILIES[features]))
     return pd.DataFrame(table)
 
 
 def pairwise_table(
-    df: pd.DataFrame, n: int, malicious_rate: float, seed: int, rng: np.random.Generator
+    df: pd.DataFrame,
+    n: int,
+    malicious_rate: float,
+    seed: int,
+    rng: np.random.Generator,
+    variant: Variant = CORRECTED,
 ) -> pd.DataFrame:
     """Cluster each attacked mode with its control on each set of features (the thesis's table 6.2).
 
@@ -136,93 +137,146 @@ def pairwise_table(
     table = []
     for control, attacked in PAIRS:
         pair = df[df["mode"].isin([control, attacked])]
-        for family in FAMILY_SETS:
-            result = _bootstrap_and_judge(pair, _columns(df, family), n, malicious_rate, seed, rng)
-            place = {"scope": f"{control} / {attacked}", "features": family}
-            table.append(place | result.columns() | _beside(PAIRWISE.get((attacked, family))))
+        for features in FEATURE_SETS:
+            result = _bootstrap_and_judge(pair, features, n, malicious_rate, seed, rng, variant)
+            place = {"scope": f"{control} / {attacked}", "features": features}
+            table.append(place | result.columns() | _beside(PAIRWISE.get((attacked, features))))
     return pd.DataFrame(table)
 
 
-def evaluation_table(df: pd.DataFrame, rng: np.random.Generator) -> pd.DataFrame:
-    """Judge continuous scores on the distinct runs, by feature family: our method, no copies.
+def side_by_side_table(
+    df: pd.DataFrame, n: int, malicious_rate: float, seed: int, rng: np.random.Generator
+) -> pd.DataFrame:
+    """Put each result that the thesis prints beside what either variant gives on our runs.
 
-    The HAC height of a run is taken against right runs of other blocks; the small-cluster score
-    uses no label at all and all runs at once. Each is judged over all modes and for each attacked
-    mode against its control.
+    Parameters are those of `malicious_rate_table`, with one rate.
 
-    Parameters
-    ----------
-    df : DataFrame
-        Distinct runs.
-    rng : Generator
-        Draws the resamples behind the intervals.
+    Returns
+    -------
+    DataFrame
+        A row a printed result. ``thesis_*`` is what the thesis prints, or what follows from it.
+        ``reproduced_recall``, ``_fpr`` and ``_auc`` are the same by the thesis's variant: of the
+        best cluster, chosen with labels. ``corrected_tpr`` and ``_fpr`` are of the verdict without
+        labels and ``corrected_auc`` of the HAC height, by the corrected variant.
     """
-    table = []
-    for family in ("all", *feature_families(df)):
-        columns = feature_columns(df, None if family == "all" else [family])
-        height, small = held_out_heights(df, columns), _small_clusters(df, columns)
-        for scope, members in _scopes(df):
-            row = _judged_scores(df[members], height[members], small[members], rng)
-            table.append({"scope": scope, "features": family, **row})
-    return pd.DataFrame(table)
+    settings = (df, n, malicious_rate, seed, rng)
+    reproduced, corrected = (_printed_results(*settings, v) for v in (THESIS, CORRECTED))
+    notes = zip(reproduced["note"], corrected["note"], strict=True)
+    return pd.concat(
+        [
+            reproduced[["thesis_source", "experiment"]],
+            reproduced[["thesis_recall", "thesis_fpr", "thesis_auc", "thesis_mcc", "thesis_runs"]],
+            _renamed(
+                reproduced,
+                "reproduced",
+                recall="recall_best_cluster",
+                fpr="fpr_best_cluster",
+                auc="balanced_accuracy_best_cluster",
+            ),
+            reproduced[["mcc_best_cluster", "runs_best_cluster"]].set_axis(
+                ["reproduced_mcc", "reproduced_runs"], axis=1
+            ),
+            _renamed(corrected, "corrected", tpr="tpr", fpr="fpr", auc="auc"),
+            corrected[["mcc"]].set_axis(["corrected_mcc"], axis=1),
+            pd.Series(["; ".join(dict.fromkeys(filter(None, n))) for n in notes], name="note"),
+        ],
+        axis=1,
+    )
 
 
-def _small_clusters(df: pd.DataFrame, columns: Sequence[str]) -> NDArray[np.float64]:
-    try:
-        return small_cluster_score(grow_tree(scale_rows(df, columns)), KAPPA)
-    except ClusteringError:
-        return np.full(len(df), np.nan)
-
-
-def _judged_scores(
+def _printed_results(
     df: pd.DataFrame,
-    height: NDArray[np.float64],
-    small: NDArray[np.float64],
-    rng: np.random.Generator,
-) -> dict[str, float | int | str]:
-    runs = distinct_runs(df)
-    held_out = auc(height[runs.first], runs, rng)
-    return {
-        "malicious": int(runs.malicious.sum()),
-        "right": int((~runs.malicious).sum()),
-        **held_out.columns("auc"),
-        **auc(small[runs.first], runs, rng).columns("auc_small_clusters"),
-        "note": lacking(df) or ("no run could be scored" if np.isnan(held_out.value) else ""),
-    }
-
-
-def _scopes(df: pd.DataFrame) -> list[tuple[str, NDArray[np.bool_]]]:
-    pairs = [(f"{c} / {a}", np.asarray(df["mode"].isin([c, a]))) for c, a in PAIRS]
-    present = [(name, members) for name, members in pairs if members.any()]
-    return [(ALL_MODES, np.ones(len(df), dtype=np.bool_)), *present]
-
-
-def _columns(df: pd.DataFrame, family: str) -> list[str]:
-    return feature_columns(df, ALL_FAMILIES if family == "all" else [family])
-
-
-def _bootstrap_and_judge(
-    df: pd.DataFrame,
-    columns: Sequence[str],
     n: int,
     malicious_rate: float,
     seed: int,
     rng: np.random.Generator,
+    variant: Variant,
+) -> pd.DataFrame:
+    """Return one variant's rows of all tables that the thesis prints figures for."""
+    settings = (n, malicious_rate, seed, rng, variant)
+    rates = malicious_rate_table(df, n, seed, rng, variant)
+    families, pairs = family_table(df, *settings), pairwise_table(df, *settings)
+    tables = [
+        _grid_or_reason(df, *settings),
+        rates.assign(experiment=[f"{rate:.0%} malicious" for rate in rates["malicious_rate"]]),
+        *(
+            table.assign(experiment=table["scope"] + ", " + table["features"])
+            for table in (families, pairs)
+        ),
+    ]
+    joined = pd.concat(tables, ignore_index=True)
+    return joined[joined["thesis_source"] != ""].reset_index(drop=True)
+
+
+def _grid_or_reason(
+    df: pd.DataFrame,
+    n: int,
+    malicious_rate: float,
+    seed: int,
+    rng: np.random.Generator,
+    variant: Variant,
+) -> pd.DataFrame:
+    try:
+        rows = variant.draw(variant.whole_runs(df), n, malicious_rate, seed)
+    except DatasetError as error:
+        nothing = ClusteringResult(note=str(error)).columns()
+        table = pd.DataFrame(
+            {"linkage": method, "criterion": criterion} | nothing | figure.columns()
+            for (method, criterion), figure in GRID.items()
+        )
+    else:
+        table = grid_search_table(rows, rng, variant)
+    return table.assign(experiment=table["linkage"] + ", " + table["criterion"])
+
+
+def _renamed(table: pd.DataFrame, prefix: str, **estimates: str) -> pd.DataFrame:
+    """Return estimates with their intervals, by their new names."""
+    ends = ("", "_low", "_high")
+    names = {
+        f"{old}{end}": f"{prefix}_{new}{end}" for new, old in estimates.items() for end in ends
+    }
+    return table[list(names)].rename(columns=names)
+
+
+def null_model_table(repetitions: int, seed: int) -> pd.DataFrame:
+    """Tabulate what the thesis's method says of labels without meaning.
+
+    Returns
+    -------
+    DataFrame
+        A row a share of very long runs, ``p_long``. Of the best cluster ``recall``, ``fpr`` and
+        ``auc``: the median of the repetitions and, ``_low`` and ``_high``, where 95% of them lie.
+        ``reaches_headline`` is the share with the recall that the thesis reports, or more.
+    """
+    table = []
+    for p_long in (0.0, 0.02, P_LONG, 0.1):
+        rates = best_cluster_rates(p_long, repetitions, seed)
+        row: dict[str, float] = {"p_long": p_long}
+        for name in ("recall", "fpr", "auc"):
+            low, high = np.percentile(rates[name], BAND)
+            median = Estimate(float(rates[name].median()), float(low), float(high))
+            row |= median.columns(name)
+        reached = rates["recall"] >= FAMILIES["all"].recall
+        table.append(row | {"reaches_headline": float(reached.mean())})
+    return pd.DataFrame(table)
+
+
+def _bootstrap_and_judge(
+    df: pd.DataFrame,
+    features: FeatureSet,
+    n: int,
+    malicious_rate: float,
+    seed: int,
+    rng: np.random.Generator,
+    variant: Variant,
 ) -> ClusteringResult:
     """Cluster a bootstrap with the thesis's setting, Ward and two clusters."""
     try:
-        rows = bootstrap(df, n, malicious_rate, seed)
+        rows = variant.draw(variant.whole_runs(df), n, malicious_rate, seed)
     except DatasetError as error:
         return ClusteringResult(note=str(error))
-    return cluster_and_judge(rows, columns, rng)
+    return cluster_and_judge(rows, variant.columns(rows, features), rng, variant=variant)
 
 
 def _beside(thesis: ThesisFigure | None) -> dict[str, float | str]:
-    if thesis is not None:
-        return thesis.columns()
-    return {
-        "thesis_recall": np.nan,
-        "thesis_fpr": np.nan,
-        "thesis_auc": np.nan,
-        "thesis_source": "",
-    }
+    return NO_FIGURE if thesis is None else thesis.columns()

@@ -3,15 +3,18 @@
 "A testing framework for evaluating behavioural correctness in robotic systems using clustering as
 an oracle": 15 runs of six modes, agglomerative clustering of bootstrapped rows. Its "accuracy" is
 the recall of the cluster that holds most of the malicious rows, and its AUC that of a hard verdict;
-the false-positive rate, which it does not print, is decoded from the two.
+the false-positive rate, which it does not print, is decoded from the two, and the distinct runs
+behind both from their number.
 """
 
 from dataclasses import dataclass
 
-from oracle_pipeline.evaluation.metrics import decode_thesis_row
+import numpy as np
 
-#: Feature families that the thesis calls "all".
-ALL_FAMILIES = ("structural", "contextual")
+from oracle_pipeline.evaluation.clustering import in_words
+from oracle_pipeline.evaluation.metrics import Confusion, decode_thesis_row
+
+RUNS = 15  # of each of the six modes, half of which are attacked
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,11 +24,18 @@ class ThesisFigure:
     recall: float  # printed as "accuracy"
     auc: float
     source: str
+    runs: int = 3 * RUNS  # distinct ones of each class
 
     @property
     def fpr(self) -> float:
         """False-positive rate that follows from the two printed figures."""
         return decode_thesis_row(self.recall, self.auc)
+
+    @property
+    def confusion(self) -> Confusion:
+        """Distinct runs by class and cluster, the whole numbers nearest to the printed rates."""
+        tp, fp = round(self.recall * self.runs), round(self.fpr * self.runs)
+        return Confusion(tp=tp, fp=fp, fn=self.runs - tp, tn=self.runs - fp)
 
     def columns(self) -> dict[str, float | str]:
         """Return the figure as table columns."""
@@ -33,9 +43,17 @@ class ThesisFigure:
             "thesis_recall": self.recall,
             "thesis_fpr": self.fpr,
             "thesis_auc": self.auc,
+            "thesis_mcc": self.confusion.mcc,
+            "thesis_runs": in_words(self.confusion),
             "thesis_source": self.source,
         }
 
+
+#: Columns of a row that the thesis has no figure for.
+NO_FIGURE: dict[str, float | str] = {
+    **dict.fromkeys(("thesis_recall", "thesis_fpr", "thesis_auc", "thesis_mcc"), np.nan),
+    **dict.fromkeys(("thesis_runs", "thesis_source"), ""),
+}
 
 #: Threshold of the thesis's code for each linkage, under either criterion (appendix A, cluster.py).
 THRESHOLD = {"ward": 2.0, "single": 4.0, "complete": 4.0, "average": 4.0}
@@ -76,7 +94,7 @@ FAMILIES = {
 
 #: Table 6.2 by attacked mode and features used; contextual features alone are not reported.
 PAIRWISE = {
-    key: ThesisFigure(recall, auc, "Table 6.2")
+    key: ThesisFigure(recall, auc, "Table 6.2", runs=RUNS)
     for key, recall, auc in (
         (("random_noise", "all"), 0.938, 0.533),
         (("random_noise", "structural"), 1.0, 0.9669),

@@ -13,7 +13,6 @@ from typing import Any, Generic, TypeAlias
 from oracle_pipeline.bags.types import message_class
 from sim.atc.filter import MotionFilter, Position
 from sim.atc.geodesy import convergence, ground_range, to_geodetic, to_plane
-from sim.atc.relay import ATTACKED_TOPIC
 from sim.atc.sensors import (
     ADSB_TYPE,
     ALTITUDE_STEP_M,
@@ -31,6 +30,7 @@ from sim.middleware.executor import SECOND
 from sim.middleware.node import Node
 from sim.middleware.stamps import header, stamp_ns
 
+ADSB_TOPIC = "/adsb_fuzzed"  # where the mode's node says what it makes of the receiver's reports
 TRACKS_TYPE = "atc_msgs/msg/TrackArray"
 TRACKS_NS = 1 * SECOND
 
@@ -163,7 +163,7 @@ class Fusion(Node):
         self._by_address: dict[str, _Aircraft] = {}
         self._begun = 0
         self._publisher = self.create_publisher(TRACKS_TYPE, "/tracks")
-        self.create_subscription(ADSB_TYPE, ATTACKED_TOPIC, self._on_adsb, qos.SENSOR_DATA)
+        self.create_subscription(ADSB_TYPE, ADSB_TOPIC, self._on_adsb, qos.SENSOR_DATA)
         self.create_subscription(PLOT_TYPE, "/psr", self._on_echo, qos.SENSOR_DATA)
         self.create_subscription(REPLY_TYPE, "/ssr", self._on_reply, qos.SENSOR_DATA)
         self.create_timer(TRACKS_NS, self._publish)

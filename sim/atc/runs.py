@@ -4,25 +4,18 @@ The system runs for a while until its tracks stand, then the recorder starts; th
 the recipe's duration.
 """
 
-import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from oracle_pipeline.bags import manifest as schema
 from oracle_pipeline.bags.manifest import Manifest
-from oracle_pipeline.bags.run_directory import (
-    BAG_FOLDER,
-    GRAPHS_FOLDER,
-    RunDirectory,
-    bytes_on_disk,
-)
+from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, bytes_on_disk
 from oracle_pipeline.bags.writer import BagWriter
 from sim.atc.airspace import AirSpace
 from sim.atc.conflict_detection import ConflictDetection
 from sim.atc.display import ControllerDisplay
 from sim.atc.fusion import Fusion
 from sim.atc.recipes import SETTLING_S, AtcRecipe
-from sim.atc.relay import PASSTHROUGH, AdsbRelay, Attack
 from sim.atc.sensors import (
     PRIMARY,
     SECONDARY,
@@ -32,37 +25,14 @@ from sim.atc.sensors import (
     SecondaryRadar,
     Transponder,
 )
+from sim.fuzzing.node import MutationNode
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
-from sim.protocol import make
+from sim.protocol import compiled
 from sim.recording import GraphRecorder, Recorder
 from sim.software import software
 
-
-@dataclass(frozen=True, slots=True)
-class AtcMode:
-    """One experiment on the air traffic testbed."""
-
-    id: str
-    label: schema.Label
-    attack: Attack = PASSTHROUGH
-    onset_s: float = 0.0  # when it begins, in seconds of the recording
-    shadow: bool = False  # the relay works the attack out and hands reports on unchanged
-
-
-ATC_NORMAL = AtcMode("atc_normal", "normal")
-
-
-def record_atc_run(mode: AtcMode, recipe: AtcRecipe, directory: RunDirectory) -> Manifest:
-    """Make one run, whole or not at all; it takes the place of one that is there.
-
-    Raises
-    ------
-    OracleError
-        If the run cannot be written; its place is left as it was.
-    """
-    make(directory, lambda folder: AtcRun(mode, recipe, folder))
-    return directory.manifest()
+NODE = "/adsb_relay"  # the mode's node, whatever it does
 
 
 class AtcRun:
@@ -70,7 +40,7 @@ class AtcRun:
 
     Parameters
     ----------
-    mode, recipe
+    recipe
         What to make.
     folder
         Existing and empty; gets ``bag`` and ``graphs``.
@@ -81,25 +51,36 @@ class AtcRun:
         The system's graph.
     """
 
-    def __init__(self, mode: AtcMode, recipe: AtcRecipe, folder: Path) -> None:
-        self._mode = mode
+    def __init__(self, recipe: AtcRecipe, folder: Path) -> None:
         self._recipe = recipe
+        self._program = compiled(recipe.mode, recipe.scenario)
+        activation = self._program.activation
+        if activation.after == "goal_accepted":
+            raise self._program.scenario.error(
+                ("activation", "onset", "after"), "expected start: air traffic has no goals"
+            )
+        self._start_ns = round(SETTLING_S * SECOND)  # of the recording
+        self._onset_ns = self._start_ns + round(activation.seconds * SECOND)
+        self._node: MutationNode | None = None
         self._folder = folder
         self._air = AirSpace(recipe.flights, recipe.session.wind)
         self._executor = Executor(on_advance=self._air.advance_to)
         self.domain = Domain(self._executor)
         self._latency_ns = round(recipe.session.latency_ms * MILLISECOND)
         self._add_sensors()
-        AdsbRelay(
-            self.domain,
-            mode.attack,
-            onset_ns=round((SETTLING_S + mode.onset_s) * SECOND),
-            latency_ns=self._latency_ns,
-            shadow=mode.shadow,
-        )
+        if activation.before == "forward":
+            self._start_node()
+        else:
+            self._executor.call_at(self._onset_ns, self._start_node)
         Fusion(self.domain, latency_ns=self._latency_ns)
         ConflictDetection(self.domain, latency_ns=self._latency_ns)
         ControllerDisplay(self.domain, latency_ns=self._latency_ns)
+
+    def _start_node(self) -> None:
+        """Put the mode's node into the graph."""
+        mutation = self._program.start(self._recipe.attack_seed(), self._recipe.parameters)
+        self._node = MutationNode(self.domain, NODE, mutation, latency_ns=self._latency_ns)
+        self._node.begin(self._onset_ns)
 
     def _add_sensors(self) -> None:
         recipe, domain, air = self._recipe, self.domain, self._air
@@ -127,22 +108,23 @@ class AtcRun:
 
     def go(self) -> None:
         """Let the tracks settle, then record."""
-        executor, start_ns = self._executor, round(SETTLING_S * SECOND)
-        executor.run_until(start_ns)
+        executor = self._executor
+        executor.run_until(self._start_ns)
         graphs = self._folder / GRAPHS_FOLDER
         graphs.mkdir()
         with BagWriter(self._folder / BAG_FOLDER, self._recipe.storage) as self._bag:
             Recorder(self.domain, self._bag)
             graph = GraphRecorder(self.domain, graphs)
-            executor.run_until(start_ns + round(self._recipe.duration_s * SECOND))
+            executor.run_until(self._start_ns + round(self._recipe.duration_s * SECOND))
             graph.finish()
 
     def manifest(self, wall_s: float) -> Manifest:
         """Return what the finished run was."""
-        recipe, mode = self._recipe, self._mode
+        recipe, scenario = self._recipe, self._program.scenario
+        onset_s = (self._onset_ns - self._start_ns) / SECOND
         return Manifest(
-            mode=mode.id,
-            label=mode.label,
+            mode=recipe.mode,
+            label=scenario.label,
             run=recipe.run,
             block=recipe.block,
             session=recipe.session.index,
@@ -151,11 +133,12 @@ class AtcRun:
             goals=(),
             goal_results=(),
             outcome="succeeded",
-            onset_s=mode.onset_s,
-            attack={},
-            scenario=mode.id,
-            scenario_hash=hashlib.sha256(mode.id.encode()).hexdigest(),
-            task_effect=None,
+            onset_s=onset_s if onset_s <= recipe.duration_s else None,
+            attack=recipe.parameters,
+            scenario=scenario.id,
+            scenario_hash=scenario.digest,
+            task_effect=None,  # there is no task that could come out otherwise
+            changes=() if self._node is None else self._node.changes(self._start_ns),
             recording_s=recipe.duration_s,
             contacts=(),
             topics=self._bag.topics,

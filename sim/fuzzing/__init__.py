@@ -1,1 +1,1 @@
-"""The nodes that stand between the second LiDAR and the attacked topic."""
+"""The scenario language: what is done to the messages of a topic, in a testbed or over a bag."""

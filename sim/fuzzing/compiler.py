@@ -12,7 +12,13 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from sim.fuzzing.expressions import Expression, ExpressionError, Scope, compile_expression
+from sim.fuzzing.expressions import (
+    DRAWS,
+    Expression,
+    ExpressionError,
+    Scope,
+    compile_expression,
+)
 from sim.fuzzing.fields import Convert, Field, RefusedMessage, converter, difference
 from sim.fuzzing.random import Draws
 from sim.fuzzing.scenario import Key, Scenario, ScenarioError
@@ -75,7 +81,8 @@ class Term:
 
     def __call__(self, step: Step) -> Any:
         """Return the value for a message."""
-        step.env["rng"] = functools.partial(step.generator, self.number)
+        if DRAWS in self.expression.names:
+            step.env[DRAWS] = functools.partial(step.generator, self.number)
         return self.expression(step.env)
 
 
@@ -241,9 +248,9 @@ class Target:
         return value
 
     def numbers(self, step: Step) -> tuple[Any, Any]:
-        """Return what stood there, as it was and as numbers that can be reckoned with."""
+        """Return what stood there, as it was and, if numbers, such as can be reckoned with."""
         old = self.old(step)
-        if isinstance(old, np.ndarray):
+        if isinstance(old, np.ndarray) and old.dtype.kind != "b":
             return old, old.astype(np.int64 if old.dtype.kind in "iu" else np.float64)
         return old, old
 

@@ -170,7 +170,7 @@ class Expression:
     cost
         Elements that one evaluation computes, at most.
     names
-        The names it uses, ``fn`` aside.
+        The names it uses, ``fn`` aside; ``DRAWS`` among them if it draws.
     """
 
     text: str
@@ -181,7 +181,7 @@ class Expression:
     _run: Run = field(repr=False)
 
     def __call__(self, env: Mapping[str, Any]) -> Any:
-        """Return the value.
+        """Return the value; NumPy warns of NaN and overflow as its ``errstate`` has it.
 
         Parameters
         ----------
@@ -195,8 +195,7 @@ class Expression:
         bool, int, float, str, ndarray, record, array or table
             An array if ``vector``, else one value.
         """
-        with np.errstate(all="ignore"):
-            value = self._run(dict(env))
+        value = self._run(dict(env))
         if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
             return value.item()
         return value
@@ -380,8 +379,8 @@ class _Compiler(ast.NodeVisitor):
     def visit_Compare(self, node: ast.Compare) -> _Node:
         """Compile a comparison, or a chain of them; each value is worked out once."""
         values = [self.visit(part) for part in (node.left, *node.comparators)]
-        kinds = [self._common(node, *pair) for pair in itertools.pairwise(values)]
-        compare = [self._comparison(node, *pair) for pair in zip(kinds, node.ops, strict=True)]
+        pairs = zip(itertools.pairwise(values), node.ops, strict=True)
+        compare = [self._comparison(node, op, *pair) for pair, op in pairs]
 
         def run(frame: Frame) -> Any:
             found = [value.run(frame) for value in values]
@@ -467,6 +466,7 @@ class _Compiler(ast.NodeVisitor):
         """Draw once per element where the scope has vectors, whatever the arguments are."""
         place = next(self._places)
         vectors = self._scope.vectors
+        self.used.add(DRAWS)
 
         def run(frame: Frame) -> Any:
             n = len(frame[vectors[0]]) if vectors else None
@@ -505,8 +505,9 @@ class _Compiler(ast.NodeVisitor):
         return _Node(body.type, body.vector, body.cost + sum(a.cost for a in arguments), run)
 
     def _comparison(
-        self, node: ast.Compare, kind: Type, op: ast.cmpop
+        self, node: ast.Compare, op: ast.cmpop, one: _Node, other: _Node
     ) -> Callable[[Any, Any], Any]:
+        kind = self._common(node, one, other)
         compare = _COMPARISONS[type(op)]
         match kind:
             case Array() | Record() | Table():
@@ -515,7 +516,7 @@ class _Compiler(ast.NodeVisitor):
                 self._refuse(node, f"{kind} can only be compared by == and !=")
             case Text():
                 return lambda a, b: compare(strip_padding(a), strip_padding(b))
-            case Number("float64"):
+            case Number("float64") if one.type != other.type:
                 return lambda a, b: compare(np.float64(a), np.float64(b))
         return compare
 
@@ -612,5 +613,7 @@ def _elements(values: Any, index: NDArray[Any], missing: Any) -> NDArray[Any]:
     if len(values) == 0:
         return np.full(index.shape, missing)
     inside = (index >= 0) & (index < len(values))
-    places = np.where(inside, index, 0).astype(np.int64)
-    return np.where(inside, np.asarray(values)[places], missing)
+    if inside.all():
+        return np.asarray(values).take(index.astype(np.int64, copy=False))
+    places = np.where(inside, index, 0).astype(np.int64, copy=False)
+    return np.where(inside, np.asarray(values).take(places), missing)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.types import message_class
 from sim.fuzzing.values import Array, Boolean, Message, Number, Text, Type
+from sim.jit import jit
 
 Overflow = Literal["wrap", "clip", "error"]
 Convert = Callable[[Any, Any], Any]  # what was worked out, what stood there -> what is stored
@@ -263,8 +264,20 @@ def difference(path: str, old: Any, new: Any) -> tuple[float, str]:
 def _array_difference(path: str, old: NDArray[Any], new: NDArray[Any]) -> tuple[float, str]:
     if len(old) != len(new):
         return float(abs(len(old) - len(new))), f"{path} {len(old)} -> {len(new)} elements"
-    bits = f"u{old.itemsize}"  # so NaN is equal to itself
-    changed = np.count_nonzero(new.view(bits) != old.view(bits))
-    change = np.abs(np.subtract(new, old, dtype=np.float64))
-    largest = float(np.fmax.reduce(change, initial=0.0))  # inf less inf does not count
+    changed, largest = _changes(old, new)
     return largest, f"{changed} of {len(new)} {path}"
+
+
+@jit
+def _changes(old: NDArray[Any], new: NDArray[Any]) -> tuple[int, float]:
+    """Return how many numbers changed, NaN being equal to itself, and the largest change."""
+    changed, largest = 0, 0.0
+    for before, after in zip(old, new):  # noqa: B905 -- numba knows no strict
+        both_nan = before != before and after != after
+        same_sign = math.copysign(1.0, before) == math.copysign(1.0, after)
+        if not both_nan and not (before == after and same_sign):
+            changed += 1
+            change = abs(np.float64(after) - np.float64(before))
+            if change > largest:  # inf less inf does not count
+                largest = change
+    return changed, largest

@@ -25,6 +25,7 @@ from sim.fuzzing.values import (
     Type,
     strip_padding,
 )
+from sim.jit import elementwise
 from sim.middleware.geometry import quaternion_yaw, wrap_angle
 
 EARTH_RADIUS_M = 6_371_008.8  # mean radius of the WGS 84 ellipsoid
@@ -127,9 +128,17 @@ def ray_circle(bearing: Floats, x: Floats, y: Floats, radius: Floats) -> Floats:
         Distance [m]; ``inf`` for a ray that misses, and for all that start inside.
     """
     away, aside = np.hypot(x, y), bearing - np.arctan2(y, x)
-    # NaN if the ray passes by; negative if the circle is behind or around its start.
-    distance = away * np.cos(aside) - np.sqrt(np.square(radius) - np.square(away * np.sin(aside)))
-    return np.where(distance > 0.0, distance, np.inf)
+    return _first_crossing(away * np.cos(aside), away * np.sin(aside), radius)
+
+
+@elementwise
+def _first_crossing(along: float, across: float, radius: float) -> float:
+    """Return where a line first meets a circle whose centre is so far along it and beside it."""
+    half_chord_squared = radius * radius - across * across
+    if not half_chord_squared >= 0.0:  # it passes by
+        return math.inf
+    distance = along - math.sqrt(half_chord_squared)
+    return distance if distance > 0.0 else math.inf  # behind the start, or around it
 
 
 def ray_segment(bearing: Floats, x1: Floats, y1: Floats, x2: Floats, y2: Floats) -> Floats:

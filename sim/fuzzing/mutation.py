@@ -6,13 +6,15 @@ where it has none), never by what came before, and times are those at which mess
 published, which is what a recorder notes.
 """
 
+import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from oracle_pipeline.bags.manifest import Change
 from oracle_pipeline.bags.types import GROUND_TRUTH_TYPE, message_class
 from sim.fuzzing.compiler import Operator, Step, Term
 from sim.fuzzing.fields import RefusedMessage
@@ -29,7 +31,10 @@ PASSTHROUGH = "passthrough"  # the operation of what is handed on unchanged
 ACTIVATION = 0  # the operation whose draw decides whether a message is touched
 
 _HEADER = "std_msgs/msg/Header"
+_BIN_NS = 5 * SECOND  # of the account of what was changed
 _PERIODS_S = (0.001, 3600.0)  # of a timer
+
+_QUIETLY = np.errstate(all="ignore")  # NaN and infinities are values like others
 
 _GroundTruth = message_class(GROUND_TRUTH_TYPE)
 
@@ -55,6 +60,30 @@ class GroundTruth:
             self.magnitude,
             self.detail,
         )
+
+
+def in_bins(changes: Iterable[tuple[int, float]], start_ns: int) -> tuple[Change, ...]:
+    """Return what was changed, in bins of five seconds from the start of the recording.
+
+    Parameters
+    ----------
+    changes
+        When [ns], in order, and the magnitude; what came before the start is left out.
+    start_ns
+        Of the recording.
+    """
+    bins: dict[int, list[float]] = {}
+    for time_ns, magnitude in changes:
+        if time_ns >= start_ns:
+            bins.setdefault((time_ns - start_ns) // _BIN_NS, []).append(magnitude)
+    return tuple(
+        Change(number * _BIN_NS / SECOND, len(found), _finite(max(found)))
+        for number, found in bins.items()
+    )
+
+
+def _finite(magnitude: float) -> float | None:
+    return magnitude if math.isfinite(magnitude) else None
 
 
 class Output(NamedTuple):
@@ -263,8 +292,10 @@ class Mutation:
         self._heard = 0
         self._published = 0
         self._frame_id = ""
+        self._has_header = program.has_header
         self.timer_period_ns = self._period_ns()
 
+    @_QUIETLY
     def on_source(self, name: str, message: Any, stamp_ns: int) -> None:
         """Hear a message of one of the sources.
 
@@ -288,6 +319,7 @@ class Mutation:
             step.env[key] = term(step)
         self._sources[name] = {key: step.env[key] for key, _ in source.let}
 
+    @_QUIETLY
     def on_message(self, message: Any, stamp_ns: int, t_s: float) -> Result:
         """Return what becomes of a message of the main topic.
 
@@ -309,7 +341,7 @@ class Mutation:
         truth_ns = stamp_ns
         header = None
         index = self._heard
-        if self.program.has_header:
+        if self._has_header:
             header = message.header
             self._frame_id = header.frame_id
             if stamp := nanoseconds(header.stamp):
@@ -326,8 +358,7 @@ class Mutation:
         reason = self._reason_to_pass(step, t_s)
         if reason is None:
             try:
-                with np.errstate(all="ignore"):
-                    operation = self._transform(step)
+                operation = self._transform(step)
             except RefusedMessage as refused:
                 reason = str(refused)
         if reason is None and self.program.scenario.control != "shadow":
@@ -340,6 +371,7 @@ class Mutation:
             step.magnitude, step.notes = 0.0, [reason]
         return Result(outputs, self._truth(step, truth_ns, operation, outputs))
 
+    @_QUIETLY
     def on_timer(self, now_ns: int, t_s: float) -> Result:
         """Return what the timer publishes.
 
@@ -355,12 +387,11 @@ class Mutation:
         if timer is None or not is_active or self._missing_source(now_ns):
             return Result([], None)
         step = self._step(now_ns, now_ns, {"state": self._state, "src": self._sources, "t": t_s})
-        if self.program.has_header:
+        if self._has_header:
             step.header = make_header(now_ns, self._frame_id)
         self._forget(now_ns)
         step.dropped = True  # there is no message to hand on
-        with np.errstate(all="ignore"):
-            timer(step)
+        timer(step)
         if not step.emitted:
             return Result([], None)
         outputs = [] if control == "shadow" else self._outputs(step)
@@ -378,6 +409,7 @@ class Mutation:
             memory=self._memory,
         )
 
+    @_QUIETLY
     def _period_ns(self) -> int | None:
         program = self.program
         if program.period is None:

@@ -7,12 +7,13 @@ with the scenario's own ground truth. All other topics keep their messages, stam
 import dataclasses
 import heapq
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.manifest import Change, TopicCount
 from oracle_pipeline.bags.reader import BagReader, RawMessage
 from oracle_pipeline.bags.types import (
     GROUND_TRUTH_TOPIC,
@@ -21,7 +22,7 @@ from oracle_pipeline.bags.types import (
     serialize,
 )
 from oracle_pipeline.bags.writer import BagWriter
-from sim.fuzzing.mutation import PASSTHROUGH, Mutation, Program, Result
+from sim.fuzzing.mutation import PASSTHROUGH, Mutation, Program, Result, in_bins
 from sim.middleware import qos
 from sim.middleware.executor import SECOND
 
@@ -39,6 +40,16 @@ class Summary:
     heard: int  # messages of the input topic while the node was there
     touched: int  # of them, and of the timer's beats, those that were not just handed on
     published: int  # messages on the output topic
+    changes: tuple[Change, ...]  # what was changed, and when
+    topics: Mapping[str, TopicCount]  # of the mutant
+    content_hash: str  # of the mutant
+
+
+Track = Callable[[Iterable[RawMessage], int], Iterable[RawMessage]]
+
+
+def _untracked(messages: Iterable[RawMessage], total: int) -> Iterable[RawMessage]:  # noqa: ARG001
+    return messages
 
 
 def mutate_bag(
@@ -48,6 +59,7 @@ def mutate_bag(
     run_seed: int,
     at_s: float | None = None,
     parameters: Mapping[str, Any] | None = None,
+    track: Track = _untracked,
 ) -> Summary:
     """Run a program over a bag.
 
@@ -66,6 +78,8 @@ def mutate_bag(
         may have to show when a goal was accepted.
     parameters : mapping, optional
         Values that are to be others than the defaults.
+    track : callable, optional
+        Gets the bag's messages and their number, and gives them back one by one: a progress bar.
 
     Raises
     ------
@@ -80,11 +94,18 @@ def mutate_bag(
         onset_ns = _onset_ns(reader, program, at_s)
         with BagWriter(bag_out, _storage(bag_in)) as writer:
             run = _Run(reader, writer, mutation, onset_ns)
-            for message in reader.messages():
+            for message in track(reader.messages(), reader.message_count):
                 run.take(message)
             run.finish()
-    onset_s = (onset_ns - reader.start_ns) / SECOND
-    return Summary(onset_s, run.heard, run.touched, writer.counts[program.output_topic])
+    return Summary(
+        onset_s=(onset_ns - reader.start_ns) / SECOND,
+        heard=run.heard,
+        touched=run.touched,
+        published=writer.counts[program.output_topic],
+        changes=in_bins(run.changes, reader.start_ns),
+        topics=writer.topics,
+        content_hash=writer.content_hash,
+    )
 
 
 class _Run:
@@ -109,8 +130,10 @@ class _Run:
         self._beat_ns = next(self._beats) if self._beats else None
         self.heard = 0
         self.touched = 0
+        self.changes: list[tuple[int, float]] = []  # when, and how much at most
         for topic in reader.topics.values():
-            writer.add_topic(topic.name, topic.msgtype, topic.qos)
+            defined = reader.definition(topic.msgtype)
+            writer.add_topic(topic.name, topic.msgtype, topic.qos, defined)
         if program.output_topic not in reader.topics:
             writer.add_topic(program.output_topic, program.type.name, [qos.DEFAULT])
         writer.add_topic(GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE, [qos.DEFAULT])
@@ -161,6 +184,8 @@ class _Run:
             )
         if result.truth is not None:
             self.touched += result.truth.operation != PASSTHROUGH
+            if result.truth.magnitude > 0.0:
+                self.changes.append((now_ns, result.truth.magnitude))
             truth = serialize(result.truth.message(), GROUND_TRUTH_TYPE)
             self._put(now_ns, GROUND_TRUTH_TOPIC, truth)
 

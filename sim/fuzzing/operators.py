@@ -189,9 +189,9 @@ class MapArray:
 
     def __call__(self, step: Step) -> None:
         """Do it."""
-        old = self.target.old(step)
+        old, numbers = self.target.numbers(step)
         outer = step.env
-        step.env = {**outer, **dict(zip(self.names, (old, np.arange(len(old))), strict=False))}
+        step.env = {**outer, **dict(zip(self.names, (numbers, np.arange(len(old))), strict=False))}
         for name, term in self.let:
             step.env[name] = term(step)
         new = self.value(step)

@@ -340,6 +340,8 @@ def _in_words(error: jsonschema.ValidationError) -> tuple[Key, str]:
             return key, f"expected at least {value}, {found}"
         case "maxProperties" | "maxItems" | "maxLength":
             return key, f"expected at most {value}, found {len(instance)}"
+        case "uniqueItems":
+            return key, f"expected each value once, {found}"
         case "minimum":
             return key, f"expected at least {value}, {found}"
         case "exclusiveMinimum":

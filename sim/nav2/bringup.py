@@ -20,6 +20,7 @@ from sim.nav2.bt_navigator import BtNavigator
 from sim.nav2.collision_monitor import SOURCES, CollisionMonitor, Source
 from sim.nav2.controller_server import ControllerServer
 from sim.nav2.costmap_node import GlobalCostmap, LocalCostmap
+from sim.nav2.dwb import Parameters
 from sim.nav2.lifecycle import LifecycleManager
 from sim.nav2.map_server import MapServer, OccupancyMap
 from sim.nav2.planner_server import PlannerServer
@@ -52,6 +53,7 @@ def bring_up(
     latency_ns: int = 0,
     run: int = 0,
     monitored: Sequence[Source] = SOURCES,
+    speed: float = 1.0,
 ) -> Nav2:
     """Put Nav2 into a domain; it becomes active once AMCL was told where the robot starts.
 
@@ -69,6 +71,8 @@ def bring_up(
         Index of the run: process ids and addresses in node names come from it.
     monitored
         Topics that the collision monitor takes its points from.
+    speed
+        Share of its maximal speed that the robot may drive and turn at.
     """
 
     def listener(owner: str) -> str:
@@ -105,7 +109,16 @@ def bring_up(
         transforms=transforms,
         latency_ns=latency_ns,
     )
-    ControllerServer(domain, local_costmap, transforms, latency_ns=latency_ns)
+    dwb = Parameters()
+    ControllerServer(
+        domain,
+        local_costmap,
+        transforms,
+        parameters=dwb._replace(
+            max_vel_x=speed * dwb.max_vel_x, max_vel_theta=speed * dwb.max_vel_theta
+        ),
+        latency_ns=latency_ns,
+    )
     SmootherServer(
         domain, listener("smoother_server"), transforms=transforms, latency_ns=latency_ns
     )
@@ -115,7 +128,7 @@ def bring_up(
     )
     BtNavigator(domain, transforms, latency_ns=latency_ns)
     WaypointFollower(domain, latency_ns=latency_ns)
-    VelocitySmoother(domain, latency_ns=latency_ns)
+    VelocitySmoother(domain, speed=speed, latency_ns=latency_ns)
     CollisionMonitor(
         domain,
         listener("collision_monitor"),

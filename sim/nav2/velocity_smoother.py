@@ -20,6 +20,10 @@ class Limits(NamedTuple):
     acceleration: float
     deceleration: float  # negative
 
+    def scaled(self, speed: float) -> "Limits":
+        """Return the limits of a slower robot that speeds up and slows down as well as this one."""
+        return self._replace(low=speed * self.low, high=speed * self.high)
+
 
 LINEAR = Limits(-0.26, 0.26, 2.5, -2.5)
 ANGULAR = Limits(-1.0, 1.0, 3.2, -3.2)
@@ -47,10 +51,13 @@ class VelocitySmoother(LifecycleNode):
     ----------
     domain, latency_ns
         As for `LifecycleNode`.
+    speed
+        Share of the maximal speed that the robot may drive and turn at.
     """
 
-    def __init__(self, domain: Domain, *, latency_ns: int = 0) -> None:
+    def __init__(self, domain: Domain, *, speed: float = 1.0, latency_ns: int = 0) -> None:
         super().__init__(domain, "/velocity_smoother", latency_ns=latency_ns)
+        self._linear, self._angular = LINEAR.scaled(speed), ANGULAR.scaled(speed)
         self._command: tuple[float, float] | None = None
         self._command_ns = 0
         self._sent = (0.0, 0.0)
@@ -79,7 +86,7 @@ class VelocitySmoother(LifecycleNode):
             self._command = (0.0, 0.0)
         self._stopped = False
         self._sent = (
-            smooth(self._sent[0], self._command[0], LINEAR),
-            smooth(self._sent[1], self._command[1], ANGULAR),
+            smooth(self._sent[0], self._command[0], self._linear),
+            smooth(self._sent[1], self._command[1], self._angular),
         )
         self._publisher.publish(twist_message(*self._sent))

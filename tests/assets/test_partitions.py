@@ -1,9 +1,17 @@
 """Partitions: every run of every mode, as the environment says."""
 
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import dagster as dg
 import pytest
 
 from assets.partitions import ConfigurationError, run_count, runs_of_modes
-from sim.modes import modes
+from sim.modes import FOLDER, modes
+from tests.assets.laboratory import ROOT
 
 
 def test_the_thesis_campaign_is_the_default() -> None:
@@ -21,3 +29,32 @@ def test_there_is_a_partition_for_every_run_of_every_mode_in_order() -> None:
 def test_a_count_that_makes_no_sense_is_named(value: str) -> None:
     with pytest.raises(ConfigurationError, match=f"ORACLE_RUNS is '{value}'"):
         run_count({"ORACLE_RUNS": value})
+
+
+def test_the_range_of_make_run_is_the_six_modes_and_nothing_else() -> None:
+    first, last = re.findall(r"^(?:FIRST|LAST) := (.+)$", (ROOT / "Makefile").read_text(), re.M)
+    keys = runs_of_modes(15).get_partition_keys_in_range(dg.PartitionKeyRange(first, last))
+    assert [str(key) for key in keys] == [
+        f"{mode}|run00{run}" for mode in list(modes())[:6] for run in range(3)
+    ]
+
+
+def test_scenario_files_are_partitions_and_a_broken_one_is_named_and_no_more(
+    tmp_path: Path,
+) -> None:
+    scenario = (
+        "schema: mutant/v1\nid: {}\nlabel: malicious\n"
+        "main: {{type: sensor_msgs/msg/LaserScan, input: /scan_tom, output: /scan_fakeobject}}\n"
+    )
+    (tmp_path / "own.yaml").write_text(scenario.format("own"))
+    (tmp_path / "broken.yaml").write_text(scenario.format("Broken"))
+    loaded = subprocess.run(
+        [sys.executable, "-c", "from oracle_pipeline.definitions import defs\n"
+         "from assets.partitions import RUNS\n"
+         "print(*map(str, RUNS.get_partition_keys()))"],
+        env={**os.environ, FOLDER: str(tmp_path)}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    modes_there = {key.split("|")[0] for key in loaded.stdout.split()}
+    assert "own" in modes_there
+    assert "Broken" not in modes_there
+    assert f"Left out: {tmp_path}/broken.yaml:2: id: expected a name" in loaded.stderr

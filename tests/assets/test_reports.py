@@ -6,9 +6,10 @@ from dataclasses import replace
 import dagster as dg
 import pytest
 
-from oracle_pipeline.datasets import read_table
+from oracle_pipeline.datasets import read_table, write_table
 from oracle_pipeline.reporting.result import Report
 from tests.assets.laboratory import ATTACKED, CONTROL, EVERYTHING, KEYS, PER_RUN, Laboratory
+from tests.evaluation.thesis_runs import thesis_runs
 
 AGGREGATES = [asset for asset in EVERYTHING if asset not in PER_RUN]
 
@@ -58,6 +59,18 @@ def test_reports_are_drawn_as_the_bootstrapped_dataset_was(copy_of_campaign: Lab
     ).success
     summary = Report.load(copy_of_campaign.store.results("pairwise_report")).summary
     assert {name: summary[name] for name in drawn} == drawn
+
+
+def test_reports_follow_the_variant_by_which_rows_were_drawn(empty: Laboratory) -> None:
+    write_table(thesis_runs(runs=3), empty.store.dataset("features"))
+    assets = ["bootstrapped_dataset", "clustering_grid_search", "malicious_rate_report",
+              "pairwise_report"]  # fmt: skip
+    drawn = {"rows": 40, "variant": "thesis"}
+    assert empty.materialize(assets, config={"bootstrapped_dataset": drawn}).success
+    reports = [Report.load(empty.store.results(name)) for name in assets]
+    assert [report.summary["variant"] for report in reports] == ["thesis"] * len(assets)
+    assert len(reports[1].table) == 8  # the corrected variant has 16 settings
+    assert "do not say" in str(empty.figures("pairwise_report")["warning"])
 
 
 def test_the_same_runs_give_the_same_versions(

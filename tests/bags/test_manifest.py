@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.manifest import (
     LABELS,
+    Change,
     Contact,
     GoalResult,
     Manifest,
@@ -47,6 +48,9 @@ manifests = st.builds(
     recipe=parameters,
     software=st.builds(Software, names, names, names),
     measured=st.builds(Measured, seconds, st.dictionaries(names, counts)),
+    changes=st.lists(
+        st.builds(Change, seconds, st.integers(1, 100), st.none() | seconds)
+    ).map(tuple),
 )  # fmt: skip
 
 
@@ -91,7 +95,7 @@ def names_of(definition) -> set[str]:
     ("field", "value"),
     [("mode", "a/../b"), ("label", "evil"), ("run", -1), ("run", 1.5), ("onset_s", "soon"),
      ("topics", {"/scan": {"type": 3, "messages": 1}}), ("goals", [{"x": 1.0}]),
-     ("content_hash", "xyz"), ("start", None)],
+     ("content_hash", "xyz"), ("start", None), ("changes", [[0.0, 0, 0.1]])],
 )  # fmt: skip
 def test_a_wrong_field_is_named(field, value, tmp_path):
     path = tmp_path / "manifest.json"
@@ -118,8 +122,17 @@ def test_fields_are_all_there_and_no_others(change, tmp_path):
 def test_another_schema_version_is_told(tmp_path):
     path = tmp_path / "manifest.json"
     path.write_text('{"schema_version": 7}')
-    with pytest.raises(ManifestError, match="schema version 7, this release reads 2"):
+    with pytest.raises(ManifestError, match="schema version 7, this release reads 3"):
         Manifest.load(path)
+
+
+def test_a_run_of_the_version_before_is_read_as_one_that_tells_no_changes(tmp_path):
+    path = tmp_path / "manifest.json"
+    example().save(path)
+    document = json.loads(path.read_text())
+    del document["changes"]
+    path.write_text(json.dumps({**document, "schema_version": 2}))
+    assert Manifest.load(path) == example()
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "null", "\udcff"])

@@ -12,7 +12,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.reader import BagReader, content_hash
-from oracle_pipeline.bags.types import definition, type_hash
+from oracle_pipeline.bags.types import TypeDefinition, definition, type_hash
 from oracle_pipeline.bags.writer import BagWriter, _Writer
 
 CLOCK = "rosgraph_msgs/msg/Clock"
@@ -184,3 +184,36 @@ def test_a_record_packed_in_one_go_is_the_one_that_rosbags_writes(tmp_path):
                 writer.write(channels[i % 2], 10**9 - i, bytes(i % 1500))
         files.append((tmp_path / name / "bag" / "bag.mcap").read_bytes())
     assert files[0] == files[1]
+
+
+FOREIGN = "made_up_msgs/msg/Reading"
+FOREIGN_TEXT = (
+    "float64 value\nmade_up_msgs/Unit unit\n" + "=" * 80 + "\nMSG: made_up_msgs/Unit\nstring name\n"
+)
+FOREIGN_IDL = "module made_up_msgs { module msg { struct Reading { double value; }; }; };"
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+@pytest.mark.parametrize("text", ["", FOREIGN_TEXT], ids=["no definition", "definition"])
+def test_messages_of_a_type_that_only_the_bag_knows_are_copied_with_it(storage, text, tmp_path):
+    defined = TypeDefinition(text, "")
+    with BagWriter(tmp_path / "one", storage) as bag:
+        bag.add_topic("/reading", FOREIGN, [], defined)
+        bag.write("/reading", 5, b"\0\1\0\0payload.")
+    with BagReader(tmp_path / "one") as one, BagWriter(tmp_path / "two", storage) as two:
+        two.add_topic("/reading", FOREIGN, [], one.definition(FOREIGN))
+        for message in one.messages():
+            two.write(*message)
+    assert content_hash(tmp_path / "one") == content_hash(tmp_path / "two")
+    with BagReader(tmp_path / "two") as two:
+        assert two.topics["/reading"].msgtype == FOREIGN
+        assert two.definition(FOREIGN).text == text
+
+
+def test_an_idl_definition_is_one_in_the_copy_too(tmp_path):
+    heading = "=" * 80 + f"\nIDL: {FOREIGN}\n"
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/reading", FOREIGN, [], TypeDefinition(heading + FOREIGN_IDL, ""))
+    with BagReader(tmp_path / "bag") as bag:
+        assert bag.definition(FOREIGN).text == heading + FOREIGN_IDL
+        assert FOREIGN in bag.typestore(FOREIGN).fielddefs

@@ -44,7 +44,7 @@ def test_a_chain_of_ten_thousand_runs_needs_no_recursion():
     n = 10_000
     nodes = np.r_[0, n + np.arange(n - 2)]
     merges = np.c_[nodes, np.arange(1, n), np.arange(1.0, n), np.arange(2, n + 1)]
-    height = hac_height(Tree("single", merges))
+    height = hac_height(Tree("single", merges, np.ones(n, dtype=np.int64)))
     assert height[0] == n / 2 - 1
     assert height[-1] == n - 1
 

@@ -1,4 +1,4 @@
-"""Run features as a campaign would give them, with as much of an attack in them as is asked for."""
+"""Features of a campaign as it would give them, with as much of an attack in them as asked for."""
 
 import numpy as np
 import pandas as pd
@@ -11,13 +11,28 @@ MODES = {
     "delayed_passthrough": "normal",
     "delayed_fakeobject": "malicious",
 }
-FIELDS = {
-    "structural.density": {"unit": "1", "floor": "0.0001"},
-    "contextual.duration": {"unit": "s", "floor": "0.1"},
+CONTROLS = {
+    "fake_object_shadow": "control",
+    "random_noise_shadow": "control",
+    "delayed_fakeobject_shadow": "control",
+    "benign_noise": "normal",
+    "benign_obstacle": "normal",
 }
+DECLARED = {"origin": "generic", "shortcut": "false"}
+FIELDS = {
+    "structural.density": {"unit": "1", "floor": "0.0001", **DECLARED},
+    "structural.entropy": {"unit": "1", **DECLARED},
+    "contextual.yaw_variance": {"unit": "1", **DECLARED},
+    "contextual.range_variance": {"unit": "m^2", **DECLARED, "origin": "domain"},
+    "contextual.duration": {"unit": "s", "floor": "0.1", **DECLARED, "origin": "navigation"},
+}
+ATTACKED = {"structural.entropy": 0.05, "contextual.yaw_variance": 0.1}  # deviations of a run's
+DELAY_S = 30.0
 
 
-def run_features(runs: int = 15, effect: float = 0.0, seed: int = 0) -> pd.DataFrame:
+def run_features(
+    runs: int = 15, effect: float = 0.0, seed: int = 0, modes: dict[str, str] = MODES
+) -> pd.DataFrame:
     """Return ``runs`` runs of each mode; attacks shift two features by ``effect`` deviations.
 
     Durations have a heavy tail, and runs of one block are alike, as in a real campaign.
@@ -25,7 +40,7 @@ def run_features(runs: int = 15, effect: float = 0.0, seed: int = 0) -> pd.DataF
     rng = np.random.default_rng(seed)
     blocks = rng.normal(size=runs)
     rows = []
-    for mode, label in MODES.items():
+    for mode, label in modes.items():
         shift = effect if label == "malicious" else 0.0
         for run in range(runs):
             density, entropy, turning, ranges, tail = rng.normal(size=5)
@@ -42,9 +57,47 @@ def run_features(runs: int = 15, effect: float = 0.0, seed: int = 0) -> pd.DataF
                     "contextual.yaw_variance": 0.5 + 0.1 * (turning + shift),
                     "contextual.range_variance": 1.0 + 0.2 * blocks[run] + 0.1 * ranges,
                     "contextual.duration": np.exp(5.3 + 0.2 * tail + 0.3 * blocks[run]) * recovery,
+                    "where": "{}",
                     "missing": "{}",
                 }
             )
     table = pd.DataFrame(rows)
     table.attrs["fields"] = FIELDS
     return table
+
+
+def campaign(
+    runs: int = 15, effect: float = 0.0, seed: int = 0, modes: dict[str, str] = MODES | CONTROLS
+) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+    """Return run table, window table and truth of one campaign.
+
+    Windows scatter about their run's mean; those of attacks are shifted from the onset on.
+    """
+    features = run_features(runs, effect, seed, modes)
+    rng = np.random.default_rng([seed, 1])
+    lengths = rng.uniform(70.0, 110.0, len(features))
+    delayed = features["mode"].str.startswith("delayed").to_numpy()
+    onsets = np.where(delayed, DELAY_S, 0.0)
+    counts = np.ceil((lengths - 5.0) / 5.0).astype(int)
+    starts = np.concatenate([5.0 * np.arange(n) for n in counts])
+    windows = features.loc[np.repeat(features.index, counts)].reset_index(drop=True)
+    windows = windows.drop(columns="contextual.duration").assign(window_start_s=starts)
+    malicious = (windows["label"] == "malicious").to_numpy()
+    attacked = malicious & (starts + 10.0 > np.repeat(onsets, counts))
+    for column, deviation in ATTACKED.items():
+        of_run = deviation * effect * malicious  # what the run's own value has of the attack
+        noise = deviation * rng.normal(size=len(windows))
+        windows[column] += noise - of_run + deviation * effect * attacked
+    windows.attrs["fields"] = {**FIELDS, "window_start_s": {"unit": "s"}}
+    truth = pd.DataFrame(
+        {
+            "run_id": features["run_id"],
+            "onset_s": onsets,
+            "recording_s": lengths,
+            "task_effect": None,
+            "outcome": "succeeded",
+            "attack": "{}",
+            "changes": "[]",
+        }
+    )
+    return features, windows, truth

@@ -2,8 +2,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from oracle_pipeline.datasets import bootstrap, feature_columns
-from oracle_pipeline.evaluation.clustering import cluster_and_judge
+from oracle_pipeline.datasets import bootstrap, distinct_runs, feature_columns
+from oracle_pipeline.evaluation.clustering import cluster_and_judge, in_best_cluster
 from oracle_pipeline.evaluation.estimate import NOTHING
 from tests.datasets.synthetic import run_features
 
@@ -39,6 +39,22 @@ def test_attacks_that_lie_apart_are_all_outside_the_largest_cluster():
     assert result.fpr_best_cluster.value == 0.0
 
 
+def test_the_best_cluster_is_told_in_distinct_runs():
+    result = judged(run_features(runs=5, effect=40.0))
+    assert result.runs_best_cluster == "15/15 malicious, 0/15 others"
+    assert result.mcc_best_cluster == 1.0
+
+
+def test_the_best_cluster_is_looked_for_among_those_inspected():
+    runs = distinct_runs(run_features(runs=1))  # malicious are the second, fourth and sixth
+    runs.malicious[:] = [False, True, False, True, False, True]
+    clusters = np.array([1, 1, 2, 3, 3, 3], dtype=np.int32)
+    assert in_best_cluster(clusters, runs).tolist() == [False] * 3 + [True] * 3
+    assert in_best_cluster(clusters, runs, inspected=2).tolist() == [True] * 2 + [False] * 4
+    clusters = np.array([1, 3, 2, 3, 2, 3], dtype=np.int32)
+    assert not in_best_cluster(clusters, runs, inspected=2).any()
+
+
 def test_a_result_has_three_columns_for_each_estimate():
     columns = judged(run_features(runs=3)).columns()
     assert {"auc", "auc_low", "auc_high", "fpr", "fpr_low", "fpr_high"} <= columns.keys()
@@ -48,7 +64,7 @@ def test_a_result_has_three_columns_for_each_estimate():
 def test_rows_that_cannot_be_clustered_say_why():
     empty = run_features(runs=3).assign(**{"structural.density": np.nan})
     result = judged(empty, columns=["structural.density"])
-    assert "300 rows of 0 features" in result.note
+    assert "rows of 0 features" in result.note
     assert result.auc == NOTHING
 
 

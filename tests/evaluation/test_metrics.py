@@ -4,17 +4,27 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sklearn.metrics import balanced_accuracy_score, matthews_corrcoef, roc_auc_score
+from sklearn.metrics import (
+    average_precision_score,
+    balanced_accuracy_score,
+    matthews_corrcoef,
+    roc_auc_score,
+)
 
 from oracle_pipeline.datasets import DistinctRuns
-from oracle_pipeline.evaluation.estimate import NOTHING
+from oracle_pipeline.evaluation.estimate import NOTHING, clopper_pearson
 from oracle_pipeline.evaluation.metrics import (
     MetricError,
     auc,
+    average_precision,
     confusion,
     decode_thesis_row,
+    events_per_hour,
     false_positive_rate,
+    matthews,
+    quantile,
     roc_curve,
+    share,
     true_positive_rate,
 )
 
@@ -125,3 +135,64 @@ def test_a_roc_curve_rises_within_its_band_and_encloses_the_auc(sample):
 def test_two_figures_that_no_hard_verdict_gives_are_refused():
     with pytest.raises(MetricError, match=r"recall of 0\.9 and an AUC of 0\.3"):
         decode_thesis_row(tpr=0.9, auc=0.3)
+
+
+@settings(max_examples=25)
+@given(samples())
+def test_average_precision_and_matthews_are_those_of_the_rows(sample):
+    score, runs = sample
+    precision = average_precision(score, runs, rng())
+    assert precision.value == pytest.approx(
+        average_precision_score(runs.malicious, score, sample_weight=runs.copies)
+    )
+    assert 0.0 <= precision.low <= precision.value <= precision.high <= 1.0
+    correlation = matthews(score > 2, runs, rng())
+    assert correlation.value == pytest.approx(confusion(score > 2, runs).mcc)
+    assert correlation.low <= correlation.value <= correlation.high
+
+
+@settings(max_examples=25)
+@given(samples())
+def test_an_order_is_all_that_an_auc_sees(sample):
+    score, runs = sample
+    assert auc(score, runs, rng()) == auc(np.exp(3.0 * score) - 7.0, runs, rng())
+    mirrored = auc(-score, runs, rng())
+    assert mirrored.value == pytest.approx(1.0 - auc(score, runs, rng()).value)
+
+
+def test_a_share_knows_of_blocks_and_is_never_surer_than_the_exact_interval():
+    hit = np.repeat([True, False, False, False], 10)
+    exact = clopper_pearson(0.25, 40)
+    loose, blocked = (
+        share(hit, block, rng()) for block in (np.arange(40), np.repeat(np.arange(4), 10))
+    )
+    assert loose.value == blocked.value == 0.25
+    assert loose.low <= exact.low
+    assert loose.high >= exact.high
+    assert blocked.high - blocked.low > 1.5 * (loose.high - loose.low)
+    assert share(hit, np.arange(40), rng(), 0.9).low > loose.low
+    assert share(hit[:0], np.arange(0), rng()) == NOTHING
+
+
+def test_a_quantile_may_lie_among_the_missed():
+    values, block = np.array([1.0, 2.0, 3.0, np.inf, np.inf]), np.arange(5)
+    assert quantile(values, block, 0.5, rng()).value == 3.0
+    assert quantile(values, block, 0.9, rng()).value == np.inf
+    assert quantile(values, block, 0.5, rng()).high == np.inf
+    assert quantile(values[:0], block[:0], 0.5, rng()) == NOTHING
+
+
+def test_events_are_counted_by_the_hour_and_none_may_still_be_some():
+    seconds, block = np.full(10, 360.0), np.arange(10)
+    none = events_per_hour(np.zeros(10, dtype=int), seconds, block, rng())
+    assert (none.value, none.low) == (0.0, 0.0)
+    assert none.high == pytest.approx(-np.log(0.025))  # exact for a count of 0
+    assert events_per_hour(np.full(10, 3), seconds, block, rng()).value == pytest.approx(30.0)
+    assert events_per_hour(np.zeros(0, dtype=int), seconds[:0], block[:0], rng()) == NOTHING
+
+
+def test_a_higher_level_gives_a_wider_interval():
+    generator = np.random.default_rng(0)
+    runs, score = runs_of(np.tile([True, False], 20)), generator.normal(size=40)
+    usual, sure = auc(score, runs, rng()), auc(score, runs, rng(), 0.999)
+    assert sure.low < usual.low < usual.high < sure.high

@@ -28,7 +28,7 @@ def turned(yaws, rates=None, x=None, y=None) -> dict:
     columns = [np.zeros(n) if c is None else np.asarray(c) for c in (x, y)]
     values = np.column_stack([*columns, yaws, np.zeros(n) if rates is None else rates])
     topics = {"odometry": {"/odom": Series(np.arange(n, dtype=float), values)}}
-    return odometry.compute(Window(0.0, 10.0, None, topics, topics))
+    return odometry.compute(Window(0.0, 10.0, None, None, (), {}, topics, topics))
 
 
 def test_yaw_variance_does_not_jump_at_the_back():

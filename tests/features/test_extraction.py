@@ -36,7 +36,7 @@ def test_tables_have_keys_of_the_manifest_and_features(make_run):
     tables = extract(make_run().path)
     for table in tables:
         assert tuple(table.columns[:5]) == KEYS
-        assert table.columns[-1] == "missing"
+        assert table.columns[-2:].tolist() == ["where", "missing"]
         assert set(table["run_id"]) == {"fake_object|run003"}
         assert set(table["label"]) == {"malicious"}
         assert set(table["block"]) == {3}
@@ -51,12 +51,15 @@ def test_every_nan_has_a_reason_and_nothing_else_has(make_run, foreign_bag):
     for path in (make_run().path, foreign_bag):
         for table in extract(path):
             for _, row in table.iterrows():
+                assert not set(json.loads(row["where"])) & set(json.loads(row["missing"]))
                 absent = {column for column in feature_columns(table) if pd.isna(row[column])}
                 assert set(json.loads(row["missing"])) == absent
 
 
-def test_a_run_of_ours_gives_every_feature(make_run):
-    assert json.loads(extract(make_run().path).run["missing"].iloc[0]) == {}
+def test_a_run_of_ours_gives_every_feature_of_graphs_and_of_the_thesis(make_run):
+    missing = json.loads(extract(make_run().path).run["missing"].iloc[0])
+    always = {"structural", "structural_raw", "traffic", "contextual"}
+    assert not always & {column.split(".")[0] for column in missing}
 
 
 def test_features_do_not_depend_on_what_the_manifest_says(make_run):

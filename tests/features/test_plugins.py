@@ -1,12 +1,21 @@
 import json
 import logging
+import re
 import textwrap
 
 import numpy as np
 import pytest
 
 from oracle_pipeline import features
-from oracle_pipeline.features import Feature, FeatureManager, FeaturePlugin, Missing, Request
+from oracle_pipeline.datasets import feature_dataset, read_table, write_table
+from oracle_pipeline.features import (
+    Feature,
+    FeatureManager,
+    FeaturePlugin,
+    Located,
+    Missing,
+    Request,
+)
 from oracle_pipeline.runs import open_run
 
 PLUGIN = """
@@ -51,7 +60,7 @@ def test_every_built_in_feature_says_what_it_is():
     manager = features.build_manager()
     assert len(manager.features()) > 20
     for column, feature in manager.features().items():
-        assert column.split(".")[0] in ("structural", "contextual")
+        assert re.fullmatch(r"[a-z_]+\.[a-z0-9_]+", column)
         assert feature.unit
         assert feature.description
         assert feature.floor > 0
@@ -131,6 +140,7 @@ def raises(_window):
         (raises, "ValueError: no good"),
         (lambda _: {"value": float("nan")}, "the plugin returned nan"),
         (lambda _: {"value": float("inf")}, "the plugin returned inf"),
+        (lambda _: {"value": Located(float("nan"), "/scan")}, "the plugin returned nan"),
         (lambda _: {"value": "many"}, "could not convert string to float"),
         (lambda _: {}, "instead of ['value']"),
         (lambda _: {"value": 1.0, "more": 2.0}, "instead of ['value']"),
@@ -149,6 +159,7 @@ def test_a_plugin_that_fails_costs_its_own_columns(compute, reason, make_run, ca
         assert table["odd.value"].isna().all()
         assert (table["good.value"] == 1.0).all()
         for row in range(len(table)):
+            assert table["where"].iloc[row] == "{}"
             assert list(reasons(table, row)) == ["odd.value"]
             assert reason in reasons(table, row)["odd.value"]
     assert len(caplog.records) <= 1  # once a run, not once a window
@@ -174,6 +185,107 @@ def test_what_a_plugin_keeps_is_cut_to_the_window(make_run):
     assert tables.windows["odd.value"].tolist() == [50, 50, 50, 50, 36]
 
 
+def test_where_a_value_was_attained_stands_beside_it(make_run, tmp_path):
+    plugin = plugin_of(lambda window: {"value": Located(window.end_s, "/scan")})
+    tables = extract(make_run().path, FeatureManager((plugin,)))
+    for table in tables:
+        path = tmp_path / "table.parquet"
+        write_table(table, path)
+        for where in read_table(path)["where"]:
+            assert json.loads(where) == {"odd.value": "/scan"}
+    assert tables.windows["odd.value"].tolist()[:3] == [10.0, 15.0, 20.0]
+    assert feature_dataset([tables.run])["where"].tolist() == ['{"odd.value": "/scan"}']
+
+
+def test_what_is_prepared_is_shared_by_all_windows(make_run):
+    whole = []
+
+    def prepare(window):
+        whole.append((window.start_s, window.end_s, len(window.topics["scans"]["/scan"].times_s)))
+        return "shared"
+
+    topics = {"scans": Request(lambda _: 0.0, "/scan")}
+    plugin = plugin_of(
+        lambda window: {"value": float(window.prepared == "shared")}, topics=topics, prepare=prepare
+    )
+    for table in extract(make_run().path, FeatureManager((plugin,))):
+        assert (table["odd.value"] == 1.0).all()
+    assert whole == [(0.0, pytest.approx(27.0), 136)]
+
+
+def test_a_plugin_without_preparation_finds_none(make_run):
+    plugin = plugin_of(lambda window: {"value": float(window.prepared is None)})
+    assert extract(make_run().path, FeatureManager((plugin,))).run["odd.value"].tolist() == [1.0]
+
+
+@pytest.mark.parametrize(
+    ("prepare", "reason"),
+    [(raises, "ValueError: no good"), (lambda _: Missing("nothing to compare"), "nothing to com")],
+)
+def test_a_preparation_that_fails_costs_the_plugin_its_columns(prepare, reason, make_run):
+    plugin = plugin_of(lambda _: {"value": 1.0}, prepare=prepare)
+    for table in extract(make_run().path, FeatureManager((plugin,))):
+        assert table["odd.value"].isna().all()
+        assert reason in reasons(table)["odd.value"]
+
+
+def test_raw_requests_decode_nothing(make_run):
+    arrays = []
+    topics = {
+        "scans": Request(lambda record: arrays.append(record.array) or 0.0, "/scan", raw=True)
+    }
+    with open_run(make_run().path) as run:
+        run.bag.deserialize = raises
+        plugin = plugin_of(lambda _: {"value": 1.0}, topics=topics)
+        table = features.extract(run, FeatureManager((plugin,))).run
+    assert reasons(table) == {}
+    assert [array.size for array in arrays] == [14] * 136
+
+
+def test_a_request_may_take_the_first_message_of_each_span(make_run):
+    def compute(window):
+        (series,) = window.topics["scans"].values()
+        assert series.times_s.tolist() == list(range(27 + 1))
+        return {"value": 1.0}
+
+    topics = {"scans": Request(lambda _: 0.0, "/scan", every_s=1.0)}
+    table = extract(make_run().path, FeatureManager((plugin_of(compute, topics=topics),))).run
+    assert reasons(table) == {}
+
+
+def test_what_is_kept_as_none_is_left_out(make_run):
+    odd = iter(range(136))
+    topics = {"scans": Request(lambda _: 1.0 if next(odd) % 2 else None, "/scan")}
+    plugin = plugin_of(lambda w: {"value": len(w.topics["scans"]["/scan"].times_s)}, topics=topics)
+    assert extract(make_run().path, FeatureManager((plugin,))).run["odd.value"].tolist() == [68.0]
+
+
+def test_only_topics_with_arrays_are_asked_if_so_wished(make_run):
+    topics = {"arrays": Request(lambda _: 0.0, raw=True, needs_array=True)}
+    seen = []
+    plugin = plugin_of(
+        lambda w: seen.append(set(w.topics["arrays"])) or {"value": 1.0}, topics=topics
+    )
+    extract(make_run().path, FeatureManager((plugin,)))
+    assert set.union(*seen) == {"/scan", "/scan_fakeobject"}
+
+
+def test_every_plugin_sees_when_messages_came(make_run):
+    def compute(window):
+        scans, tree = window.arrivals["/scan"], window.arrivals["/behavior_tree_log"]
+        assert scans.msgtype == "sensor_msgs/msg/LaserScan"
+        assert (scans.times_s >= window.start_s).all()
+        assert (scans.times_s < window.end_s).all()
+        assert (scans.header_stamps_ns == np.floor(scans.times_s) * 1e9).all()
+        assert set(scans.sizes) == {4 + 8 + 4 + 10 + 2 + 28 + 4 + 14 * 4 + 4}
+        assert tree.header_stamps_ns.size == 0
+        return {"value": len(scans.times_s)}
+
+    tables = extract(make_run().path, FeatureManager((plugin_of(compute),)))
+    assert reasons(tables.run) == {}
+    assert tables.windows["odd.value"].tolist() == [50.0, 50.0, 50.0, 50.0, 36.0]
+
+
 def test_each_message_is_decoded_once_for_all_plugins(make_run):
     kept = []
     topics = {"scans": Request(lambda m: kept.append(id(m)) or 0.0, "/scan")}
@@ -184,7 +296,7 @@ def test_each_message_is_decoded_once_for_all_plugins(make_run):
         run.bag.deserialize = lambda message: decoded.append(message.topic) or decode(message)
         features.extract(run, FeatureManager(plugins))
     assert decoded == ["/scan"] * 136
-    assert len(kept) == 3 * 136
+    assert len(kept) == 136  # all ask with the same request
 
 
 def test_a_request_can_fail_for_good_reasons(make_run):
@@ -222,7 +334,8 @@ def test_plugins_see_neither_ground_truth_nor_manifest(make_run):
     def compute(window):
         seen.append({topic for topics in window.topics.values() for topic in topics})
         assert {f for f in dir(window) if not f.startswith("_")} == {
-            "start_s", "end_s", "graph", "topics", "history",
+            "start_s", "end_s", "graph", "system", "intervals", "arrivals", "topics", "history",
+            "prepared",
         }  # fmt: skip
         return {"value": 1.0}
 

@@ -4,7 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from oracle_pipeline import features
+from oracle_pipeline.features import FeatureManager, structural
 from oracle_pipeline.features.structural import FEATURES, graph_shape
+from oracle_pipeline.runs import open_run
 
 
 def vector_graph() -> nx.DiGraph:
@@ -74,3 +77,20 @@ def test_a_complete_graph_has_all_possible_edges():
     assert shape["bipartite_density"] == 1.0
     assert shape["node_entropy"] == pytest.approx(1.0)
     assert shape["degree_entropy"] == 0.0
+
+
+@given(bipartite_graphs())
+def test_mean_betweenness_is_that_of_networkx(graph):
+    expected = np.mean(list(nx.betweenness_centrality(graph).values()))
+    assert graph_shape(graph)["mean_betweenness"] == pytest.approx(expected)
+
+
+def test_the_raw_view_counts_observers_and_is_a_shortcut(make_run):
+    with open_run(make_run().path) as run:
+        table = features.extract(run, FeatureManager(tuple(structural.register_features()))).run
+    row, fields = table.iloc[0], table.attrs["fields"]
+    # The recorder is one more edge and vertex: of 5 and 7, see the windows in test_extraction.
+    assert row["structural.average_degree"] == pytest.approx(10 / 7)
+    assert row["structural_raw.average_degree"] == pytest.approx(12 / 8)
+    assert {fields[c]["shortcut"] for c in fields if c.startswith("structural.")} == {"false"}
+    assert {fields[c]["shortcut"] for c in fields if c.startswith("structural_raw.")} == {"true"}

@@ -26,6 +26,16 @@ GRID = pd.DataFrame(
         "balanced_accuracy_high": [0.6, 1.0, 0.3, np.nan],
     }
 )
+KILLS = pd.DataFrame(
+    {
+        "detector": ["max_z"] * 2 + ["knn"] * 2,
+        "features": "all",
+        "scenario": "random_noise",
+        "parameter": "level",
+        "value": [0.01, 0.1] * 2,
+        "kill_rate": [0.2, 1.0, np.nan, 0.9],
+    }
+)
 SCENE = Scene(
     title="fake_object|run003",
     frame="map",
@@ -51,6 +61,15 @@ PICTURES = {
     "intervals": lambda: figures.intervals(
         {"a": Estimate(0.5, 0.4, 0.6), "b": NOTHING}, {"a": 1.0}
     ),
+    "curves": lambda: figures.curves(
+        {
+            "band": figures.Curve(*[DIAGONAL] * 2, DIAGONAL / 2, np.sqrt(DIAGONAL)),
+            "line": figures.Curve(DIAGONAL, DIAGONAL),
+        },
+        "budget",
+        "found",
+    ),
+    "kills": lambda: figures.kill_heat_map(KILLS),
     "run": lambda: top_down(SCENE),
     "run of which little is known": lambda: top_down(EMPTY),
 }

@@ -1,6 +1,6 @@
 import pytest
 
-from oracle_pipeline.reporting.thesis_figures import FAMILIES, GRID, PAIRWISE, RATES
+from oracle_pipeline.reporting.thesis_figures import FAMILIES, GRID, NO_FIGURE, PAIRWISE, RATES
 
 DECODED = {  # false-positive rates, solved for by hand from the printed figures
     ("ward", "maxclust"): 0.957,
@@ -32,3 +32,32 @@ def test_the_false_alarms_that_the_thesis_does_not_print_are_decoded(row):
 def test_rows_of_fifteen_runs_decode_to_whole_runs(row):
     for rate in (PAIRWISE[row].recall, PAIRWISE[row].fpr):
         assert abs(rate * 15 - round(rate * 15)) / 15 < 0.0055
+
+
+# Distinct runs of either class in the chosen cluster, and Matthews' correlation, by hand.
+RUNS_AND_MCC = {
+    ("ward", "maxclust"): (43, 43, 45, 0.00),
+    ("complete", "maxclust"): (42, 43, 45, -0.05),
+    ("single", "distance"): (1, 0, 45, 0.11),
+    0.1: (42, 43, 45, -0.05),
+    0.3: (43, 43, 45, 0.00),
+    0.5: (42, 42, 45, 0.00),
+    0.9: (44, 43, 45, 0.06),
+    "structural": (35, 16, 45, 0.43),
+    ("random_noise", "all"): (14, 13, 15, 0.11),
+    ("random_noise", "structural"): (15, 1, 15, 0.94),
+    ("fake_object", "all"): (14, 15, 15, -0.19),
+    ("delayed_fakeobject", "structural"): (10, 0, 15, 0.71),
+}
+
+
+@pytest.mark.parametrize("row", RUNS_AND_MCC, ids=str)
+def test_the_confusion_matrix_behind_a_row_is_decoded(row):
+    malicious, others, runs, mcc = RUNS_AND_MCC[row]
+    columns = PRINTED[row].columns()
+    assert columns["thesis_runs"] == f"{malicious}/{runs} malicious, {others}/{runs} others"
+    assert columns["thesis_mcc"] == pytest.approx(mcc, abs=5e-3)
+
+
+def test_a_row_without_a_figure_has_the_same_columns():
+    assert NO_FIGURE.keys() == GRID["ward", "maxclust"].columns().keys()

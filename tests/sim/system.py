@@ -6,7 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.fuzzing.relays import Relay
+from sim.experiments import NODE
+from sim.fuzzing.node import MutationNode
+from sim.fuzzing.program import compile_scenario
+from sim.fuzzing.scenario import builtin_scenarios
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.middleware.geometry import Pose2D
@@ -72,7 +75,8 @@ class System:
 
     def complete(self, bag):
         """Add what a run adds to an active Nav2: the mode's node and the recorder."""
-        Relay(self.domain, with_odometry=True, latency_ns=LATENCY_NS)
+        passthrough = compile_scenario(builtin_scenarios()["lidar_passthrough_odom"])
+        MutationNode(self.domain, NODE, passthrough.start(0), latency_ns=LATENCY_NS)
         Recorder(self.domain, bag, leave_out=DEBUG_TOPICS)
 
     def run(self, seconds):

@@ -10,12 +10,14 @@ from sim.modes import PAIRS
 from sim.pairs import judge_pair, task_effect
 
 SUCCEEDED = GoalResult(2.0, 20.0, "succeeded", 4.0, 0)
+LABELS = {control: "normal" for control, _ in PAIRS} | {"random_noise_shadow": "control"}
 RECIPE = {"mode": "lidar_passthrough", "seed": 1, "storage": "mcap"}
 
 
 def manifest(mode="lidar_passthrough", *goals, **recipe):
     return Manifest(
-        mode=mode, label="normal", run=0, block=0, session=0, seed=1, start=Pose(0.0, 0.0, 0.0),
+        mode=mode, label=LABELS.get(mode, "malicious"), run=0, block=0, session=0, seed=1,
+        start=Pose(0.0, 0.0, 0.0),
         goals=(), goal_results=goals or (SUCCEEDED,), outcome="succeeded", onset_s=None, attack={},
         scenario=mode, scenario_hash="h", task_effect=None, recording_s=30.0, contacts=(),
         topics={}, content_hash="0" * 64, recipe={**RECIPE, "mode": mode, **recipe},
@@ -78,5 +80,34 @@ def test_runs_of_different_campaigns_are_not_compared(tmp_path):
 def test_a_bag_kept_in_another_storage_is_compared(tmp_path):
     place(tmp_path, manifest("lidar_passthrough", storage="sqlite3"))
     directory = place(tmp_path, manifest("random_noise"))
+    judge_pair(directory)
+    assert directory.manifest().task_effect is False
+
+
+def test_an_attack_without_a_pair_is_judged_against_the_passthrough_that_hears_odometry(tmp_path):
+    longer = dataclasses.replace(SUCCEEDED, driven_m=9.0)
+    for mode in ("sensor_freeze", "random_noise_shadow"):
+        place(tmp_path, manifest(mode, longer, scenario={"id": mode}, parameters={"level": 0.1}))
+    judge_pair(place(tmp_path, manifest("lidar_passthrough_odom")))
+    effects = [
+        RunDirectory(tmp_path, mode, 0).manifest().task_effect
+        for mode in ("sensor_freeze", "random_noise_shadow", "lidar_passthrough_odom")
+    ]
+    assert effects == [True, None, None]
+
+
+def test_runs_of_different_wirings_are_not_compared(tmp_path):
+    place(tmp_path, manifest("lidar_passthrough_odom", options={"wiring": "additive"}))
+    directory = place(tmp_path, manifest("fake_object", options={"wiring": "replace"}))
+    judge_pair(directory)
+    assert directory.manifest().task_effect is None
+
+
+@pytest.mark.parametrize("trouble", ["Archive", "old_mode"])
+def test_what_else_lies_beside_a_run_does_not_spoil_it(tmp_path, trouble):
+    (tmp_path / "runs" / trouble / "run000").mkdir(parents=True)
+    (tmp_path / "runs" / trouble / "run000" / "manifest.json").write_text("{}")
+    place(tmp_path, manifest("lidar_passthrough_odom"))
+    directory = place(tmp_path, manifest("fake_object"))
     judge_pair(directory)
     assert directory.manifest().task_effect is False

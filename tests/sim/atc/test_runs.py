@@ -6,20 +6,22 @@ import pytest
 
 from oracle_pipeline.bags.reader import BagReader, read_ground_truth
 from oracle_pipeline.bags.run_directory import RunDirectory
-from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, deserialize, message_class, serialize
+from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, deserialize, serialize
 from oracle_pipeline.graphs.differences import graph_differences
 from oracle_pipeline.graphs.intervals import read_intervals
 from sim.atc.airspace import AirSpace
 from sim.atc.fusion import ADSB, PSR, SSR
 from sim.atc.geodesy import Place, distance, to_geodetic
 from sim.atc.recipes import AtcCampaign, AtcRecipe, atc_recipe_for
-from sim.atc.relay import Attack
-from sim.atc.runs import ATC_NORMAL, AtcMode, AtcRun, record_atc_run
+from sim.atc.runs import AtcRun
 from sim.atc.sensors import SECTOR_NS
+from sim.experiments import record_run
+from sim.fuzzing.scenario import ScenarioError
 from sim.middleware import qos
 from sim.middleware.executor import SECOND
 from sim.middleware.node import Node
-from sim.middleware.stamps import header, stamp_ns
+from sim.middleware.stamps import stamp_ns
+from sim.modes import Mode, modes
 
 TARGET = "C07AB1"
 GHOST = Place(44.25, -76.55)
@@ -27,39 +29,26 @@ ONSET_S = 60.0
 OVERHEAD_S = 260  # soon after, the target is so high above the radar that it cannot be seen
 CAMPAIGN = AtcCampaign(duration_s=300.0)
 
-AdsbReport = message_class("atc_msgs/msg/AdsbReport")
 
-
-def delete(report, _since_ns):
-    return () if report.icao24 == TARGET else (report,)
-
-
-def ghost(since_ns):
-    stamp = header(round((15.0 + ONSET_S) * SECOND) + since_ns, "wgs84")
-    return (AdsbReport(stamp, "GHOST1", "GHO001", *GHOST, 1_500.0, 0.0, 0.0),)
-
-
-def sink(report, since_ns):
-    if report.icao24 != TARGET:
-        return (report,)
-    return (replace(report, altitude_m=report.altitude_m - 5.0 * since_ns / SECOND),)
+def later(mode):
+    """The same, from ``ONSET_S`` on."""
+    document = {**mode.scenario.document, "activation": {"onset": {"seconds": ONSET_S}}}
+    return Mode(replace(mode.scenario, document=document))
 
 
 MODES = {
-    mode.id: mode
-    for mode in (
-        ATC_NORMAL,
-        AtcMode("atc_delete", "malicious", Attack("drop", delete), ONSET_S),
-        AtcMode("atc_delete_shadow", "control", Attack("drop", delete), ONSET_S, shadow=True),
-        AtcMode("atc_ghost", "malicious", Attack("emit", on_timer=ghost, period_s=1.0), ONSET_S),
-        AtcMode("atc_altitude", "malicious", Attack("set", sink)),
-    )
+    "atc_normal": modes()["atc_normal"],
+    "atc_delete_by_id": later(modes()["atc_delete_by_id"]),
+    "atc_delete_by_id_shadow": later(modes()["atc_delete_by_id_shadow"]),
+    "atc_ghost_static": later(modes()["atc_ghost_static"]),
+    "atc_altitude_decrease": modes()["atc_altitude_decrease"],
 }
 
 
-def record(root, mode):
-    directory = RunDirectory(root, mode, 0)
-    record_atc_run(MODES[mode], atc_recipe_for(mode, 0, CAMPAIGN), directory)
+def record(root, name):
+    directory = RunDirectory(root, name, 0)
+    target = {"target": TARGET} if "target" in MODES[name].drawn else {}
+    record_run(atc_recipe_for(MODES[name], 0, CAMPAIGN, target), directory)
     return directory
 
 
@@ -115,7 +104,7 @@ def test_without_an_attack_nobody_is_warned(runs):
 
 
 def test_the_ghost_is_a_fused_track_that_no_radar_sees(runs):
-    seen = tracks(runs["atc_ghost"], "GHOST1")
+    seen = tracks(runs["atc_ghost_static"], "GHOST1")
     assert min(seen) == pytest.approx(ONSET_S + 3, abs=1)
     assert sorted(seen) == list(range(min(seen), 301))
     assert {track.sources for track in seen.values()} == {ADSB}
@@ -123,12 +112,12 @@ def test_the_ghost_is_a_fused_track_that_no_radar_sees(runs):
         assert distance(Place(track.latitude, track.longitude), GHOST) < 1.0
         assert track.altitude_m == pytest.approx(1_500.0)
     assert tracks(runs["atc_normal"], "GHOST1") == {}
-    (_, screen) = messages(runs["atc_ghost"], "/display_state")[-1]
+    (_, screen) = messages(runs["atc_ghost_static"], "/display_state")[-1]
     assert "GHO001 049 00" in screen.labels
 
 
 def test_the_deleted_aircraft_is_gone_from_ads_b_and_not_from_radar(runs):
-    directory = runs["atc_delete"]
+    directory = runs["atc_delete_by_id"]
 
     def heard(topic):
         return [s for s, message in messages(directory, topic) if message.icao24 == TARGET]
@@ -146,23 +135,40 @@ def test_the_deleted_aircraft_is_gone_from_ads_b_and_not_from_radar(runs):
 def test_the_altitude_attack_raises_advisories(runs):
     levels = {
         (message.icao24, message.intruder, message.level)
-        for _, message in messages(runs["atc_altitude"], "/advisories")
+        for _, message in messages(runs["atc_altitude_decrease"], "/advisories")
     }
-    recipe = AtcRecipe.from_dict(runs["atc_altitude"].manifest().recipe)
+    recipe = AtcRecipe.from_dict(runs["atc_altitude_decrease"].manifest().recipe)
     for overtaken in (flight.icao24 for flight in recipe.flights[1:3]):
         for level in (0, 1, 2):
             assert {(TARGET, overtaken, level), (overtaken, TARGET, level)} <= levels
-    altitudes = {s: t.altitude_m for s, t in tracks(runs["atc_altitude"], TARGET).items()}
+    altitudes = {s: t.altitude_m for s, t in tracks(runs["atc_altitude_decrease"], TARGET).items()}
     assert altitudes[201] == pytest.approx(altitudes[1] - 1_000.0, abs=10.0)
-    worst = max(screen.resolution_advisories
-                for _, screen in messages(runs["atc_altitude"], "/display_state"))  # fmt: skip
-    assert worst >= 2
+    screens = messages(runs["atc_altitude_decrease"], "/display_state")
+    assert max(screen.resolution_advisories for _, screen in screens) >= 2
 
 
 def test_the_truth_tells_what_was_changed_and_only_attacks_change_anything(runs):
     for mode, directory in runs.items():
         changed = [truth for _, truth in read_ground_truth(directory.bag) if truth.magnitude > 0.0]
         assert bool(changed) == (MODES[mode].label == "malicious")
+        manifest = directory.manifest()
+        assert sum(change.messages for change in manifest.changes) == len(changed)
+        if changed:
+            assert manifest.changes[0].start_s == manifest.onset_s
+
+
+def test_a_finished_run_is_verified_and_not_made_again(runs):
+    directory = runs["atc_normal"]
+    before = directory.manifest_path.stat().st_mtime_ns
+    assert record(directory.root, "atc_normal") == directory
+    assert directory.manifest_path.stat().st_mtime_ns == before
+
+
+def test_the_manifest_holds_who_was_attacked_and_what_the_scenario_was(runs):
+    manifest = runs["atc_altitude_decrease"].manifest()
+    assert manifest.attack == {"target": TARGET, "rate_m_s": 5.0}
+    assert manifest.scenario_hash == MODES["atc_altitude_decrease"].scenario.digest
+    assert (manifest.label, manifest.onset_s, manifest.task_effect) == ("malicious", 0.0, None)
 
 
 def test_graphs_of_every_mode_are_equal(runs):
@@ -175,14 +181,14 @@ def test_graphs_of_every_mode_are_equal(runs):
 def test_a_shadow_control_is_the_normal_run_message_for_message(runs):
     with (
         BagReader(runs["atc_normal"].bag) as right,
-        BagReader(runs["atc_delete_shadow"].bag) as shadow,
+        BagReader(runs["atc_delete_by_id_shadow"].bag) as shadow,
     ):
         assert list(right.messages()) == list(shadow.messages())
 
 
 def test_before_its_onset_an_attack_and_its_control_are_the_same_run(runs):
     before = []
-    for mode in ("atc_normal", "atc_ghost"):
+    for mode in ("atc_normal", "atc_ghost_static"):
         with BagReader(runs[mode].bag) as bag:
             onset_ns = round((15.0 + ONSET_S) * SECOND)
             before.append([m for m in bag.messages() if m.stamp_ns < onset_ns])
@@ -191,13 +197,13 @@ def test_before_its_onset_an_attack_and_its_control_are_the_same_run(runs):
 
 
 def test_the_same_recipe_gives_the_same_messages(runs, tmp_path):
-    again = record(tmp_path, "atc_ghost").manifest()
-    manifest = runs["atc_ghost"].manifest()
+    again = record(tmp_path, "atc_ghost_static").manifest()
+    manifest = runs["atc_ghost_static"].manifest()
     assert again.content_hash == manifest.content_hash
     assert replace(again, measured=manifest.measured) == manifest
     assert manifest.content_hash != runs["atc_normal"].manifest().content_hash
-    for graph in (tmp_path / "runs" / "atc_ghost" / "run000" / "graphs").iterdir():
-        assert graph.read_bytes() == (runs["atc_ghost"].graphs / graph.name).read_bytes()
+    for graph in (tmp_path / "runs" / "atc_ghost_static" / "run000" / "graphs").iterdir():
+        assert graph.read_bytes() == (runs["atc_ghost_static"].graphs / graph.name).read_bytes()
 
 
 def test_the_manifest_tells_what_the_bag_holds(runs):
@@ -209,6 +215,23 @@ def test_the_manifest_tells_what_the_bag_holds(runs):
         assert {**told, **held} == told
         assert manifest.recording_s == 300.0
         assert manifest.label == MODES[directory.mode].label
+
+
+def test_a_scenario_that_waits_for_a_goal_is_refused(tmp_path):
+    scenario = modes()["atc_normal"].scenario
+    activation = {"onset": {"after": "goal_accepted"}}
+    mode = Mode(replace(scenario, document={**scenario.document, "activation": activation}))
+    with pytest.raises(ScenarioError, match="air traffic has no goals"):
+        AtcRun(atc_recipe_for(mode, 0, CAMPAIGN), tmp_path)
+
+
+def test_a_node_may_appear_at_the_onset(tmp_path):
+    scenario = modes()["atc_normal"].scenario
+    activation = {"onset": {"seconds": 10.0}, "before": "absent"}
+    mode = Mode(replace(scenario, document={**scenario.document, "activation": activation}))
+    directory = RunDirectory(tmp_path, mode.id, 0)
+    record_run(atc_recipe_for(mode, 0, AtcCampaign(duration_s=20.0)), directory)
+    assert 10.0 <= min(second for second, _ in messages(directory, "/adsb_fuzzed")) < 11.0
 
 
 # -- the contract of the nodes --------------------------------------------------------------
@@ -229,8 +252,8 @@ EVERY_NODE = {"/rosout", "/parameter_events"}
 @pytest.fixture
 def listened(tmp_path):
     """A run, and what a bystander heard: messages, and the bytes that they were when sent."""
-    recipe = atc_recipe_for("atc_normal", 0, AtcCampaign(duration_s=30.0))
-    run = AtcRun(ATC_NORMAL, recipe, tmp_path)
+    recipe = atc_recipe_for(modes()["atc_normal"], 0, AtcCampaign(duration_s=30.0))
+    run = AtcRun(recipe, tmp_path)
     bystander, heard, sent = Node(run.domain, "/bystander"), [], []
     for _, sends in GRAPH.values():
         for topic in sends - {"/clock", "/advisories"}:
@@ -270,7 +293,7 @@ def test_no_message_is_from_the_future_or_older_than_a_sector(listened):
 
 
 def test_messages_survive_the_bag(runs):
-    with BagReader(runs["atc_altitude"].bag) as bag:
+    with BagReader(runs["atc_altitude_decrease"].bag) as bag:
         for message in bag.messages(["/tracks", "/advisories", "/display_state", "/adsb"]):
             msgtype = bag.topics[message.topic].msgtype
             assert serialize(deserialize(message.data, msgtype), msgtype) == message.data

@@ -9,20 +9,22 @@ from sim.atc.recipes import AtcCampaign, AtcRecipe, atc_recipe_for
 from sim.atc.tcas import advisories
 from sim.atc.traffic import FIXES, draw_traffic
 from sim.middleware.executor import SECOND
+from sim.modes import modes
 
 BLOCKS = range(4)
 CAMPAIGN = AtcCampaign()
+NORMAL = modes()["atc_normal"]
 
 
 @pytest.fixture(scope="module")
 def recipes():
-    return [atc_recipe_for("atc_normal", block, CAMPAIGN) for block in BLOCKS]
+    return [atc_recipe_for(NORMAL, block, CAMPAIGN) for block in BLOCKS]
 
 
 def test_the_same_seed_draws_the_same_recipe_and_blocks_differ(recipes):
-    assert atc_recipe_for("atc_normal", 1, CAMPAIGN) == recipes[1]
+    assert atc_recipe_for(NORMAL, 1, CAMPAIGN) == recipes[1]
     assert len({recipe.flights for recipe in recipes}) == len(recipes)
-    assert atc_recipe_for("atc_normal", 1, AtcCampaign(seed=7)).flights != recipes[1].flights
+    assert atc_recipe_for(NORMAL, 1, AtcCampaign(seed=7)).flights != recipes[1].flights
 
 
 def test_a_recipe_comes_back_from_json(recipes):
@@ -31,7 +33,7 @@ def test_a_recipe_comes_back_from_json(recipes):
 
 
 def test_modes_of_a_block_have_the_same_flights_session_and_noise(recipes):
-    other = atc_recipe_for("atc_deadzone", 2, CAMPAIGN)
+    other = atc_recipe_for(modes()["atc_deadzone"], 2, CAMPAIGN)
     assert (other.flights, other.session) == (recipes[2].flights, recipes[2].session)
     draws = [r.generator("/primary_radar").random(4) for r in (other, recipes[2])]
     np.testing.assert_array_equal(*draws)

@@ -56,6 +56,14 @@ GLOBAL = Scope(NAMES, FUNCTIONS)
 ELEMENT = Scope(NAMES, FUNCTIONS, VECTORS)
 LOOP = Scope(NAMES, FUNCTIONS, VECTORS, tuple(VECTORS))
 
+
+@pytest.fixture(scope="module", autouse=True)
+def _quiet():
+    """As expressions are run: NaN and infinities are values like others."""
+    with np.errstate(all="ignore"):
+        yield
+
+
 reals = st.floats() | st.sampled_from([0.0, -0.0, math.inf, -math.inf, math.nan, 1.0])
 wholes = st.integers(-(2**63), 2**63 - 1) | st.integers(-3, 9)
 texts = st.text(max_size=8)

@@ -8,11 +8,10 @@ from rosbags.rosbag2 import Reader
 
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.reader import BagReader, read_ground_truth
-from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, serialize
 from oracle_pipeline.bags.writer import BagWriter
-from sim.experiments import record_run
 from sim.fuzzing.mutation import PASSTHROUGH
+from sim.fuzzing.node import MutationNode
 from sim.fuzzing.offline import mutate_bag
 from sim.fuzzing.program import compile_scenario
 from sim.fuzzing.scenario import builtin_scenarios, parse_scenarios
@@ -20,7 +19,6 @@ from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import Executor
 from sim.middleware.node import Node
-from sim.recipes import Campaign, recipe_for
 from sim.recording import Recorder
 from tests.sim.fuzzing.workbench import BUILTINS, builtin, examples, odometry, scans
 
@@ -30,29 +28,6 @@ ONSET_S = 2.1
 
 _FOREIGN = os.environ.get("ORACLE_FOREIGN_BAGS")
 FOREIGN_BAGS = sorted(Path(_FOREIGN).glob("*/metadata.yaml")) if _FOREIGN else []
-
-
-@pytest.fixture(scope="session")
-def recorded(tmp_path_factory):
-    """The bag of a real run: one goal, every scan handed on."""
-    mode = "lidar_passthrough_odom"
-    directory = RunDirectory(tmp_path_factory.mktemp("campaign"), mode, 0)
-    manifest = record_run(recipe_for(mode, 0, Campaign(goals_per_run=1)), directory)
-    return directory.bag, manifest
-
-
-@pytest.fixture(scope="session")
-def run_bag(recorded, tmp_path_factory):
-    """As much of it as a scenario hears and says, and what tells of goals."""
-    bag, manifest = recorded
-    topics = ["/scan_tom", "/odom", "/scan_fakeobject", "/behavior_tree_log", "/clock"]
-    path = tmp_path_factory.mktemp("trimmed") / "bag"
-    with BagReader(bag) as reader, BagWriter(path) as writer:
-        for topic in topics:
-            writer.add_topic(topic, reader.topics[topic].msgtype, reader.topics[topic].qos)
-        for message in reader.messages(topics):
-            writer.write(*message)
-    return path, manifest
 
 
 @pytest.fixture(params=[*FOREIGN_BAGS, "simulated"], ids=lambda p: str(p)[-40:])
@@ -130,42 +105,6 @@ def test_a_mutated_bag_opens_in_other_readers(any_bag, tmp_path):
         assert read == found
 
 
-class MutationNode(Node):
-    """The node that a program is: it hears a moment later what was published."""
-
-    def __init__(self, domain, program, onset_ns):
-        super().__init__(domain, "/mutant", latency_ns=LATENCY_NS)
-        self._onset_ns = onset_ns
-        self._mutation = program.start(1)
-        self._output = self.create_publisher(program.type.name, program.output_topic)
-        for name, source in program.sources.items():
-            self.create_subscription(
-                source.type.name,
-                source.topic,
-                lambda message, name=name: self._mutation.on_source(name, message, self._then_ns),
-            )
-        self.create_subscription(program.type.name, program.input_topic, self._on_message)
-        if self._mutation.timer_period_ns is not None:
-            phase_ns = onset_ns + self._mutation.timer_period_ns + LATENCY_NS - self.now_ns
-            self.create_timer(self._mutation.timer_period_ns, self._on_timer, phase_ns=phase_ns)
-
-    @property
-    def _then_ns(self):
-        return self.now_ns - LATENCY_NS
-
-    def _on_message(self, message):
-        t_s = (self._then_ns - self._onset_ns) / 1e9
-        self._publish(self._mutation.on_message(message, self._then_ns, t_s))
-
-    def _on_timer(self):
-        t_s = (self._then_ns - self._onset_ns) / 1e9
-        self._publish(self._mutation.on_timer(self._then_ns, t_s))
-
-    def _publish(self, result):
-        for due_ns, message in result.outputs:
-            self.call_later(due_ns - self._then_ns, self._output.publish, message)
-
-
 def record_online(program, path, storage="mcap"):
     """Record a program at work on a few seconds of messages."""
     executor = Executor()
@@ -176,9 +115,14 @@ def record_online(program, path, storage="mcap"):
     publishers = {topic: sender.create_publisher(kind, topic) for topic, kind in outlets.items()}
     executor.run_until(BEGIN_NS)
     onset_ns = BEGIN_NS + round(ONSET_S * 1e9)
+
+    def start_node():
+        node = MutationNode(domain, "/mutant", program.start(1), latency_ns=LATENCY_NS)
+        node.begin(onset_ns)
+
     with BagWriter(path, storage) as writer:
         if program.activation.before == "forward":
-            MutationNode(domain, program, onset_ns)
+            start_node()
         Recorder(domain, writer)
         for n, message in enumerate(examples(program, 60)):
             publish = publishers[program.input_topic].publish
@@ -187,7 +131,7 @@ def record_online(program, path, storage="mcap"):
                 place = odometry(n, 0.01 * n, 0.0, 0.1 * n)
                 executor.call_at(BEGIN_NS + n * 200_000_000, publishers["/odom"].publish, place)
         if program.activation.before == "absent":
-            executor.call_at(onset_ns, MutationNode, domain, program, onset_ns)
+            executor.call_at(onset_ns, start_node)
         executor.run_until(BEGIN_NS + 70 * 200_000_000)
 
 

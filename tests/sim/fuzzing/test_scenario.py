@@ -140,6 +140,11 @@ def act(*operators):
             "a field",
         ),
         (
+            act("map_array: {field: ranges, as: [r, r], value: r}"),
+            "9: transform.actions[0].do[0].map_array.as",
+            'expected each value once, found ["r", "r"]',
+        ),
+        (
             GOOD + "activation: {probability: 2}\n",
             "5: activation.probability",
             "expected at most 1, found 2",

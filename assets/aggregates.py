@@ -1,0 +1,79 @@
+"""What the assets over all runs share: how one is declared, what it reads and where it keeps."""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+import dagster as dg
+from pydantic import Field
+
+from assets import presentation
+from assets.common import OWNERS, SINGLE_RUN
+from assets.versions import analysis_code
+from oracle_pipeline.bags.remote import published
+from resources.store import RunStore
+from sim.modes import modes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from oracle_pipeline.reporting.result import Report
+
+DATASET, WINDOWS, TRUTH = "features", "windows", "truth"  # tables over all runs
+
+TestbedChoice = Literal["auto", "turtlebot3", "atc"]
+
+
+class TestbedConfig(dg.Config):
+    """Which runs are looked at: those of two testbeds have nothing in common to compare."""
+
+    testbed: TestbedChoice = Field(
+        default="auto",
+        description="Runs of this testbed; by default the TurtleBot3's, or the air traffic's "
+        "while there are no others.",
+    )
+
+
+def aggregate(
+    group: str, *kinds: str, deps: Sequence[dg.AssetDep | dg.AssetsDefinition]
+) -> Callable[[Callable[..., Any]], dg.AssetsDefinition]:
+    """Decorate an asset over all runs."""
+    return dg.asset(
+        deps=deps,
+        group_name=group,
+        kinds=set(kinds),
+        owners=OWNERS,
+        code_version=analysis_code(),
+        backfill_policy=SINGLE_RUN,
+    )
+
+
+def run_table(store: RunStore, testbed: TestbedChoice) -> "pd.DataFrame":
+    """Return the features of the runs of one testbed, families that none of them has left out."""
+    from oracle_pipeline.datasets import without_empty_families
+
+    df = stored_table(store, DATASET)
+    of = df["mode"].map(lambda mode: modes()[mode].testbed)
+    if testbed == "auto":
+        testbed = "turtlebot3" if (of == "turtlebot3").any() else "atc"
+    return without_empty_families(df[of == testbed])
+
+
+def stored_table(store: RunStore, name: str) -> "pd.DataFrame":
+    """Return a table over all runs."""
+    from oracle_pipeline.datasets import read_table
+
+    return read_table(store.dataset(name))
+
+
+def keep(result: "Report", store: RunStore, name: str) -> dg.MaterializeResult[None]:
+    """Save a report where `oracle_report` finds it, and show it."""
+    from oracle_pipeline.datasets import content_hash
+    from oracle_pipeline.reporting.result import SUMMARY
+
+    place = store.results(name)
+    with published(place, last=SUMMARY) as folder:
+        result.save(folder)
+    return dg.MaterializeResult(
+        data_version=dg.DataVersion(content_hash(result.table)),
+        metadata={**presentation.report(result), "path": dg.MetadataValue.path(str(place))},
+    )

@@ -1,0 +1,98 @@
+"""Our own evaluation of the oracle, over distinct runs and held-out blocks."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import dagster as dg
+
+from assets.aggregates import (
+    TRUTH,
+    WINDOWS,
+    TestbedConfig,
+    aggregate,
+    keep,
+    run_table,
+    stored_table,
+)
+from assets.checks import PAIR_CHECK
+from assets.datasets import feature_dataset
+from assets.feature_tables import feature_table
+from oracle_pipeline.bags.run_directory import RunDirectory
+from resources.failures import clear_failures
+from resources.fleet import Fleet
+from resources.store import RunStore
+from sim.modes import PAIRS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@aggregate("oracle", "scikitlearn", deps=[feature_dataset])
+def oracle_evaluation(
+    context: dg.AssetExecutionContext, config: TestbedConfig, store: RunStore, fleet: Fleet
+) -> dg.MaterializeResult[None]:
+    """How well the oracle tells attacked runs from right ones, on blocks that it never saw.
+
+    The detector panel on every set of features, with intervals: AUC, detection rate at a calibrated
+    false-alarm rate, that rate as it came out, time to detect. Integrity checks come first; while
+    one is not green the headline is withheld. Grids below `<root>/grids`, which `oracle-sim grid`
+    makes, give the kill matrix.
+    """
+    from oracle_pipeline.reporting import evaluation
+
+    with clear_failures():
+        df = run_table(store, config.testbed)
+        result = evaluation.oracle_evaluation(
+            df,
+            stored_table(store, WINDOWS),
+            stored_table(store, TRUTH),
+            graph_differences=_graph_differences(store, fleet, set(df["run_id"])),
+            grid=_mutants(store, fleet),
+            progress=context.log.info,
+        )
+        return keep(result, store, "oracle_evaluation")
+
+
+def _graph_differences(store: RunStore, fleet: Fleet, runs: set[str]) -> list[str] | None:
+    """Compare the graphs of all pairs that are there; None if there is no pair."""
+    from assets.inspections import Inspection, inspect
+
+    numbers = sorted({key.split("|")[1] for key in runs})
+    keys = [(f"{c}|{run}", f"{a}|{run}") for c, a in PAIRS for run in numbers]
+    pairs = [tuple(map(store.run, pair)) for pair in keys if runs.issuperset(pair)]
+    there = [Inspection(PAIR_CHECK, pair) for pair in pairs if all(r.is_complete() for r in pair)]
+    if not there:
+        return None
+    return [
+        f"{outcome.job.runs[1].key}: {wrong}"
+        for outcome in fleet.outcomes(inspect, there)
+        for wrong in (outcome.result.wrong if outcome.result else [str(outcome.error)])
+    ]
+
+
+def _mutants(store: RunStore, fleet: Fleet) -> "pd.DataFrame":
+    """Return the features of all grids' runs, joined to what was changed in each."""
+    import pandas as pd
+
+    from oracle_pipeline.datasets import feature_dataset as joined
+    from oracle_pipeline.datasets import read_table
+    from oracle_pipeline.reporting.evaluation import NO_GRID
+
+    grids = []
+    for index in sorted((store.path / "grids").glob("*/grid.json")):
+        mutants = pd.read_json(index)
+        runs = [RunDirectory.of_key(index.parent, key) for key in mutants["run_id"]]
+        _require_features(runs, fleet)
+        df = joined(read_table(feature_table(run, "run")) for run in runs)
+        told = mutants[["run_id", "scenario", "parameter", "value", "changed_messages"]]
+        grids.append(df.merge(told, on="run_id", validate="one_to_one"))
+    return pd.concat(grids, ignore_index=True) if grids else NO_GRID
+
+
+def _require_features(runs: Sequence[RunDirectory], fleet: Fleet) -> None:
+    """Extract the features of runs that have none yet."""
+    from assets.feature_tables import require_tables
+
+    for outcome in fleet.outcomes(require_tables, runs):
+        if outcome.error is not None:
+            raise dg.Failure(f"{outcome.job.path}: {outcome.error}", allow_retries=False)

@@ -1,0 +1,76 @@
+"""Features: how long a bag takes to both tables, against reading it, and against decoding it.
+
+One run is recorded. A round is to read the bag, then to read it and decode what plugins ask to see
+decoded, then to extract all features, one right after the other, in seconds of this process.
+"""
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import ParamSpec
+
+from bench.figures import Row, median, spread
+from oracle_pipeline import features
+from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.features.layout import Layout
+from oracle_pipeline.runs import open_run
+from sim.experiments import record_run
+from sim.recipes import Campaign, recipe_for
+
+P = ParamSpec("P")
+
+ROUNDS = 5
+GOALS = 2  # of the run
+MODE = "lidar_passthrough_odom"
+
+
+def rows() -> Iterator[Row]:
+    """Yield the figures."""
+    with tempfile.TemporaryDirectory() as folder:
+        directory = RunDirectory(Path(folder), MODE, 0)
+        record_run(recipe_for(MODE, 0, Campaign(goals_per_run=GOALS)), directory)
+        manager = features.build_manager()
+        _extract(directory.path, manager)  # compiles, if nobody did
+        wanted = _decoded_topics(directory.path, manager)
+        read, decode, extract = [], [], []
+        for _ in range(ROUNDS):
+            read.append(_seconds(_read, directory.path, frozenset()))
+            decode.append(_seconds(_read, directory.path, wanted))
+            extract.append(_seconds(_extract, directory.path, manager))
+    over_read = [all_s / read_s for all_s, read_s in zip(extract, read, strict=True)]
+    over_decode = [all_s / decode_s for all_s, decode_s in zip(extract, decode, strict=True)]
+    yield Row("bag to both tables, over reading it", median(over_read), "x", 3, True,
+              spread(over_read))  # fmt: skip
+    yield Row("bag to both tables, over decoding what is asked for", median(over_decode), "x",
+              remark=spread(over_decode))  # fmt: skip
+    yield Row("reading the bag", median(read), "s")
+    yield Row("bag to both tables", median(extract), "s")
+
+
+def _seconds(work: Callable[P, None], *args: P.args, **kwargs: P.kwargs) -> float:
+    begin = time.process_time()
+    work(*args, **kwargs)
+    return time.process_time() - begin
+
+
+def _read(path: Path, decoded: frozenset[str]) -> None:
+    with open_run(path) as run:
+        for message in run.bag.messages():
+            if message.topic in decoded:
+                run.bag.deserialize(message)
+
+
+def _decoded_topics(path: Path, manager: features.FeatureManager) -> frozenset[str]:
+    requests = [r for p in manager.plugins for r in p.topics.values() if not r.raw]
+    with open_run(path) as run:
+        return frozenset(
+            name
+            for name, topic in run.bag.topics.items()
+            if any(request.matches(topic, Layout(run.bag, name)) for request in requests)
+        )
+
+
+def _extract(path: Path, manager: features.FeatureManager) -> None:
+    with open_run(path) as run:
+        features.extract(run, manager)

@@ -1,0 +1,81 @@
+"""Folders below a root in an object store: brought here to be read, put there to be whole.
+
+A root is a folder of this machine (``pathlib.Path``) or of an object store (``upath.UPath``, such as
+``s3://bucket/prefix``). Single files, manifests and tables, are read and written alike in both. Bags
+are read and written by libraries that want files of this machine, and an object store cannot rename
+a finished folder into its place: this module is what that takes. On this machine it does nothing.
+"""
+
+import contextlib
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+
+def is_local(place: Path) -> bool:
+    """Tell whether a place is on this machine, or mounted on it."""
+    return isinstance(place, Path)  # a UPath of an object store is none, though it acts like one
+
+
+@contextlib.contextmanager
+def fetched(folder: Path) -> Iterator[Path]:
+    """Give a folder to read on this machine: itself, or a copy for the time of the block."""
+    if is_local(folder):
+        yield folder
+        return
+    with tempfile.TemporaryDirectory(prefix="oracle-") as scratch:
+        here = Path(scratch, folder.name)
+        here.mkdir()
+        store, prefix = _objects_of(folder)
+        objects = store.find(prefix)
+        store.get(objects, [str(here / object_[len(prefix) + 1 :]) for object_ in objects])
+        yield here
+
+
+@contextlib.contextmanager
+def published(folder: Path, last: str) -> Iterator[Path]:
+    """Give a folder to write on this machine: itself, or one that is put there after the block.
+
+    Parameters
+    ----------
+    folder
+        Where it belongs; the block makes the folder that it is given.
+    last
+        Name of the file that says that the folder is whole.
+    """
+    if is_local(folder):
+        yield folder
+        return
+    with tempfile.TemporaryDirectory(prefix="oracle-") as scratch:
+        here = Path(scratch, folder.name)
+        yield here
+        publish(here, folder, last)
+
+
+def publish(here: Path, folder: Path, last: str) -> None:
+    """Put a folder of this machine in the place of one in an object store.
+
+    ``last`` is taken away before all else and put there after it, so that at no moment something
+    looks whole that is not; a copy that was broken off is made again by the next one.
+    """
+    store, prefix = _objects_of(folder)
+    (folder / last).unlink(missing_ok=True)
+    objects = {
+        f"{prefix}/{file.relative_to(here).as_posix()}": str(file)
+        for file in sorted(here.rglob("*"))
+        if file.is_file()
+    }
+    whole = f"{prefix}/{last}"
+    body = [object_ for object_ in objects if object_ != whole]
+    if body:
+        store.put([objects[object_] for object_ in body], body)
+    if former := [object_ for object_ in store.find(prefix) if object_ not in objects]:
+        store.rm(former)
+    store.put_file(objects[whole], whole)
+
+
+def _objects_of(folder: Path) -> tuple[Any, str]:
+    """Return the file system of a folder in an object store, and the folder's name there."""
+    remote: Any = folder
+    return remote.fs, remote.path.rstrip("/")

@@ -1,0 +1,108 @@
+"""What is kept of a finished run: its whole bag, a trimmed one, or the recipe only.
+
+A trimmed bag lacks the topics that weigh much and that nobody wants. Graphs, picture and manifest
+stay, and the content hash is that of the whole bag, which the recipe gives again. Who may drop
+what, and when, is decided elsewhere.
+"""
+
+import dataclasses
+import heapq
+import os
+from collections import Counter
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+from oracle_pipeline.bags import types
+from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.manifest import KEPT, Kept, Manifest
+from oracle_pipeline.bags.reader import BagReader, RawMessage, read_ground_truth
+from oracle_pipeline.bags.run_directory import (
+    BAG_FOLDER,
+    MANIFEST_FILE,
+    RunDirectory,
+    bytes_on_disk,
+)
+from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE
+from oracle_pipeline.bags.writer import BagWriter
+
+HEAVY = 0.02  # of the bag's payload: lighter topics stay in a trimmed bag
+
+Wanted = Callable[[BagReader], Collection[str]]  # the topics of a bag that have to stay
+
+
+def retain(run: RunDirectory, kept: Kept, wanted: Wanted) -> Manifest:
+    """Give up what is more than ``kept`` of a complete run's bag, in one step.
+
+    Parameters
+    ----------
+    run
+        On this machine. A run that has no more than ``kept`` is left as it is.
+    kept
+        What stays.
+    wanted
+        Says which topics stay in a trimmed bag, however much they weigh.
+
+    Returns
+    -------
+    Manifest
+        Of the run as it is now; ``measured`` tells what was freed.
+
+    Raises
+    ------
+    OracleError
+        If the bag cannot be read, or the disk is full; the run is as it was then.
+    """
+    former = run.manifest()
+    measured = former.measured
+    if KEPT.index(kept) <= KEPT.index(measured.kept):
+        return former
+    with run.staged() as scratch:
+        try:
+            _link_all_but_the_bag(run.path, scratch)
+        except OSError as error:
+            raise RunDirectoryError(
+                f"Could not link what stays of {run.path}: {error}. Choose a root on a disk that "
+                "has room and knows hard links."
+            ) from error
+        if kept == "trimmed":
+            with BagReader(run.bag) as bag:
+                _trim(bag, scratch / BAG_FOLDER, wanted(bag))
+        now = bytes_on_disk(scratch)
+        freed = measured.bytes[BAG_FOLDER] - now[BAG_FOLDER]
+        measured = dataclasses.replace(
+            measured, kept=kept, bytes=now, freed_bytes=measured.freed_bytes + freed
+        )
+        manifest = dataclasses.replace(former, measured=measured)
+        manifest.save(scratch / MANIFEST_FILE)
+    return manifest
+
+
+def _link_all_but_the_bag(run: Path, scratch: Path) -> None:
+    for file in sorted(run.rglob("*")):
+        part = file.relative_to(run)
+        aside = part.parts[0] in (BAG_FOLDER, MANIFEST_FILE) or part.parts[0].startswith(".")
+        if file.is_file() and not aside:
+            (scratch / part).parent.mkdir(parents=True, exist_ok=True)
+            os.link(file, scratch / part)
+
+
+def _trim(bag: BagReader, path: Path, wanted: Collection[str]) -> None:
+    """Write a bag again without what weighs much; what the mode's node confesses stays."""
+    payload = Counter[str]()
+    for message in bag.messages():
+        payload[message.topic] += len(message.data)
+    heavy = HEAVY * payload.total()
+    topics = [t for t in bag.topics.values() if t.name in wanted or payload[t.name] < heavy]
+    truth = [
+        RawMessage(GROUND_TRUTH_TOPIC, stamp_ns, types.serialize(confession, GROUND_TRUTH_TYPE))
+        for stamp_ns, confession in read_ground_truth(bag.path)
+    ]
+    storage = "sqlite3" if any(bag.path.glob("*.db3")) else "mcap"
+    with BagWriter(path, storage) as trimmed:
+        for topic in topics:
+            trimmed.add_topic(topic.name, topic.msgtype, topic.qos, bag.definition(topic.msgtype))
+        if truth:
+            trimmed.add_topic(GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE, [])
+        kept = bag.messages([topic.name for topic in topics])
+        for topic_name, stamp_ns, data in heapq.merge(kept, truth, key=lambda m: m.stamp_ns):
+            trimmed.write(topic_name, stamp_ns, data)

@@ -1,0 +1,53 @@
+"""What every detector of the panel is: fitted on right runs alone, and blind to its batch."""
+
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, OutlierMixin
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from oracle_pipeline.bags.errors import OracleError
+
+
+class DetectorError(OracleError):
+    """A detector cannot be fitted on these rows."""
+
+
+class Detector(Protocol):
+    """What the panel's members, ours and scikit-learn's, have in common."""
+
+    def fit(self, X: ArrayLike, y: None = None) -> Self:
+        """Learn what right runs look like, shape (n_runs, n_features), scaled and finite."""
+
+    def score_samples(self, X: ArrayLike) -> NDArray[np.float64]:
+        """Return one score a row, higher is more normal; no row changes that of another."""
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Return the parameters of the constructor."""
+
+
+class OwnDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped bases
+    """A detector that scikit-learn has not: checks its input, a subclass does the rest.
+
+    There is no ``predict``: a threshold comes from runs that the detector was not fitted on.
+    """
+
+    def fit(self, X: ArrayLike, y: None = None) -> Self:  # noqa: ARG002  # scikit-learn passes it
+        """Learn what right runs look like, shape (n_runs, n_features), scaled and finite."""
+        rows = validate_data(self, X, dtype=np.float64)
+        if len(rows) < 2:
+            raise DetectorError("One run shows no spread; fit a detector on at least two.")
+        self._learn(rows)
+        return self
+
+    def score_samples(self, X: ArrayLike) -> NDArray[np.float64]:
+        """Return one score a row, higher is more normal; no row changes that of another."""
+        check_is_fitted(self)
+        return -self._distance(validate_data(self, X, dtype=np.float64, reset=False))
+
+    def _learn(self, X: NDArray[np.float64]) -> None:
+        raise NotImplementedError
+
+    def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
+        raise NotImplementedError

@@ -1,0 +1,167 @@
+"""Detectors that read clusters of right runs.
+
+Heights and sizes in a tree change with every row that is in it. So each row is scored in a tree of
+the right runs and itself alone.
+"""
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+from sklearn.cluster import HDBSCAN
+from sklearn.neighbors import NearestNeighbors
+
+from oracle_pipeline.clustering.scores import hac_height, small_cluster_score
+from oracle_pipeline.clustering.tree import Linkage, Tree, grow_tree
+from oracle_pipeline.detectors.base import DetectorError, OwnDetector
+
+LARGE = 0.1  # share of the right runs that a cluster must hold to stand for a behaviour
+
+
+class _InTree(OwnDetector):
+    """Keeps the right runs and grows a tree of them and one row, for each row."""
+
+    linkage: Linkage
+
+    def _learn(self, X: NDArray[np.float64]) -> None:
+        self.reference_ = X
+
+    def _in_trees(
+        self, X: NDArray[np.float64], of_last: Callable[[Tree], float]
+    ) -> NDArray[np.float64]:
+        trees = (grow_tree(np.vstack([self.reference_, x]), self.linkage) for x in X)
+        return np.fromiter((of_last(tree) for tree in trees), dtype=np.float64, count=len(X))
+
+
+class HacHeight(_InTree):
+    """The height at which a run joins half of the right ones (`clustering.scores.hac_height`).
+
+    Parameters
+    ----------
+    linkage : {"ward", "single", "complete", "average"}
+        Average linkage is measured best (docs/clustering.md).
+    """
+
+    def __init__(self, linkage: Linkage = "average") -> None:
+        self.linkage = linkage
+
+    def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
+        is_reference = np.arange(len(self.reference_) + 1) < len(self.reference_)
+        return self._in_trees(X, lambda tree: float(hac_height(tree, is_reference)[-1]))
+
+
+class SmallCluster(_InTree):
+    """How small the cluster is that a run falls into [1]_.
+
+    Transductive by nature: the rule speaks of the clusters of all runs at hand. Here these are the
+    right runs and the one that is scored.
+
+    Parameters
+    ----------
+    kappa : float
+        0.15 to 0.20 in the literature, which leaves two readings open.
+    reading : {"count", "size"}
+        ``count``: the tree is cut into ``round(kappa n)`` clusters, and the score is the share of
+        rows outside the own one. ``size``: a cluster is small up to ``kappa n`` rows, and the score
+        is the height at which the own one outgrows that.
+    linkage : {"ward", "single", "complete", "average"}
+
+    References
+    ----------
+    .. [1] R. Almaghairbe, M. Roper, "Building test oracles by clustering failures", AST 2015.
+    """
+
+    def __init__(
+        self,
+        kappa: float = 0.175,
+        reading: Literal["count", "size"] = "count",
+        linkage: Linkage = "average",
+    ) -> None:
+        self.kappa = kappa
+        self.reading = reading
+        self.linkage = linkage
+
+    def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
+        if self.reading == "count":
+            return self._in_trees(X, lambda tree: float(small_cluster_score(tree, self.kappa)[-1]))
+        return self._in_trees(X, lambda tree: _outgrown(tree, self.kappa * len(tree)))
+
+
+def _outgrown(tree: Tree, rows: float) -> float:
+    """Return the height at which the cluster of the last row holds more than so many rows."""
+    own = len(tree) - 1
+    outgrown = 0.0
+    for merged, (left, right, height, size) in enumerate(tree.merges.tolist(), start=len(tree)):
+        if own in (left, right):
+            own, outgrown = merged, height
+            if size > rows:
+                break
+    return float(outgrown)
+
+
+class ReferenceDistance(OwnDetector):
+    """Distance to the nearest large cluster of right runs, in units of its spread.
+
+    After LDCOF [1]_: the clusters are those of Ward's method, large ones hold at least a tenth of
+    the runs, spread is the mean distance of their runs from the centroid, at least 1.
+
+    Parameters
+    ----------
+    n_clusters : int
+        Behaviours that right runs may have, at most.
+
+    References
+    ----------
+    .. [1] M. Amer, M. Goldstein, "Nearest-neighbor and clustering based anomaly detection
+       algorithms for RapidMiner", RCOMM 2012.
+    """
+
+    def __init__(self, n_clusters: int = 3) -> None:
+        self.n_clusters = n_clusters
+
+    def _learn(self, X: NDArray[np.float64]) -> None:
+        cluster = grow_tree(X, "ward").cut("maxclust", self.n_clusters)
+        members = [cluster == name for name in np.unique(cluster)]
+        large = [rows for rows in members if rows.mean() >= LARGE]
+        self.centroids_ = np.array([X[rows].mean(axis=0) for rows in large])
+        away = cdist(X, self.centroids_)
+        spread = [column[rows].mean() for column, rows in zip(away.T, large, strict=True)]
+        self.spread_ = np.maximum(spread, 1.0)  # rows are z-scores
+
+    def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray((cdist(X, self.centroids_) / self.spread_).min(axis=1), dtype=np.float64)
+
+
+class DenseRegions(OwnDetector):
+    """Distance to the nearest right run that HDBSCAN puts into a cluster.
+
+    Parameters
+    ----------
+    min_cluster_size : int
+        Runs that make a behaviour of their own.
+    """
+
+    def __init__(self, min_cluster_size: int = 5) -> None:
+        self.min_cluster_size = min_cluster_size
+
+    def _learn(self, X: NDArray[np.float64]) -> None:
+        if len(X) < self.min_cluster_size:
+            raise DetectorError(
+                f"{len(X)} runs cannot make a cluster of {self.min_cluster_size}; "
+                "fit on more runs or lower min_cluster_size."
+            )
+        clustering = HDBSCAN(
+            min_cluster_size=self.min_cluster_size, allow_single_cluster=True, copy=True
+        )
+        clustered = clustering.fit(X).labels_ >= 0
+        if not clustered.any():
+            raise DetectorError(
+                "HDBSCAN finds no cluster among these runs; use a detector that needs none."
+            )
+        self.neighbors_ = NearestNeighbors(n_neighbors=1).fit(X[clustered])
+
+    def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
+        distances, _ = self.neighbors_.kneighbors(X)
+        return np.asarray(distances[:, 0], dtype=np.float64)

@@ -1,0 +1,75 @@
+"""Detectors that measure how far a run is from the right ones, feature by feature or together."""
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.covariance import LedoitWolf
+from sklearn.neighbors import NearestNeighbors
+
+from oracle_pipeline.detectors.base import DetectorError, OwnDetector
+
+
+class MaxZ(OwnDetector):
+    """The largest absolute z-score: how far out the oddest single feature is.
+
+    The rows are z-scores already (`FlooredRobustScaler`), so nothing is left to learn.
+    """
+
+    def _learn(self, X: NDArray[np.float64]) -> None:
+        """Learn nothing."""
+
+    def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(np.abs(X).max(axis=1), dtype=np.float64)
+
+
+class Mahalanobis(OwnDetector):
+    """Distance from the mean in the covariance of right runs, shrunk after Ledoit and Wolf [1]_.
+
+    Rows are z-scores whose unit is at least the feature's resolution. No feature counts as known
+    better than that: a variance below 1 is raised to 1. So a feature that never varied in training
+    neither vanishes nor swamps all others.
+
+    Attributes
+    ----------
+    location_ : ndarray of shape (n_features,)
+    precision_ : ndarray of shape (n_features, n_features)
+
+    References
+    ----------
+    .. [1] O. Ledoit, M. Wolf, "A well-conditioned estimator for large-dimensional covariance
+       matrices", Journal of Multivariate Analysis 88, 2004.
+    """
+
+    def _learn(self, X: NDArray[np.float64]) -> None:
+        shrunk = LedoitWolf().fit(X)
+        raised = np.maximum(0.0, 1.0 - np.diag(shrunk.covariance_))
+        self.location_ = shrunk.location_
+        self.precision_ = np.linalg.inv(shrunk.covariance_ + np.diag(raised))
+
+    def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
+        away = X - self.location_
+        squared = np.einsum("ij,ij->i", away @ self.precision_, away)
+        return np.asarray(np.sqrt(squared), dtype=np.float64)
+
+
+class NearestRuns(OwnDetector):
+    """Mean Euclidean distance to the nearest right runs.
+
+    Parameters
+    ----------
+    n_neighbors : int
+    """
+
+    def __init__(self, n_neighbors: int = 5) -> None:
+        self.n_neighbors = n_neighbors
+
+    def _learn(self, X: NDArray[np.float64]) -> None:
+        if len(X) < self.n_neighbors:
+            raise DetectorError(
+                f"{len(X)} runs have no {self.n_neighbors} nearest ones; "
+                "fit on more runs or lower n_neighbors."
+            )
+        self.neighbors_ = NearestNeighbors(n_neighbors=self.n_neighbors).fit(X)
+
+    def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
+        distances, _ = self.neighbors_.kneighbors(X)
+        return np.asarray(distances.mean(axis=1), dtype=np.float64)

@@ -1,0 +1,81 @@
+"""scikit-learn's own detectors where they need a guard to be used without thinking."""
+
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.covariance import EllipticEnvelope
+from sklearn.mixture import GaussianMixture
+from sklearn.neighbors import LocalOutlierFactor
+from sklearn.utils.validation import validate_data
+
+from oracle_pipeline.detectors.base import DetectorError, OwnDetector
+
+ROWS_PER_FEATURE = 5  # below, a minimum covariance determinant is mostly noise
+
+
+class DistinctLocalOutlierFactor(LocalOutlierFactor):  # type: ignore[misc]  # untyped base
+    """Local outlier factor over distinct rows.
+
+    Copies of a row have infinite density, and every row beside them looks like an outlier
+    (scikit-learn issue 27839); they carry no information, so they count once.
+    """
+
+    def fit(self, X: ArrayLike, y: None = None) -> Self:  # noqa: ARG002  # scikit-learn passes it
+        """Learn from the distinct rows; `DetectorError` if there are not enough."""
+        rows = np.unique(validate_data(self, X, dtype=np.float64), axis=0)
+        if len(rows) <= self.n_neighbors:
+            raise DetectorError(
+                f"The local outlier factor needs more than {self.n_neighbors} distinct runs, there "
+                f"are {len(rows)}; fit on more runs or lower n_neighbors."
+            )
+        fitted: Self = super().fit(rows)
+        return fitted
+
+
+class AmpleEllipticEnvelope(EllipticEnvelope):  # type: ignore[misc]  # untyped base
+    """Minimum covariance determinant, for data that can support it."""
+
+    def fit(self, X: ArrayLike, y: None = None) -> Self:  # noqa: ARG002  # scikit-learn passes it
+        """Learn the envelope; `DetectorError` unless there are five rows for each feature."""
+        rows, features = validate_data(self, X, dtype=np.float64).shape
+        if rows <= ROWS_PER_FEATURE * features:
+            raise DetectorError(
+                f"An elliptic envelope over {features} features needs more than "
+                f"{ROWS_PER_FEATURE * features} runs, there are {rows}; fit on fewer features or "
+                "use Mahalanobis, which shrinks the covariance."
+            )
+        fitted: Self = super().fit(X)
+        return fitted
+
+
+class BestGaussianMixture(OwnDetector):
+    """Likelihood under the mixture of independent Gaussians with the lowest BIC.
+
+    Parameters
+    ----------
+    max_components : int
+        Behaviours that right runs may have, at most.
+    reg_covar : float
+        Least variance; rows are z-scores, so this is in squares of their unit.
+    random_state : int, optional
+    """
+
+    def __init__(
+        self, max_components: int = 3, reg_covar: float = 0.1, random_state: int | None = None
+    ) -> None:
+        self.max_components = max_components
+        self.reg_covar = reg_covar
+        self.random_state = random_state
+
+    def _learn(self, X: NDArray[np.float64]) -> None:
+        mixtures = [
+            GaussianMixture(
+                n, covariance_type="diag", reg_covar=self.reg_covar, random_state=self.random_state
+            ).fit(X)
+            for n in range(1, min(self.max_components, len(X)) + 1)
+        ]
+        self.mixture_ = min(mixtures, key=lambda mixture: float(mixture.bic(X)))
+
+    def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
+        return -np.asarray(self.mixture_.score_samples(X), dtype=np.float64)

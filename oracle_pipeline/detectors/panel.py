@@ -1,0 +1,73 @@
+"""Which detectors are compared, in a fixed order, and how one is put behind the scaler.
+
+The panel is fixed in advance: choosing by result among many is how a small campaign is overfitted.
+What each member is good for, and its traps, are in docs/detectors.md.
+"""
+
+from collections.abc import Mapping
+
+from sklearn.base import ClassifierMixin
+from sklearn.ensemble import HistGradientBoostingClassifier, IsolationForest, RandomForestClassifier
+from sklearn.pipeline import Pipeline
+from sklearn.svm import OneClassSVM
+
+from oracle_pipeline.clustering.scaling import FlooredRobustScaler
+from oracle_pipeline.detectors.base import Detector
+from oracle_pipeline.detectors.clusters import (
+    DenseRegions,
+    HacHeight,
+    ReferenceDistance,
+    SmallCluster,
+)
+from oracle_pipeline.detectors.distances import Mahalanobis, MaxZ, NearestRuns
+from oracle_pipeline.detectors.guarded import (
+    AmpleEllipticEnvelope,
+    BestGaussianMixture,
+    DistinctLocalOutlierFactor,
+)
+
+DEFAULT_DETECTOR = "mahalanobis"  # why: docs/detectors.md
+
+
+def panel(seed: int) -> dict[str, Detector]:
+    """Return the detectors by name, unfitted; `seed` is that of those that draw."""
+    return {
+        "hac_height": HacHeight(),
+        "small_cluster_count": SmallCluster(reading="count"),
+        "small_cluster_size": SmallCluster(reading="size"),
+        "reference_distance": ReferenceDistance(),
+        "mahalanobis": Mahalanobis(),
+        "max_z": MaxZ(),
+        "knn": NearestRuns(n_neighbors=5),
+        "ocsvm": OneClassSVM(nu=0.05),
+        "isolation_forest": IsolationForest(n_estimators=300, random_state=seed),
+        "elliptic_envelope": AmpleEllipticEnvelope(random_state=seed),
+        "lof": DistinctLocalOutlierFactor(n_neighbors=10, novelty=True),
+        "hdbscan": DenseRegions(),
+        "gmm": BestGaussianMixture(random_state=seed),
+    }
+
+
+def upper_bounds(seed: int) -> dict[str, ClassifierMixin]:
+    """Return classifiers by name, unfitted: what the features hold if the attacks were known.
+
+    They are trained on attacked runs too, so they are no oracle; they bound what one can reach.
+    """
+    return {
+        "random_forest": RandomForestClassifier(
+            n_estimators=300, class_weight="balanced", random_state=seed
+        ),
+        "boosted_trees": HistGradientBoostingClassifier(class_weight="balanced", random_state=seed),
+    }
+
+
+def pipeline(detector: Detector, floors: Mapping[str, float] | None = None) -> Pipeline:
+    """Put a detector behind the scaler; fits on, and scores, a DataFrame of features.
+
+    Parameters
+    ----------
+    detector : Detector
+    floors : mapping of str to float, optional
+        Resolution of a column, in its unit (`datasets.feature_floors`).
+    """
+    return Pipeline([("scaler", FlooredRobustScaler(floors)), ("detector", detector)])

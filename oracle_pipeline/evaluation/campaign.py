@@ -1,0 +1,152 @@
+"""The runs that are judged: their features, their windows and what really happened, in one order.
+
+Scores are made of the first two in ``oracle_pipeline.evaluation.scoring``; the third is what they
+are measured against.
+"""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.datasets import feature_columns, field_metadata, is_malicious
+
+WINDOW_S = 10.0  # length of a window; the last one may be shorter
+CHANGE_BIN_S = 5.0  # of a manifest's changes
+LEFT_OUT = ("thesis",)  # families that are no part of our oracle
+
+
+class CampaignError(OracleError):
+    """The tables of a campaign do not fit together."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Campaign:
+    """Distinct runs and their windows; n_runs and n_windows rows, each by ``run_id``.
+
+    Attributes
+    ----------
+    features : DataFrame
+        A row a run.
+    windows : DataFrame
+        A row a window, by start.
+    truth : DataFrame
+        A row a run (`truth.truth_table`).
+    run : ndarray of shape (n_windows,)
+        Row of `features` that each window belongs to.
+    """
+
+    features: pd.DataFrame
+    windows: pd.DataFrame
+    truth: pd.DataFrame
+    run: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, features: pd.DataFrame, windows: pd.DataFrame, truth: pd.DataFrame) -> "Campaign":
+        """Put the tables in order; attacked runs that ended before their attack are left out.
+
+        Raises
+        ------
+        CampaignError
+            A run without windows or without a truth.
+        """
+        for name, table in (("window", windows), ("truth", truth)):
+            absent = sorted(set(features["run_id"]) - set(table["run_id"]))
+            if absent:
+                raise CampaignError(
+                    f"{len(absent)} runs, {absent[0]} the first, are not in the {name} table; "
+                    "make the tables of the same runs again."
+                )
+        happened = truth.set_index("run_id").loc[features["run_id"]]
+        judged = ~is_malicious(features) | happened["onset_s"].notna().to_numpy()
+        runs = features[judged].sort_values("run_id", ignore_index=True)
+        number = pd.Series(np.arange(len(runs)), index=runs["run_id"])
+        known = windows[windows["run_id"].isin(number.index)]
+        known = known.sort_values(["run_id", "window_start_s"], ignore_index=True)
+        return cls(
+            runs,
+            known,
+            happened.loc[runs["run_id"]].reset_index(),
+            number.loc[known["run_id"]].to_numpy(dtype=np.intp),
+        )
+
+    @property
+    def malicious(self) -> NDArray[np.bool_]:
+        """Which runs were attacked, shape (n_runs,)."""
+        return is_malicious(self.features)
+
+    @property
+    def block(self) -> NDArray[np.int64]:
+        """Block of each run, shape (n_runs,)."""
+        return self.features["block"].to_numpy(dtype=np.int64)
+
+    @property
+    def counts(self) -> NDArray[np.intp]:
+        """How many windows each run has, shape (n_runs,)."""
+        return np.bincount(self.run, minlength=len(self.features))
+
+    @property
+    def place(self) -> NDArray[np.intp]:
+        """Which window of its run each is, from 0, shape (n_windows,)."""
+        return np.arange(len(self.run)) - np.repeat(
+            np.cumsum(self.counts) - self.counts, self.counts
+        )
+
+    @property
+    def start_s(self) -> NDArray[np.float64]:
+        """Start of each window [s of the recording], shape (n_windows,)."""
+        return self.windows["window_start_s"].to_numpy(dtype=np.float64)
+
+    @property
+    def end_s(self) -> NDArray[np.float64]:
+        """End of each window [s of the recording], before which it cannot be judged."""
+        recorded = self.truth["recording_s"].to_numpy(dtype=np.float64)[self.run]
+        return np.asarray(np.minimum(self.start_s + WINDOW_S, recorded), dtype=np.float64)
+
+    @property
+    def onset_s(self) -> NDArray[np.float64]:
+        """When each run's attack began [s of the recording], shape (n_runs,)."""
+        return self.truth["onset_s"].to_numpy(dtype=np.float64)
+
+    def attacked_windows(self) -> NDArray[np.bool_]:
+        """Return the windows of attacked runs in which something was changed, (n_windows,).
+
+        A run that does not tell what it changed counts as changed from its onset on.
+        """
+        attacked = self.malicious[self.run] & (self.end_s > self.onset_s[self.run])
+        for row in np.flatnonzero(self.malicious):
+            bins = [start for start, *_ in json.loads(self.truth["changes"].iloc[row])]
+            if bins:
+                of_run = np.flatnonzero(self.run == row)
+                start, end = self.start_s[of_run, None], self.end_s[of_run, None]
+                overlap = (np.array(bins) < end) & (np.array(bins) + CHANGE_BIN_S > start)
+                attacked[of_run] &= overlap.any(axis=1)
+        return attacked
+
+
+def feature_sets(df: pd.DataFrame) -> dict[str, list[str]]:
+    """Return the sets of columns that are judged, by name.
+
+    ``all`` is the oracle's own: every family but the thesis's, without shortcuts. Then each family
+    alone; ``generic``, what any bag gives; ``without redundancy``, what is left if no second sensor
+    sees the same; and ``shortcuts``, which tell a run by who was there. Features without any finite
+    value are in none.
+    """
+    fields = field_metadata(df)
+    known = np.isfinite(df[feature_columns(df)].to_numpy(dtype=np.float64)).any(axis=0)
+    present = [c for c, there in zip(feature_columns(df), known, strict=True) if there]
+    columns = [c for c in present if c.split(".", 1)[0] not in LEFT_OUT]
+    shortcut = [c for c in columns if fields.get(c, {}).get("shortcut") == "true"]
+    usable = [c for c in columns if c not in shortcut]
+    families = dict.fromkeys(c.split(".", 1)[0] for c in usable)
+    sets = {
+        "all": usable,
+        **{family: [c for c in usable if c.startswith(f"{family}.")] for family in families},
+        "generic": [c for c in usable if fields.get(c, {}).get("origin") == "generic"],
+        "without redundancy": [c for c in usable if not c.startswith("redundancy.")],
+        "shortcuts": shortcut,
+    }
+    return {name: chosen for name, chosen in sets.items() if chosen}

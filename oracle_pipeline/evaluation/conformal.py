@@ -1,0 +1,136 @@
+"""From scores to verdicts with a known false-alarm rate: split-conformal p-values.
+
+A run is compared with calibration runs: right ones that the detector was not fitted on. If it is
+exchangeable with them, its p-value is at most ``alpha`` with a probability of at most ``alpha``,
+whatever the detector and however scores are distributed [1]_. Higher scores are more anomalous.
+
+References
+----------
+.. [1] S. Bates, E. Candès, L. Lei, Y. Romano, M. Sesia, "Testing for outliers with conformal
+   p-values", Annals of Statistics 51, 2023.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import false_discovery_control
+
+from oracle_pipeline.bags.errors import OracleError
+
+
+class ConformalError(OracleError):
+    """The calibration runs cannot support the verdict that is asked for."""
+
+
+def p_values(
+    calibration: NDArray[np.float64],
+    scores: NDArray[np.float64],
+    blocks: NDArray[np.int64] | None = None,
+) -> NDArray[np.float64]:
+    """Return ``(1 + #{calibration >= score}) / (n + 1)`` for each score.
+
+    Parameters
+    ----------
+    calibration : ndarray of shape (n,)
+        Scores of runs that the detector was not fitted on.
+    scores : ndarray of shape (m,)
+    blocks : ndarray of shape (n,), optional
+        Block of each calibration run. With it every block counts once, by the share of its runs:
+        runs of one block are alike, so they are exchangeable with a run of another block only block
+        by block [1]_, and ``n`` is the number of blocks.
+
+    Returns
+    -------
+    ndarray of shape (m,)
+        In ``[1 / (n + 1), 1]``.
+
+    Raises
+    ------
+    ConformalError
+        A score is not a finite number.
+
+    References
+    ----------
+    .. [1] Y. Lee, R. F. Barber, R. Willett, "Distribution-free inference with hierarchical data",
+       2023.
+
+    Examples
+    --------
+    >>> p_values(np.array([1.0, 2.0, 3.0]), np.array([0.5, 2.0, 9.0]))
+    array([1.  , 0.75, 0.25])
+    >>> p_values(np.array([1.0, 2.0, 3.0]), np.array([2.0]), np.array([0, 0, 1]))
+    array([0.83333333])
+    """
+    if not (np.isfinite(calibration).all() and np.isfinite(scores).all()):
+        raise ConformalError(
+            "A score is not a finite number, so it cannot be ranked; look for a feature that has "
+            "no finite value in the runs the detector was fitted on."
+        )
+    _, block, runs = np.unique(
+        np.arange(len(calibration)) if blocks is None else blocks,
+        return_inverse=True,
+        return_counts=True,
+    )
+    order = np.argsort(calibration)
+    from_top = np.append(0.0, np.cumsum((1.0 / runs)[block][order[::-1]]))
+    below = np.searchsorted(calibration[order], scores, side="left")
+    at_least = np.minimum(from_top[len(calibration) - below], len(runs))  # rounding aside
+    return np.asarray((1.0 + at_least) / (len(runs) + 1.0), dtype=np.float64)
+
+
+def runs_needed(rate: float) -> int:
+    """Return the fewest calibration runs that can give a p-value of at most `rate`.
+
+    Examples
+    --------
+    >>> runs_needed(0.05), runs_needed(0.01)
+    (19, 99)
+    """
+    if not 0.0 < rate < 1.0:
+        raise ConformalError(f"A false-alarm rate of {rate:g} is none; give one between 0 and 1.")
+    count = int(1.0 / rate)
+    return count - 1 if 1.0 / count <= rate else count
+
+
+def check_support(n_calibration: int, rate: float) -> None:
+    """Refuse a false-alarm rate that so many calibration runs cannot give.
+
+    Raises
+    ------
+    ConformalError
+        Saying how many runs are needed.
+    """
+    needed = runs_needed(rate)
+    if n_calibration < needed:
+        raise ConformalError(
+            f"{n_calibration} calibration runs cannot support a false-alarm rate of {rate:.3g}: no "
+            f"run could be called anomalous, however odd. {needed} are needed; add right runs "
+            "to the reference or allow more false alarms."
+        )
+
+
+def flag(
+    calibration: NDArray[np.float64], scores: NDArray[np.float64], rate: float
+) -> NDArray[np.bool_]:
+    """Call each run anomalous whose p-value is at most `rate`, its chance if the run is right.
+
+    Raises
+    ------
+    ConformalError
+        The calibration runs cannot support the rate, or a score is not finite.
+    """
+    check_support(len(calibration), rate)
+    return np.asarray(p_values(calibration, scores) <= rate, dtype=np.bool_)
+
+
+def adjusted_for_suite(p: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return Benjamini-Hochberg p-values of runs that are judged together.
+
+    Called anomalous up to `rate`, at most that share of the runs so called is right on average;
+    p-values that share their calibration runs depend on one another in the way this allows.
+
+    Examples
+    --------
+    >>> adjusted_for_suite(np.array([0.01, 0.04, 0.5]))
+    array([0.03, 0.06, 0.5 ])
+    """
+    return np.asarray(false_discovery_control(p, method="bh"), dtype=np.float64)

@@ -1,0 +1,167 @@
+"""How weak an attack the oracle still sees: kill matrix, mutation score, detectable magnitude.
+
+A grid of attacked runs, one operator of the scenario language at several magnitudes, is scored by
+an oracle that was fitted on the campaign. A run that is called anomalous is a killed mutant; one in
+which no message was changed is equivalent to the original and counts for nothing. Recording the
+grid is ``oracle-sim grid``.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from sklearn.base import clone
+
+from oracle_pipeline.datasets import feature_floors
+from oracle_pipeline.detectors import DetectorError, panel, pipeline
+from oracle_pipeline.evaluation.campaign import CampaignError, feature_sets
+from oracle_pipeline.evaluation.conformal import flag
+from oracle_pipeline.evaluation.estimate import NOTHING, Estimate, clopper_pearson
+from oracle_pipeline.evaluation.protocol import HEADLINE, RATES
+from oracle_pipeline.evaluation.splits import fit_and_calibrate
+
+ORACLE, OPERATOR = ["detector", "features"], ["scenario", "parameter"]
+REQUIRED = ("scenario", "parameter", "value", "changed_messages")
+DETECTABLE = 0.9  # detection rate that a detectable magnitude reaches
+
+
+def kill_matrix(
+    features: pd.DataFrame, grid: pd.DataFrame, seed: int, rate: float = RATES[0]
+) -> pd.DataFrame:
+    """Return how many runs of each magnitude each oracle kills.
+
+    Oracles are the whole panel on all features and the headline's detector on every other set.
+    They are fitted on and calibrated with right runs of the campaign's blocks that the grid does
+    not use: a grid made offline mutates runs of the campaign itself.
+
+    Parameters
+    ----------
+    features : DataFrame
+        The campaign, a row a run.
+    grid : DataFrame
+        The grid's runs with the same features and the columns ``scenario``, ``parameter``,
+        ``value`` (magnitude, growing with strength) and ``changed_messages``.
+    seed : int
+        Of the split and of detectors that draw.
+    rate : float
+        False-alarm rate of the verdicts.
+
+    Returns
+    -------
+    DataFrame
+        A row for each oracle, scenario, parameter and value, with ``mutants``, ``equivalent``,
+        ``killed`` and the estimate ``kill_rate`` among those that are not equivalent.
+
+    Raises
+    ------
+    CampaignError
+        The grid lacks a column, or the campaign has no features.
+    ConformalError
+        Too few right runs are left to calibrate with.
+    """
+    wanted = feature_sets(features).get("all")
+    if not wanted:
+        raise CampaignError("No feature of the campaign has a finite value; extract them again.")
+    absent = [c for c in (*REQUIRED, *wanted) if c not in grid.columns]
+    if absent:
+        raise CampaignError(
+            f"The grid lacks the columns {', '.join(absent[:5])}; take it from the index that "
+            "`oracle-sim grid` writes and extract its features with the campaign's plugins."
+        )
+    unused = ~features["block"].isin(grid["block"]).to_numpy()
+    fit, calibrate = fit_and_calibrate(features, unused, np.random.default_rng(seed))
+    tables = []
+    for oracle, scores in _scores(features, grid, fit, calibrate, seed):
+        calibration, mutants = scores[: calibrate.sum()], scores[calibrate.sum() :]
+        verdicts = grid[list(REQUIRED)].assign(killed=flag(calibration, mutants, rate))
+        tables.append(_counted(verdicts).assign(**oracle))
+    columns = [*ORACLE, *OPERATOR, "value", "mutants", "equivalent", "killed"]
+    kills = pd.concat(tables, ignore_index=True)
+    return kills[[*columns, "kill_rate", "kill_rate_low", "kill_rate_high"]]
+
+
+def _scores(
+    features: pd.DataFrame,
+    grid: pd.DataFrame,
+    fit: NDArray[np.bool_],
+    calibrate: NDArray[np.bool_],
+    seed: int,
+) -> Iterator[tuple[dict[str, str], NDArray[np.float64]]]:
+    """Yield each oracle that can be fitted and its scores of calibration, then of grid runs."""
+    detectors, sets = panel(seed), feature_sets(features)
+    oracles = [(detector, "all") for detector in detectors]
+    oracles += [(HEADLINE.detector, name) for name in sets if name != "all"]
+    for detector, name in oracles:
+        columns = sets[name]
+        model = pipeline(clone(detectors[detector]), feature_floors(features))
+        try:
+            model.fit(features.loc[fit, columns])
+        except DetectorError:
+            continue  # its row in the evaluation's table says why
+        scored = pd.concat([features.loc[calibrate, columns], grid[columns]])
+        yield {"detector": detector, "features": name}, -model.score_samples(scored)
+
+
+def _counted(verdicts: pd.DataFrame) -> pd.DataFrame:
+    rows = []
+    for place, runs in verdicts.groupby([*OPERATOR, "value"], sort=True):
+        mutants = runs[runs["changed_messages"] > 0]
+        killed = int(mutants["killed"].sum())
+        rate = killed / len(mutants) if len(mutants) else np.nan
+        rows.append(
+            {
+                **dict(zip([*OPERATOR, "value"], place, strict=True)),
+                "mutants": len(runs),
+                "equivalent": len(runs) - len(mutants),
+                "killed": killed,
+                **clopper_pearson(rate, len(mutants)).columns("kill_rate"),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def mutation_scores(kills: pd.DataFrame) -> pd.DataFrame:
+    """Return for each oracle the share of mutants that it kills, equivalent ones left out.
+
+    Parameters
+    ----------
+    kills : DataFrame
+        As of `kill_matrix`.
+    """
+    rows = []
+    for oracle, of in kills.groupby(ORACLE, sort=False):
+        mutants, killed = int((of["mutants"] - of["equivalent"]).sum()), int(of["killed"].sum())
+        score = clopper_pearson(killed / mutants, mutants) if mutants else NOTHING
+        place = dict(zip(ORACLE, oracle, strict=True))
+        rows.append(
+            place | {"mutants": mutants, "killed": killed} | score.columns("mutation_score")
+        )
+    return pd.DataFrame(rows)
+
+
+def minimum_detectable(kills: pd.DataFrame) -> pd.DataFrame:
+    """Return for each oracle and operator the smallest magnitude that is detected reliably.
+
+    That is the smallest of the grid from which on, at every larger one too, at least 0.9 of the
+    mutants are killed; NaN if the largest is not. Between it and the next smaller one of the grid
+    (``magnitude_low``; 0 below the first) lies the true one.
+
+    Parameters
+    ----------
+    kills : DataFrame
+        As of `kill_matrix`.
+    """
+    rows = []
+    for place, of in kills.groupby([*ORACLE, *OPERATOR], sort=False):
+        counted = of[of["mutants"] > of["equivalent"]].sort_values("value")
+        values = [0.0, *counted["value"]]
+        missed = np.flatnonzero(counted["kill_rate"].to_numpy() < DETECTABLE)
+        first = int(missed[-1]) + 2 if len(missed) else 1
+        found = NOTHING
+        if first < len(values):
+            found = Estimate(values[first], values[first - 1], values[first])
+        rows.append(
+            dict(zip([*ORACLE, *OPERATOR], place, strict=True)) | found.columns("magnitude")
+        )
+    return pd.DataFrame(rows)

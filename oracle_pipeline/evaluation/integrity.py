@@ -1,0 +1,240 @@
+"""What has to be right before a figure is believed: each check with its figure and a sentence.
+
+A check is green, red, or unsupported: the campaign is too small or lacks the runs for it. Only if
+all are green is the headline said.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from sklearn.metrics import roc_auc_score
+
+from oracle_pipeline.datasets import PAIRS, DistinctRuns, field_metadata
+from oracle_pipeline.detectors import Detector, upper_bounds
+from oracle_pipeline.evaluation.campaign import LEFT_OUT, Campaign, feature_sets
+from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
+from oracle_pipeline.evaluation.metrics import auc, share
+from oracle_pipeline.evaluation.protocol import BENIGN, RATES, runs_of
+from oracle_pipeline.evaluation.scoring import (
+    HeldOut,
+    fold_scores,
+    of_tested,
+    supervised_scores,
+)
+from oracle_pipeline.evaluation.splits import Fold
+
+Status = Literal["green", "red", "unsupported"]
+
+SAME = 0.999  # level at which equal things may not look different
+MARGIN = 0.1  # by which the label has to be more predictable than the session
+TREES = 100  # of the forest that predicts both
+SHUFFLES, SHUFFLED = 200, (0.45, 0.55)  # label permutations, and where their mean AUC belongs
+FALSE_ALARMS = 0.10  # at most, on hard negatives
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One integrity check's result."""
+
+    name: str
+    status: Status
+    figure: Estimate
+    sentence: str
+
+    def columns(self) -> dict[str, float | str]:
+        """Return the check as table columns, the figure as three."""
+        named = asdict(self)
+        return {k: named[k] for k in ("name", "status", "sentence")} | self.figure.columns("figure")
+
+
+def _found(name: str, *, passed: bool, figure: Estimate, sentence: str) -> Check:
+    return Check(name, "green" if passed else "red", figure, sentence)
+
+
+def _unsupported(name: str, why: str) -> Check:
+    return Check(name, "unsupported", NOTHING, why)
+
+
+def same_between_sessions(scores: HeldOut, campaign: Campaign, rng: np.random.Generator) -> Check:
+    """A/A: runs of one control mode in two sessions, on disjoint blocks, score alike.
+
+    The figure is the AUC that is furthest from 0.5, with its 99.9% interval.
+    """
+    name, session = "sessions_score_alike", campaign.features["session"].to_numpy()
+    areas = []
+    for mode, _ in PAIRS:
+        members = (campaign.features["mode"] == mode).to_numpy() & np.isfinite(scores.score)
+        for one, other in combinations(np.unique(session[members]), 2):
+            both = members & np.isin(session, [one, other])
+            runs = runs_of(campaign, both)
+            later = DistinctRuns(runs.first, runs.copies, session[both] == other, runs.block)
+            area = auc(scores.score[both], later, rng, SAME)
+            areas.append((abs(area.value - 0.5), f"{mode}, sessions {one} and {other}", area))
+    if not areas:
+        return _unsupported(
+            name, "No control was recorded in two sessions; record 3 blocks or more."
+        )
+    _, where, area = max(areas)
+    passed = area.covers(0.5)
+    return _found(
+        name,
+        passed=passed,
+        figure=area,
+        sentence=f"{where}: AUC {area} (99.9%) {'holds' if passed else 'does not hold'} 0.5; the "
+        f"furthest from it of {len(areas)}.",
+    )
+
+
+def equal_graphs(differences: Sequence[str] | None) -> Check:
+    """Pairs that are declared to have equal graphs do.
+
+    Parameters
+    ----------
+    differences : sequence of str, optional
+        One sentence each; None if graphs were not compared.
+    """
+    name = "graphs_of_pairs_are_equal"
+    if differences is None:
+        return _unsupported(name, "The graphs of pairs were not compared; run the graph check.")
+    found = Estimate(*[float(len(differences))] * 3)
+    said = "; ".join(differences[:3]) or "vertices, types and edges agree in every interval"
+    return _found(name, passed=not differences, figure=found, sentence=f"{said}.")
+
+
+def label_above_session(
+    campaign: Campaign, columns: Sequence[str], folds: Sequence[Fold], seed: int
+) -> Check:
+    """One classifier on the same features finds the attack more easily than the session.
+
+    The figure is the AUC of predicting the session, macro-averaged, on blocks it was not shown.
+    """
+    name, df = "label_is_told_before_session", campaign.features
+    classifier = upper_bounds(seed)["random_forest"].set_params(n_estimators=TREES)
+    label = supervised_scores(df, columns, classifier, folds)
+    sessions = np.unique(df["session"])
+    areas = []
+    for session in sessions if len(sessions) > 2 else sessions[:-1]:
+        target = (df["session"] == session).to_numpy()
+        areas.append(_area(supervised_scores(df, columns, classifier, folds, target), target))
+    of_label = _area(label, campaign.malicious)
+    if not areas or np.isnan([*areas, of_label]).any():
+        return _unsupported(name, "It takes two sessions, both classes and three blocks of each.")
+    of_session = float(np.mean(areas))
+    return _found(
+        name,
+        passed=of_session <= of_label - MARGIN,
+        figure=Estimate(of_session, min(areas), max(areas)),
+        sentence=f"AUC of the session {of_session:.2f} ({min(areas):.2f} to {max(areas):.2f} by "
+        f"session), of the label {of_label:.2f}; it should be {MARGIN} below.",
+    )
+
+
+def _area(score: NDArray[np.float64], target: NDArray[np.bool_]) -> float:
+    known = np.isfinite(score)
+    if len(np.unique(target[known])) < 2:
+        return np.nan
+    return float(roc_auc_score(target[known], score[known]))
+
+
+def shuffled_labels(
+    campaign: Campaign,
+    columns: Sequence[str],
+    detector: Detector,
+    make_folds: Callable[[pd.DataFrame, int], list[Fold]],
+    rng: np.random.Generator,
+) -> Check:
+    """Labels that are permuted within blocks are not predicted: no way leads from label to score.
+
+    Everything is fitted anew for each permutation, on one fold in turn.
+
+    Parameters
+    ----------
+    make_folds : callable
+        From run table and seed to folds: the split of the evaluation itself.
+    """
+    name, areas = "shuffled_labels_are_chance", []
+    blocks = campaign.features.groupby("block").indices
+    for number in range(SHUFFLES):
+        order = np.arange(len(campaign.features))
+        for rows in blocks.values():
+            order[rows] = rng.permutation(rows)
+        shuffled = campaign.features.assign(label=campaign.features["label"].to_numpy()[order])
+        folds = make_folds(shuffled, number)
+        if folds:
+            fold = folds[number % len(folds)]
+            score = of_tested(fold_scores(shuffled, columns, detector, [fold]), [fold])
+            areas.append(_area(score, (shuffled["label"] == "malicious").to_numpy()))
+    known = np.array(areas)[np.isfinite(areas)]
+    if len(known) < SHUFFLES // 2:
+        return _unsupported(name, "It takes both classes in at least three blocks.")
+    error = 1.96 * float(known.std(ddof=1)) / np.sqrt(len(known))
+    mean = float(known.mean())
+    low, high = SHUFFLED
+    return _found(
+        name,
+        passed=low <= mean <= high,
+        figure=Estimate(mean, mean - error, mean + error),
+        sentence=f"Mean AUC of {len(known)} permutations {mean:.3f}; it belongs in "
+        f"[{low}, {high}].",
+    )
+
+
+def hard_negatives(scores: HeldOut, campaign: Campaign, rng: np.random.Generator) -> Check:
+    """Right runs with a harmless change are seldom called anomalous."""
+    name = "hard_negatives_pass"
+    benign = campaign.features["mode"].str.startswith(BENIGN).to_numpy()
+    judged = benign & np.isfinite(scores.p)
+    if not judged.any():
+        return _unsupported(name, "There are no hard negatives; record the benign_* modes.")
+    rate = share(scores.p[judged] <= RATES[0], campaign.block[judged], rng)
+    return _found(
+        name,
+        passed=rate.value <= FALSE_ALARMS,
+        figure=rate,
+        sentence=f"{rate} of {judged.sum()} hard negatives are called anomalous at a nominal "
+        f"{RATES[0]:.0%}; at most {FALSE_ALARMS:.0%} may be.",
+    )
+
+
+def shortcuts_apart(
+    features: pd.DataFrame, columns: Sequence[str], of_shortcuts: Estimate
+) -> Check:
+    """No feature behind the headline tells a run by who was there or how it was recorded.
+
+    Parameters
+    ----------
+    features : DataFrame
+    columns : sequence of str
+        Those behind the headline.
+    of_shortcuts : Estimate
+        AUC of the shortcut features alone, which is the check's figure.
+    """
+    name, fields = "shortcuts_are_apart", field_metadata(features)
+    undeclared = [column for column in columns if "shortcut" not in fields.get(column, {})]
+    if undeclared:
+        return _unsupported(
+            name, f"{undeclared[0]} and {len(undeclared) - 1} more do not declare what they are."
+        )
+    told = feature_sets(features).get("shortcuts", [])
+    mixed = [c for c in columns if c in told or c.split(".", 1)[0] in LEFT_OUT]
+    said = f"{len(told)} shortcut features are reported apart (AUC {of_shortcuts})"
+    return _found(
+        name,
+        passed=not mixed,
+        figure=of_shortcuts,
+        sentence=f"The headline uses {', '.join(mixed)}." if mixed else f"{said}.",
+    )
+
+
+def banner(checks: Sequence[Check]) -> str:
+    """Return what stands beside a figure that is not to be believed yet; empty if it is."""
+    return " ".join(
+        f"{check.name} is {check.status}: {check.sentence}"
+        for check in checks
+        if check.status != "green"
+    )

@@ -1,0 +1,78 @@
+"""What the thesis's method says of runs whose labels mean nothing.
+
+The durations of the thesis's runs are not published. These have what navigation gives: most runs
+alike, and a few that are many times longer, as after recoveries or at a timeout. No number of a run
+depends on its label, so whatever "accuracy" comes out is that of a method which found nothing.
+"""
+
+import numpy as np
+import pandas as pd
+
+from oracle_pipeline.datasets import PAIRS, distinct_runs
+from oracle_pipeline.evaluation.clustering import grow_over_runs, in_best_cluster
+from oracle_pipeline.evaluation.metrics import confusion
+from oracle_pipeline.evaluation.variants import THESIS
+from oracle_pipeline.features.thesis_features import VECTOR
+
+RUNS_OF_MODE = 15  # as in the thesis, hence 90 runs
+MEDIAN_S, SPREAD = 210.0, 0.35  # of the log-normal durations; the spread is of their logarithm
+LONG_RUN_S = (800.0, 3600.0)  # from several recoveries to the timeout of the thesis
+
+
+def label_free_runs(p_long: float, rng: np.random.Generator) -> pd.DataFrame:
+    """Return runs as the thesis had them in number, with features that know nothing of labels.
+
+    Parameters
+    ----------
+    p_long : float
+        Share of runs that take very long.
+    rng : Generator
+
+    Returns
+    -------
+    DataFrame of 90 rows
+        Half malicious. Nine of the ten features are noise, of no weight beside the nanoseconds.
+    """
+    n = 2 * len(PAIRS) * RUNS_OF_MODE
+    duration_s = MEDIAN_S * np.exp(SPREAD * rng.normal(size=n))
+    duration_s = np.where(rng.random(n) < p_long, rng.uniform(*LONG_RUN_S, n), duration_s)
+    features = np.column_stack([rng.normal(size=(n, len(VECTOR) - 1)), 1e9 * duration_s])
+    df = pd.DataFrame(features, columns=list(VECTOR))
+    label = np.repeat(["normal", "malicious"], n // 2)
+    run_id = [f"run{run:03d}" for run in range(n)]
+    return df.assign(run_id=run_id, label=label, block=np.arange(n))
+
+
+def best_cluster_rates(
+    p_long: float, repetitions: int, seed: int, n: int = 1000, malicious_rate: float = 0.3
+) -> pd.DataFrame:
+    """Apply the thesis's variant, Ward and two clusters, to label-free runs again and again.
+
+    Parameters
+    ----------
+    p_long : float
+        Share of runs that take very long.
+    repetitions : int
+        Of the whole experiment, each with other runs.
+    seed : int
+        Of the generator that makes the runs; rows are drawn as in the thesis each time.
+    n : int
+        Rows of each bootstrap.
+    malicious_rate : float
+        Share of malicious rows.
+
+    Returns
+    -------
+    DataFrame of `repetitions` rows
+        Of the best cluster: ``recall`` (the thesis's "accuracy"), ``fpr`` and ``auc`` (of the hard
+        verdict, as there).
+    """
+    table = []
+    for rng in np.random.default_rng(seed).spawn(repetitions):
+        rows = THESIS.draw(label_free_runs(p_long, rng), n, malicious_rate, 50)
+        runs = distinct_runs(rows)
+        clusters = grow_over_runs(rows, VECTOR, "ward", THESIS).cut("maxclust", 2.0)
+        counts = confusion(in_best_cluster(clusters, runs), runs)
+        auc = (counts.tpr + 1.0 - counts.fpr) / 2.0
+        table.append({"recall": counts.tpr, "fpr": counts.fpr, "auc": auc})
+    return pd.DataFrame(table)

@@ -1,0 +1,92 @@
+"""Which runs a detector is fitted on, calibrated with and tested on: never of one block.
+
+Runs of a block share start, goals and nuisance seed, so whole blocks go to one side. Only right
+runs train: those of half the training blocks fit the detector, those of the other half calibrate
+it. Hard negatives are right runs like any other.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oracle_pipeline.datasets import is_malicious
+
+FOLDS = 5
+MIN_BLOCKS = 3  # one to fit, one to calibrate, one to test
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Fold:
+    """Who does what in one round; masks of shape (n_rows,)."""
+
+    fit: NDArray[np.bool_]  # right runs
+    calibrate: NDArray[np.bool_]  # right runs of other blocks
+    test: NDArray[np.bool_]  # all runs of yet other blocks
+    train: NDArray[np.bool_]  # all runs of no tested block: for classifiers, which need attacks too
+
+    def of(self, rows: NDArray[np.intp]) -> "Fold":
+        """Return the fold over rows that belong to runs, for example windows, by run number."""
+        return Fold(self.fit[rows], self.calibrate[rows], self.test[rows], self.train[rows])
+
+
+def block_folds(df: pd.DataFrame, seed: int, n_folds: int = FOLDS) -> list[Fold]:
+    """Return folds that hold out a share of the blocks each, sessions spread evenly.
+
+    Parameters
+    ----------
+    df : DataFrame
+        A row a run.
+    seed : int
+        Of the order in which blocks are dealt.
+    n_folds : int
+        At most; a block a fold if there are fewer blocks. With fewer than three blocks none.
+    """
+    rng = np.random.default_rng(seed)
+    hand = _dealt(df, np.ones(len(df), dtype=np.bool_), n_folds, rng)
+    return _folds(df, [hand == n for n in range(n_folds)], rng)
+
+
+def session_folds(df: pd.DataFrame, seed: int) -> list[Fold]:
+    """Return folds that hold out the blocks of one session each; none if there is only one."""
+    block, session = _column(df, "block"), _column(df, "session")
+    of_session = [np.isin(block, block[session == number]) for number in np.unique(session)]
+    return _folds(df, of_session, np.random.default_rng(seed)) if len(of_session) > 1 else []
+
+
+def fit_and_calibrate(
+    df: pd.DataFrame, train: NDArray[np.bool_], rng: np.random.Generator
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Split the right runs among the training rows, half of the blocks to either mask."""
+    hand, right = _dealt(df, train, 2, rng), ~is_malicious(df)
+    return right & (hand == 0), right & (hand == 1)
+
+
+def _folds(
+    df: pd.DataFrame, held_out: Sequence[NDArray[np.bool_]], rng: np.random.Generator
+) -> list[Fold]:
+    folds = []
+    for test in held_out:
+        fit, calibrate = fit_and_calibrate(df, ~test, rng)
+        if test.any() and fit.any() and calibrate.any():
+            folds.append(Fold(fit, calibrate, test, ~test))
+    return folds
+
+
+def _dealt(
+    df: pd.DataFrame, rows: NDArray[np.bool_], hands: int, rng: np.random.Generator
+) -> NDArray[np.intp]:
+    """Deal the blocks of some rows like cards, session by session; -1 for all other rows."""
+    blocks, first, member = np.unique(
+        _column(df, "block")[rows], return_index=True, return_inverse=True
+    )
+    cards = np.lexsort((rng.permutation(len(blocks)), _column(df, "session")[rows][first]))
+    hand = np.full(len(df), -1)
+    hand[rows] = (np.argsort(cards) % hands)[member]
+    return hand
+
+
+def _column(df: pd.DataFrame, name: str) -> NDArray[np.int64]:
+    return df[name].to_numpy(dtype=np.int64)

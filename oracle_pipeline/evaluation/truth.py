@@ -1,0 +1,37 @@
+"""What really happened in each run, as a table: from manifests, never seen by any feature.
+
+The evaluation measures against it. Labels of runs stand in the feature tables themselves.
+"""
+
+import json
+from collections.abc import Iterable
+
+import numpy as np
+import pandas as pd
+
+from oracle_pipeline.bags.manifest import Manifest
+
+COLUMNS = ("run_id", "onset_s", "recording_s", "task_effect", "outcome", "attack", "changes")
+
+
+def truth_table(manifests: Iterable[Manifest]) -> pd.DataFrame:
+    """Return one row a run, sorted by ``run_id``.
+
+    Columns are ``run_id``, ``onset_s`` (NaN: never), ``recording_s`` [s of the recording],
+    ``task_effect`` (did the attack change what the robot achieved; None: not judged), ``outcome``,
+    ``attack`` (its parameters) and ``changes`` (the bins of 5 s in which messages were changed, as
+    start, number of messages and largest change), the last two as JSON.
+    """
+    rows = [
+        (
+            f"{manifest.mode}|run{manifest.run:03d}",
+            np.nan if manifest.onset_s is None else manifest.onset_s,
+            manifest.recording_s,
+            manifest.task_effect,
+            manifest.outcome,
+            json.dumps(dict(manifest.attack), sort_keys=True),
+            json.dumps([tuple(change) for change in manifest.changes]),
+        )
+        for manifest in manifests
+    ]
+    return pd.DataFrame(rows, columns=COLUMNS).sort_values("run_id", ignore_index=True)

@@ -1,0 +1,324 @@
+"""Whether what aircraft report of themselves by ADS-B is true, as far as others can tell.
+
+Reports are held against the secondary radar's replies of the same address, and against each
+other: who moves as it says moves on a line of its own reports. Each topic of reports is judged by
+itself, each aircraft too; a column has the worst of them. Where the antenna stands is nowhere
+recorded: it is where most reports and replies together put it, which a few liars cannot move.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.features.geodesy import Site, cartesian
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Missing,
+    Request,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.reduction import largest, mean, quantile, within
+from oracle_pipeline.features.scan_geometry import Floats, Points, stamp_s
+
+RADAR_FEATURES = (
+    Feature(
+        "position_residual", "m", 20.0,
+        "distance of ADS-B from the secondary radar's plot, median, largest of the aircraft",
+        "domain",
+    ),
+    Feature(
+        "altitude_residual", "m", 8.0,
+        "difference of ADS-B and the altitude in the radar's replies, median, largest of the "
+        "aircraft", "domain",
+    ),
+)  # fmt: skip
+REPORT_FEATURES = (
+    Feature(
+        "velocity_residual", "m/s", 0.5,
+        "difference of the reported velocity over ground and that of the reported positions "
+        "over 5 s, median, largest of the aircraft", "domain",
+    ),
+    Feature(
+        "report_interval", "s", 0.05, "mean time between reports, longest of the aircraft", "domain"
+    ),
+    Feature("report_gap", "s", 0.5, "longest time between two reports of an aircraft", "domain"),
+    Feature(
+        "appearances", "1", 0.5,
+        "aircraft whose first report is from the middle of the air space", "domain",
+    ),
+    Feature(
+        "disappearances", "1", 0.5,
+        "aircraft whose last report is from the middle of the air space", "domain",
+    ),
+)  # fmt: skip
+
+_LAG_S = 5.0  # over which positions are differenced
+_ANTENNA_STEPS = 4
+_GAP_S = 4.0  # between reports, over which no position is interpolated
+_SILENT_S = 10.0  # after which an aircraft is gone
+# The middle of the air space: that far from its border, where aircraft come and go, and that far
+# above its lowest aircraft, where they take off and land.
+_MIDDLE = 0.6
+_ALOFT_M = 600.0
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """The reports of one address on one topic, in the order of their stamps."""
+
+    times_s: Floats  # recorded at
+    stamps_s: Floats  # true at
+    latitude: Floats  # [deg]
+    longitude: Floats  # [deg]
+    altitude_m: Floats
+    velocity: Points  # over ground, north + i east [m/s]
+
+    def at(self, stamps_s: Floats) -> tuple[Floats, Floats]:
+        """Return Cartesian positions, shape (3, n) [m], and altitudes [m] in between.
+
+        NaN where there are no reports close before and after.
+        """
+        columns = *cartesian(self.latitude, self.longitude, self.altitude_m), self.altitude_m
+        after = np.searchsorted(self.stamps_s, stamps_s)
+        last = len(self.stamps_s) - 1
+        gap_s = self.stamps_s[np.minimum(after, last)] - self.stamps_s[np.maximum(after - 1, 0)]
+        near = (stamps_s >= self.stamps_s[0]) & (stamps_s <= self.stamps_s[-1]) & (gap_s <= _GAP_S)
+        *position, altitude = (
+            np.where(near, np.interp(stamps_s, self.stamps_s, column), np.nan) for column in columns
+        )
+        return np.stack(position), altitude
+
+
+@dataclass(frozen=True, slots=True)
+class _Reports:
+    """What reports of a recording say of each other."""
+
+    velocity: dict[str, Series]  # residuals, by topic and aircraft [m/s]
+    intervals: dict[str, Series]  # between reports, by topic and aircraft [s]
+    begun_s: dict[str, Floats]  # sudden appearances, by topic
+    ended_s: dict[str, Floats]
+
+
+@dataclass(frozen=True, slots=True)
+class Replies:
+    """What the secondary radar heard of one address."""
+
+    times_s: Floats  # recorded at
+    stamps_s: Floats
+    slant_m: Floats
+    azimuth: Points  # north + i east, of length 1
+    altitude_m: Floats
+
+    def plots(self, up_m: Floats) -> Points:
+        """Return places, north + i east of the antenna [m], given how high above it they are."""
+        return np.sqrt(np.maximum(self.slant_m**2 - up_m**2, 0.0)) * self.azimuth
+
+
+def prepare_radar(window: Window) -> dict[str, tuple[Series, Series]] | Missing:
+    """Return distance and difference of altitude of each reply, by topic and aircraft."""
+    replies = _replies(window.topics["replies"])
+    pairs = [
+        (f"{topic} {address}", flight, replies[address])
+        for topic, series in window.topics["reports"].items()
+        for address, flight in flights(series).items()
+        if address in replies
+    ]
+    if not pairs:
+        return Missing("no aircraft both reports and replies")
+    compared = [(where, *flight.at(reply.stamps_s), reply) for where, flight, reply in pairs]
+    antenna = find_antenna([(position, reply) for _, position, _, reply in compared])
+    found = {}
+    for where, position, altitude_m, reply in compared:
+        place, up_m = antenna.seen(position)
+        found[where] = (
+            Series(reply.times_s, np.abs(place - reply.plots(up_m))),
+            Series(reply.times_s, np.abs(altitude_m - reply.altitude_m)),
+        )
+    return found
+
+
+def compute_radar(window: Window) -> Values:
+    """Reduce to the window."""
+    found: dict[str, tuple[Series, Series]] = window.prepared
+    none = "no aircraft both reported and replied in this window"
+    return {
+        name: largest({w: quantile(both[column], window, 0.5) for w, both in found.items()}, none)
+        for column, name in enumerate(("position_residual", "altitude_residual"))
+    }
+
+
+def find_antenna(replies: Sequence[tuple[Floats, Replies]]) -> Site:
+    """Return where the radar must be for most replies to come from the reported positions.
+
+    Parameters
+    ----------
+    replies : sequence of (ndarray of shape (3, n), Replies)
+        With the reported Cartesian positions at the replies' stamps [m].
+    """
+    positions = np.concatenate([position for position, _ in replies], axis=1)
+    middle = np.nanmedian(positions, axis=1)
+    antenna = Site(
+        math.degrees(math.atan2(middle[2], math.hypot(middle[0], middle[1]))),
+        math.degrees(math.atan2(middle[1], middle[0])),
+    )
+    for _ in range(_ANTENNA_STEPS):
+        offsets = []
+        for position, reply in replies:
+            place, up_m = antenna.seen(position)
+            offsets.append(place - reply.plots(up_m))
+        offset = np.concatenate(offsets)
+        antenna = antenna.moved(complex(np.nanmedian(offset.real), np.nanmedian(offset.imag)))
+    return antenna
+
+
+def prepare_reports(window: Window) -> _Reports:
+    """Return what each aircraft's reports say of each other."""
+    velocity, intervals, begun, ended = {}, {}, {}, {}
+    for topic, series in window.topics["reports"].items():
+        aircraft = flights(series)
+        for address, flight in aircraft.items():
+            where = f"{topic} {address}"
+            velocity[where] = velocity_residual(flight)
+            intervals[where] = Series(flight.times_s[1:], np.diff(flight.stamps_s))
+        begun[topic], ended[topic] = sudden(list(aircraft.values()), series.times_s)
+    return _Reports(velocity, intervals, begun, ended)
+
+
+def compute_reports(window: Window) -> Values:
+    """Reduce to the window."""
+    reports: _Reports = window.prepared
+    alone = "no aircraft reported twice in this window"
+    counts = (
+        {topic: float(len(s[within(s, window)])) for topic, s in events.items()}
+        for events in (reports.begun_s, reports.ended_s)
+    )
+    begun, ended = (largest(count, "") for count in counts)
+    return {
+        "velocity_residual": largest(
+            {w: quantile(s, window, 0.5) for w, s in reports.velocity.items()}, alone
+        ),
+        "report_interval": largest(
+            {w: mean(s, window) for w, s in reports.intervals.items()}, alone
+        ),
+        "report_gap": largest(
+            {w: quantile(s, window, 1.0) for w, s in reports.intervals.items()}, alone
+        ),
+        "appearances": begun,
+        "disappearances": ended,
+    }
+
+
+def velocity_residual(flight: Flight) -> Series:
+    """Return how far the reported velocity is from that of the reported positions [m/s]."""
+    earlier_s = flight.stamps_s - _LAG_S
+    before, _ = flight.at(earlier_s)
+    place, _ = Site(flight.latitude, flight.longitude).seen(before)
+    reported = flight.velocity + np.interp(earlier_s, flight.stamps_s, flight.velocity)
+    return Series(flight.times_s, np.abs(-place / _LAG_S - reported / 2.0))
+
+
+def sudden(aircraft: Sequence[Flight], times_s: Floats) -> tuple[Floats, Floats]:
+    """Return when aircraft came into the middle of the air space, and went, out of nowhere [s].
+
+    Parameters
+    ----------
+    aircraft
+        All of a topic.
+    times_s
+        Of all messages on the topic; what is there at first or at last came or went unseen.
+    """
+    latitude, longitude, altitude_m = (
+        np.concatenate([getattr(flight, name) for flight in aircraft])
+        for name in ("latitude", "longitude", "altitude_m")
+    )
+    centre = Site(np.median(latitude), np.median(longitude))
+    radius_m = np.quantile(np.abs(centre.seen(cartesian(latitude, longitude, 0.0))[0]), 0.99)
+    lowest_m = np.quantile(altitude_m, 0.01)
+
+    def in_the_middle(flight: Flight, end: int) -> bool:
+        position = cartesian(flight.latitude[[end]], flight.longitude[[end]], 0.0)
+        away_m = abs(centre.seen(position)[0][0])
+        return bool(away_m < _MIDDLE * radius_m and flight.altitude_m[end] > lowest_m + _ALOFT_M)
+
+    first_s, last_s = times_s[0] + _SILENT_S, times_s[-1] - _SILENT_S
+    begun = [f.times_s[0] for f in aircraft if f.times_s[0] > first_s and in_the_middle(f, 0)]
+    ended = [f.times_s[-1] for f in aircraft if f.times_s[-1] < last_s and in_the_middle(f, -1)]
+    return np.sort(np.array(begun, dtype=float)), np.sort(np.array(ended, dtype=float))
+
+
+def flights(series: Series) -> dict[str, Flight]:
+    """Sort the reports of a topic by address; what no aircraft can be is left out."""
+    addresses, *columns = zip(*series.values, strict=True)
+    table = np.array([series.times_s, *columns])
+    of_aircraft = np.isfinite(table).all(axis=0) & (np.abs(table[2]) <= 90.0)
+    found = {}
+    for address, rows in _by_address(addresses, table[1], of_aircraft):
+        times_s, stamps_s, latitude, longitude, altitude_m, speed, course_deg = table[:, rows]
+        velocity = speed * np.exp(1j * np.radians(course_deg))
+        found[address] = Flight(times_s, stamps_s, latitude, longitude, altitude_m, velocity)
+    return found
+
+
+def keep_report(message: Any) -> tuple[Any, ...]:
+    """Return address, stamp, position, ground speed and track of an ``AdsbReport``."""
+    return (
+        message.icao24, stamp_s(message), message.latitude, message.longitude, message.altitude_m,
+        message.ground_speed, message.track_deg,
+    )  # fmt: skip
+
+
+def keep_reply(message: Any) -> tuple[Any, ...]:
+    """Return address, stamp, slant range, azimuth and altitude of a ``SecondaryReply``."""
+    return (
+        message.icao24, stamp_s(message), message.slant_range_m, message.azimuth_deg,
+        message.altitude_m,
+    )  # fmt: skip
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of aircraft's reports."""
+    reports = {"reports": Request(keep_report, msgtype="atc_msgs/msg/AdsbReport", dtype=object)}
+    replies = {"replies": Request(keep_reply, msgtype="atc_msgs/msg/SecondaryReply", dtype=object)}
+    return [
+        FeaturePlugin(
+            "atc_radar", "atc", RADAR_FEATURES, compute_radar, reports | replies,
+            prepare=prepare_radar,
+        ),
+        FeaturePlugin(
+            "atc_reports", "atc", REPORT_FEATURES, compute_reports, reports,
+            prepare=prepare_reports,
+        ),
+    ]  # fmt: skip
+
+
+def _replies(topics: Mapping[str, Series]) -> dict[str, Replies]:
+    """Sort the replies of all topics by address; an address on two topics has the last one's."""
+    found = {}
+    for series in topics.values():
+        addresses, *columns = zip(*series.values, strict=True)
+        table = np.array([series.times_s, *columns])
+        for address, rows in _by_address(addresses, table[1], np.isfinite(table).all(axis=0)):
+            times_s, stamps_s, slant_m, azimuth_deg, altitude_m = table[:, rows]
+            azimuth = np.exp(1j * np.radians(azimuth_deg))
+            found[address] = Replies(times_s, stamps_s, slant_m, azimuth, altitude_m)
+    return found
+
+
+def _by_address(
+    addresses: Sequence[str], stamps_s: Floats, chosen: NDArray[np.bool_]
+) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    """Yield each address and the indices of its chosen rows, by their stamps."""
+    names, number = np.unique(np.array(addresses), return_inverse=True)
+    for index, name in enumerate(names.tolist()):
+        rows = np.flatnonzero((number == index) & chosen)
+        if rows.size:
+            yield name, rows[np.argsort(stamps_s[rows], kind="stable")]

@@ -1,0 +1,229 @@
+"""Features of any bag, whatever it is about: when messages came, and what their bytes look like.
+
+Topics come and go with the system, columns must not: each number is computed for every topic
+apart, and the table has the largest (with its topic), the smallest and the mean. What compares
+topics of one type with each other is in ``pairs``.
+"""
+
+import zlib
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.features.arrays import ARRAYS, STATISTICS, each, statistics
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Located,
+    Missing,
+    RawRecord,
+    Request,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.reduction import largest, row_medians, smallest, within
+
+_FEWEST = 20  # messages that make a rhythm
+_STEADY_JITTER = 0.2  # largest jitter of a steady topic
+_STEADY_SHARE = 0.9  # of the recording that its messages fill at their median period
+
+_SAMPLED_S = 2.5  # between the messages whose bytes are looked at
+_SHORTEST, _LONGEST = 256, 2048  # bytes of a message that are worth it, and that are taken
+_STRIDE = 8  # bytes from a number to the next, or to the next but one if they are short
+
+_OVER_TOPICS = {"max": "largest of the topics", "min": "smallest", "mean": "mean over the topics"}
+
+
+def _features(name: str, unit: str, floor: float, description: str) -> Iterator[Feature]:
+    for reduction, words in _OVER_TOPICS.items():
+        yield Feature(f"{name}_{reduction}", unit, floor, f"{description}, {words}")
+
+
+TIMING_FEATURES = (
+    Feature("message_rate", "1/s", 1.0, "messages of all topics over time"),
+    Feature("byte_rate", "B/s", 100.0, "bytes of all topics over time"),
+    Feature("silent_topics", "1", 0.01, "share of the topics that have no message"),
+    Feature(
+        "steady_topics", "1", 0.01,
+        "share of the topics that send from beginning to end at an even period", per_window=False,
+    ),
+    *_features(
+        "jitter", "1", 0.01,
+        "median abs deviation of the time between messages over its median, steady topics",
+    ),
+    Feature(
+        "gap_max", "1", 0.1,
+        "longest time between messages over the topic's median, largest of the steady topics",
+    ),
+    Feature(
+        "out_of_order_max", "1", 1e-3,
+        "share of header stamps before that of the last message, largest of the topics",
+    ),
+)  # fmt: skip
+
+BYTE_FEATURES = (
+    *_features("byte_entropy", "bit", 0.02, "entropy of a byte's change over 8 bytes, median"),
+    *_features("zlib_ratio", "1", 2e-3, "compressed over raw size of bytes' changes, median"),
+)
+
+ARRAY_FEATURES = (
+    *_features("non_finite", "1", 1e-3, "share of inf and NaN in an array, median"),
+    *_features("at_limit", "1", 1e-3, "share of an array at its largest or smallest, median"),
+    *_features("distinct", "1", 1e-3, "distinct numbers in an array over all, median"),
+    *_features("autocorrelation", "1", 1e-3, "of an array's numbers with the next ones, median"),
+    *_features("roughness", "1", 1e-3, "second difference along an array over its numbers, median"),
+)
+
+
+class _Rhythm(NamedTuple):
+    """How the messages of a topic follow each other."""
+
+    period_s: float  # median of the times between them
+    jitter: float  # median absolute deviation of the same, over it
+    gap: float  # the longest, over it
+
+
+def prepare_timing(window: Window) -> dict[str, float]:
+    """Return the topics that send evenly all the time, and their periods [s]."""
+    duration_s = window.end_s - window.start_s
+    steady = {}
+    for topic, arrivals in window.arrivals.items():
+        rhythm = _rhythm(arrivals.times_s)
+        if (
+            rhythm is not None
+            and len(arrivals.times_s) >= _FEWEST
+            and rhythm.jitter <= _STEADY_JITTER
+            and len(arrivals.times_s) * rhythm.period_s >= _STEADY_SHARE * duration_s
+        ):
+            steady[topic] = rhythm.period_s
+    return steady
+
+
+def compute_timing(window: Window) -> Values | Missing:
+    """Compute from the times and sizes of all messages."""
+    topics = window.arrivals
+    if not topics:
+        return Missing("no topic is recorded")
+    steady: dict[str, float] = window.prepared
+    counts = [len(arrivals.times_s) for arrivals in topics.values()]
+    duration_s = window.end_s - window.start_s
+    rhythms = {
+        topic: rhythm for topic in steady if (rhythm := _rhythm(topics[topic].times_s)) is not None
+    }
+    gaps = {t: rhythm.gap * rhythm.period_s / steady[t] for t, rhythm in rhythms.items()}
+    return {
+        "message_rate": sum(counts) / duration_s,
+        "byte_rate": sum(int(arrivals.sizes.sum()) for arrivals in topics.values()) / duration_s,
+        "silent_topics": counts.count(0) / len(topics),
+        "steady_topics": len(steady) / len(topics),
+        **_over_topics(
+            "jitter", {t: rhythm.jitter for t, rhythm in rhythms.items()}, "no steady topic"
+        ),
+        "gap_max": largest(gaps, "no steady topic"),
+        "out_of_order_max": largest(
+            {t: _out_of_order(arrivals.header_stamps_ns) for t, arrivals in topics.items()},
+            "no topic with headers has two messages",
+        ),
+    }
+
+
+def compute_bytes(window: Window) -> Values:
+    """Compute from the bytes of a few messages of each topic."""
+    short = f"no message of {_SHORTEST} bytes or more"
+    return _medians(window.topics["messages"], window, ("byte_entropy", "zlib_ratio"), short)
+
+
+def prepare_arrays(window: Window) -> dict[str, Series]:
+    """Return the statistics of each array, shape (n, 5), by topic."""
+    return {
+        topic: Series(times_s, np.array(each(arrays, statistics)))
+        for topic, (times_s, arrays) in window.topics["arrays"].items()
+    }
+
+
+def compute_arrays(window: Window) -> Values:
+    """Compute from the arrays in messages."""
+    none = "no array of floating-point numbers"
+    return _medians(window.prepared, window, STATISTICS, none)
+
+
+def keep_bytes(record: RawRecord) -> tuple[float, float] | None:
+    """Return entropy [bit] and compressibility of how bytes change; None if they are few."""
+    if len(record.data) < _SHORTEST:
+        return None
+    data = np.frombuffer(record.data, np.uint8, min(len(record.data), _LONGEST))
+    changes = data[_STRIDE:] - data[:-_STRIDE]
+    counts = np.bincount(changes)
+    shares = counts[counts > 0] / changes.size
+    return float(-np.sum(shares * np.log2(shares))), len(
+        zlib.compress(changes.tobytes(), 1)
+    ) / changes.size
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of any bag."""
+    return [
+        FeaturePlugin(
+            "generic_timing", "generic", TIMING_FEATURES, compute_timing,
+            prepare=prepare_timing,
+        ),
+        FeaturePlugin(
+            "generic_bytes", "generic", BYTE_FEATURES, compute_bytes,
+            {"messages": Request(keep_bytes, raw=True, every_s=_SAMPLED_S, optional=True)},
+        ),
+        FeaturePlugin(
+            "generic_arrays", "generic", ARRAY_FEATURES, compute_arrays,
+            {"arrays": ARRAYS},
+            prepare=prepare_arrays,
+        ),
+    ]  # fmt: skip
+
+
+def _rhythm(times_s: NDArray[np.float64]) -> _Rhythm | None:
+    """Return the rhythm of three messages or more; None if half of them came at once."""
+    if len(times_s) < 3:
+        return None
+    between = np.diff(times_s)
+    period_s = float(np.median(between))
+    if period_s <= 0.0:
+        return None
+    jitter = float(np.median(np.abs(between - period_s))) / period_s
+    return _Rhythm(period_s, jitter, float(between.max()) / period_s)
+
+
+def _out_of_order(stamps_ns: NDArray[np.int64]) -> float:
+    """Return the share of stamps before the one before; NaN without two stamps."""
+    return float(np.mean(np.diff(stamps_ns) < 0)) if len(stamps_ns) >= 2 else np.nan
+
+
+def _medians(
+    topics: Mapping[str, Series], window: Window, names: tuple[str, ...], reason: str
+) -> Values:
+    medians = {
+        topic: row_medians(rows.T)
+        for topic, (times_s, columns) in topics.items()
+        if len(rows := columns[within(times_s, window)])
+    }
+    values: dict[str, float | Located | Missing] = {}
+    for column, name in enumerate(names):
+        by_topic = {topic: float(each[column]) for topic, each in medians.items()}
+        values |= _over_topics(name, by_topic, reason)
+    return values
+
+
+def _over_topics(
+    name: str, by_topic: Mapping[str, float], reason: str
+) -> dict[str, float | Located | Missing]:
+    known = {topic: value for topic, value in by_topic.items() if not np.isnan(value)}
+    if not known:
+        return dict.fromkeys((f"{name}_{each}" for each in _OVER_TOPICS), Missing(reason))
+    return {
+        f"{name}_max": largest(known, reason),
+        f"{name}_min": smallest(known, reason),
+        f"{name}_mean": float(np.mean(list(known.values()))),
+    }

@@ -1,0 +1,86 @@
+"""How fast obstacles come and go in the local costmap.
+
+It rolls along with the robot, so two grids are compared where they overlap.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+
+from oracle_pipeline.features.map_consistency import Grid, keep_grid
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Missing,
+    Request,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.reduction import mean
+
+TOPIC = "/local_costmap/costmap"
+
+FEATURES = (
+    Feature(
+        "lethal_appearing", "1/s", 1.0,
+        "cells of the local costmap that become lethal, a second", "navigation",
+    ),
+    Feature(
+        "lethal_vanishing", "1/s", 1.0, "lethal cells that are it no more, a second", "navigation"
+    ),
+)  # fmt: skip
+
+_LETHAL = 100
+
+
+def changes(before: Grid, now: Grid) -> tuple[int, int]:
+    """Count the cells that became lethal, and those that are it no more, where both grids are."""
+    offset = complex(before.pose.inverse().apply(now.pose.shift) / before.resolution)
+    rows = _shared(round(offset.imag), len(before.cells), len(now.cells))
+    columns = _shared(round(offset.real), before.cells.shape[1], now.cells.shape[1])
+    was, became = (
+        grid.cells[row, column] == _LETHAL
+        for grid, row, column in zip((before, now), rows, columns, strict=True)
+    )
+    return int((became & ~was).sum()), int((was & ~became).sum())
+
+
+def prepare(window: Window) -> tuple[Series, Series] | Missing:
+    """Return the changes a second from one grid to the next: to lethal, and from it."""
+    times_s, grids = window.topics["grids"][TOPIC]
+    if len(times_s) < 2:
+        return Missing(f"fewer than two messages on {TOPIC}")
+    counts = np.array([changes(*pair) for pair in pairwise(grids)])
+    passed_s = np.diff(times_s)
+    rates = np.full(counts.shape, np.nan)
+    np.divide(counts, passed_s[:, np.newaxis], out=rates, where=passed_s[:, np.newaxis] > 0.0)
+    appearing, vanishing = rates.T
+    return Series(times_s[1:], appearing), Series(times_s[1:], vanishing)
+
+
+def compute(window: Window) -> Values | Missing:
+    """Reduce to the window."""
+    appearing, vanishing = (mean(series, window) for series in window.prepared)
+    if np.isnan(appearing):
+        return Missing("no two grids in this window")
+    return {"lethal_appearing": appearing, "lethal_vanishing": vanishing}
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of the local costmap."""
+    grids = Request(keep_grid, TOPIC, "nav_msgs/msg/OccupancyGrid", dtype=object)
+    return [
+        FeaturePlugin(
+            "local_costmap", "navigation", FEATURES, compute, {"grids": grids}, prepare=prepare
+        )
+    ]
+
+
+def _shared(offset: int, before: int, now: int) -> tuple[slice, slice]:
+    """Return which cells of two rows are the same, the second one beginning at an offset."""
+    start = max(0, offset)
+    stop = max(start, min(before, offset + now))
+    return slice(start, stop), slice(start - offset, stop - offset)

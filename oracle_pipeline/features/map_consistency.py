@@ -1,0 +1,251 @@
+"""Whether what the laser scanners saw is what the map says, from where the robot thought it was.
+
+The map is one more scanner: rays are cast through it from each scan's pose, and the two are held
+against each other as in ``redundancy``. A return in front of the map's is an obstacle that the
+map does not have, real or fake: the map cannot tell. One behind it went through a wall. Cells
+that the map does not know say nothing.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Missing,
+    Request,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.reduction import largest, quantile, row_medians, within
+from oracle_pipeline.features.scan_geometry import (
+    CELL_M,
+    CLOSER_M,
+    SCENE_TOPICS,
+    Bools,
+    Floats,
+    Hits,
+    Ints,
+    Planar,
+    Points,
+    Scene,
+    agreement,
+    pose_of,
+    scene,
+    stamp_s,
+)
+from oracle_pipeline.jit import jit
+
+MAP_TOPIC = "/map"
+POSE_TOPIC = "/amcl_pose"
+
+FEATURES = (
+    Feature(
+        "residual", "m", 5e-3,
+        "distance from a return to the map's nearest one about its bearing, median, largest of "
+        "the scanners", "navigation",
+    ),
+    Feature(
+        "unexpected", "1", 5e-3,
+        f"share of a scan's returns {CLOSER_M} m and more in front of the map's, 95th percentile, "
+        "largest of the scanners", "navigation",
+    ),
+    Feature(
+        "unexpected_persistence", "1", 0.01,
+        f"share of the scans with such returns in one and the same cell of {CELL_M} m, largest of "
+        "the cells and scanners", "navigation",
+    ),
+    Feature(
+        "looked_through", "1", 5e-3,
+        f"share of the map's returns that a scan goes on behind for {CLOSER_M} m, 95th "
+        "percentile, largest of the scanners", "navigation",
+    ),
+)  # fmt: skip
+
+_OCCUPIED = 65  # from which on a cell is solid, of 100, as Nav2's default threshold
+_PERIOD_S = 0.35  # between scans that are looked at: neither the map nor a pose changes faster
+# A ray goes on for what is clear around its cell's centre, less half a diagonal of that cell and
+# of the one that blocks the way [cells].
+_DIAGONAL = math.sqrt(2.0)
+_SHORTEST_STEP = 0.35
+
+
+@dataclass(frozen=True, slots=True)
+class Map:
+    """An occupancy grid to cast rays through."""
+
+    pose: Planar  # of the outer corner of cell (0, 0), in the map frame
+    resolution: float  # edge of a cell [m]
+    clearance: NDArray[np.float32]  # to the next solid or unknown cell, shape (rows, columns)
+    solid: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, grid: "Grid") -> "Map":
+        """Prepare a grid; beyond its border is as unknown as unknown cells are."""
+        cells = np.pad(grid.cells, 1, constant_values=-1)
+        solid = cells >= _OCCUPIED
+        clearance = distance_transform_edt(~(solid | (cells < 0))).astype(np.float32)
+        return cls(grid.pose, grid.resolution, clearance, solid)
+
+    def cast(self, origins: Points, directions: Points) -> Floats:
+        """Return how far rays get to the first solid cell [m].
+
+        Parameters
+        ----------
+        origins, directions : ndarray of shape (n, m)
+            Where rays start and their unit vectors, in the map frame.
+
+        Returns
+        -------
+        ndarray of shape (n, m)
+            NaN for rays that come to a cell of which the map knows nothing.
+        """
+        inverse = self.pose.inverse()
+        start = inverse.apply(origins) / self.resolution + (1.0 + 1.0j)  # the padding
+        start, step = map(np.array, np.broadcast_arrays(start, inverse.turn * directions))
+        return _march(start, step, self.clearance, self.solid) * self.resolution
+
+
+@jit
+def _march(start: Points, step: Points, clearance: NDArray[np.float32], solid: Bools) -> Floats:
+    reached = np.full(start.shape, np.nan)
+    rows, columns = clearance.shape
+    for i in range(start.shape[0]):
+        for j in range(start.shape[1]):
+            x, y, distance = start[i, j].real, start[i, j].imag, 0.0
+            while 0.0 <= x < columns and 0.0 <= y < rows:
+                free = clearance[int(y), int(x)]
+                if free == 0.0:
+                    if solid[int(y), int(x)] and distance > 0.0:  # a ray from within sees nothing
+                        reached[i, j] = distance
+                    break
+                ahead = max(free - _DIAGONAL, _SHORTEST_STEP)
+                x += ahead * step[i, j].real
+                y += ahead * step[i, j].imag
+                distance += ahead
+    return reached
+
+
+class Grid(NamedTuple):
+    """What is kept of a ``nav_msgs/msg/OccupancyGrid``."""
+
+    pose: Planar  # of the outer corner of cell (0, 0)
+    resolution: float  # [m]
+    cells: NDArray[np.int8]  # shape (rows, columns), 0 free to 100 solid, -1 unknown
+
+
+@dataclass(frozen=True, slots=True)
+class _Consistency:
+    """Of each scan of a scanner that was looked at."""
+
+    residual: Series  # [m]
+    unexpected: Series
+    looked_through: Series
+    hits: Hits
+
+
+def prepare(window: Window) -> dict[str, _Consistency] | Missing:
+    """Hold every scanner against the map, over the whole recording."""
+    grids = window.topics["map"].get(MAP_TOPIC)
+    poses = window.topics["poses"].get(POSE_TOPIC)
+    told = scene(window.topics)
+    if grids is None or poses is None:
+        return Missing(f"no message on {MAP_TOPIC if grids is None else POSE_TOPIC}")
+    if told.motion is None:
+        return Missing("no odometry")
+    world = Map.of(grids.values[-1])
+    correction = _Correction(poses, told)
+    return {topic: _held_against(world, correction, told, topic) for topic in told.mounts}
+
+
+def compute(window: Window) -> Values:
+    """Reduce to the window."""
+    residual, unexpected, persistence, through = {}, {}, {}, {}
+    consistency: dict[str, _Consistency] = window.prepared
+    for topic, found in consistency.items():
+        residual[topic] = quantile(found.residual, window, 0.5)
+        unexpected[topic] = quantile(found.unexpected, window, 0.95)
+        persistence[topic] = found.hits.persistence(within(found.residual.times_s, window))
+        through[topic] = quantile(found.looked_through, window, 0.95)
+    reason = "no level scanner looked where the map knows something"
+    return {
+        "residual": largest(residual, reason),
+        "unexpected": largest(unexpected, reason),
+        "unexpected_persistence": largest(persistence, reason),
+        "looked_through": largest(through, reason),
+    }
+
+
+def keep_grid(message: Any) -> Grid:
+    """Keep the cells of a grid and where they are."""
+    info = message.info
+    x, y, yaw = pose_of(info.origin)
+    pose = Planar(np.asarray(complex(x, y)), np.asarray(np.exp(1j * yaw)))
+    cells = np.asarray(message.data, dtype=np.int8).reshape(info.height, info.width)
+    return Grid(pose, float(info.resolution), cells)
+
+
+class _Correction:
+    """Where the odometry frame is in the map, as localisation has it; between poses, in between."""
+
+    def __init__(self, poses: Series, told: Scene) -> None:
+        assert told.motion is not None  # noqa: S101 -- checked before
+        stamps_s, x, y, yaw = np.array(sorted(poses.values.tolist())).T
+        believed = Planar(x + 1j * y, np.exp(1j * yaw))
+        pose = believed.compose(told.motion.base(stamps_s).inverse())
+        self._stamps_s = stamps_s
+        self._columns = pose.shift.real, pose.shift.imag, np.unwrap(np.angle(pose.turn))
+
+    def at(self, stamps_s: Floats) -> Planar:
+        """Return the odometry frame in the map, one pose a stamp."""
+        x, y, yaw = (np.interp(stamps_s, self._stamps_s, column) for column in self._columns)
+        return Planar(x + 1j * y, np.exp(1j * yaw))
+
+
+def keep_believed(message: Any) -> tuple[float, float, float, float]:
+    """Return stamp and pose of a ``geometry_msgs/msg/PoseWithCovarianceStamped``."""
+    return stamp_s(message), *pose_of(message.pose.pose)
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of scans and map."""
+    topics = SCENE_TOPICS | {
+        "map": Request(
+            keep_grid, MAP_TOPIC, "nav_msgs/msg/OccupancyGrid", dtype=object, optional=True
+        ),
+        "poses": Request(keep_believed, POSE_TOPIC, optional=True),
+    }
+    return [FeaturePlugin("map_consistency", "map", FEATURES, compute, topics, prepare=prepare)]
+
+
+def _held_against(world: Map, correction: _Correction, told: Scene, topic: str) -> _Consistency:
+    scans = told.scanners[topic]
+    scans = scans.rows(_spaced(scans.stamps_s))
+    placed = correction.at(scans.stamps_s).compose(told.placed(told.mounts[topic], scans.stamps_s))
+    columns = placed.columns()
+    rays = np.exp(1j * scans.bearings())
+    directions = columns.turn * (rays.conj() if placed.flipped else rays)
+    charted = replace(scans, range_max=np.inf, ranges=world.cast(columns.shift, directions))
+    returned = agreement(scans.points(), charted)
+    return _Consistency(
+        Series(scans.times_s, row_medians(returned.residual)),
+        Series(scans.times_s, returned.contradicted_share()),
+        Series(scans.times_s, agreement(charted.points(), scans).contradicted_share()),
+        Hits.of(columns.apply(scans.points()), returned.contradicted),
+    )
+
+
+def _spaced(stamps_s: Floats) -> Ints:
+    """Return the indices of stamps that are at least `_PERIOD_S` apart."""
+    if not stamps_s.size:
+        return np.empty(0, dtype=np.int64)
+    _, first = np.unique(np.floor((stamps_s - stamps_s[0]) / _PERIOD_S), return_index=True)
+    return first

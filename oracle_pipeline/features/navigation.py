@@ -1,0 +1,247 @@
+"""How Nav2 fared on the way to its goals: recoveries, plans, detours, standing still.
+
+From the behaviour tree's log, the plans and odometry. How long the goals took and whether they
+were reached stands in ``goals``, whose reading of the log and of the action's status this uses.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.features import goals, odometry
+from oracle_pipeline.features.goals import LOG_TOPIC, PLAN_TOPIC, STATUS_TOPIC, Goal
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Missing,
+    Request,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.reduction import mean, quantile, within
+from oracle_pipeline.features.scan_geometry import Floats, Ints, Points, main_odometry
+
+RECOVERY_FEATURES = (
+    Feature(
+        "recoveries", "1/min", 0.5, "recovery behaviours (spin, back up, wait, drive) begun, a "
+        "minute", "navigation",
+    ),
+    Feature(
+        "costmap_clearings", "1/min", 0.5, "times that the tree had a costmap cleared, a minute",
+        "navigation",
+    ),
+)  # fmt: skip
+PLAN_FEATURES = (
+    Feature("replans", "1/min", 1.0, "plans made to the goals, a minute", "navigation"),
+    Feature(
+        "plan_lengthening", "m", 0.05,
+        "by how much a plan is longer than the one before it to the same goal, 95th percentile",
+        "navigation",
+    ),
+    Feature(
+        "progress", "m/s", 0.01, "how fast the plan to a goal becomes shorter, median",
+        "navigation",
+    ),
+)  # fmt: skip
+DRIVE_FEATURES = (
+    Feature(
+        "path_efficiency", "1", 0.01,
+        "length of the first plan over the way driven, of all goals that ended", "navigation",
+        per_window=False,
+    ),
+    Feature(
+        "stalled", "1", 0.01,
+        "share of the time under way in which the robot came less than 0.1 m from where it was "
+        "5 s before", "navigation",
+    ),
+    Feature(
+        "longest_stall", "s", 1.0, "longest time without interruption of the same", "navigation",
+        per_window=False,
+    ),
+)  # fmt: skip
+
+_RECOVERIES = ("Spin", "BackUp", "Wait", "DriveOnHeading")  # in Nav2's behaviour trees
+_CLEARING = "Clear"  # what names of nodes that have a costmap cleared begin with
+
+_STALLED_S, _STALLED_M = 5.0, 0.1
+_STEP_S = 0.2  # between looks at whether the robot stalled
+
+
+@dataclass(frozen=True, slots=True)
+class _Plans:
+    """Plans made while a goal was under way."""
+
+    made: Series  # lengths [m]
+    lengthening: Series  # of a plan against the one before to the same goal [m]
+    progress: Series  # [m/s]
+
+
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    """How the robot drove to its goals."""
+
+    efficiency: float | Missing
+    stalled: Series  # 1 where it was, 0 where not, at each step under way
+
+
+def keep_begun(message: Any) -> tuple[int, int]:
+    """Return how many recoveries and clearings began in a ``nav2_msgs/msg/BehaviorTreeLog``."""
+    begun = [
+        change.node_name
+        for change in message.event_log
+        if change.previous_status == "IDLE" and change.current_status != "IDLE"
+    ]
+    return (
+        sum(name in _RECOVERIES for name in begun),
+        sum(name.startswith(_CLEARING) for name in begun),
+    )
+
+
+def compute_recoveries(window: Window) -> Values | Missing:
+    """Count over the window; a silent tree began nothing."""
+    if not window.history["log"]:
+        return Missing(f"{LOG_TOPIC} is not recorded")
+    begun = sum(series.values.sum(axis=0) for series in window.topics["log"].values())
+    recoveries, clearings = np.broadcast_to(begun, 2) * 60.0 / (window.end_s - window.start_s)
+    return {"recoveries": float(recoveries), "costmap_clearings": float(clearings)}
+
+
+def prepare_plans(window: Window) -> _Plans | Missing:
+    """Sort the plans by their goals."""
+    accepted = _accepted(window)
+    if isinstance(accepted, Missing):
+        return accepted
+    times_s, lengths_m = window.topics["plan"][PLAN_TOPIC]
+    goal = goal_at(accepted, times_s)
+    same = (goal[1:] == goal[:-1]) & (goal[1:] >= 0) & (np.diff(times_s) > 0.0)
+    after_s, change_m = times_s[1:][same], np.diff(lengths_m)[same]
+    return _Plans(
+        Series(times_s[goal >= 0], lengths_m[goal >= 0]),
+        Series(after_s, np.maximum(0.0, change_m)),
+        Series(after_s, -change_m / np.diff(times_s)[same]),
+    )
+
+
+def compute_plans(window: Window) -> Values:
+    """Reduce to the window."""
+    plans: _Plans = window.prepared
+    count = len(plans.made.times_s[within(plans.made.times_s, window)])
+    single = Missing("no goal had two plans in this window")
+    lengthening = quantile(plans.lengthening, window, 0.95)
+    progress = quantile(plans.progress, window, 0.5)
+    return {
+        "replans": 60.0 * count / (window.end_s - window.start_s),
+        "plan_lengthening": single if math.isnan(lengthening) else lengthening,
+        "progress": single if math.isnan(progress) else progress,
+    }
+
+
+def prepare_drive(window: Window) -> _Drive | Missing:
+    """Follow the robot to its goals."""
+    accepted = _accepted(window)
+    if isinstance(accepted, Missing):
+        return accepted
+    driven = main_odometry(window.topics["odometry"])
+    return _Drive(
+        _efficiency(accepted, window.topics["plan"].get(PLAN_TOPIC), driven),
+        stalls(accepted, driven),
+    )
+
+
+def compute_drive(window: Window) -> Values:
+    """Reduce to the window."""
+    drive: _Drive = window.prepared
+    idle = Missing(f"no goal was under way for {_STALLED_S:g} s")
+    stalled = mean(drive.stalled, window)
+    inside = drive.stalled.values[within(drive.stalled.times_s, window)]
+    return {
+        "path_efficiency": drive.efficiency,
+        "stalled": idle if math.isnan(stalled) else stalled,
+        "longest_stall": longest(inside == 1.0) * _STEP_S if inside.size else idle,
+    }
+
+
+def goal_at(accepted: Sequence[Goal], times_s: Floats) -> Ints:
+    """Return the number of the goal that was under way at each time, -1 if there was none."""
+    starts = np.array([goal.accepted_s for goal in accepted])
+    ends = np.array([math.inf if goal.ended_s is None else goal.ended_s for goal in accepted])
+    number = np.searchsorted(starts, times_s, side="right") - 1
+    return np.where((number >= 0) & (times_s <= ends[number]), number, -1)
+
+
+def stalls(accepted: Sequence[Goal], driven: Series) -> Series:
+    """Tell, step by step, whether the robot had come nowhere since it had the same goal.
+
+    Values are 1 or 0, at steps that lie under way to one goal for `_STALLED_S` already.
+    """
+    steps_s = np.arange(driven.times_s[0] + _STALLED_S, driven.times_s[-1], _STEP_S)
+    goal = goal_at(accepted, steps_s)
+    under_way = (goal >= 0) & (goal == goal_at(accepted, steps_s - _STALLED_S))
+    steps_s = steps_s[under_way]
+    here, before = _places(driven, steps_s), _places(driven, steps_s - _STALLED_S)
+    return Series(steps_s, (np.abs(here - before) < _STALLED_M).astype(np.float64))
+
+
+def longest(flags: NDArray[np.bool_]) -> int:
+    """Return the length of the longest run of true flags."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return int(np.max(ends[1::2] - ends[::2], initial=0))
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of navigation."""
+    told = {
+        "status": Request(goals.keep_status, STATUS_TOPIC, dtype=object, optional=True),
+        "log": Request(goals.keep_log, LOG_TOPIC, dtype=object, optional=True),
+    }
+    begun = {"log": Request(keep_begun, LOG_TOPIC, optional=True)}
+    plan = Request(goals.keep_plan, PLAN_TOPIC)
+    driven = {
+        "plan": replace(plan, optional=True),
+        "odometry": Request(odometry.keep, msgtype="nav_msgs/msg/Odometry"),
+    }
+    return [
+        FeaturePlugin("recoveries", "navigation", RECOVERY_FEATURES, compute_recoveries, begun),
+        FeaturePlugin(
+            "plans", "navigation", PLAN_FEATURES, compute_plans, told | {"plan": plan},
+            prepare=prepare_plans,
+        ),
+        FeaturePlugin(
+            "drive", "navigation", DRIVE_FEATURES, compute_drive, told | driven,
+            prepare=prepare_drive,
+        ),
+    ]  # fmt: skip
+
+
+def _accepted(window: Window) -> list[Goal] | Missing:
+    """Return the goals of a recording; there is nothing to tell without one."""
+    return goals.goals_told(window) or Missing("no goal was accepted")
+
+
+def _efficiency(accepted: Sequence[Goal], plans: Series | None, driven: Series) -> float | Missing:
+    if plans is None:
+        return Missing(f"no message on {PLAN_TOPIC}")
+    planned_m = driven_m = 0.0
+    places = driven.values[:, 0] + 1j * driven.values[:, 1]
+    for goal in accepted:
+        if goal.ended_s is None:
+            continue
+        first, after = np.searchsorted(plans.times_s, (goal.accepted_s, goal.ended_s))
+        start, end = np.searchsorted(driven.times_s, (goal.accepted_s, goal.ended_s))
+        if first < after:
+            planned_m += float(plans.values[first])
+            driven_m += float(np.abs(np.diff(places[start:end])).sum())
+    return planned_m / driven_m if driven_m > 0.0 else Missing("no goal with a plan ended")
+
+
+def _places(driven: Series, times_s: Floats) -> Points:
+    x, y = (np.interp(times_s, driven.times_s, column) for column in driven.values.T[:2])
+    places: Points = x + 1j * y
+    return places

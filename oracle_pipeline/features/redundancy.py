@@ -1,0 +1,207 @@
+"""Whether sensors that see the same scene agree about it: laser scanners, and ranges ahead.
+
+Every scanner is held against every other one, as the robot moved between their scans and as
+``/tf_static`` mounts them. A thing that stands there is seen by all of them; a return through
+which another scanner looks is seen by nobody else, or that other one is blind to it. Both are the
+same contradiction, told from one side or the other, so the largest over the ordered pairs covers
+both. No topic is trusted, and none is named.
+"""
+
+from dataclasses import dataclass
+from itertools import permutations, product
+from typing import Any
+
+import numpy as np
+
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Missing,
+    Request,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.reduction import largest, mean, quantile, row_medians, within
+from oracle_pipeline.features.scan_geometry import (
+    CELL_M,
+    CLOSER_M,
+    SCENE_TOPICS,
+    Floats,
+    Hits,
+    Ints,
+    Mount,
+    Scene,
+    agreement,
+    frame,
+    nearest,
+    scene,
+    stamp_s,
+)
+
+SCANNER_FEATURES = (
+    Feature(
+        "scan_residual", "m", 1e-3,
+        "distance from a return to the nearest one of another scanner, median, largest of the "
+        "pairs of scanners", "domain",
+    ),
+    Feature(
+        "scan_contradicted", "1", 2e-3,
+        f"share of a scan's returns that another scanner looks through by {CLOSER_M} m, 95th "
+        "percentile, largest of the pairs", "domain",
+    ),
+    Feature(
+        "scan_persistence", "1", 0.01,
+        f"share of the scans with such returns in one and the same cell of {CELL_M} m, largest "
+        "of the cells and pairs", "domain",
+    ),
+)  # fmt: skip
+RANGE_FEATURES = (
+    Feature(
+        "range_residual", "m", 5e-3,
+        "difference of a range sensor and the nearest return of a scanner within its cone, "
+        "median, largest of the pairs", "domain",
+    ),
+    Feature(
+        "range_contradicted", "1", 5e-3,
+        f"share of ranges that differ from it by more than {CLOSER_M} m, largest of the pairs",
+        "domain",
+    ),
+)  # fmt: skip
+
+_SIMULTANEOUS_S = 0.15  # at most between measurements that are compared
+
+
+@dataclass(frozen=True, slots=True)
+class _Comparison:
+    """A scanner held against another, by the times of the first one's scans."""
+
+    residual: Series  # median of each scan [m]
+    contradicted: Series  # share of each scan
+    hits: Hits | None  # cells of the odometry frame with contradicted returns
+
+
+def prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
+    """Hold every scanner against every other one, over the whole recording."""
+    told = scene(window.topics)
+    if len(told.scanners) < 2:
+        return Missing("fewer than two laser scanners are recorded")
+    return {
+        f"{suspect} against {other}": _held_against(told, suspect, other)
+        for suspect, other in permutations(told.mounts, 2)
+        if told.mounts[suspect].root == told.mounts[other].root
+    } or Missing("/tf_static joins no two level laser scanners")
+
+
+def compute_scanners(window: Window) -> Values:
+    """Reduce the comparisons to the window."""
+    comparisons: dict[str, _Comparison] = window.prepared
+    apart = "no two scanners saw the same at the same time"
+    residual, contradicted, persistence = {}, {}, {}
+    for pair, comparison in comparisons.items():
+        residual[pair] = quantile(comparison.residual, window, 0.5)
+        contradicted[pair] = quantile(comparison.contradicted, window, 0.95)
+        if comparison.hits is not None:
+            scans = within(comparison.residual.times_s, window)
+            persistence[pair] = comparison.hits.persistence(scans)
+    return {
+        "scan_residual": largest(residual, apart),
+        "scan_contradicted": largest(contradicted, apart),
+        "scan_persistence": largest(persistence, apart if persistence else "no odometry"),
+    }
+
+
+def prepare_ranges(window: Window) -> dict[str, Series] | Missing:
+    """Return how far each range is beyond the nearest return in its cone [m], by pair of topics."""
+    told = scene(window.topics)
+    ranges = window.topics["ranges"]
+    mounts = {topic: told.frames.mount(series.values[0][1]) for topic, series in ranges.items()}
+    return {
+        f"{topic} against {scanner}": _beyond(told, ranges[topic], mount, scanner)
+        for (topic, mount), scanner in product(mounts.items(), told.mounts)
+        if mount.pose is not None and mount.root == told.mounts[scanner].root
+    } or Missing("/tf_static joins no level range sensor and laser scanner")
+
+
+def compute_ranges(window: Window) -> Values:
+    """Reduce the differences to the window."""
+    differences: dict[str, Series] = window.prepared
+    residual, contradicted = {}, {}
+    for pair, (times_s, beyond_m) in differences.items():
+        size = np.abs(beyond_m)
+        beyond = np.where(np.isnan(size), np.nan, size > CLOSER_M)
+        residual[pair] = quantile(Series(times_s, size), window, 0.5)
+        contradicted[pair] = mean(Series(times_s, beyond), window)
+    silent = "no scan looked where and when a range was measured"
+    return {
+        "range_residual": largest(residual, silent),
+        "range_contradicted": largest(contradicted, silent),
+    }
+
+
+def keep_range(message: Any) -> tuple[Any, ...]:
+    """Return stamp, frame, field of view, limits and range of a ``sensor_msgs/msg/Range``."""
+    return (
+        stamp_s(message), frame(message), message.field_of_view, message.min_range,
+        message.max_range, message.range,
+    )  # fmt: skip
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of redundant sensors."""
+    ranges = {"ranges": Request(keep_range, msgtype="sensor_msgs/msg/Range", dtype=object)}
+    return [
+        FeaturePlugin(
+            "redundant_scanners", "redundancy", SCANNER_FEATURES, compute_scanners, SCENE_TOPICS,
+            prepare=prepare_scanners,
+        ),
+        FeaturePlugin(
+            "redundant_ranges", "redundancy", RANGE_FEATURES, compute_ranges,
+            SCENE_TOPICS | ranges, prepare=prepare_ranges,
+        ),
+    ]  # fmt: skip
+
+
+def _held_against(told: Scene, suspect: str, other: str) -> _Comparison:
+    scans, reference = told.scanners[suspect], told.scanners[other]
+    here, there = _simultaneous(scans.stamps_s, reference.stamps_s)
+    scans, reference = scans.rows(here), reference.rows(there)
+    points = scans.points()
+    placed = told.placed(told.mounts[suspect], scans.stamps_s)
+    reference_placed = told.placed(told.mounts[other], reference.stamps_s)
+    seen = reference_placed.inverse().compose(placed).columns().apply(points)
+    found = agreement(seen, reference)
+    hits = None
+    if told.motion is not None:
+        hits = Hits.of(placed.columns().apply(points), found.contradicted)
+    return _Comparison(
+        Series(scans.times_s, row_medians(found.residual)),
+        Series(scans.times_s, found.contradicted_share()),
+        hits,
+    )
+
+
+def _beyond(told: Scene, ranges: Series, mount: Mount, scanner: str) -> Series:
+    stamps_s, _, *columns = (np.array(column) for column in zip(*ranges.values, strict=True))
+    scans = told.scanners[scanner]
+    here, there = _simultaneous(stamps_s, scans.stamps_s)
+    scans = scans.rows(there)
+    view, low, high, measured = (column[here] for column in columns)
+    sensor = told.placed(mount, stamps_s[here])
+    placed = told.placed(told.mounts[scanner], scans.stamps_s)
+    points = sensor.inverse().compose(placed).columns().apply(scans.points())
+    in_cone = np.abs(np.angle(points)) <= view[:, np.newaxis] / 2.0
+    closest = np.where(in_cone, np.abs(points), np.inf).min(axis=1)
+    closest = np.where(np.isinf(closest), np.nan, np.clip(closest, low, high))
+    measured = np.where(measured < low, np.nan, np.minimum(measured, high))
+    return Series(ranges.times_s[here], measured - closest)
+
+
+def _simultaneous(stamps_s: Floats, others_s: Floats) -> tuple[Ints, Ints]:
+    """Return the indices of the stamps that have another one near, and of that one."""
+    order = np.argsort(others_s, kind="stable")
+    there = order[nearest(others_s[order], stamps_s)]
+    here = np.flatnonzero(np.abs(others_s[there] - stamps_s) <= _SIMULTANEOUS_S)
+    return here, there[here]

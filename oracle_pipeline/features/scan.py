@@ -1,0 +1,119 @@
+"""What a laser scanner's own scans say of its noise: along a scan, and from one to the next.
+
+These need no second sensor. Surfaces are smooth and stand still; noise that an attack adds to
+each ray is neither. An object that is put into the scans is both, so it is not seen here.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from oracle_pipeline.features.arrays import roughness
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.reduction import largest, quantile, row_medians
+from oracle_pipeline.features.scan_geometry import (
+    CLOSER_M,
+    SCENE_TOPICS,
+    Floats,
+    Scans,
+    Scene,
+    agreement,
+    scene,
+)
+
+FEATURES = (
+    Feature(
+        "roughness", "1", 1e-3,
+        "second difference of neighbouring ranges over the range, median, largest of the "
+        "scanners", "domain",
+    ),
+    Feature(
+        "innovation", "m", 1e-3,
+        "distance from a return to the nearest one of the scan before, the robot's motion taken "
+        "out, median, largest of the scanners", "domain",
+    ),
+    Feature(
+        "innovation_whiteness", "1", 0.02,
+        "one less the correlation, from ray to ray, of how far the scan lies beyond the one "
+        "before, median, largest of the scanners", "domain",
+    ),
+)  # fmt: skip
+
+_LONGEST_GAP_S = 1.0  # between scans that are compared
+
+
+@dataclass(frozen=True, slots=True)
+class _Scanner:
+    """Of each scan of a topic."""
+
+    roughness: Series
+    innovation: Series | None  # [m]
+    whiteness: Series | None
+
+
+def prepare(window: Window) -> dict[str, _Scanner]:
+    """Compute what each scan of the recording says."""
+    told = scene(window.topics)
+    return {topic: _scanner(told, topic, scans) for topic, scans in told.scanners.items()}
+
+
+def compute(window: Window) -> Values:
+    """Reduce to the window."""
+    scanners: dict[str, _Scanner] = window.prepared
+    roughness = {t: quantile(s.roughness, window, 0.5) for t, s in scanners.items()}
+    innovation = {
+        t: quantile(s.innovation, window, 0.5) for t, s in scanners.items() if s.innovation
+    }
+    whiteness = {t: quantile(s.whiteness, window, 0.5) for t, s in scanners.items() if s.whiteness}
+    alone = "no two scans with odometry between them"
+    return {
+        "roughness": largest(roughness, "no scan has three valid ranges side by side"),
+        "innovation": largest(innovation, alone),
+        "innovation_whiteness": largest(whiteness, alone),
+    }
+
+
+def whiteness(signed: Floats) -> Floats:
+    """Return one less the lag-one autocorrelation along each row, shape (n,); NaN is left out.
+
+    White noise has 1. Differences of an edge that moved, `CLOSER_M` or more, do not count.
+    """
+    kept = np.where(np.abs(signed) < CLOSER_M, signed, np.nan)
+    kept = kept - row_medians(kept)[:, np.newaxis]
+    here, there = kept[:, :-1], kept[:, 1:]
+    both = ~np.isnan(here * there)
+    product = np.where(both, here * there, 0.0).sum(axis=1)
+    power = np.where(both, here**2 + there**2, 0.0).sum(axis=1) / 2.0
+    correlation = np.full(len(signed), np.nan)
+    np.divide(product, power, out=correlation, where=power > 0.0)
+    return 1.0 - correlation
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of single laser scanners."""
+    return [FeaturePlugin("scan", "scan", FEATURES, compute, SCENE_TOPICS, prepare=prepare)]
+
+
+def _scanner(told: Scene, topic: str, scans: Scans) -> _Scanner:
+    rough = Series(scans.times_s, roughness(scans.ranges))
+    mount = told.mounts.get(topic)
+    if told.motion is None or mount is None:
+        return _Scanner(rough, None, None)
+    after = np.flatnonzero(np.abs(np.diff(scans.stamps_s)) <= _LONGEST_GAP_S) + 1
+    now, before = scans.rows(after), scans.rows(after - 1)
+    placed, placed_before = (told.placed(mount, each.stamps_s) for each in (now, before))
+    seen = placed_before.inverse().compose(placed).columns().apply(now.points())
+    found = agreement(seen, before)
+    return _Scanner(
+        rough,
+        Series(now.times_s, row_medians(found.residual)),
+        Series(now.times_s, whiteness(found.signed)),
+    )

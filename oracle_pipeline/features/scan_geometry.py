@@ -1,0 +1,384 @@
+"""Laser scans as arrays, where their sensors were, and how well one scan agrees with another.
+
+Points are complex numbers, x + iy [m], so that to move them is to multiply and add. A range is
+NaN where nothing is known and ``inf`` where the ray met nothing (REP 117). What the agreement is
+used for stands in ``redundancy`` (two sensors), ``scan`` (one sensor, two times) and
+``map_consistency`` (a sensor and the map).
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Self, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from oracle_pipeline.features.plugin import Request, Series
+from oracle_pipeline.jit import jit
+
+Floats: TypeAlias = NDArray[np.float64]
+Bools: TypeAlias = NDArray[np.bool_]
+Ints: TypeAlias = NDArray[np.int64]
+Points: TypeAlias = NDArray[np.complex128]  # x + iy [m]
+
+CLOSER_M = 0.3  # by which a return must be nearer than another to contradict it
+CELL_M = 0.25  # edge of the cells in which contradictions are counted
+_NEIGHBOURS = 2  # bearings to each side of a point's own that may explain it
+
+_TILTED = 0.99  # determinant of a rotation's upper left block below which a scan plane is tilted
+
+
+class Planar(NamedTuple):
+    """Poses in a plane, one or many: ``p -> shift + turn * p``, mirrored first if flipped.
+
+    A scanner that hangs upside down is flipped.
+    """
+
+    shift: Points  # [m]
+    turn: Points  # exp(i yaw)
+    flipped: bool = False
+
+    def apply(self, points: Points) -> Points:
+        """Return points of the child frame in the parent frame."""
+        return self.shift + self.turn * (points.conj() if self.flipped else points)
+
+    def compose(self, child: "Planar") -> "Planar":
+        """Return the pose of ``child``'s child in this one's parent."""
+        turn = child.turn.conj() if self.flipped else child.turn
+        return Planar(self.apply(child.shift), self.turn * turn, self.flipped != child.flipped)
+
+    def inverse(self) -> "Planar":
+        """Return the pose of the parent in the child."""
+        if self.flipped:
+            return Planar(-self.turn * self.shift.conj(), self.turn, flipped=True)
+        return Planar(-self.turn.conj() * self.shift, self.turn.conj())
+
+    def at(self, index: slice) -> "Planar":
+        """Return some of many poses."""
+        return Planar(self.shift[index], self.turn[index], self.flipped)
+
+    def columns(self) -> "Planar":
+        """Return the poses as columns, to apply each to a row of points."""
+        shift, turn = (np.asarray(part)[..., np.newaxis] for part in self[:2])
+        return Planar(shift, turn, self.flipped)
+
+
+@dataclass(frozen=True, slots=True)
+class Scans:
+    """The scans of one topic, all with as many rays as the longest has.
+
+    Attributes
+    ----------
+    times_s, stamps_s : ndarray of shape (n,)
+        When recorded, since the start of the recording, and when valid, by the header [s].
+    frame : str
+        Of the sensor.
+    angle_min, angle_increment : ndarray of shape (n, 1)
+        Bearing of the first ray, and from one to the next [rad].
+    range_max : float
+        Up to which the sensor sees [m].
+    ranges : ndarray of shape (n, m)
+        [m]
+    """
+
+    times_s: Floats
+    stamps_s: Floats
+    frame: str
+    angle_min: Floats
+    angle_increment: Floats
+    range_max: float
+    ranges: Floats
+
+    @classmethod
+    def of(cls, series: Series) -> Self:
+        """Lay the kept scans of a topic out as arrays."""
+        stamps, frames, starts, steps, limits_low, limits_high, ranges = zip(
+            *series.values, strict=True
+        )
+        laid_out = np.full((len(ranges), max(map(len, ranges))), np.nan)
+        for row, measured in zip(laid_out, ranges, strict=True):
+            row[: len(measured)] = measured
+        low, high = np.array(limits_low)[:, np.newaxis], np.array(limits_high)[:, np.newaxis]
+        laid_out[laid_out < low] = np.nan
+        laid_out[laid_out > high] = np.inf
+        return cls(
+            series.times_s, np.array(stamps), frames[0], np.array(starts)[:, np.newaxis],
+            np.array(steps)[:, np.newaxis], float(high.max()), laid_out,
+        )  # fmt: skip
+
+    def rows(self, index: Ints) -> "Scans":
+        """Return some of the scans."""
+        return Scans(
+            self.times_s[index], self.stamps_s[index], self.frame, self.angle_min[index],
+            self.angle_increment[index], self.range_max, self.ranges[index],
+        )  # fmt: skip
+
+    def bearings(self) -> Floats:
+        """Return the bearing of each ray in the sensor's frame [rad], shape (n, m)."""
+        return self.angle_min + self.angle_increment * np.arange(self.ranges.shape[1])
+
+    def points(self) -> Points:
+        """Return where rays ended, in the sensor's frame, shape (n, m); NaN if nowhere."""
+        finite = np.where(np.isfinite(self.ranges), self.ranges, np.nan)
+        ended: Points = finite * np.exp(1j * self.bearings())
+        return ended
+
+
+class Agreement(NamedTuple):
+    """How points fit what another sensor saw; shape (n, m)."""
+
+    residual: Floats  # from the point to the nearest return within two bearings [m]; NaN: none
+    signed: Floats  # point less return at its own bearing [m]; NaN: none
+    contradicted: Bools  # the other sensor looked through the point
+    compared: Bools  # the other sensor looked there
+
+    def contradicted_share(self) -> Floats:
+        """Return the share of each scan's compared points that are contradicted, shape (n,)."""
+        compared = self.compared.sum(axis=1)
+        share = np.full(len(compared), np.nan)
+        np.divide(self.contradicted.sum(axis=1), compared, out=share, where=compared > 0)
+        return share
+
+
+def agreement(points: Points, reference: Scans) -> Agreement:
+    """Compare points with scans.
+
+    A point is contradicted if every ray of the reference within two bearings of it goes on for
+    `CLOSER_M` behind it. What stands before a point hides it, and says nothing.
+
+    Parameters
+    ----------
+    points : ndarray of shape (n, m)
+        In the frame of the reference's sensor; row i belongs to its scan i.
+    reference : Scans
+        n scans.
+    """
+    bearings = reference.angle_min.ravel(), reference.angle_increment.ravel()
+    return Agreement(*_agree(points, reference.ranges, *bearings, reference.range_max))
+
+
+@jit
+def _agree(
+    points: Points, ranges: Floats, angle_min: Floats, angle_increment: Floats, range_max: float
+) -> tuple[Floats, Floats, Bools, Bools]:
+    residual, signed = np.full(points.shape, np.nan), np.full(points.shape, np.nan)
+    contradicted, compared = np.zeros(points.shape, np.bool_), np.zeros(points.shape, np.bool_)
+    for i in range(points.shape[0]):
+        circle = max(1, round(2.0 * math.pi / abs(angle_increment[i])))  # bearings around
+        for j in range(points.shape[1]):
+            distance = abs(points[i, j])
+            if math.isnan(distance):
+                continue
+            bearing = math.atan2(points[i, j].imag, points[i, j].real)
+            own = round((bearing - angle_min[i]) / angle_increment[i])
+            apart, free, known = math.inf, range_max, True
+            for neighbour in range(own - _NEIGHBOURS, own + _NEIGHBOURS + 1):
+                ray = neighbour % circle
+                seen = ranges[i, ray] if ray < ranges.shape[1] else math.nan
+                if math.isnan(seen):
+                    known = False
+                    continue
+                apart, free = min(apart, abs(distance - seen)), min(free, seen)
+                if neighbour == own and seen < math.inf:
+                    signed[i, j] = distance - seen
+            if apart < math.inf:
+                residual[i, j] = apart
+            compared[i, j] = known
+            contradicted[i, j] = known and distance + CLOSER_M < free
+    return residual, signed, contradicted, compared
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """Which cells of a grid scans hit: each pair of scan and cell once."""
+
+    scans: Ints  # in order
+    cells: Ints  # any numbering
+
+    @classmethod
+    def of(cls, points: Points, chosen: Bools) -> Self:
+        """Return the hits of the chosen ones of points, both of shape (n, m)."""
+        scans, _ = np.nonzero(chosen)
+        x, y = (np.floor(part / CELL_M) for part in (points[chosen].real, points[chosen].imag))
+        rows = np.unique(np.column_stack([scans, x, y]).astype(np.int64), axis=0)
+        _, cells = np.unique(rows[:, 1:], axis=0, return_inverse=True)
+        return cls(rows[:, 0], cells.reshape(-1))
+
+    def persistence(self, scans: slice) -> float:
+        """Return the share of some scans that hit the cell most of them hit; NaN for no scan."""
+        if scans.start == scans.stop:
+            return math.nan
+        first, after = np.searchsorted(self.scans, (scans.start, scans.stop))
+        counts = np.bincount(self.cells[first:after], minlength=1)
+        return float(counts.max() / (scans.stop - scans.start))
+
+
+class Mount(NamedTuple):
+    """Where a sensor is on the robot; without a pose if its plane is tilted."""
+
+    root: str  # of the tree of frames
+    pose: Planar | None
+
+
+class Frames:
+    """The tree of frames that ``/tf_static`` describes."""
+
+    def __init__(self, topics: Mapping[str, Series]) -> None:
+        self._joints: dict[str, tuple[str, Floats]] = {
+            child: (parent, matrix)
+            for series in topics.values()
+            for transforms in series.values
+            for parent, child, matrix in transforms
+        }
+
+    def mount(self, frame: str) -> Mount:
+        """Return the root that a frame hangs on, and its pose there."""
+        pose = np.eye(4)
+        for _ in self._joints:  # a loop in a broken tree ends too
+            if frame not in self._joints:
+                break
+            frame, joint = self._joints[frame]
+            pose = joint @ pose
+        block = pose[:2, :2]
+        determinant = float(np.linalg.det(block))
+        if abs(determinant) < _TILTED:
+            return Mount(frame, None)
+        shift, turn = (
+            np.array(complex(*column), dtype=np.complex128) for column in (pose[:2, 3], block[:, 0])
+        )
+        return Mount(frame, Planar(shift, turn, flipped=determinant < 0.0))
+
+
+class Motion:
+    """Where the robot's frames were in the odometry frame, from ``nav_msgs/msg/Odometry``."""
+
+    def __init__(self, series: Series, frames: Frames) -> None:
+        stamps, children, *pose = zip(*series.values, strict=True)
+        order = np.argsort(stamps, kind="stable")
+        x, y, yaw = (np.array(column)[order] for column in pose)
+        self._stamps_s = np.array(stamps)[order]
+        self._columns = x, y, np.unwrap(yaw)
+        self._base = frames.mount(children[0])
+
+    def base(self, stamps_s: Floats) -> Planar:
+        """Return the poses of odometry's child frame, one a stamp."""
+        x, y, yaw = (np.interp(stamps_s, self._stamps_s, column) for column in self._columns)
+        return Planar(x + 1j * y, np.exp(1j * yaw))
+
+    def at(self, mount: Mount, stamps_s: Floats) -> Planar:
+        """Return the poses of a sensor, one a stamp."""
+        base = self.base(stamps_s)
+        if self._base.root == mount.root and self._base.pose is not None:
+            base = base.compose(self._base.pose.inverse())
+        return base if mount.pose is None else base.compose(mount.pose)
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """The scanners of a robot, how they are mounted on it, and how it moved."""
+
+    scanners: Mapping[str, Scans]  # by topic
+    mounts: Mapping[str, Mount]  # by topic; scanners that are tilted or turn no ray are left out
+    frames: Frames
+    motion: Motion | None
+
+    def placed(self, mount: Mount, stamps_s: Floats) -> Planar:
+        """Return where a sensor was: in the odometry frame, or on the robot if that is missing."""
+        if self.motion is not None:
+            return self.motion.at(mount, stamps_s)
+        count = len(stamps_s)
+        on_robot = Planar(np.zeros(count, np.complex128), np.ones(count, np.complex128))
+        return on_robot if mount.pose is None else on_robot.compose(mount.pose)
+
+
+def scene(topics: Mapping[str, Mapping[str, Series]]) -> Scene:
+    """Return what the messages on `SCENE_TOPICS` tell."""
+    frames = Frames(topics["frames"])
+    scanners = {topic: Scans.of(series) for topic, series in topics["scans"].items()}
+    mounts = {topic: frames.mount(scans.frame) for topic, scans in scanners.items()}
+    odometry = topics["odometry"]
+    moved = main_odometry(odometry) if odometry else None
+    return Scene(
+        scanners,
+        {
+            topic: mount
+            for topic, mount in mounts.items()
+            if mount.pose is not None and np.all(scanners[topic].angle_increment != 0.0)
+        },
+        frames,
+        None if moved is None else Motion(moved, frames),
+    )
+
+
+def main_odometry(topics: Mapping[str, Series]) -> Series:
+    """Return ``/odom``, or else the first odometry topic by name."""
+    return topics["/odom" if "/odom" in topics else min(topics)]
+
+
+def stamp_s(message: Any) -> float:
+    """Return the header's stamp [s]."""
+    stamp = message.header.stamp
+    return float(stamp.sec + 1e-9 * stamp.nanosec)
+
+
+def frame(message: Any) -> str:
+    """Return the header's frame; old drivers put a slash before it."""
+    return str(message.header.frame_id).lstrip("/")
+
+
+def pose_of(pose: Any) -> tuple[float, float, float]:
+    """Return x [m], y [m] and yaw [rad] of a ``geometry_msgs/msg/Pose``."""
+    position, q = pose.position, pose.orientation
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return position.x, position.y, yaw
+
+
+def keep_scan(message: Any) -> tuple[Any, ...]:
+    """Return what `Scans` is made of from a ``sensor_msgs/msg/LaserScan``."""
+    return (
+        stamp_s(message), frame(message), message.angle_min, message.angle_increment,
+        message.range_min, message.range_max, message.ranges,
+    )  # fmt: skip
+
+
+def keep_odometry(message: Any) -> tuple[Any, ...]:
+    """Return what `Motion` is made of from a ``nav_msgs/msg/Odometry``."""
+    return stamp_s(message), message.child_frame_id.lstrip("/"), *pose_of(message.pose.pose)
+
+
+def keep_frames(message: Any) -> list[tuple[str, str, Floats]]:
+    """Return parent, child and pose, as a 4 by 4 matrix, of each transform of a tf message."""
+    return [
+        (frame(each), each.child_frame_id.lstrip("/"), _matrix(each.transform))
+        for each in message.transforms
+    ]
+
+
+def _matrix(transform: Any) -> Floats:
+    shift, q = transform.translation, transform.rotation
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+    matrix[:3, 3] = shift.x, shift.y, shift.z
+    return matrix
+
+
+SCANS = Request(keep_scan, msgtype="sensor_msgs/msg/LaserScan", dtype=object)
+SCENE_TOPICS = {
+    "scans": SCANS,
+    "odometry": Request(
+        keep_odometry, msgtype="nav_msgs/msg/Odometry", dtype=object, optional=True
+    ),
+    "frames": Request(keep_frames, "/tf_static", dtype=object, optional=True),
+}
+
+
+def nearest(times_s: Floats, wanted_s: Floats) -> Ints:
+    """Return the index of the time nearest to each wanted one; times ascend."""
+    after = np.clip(np.searchsorted(times_s, wanted_s), 1, max(1, len(times_s) - 1))
+    before = after - 1
+    if len(times_s) == 1:
+        return np.zeros(len(wanted_s), dtype=np.int64)
+    closer = wanted_s - times_s[before] <= times_s[after] - wanted_s
+    return np.where(closer, before, after)

@@ -1,0 +1,132 @@
+"""The ten numbers that the thesis's code computes of a run, for its variant of the method.
+
+They are not what their names promise: corrected features are in ``structural``, ``odometry``,
+``laser`` and ``goals``; docs/thesis.md tells the two apart. Two plugins, as there: what goes wrong
+with the messages costs all three contextual features, never the structural ones. A number that
+comes out as NaN becomes 0, as there. Plugins in the thesis's *form* are in ``thesis``.
+"""
+
+import math
+from typing import Any
+
+import networkx as nx
+import numpy as np
+
+from oracle_pipeline.bags.graph_files import RosGraph
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Missing,
+    Request,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.graphs.views import thesis_view
+
+
+def _of_run(name: str, unit: str, floor: float, description: str, **more: Any) -> Feature:
+    return Feature(name, unit, floor, f"thesis's code: {description}", per_window=False, **more)
+
+
+STRUCTURAL = (
+    _of_run("max_degree", "1", 1.0, "most frequent number of edges at a vertex, least if tied"),
+    _of_run("avg_degree", "1", 0.01, "vertices over largest degree plus one, n/(D+1)"),
+    _of_run("density", "1", 1e-4, "edges among all conceivable ones, m/(n(n-1))"),
+    _of_run("entropy", "nat", 0.01, "entropy of a vertex drawn by its degree; 0 if one has none"),
+    _of_run("max_centrality", "1", 1e-3, "largest in-degree over n-1"),
+    _of_run("avg_centrality", "1", 1e-4, "mean in-degree over n-1, which equals the density"),
+    _of_run("variance", "1", 0.1, "variance of the degrees, observers included"),
+)
+CONTEXTUAL = (
+    _of_run("yaw_variance", "rad^2", 1e-3, "variance of yaw wrapped to (-pi, pi]", origin="domain"),
+    _of_run(
+        "range_variance", "m^2", 1e-3, "mean over scans of the variance of ranges; 0 if a ray of "
+        "any scan is inf or NaN", origin="domain",
+    ),
+    _of_run("duration_ns", "ns", 1e8, "last message less first, of the whole bag"),
+)  # fmt: skip
+
+#: Columns in the order of the thesis's vectors.
+VECTOR = tuple(f"thesis.{feature.name}" for feature in (*STRUCTURAL, *CONTEXTUAL))
+
+
+def graph_numbers(graph: RosGraph) -> dict[str, float]:
+    """Compute the structural features of a graph with at least one vertex."""
+    degrees = np.array([degree for _, degree in graph.degree()])
+    vertices_of_degree = np.bincount(degrees)
+    centrality = list(nx.in_degree_centrality(graph).values())
+    with np.errstate(divide="ignore", invalid="ignore"):  # a vertex without edges: NaN
+        share = degrees / degrees.sum()
+        entropy = -np.sum(share * np.log(share))
+    return {
+        "max_degree": float(np.argmax(vertices_of_degree)),
+        "avg_degree": len(degrees) / len(vertices_of_degree),
+        "density": nx.density(graph),
+        "entropy": _nan_to_zero(entropy),
+        "max_centrality": max(centrality),
+        "avg_centrality": sum(centrality) / len(centrality),
+        "variance": float(np.var(degrees)),
+    }
+
+
+def compute_structural(window: Window) -> Values | Missing:
+    """Compute from the graph of the run as it was recorded: nodes and topics, observers too."""
+    assert window.graph is not None  # noqa: S101 -- the plugin needs a graph
+    graph = thesis_view(window.graph)
+    return graph_numbers(graph) if len(graph) else Missing("the graph has no vertices")
+
+
+def wrapped_yaw(message: Any) -> float:
+    """Return yaw [rad] in (-pi, pi] of a ``nav_msgs/msg/Odometry``.
+
+    Raises
+    ------
+    ValueError
+        Rounding took the sine of the pitch out of [-1, 1], which ends the thesis's loop too.
+    """
+    q = message.pose.pose.orientation
+    math.asin(2.0 * (q.x * q.z - q.w * q.y))
+    return math.atan2(2.0 * (q.x * q.y + q.w * q.z), q.w**2 + q.x**2 - q.y**2 - q.z**2)
+
+
+def range_variance(message: Any) -> float:
+    """Return the variance of all ranges of a scan [m^2]; NaN if one of them is not finite."""
+    ranges = np.asarray(message.ranges, dtype=np.float64)
+    with np.errstate(invalid="ignore"):
+        return float(np.var(ranges)) if ranges.size else np.nan
+
+
+def compute_contextual(window: Window) -> Values | Missing:
+    """Compute from ``/odom`` and every topic with "scan" in its name; without messages it is 0."""
+    duration_ns = round((window.end_s - window.start_s) * 1e9) - 1  # the end is exclusive
+    if duration_ns == 0:
+        return Missing("the bag has no two messages")
+    yaws, variances = (
+        np.concatenate([np.empty(0), *(series.values for series in window.topics[name].values())])
+        for name in ("odometry", "scans")
+    )
+    return {
+        "yaw_variance": float(np.var(yaws)) if yaws.size else 0.0,
+        "range_variance": _nan_to_zero(np.mean(variances)) if variances.size else 0.0,
+        "duration_ns": float(duration_ns),
+    }
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the thesis's ten features."""
+    topics = {
+        "odometry": Request(wrapped_yaw, "/odom", optional=True),
+        "scans": Request(range_variance, "*scan*", optional=True),
+    }
+    return [
+        FeaturePlugin(
+            "thesis_structural", "thesis", STRUCTURAL, compute_structural, needs_graph=True
+        ),
+        FeaturePlugin("thesis_contextual", "thesis", CONTEXTUAL, compute_contextual, topics),
+    ]
+
+
+def _nan_to_zero(value: np.float64) -> float:
+    return 0.0 if np.isnan(value) else float(value)

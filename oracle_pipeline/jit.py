@@ -1,0 +1,17 @@
+"""The one way the analysis compiles hot loops: numba, cached on disk, no fastmath.
+
+``sim.jit`` is the simulation's; neither may import the other.
+"""
+
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar, cast
+
+import numba
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def jit(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile ``function`` on first call and keep the machine code for the next process."""
+    return cast(Callable[P, R], numba.njit(cache=True)(function))

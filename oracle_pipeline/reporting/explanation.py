@@ -1,0 +1,117 @@
+"""One run of each attack explained: what was said of it, what gave it away, and how it looks.
+
+Beside its picture stands that of the run that differs from it by the attack alone. How far a
+feature is out is found in ``oracle_pipeline.scoring``; how a run is drawn, in
+``oracle_pipeline.reporting.run_picture``.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.datasets import PAIRS, is_malicious
+from oracle_pipeline.evaluation.protocol import RATES, SHADOW
+from oracle_pipeline.features import FeatureTables
+from oracle_pipeline.scoring import Evidence, evidence
+
+SHOWN = 3  # attacks
+CONTROLS = {attacked: control for control, attacked in PAIRS}
+AIR_TRAFFIC, ITS_CONTROL = "atc_", "atc_normal"  # modes of the second testbed
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Explanation:
+    """One attacked run; the notes say what of it is missing."""
+
+    run_id: str
+    verdict: str
+    evidence: tuple[Evidence, ...]  # largest abs(z) first
+    pictures: Mapping[str, bytes]  # PNG, by run
+    notes: tuple[str, ...]
+
+
+def explanations(
+    df: pd.DataFrame,
+    windows: pd.DataFrame,
+    judged: pd.DataFrame,
+    draw: Callable[[str], bytes],
+) -> list[Explanation]:
+    """Explain a run of each of the first attacks, those of the experiments reproduced before others.
+
+    Parameters
+    ----------
+    df : DataFrame
+        Distinct runs, a row each.
+    windows : DataFrame
+        Their windows, a row each.
+    judged : DataFrame
+        ``run_id``, ``mode``, ``label``, ``score`` and ``p`` of each run that was judged (the table
+        ``runs`` of `oracle_evaluation`).
+    draw : callable
+        From a run to its picture, PNG; an `OracleError` becomes a note.
+    """
+    attacked = judged[is_malicious(judged)]
+    there = sorted(set(attacked["mode"]))
+    modes = [mode for mode in dict.fromkeys([*CONTROLS, *there]) if mode in there]
+    return [
+        _explanation(_typical(attacked[attacked["mode"] == mode]), df, windows, draw)
+        for mode in modes[:SHOWN]
+    ]
+
+
+def _typical(runs: pd.DataFrame) -> pd.Series:
+    """Return the run with the median score of those that were detected, else of all."""
+    detected = runs[runs["p"] <= RATES[0]]
+    ranked = (detected if len(detected) else runs).sort_values(["score", "run_id"])
+    return ranked.iloc[(len(ranked) - 1) // 2]
+
+
+def _explanation(
+    chosen: pd.Series, df: pd.DataFrame, windows: pd.DataFrame, draw: Callable[[str], bytes]
+) -> Explanation:
+    run, notes = str(chosen["run_id"]), []
+    row = df[df["run_id"] == run]
+    found: tuple[Evidence, ...] = ()
+    try:
+        found = evidence(FeatureTables(row, windows[windows["run_id"] == run]), df)
+    except OracleError as error:
+        notes.append(str(error))
+    pictures, undrawn = drawn([run, *counterpart(run, df)], draw)
+    verdict = _verdict(float(chosen["p"]))
+    return Explanation(run, verdict, found, pictures, (*notes, *undrawn))
+
+
+def drawn(
+    runs: Iterable[str], draw: Callable[[str], bytes]
+) -> tuple[dict[str, bytes], list[str]]:
+    """Return the pictures of runs, and of those that have none, why."""
+    pictures, undrawn = {}, []
+    for run in runs:
+        try:
+            pictures[run] = draw(run)
+        except (OracleError, OSError) as error:
+            undrawn.append(f"{run} is not drawn: {error}")
+    return pictures, undrawn
+
+
+def counterpart(run: str, df: pd.DataFrame) -> list[str]:
+    """Return the run of the same block without the attack, if there is one.
+
+    That is the attack's control; of other attacks the shadow, or air traffic as it is.
+    """
+    mode, number = run.split("|")
+    likely = [CONTROLS.get(mode, f"{mode}{SHADOW}")]
+    if mode.startswith(AIR_TRAFFIC):
+        likely.append(ITS_CONTROL)
+    there = set(df["run_id"])
+    return [other for control in likely if (other := f"{control}|{number}") in there][:1]
+
+
+def _verdict(p: float) -> str:
+    if np.isnan(p):
+        return f"Not judged: there are too few right runs for a verdict at {RATES[0]:.0%}."
+    called = "Called" if p <= RATES[0] else "Not called"
+    return f"{called} anomalous at a false-alarm rate of {RATES[0]:.0%}: p = {p:.3g}."

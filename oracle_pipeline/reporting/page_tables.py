@@ -1,0 +1,270 @@
+"""The tables of the HTML page: which columns of a report are shown, under which headings, and how.
+
+The page itself is put together in ``oracle_pipeline.reporting.html``.
+"""
+
+from collections.abc import Iterable, Sequence
+from itertools import groupby
+from typing import NamedTuple
+
+import pandas as pd
+
+from oracle_pipeline.evaluation.protocol import ALL_MODES, HEADLINE
+from oracle_pipeline.reporting.explanation import Explanation
+from oracle_pipeline.reporting.result import Report
+from oracle_pipeline.reporting.tables import estimate
+from oracle_pipeline.reporting.verdicts import HEADINGS, cells
+
+NO_FIGURE = "–"  # of what could not be measured
+
+
+class Cell(NamedTuple):
+    """One cell of a table: what it says and, smaller, its interval."""
+
+    text: str
+    interval: str = ""
+
+
+class Column(NamedTuple):
+    """One column of a table, below a group heading."""
+
+    title: str
+    name: str  # of the DataFrame's column
+    group: str = ""
+    spec: str = ""  # format of its numbers; by default two digits with an interval, else three
+
+
+class Grid(NamedTuple):
+    """A table ready for the page."""
+
+    title: str
+    groups: Sequence[tuple[str, int]]  # heading, columns below it
+    columns: Sequence[Column]
+    rows: Sequence[Sequence[Cell]]
+    notes: Sequence[str] = ()  # the column of notes holds their numbers
+
+
+THESIS = "The thesis"
+_NOTE = Column("note", "note")
+_COUNTS = (
+    Column("attacked runs", "malicious"),
+    Column("right runs", "right"),
+    Column("blocks", "blocks"),
+)
+_AT_5, _AT_1 = "at a false-alarm rate of 5%", "at 1%"
+_VERDICTS = (
+    Column("comparison", "scope"),
+    *_COUNTS,
+    Column("AUC", "auc"),
+    Column("detection rate", "detection_rate_5", _AT_5),
+    Column("realised false alarms", "false_alarm_rate_5", _AT_5),
+    Column("lower bound, one-sided", "false_alarm_rate_5_bound", _AT_5),
+    Column("detection rate", "detection_rate_1", _AT_1),
+    Column("realised false alarms", "false_alarm_rate_1", _AT_1),
+    Column("blocks lacking", "blocks_lacking_1", _AT_1),
+    _NOTE,
+)
+_ALARMS = (
+    Column("comparison", "scope"),
+    Column("attacked runs", "attacked_runs"),
+    Column("AUC of windows", "auc"),
+    Column("missed", "missed"),
+    Column("median", "time_to_detect_median_s", "time to detect [s]", ".1f"),
+    Column("90th percentile", "time_to_detect_90_s", "time to detect [s]", ".1f"),
+    Column("false alarms an hour", "false_alarms_per_h"),
+)
+_SCORER = (
+    Column("detector", "detector"),
+    Column("features", "features"),
+    Column("level", "level"),
+    Column("held out by", "split"),
+)
+_OVER_ALL = (
+    Column("AUC", "auc"),
+    Column("average precision", "average_precision"),
+    Column("detection rate", "detection_rate_5", _AT_5),
+    Column("realised false alarms", "false_alarm_rate_5", _AT_5),
+    Column("MCC", "mcc_5", _AT_5),
+    _NOTE,
+)
+_SMALL_CLUSTERS = (
+    Column("linkage", "linkage"),
+    Column("clusters over runs", "kappa", spec="g"),
+    Column("clusters", "clusters"),
+    Column("attacked of the runs in small clusters", "failure_share"),
+    Column("attacked runs found", "found"),
+    Column("runs inspected", "inspected"),
+    Column("found in a quarter of the runs", "found_in_budget"),
+    Column("ARI", "ari", spec="z.2f"),
+    _NOTE,
+)
+_ORACLE = (Column("detector", "detector"), Column("features", "features"))
+_OPERATOR = (Column("scenario", "scenario"), Column("parameter", "parameter"))
+_MUTATION_SCORES = (
+    *_ORACLE,
+    Column("mutants", "mutants"),
+    Column("killed", "killed"),
+    Column("mutation score", "mutation_score"),
+)
+_MAGNITUDES = (*_ORACLE, *_OPERATOR, Column("smallest detected", "magnitude", spec=".3g"))
+_KILLS = (
+    *_OPERATOR,
+    Column("magnitude", "value", spec="g"),
+    Column("mutants", "mutants"),
+    Column("equivalent", "equivalent"),
+    Column("killed", "killed"),
+    Column("kill rate", "kill_rate"),
+)
+
+_REPRODUCED, _CORRECTED = "its method on our runs", "the method corrected, on our runs"
+_SIDE_BY_SIDE = (
+    Column("source", "thesis_source"),
+    Column("experiment", "experiment"),
+    Column("recall", "thesis_recall", THESIS),
+    Column("FPR", "thesis_fpr", THESIS),
+    Column("hard AUC", "thesis_auc", THESIS),
+    Column("MCC", "thesis_mcc", THESIS, "z.2f"),
+    Column("runs", "thesis_runs", THESIS),
+    Column("recall", "reproduced_recall", _REPRODUCED),
+    Column("FPR", "reproduced_fpr", _REPRODUCED),
+    Column("hard AUC", "reproduced_auc", _REPRODUCED),
+    Column("MCC", "reproduced_mcc", _REPRODUCED, "z.2f"),
+    Column("runs", "reproduced_runs", _REPRODUCED),
+    Column("TPR", "corrected_tpr", _CORRECTED),
+    Column("FPR", "corrected_fpr", _CORRECTED),
+    Column("AUC of the height", "corrected_auc", _CORRECTED),
+    Column("MCC", "corrected_mcc", _CORRECTED, "z.2f"),
+    _NOTE,
+)
+_NULL_MODEL = (
+    Column("share of very long runs", "p_long", spec=".0%"),
+    Column("recall", "recall"),
+    Column("FPR", "fpr"),
+    Column("hard AUC", "auc"),
+    Column("experiments that reach the thesis’s recall", "reaches_headline", spec=".0%"),
+)
+_HEIGHT, _VERDICT, _BEST = "AUC", "Verdict without labels", "The thesis’s reading of our runs"
+_MEASURES = (
+    Column("recall", "recall_best_cluster", _BEST),
+    Column("FPR", "fpr_best_cluster", _BEST),
+    Column("hard AUC", "balanced_accuracy_best_cluster", _BEST),
+    Column("recall", "thesis_recall", THESIS),
+    Column("FPR", "thesis_fpr", THESIS),
+    Column("hard AUC", "thesis_auc", THESIS),
+    Column("TPR", "tpr", _VERDICT),
+    Column("FPR", "fpr", _VERDICT),
+    Column("balanced accuracy", "balanced_accuracy", _VERDICT),
+    Column("MCC", "mcc", _VERDICT, "z.2f"),
+    Column("HAC height", "auc", _HEIGHT),
+    _NOTE,
+)
+_GRID_SEARCH = (
+    Column("linkage", "linkage"),
+    Column("criterion", "criterion"),
+    Column("t", "t", spec="g"),
+)
+_RATES = (Column("malicious rows", "malicious_rate", spec=".0%"),)
+_PAIRS = (Column("runs", "scope"), Column("features", "features"))
+
+
+def of_evaluation(evaluation: Report) -> dict[str, Grid]:
+    """Return the tables of `oracle_evaluation` by name; of a grid only if one was run."""
+    table, more = evaluation.table, evaluation.tables
+    headline = _of_headline(table)
+    against = [scope for scope in headline["scope"] if "/" in scope]
+    areas = [Column(scope, scope) for scope in against]
+    if "kills" in more:  # its picture has the other oracles'
+        of = more["kills"]
+        known = (of["detector"] == HEADLINE.detector) & (of["features"] == HEADLINE.features)
+        more = {**more, "kills": of[known]}
+    grids = {
+        "verdicts": grid("Verdicts of the headline’s scorer", headline, _VERDICTS),
+        "alarms": grid("Alarms while a run goes on", more["alarms"], _ALARMS),
+        "scorers": grid(
+            "Over all modes", table[table["scope"] == ALL_MODES], (*_SCORER, *_OVER_ALL)
+        ),
+        "areas": grid("AUC of each attack", _areas(table, against), (*_SCORER, *areas)),
+        "small_clusters": grid("Small clusters", more["small_clusters"], _SMALL_CLUSTERS),
+    }
+    for name, title, columns in (
+        ("minimum_detectable", "Smallest magnitude that is detected", _MAGNITUDES),
+        ("mutation_scores", "Mutation scores", _MUTATION_SCORES),
+        ("kills", f"Kills by {HEADLINE.detector} on {HEADLINE.features} features", _KILLS),
+    ):
+        if name in more:
+            grids[name] = grid(title, more[name], columns)
+    return grids
+
+
+def of_thesis(
+    *, grid_search: Report, rates: Report, pairs: Report, side_by_side: Report, null_model: Report
+) -> dict[str, Grid]:
+    """Return the tables that follow the thesis's method, by name."""
+    return {
+        "side_by_side": grid(
+            "What the thesis prints, and both variants", side_by_side.table, _SIDE_BY_SIDE
+        ),
+        "null_model": grid("Labels without meaning", null_model.table, _NULL_MODEL),
+        "grid": grid("Grid search", grid_search.table, (*_GRID_SEARCH, *_MEASURES)),
+        "rates": grid("Malicious rates", rates.table, (*_RATES, *_MEASURES)),
+        "pairs": grid("Pairs and features", pairs.table, (*_PAIRS, *_MEASURES)),
+    }
+
+
+def of_explanation(explanation: Explanation) -> Grid:
+    """Return what gave a run away, a feature a row."""
+    columns = [Column(heading, heading) for heading in HEADINGS]
+    rows = [[Cell(text) for text in cells(each)] for each in explanation.evidence]
+    return Grid(f"What is unusual in {explanation.run_id}", [("", len(columns))], columns, rows)
+
+
+def of_any(title: str, table: pd.DataFrame) -> Grid:
+    """Return a table with all of its columns under their own names."""
+    return grid(title, table, [Column(str(n).replace("_", " "), str(n)) for n in table.columns])
+
+
+def grid(title: str, table: pd.DataFrame, columns: Iterable[Column]) -> Grid:
+    """Return those columns that a table has; notes and figures that are all empty are left out."""
+    shown = [column for column in columns if _says_anything(table, column.name)]
+    groups = [(name, len(list(members))) for name, members in groupby(shown, lambda c: c.group)]
+    number: dict[str, str] = {}
+    if _NOTE in shown:
+        notes = dict.fromkeys(filter(None, table[_NOTE.name]))
+        number = {note: str(n) for n, note in enumerate(notes, start=1)}
+        table = table.assign(**{_NOTE.name: table[_NOTE.name].map(number).fillna("")})
+    rows = [[_cell(row, column) for column in shown] for _, row in table.iterrows()]
+    return Grid(title, groups, shown, rows, list(number))
+
+
+def _says_anything(table: pd.DataFrame, name: str) -> bool:
+    return name in table.columns and bool((table[name].notna() & (table[name] != "")).any())
+
+
+def _cell(row: pd.Series, column: Column) -> Cell:
+    value = row[column.name]
+    if f"{column.name}_low" in row.index:
+        shown = f"{estimate(row, column.name):{column.spec or '.2f'}}"
+        text, _, interval = shown.partition(" ")
+        return Cell(text if interval else NO_FIGURE, interval)
+    if not isinstance(value, float):
+        return Cell(str(value))
+    return Cell(NO_FIGURE if pd.isna(value) else f"{value:{column.spec or '.3f'}}")
+
+
+def _of_headline(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of the headline's scorer, held out by block."""
+    is_headline = (table["split"] == "block") & (
+        table[["detector", "features", "level"]] == list(HEADLINE)
+    ).all(axis=1)
+    return table[is_headline]
+
+
+def _areas(table: pd.DataFrame, scopes: Sequence[str]) -> pd.DataFrame:
+    """Return a row a scorer, with its AUC in each scope under the scope's name."""
+    key = [column.name for column in _SCORER]
+    joined = table[key].drop_duplicates().set_index(key)
+    for scope in scopes:
+        of_scope = table[table["scope"] == scope].set_index(key)
+        for end in ("", "_low", "_high"):
+            joined[f"{scope}{end}"] = of_scope[f"auc{end}"]
+    return joined.reset_index()

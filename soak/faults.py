@@ -1,0 +1,187 @@
+"""A campaign that is killed at random moments, again and again, ends as one that was left alone.
+
+``python -m soak.faults`` does what the test suite does, for longer. All of it is killed, or the
+caller alone (its workers end by themselves), or one worker (the caller goes on).
+"""
+
+import argparse
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from assets.feature_tables import TABLES, feature_table
+from assets.worker import RECORDED, RunJob, process_run
+from assets.worker import TABLES as TABLE_ASSETS
+from oracle_pipeline.bags.manifest import Kept
+from oracle_pipeline.bags.reader import content_hash
+from oracle_pipeline.bags.run_directory import RunDirectory, bytes_on_disk, find_runs
+from oracle_pipeline.datasets import content_hash as table_hash
+from oracle_pipeline.datasets import read_table
+from sim.fan_out import fan_out, process_pool
+from sim.recipes import Campaign
+
+RUNS: tuple[tuple[str, int, Kept], ...] = (
+    ("atc_normal", 0, "trimmed"),
+    ("atc_ghost_static", 0, "trimmed"),
+    ("atc_normal", 1, "recipe"),
+    ("atc_ghost_static", 1, "recipe"),
+    ("atc_normal", 2, "full"),
+)
+SHORT = Campaign(timeout_s=20.0)
+WORKERS = 2
+LONGEST_S = 60.0  # that a worker may outlive its caller, busy with its last run
+
+_COMMAND = "import sys; from soak.faults import run_campaign; run_campaign(sys.argv[1])"
+
+
+def run_campaign(root: str) -> None:
+    """Make all runs below a root; raises if one fails."""
+    wanted = frozenset({*RECORDED, *TABLE_ASSETS})
+    jobs = [
+        RunJob(RunDirectory(Path(root), mode, run), SHORT, wanted, refresh=False, keep=kept)
+        for mode, run, kept in RUNS
+    ]
+    for outcome in fan_out(process_run, jobs, lambda: process_pool(WORKERS)):
+        if outcome.error is not None:
+            raise RuntimeError(outcome.error)
+
+
+def start(root: Path) -> "subprocess.Popen[bytes]":
+    """Start a campaign as a process group of its own."""
+    command = [sys.executable, "-c", _COMMAND, str(root)]
+    return subprocess.Popen(
+        command, cwd=Path(__file__).parent.parent, start_new_session=True, stderr=subprocess.DEVNULL
+    )
+
+
+def strike(campaign: "subprocess.Popen[bytes]", rng: np.random.Generator, whom: str) -> None:
+    """Kill a campaign at some moment after its first run began."""
+    time.sleep(rng.uniform(0.0, 6.0))
+    if campaign.poll() is not None:
+        return
+    if whom == "all":
+        os.killpg(campaign.pid, signal.SIGKILL)
+    elif whom == "caller":
+        campaign.kill()
+    else:
+        for worker in rng.permutation(_workers(campaign.pid))[:1].tolist():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(worker, signal.SIGKILL)
+    campaign.wait()
+
+
+def _workers(caller: int) -> list[int]:
+    """Return the worker processes of a caller: those that were spawned to work."""
+    children = Path(f"/proc/{caller}/task/{caller}/children").read_text().split()
+    return [
+        int(child)
+        for child in children
+        if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()
+    ]
+
+
+def wait_until_gone(campaign: "subprocess.Popen[bytes]") -> bool:
+    """Tell whether all processes of a campaign end in time."""
+    deadline = time.monotonic() + LONGEST_S
+    while time.monotonic() < deadline:
+        try:
+            os.killpg(campaign.pid, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.2)
+    return False
+
+
+def wait_for_work(root: Path, campaign: "subprocess.Popen[bytes]") -> None:
+    """Wait until somebody works on a run."""
+    while campaign.poll() is None and not any(root.glob("runs/*/.lock-*")):
+        time.sleep(0.05)
+
+
+def state(root: Path) -> dict[str, Any]:
+    """Return all that is known of the runs below a root, but for times and sizes."""
+    return {run.key: _known(run) for run in find_runs(root)}
+
+
+def _known(run: RunDirectory) -> dict[str, Any]:
+    document = asdict(run.manifest())
+    kept = document.pop("measured")["kept"]
+    graphs = {file.name: file.read_bytes() for file in sorted(run.graphs.iterdir())}
+    features = {table: table_hash(read_table(feature_table(run, table))) for table in TABLES}
+    return {"kept": kept, "graphs": graphs, "features": features, **document}
+
+
+def damaged(root: Path) -> list[str]:
+    """Return the runs that look finished and are not whole."""
+    return [run.key for run in find_runs(root) if not _is_whole(run)]
+
+
+def _is_whole(run: RunDirectory) -> bool:
+    manifest = run.manifest()
+    if bytes_on_disk(run.path) != manifest.measured.bytes:
+        return False
+    return manifest.measured.kept != "full" or content_hash(run.bag) == manifest.content_hash
+
+
+def made_in(root: Path) -> dict[str, float]:
+    """Return how long each finished run took to make: another figure is another making."""
+    return {run.key: run.manifest().measured.wall_s for run in find_runs(root)}
+
+
+def leftovers(root: Path) -> list[str]:
+    """Return what dead processes have left behind."""
+    return sorted(str(path.relative_to(root)) for path in root.rglob(".*"))
+
+
+def disturbed(root: Path, kills: int, seed: int) -> Iterator[list[str]]:
+    """Kill a campaign so many times, then complete it; yield what is wrong after each."""
+    rng = np.random.default_rng(seed)
+    first_made: dict[str, float] = {}
+    for number in range(kills):
+        campaign = start(root)
+        wait_for_work(root, campaign)
+        whom = ("all", "worker", "caller")[number % 3]
+        strike(campaign, rng, whom)
+        wrong = [f"{key} looks finished and is not whole" for key in damaged(root)]
+        if whom == "caller" and not wait_until_gone(campaign):
+            os.killpg(campaign.pid, signal.SIGKILL)
+            wrong.append("workers outlived their caller")
+        first_made = made_in(root) | first_made
+        yield wrong
+    run_campaign(str(root))
+    made = made_in(root)
+    yield [f"{key} was finished and made again" for key, s in first_made.items() if made[key] != s]
+
+
+def main() -> None:
+    """Kill a campaign many times and say whether it ended as if nothing had been."""
+    parser = argparse.ArgumentParser(prog="python -m soak.faults", description=main.__doc__)
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        quiet, other = Path(folder, "quiet"), Path(folder, "disturbed")
+        run_campaign(str(quiet))
+        wrong: list[str] = []
+        for number, found in enumerate(disturbed(other, arguments.kills, arguments.seed), start=1):
+            print(f"{number}: {'; '.join(found) or 'nothing wrong'}", flush=True)
+            wrong += found
+        if state(other) != state(quiet):
+            wrong.append("the runs are not those of an undisturbed campaign")
+        wrong += [f"{name} was left behind" for name in leftovers(other)]
+    print("\n".join(wrong) or f"{arguments.kills} kills, and nothing is lost or damaged.")
+    sys.exit(bool(wrong))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,138 @@
+"""What single detectors compute, by hand, and what they refuse."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from oracle_pipeline.detectors import DetectorError
+from oracle_pipeline.detectors.clusters import (
+    DenseRegions,
+    HacHeight,
+    ReferenceDistance,
+    SmallCluster,
+)
+from oracle_pipeline.detectors.distances import Mahalanobis, MaxZ, NearestRuns
+from oracle_pipeline.detectors.guarded import (
+    AmpleEllipticEnvelope,
+    BestGaussianMixture,
+    DistinctLocalOutlierFactor,
+)
+
+LINE = np.array([[0.0], [1.0], [2.0], [3.0]])
+
+
+def right_runs(n=60, features=3, seed=0):
+    return np.random.default_rng(seed).normal(size=(n, features))
+
+
+def test_max_z_is_the_largest_absolute_value():
+    scores = MaxZ().fit(np.zeros((2, 3))).score_samples([[1.0, -4.0, 2.0], [0.0, 0.0, 0.5]])
+    assert scores.tolist() == [-4.0, -0.5]
+
+
+def test_mahalanobis_counts_common_deviations_once():
+    rng = np.random.default_rng(0)
+    common = rng.normal(scale=3.0, size=(4000, 1))
+    detector = Mahalanobis().fit(np.hstack([common, common]) + rng.normal(size=(4000, 2)))
+    along, across = detector.score_samples([[3.0, 3.0], [3.0, -3.0]])
+    assert along == pytest.approx(-np.sqrt(9 * 2 / 19), rel=0.1)  # variances 19 and 1
+    assert across == pytest.approx(-np.sqrt(9 * 2 / 1), rel=0.1)
+
+
+@given(st.floats(1e-6, 1.0))
+def test_mahalanobis_takes_no_feature_for_better_known_than_its_scale(spread):
+    X = right_runs(n=500) * [1.0, spread, 0.0]
+    scores = Mahalanobis().fit(X).score_samples([[0.0, 4.0, 0.0], [0.0, 0.0, 4.0]])
+    assert scores == pytest.approx([-4.0, -4.0], rel=0.15)
+
+
+def test_nearest_runs_is_the_mean_distance_to_them():
+    assert NearestRuns(n_neighbors=2).fit(LINE).score_samples([[5.0], [1.0]]) == pytest.approx(
+        [-2.5, -0.5]
+    )
+
+
+def test_hac_height_is_that_at_which_the_run_joins_half_of_the_right_ones():
+    # Average linkage: 0-1 and 2-3 join at 1, the pairs at 2, then 9 at the mean of 9, 8, 7 and 6.
+    assert HacHeight().fit(LINE).score_samples([[9.0]]) == pytest.approx([-7.5])
+
+
+def test_both_readings_of_kappa_see_the_lone_run():
+    lone = [[9.0]]
+    # Five rows: two clusters, {0, 1, 2, 3} and {9}.
+    count = SmallCluster(kappa=0.4, reading="count").fit(LINE).score_samples(lone)
+    assert count == pytest.approx([-(1 - 1 / 5)])
+    # A cluster of two is small; alone until height 7.5, then with all others.
+    size = SmallCluster(kappa=0.4, reading="size").fit(LINE).score_samples(lone)
+    assert size == pytest.approx([-7.5])
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 2**32), st.integers(2, 11), st.sampled_from(["single", "average"]))
+def test_the_size_reading_at_one_half_is_the_hac_height(seed, n, linkage):
+    rng = np.random.default_rng(seed)
+    right, row = rng.normal(size=(n, 2)), rng.normal(scale=3.0, size=(1, 2))
+    size = SmallCluster(kappa=0.5, reading="size", linkage=linkage).fit(right).score_samples(row)
+    height = HacHeight(linkage).fit(right).score_samples(row)
+    assert size == pytest.approx(height)
+
+
+def test_reference_distance_is_in_spreads_of_the_nearest_large_cluster():
+    rng = np.random.default_rng(0)
+    tight, wide = rng.normal(size=(50, 1)), 100.0 + 5.0 * rng.normal(size=(50, 1))
+    detector = ReferenceDistance(n_clusters=2).fit(np.vstack([tight, wide]))
+    assert sorted(detector.centroids_[:, 0]) == pytest.approx([0.0, 100.0], abs=2.0)
+    near_tight, near_wide = detector.score_samples([[10.0], [110.0]])
+    assert near_tight < 2 * near_wide < 0.0
+
+
+def test_a_lone_odd_run_in_training_is_no_cluster_to_be_near_to():
+    X = np.vstack([right_runs(), [[40.0, 40.0, 40.0]]])
+    for detector in (ReferenceDistance(), DenseRegions()):
+        beside, among = detector.fit(X).score_samples([[40.0, 40.0, 41.0], [0.0, 0.0, 0.0]])
+        assert beside < 10 * among
+
+
+def test_copies_of_a_run_do_not_blind_the_local_outlier_factor():
+    X = right_runs(n=40)
+    with_copies = np.repeat(X, 30, axis=0)
+    rows = np.vstack([X[:3] + 0.05, [[8.0, 8.0, 8.0]]])
+    once, copied = (
+        DistinctLocalOutlierFactor(n_neighbors=10, novelty=True).fit(each).score_samples(rows)
+        for each in (np.unique(X, axis=0), with_copies)
+    )
+    assert np.array_equal(once, copied)
+    assert copied[3] < 2 * copied[:3].min()
+
+
+def test_the_mixture_takes_as_many_components_as_pay():
+    rng = np.random.default_rng(0)
+    one, two = (
+        rng.normal(size=(80, 2)),
+        rng.normal(size=(80, 2)) + np.repeat([0.0, 20.0], 40)[:, None],
+    )
+    assert BestGaussianMixture(random_state=0).fit(one).mixture_.n_components == 1
+    assert BestGaussianMixture(random_state=0).fit(two).mixture_.n_components == 2
+
+
+@pytest.mark.parametrize(
+    ("detector", "rows", "text"),
+    [
+        (NearestRuns(n_neighbors=5), right_runs(n=4), "4 runs have no 5 nearest"),
+        (MaxZ(), right_runs(n=1), "at least two"),
+        (DenseRegions(), right_runs(n=4), "cannot make a cluster of 5"),
+        (DistinctLocalOutlierFactor(novelty=True), np.repeat(right_runs(n=20), 9, axis=0),
+         "more than 20 distinct runs, there are 20"),
+        (AmpleEllipticEnvelope(), right_runs(n=15), "more than 15 runs, there are 15"),
+    ],
+)  # fmt: skip
+def test_too_few_runs_are_refused_with_the_number_needed(detector, rows, text):
+    with pytest.raises(DetectorError, match=text):
+        detector.fit(rows)
+
+
+def test_values_that_are_not_finite_are_refused():
+    for detector in (MaxZ(), Mahalanobis(), HacHeight()):
+        with pytest.raises(ValueError, match="NaN"):
+            detector.fit([[np.nan], [1.0]])

@@ -1,0 +1,116 @@
+"""The node of a scenario in a domain; that it publishes what a bag shows is in test_offline."""
+
+import pytest
+
+from oracle_pipeline.bags.manifest import Change
+from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE
+from sim.fuzzing.node import MutationNode
+from sim.fuzzing.scenario import ScenarioError
+from sim.middleware.domain import Domain
+from sim.middleware.executor import MILLISECOND, SECOND, Executor
+from sim.middleware.node import Node
+from tests.sim.fuzzing.workbench import ODOMETRY, SCAN, builtin, doing, scan, scans
+
+LATENCY_NS = 3 * MILLISECOND
+
+
+class Bench:
+    """A node of a scenario, who speaks to it, and what is heard of it."""
+
+    def __init__(self, program, **parameters):
+        self.executor = Executor()
+        self.domain = Domain(self.executor)
+        others = Node(self.domain, "/others")
+        outlets = {program.input_topic: program.type.name, "/odom": ODOMETRY}
+        self.speak = {t: others.create_publisher(kind, t).publish for t, kind in outlets.items()}
+        self.node = MutationNode(
+            self.domain, "/mutant", program.start(1, parameters), latency_ns=LATENCY_NS
+        )
+        self.heard, self.truth = [], []
+        hear = others.create_subscription
+        hear(
+            program.type.name,
+            program.output_topic,
+            lambda message: self.heard.append((self.executor.now_ns, message)),
+        )
+        hear(GROUND_TRUTH_TYPE, GROUND_TRUTH_TOPIC, self.truth.append)
+
+    def scans(self, messages, topic="/in", period_ns=SECOND // 5):
+        for number, message in enumerate(messages):
+            self.executor.call_at(number * period_ns, self.speak[topic], message)
+        self.executor.run_until(len(messages) * period_ns)
+
+
+def test_until_it_is_told_to_begin_every_message_is_handed_on_a_moment_later():
+    bench = Bench(doing("add: {field: ranges, by: 1.0}"))
+    messages = list(scans(5))
+    bench.scans(messages)
+    assert [message for _, message in bench.heard] == messages
+    assert [now_ns for now_ns, _ in bench.heard] == [n * SECOND // 5 + LATENCY_NS for n in range(5)]
+    assert bench.node.changes(0) == ()
+    assert [truth.detail for truth in bench.truth] == ["not active"] * 5
+
+
+def test_what_was_published_before_the_onset_is_handed_on_even_if_it_is_heard_after():
+    bench = Bench(doing("add: {field: ranges, by: 1.0}"))
+    bench.node.begin(2 * SECOND // 5 - LATENCY_NS // 2)  # while the second scan is on its way
+    bench.scans([scan(n) for n in range(4)])
+    assert [message.ranges[0] for _, message in bench.heard] == [2.0, 2.0, 3.0, 3.0]
+
+
+def test_changes_are_counted_in_bins_of_five_seconds_of_the_recording():
+    bench = Bench(doing("drift: {field: ranges, rate: 0.1}"))
+    bench.node.begin(0)
+    bench.scans([scan(n) for n in range(61)])
+    assert bench.node.changes(SECOND) == (
+        Change(0.0, 25, pytest.approx(0.58, abs=1e-6)),
+        Change(5.0, 25, pytest.approx(1.08, abs=1e-6)),
+        Change(10.0, 6, pytest.approx(1.2, abs=1e-6)),
+    )
+
+
+def test_bins_in_which_nothing_was_changed_are_left_out_and_a_lost_range_has_no_size():
+    blind = doing("set: {field: ranges, value: inf}", more="activation: {duration_s: 1.0}\n")
+    bench = Bench(blind)
+    bench.node.begin(6 * SECOND)
+    bench.scans([scan(n) for n in range(61)])
+    assert bench.node.changes(0) == (Change(5.0, 5, None),)
+
+
+def test_a_shadow_and_a_passthrough_change_nothing():
+    for text in ("control: shadow\n", "control: passthrough\n"):
+        bench = Bench(doing("add: {field: ranges, by: 1.0}", more=text))
+        bench.node.begin(0)
+        bench.scans(list(scans(5)))
+        assert bench.node.changes(0) == ()
+
+
+def test_dropped_and_emitted_messages_are_changes():
+    bench = Bench(builtin("sensor_drop"), share=1.0)
+    bench.node.begin(0)
+    bench.scans(list(scans(10)), "/scan_tom")
+    assert bench.heard == []
+    assert bench.node.changes(0) == (Change(0.0, 10, 1.0),)
+
+
+def test_the_graph_shows_the_topics_of_the_scenario_and_hides_the_truth():
+    domain = Bench(builtin("fake_object")).domain
+    assert domain.subscriptions_of("/mutant").keys() >= {"/scan_tom", "/odom"}
+    assert "/odom" not in Bench(builtin("random_noise")).domain.subscriptions_of("/mutant")
+    published = set(domain.publishers_of("/mutant")) - {"/rosout", "/parameter_events"}
+    assert published == {"/scan_fakeobject", GROUND_TRUTH_TOPIC}
+
+
+def test_a_scenario_that_hears_what_nobody_says_is_refused_and_told_what_there_is():
+    domain = Domain(Executor())
+    Node(domain, "/lidar").create_publisher(SCAN, "/scan")
+    with pytest.raises(ScenarioError, match=r"main.input: .* is there \(/scan\), found /scan_tom"):
+        MutationNode(domain, "/mutant", builtin("random_noise").start(1))
+
+
+def test_a_scenario_may_not_speak_on_a_topic_of_another_type():
+    domain = Domain(Executor())
+    Node(domain, "/lidar").create_publisher(SCAN, "/scan_tom")
+    Node(domain, "/other").create_publisher(ODOMETRY, "/scan_fakeobject")
+    with pytest.raises(ScenarioError, match=r"main.output: expected a topic that is no nav_msgs"):
+        MutationNode(domain, "/mutant", builtin("random_noise").start(1))
