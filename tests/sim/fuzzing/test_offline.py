@@ -203,6 +203,20 @@ def test_a_shadow_of_a_run_has_the_scans_that_came(run_bag, tmp_path):
     assert [data for _, data in on(tmp_path / "mutant", program.output_topic)] == came
 
 
+@pytest.mark.parametrize("name", ["fake_object", "random_noise"])
+def test_over_one_bag_an_attack_and_its_shadow_differ_in_the_attacked_payload_only(
+    run_bag, tmp_path, name
+):
+    bag, _ = run_bag
+    attack, shadow = builtin_scenarios()[name], builtin_scenarios()[name].as_shadow()
+    for scenario in (attack, shadow):
+        mutate_bag(bag, tmp_path / scenario.id, compile_scenario(scenario), 1)
+    attacked, control = content(tmp_path / attack.id), content(tmp_path / shadow.id)
+    assert [m[:2] for m in attacked] == [m[:2] for m in control]
+    changed = {a.topic for a, c in zip(attacked, control, strict=True) if a.data != c.data}
+    assert changed == {attack.document["main"]["output"]}
+
+
 def test_the_bag_that_is_mutated_stays_as_it_is(run_bag, tmp_path):
     bag, _ = run_bag
     before = {file.name: file.read_bytes() for file in bag.iterdir()}
