@@ -12,11 +12,11 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 FIRST := lidar_passthrough|run000
 LAST := delayed_fakeobject|run002
 
-.PHONY: help setup run ui test lint types bench constraints clean
+.PHONY: help setup run ui test test-browser lint types bench constraints clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list
-	@grep -E '^[a-z]+:.*## ' Makefile | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
+	@grep -E '^[a-z-]+:.*## ' Makefile | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
 
 setup: $(VENV)/.ready ## Make .venv with the pinned versions
 
@@ -37,6 +37,10 @@ ui: setup ## Open the pipeline in the browser, on 127.0.0.1
 
 test: setup lint types ## Check style and types, then run every test that needs only Python and PyPI
 	pytest -n 2 --dist loadfile
+
+test-browser: setup ## Look at the report in a headless Chromium, which has to be installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
+	pytest tests/browser
 
 lint: setup
 	ruff check .

@@ -80,7 +80,8 @@ def _mutants(store: RunStore, fleet: Fleet) -> "pd.DataFrame":
 
     grids = []
     for index in sorted((store.path / "grids").glob("*/grid.json")):
-        mutants = pd.read_json(index)
+        with index.open("rb") as source:
+            mutants = pd.read_json(source)
         runs = [RunDirectory.of_key(index.parent, key) for key in mutants["run_id"]]
         _require_features(runs, fleet)
         df = joined(read_table(feature_table(run, "run")) for run in runs)

@@ -52,6 +52,11 @@ def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bo
     return True
 
 
+def require_tables(run: RunDirectory) -> bool:
+    """Extract the features of a complete run unless its tables are right; tell whether it did."""
+    return ensure_tables(run, run.manifest(), refresh=False)
+
+
 def tables_are_right(run: RunDirectory, manifest: Manifest) -> bool:
     """Tell whether a run's tables are what extracting them now would give."""
     return _read(_record(run)) == {"inputs": _inputs(manifest), "tables": _hashes(run)}

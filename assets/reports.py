@@ -162,6 +162,7 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
             side_by_side=reports.side_by_side(_drawn_from(store), rows, rate, seed),
             null_model=reports.null_model(seed=seed),
             radar=radar,
+            storage=_storage(store),
             provenance=html.provenance(df),
         )
         html.write_page(page, store.report)
@@ -176,6 +177,15 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
             **presentation.pictures(pictures),
         }
     )
+
+
+def _storage(store: RunStore) -> "pd.DataFrame":
+    """Return what runs take on this machine and what was kept of them, a row a mode."""
+    import pandas as pd
+
+    from resources.stock import storage_of_modes, take_stock
+
+    return pd.DataFrame(storage_of_modes(take_stock(store.path)) if store.is_local else [])
 
 
 def _ghost_and_control(df: "pd.DataFrame") -> list[str]:

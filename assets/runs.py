@@ -179,7 +179,12 @@ def _outcomes(
     log = dg.get_dagster_logger("oracle")
     waiting = list(jobs)
     while waiting:
-        plan = budget.plan(store, [job.directory for job in waiting], fleet.workers)
+        plan = budget.plan(
+            store,
+            [job.directory for job in waiting],
+            workers=fleet.workers,
+            goals=waiting[0].campaign.goals_per_run,
+        )
         if plan is None:
             yield from fleet.outcomes(process_run, waiting)
             return

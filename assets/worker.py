@@ -87,15 +87,15 @@ def process_run(job: RunJob) -> RunReport:
         If the run cannot be recorded, or what was recorded cannot be read.
     """
     with job.directory.held():
-        former = job.directory.manifest() if job.directory.is_complete() else None
         to_be_recorded = not job.wanted.isdisjoint(RECORDED)
-        if former is None or (to_be_recorded and job.refresh):
+        if not job.directory.is_complete() or (to_be_recorded and job.refresh):
             with _made_here(job.directory) as here:
                 there = replace(job, directory=here)
                 _record(there)
                 return _finish(there, "made")
         if to_be_recorded:
             _record(job)
+        former = job.directory.manifest()
         if _lacks_its_bag(job, former):
             with _made_here(job.directory) as here:
                 remake_run(former, here)

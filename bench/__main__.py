@@ -2,7 +2,7 @@
 
 import argparse
 
-from bench import clustering, features, navigation, scenarios, testbed
+from bench import clustering, engines, features, navigation, scenarios, testbed
 
 BENCHMARKS = {
     "testbed": testbed.rows,
@@ -10,6 +10,7 @@ BENCHMARKS = {
     "navigation": navigation.rows,
     "features": features.rows,
     "clustering": clustering.rows,
+    "engines": engines.rows,
 }
 DEFAULT = ("testbed", "scenarios")  # speed, size and memory; the others take longer
 

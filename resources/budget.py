@@ -25,7 +25,7 @@ class StorageBudget(dg.ConfigurableResource[None]):
     )
 
     def plan(
-        self, store: RunStore, wanted: Sequence[RunDirectory], workers: int
+        self, store: RunStore, wanted: Sequence[RunDirectory], *, workers: int, goals: int
     ) -> StoragePlan | None:
         """Plan what is kept of which runs; None in an object store, which has no end.
 
@@ -44,6 +44,7 @@ class StorageBudget(dg.ConfigurableResource[None]):
                 budget=budget,
                 reserve=self.reserve_mb * 1_000_000,
                 workers=workers,
+                goals=goals,
             )
 
     @contextlib.contextmanager

@@ -4,29 +4,36 @@ The cluster is somebody else's: it is started and stopped elsewhere (docs/scalin
 a function that workers import and one argument, so a worker needs this package and no Dagster.
 """
 
+import concurrent.futures
 import itertools
 import secrets
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from functools import partial
 from typing import Any, TypeVar
 
-from distributed import Client, KilledWorker
+import distributed
 
 from oracle_pipeline.bags.errors import OracleError
 
 R = TypeVar("R")
 
-PATIENCE_S = 60  # for the first worker to come
-
-__all__ = ["ClusterError", "DaskExecutor", "KilledWorker"]
+PATIENCE_S = 60  # for the scheduler to answer, and for the first worker to come
 
 
 class ClusterError(OracleError):
     """Nobody answers, or nobody works there."""
 
 
+class WorkerLost(BrokenExecutor):
+    """A worker died, or the scheduler went away, before the result was here."""
+
+
 class DaskExecutor(Executor):
     """The workers of the cluster whose scheduler is at an address, such as ``tcp://host:8786``.
+
+    The executor that `distributed` itself has waits for ever for a result whose worker or scheduler
+    went away at the wrong moment. Here, all that loses a result ends its future, and alike.
 
     Raises
     ------
@@ -36,7 +43,7 @@ class DaskExecutor(Executor):
 
     def __init__(self, address: str) -> None:
         try:
-            self._client = Client(address, timeout=PATIENCE_S, set_as_default=False)
+            self._client = distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)
         except (OSError, ValueError) as error:
             raise ClusterError(
                 f"No Dask scheduler answers at {address!r}: {error}. Start one, correct "
@@ -50,19 +57,37 @@ class DaskExecutor(Executor):
                 f"The Dask scheduler at {address} has no workers; start some with "
                 f"`dask worker {address} --nthreads 1`."
             ) from error
-        self._executor = self._client.get_executor()
         # A key of its own, for equal calls are each done; and keys of one group: the scheduler then
         # keeps what no worker is free for instead of dealing all out, so that a worker that dies
         # takes few jobs with it.
         self._group, self._numbers = secrets.token_hex(8), itertools.count()
+        # The cluster forgets what nobody holds.
+        self._there: dict[Future[Any], distributed.Future[Any]] = {}
 
     def submit(self, fn: Callable[..., R], /, *args: Any, **kwargs: Any) -> Future[R]:
         """Hand a call to the cluster."""
         key = (f"{getattr(fn, '__name__', 'job')}-{self._group}", next(self._numbers))
-        future: Future[R] = self._executor.submit(fn, *args, key=key, **kwargs)
-        return future
+        here: Future[R] = Future()
+        there = self._client.submit(fn, *args, key=key, **kwargs)
+        self._there[here] = there
+        here.set_running_or_notify_cancel()
+        there.add_done_callback(partial(self._pass_on, here))
+        return here
+
+    def _pass_on(self, here: Future[R], there: "distributed.Future[R]") -> None:
+        """End a future of ours as that of the cluster ended."""
+        try:
+            here.set_result(there.result(timeout=PATIENCE_S))
+        except (distributed.KilledWorker, CancelledError, OSError) as error:
+            raised_there = there.status == "error" and isinstance(error, OSError)
+            here.set_exception(error if raised_there else WorkerLost(str(error)))
+        except BaseException as error:
+            here.set_exception(error)
+        finally:
+            del self._there[here]
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Leave the cluster; what has not started by then never will."""
-        self._executor.shutdown(wait=wait and not cancel_futures)
+        """Leave the cluster; what has not started by then never will, if so wanted."""
+        if wait and not cancel_futures:
+            concurrent.futures.wait(list(self._there))
         self._client.close()

@@ -61,6 +61,6 @@ class Fleet(dg.ConfigurableResource[None]):
     def _fan_out(self, function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[Outcome[J, R]]:
         if not self.address:
             return fan_out(function, jobs, lambda: process_pool(min(self.workers, len(jobs))))
-        from resources.cluster import DaskExecutor, KilledWorker
+        from resources.cluster import DaskExecutor
 
-        return fan_out(function, jobs, lambda: DaskExecutor(self.address), lost=KilledWorker)
+        return fan_out(function, jobs, lambda: DaskExecutor(self.address))

@@ -6,7 +6,7 @@ No Dagster here: the pipeline plans with it before it starts runs, ``oracle-sim 
 import os
 import shutil
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
@@ -20,7 +20,9 @@ from resources.plan import Sizes, StorageError, megabytes, plan
 
 BUDGET_VARIABLE = "ORACLE_STORAGE_BUDGET"
 
-FIRST_GUESS = Sizes(full=30_000_000, trimmed=10_000_000, recipe=4_000_000)  # of 8 goals
+# What a run takes at first guess: so much in any case, and for each goal.
+FIRST_GUESS = Sizes(full=1_500_000, trimmed=1_000_000, recipe=900_000)
+FIRST_GUESS_A_GOAL = Sizes(full=3_000_000, trimmed=1_100_000, recipe=250_000)
 TRIMMED_SHARE = 0.3  # of a bag, while none has been trimmed
 SAMPLE = 20  # finished runs of a mode that the expected size is the mean of
 AMPLE = 4  # times what is expected: if that fits, there is nothing to plan
@@ -135,11 +137,12 @@ def _bytes_on_disk(path: str) -> int:
 
 def make_plan(
     root: Path,
-    wanted: Iterable[RunDirectory],
+    wanted: Collection[RunDirectory],
     *,
     budget: int | None,
     reserve: int,
     workers: int,
+    goals: int,
 ) -> StoragePlan:
     """Plan for runs that are wanted, beside those that are finished.
 
@@ -155,6 +158,8 @@ def make_plan(
         What has to stay free on the disk [B].
     workers
         Runs that are made at a time, each with its whole bag.
+    goals
+        Of a run, for a first guess.
 
     Raises
     ------
@@ -164,48 +169,60 @@ def make_plan(
     stock = take_stock(root)
     there_is = stock.total + stock.free - reserve
     limit = there_is if budget is None else min(budget, there_is)
-    wanted = list(wanted)
     new = [run for run in wanted if run not in stock.runs]
-    expected = {mode: expected_sizes(mode, stock) for mode in sorted({run.mode for run in new})}
-    known = {mode: sum(run.mode == mode for run in stock.runs) for mode in expected}
-
+    guess = _first_guess(goals)
+    expected = {
+        mode: expected_sizes(mode, stock) or guess for mode in sorted({run.mode for run in new})
+    }
     room = _working_room(new, expected, workers)
     needed = sum(expected[run.mode].full for run in new)
-    blocks = {run.run for run in wanted}
     if AMPLE * needed + room <= limit - stock.total:
-        kept: dict[int, Kept] = dict.fromkeys(sorted(blocks), "full")
-        return StoragePlan(kept, expected, (), len(blocks), stock.total, limit)
+        blocks = sorted({run.run for run in wanted})
+        return StoragePlan(
+            dict.fromkeys(blocks, "full"), expected, (), len(blocks), stock.total, limit
+        )
 
-    takes: defaultdict[int, list[Sizes]] = defaultdict(list)
     finished = {run: _may_take(run, stock) for run in stock.runs}
+    takes: defaultdict[int, list[Sizes]] = defaultdict(list)
     for run in new:
         takes[run.run].append(expected[run.mode])
     for run, (_, sizes) in finished.items():
         takes[run.run].append(sizes)
     others = stock.total - sum(run.total for run in stock.runs.values())
+    known = _fewest_finished(expected, stock)
     try:
         kept = plan(takes, int(limit * (1.0 - MARGIN)) - others - room)
     except StorageError:
         # A first guess may be wrong: where a run or two have room, they tell.
-        if all(known.values()) or limit - stock.total < workers * FIRST_GUESS.recipe:
+        if known or limit - stock.total < workers * guess.recipe:
             raise
         kept = dict.fromkeys(sorted(takes), "recipe")
+    asked_for = set(wanted)
     shrink = tuple(
         run
         for run, (has, sizes) in finished.items()
-        if run not in set(wanted) and sizes.of(kept[run.run]) < sizes.of(has)
+        if run not in asked_for and sizes.of(kept[run.run]) < sizes.of(has)
     )
-    ahead = max(1, min(known.values(), default=len(blocks)))
-    return StoragePlan(kept, expected, shrink, ahead, stock.total, limit)
+    return StoragePlan(kept, expected, shrink, max(1, known), stock.total, limit)
 
 
-def expected_sizes(mode: str, stock: Stock) -> Sizes:
+def _fewest_finished(modes: Collection[str], stock: Stock) -> int:
+    """Return how many finished runs each of some modes has at least."""
+    finished = Counter(run.mode for run in stock.runs)
+    return min((finished[mode] for mode in modes), default=len(stock.runs))
+
+
+def _first_guess(goals: int) -> Sizes:
+    return Sizes(*(FIRST_GUESS.of(kept) + goals * FIRST_GUESS_A_GOAL.of(kept) for kept in KEPT))
+
+
+def expected_sizes(mode: str, stock: Stock) -> Sizes | None:
     """Return what a run of a mode takes: as those that are there, or those of all modes."""
     of_mode = [run for run in stock.runs if run.mode == mode] or list(stock.runs)
     sample = of_mode[:: len(of_mode) // SAMPLE + 1]
     measured = [(stock.runs[run].rest, m.measured) for run in sample if (m := _manifest(run))]
     if not measured:
-        return FIRST_GUESS
+        return None
     rest = fmean(rest for rest, _ in measured)
     bag = fmean(m.bytes[BAG_FOLDER] + m.freed_bytes for _, m in measured)
     trimmed = [float(m.bytes[BAG_FOLDER]) for _, m in measured if m.kept == "trimmed"]
@@ -244,30 +261,20 @@ def _manifest(run: RunDirectory) -> Manifest | None:
         return None
 
 
-@dataclass(frozen=True, slots=True)
-class ModeStorage:
-    """What the finished runs of one mode take."""
-
-    mode: str
-    runs: Mapping[Kept, int]  # how many keep what
-    bytes: int
-    freed_bytes: int
-
-
-def storage_of_modes(stock: Stock) -> list[ModeStorage]:
-    """Return what was kept and what was freed, a row a mode."""
+def storage_of_modes(stock: Stock) -> list[dict[str, str | int]]:
+    """Return what was kept of the runs of each mode and what was freed, as rows of a table."""
     by_mode: defaultdict[str, list[RunDirectory]] = defaultdict(list)
     for run in stock.runs:
         by_mode[run.mode].append(run)
-    rows = []
+    rows: list[dict[str, str | int]] = []
     for mode, runs in by_mode.items():
         measured = [m.measured for run in runs if (m := _manifest(run))]
         rows.append(
-            ModeStorage(
-                mode,
-                {kept: sum(m.kept == kept for m in measured) for kept in KEPT},
-                sum(stock.runs[run].total for run in runs),
-                sum(m.freed_bytes for m in measured),
-            )
+            {
+                "mode": mode,
+                **{kept: sum(m.kept == kept for m in measured) for kept in KEPT},
+                "on disk": megabytes(sum(stock.runs[run].total for run in runs)),
+                "freed": megabytes(sum(m.freed_bytes for m in measured)),
+            }
         )
     return rows

@@ -47,17 +47,16 @@ def storage(root: Path) -> None:
 
 
 def _show_modes(stock: Stock) -> None:
-    heads = (*KEPT, "kept", "freed")
-    click.echo(f"{'mode':<32}" + "".join(f"{head:>12}" for head in heads))
-    for row in storage_of_modes(stock):
-        cells = [*(str(row.runs[kept]) for kept in KEPT),
-                 megabytes(row.bytes), megabytes(row.freed_bytes)]  # fmt: skip
-        click.echo(f"{row.mode:<32}" + "".join(f"{cell:>12}" for cell in cells))
+    rows = storage_of_modes(stock)
+    heads = [tuple(row) for row in rows[:1]]
+    for first, *others in (*heads, *(tuple(row.values()) for row in rows)):
+        click.echo(f"{first:<32}" + "".join(f"{cell:>14}" for cell in others))
 
 
 def _show_room(stock: Stock, room: int) -> None:
     """Tell how many further blocks, a run of each of these modes, fit beside what is there."""
-    sizes = [expected_sizes(mode, stock) for mode in sorted({run.mode for run in stock.runs})]
+    modes = sorted({run.mode for run in stock.runs})
+    sizes = [size for mode in modes if (size := expected_sizes(mode, stock))]
     for kept in KEPT if sizes else ():
         block = sum(size.of(kept) for size in sizes)
         click.echo(f"room for {max(room, 0) // block} more blocks, {kept}: {megabytes(block)} each")

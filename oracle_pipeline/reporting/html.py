@@ -68,7 +68,7 @@ _SECTIONS = {
     "explained": "Attacked runs explained",
     "radar": "A radar display with and without a ghost",
     "trees": "Dendrograms",
-    "thesis": "The thesis’s method on these runs",
+    "thesis": "The thesis's method on these runs",
     "storage": "What was kept",
     "reading": "How to read this",
     "provenance": "Provenance",
@@ -101,11 +101,11 @@ _CAPTIONS = {
     ),
     "pairs": (
         "AUC by pair and features",
-        "The thesis’s AUC, of a hard verdict chosen with labels, ours and its own",
+        "The thesis's AUC, of a hard verdict chosen with labels, ours and its own",
     ),
     "reproduced": (
-        "AUC reproduced beside the thesis’s",
-        "The thesis’s AUC, as its method gives it on our runs and as it prints it",
+        "AUC reproduced beside the thesis's",
+        "The thesis's AUC, as its method gives it on our runs and as it prints it",
     ),
 }
 

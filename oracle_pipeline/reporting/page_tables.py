@@ -15,7 +15,7 @@ from oracle_pipeline.reporting.result import Report
 from oracle_pipeline.reporting.tables import estimate
 from oracle_pipeline.reporting.verdicts import HEADINGS, cells
 
-NO_FIGURE = "–"  # of what could not be measured
+NO_FIGURE = "n/a"
 
 
 class Cell(NamedTuple):
@@ -141,9 +141,9 @@ _NULL_MODEL = (
     Column("recall", "recall"),
     Column("FPR", "fpr"),
     Column("hard AUC", "auc"),
-    Column("experiments that reach the thesis’s recall", "reaches_headline", spec=".0%"),
+    Column("experiments that reach the thesis's recall", "reaches_headline", spec=".0%"),
 )
-_HEIGHT, _VERDICT, _BEST = "AUC", "Verdict without labels", "The thesis’s reading of our runs"
+_HEIGHT, _VERDICT, _BEST = "AUC", "Verdict without labels", "The thesis's reading of our runs"
 _MEASURES = (
     Column("recall", "recall_best_cluster", _BEST),
     Column("FPR", "fpr_best_cluster", _BEST),
@@ -178,7 +178,7 @@ def of_evaluation(evaluation: Report) -> dict[str, Grid]:
         known = (of["detector"] == HEADLINE.detector) & (of["features"] == HEADLINE.features)
         more = {**more, "kills": of[known]}
     grids = {
-        "verdicts": grid("Verdicts of the headline’s scorer", headline, _VERDICTS),
+        "verdicts": grid("Verdicts of the headline's scorer", headline, _VERDICTS),
         "alarms": grid("Alarms while a run goes on", more["alarms"], _ALARMS),
         "scorers": grid(
             "Over all modes", table[table["scope"] == ALL_MODES], (*_SCORER, *_OVER_ALL)
@@ -243,9 +243,8 @@ def _says_anything(table: pd.DataFrame, name: str) -> bool:
 def _cell(row: pd.Series, column: Column) -> Cell:
     value = row[column.name]
     if f"{column.name}_low" in row.index:
-        shown = f"{estimate(row, column.name):{column.spec or '.2f'}}"
-        text, _, interval = shown.partition(" ")
-        return Cell(text if interval else NO_FIGURE, interval)
+        text, _, interval = f"{estimate(row, column.name):{column.spec}}".partition(" ")
+        return Cell(text, interval)
     if not isinstance(value, float):
         return Cell(str(value))
     return Cell(NO_FIGURE if pd.isna(value) else f"{value:{column.spec or '.3f'}}")

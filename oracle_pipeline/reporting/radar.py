@@ -4,6 +4,7 @@ Where the antenna stands is found as the features find it, in
 ``oracle_pipeline.features.atc_reports``.
 """
 
+import cmath
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -13,10 +14,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from oracle_pipeline.features.atc_reports import (
+    Flight,
     Replies,
     find_antenna,
     flights,
@@ -41,7 +44,7 @@ FLIGHT_LEVEL_M = 30.48
 LABELS = ((6, 6), (6, -13), (6, 17), (6, -24))
 
 _ADSB = 1  # in the sources of a track
-_INKS = {
+_INKS: dict[str, dict[str, Any]] = {
     "seen by both": {"color": COLORS["normal"], "marker": "o"},
     "radar alone": {"color": AMBER, "marker": "s"},
     "ADS-B alone": {"color": COLORS["malicious"], "marker": "^"},
@@ -108,8 +111,8 @@ def plan_view(display: Display) -> bytes:
     with drawing(4.7, 5.2) as (axes, png):
         _draw_rings(axes, reach)
         dots: dict[str, Any] = {"marker": "o", "ls": "", "mew": 0}
-        teal = {"color": COLORS["control"], "alpha": 0.35}
-        axes.plot(*_xy(display.reports), ms=3.2, label="ADS-B report", **teal, **dots)
+        teal = to_rgba(COLORS["control"], 0.35)
+        axes.plot(*_xy(display.reports), ms=3.2, label="ADS-B report", color=teal, **dots)
         axes.plot(*_xy(display.plots), ms=1.8, label="radar plot", color=INK, **dots)
         eastwards = sorted(display.tracks, key=lambda track: track.trail[-1].imag)
         for track, place in zip(eastwards, cycle(LABELS), strict=False):
@@ -144,16 +147,16 @@ def _heard(run: Run, instant_s: float) -> Mapping[str, list[Any]]:
 
 def _antenna(heard: Mapping[str, Sequence[Any]]) -> Site:
     """Return where the radar stands or, where nobody answers it, the middle of the tracks."""
-    replies = _by_address([keep_reply(message) for message in heard[REPLY]])
-    reports = _by_address([keep_report(message) for message in heard[REPORT]])
+    replies = defaultdict(list)
+    for address, *reply in map(keep_reply, heard[REPLY]):
+        replies[address].append(reply)
     pairs = []
-    for address in sorted(replies.keys() & reports.keys()):
-        stamps_s, slant_m, azimuth_deg, altitude_m = np.array(replies[address], dtype=float).T[:4]
-        azimuth = np.exp(1j * np.radians(azimuth_deg))
-        of_radar = Replies(stamps_s, stamps_s, slant_m, azimuth, altitude_m)
-        said = [(address, *row) for row in sorted(reports[address])]
-        (flight,) = flights(_series(said)).values()
-        pairs.append((flight.at(stamps_s)[0], of_radar))
+    for address, flight in _flights(heard[REPORT]).items():
+        if address in replies:
+            stamps_s, slant_m, azimuth_deg, altitude_m = np.array(replies[address]).T
+            azimuth = np.exp(1j * np.radians(azimuth_deg))
+            of_radar = Replies(stamps_s, stamps_s, slant_m, azimuth, altitude_m)
+            pairs.append((flight.at(stamps_s)[0], of_radar))
     if pairs:
         return find_antenna(pairs)
     newest = heard[TRACKS][-1].tracks
@@ -161,17 +164,11 @@ def _antenna(heard: Mapping[str, Sequence[Any]]) -> Site:
     return Site(*middle.tolist())
 
 
-def _by_address(rows: Sequence[tuple[Any, ...]]) -> dict[str, list[tuple[Any, ...]]]:
-    sorted_by = defaultdict(list)
-    for address, *row in rows:
-        sorted_by[address].append(tuple(row))
-    return sorted_by
-
-
-def _series(rows: Sequence[tuple[Any, ...]]) -> Series:
-    values = np.empty((len(rows), len(rows[0])), dtype=object)
-    values[:] = rows
-    return Series(np.array([row[1] for row in rows]), values)
+def _flights(reports: Sequence[Any]) -> dict[str, Flight]:
+    if not reports:
+        return {}
+    rows = np.array([keep_report(report) for report in reports], dtype=object)
+    return flights(Series(rows[:, 1].astype(np.float64), rows))
 
 
 def _tracks(arrays: Sequence[Any], antenna: Site) -> list[Track]:
@@ -206,7 +203,7 @@ def _seen_by(sources: int) -> str:
 
 def _ahead(track: Any) -> complex:
     turn = math.radians(track.track_deg)
-    return AHEAD_S * 1e-3 * track.ground_speed * complex(math.cos(turn), math.sin(turn))
+    return cmath.rect(AHEAD_S * 1e-3 * track.ground_speed, turn)
 
 
 def _places(positions: Sequence[tuple[float, ...]], antenna: Site) -> NDArray[np.complex128]:
@@ -218,7 +215,7 @@ def _places(positions: Sequence[tuple[float, ...]], antenna: Site) -> NDArray[np
 def _plot(message: Any, altitude_m: float) -> complex:
     ground_m = math.sqrt(max(message.slant_range_m**2 - altitude_m**2, 0.0))
     azimuth = math.radians(message.azimuth_deg)
-    return ground_m * 1e-3 * complex(math.cos(azimuth), math.sin(azimuth))
+    return cmath.rect(ground_m * 1e-3, azimuth)
 
 
 def _xy(places: Any) -> tuple[Any, Any]:

@@ -2,7 +2,9 @@
 
 from pathlib import Path
 
-from soak.faults import disturbed, leftovers, run_campaign, start, state
+from assets.worker import process_run
+from sim.fan_out import fan_out, process_pool
+from soak.faults import disturbed, jobs, leftovers, start, state
 
 KILLS = 5
 
@@ -17,14 +19,9 @@ def test_a_campaign_killed_at_random_moments_ends_as_one_left_alone(tmp_path: Pa
     assert leftovers(other) == []
 
 
-def test_two_who_want_the_same_runs_at_once_make_each_once(tmp_path: Path) -> None:
-    first, second = start(tmp_path), start(tmp_path)
-    assert [first.wait(), second.wait()] == [0, 0]
-    before = state(tmp_path)
-    files = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
-    run_campaign(str(tmp_path))
-    assert state(tmp_path) == before
-    assert {path: path.stat().st_mtime_ns for path in files if path.is_file()} == {
-        path: stamp for path, stamp in files.items() if path.is_file()
-    }
+def test_of_two_who_want_the_same_run_at_once_one_makes_it(tmp_path: Path) -> None:
+    job = jobs(tmp_path)[0]
+    outcomes = list(fan_out(process_run, [job, job], lambda: process_pool(2)))
+    statuses = [o.result.assets["bags"].figures["status"] for o in outcomes if o.result]
+    assert sorted(statuses) == ["made", "verified"]
     assert leftovers(tmp_path) == []

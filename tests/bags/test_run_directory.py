@@ -2,6 +2,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from pathlib import Path
 
@@ -148,3 +149,36 @@ def test_what_a_living_writer_works_on_is_left_alone(tmp_path):
         stage(directory, "second")
         assert (scratch / MANIFEST_FILE).read_text() == "first"
     assert directory.manifest_path.read_text() == "first"
+
+
+def test_who_holds_a_run_is_alone_and_leaves_no_lock_behind(tmp_path):
+    directory, order = RunDirectory(tmp_path, "a", 0), []
+
+    def wait_and_work():
+        with directory.held():
+            order.append("second")
+
+    with directory.held():
+        second = threading.Thread(target=wait_and_work)
+        second.start()
+        time.sleep(0.1)
+        order.append("first")
+    second.join()
+    assert order == ["first", "second"]
+    assert list(directory.path.parent.iterdir()) == []
+
+
+def test_who_holds_a_run_first_puts_back_what_a_killed_writer_moved_aside(tmp_path):
+    directory = RunDirectory(tmp_path, "a", 0)
+    stage(directory, "former")
+    directory.path.rename(directory.path.with_name(".run000.0badcafe"))  # and then: kill -9
+    with directory.held():
+        assert directory.manifest_path.read_text() == "former"
+
+
+def test_a_path_gives_the_run_directory_that_it_is_of(tmp_path):
+    directory = RunDirectory(tmp_path.resolve(), "fake_object", 3)
+    assert RunDirectory.at(directory.path) == directory
+    for other in (tmp_path, directory.bag, tmp_path / "fake_object" / "run003"):
+        with pytest.raises(RunDirectoryError, match="is not the place of a run"):
+            RunDirectory.at(other)

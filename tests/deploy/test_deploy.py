@@ -93,7 +93,7 @@ def test_code_location_webserver_and_daemon_start_together(
 def assets(port: str) -> set[str]:
     """The assets that the webserver shows."""
     query = json.dumps({"query": "{assetNodes {assetKey {path}}}"}).encode()
-    request = urllib.request.Request(  # noqa: S310
+    request = urllib.request.Request(
         f"http://127.0.0.1:{port}/graphql", query, {"Content-Type": "application/json"}
     )
     with urllib.request.urlopen(request, timeout=60) as answer:  # noqa: S310

@@ -1,51 +1,86 @@
-"""The page of a synthetic campaign, made by the functions that make the real one."""
+"""Pages of synthetic campaigns, made by the functions that make the real one."""
 
 import io
-import json
+from contextlib import contextmanager
 from functools import cache
 
-import numpy as np
+import pandas as pd
+import pytest
 from PIL import Image
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.reporting import html, reports
-from oracle_pipeline.reporting.evaluation import NO_GRID, oracle_evaluation
+from oracle_pipeline.evaluation import grid, integrity, metrics
+from oracle_pipeline.reporting import evaluation, html, reports
 from oracle_pipeline.reporting.explanation import explanations
 from tests.datasets.synthetic import campaign
 from tests.evaluation.test_grid import grid_of
-from tests.evaluation.thesis_runs import with_thesis_numbers
 
-N = 60  # rows drawn
+ROWS = 60
+QUICK = ("mahalanobis", "max_z")
+GHOST, WITHOUT = "atc_ghost_static|run000", "atc_normal|run000"
+UNDRAWN = "lidar_passthrough|run003"
 
 
-@cache
-def picture() -> bytes:
-    """Return a transparent picture, 300 px wide."""
+@contextmanager
+def quickly():
+    """Two detectors, small forests, few resamples: what is slow has tests of its own."""
+    panel, bounds, bound = evaluation.panel, evaluation.upper_bounds, evaluation.UPPER_BOUND
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (evaluation, grid):
+            patch.setattr(module, "panel", lambda seed: {name: panel(seed)[name] for name in QUICK})
+        small = {bound: bounds(0)[bound].set_params(n_estimators=5)}
+        patch.setattr(evaluation, "upper_bounds", lambda _: small)
+        patch.setattr(metrics, "RESAMPLES", 100)
+        patch.setattr(integrity, "TREES", 5)
+        patch.setattr(integrity, "SHUFFLES", 10)
+        yield
+
+
+def draw(run):
+    """Return a transparent picture; of one run there is none."""
+    if run == UNDRAWN:
+        raise OracleError("its bag is gone")
     png = io.BytesIO()
     Image.new("RGBA", (480, 320), (117, 122, 131, 128)).save(png, "png")
     return png.getvalue()
 
 
-def draw(run: str) -> bytes:
-    """Return the picture of a run; one of them has no bag."""
-    if run == "lidar_passthrough_odom|run000":
-        raise OracleError(f"{run} has no bag.")
-    return picture()
+def page_of(df, windows, truth, *, mutants=evaluation.NO_GRID, differences=None, **more):
+    """Return the page of a campaign; `more` is said in its provenance or passed on."""
+    passed_on = {name: more.pop(name) for name in ("radar", "storage") if name in more}
+    with quickly():
+        judged = evaluation.oracle_evaluation(
+            df, windows, truth, graph_differences=differences, grid=mutants
+        )
+        drawn = reports.bootstrapped_dataset(df, ROWS)
+        return html.render(
+            df,
+            evaluation=judged,
+            explained=explanations(df, windows, judged.tables["runs"], draw),
+            grid=reports.clustering_grid_search(drawn.table),
+            rates=reports.malicious_rate_report(df, ROWS),
+            pairs=reports.pairwise_report(df, ROWS),
+            side_by_side=reports.side_by_side(df, ROWS),
+            null_model=reports.null_model(3),
+            provenance={**html.provenance(df), **more},
+            **{"radar": {}, **passed_on},
+        )
 
 
-def page_of(df, windows, truth, *, differences=None, grid=NO_GRID, radar=None, **said):
-    """Return the page of a campaign."""
-    evaluation = oracle_evaluation(df, windows, truth, graph_differences=differences, grid=grid)
-    drawn = reports.bootstrapped_dataset(df, N)
-    return html.render(
-        df,
-        evaluation=evaluation,
-        explained=explanations(df, windows, evaluation.tables["runs"], draw),
-        grid=reports.clustering_grid_search(drawn.table),
-        rates=reports.malicious_rate_report(df, N),
-        pairs=reports.pairwise_report(df, N),
-        side_by_side=reports.side_by_side(df, N),
-        null_model=reports.null_model(3),
-        radar=radar or {},
-        provenance={**html.provenance(df), **said},
+@cache
+def whole_page():
+    """Return a page with every section, of a campaign in which attacks are plain to see."""
+    return page_of(
+        *campaign(9, effect=20.0),
+        mutants=grid_of([1.0, 40.0], 2, used=20),
+        differences=[],
+        radar={run: draw(run) for run in (GHOST, WITHOUT)},
+        storage=pd.DataFrame({"mode": ["fake_object"], "full_bags": [9]}),
+        Note="<script>alert(1)</script>",
     )
+
+
+@cache
+def poor_page():
+    """Return the page of two blocks, which support next to nothing."""
+    return page_of(*campaign(2))

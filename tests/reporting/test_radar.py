@@ -12,7 +12,6 @@ from oracle_pipeline.runs import open_run
 from tests.features.conftest import drive, write_bag
 from tests.features.test_atc_features import (
     AIRCRAFT,
-    ANTENNA,
     SECONDS,
     SPEED,
     flown,

@@ -3,8 +3,10 @@
 import math
 import os
 
+import dagster as dg
 import pytest
 
+from oracle_pipeline.definitions import build_defs
 from resources.fleet import Fleet
 
 
@@ -25,3 +27,13 @@ def test_by_default_every_processor_works() -> None:
 def test_a_fleet_without_workers_is_refused() -> None:
     with pytest.raises(ValueError, match="workers"):
         Fleet(workers=0)
+
+
+def test_a_cluster_is_a_matter_of_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ORACLE_DASK", "tcp://scheduler:8786")
+    monkeypatch.setenv("ORACLE_HOME", "s3://bucket/campaign")
+    resources = build_defs().resources
+    assert resources is not None
+    with dg.build_resources({name: resources[name] for name in ("fleet", "store")}) as there:
+        assert there.fleet.address == "tcp://scheduler:8786"
+        assert (there.store.root, there.store.is_local) == ("s3://bucket/campaign", False)

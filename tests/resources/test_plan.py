@@ -63,13 +63,13 @@ def test_where_everything_fits_everything_is_kept(of):
     ],
 )
 def test_four_blocks_of_two_runs(available, kept):
-    assert " ".join(plan(dict.fromkeys(range(4), [RUN, RUN]), available).values()) == kept
+    assert " ".join(plan({block: [RUN, RUN] for block in range(4)}, available).values()) == kept
 
 
 def test_what_does_not_fit_is_told_with_what_would():
     told = pytest.raises(StorageError, match=r"4 blocks .* do not fit.*first 2 would fit")
     with told:
-        plan(dict.fromkeys(range(4), [Sizes(10**7, 10**7, 10**6)]), 2_500_000)
+        plan({block: [Sizes(10**7, 10**7, 10**6)] for block in range(4)}, 2_500_000)
 
 
 @pytest.mark.parametrize(
@@ -112,14 +112,14 @@ def test_everything_below_the_root_is_counted_and_each_file_to_its_run(tmp_path:
 
 def test_with_room_for_much_more_nothing_is_planned_away(tmp_path: Path) -> None:
     wanted = [RunStore(root=str(tmp_path)).run(f"a|run00{number}") for number in range(3)]
-    made = make_plan(tmp_path, wanted, budget=10**9, reserve=0, workers=2)
+    made = make_plan(tmp_path, wanted, budget=10**9, reserve=0, workers=2, goals=8)
     assert dict(made.kept) == dict.fromkeys(range(3), "full")
     assert made.blocks_ahead == 3
 
 
 def test_where_no_run_was_measured_one_block_is_made_to_measure(tmp_path: Path) -> None:
     wanted = [RunStore(root=str(tmp_path)).run(f"a|run{number:03d}") for number in range(100)]
-    made = make_plan(tmp_path, wanted, budget=100_000_000, reserve=0, workers=2)
+    made = make_plan(tmp_path, wanted, budget=100_000_000, reserve=0, workers=2, goals=8)
     assert set(made.kept.values()) == {"recipe"}
     assert made.blocks_ahead == 1
 
@@ -127,4 +127,4 @@ def test_where_no_run_was_measured_one_block_is_made_to_measure(tmp_path: Path) 
 def test_where_not_even_a_first_run_fits_nothing_begins(tmp_path: Path) -> None:
     wanted = [RunStore(root=str(tmp_path)).run("a|run000")]
     with pytest.raises(StorageError, match="do not fit"):
-        make_plan(tmp_path, wanted, budget=1000, reserve=0, workers=2)
+        make_plan(tmp_path, wanted, budget=1000, reserve=0, workers=2, goals=8)

@@ -1,10 +1,15 @@
 """The run store: its layout, and what it says when it cannot be written to."""
 
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import dagster as dg
+import pandas as pd
 import pytest
 
+from oracle_pipeline.bags.remote import fetched, published
+from oracle_pipeline.datasets import read_table, replacing, write_table
 from resources.store import RunStore
 
 
@@ -33,3 +38,87 @@ def test_a_new_root_is_made_and_left_empty(tmp_path: Path) -> None:
 def test_a_root_that_cannot_be_written_to_is_named_with_a_way_out(root: str) -> None:
     with pytest.raises(dg.Failure, match=f"{root}.*ORACLE_HOME"):
         RunStore(root=root).require_writable()
+
+
+@pytest.fixture
+def bucket(tmp_path: Path) -> RunStore:
+    """A root in an object store; that one lives in memory."""
+    return RunStore(root=f"memory://{tmp_path.name}/campaign")
+
+
+def write(folder: Path, *names: str) -> None:
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(name.encode())
+
+
+def objects(folder: Path) -> dict[str, Any]:
+    """What is in a folder of the bucket, by name, with when it came."""
+    store, prefix = folder.fs, folder.path  # type: ignore[attr-defined]
+    found = store.find(prefix, detail=True)
+    return {name.removeprefix(f"{prefix}/"): entry["created"] for name, entry in found.items()}
+
+
+def test_a_bucket_has_the_places_of_a_folder(bucket: RunStore, tmp_path: Path) -> None:
+    folder = RunStore(root=str(tmp_path))
+    for place in (lambda s: s.run("fake_object|run003").bag, lambda s: s.dataset("features"),
+                  lambda s: s.results("a"), lambda s: s.report):  # fmt: skip
+        there, here = place(bucket), place(folder)
+        assert str(there).removeprefix(bucket.root) == str(here).removeprefix(folder.root)
+    assert (bucket.is_local, folder.is_local) == (False, True)
+
+
+def test_a_folder_is_read_and_written_where_it_is(tmp_path: Path) -> None:
+    with fetched(tmp_path) as read, published(tmp_path / "report", last="x") as written:
+        assert (read, written) == (tmp_path, tmp_path / "report")
+
+
+def test_what_is_published_is_fetched_and_nothing_else(bucket: RunStore) -> None:
+    place = bucket.results("a")
+    with published(place, last="summary.json") as folder:
+        write(folder, "summary.json", "figures/old.png")
+    with published(place, last="summary.json") as folder:
+        write(folder, "summary.json", "figures/new.png", "figures/of/runs.png")
+    with fetched(place) as folder:
+        names = {path.relative_to(folder).as_posix() for path in folder.rglob("*.*")}
+        assert (folder / "figures/of/runs.png").read_bytes() == b"figures/of/runs.png"
+    assert names == {"summary.json", "figures/new.png", "figures/of/runs.png"}
+    assert not folder.exists()
+
+
+def test_what_tells_that_a_folder_is_whole_comes_last(bucket: RunStore) -> None:
+    place = bucket.results("a")
+    for _ in range(2):  # new, and in the place of a former one
+        with published(place, last="b.json") as folder:
+            write(folder, "a.json", "b.json", "c.json")
+        came = objects(place)
+        assert max(came, key=lambda name: came[name]) == "b.json"
+
+
+def test_a_block_that_raises_publishes_nothing(bucket: RunStore) -> None:
+    place = bucket.results("a")
+    with published(place, last="b.json") as folder:
+        write(folder, "a.json", "b.json")
+    before = objects(place)
+    with suppress(ZeroDivisionError), published(place, last="b.json") as folder:
+        write(folder, "a.json")
+        _ = 1 / 0
+    assert objects(place) == before
+
+
+def test_a_table_in_a_bucket_is_replaced_as_a_whole(bucket: RunStore) -> None:
+    place = bucket.dataset("features")
+    df = pd.DataFrame({"contextual.speed": [1.0, float("nan")]})
+    df.attrs["fields"] = {"contextual.speed": {"unit": "m/s"}}
+    write_table(df, place)
+    with suppress(ZeroDivisionError), replacing(place) as sink:
+        sink.write(b"half of")
+        _ = 1 / 0
+    read = read_table(place)
+    pd.testing.assert_frame_equal(read, df)
+    assert read.attrs == df.attrs
+
+
+def test_a_root_of_an_unknown_kind_is_named_with_a_way_out() -> None:
+    with pytest.raises(dg.Failure, match="nosuch://bucket.*ORACLE_HOME"):
+        RunStore(root="nosuch://bucket").require_writable()

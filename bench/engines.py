@@ -1,0 +1,79 @@
+"""Who does the work: one process against two, and a Dask cluster against the pool of processes.
+
+The job is the product's own: one run from recipe to features. Every measure is the time from the
+first job to the last outcome of workers that have done such a job before, so what is compared is
+the work, not the start of processes. Rounds alternate between what is compared, so that what else
+the machine does falls on all of it.
+"""
+
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import ExitStack
+from pathlib import Path
+
+from distributed import LocalCluster
+
+from assets.worker import RECORDED, TABLES, RunJob, process_run
+from bench.figures import Row, median, spread
+from oracle_pipeline.bags.run_directory import RunDirectory
+from resources.cluster import DaskExecutor
+from sim.fan_out import process_pool
+from sim.recipes import Campaign
+
+MODE = "lidar_passthrough_odom"
+GOALS = 1
+JOBS = 8  # a round; even, so that two workers can share them
+ROUNDS = 3
+
+
+def rows() -> Iterator[Row]:
+    """Yield the figures."""
+    with ExitStack() as engines, tempfile.TemporaryDirectory() as folder:
+        cluster = engines.enter_context(
+            LocalCluster(
+                n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None,
+                memory_limit=0, local_directory=folder,
+            )
+        )  # fmt: skip
+        executors = {
+            "one": engines.enter_context(process_pool(1)),
+            "two": engines.enter_context(process_pool(2)),
+            "dask": engines.enter_context(DaskExecutor(cluster.scheduler_address)),
+        }
+        for number, executor in enumerate(executors.values()):  # compiles and imports
+            _seconds(executor, Path(folder, f"warm_up_{number}"), 2)
+        seconds: dict[str, list[float]] = {name: [] for name in executors}
+        for number in range(ROUNDS):
+            for name, executor in executors.items():
+                root = Path(folder, f"{name}_{number}")
+                seconds[name].append(_seconds(executor, root, JOBS))
+        yield from _ratios(seconds)
+
+
+def _seconds(executor: Executor, root: Path, jobs: int) -> float:
+    """Return the time that new runs take [s]."""
+    started = time.perf_counter()
+    list(executor.map(_run, [root] * jobs, range(jobs)))
+    return time.perf_counter() - started
+
+
+def _run(root: Path, number: int) -> None:
+    """Take one run from recipe to features."""
+    wanted = frozenset({*RECORDED, *TABLES})
+    campaign = Campaign(goals_per_run=GOALS)
+    process_run(RunJob(RunDirectory(root, MODE, number), campaign, wanted, refresh=False))
+
+
+def _ratios(seconds: dict[str, list[float]]) -> Iterator[Row]:
+    scaling = [one / two for one, two in zip(seconds["one"], seconds["two"], strict=True)]
+    against = [dask / two for dask, two in zip(seconds["dask"], seconds["two"], strict=True)]
+    yield Row("runs a minute, one process", _a_minute(seconds["one"]), "")
+    yield Row("runs a minute, two processes", _a_minute(seconds["two"]), "")
+    yield Row("two processes against one", median(scaling), "x", 1.8, False, spread(scaling))
+    yield Row("Dask against the pool, time", median(against), "x", 1.1, True, spread(against))
+
+
+def _a_minute(seconds: list[float]) -> float:
+    return JOBS / median(seconds) * 60

@@ -1,0 +1,129 @@
+"""A campaign of hundreds of runs under a small budget, with all assets, watched all the time.
+
+``python -m soak.budget`` starts what a person would: `dagster asset materialize` with
+ORACLE_STORAGE_BUDGET set. It ends with all features, all graphs and a report, and at no moment is
+more below ORACLE_HOME than the budget.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+
+from assets.feature_tables import TABLES, feature_table
+from oracle_pipeline.bags.run_directory import find_runs
+from resources.stock import parse_budget, take_stock
+
+FIRST, LAST = "lidar_passthrough", "delayed_fakeobject"  # the six modes
+MODES = 6
+_ROOT = Path(__file__).parent.parent
+_LOOK_S = 1.0
+
+
+class Watch(threading.Thread):
+    """Looks how much lies below a root, and how much memory the processes of a group hold."""
+
+    def __init__(self, root: Path, group: int) -> None:
+        super().__init__()
+        self._root, self._group = root, group
+        self._over = threading.Event()
+        self.most_bytes = 0
+        self.most_memory = 0  # of one process [B]
+        self.looks = 0
+
+    def run(self) -> None:
+        """Look until it is over."""
+        while not self._over.wait(_LOOK_S):
+            self.most_bytes = max(self.most_bytes, take_stock(self._root).total)
+            self.most_memory = max(self.most_memory, _largest_process(self._group))
+            self.looks += 1
+
+    def stop(self) -> None:
+        """End it."""
+        self._over.set()
+        self.join()
+
+
+def _largest_process(group: int) -> int:
+    page, largest = os.sysconf("SC_PAGESIZE"), 0
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = status.read_text().rpartition(")")[2].split()
+        except OSError:  # it has ended
+            continue
+        if int(fields[2]) == group:
+            largest = max(largest, page * int(fields[21]))
+    return largest
+
+
+def campaign(home: Path, runs: int, budget: str, goals: int) -> "subprocess.Popen[bytes]":
+    """Start the whole asset graph over the six modes."""
+    environment = os.environ | {
+        "DAGSTER_HOME": str(home / "dagster"),
+        "ORACLE_HOME": str(home / "data"),
+        "ORACLE_RUNS": str(runs),
+        "ORACLE_GOALS_PER_RUN": str(goals),
+        "ORACLE_STORAGE_BUDGET": budget,
+    }
+    for folder in ("dagster", "data"):
+        (home / folder).mkdir(parents=True, exist_ok=True)
+    command = [
+        "dagster", "asset", "materialize", "-m", "oracle_pipeline.definitions", "--select", "*",
+        "--partition-range", f"{FIRST}|run000...{LAST}|run{runs - 1:03d}",
+    ]  # fmt: skip
+    return subprocess.Popen(command, cwd=_ROOT, env=environment, start_new_session=True)
+
+
+def main() -> None:
+    """Run the campaign and say what was found."""
+    parser = argparse.ArgumentParser(prog="python -m soak.budget", description=main.__doc__)
+    parser.add_argument("--runs", type=int, default=100, help="of each of the six modes")
+    parser.add_argument("--goals", type=int, default=1)
+    parser.add_argument("--budget", default="2GB")
+    parser.add_argument("--home", type=Path, help="kept; by default a folder that is removed")
+    arguments = parser.parse_args()
+    limit = parse_budget(arguments.budget)
+    assert limit is not None  # noqa: S101 -- it has a default
+    with tempfile.TemporaryDirectory() as folder:
+        home = arguments.home or Path(folder)
+        started = time.monotonic()
+        running = campaign(home, arguments.runs, arguments.budget, arguments.goals)
+        watch = Watch(home / "data", running.pid)
+        watch.start()
+        failed = running.wait()
+        watch.stop()
+        wrong = ["the campaign failed"] if failed else []
+        wrong += _what_is_missing(home / "data", MODES * arguments.runs)
+        if watch.most_bytes > limit:
+            wrong.append(f"{watch.most_bytes} bytes were more than the budget of {limit}")
+        runs = find_runs(home / "data")
+        kept = Counter(run.manifest().measured.kept for run in runs)
+        print(
+            f"{len(runs)} runs in {time.monotonic() - started:.0f} s, kept {dict(kept)}; at most "
+            f"{watch.most_bytes / 1e6:.0f} of {limit / 1e6:.0f} MB in {watch.looks} looks, largest "
+            f"process {watch.most_memory / 2**20:.0f} MiB"
+        )
+    print("\n".join(wrong) or "All is there, and the budget was kept.")
+    sys.exit(bool(wrong))
+
+
+def _what_is_missing(root: Path, expected: int) -> list[str]:
+    runs = find_runs(root)
+    wrong = [] if len(runs) == expected else [f"{len(runs)} of {expected} runs are there"]
+    for run in runs:
+        intervals = sum(file.stem.isdecimal() for file in run.graphs.glob("*.gexf"))
+        if intervals != int((run.manifest().recording_s + 5.0) // 10.0):
+            wrong.append(f"{run.key} lacks graphs")
+        wrong += [f"{run.key} lacks {t}" for t in TABLES if not feature_table(run, t).is_file()]
+    if not (root / "report" / "index.html").is_file():
+        wrong.append("there is no report")
+    return wrong
+
+
+if __name__ == "__main__":
+    main()

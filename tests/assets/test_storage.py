@@ -1,0 +1,239 @@
+"""What is kept of runs: the plan, what trimming and dropping leave, and bags made again."""
+
+import contextlib
+import dataclasses
+import json
+import resource
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from assets.feature_tables import feature_table, topics_of_features
+from assets.inspections import Inspection, inspect
+from assets.worker import RECORDED, TABLES, RunJob, RunReport, process_run
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.manifest import Kept
+from oracle_pipeline.bags.reader import BagReader, content_hash, read_ground_truth
+from oracle_pipeline.bags.retention import retain
+from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.datasets import read_table
+from resources.budget import StorageBudget
+from resources.stock import take_stock
+from resources.storage_commands import remake, storage
+from resources.store import RunStore
+from sim.recipes import Campaign
+from tests.assets.laboratory import ATTACKED, CONTROL, KEY, PER_RUN, Laboratory
+
+EVERYTHING = frozenset({*RECORDED, *TABLES})
+FEATURES = frozenset({"run_features"})
+
+
+@pytest.fixture
+def run(copy_of_campaign: Laboratory) -> RunDirectory:
+    return copy_of_campaign.store.run(KEY)
+
+
+def process(run: RunDirectory, keep: Kept, wanted: frozenset[str] = frozenset()) -> RunReport:
+    return process_run(RunJob(run, Campaign(goals_per_run=1), wanted, refresh=False, keep=keep))
+
+
+def rewrite(run: RunDirectory, **changes: Any) -> None:
+    document = json.loads(run.manifest_path.read_text())
+    for name, value in changes.items():
+        document[name] = document[name] | value if isinstance(value, dict) else value
+    run.manifest_path.write_text(json.dumps(document))
+
+
+def files(root: Path) -> dict[str, tuple[int, int]]:
+    """Every file by what it is (not by its content): another inode is another file."""
+    return {
+        str(path.relative_to(root)): (path.stat().st_ino, path.stat().st_mtime_ns)
+        for path in root.rglob("*")
+        if path.is_file()
+    }
+
+
+@contextlib.contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """No file can grow larger, as on a disk that is full."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_trimmed_bag_holds_what_features_decode_and_all_that_is_light(run: RunDirectory) -> None:
+    with BagReader(run.bag) as bag:
+        wanted = topics_of_features(bag)
+        before = {message for message in bag.messages() if message.topic in wanted}
+    truth, manifest = read_ground_truth(run.bag), run.manifest()
+    process(run, "trimmed")
+    with BagReader(run.bag) as bag:
+        assert {"/scan", "/odom", "/tf", "/cmd_vel"} <= bag.topics.keys()
+        assert not {"/local_costmap/voxel_grid", "/received_global_plan"} & bag.topics.keys()
+        assert {message for message in bag.messages() if message.topic in wanted} == before
+        for name, topic in bag.topics.items():
+            assert topic.count == manifest.topics[name].messages
+    assert [stamp for stamp, _ in read_ground_truth(run.bag)] == [stamp for stamp, _ in truth]
+    assert run.manifest().measured.bytes["bag"] < 0.5 * manifest.measured.bytes["bag"]
+    assert inspect(Inspection("bag_is_complete", (run,))).wrong == []
+
+
+def test_what_is_dropped_is_the_bag_and_nothing_else(run: RunDirectory) -> None:
+    before, manifest = files(run.root), run.manifest()
+    process(run, "recipe")
+    gone = {name for name in before if name.startswith(f"runs/{ATTACKED}/run000/bag/")}
+    changed = {f"runs/{ATTACKED}/run000/manifest.json"}
+    after = files(run.root)
+    assert before.keys() - after.keys() == gone
+    assert {name for name in after if after[name] != before.get(name)} == changed
+    measured = run.manifest().measured
+    assert (measured.kept, measured.freed_bytes) == ("recipe", manifest.measured.bytes["bag"])
+    assert run.manifest() == dataclasses.replace(manifest, measured=measured)
+    assert inspect(Inspection("bag_is_complete", (run,))).wrong == []
+
+
+def test_a_run_is_never_given_more_than_it_has_and_verified_as_it_is(run: RunDirectory) -> None:
+    process(run, "recipe")
+    before = files(run.root)
+    report = process(run, "full", EVERYTHING)
+    assert {made.figures["status"] for made in report.assets.values()} == {"verified"}
+    assert report.assets["bags"].figures["kept"] == "recipe"
+    assert files(run.root) == before
+
+
+def test_features_and_picture_come_before_the_bag_goes(run: RunDirectory) -> None:
+    for table in ("run", "window"):
+        feature_table(run, table).unlink()
+    (run.path / "picture.png").unlink()
+    process(run, "recipe")
+    assert all(feature_table(run, table).is_file() for table in ("run", "window"))
+    assert (run.path / "picture.png").is_file()
+
+
+def test_features_of_a_dropped_run_make_its_bag_again_first(run: RunDirectory) -> None:
+    place = feature_table(run, "run")
+    features, hash_before = read_table(place), run.manifest().content_hash
+    process(run, "recipe")
+    place.unlink()
+    report = process(run, "full", FEATURES)
+    assert report.simulated_s == run.manifest().recording_s
+    assert read_table(place).equals(features)
+    assert run.manifest().content_hash == content_hash(run.bag) == hash_before
+    assert run.manifest().measured.kept == "full"
+
+
+def test_a_run_of_other_software_cannot_be_made_again_and_keeps_its_bag(run: RunDirectory) -> None:
+    rewrite(run, software={"code": "of last year"})
+    assert process(run, "recipe").kept == "full"
+    assert run.bag.is_dir()
+
+
+def test_a_run_that_was_derived_from_another_keeps_its_bag(run: RunDirectory) -> None:
+    rewrite(run, recipe={"mutant_of": run.manifest().content_hash})
+    assert process(run, "recipe").kept == "full"
+    assert run.bag.is_dir()
+
+
+def test_other_software_makes_a_new_generation_with_features_of_its_own(run: RunDirectory) -> None:
+    process(run, "recipe")
+    rewrite(run, software={"code": "of last year"}, content_hash="0" * 64)
+    record = feature_table(run, "run").with_suffix(".json")
+    record.write_text(record.read_text().replace('"inputs": "', '"inputs": "of last year '))
+    report = process(run, "full", FEATURES)
+    assert report.assets["run_features"].figures["status"] == "made"
+    assert run.manifest().content_hash == content_hash(run.bag)
+    assert run.manifest().software.code != "of last year"
+
+
+def test_the_same_software_that_makes_another_run_is_not_believed(run: RunDirectory) -> None:
+    process(run, "recipe")
+    rewrite(run, content_hash="0" * 64)
+    before = files(run.root)
+    result = CliRunner().invoke(remake, [str(run.path)])
+    assert result.exit_code == 1
+    assert "other messages came out" in result.output
+    assert files(run.root) == before
+
+
+def test_the_command_makes_a_bag_again_and_leaves_a_whole_one_alone(run: RunDirectory) -> None:
+    before = content_hash(run.bag)
+    process(run, "recipe")
+    assert "room for" in CliRunner().invoke(storage, ["--root", str(run.root)]).output
+    assert "bag made again" in CliRunner().invoke(remake, [str(run.path)]).output
+    assert content_hash(run.bag) == run.manifest().content_hash == before
+    files_before = files(run.root)
+    assert "has its whole bag" in CliRunner().invoke(remake, [str(run.path)]).output
+    assert files(run.root) == files_before
+
+
+def test_on_a_full_disk_a_run_stays_as_it_was(run: RunDirectory) -> None:
+    before = files(run.root)
+    with pytest.raises(OracleError), largest_file(100_000):
+        retain(run, "trimmed", topics_of_features)
+    assert files(run.root) == before
+
+
+def test_a_second_materialization_that_makes_runs_waits_for_the_first(tmp_path: Path) -> None:
+    store, budget, order = RunStore(root=str(tmp_path)), StorageBudget(), []
+
+    def wait_and_work() -> None:
+        with budget.alone(store):
+            order.append("second")
+
+    with budget.alone(store):
+        second = threading.Thread(target=wait_and_work)
+        second.start()
+        time.sleep(0.1)
+        order.append("first")
+    second.join()
+    assert order == ["first", "second"]
+
+
+@contextlib.contextmanager
+def watched(root: Path) -> Iterator[list[int]]:
+    """Give a list that grows by what lies below a root, again and again."""
+    seen: list[int] = []
+    over = threading.Event()
+
+    def watch() -> None:
+        while not over.wait(0.02):
+            seen.append(take_stock(root).total)
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        yield seen
+    finally:
+        over.set()
+        watcher.join()
+
+
+def test_under_a_tight_budget_blocks_keep_alike_and_it_is_never_exceeded(
+    copy_of_campaign: Laboratory,
+) -> None:
+    laboratory = copy_of_campaign
+    budget = round(1.25 * take_stock(laboratory.root).total)
+    tight = StorageBudget(limit=str(budget), reserve_mb=0)
+    with watched(laboratory.root) as seen:
+        for mode in (CONTROL, ATTACKED):
+            assert laboratory.materialize(PER_RUN, f"{mode}|run002", budget=tight).success
+    assert 0 < max(seen) <= budget
+    kept = {
+        mode: [
+            RunDirectory(laboratory.root, mode, run).manifest().measured.kept for run in range(3)
+        ]
+        for mode in (CONTROL, ATTACKED)
+    }
+    assert kept[CONTROL] == kept[ATTACKED]
+    assert kept[CONTROL] != ["full", "full", "full"]
+    for mode, levels in kept.items():
+        assert laboratory.figures("bags", f"{mode}|run002")["kept"] == levels[2]
+        assert feature_table(RunDirectory(laboratory.root, mode, 2), "run").is_file()

@@ -1,0 +1,109 @@
+"""The report as a browser shows it; ``make test-browser`` runs this, for it needs a Chromium."""
+
+import io
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+from playwright.sync_api import Browser, sync_playwright
+
+from oracle_pipeline.reporting.html import write_page
+from tests.reporting.pages import poor_page, whole_page
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+DESK, PHONE = {"width": 1200, "height": 900}, {"width": 360, "height": 780}
+PAPER = {"width": 687, "height": 1010}  # A4 less its margins, at 96 pixels an inch
+
+
+@pytest.fixture(scope="module")
+def browser():
+    found = next(filter(None, map(shutil.which, NAMES)), None)
+    assert found, f"There is none of {', '.join(NAMES)}; install one, on Debian package chromium."
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=found)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture(scope="module", params=[whole_page, poor_page], ids=["whole", "poor"])
+def report(request, tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "index.html"
+    write_page(request.param(), path)
+    return path
+
+
+class Visit:
+    """The report opened in a window of its own, and what the browser said meanwhile."""
+
+    def __init__(self, browser: Browser, report, size=DESK, scheme="light"):
+        self.page = browser.new_page(viewport=size, color_scheme=scheme)
+        self.said, self.asked = [], []
+        self.page.on("console", lambda message: self.said.append(message.text))
+        self.page.on("pageerror", lambda error: self.said.append(str(error)))
+        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.page.goto(report.as_uri())
+
+    def overflow(self):
+        """Return by how many pixels the page is wider than the window."""
+        root = "document.documentElement"
+        return self.page.evaluate(f"{root}.scrollWidth - {root}.clientWidth")
+
+    def brightness(self):
+        """Return the mean brightness of what is in the window, in [0, 1]."""
+        with Image.open(io.BytesIO(self.page.screenshot())) as png:
+            return float(np.asarray(png.convert("L")).mean() / 255.0)
+
+
+def test_the_page_says_nothing_to_the_console_and_asks_for_nothing_but_itself(browser, report):
+    visit = Visit(browser, report)
+    visit.page.wait_for_load_state("networkidle")
+    assert visit.said == []
+    assert [url for url in visit.asked if not url.startswith("data:")] == [report.as_uri()]
+
+
+def test_every_picture_is_there_and_has_words_in_its_place(browser, report):
+    pictures = Visit(browser, report).page.locator("img")
+    assert pictures.count() > 10
+    shown = pictures.evaluate_all("all => all.map(img => [img.alt, img.naturalWidth])")
+    assert all(alt and width > 0 for alt, width in shown)
+
+
+def test_light_is_light_and_dark_is_dark(browser, report):
+    light, dark = (Visit(browser, report, scheme=scheme) for scheme in ("light", "dark"))
+    assert light.brightness() > 0.85
+    assert dark.brightness() < 0.25
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_only_tables_and_wide_pictures_scroll_sideways_each_in_its_own_box(browser, report, size):
+    visit = Visit(browser, report, size)
+    assert visit.overflow() == 0
+    boxes = visit.page.locator(".scroll, figure.wide")
+    widths = boxes.evaluate_all("all => all.map(box => [box.scrollWidth, box.clientWidth])")
+    assert any(inside > box for inside, box in widths) or size is DESK
+    assert all(box <= size["width"] for _, box in widths)
+
+
+def test_a_link_leads_to_its_section(browser, report):
+    visit = Visit(browser, report, PHONE)
+    visit.page.get_by_role("link", name="The thesis's method on these runs").click()
+    assert visit.page.locator("#thesis").bounding_box()["y"] < PHONE["height"]
+
+
+def test_tables_can_be_reached_and_scrolled_by_keyboard(browser, report):
+    visit = Visit(browser, report, PHONE)
+    box = visit.page.locator(".scroll").first
+    box.focus()
+    visit.page.keyboard.press("ArrowRight")
+    visit.page.wait_for_function("document.activeElement.scrollLeft > 0")
+
+
+def test_the_page_fits_on_paper_which_is_white(browser, report):
+    visit = Visit(browser, report, PAPER, scheme="dark")
+    visit.page.emulate_media(media="print")
+    assert visit.overflow() == 0
+    assert visit.brightness() > 0.85
+    printed = visit.page.pdf(prefer_css_page_size=True)
+    assert printed.startswith(b"%PDF")
+    assert printed.count(b"/Type /Page\n") > 3
