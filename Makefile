@@ -12,7 +12,7 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 FIRST := lidar_passthrough|run000
 LAST := delayed_fakeobject|run002
 
-.PHONY: help setup run ui test test-browser lint types bench constraints clean
+.PHONY: help setup run campaign ui test test-browser lint types bench soak constraints clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list
@@ -31,6 +31,11 @@ run: setup ## Simulate the small campaign, analyse it, and say where the report 
 	dagster asset materialize -m oracle_pipeline.definitions --select '*' \
 		--partition-range '$(FIRST)...$(LAST)'
 	@echo "Report: $${ORACLE_HOME:-$(CURDIR)/data}/report/index.html"
+
+campaign: setup ## Simulate 60 blocks of every mode and hard negative, and evaluate the oracle on them
+	ORACLE_HOME=$${ORACLE_HOME:-data/campaign} ORACLE_RUNS=60 ORACLE_GOALS_PER_RUN=4 \
+		dagster asset materialize -m oracle_pipeline.definitions --select '*' \
+		--partition-range 'lidar_passthrough|run000...benign_slow|run059'
 
 ui: setup ## Open the pipeline in the browser, on 127.0.0.1
 	dagster dev -w workspace.yaml -h 127.0.0.1
@@ -55,6 +60,10 @@ constraints: setup ## Pin the newest versions that fit pyproject.toml
 
 bench: setup ## Measure speed, size and memory, as ratios of one run
 	python -m bench
+
+soak: setup ## Kill a campaign 50 times, and keep 600 runs within 2 GB; hours
+	python -m soak.faults
+	python -m soak.budget
 
 clean: ## Remove the environment and all caches; recorded data stay
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis

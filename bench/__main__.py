@@ -2,7 +2,7 @@
 
 import argparse
 
-from bench import clustering, engines, features, navigation, scenarios, testbed
+from bench import clustering, engines, features, navigation, scenarios, storage, testbed
 
 BENCHMARKS = {
     "testbed": testbed.rows,
@@ -11,6 +11,7 @@ BENCHMARKS = {
     "features": features.rows,
     "clustering": clustering.rows,
     "engines": engines.rows,
+    "storage": storage.rows,
 }
 DEFAULT = ("testbed", "scenarios")  # speed, size and memory; the others take longer
 

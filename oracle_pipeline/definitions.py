@@ -51,7 +51,9 @@ def build_defs(**overrides: object) -> dg.Definitions:
         if "ORACLE_DASK" in os.environ
         else Fleet(),
         "campaign": CampaignSettings(goals_per_run=Campaign.from_environment().goals_per_run),
-        "budget": StorageBudget(),
+        "budget": StorageBudget(limit=dg.EnvVar("ORACLE_STORAGE_BUDGET"))
+        if "ORACLE_STORAGE_BUDGET" in os.environ
+        else StorageBudget(),
     }
     if unknown := overrides.keys() - resources.keys():
         raise TypeError(f"No resource is called {sorted(unknown)}; there are {sorted(resources)}.")

@@ -70,7 +70,9 @@ def open_run(path: Path) -> Run:
 def _open_run_directory(path: Path) -> Run:
     manifest = Manifest.load(path / MANIFEST_FILE)
     if not (path / BAG_FOLDER).exists():
-        raise BagError(f"{path} has no bag, perhaps to save space; record the run again.")
+        raise BagError(
+            f"{path} has no bag, perhaps to save space; `oracle-sim remake {path}` makes it again."
+        )
     intervals = read_intervals(path / GRAPHS_FOLDER)
     bag = BagReader(path / BAG_FOLDER)
     claimed = {name: topic.messages for name, topic in manifest.topics.items()}
@@ -81,7 +83,7 @@ def _open_run_directory(path: Path) -> Run:
         differing = sorted(n for n in held | claimed if held.get(n) != claimed.get(n))
         raise BagError(
             f"{bag.path} is not the whole bag that {path / MANIFEST_FILE} is about: the numbers of "
-            f"messages on {', '.join(differing)} differ. If it was trimmed to save space, record "
-            "the run again."
+            f"messages on {', '.join(differing)} differ. If it was trimmed to save space, "
+            f"`oracle-sim remake {path}` makes it whole."
         )
     return Run(path, bag, manifest, intervals)
