@@ -104,7 +104,14 @@ def _bar(messages: Iterable[RawMessage], total: int) -> Iterable[RawMessage]:
 
 @click.group("scenario")
 def scenarios() -> None:
-    """Check, list and show scenarios: what is done to the messages of a topic."""
+    """Check, list and show scenarios: what is done to the messages of a topic.
+
+    \b
+    Example:
+        oracle-sim scenario list
+        oracle-sim scenario show random_noise > my_attack.yaml
+        oracle-sim scenario check my_attack.yaml
+    """  # noqa: D301 -- click reads the control character
 
 
 @scenarios.command()
