@@ -83,12 +83,12 @@ def fold_scores(
 ) -> NDArray[np.float64]:
     """Fit and score in every fold; shape (n_folds, n_rows).
 
-    A fold whose fitted rows have no finite value is left NaN.
+    A fold with less than two rows to fit on, or without a finite value in them, is left NaN.
     """
     X, floors = _plain(table, columns), feature_floors(table)
     scores = np.full((len(folds), len(table)), np.nan)
     for number, fold in enumerate(folds):
-        if np.isfinite(X[fold.fit].to_numpy()).any():
+        if fold.fit.sum() > 1 and np.isfinite(X[fold.fit].to_numpy()).any():
             model = pipeline(clone(detector), floors).fit(X[fold.fit])
             scored = fold.calibrate | fold.test
             scores[number, scored] = -model.score_samples(X[scored])

@@ -149,3 +149,11 @@ def test_further_tables_come_back_and_a_report_without_them_does_too(tmp_path):
 )
 def test_the_headline_says_no_more_than_the_interval(area, words):
     assert words in said(area)
+
+
+def test_a_campaign_of_one_control_and_one_attack_in_three_blocks_is_a_report_without_figures():
+    features, windows, truth = campaign(3, effect=20.0)
+    few = features[features["mode"].isin(["lidar_passthrough", "random_noise"])]
+    report = oracle_evaluation(few, windows, truth)
+    assert np.isnan(report.table["auc"].iloc[0])
+    assert "Withheld" in report.summary["headline"]
