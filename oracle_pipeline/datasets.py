@@ -27,6 +27,7 @@ from oracle_pipeline.bags.manifest import LABELS
 from oracle_pipeline.bags.remote import is_local
 
 KEYS = ("run_id", "mode", "label", "block", "session")
+WINDOW_S = 10.0  # length of a window; the last one of a recording may be shorter
 WINDOW_START = "window_start_s"  # one more key where a row is a window [s of the recording]
 WHERE = "where"  # the column that says at which topic, pair or edge a feature was attained
 MISSING = "missing"  # the column that says why a feature is NaN

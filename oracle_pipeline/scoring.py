@@ -33,6 +33,7 @@ from oracle_pipeline.datasets import (
     read_table,
 )
 from oracle_pipeline.detectors import DEFAULT_DETECTOR, Deviation, explain, panel, pipeline
+from oracle_pipeline.evaluation.campaign import feature_sets
 from oracle_pipeline.evaluation.conformal import adjusted_for_suite, check_support, p_values
 from oracle_pipeline.features import FeatureManager, FeatureTables, extract
 from oracle_pipeline.runs import open_run
@@ -42,7 +43,6 @@ Outcome: TypeAlias = Literal["pass", "anomalous", "error"]
 SEED = 0  # of detectors that draw
 SHOWN = 5  # features beside a verdict
 USUAL = (5.0, 95.0)  # percentiles of the right runs between which a value is usual
-NOT_JUDGED_BY = frozenset({"thesis"})  # families: kept for comparison, defects and all
 
 _BAG_METADATA = "metadata.yaml"
 _BAG_SUFFIXES = (".mcap", ".db3", ".bag")
@@ -292,13 +292,7 @@ def evidence(tables: FeatureTables, reference: pd.DataFrame) -> tuple[Evidence, 
 def _comparable(row: pd.DataFrame, reference: pd.DataFrame) -> tuple[list[str], list[str]]:
     """Return the features to compare by, and what is to be said of the others."""
     fields, own = field_metadata(reference), field_metadata(row)
-    candidates = [
-        column
-        for column in feature_columns(reference)
-        if column.split(".", 1)[0] not in NOT_JUDGED_BY
-        and fields.get(column, {}).get("shortcut") != "true"
-        and np.isfinite(reference[column]).any()
-    ]
+    candidates = feature_sets(reference).get("all", [])
     columns = [c for c in candidates if c in row.columns and np.isfinite(row[c]).all()]
     for column in columns:
         units = [meta[column].get("unit") for meta in (fields, own) if column in meta]

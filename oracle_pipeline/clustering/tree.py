@@ -1,12 +1,11 @@
-"""The dendrogram: grown from scaled rows, cut into flat clusters, searched over its settings.
+"""The dendrogram: grown from scaled rows, cut into flat clusters.
 
 Who joins whom is found in ``oracle_pipeline.clustering.agglomeration``. What a cut says of a run is
 in ``oracle_pipeline.clustering.scores``.
 """
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,27 +121,3 @@ def _merges(joins: agglomeration.Joins) -> NDArray[np.float64]:
         merges[merged - n] = left, right, 0.0, leaves[merged]
     merges[:, 2] = joins.height[order]
     return merges
-
-
-class GridPoint(NamedTuple):
-    """One setting of the grid and the clusters it gives."""
-
-    tree: Tree
-    criterion: Criterion
-    t: float
-    clusters: NDArray[np.int32]  # (n,)
-
-
-def grid_search(
-    X: NDArray[np.float64],
-    methods: Sequence[Linkage] = LINKAGES,
-    criteria: Sequence[Criterion] = CRITERIA,
-    thresholds: Sequence[float] = (2.0, 4.0),
-    copies: NDArray[np.int64] | None = None,
-) -> Iterator[GridPoint]:
-    """Cluster the rows with every linkage, criterion and threshold, the last varying fastest."""
-    for method in methods:
-        tree = grow_tree(X, method, copies)
-        for criterion in criteria:
-            for t in thresholds:
-                yield GridPoint(tree, criterion, t, tree.cut(criterion, t))

@@ -19,7 +19,7 @@ import pandas as pd
 
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.run_directory import RunDirectory
-from oracle_pipeline.datasets import KEYS, MISSING, WHERE, WINDOW_START, write_table
+from oracle_pipeline.datasets import KEYS, MISSING, WHERE, WINDOW_S, WINDOW_START, write_table
 from oracle_pipeline.features.manager import FeatureManager
 from oracle_pipeline.features.plugin import (
     Feature,
@@ -35,7 +35,7 @@ from oracle_pipeline.graphs.intervals import graph_between
 from oracle_pipeline.runs import Run
 
 _SECOND_NS = 1_000_000_000
-_WINDOW_NS = 10 * _SECOND_NS
+_WINDOW_NS = round(WINDOW_S * _SECOND_NS)
 _HOP_NS = 5 * _SECOND_NS  # windows at multiples of 10 s match a graph file
 _SHORTEST_WINDOW_NS = 5 * _SECOND_NS  # of one that the end of the recording cuts off
 
