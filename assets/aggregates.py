@@ -34,7 +34,10 @@ class TestbedConfig(dg.Config):
 
 
 def aggregate(
-    group: str, *kinds: str, deps: Sequence[dg.AssetDep | dg.AssetsDefinition]
+    group: str,
+    *kinds: str,
+    deps: Sequence[dg.AssetDep | dg.AssetsDefinition],
+    freshness_policy: dg.FreshnessPolicy | None = None,
 ) -> Callable[[Callable[..., Any]], dg.AssetsDefinition]:
     """Decorate an asset over all runs."""
     return dg.asset(
@@ -44,6 +47,7 @@ def aggregate(
         owners=OWNERS,
         code_version=analysis_code(),
         backfill_policy=SINGLE_RUN,
+        freshness_policy=freshness_policy,
     )
 
 

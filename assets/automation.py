@@ -1,4 +1,8 @@
-"""The one job and its schedule. Nothing starts by itself: the schedule is off until switched on."""
+"""What can start by itself: the job over all assets, and the schedule that makes runs again.
+
+Everything is off until somebody switches it on. The sensor is in ``assets.scenario_changes``, the
+job that forgets old Dagster runs in ``assets.run_retention``. How to use them: docs/automation.md.
+"""
 
 import dagster as dg
 
@@ -11,17 +15,29 @@ everything = dg.define_asset_job(
 )
 
 
+def made_again(first: str, last: str, run_key: str | None = None) -> dg.RunRequest:
+    """Ask for a range of partitions, simulated again: one Dagster run, not one a partition."""
+    return dg.RunRequest(
+        run_key=run_key,
+        run_config={"ops": {"runs": {"config": {"refresh": True}}}},
+        tags={
+            "dagster/asset_partition_range_start": first,
+            "dagster/asset_partition_range_end": last,
+        },
+    )
+
+
 @dg.schedule(
     job=everything,
     cron_schedule="0 2 * * *",
     default_status=dg.DefaultScheduleStatus.STOPPED,
-    description="Every night: verify every run of every mode, make what is missing, report anew.",
+    description="Every night: make one run of every mode again, compare, and report anew. "
+    "Runs take turns.",
 )
-def nightly() -> dg.RunRequest:
-    """Ask for all partitions as one range: one Dagster run, not one a partition."""
-    return dg.RunRequest(
-        tags={
-            "dagster/asset_partition_range_start": str(RUNS.get_first_partition_key()),
-            "dagster/asset_partition_range_end": str(RUNS.get_last_partition_key()),
-        }
+def nightly(context: dg.ScheduleEvaluationContext) -> dg.RunRequest:
+    """Ask for the block whose turn it is, in all modes."""
+    modes, runs = (
+        RUNS.get_partitions_def_for_dimension(name).get_partition_keys() for name in ("mode", "run")
     )
+    run = runs[context.scheduled_execution_time.toordinal() % len(runs)]
+    return made_again(f"{modes[0]}|{run}", f"{modes[-1]}|{run}")

@@ -4,7 +4,7 @@ One step does all that are asked for, with the fleet, and gives every run a resu
 it finds is an error to look into, but no asset waits for it.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator
 
 import dagster as dg
 
@@ -65,7 +65,9 @@ def checks_of_runs(
     inspections = [
         Inspection(name, subject)
         for name in specs
-        for subject in (_pairs(runs) if name == PAIR_CHECK else [(run,) for run in runs.values()])
+        for subject in (
+            pairs_there(runs.values()) if name == PAIR_CHECK else [(run,) for run in runs.values()]
+        )
     ]
     for outcome in fleet.outcomes(inspect, inspections):
         finding = outcome.result or Finding([outcome.error or "the inspection ended early"], {})
@@ -83,16 +85,16 @@ def checks_of_runs(
         yield dg.Output(None, output_name=spec.get_python_identifier())
 
 
-def _pairs(runs: Mapping[str, RunDirectory]) -> list[tuple[RunDirectory, RunDirectory]]:
+def pairs_there(runs: Iterable[RunDirectory]) -> list[tuple[RunDirectory, RunDirectory]]:
     """Return control and attacked run of every pair that is there and has one among the runs."""
-    numbers = sorted({(run.root, run.run) for run in runs.values()})
+    ours = set(runs)
     pairs = [
         (RunDirectory(root, control, number), RunDirectory(root, attacked, number))
-        for root, number in numbers
+        for root, number in sorted({(run.root, run.run) for run in ours})
         for control, attacked in PAIRS
     ]
     return [
         pair
         for pair in pairs
-        if any(run.key in runs for run in pair) and all(run.is_complete() for run in pair)
+        if not ours.isdisjoint(pair) and all(run.is_complete() for run in pair)
     ]

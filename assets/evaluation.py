@@ -14,14 +14,13 @@ from assets.aggregates import (
     run_table,
     stored_table,
 )
-from assets.checks import PAIR_CHECK
+from assets.checks import PAIR_CHECK, pairs_there
 from assets.datasets import feature_dataset
 from assets.feature_tables import feature_table
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.failures import clear_failures
 from resources.fleet import Fleet
 from resources.store import RunStore
-from sim.modes import PAIRS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,10 +56,7 @@ def _graph_differences(store: RunStore, fleet: Fleet, runs: set[str]) -> list[st
     """Compare the graphs of all pairs that are there; None if there is no pair."""
     from assets.inspections import Inspection, inspect
 
-    numbers = sorted({key.split("|")[1] for key in runs})
-    keys = [(f"{c}|{run}", f"{a}|{run}") for c, a in PAIRS for run in numbers]
-    pairs = [tuple(map(store.run, pair)) for pair in keys if runs.issuperset(pair)]
-    there = [Inspection(PAIR_CHECK, pair) for pair in pairs if all(r.is_complete() for r in pair)]
+    there = [Inspection(PAIR_CHECK, pair) for pair in pairs_there(map(store.run, runs))]
     if not there:
         return None
     return [

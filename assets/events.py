@@ -53,7 +53,7 @@ def latest_materialization(
 
 
 def check_evaluation(
-    context: dg.AssetCheckExecutionContext,
+    context: dg.AssetCheckExecutionContext | dg.AssetExecutionContext,
     spec: dg.AssetCheckSpec,
     key: str,
     *,

@@ -5,6 +5,7 @@ the code location loads without pandas and scikit-learn. The tables that they re
 ``assets.datasets``, our own evaluation in ``assets.evaluation``.
 """
 
+from datetime import timedelta
 from typing import TYPE_CHECKING, Literal
 
 import dagster as dg
@@ -33,6 +34,9 @@ if TYPE_CHECKING:
     from oracle_pipeline.reporting.result import Report
 
 ROWS = "bootstrapped_dataset"
+FRESH = dg.FreshnessPolicy.time_window(  # one night may fail; nobody looks unless it is switched on
+    warn_window=timedelta(hours=36), fail_window=timedelta(hours=60)
+)
 GHOST = "atc_ghost_static"  # the mode of which the report shows the radar display
 
 
@@ -128,6 +132,7 @@ def pairwise_report(store: RunStore) -> dg.MaterializeResult[None]:
         pairwise_report,
         oracle_evaluation,
     ],
+    freshness_policy=FRESH,
 )
 def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
     """Report for people: one self-contained HTML file, `<root>/report/index.html`.

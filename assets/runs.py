@@ -6,7 +6,7 @@ it costs: docs/dagster.md.
 """
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from pydantic import Field
 
 from assets import presentation, terminal
 from assets.common import OWNERS, SINGLE_RUN
-from assets.events import materialization, no_further_event
+from assets.events import check_evaluation, materialization, no_further_event
 from assets.partitions import RUNS
 from assets.versions import feature_code
 from resources.budget import StorageBudget
@@ -27,7 +27,9 @@ from sim.progress import RunProgress
 from sim.software import software
 
 if TYPE_CHECKING:
+    from assets.reproduction import Reproduction
     from assets.worker import RunJob, RunReport
+    from sim.experiments import Verdict
     from sim.fan_out import Outcome
 
 EXPERIMENT_RUNS = dg.AssetSpec(
@@ -92,8 +94,22 @@ RUN_FEATURES = dg.AssetSpec(
 Columns are named `<family>.<feature>`, units in the schema. Features never see label, mode,
 onset, recipe or ground truth.""",
 )
+_SAID: Mapping["Verdict", str] = {
+    "same messages": "Made again, the run holds the same messages.",
+    "other software": "Replaced: the code, a library or the processor is another one.",
+    "other recipe": "Replaced: the recipe is another one.",
+    "unexplained": "The same software made other messages from the same recipe, and nothing "
+    "explains it. Both runs are kept; the former one stays in use.",
+}
 SHOWN = 20  # failed runs named in a failure's text; its metadata name all
 SPECS = (EXPERIMENT_RUNS, BAGS, INTERVAL_GRAPHS, WINDOW_FEATURES, RUN_FEATURES)
+REPRODUCIBLE = dg.AssetCheckSpec(
+    "run_is_reproducible",
+    asset=EXPERIMENT_RUNS.key,
+    partitions_def=RUNS,
+    description="Made again (`refresh: true`), a run holds the same messages, or its software or "
+    "recipe is another one. A run that is only verified gives no result.",
+)
 
 
 class RunConfig(dg.Config):
@@ -101,13 +117,15 @@ class RunConfig(dg.Config):
 
     refresh: bool = Field(
         default=False,
-        description="Make again what is there already; otherwise a complete run is verified only.",
+        description="Make again what is there already, and compare; otherwise a complete run is "
+        "verified only.",
     )
 
 
 @dg.multi_asset(
     name="runs",
     specs=SPECS,
+    check_specs=[REPRODUCIBLE],
     partitions_def=RUNS,
     can_subset=True,
     backfill_policy=SINGLE_RUN,
@@ -119,11 +137,12 @@ def recorded_runs(
     fleet: Fleet,
     campaign: CampaignSettings,
     budget: StorageBudget,
-) -> Iterator[dg.AssetMaterialization | dg.Output[None]]:
+) -> Iterator[dg.AssetMaterialization | dg.AssetCheckEvaluation | dg.Output[None]]:
     """Take every run of the partitions from recipe to features, block by block."""
     for broken in broken_scenarios():
         context.log.warning(f"Left out: {broken}")
     specs = [spec for spec in SPECS if spec.key in context.selected_asset_keys]
+    is_compared = REPRODUCIBLE.key in context.selected_asset_check_keys
     keys = {str(key): key for key in context.partition_keys}
     jobs = [_job(key, specs, store, campaign, refresh=config.refresh) for key in keys]
     jobs.sort(key=lambda job: job.directory.run)  # so that paired modes finish together
@@ -157,6 +176,8 @@ def recorded_runs(
                         "path": dg.MetadataValue.path(str(store.path / made.path)),
                     },
                 )
+            if is_compared and (found := outcome.result.reproduction):
+                yield _reproducible(context, store, key, found)
             progress.done(outcome.result.simulated_s)
             simulated += outcome.result.simulated_s > 0.0
     verified = len(jobs) - simulated - len(failed)
@@ -165,6 +186,8 @@ def recorded_runs(
         raise _failure(failed, len(jobs))
     for spec in specs:
         yield no_further_event(spec.key.to_python_identifier())
+    if is_compared:
+        yield dg.Output(None, output_name=REPRODUCIBLE.get_python_identifier())
 
 
 def _outcomes(
@@ -203,6 +226,32 @@ def _outcomes(
 def _shrunk(key: str, report: "RunReport") -> dg.AssetObservation:
     return dg.AssetObservation(
         "bags", partition=key, metadata={"kept": report.kept, "freed_bytes": report.freed_bytes}
+    )
+
+
+def _reproducible(
+    context: dg.AssetExecutionContext, store: RunStore, key: str, found: "Reproduction"
+) -> dg.AssetCheckEvaluation:
+    from assets.reproduction import place_aside
+
+    facts: dict[str, dg.MetadataValue] = {
+        "former_hash": dg.MetadataValue.text(found.former_hash),
+        "new_hash": dg.MetadataValue.text(found.new_hash),
+    }
+    if found.verdict == "unexplained":
+        run = store.run(key)
+        facts |= {
+            "former_path": dg.MetadataValue.path(str(run.path)),
+            "new_path": dg.MetadataValue.path(str(place_aside(run).path)),
+            "first_difference": dg.MetadataValue.text(found.first_difference),
+        }
+    return check_evaluation(
+        context,
+        REPRODUCIBLE,
+        key,
+        passed=found.verdict != "unexplained",
+        description=_SAID[found.verdict],
+        metadata=facts,
     )
 
 

@@ -1,10 +1,11 @@
 """One run, from its recipe to its features, in a worker process.
 
 No Dagster here: a fresh interpreter imports this module before it can start. What is there
-already and still right is left as it is and called verified. What the storage plan does not keep
-is given up once all is made from it, and made again when features need it. A run that belongs into
-an object store is made on this machine's disk and published there, features first, its manifest
-last.
+already and still right is left as it is and called verified; refreshed, it is made again in another
+place, and put into its own unless nothing explains that it is another run. What the storage plan
+does not keep is given up once all is made from it, and made again when features need it. A run that
+belongs into an object store is made on this machine's disk and published there, features first, its
+manifest last.
 """
 
 import contextlib
@@ -24,7 +25,9 @@ from assets.feature_tables import (
     tables_are_right,
     topics_of_features,
 )
+from assets.reproduction import Reproduction, judge, made_aside, place_aside
 from assets.versions import feature_code
+from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.graph_files import read_gexf
 from oracle_pipeline.bags.manifest import KEPT, Kept, Manifest
 from oracle_pipeline.bags.remote import is_local, publish
@@ -76,6 +79,7 @@ class RunReport:
     assets: dict[str, Made]  # those that were wanted
     kept: Kept
     freed_bytes: int
+    reproduction: Reproduction | None = None  # if it was there and was made again
 
 
 def process_run(job: RunJob) -> RunReport:
@@ -88,6 +92,8 @@ def process_run(job: RunJob) -> RunReport:
     """
     with job.directory.held():
         to_be_recorded = not job.wanted.isdisjoint(RECORDED)
+        if to_be_recorded and job.refresh and (former := _readable_manifest(job.directory)):
+            return _make_again(job, former)
         if not job.directory.is_complete() or (to_be_recorded and job.refresh):
             with _made_here(job.directory) as here:
                 there = replace(job, directory=here)
@@ -101,6 +107,33 @@ def process_run(job: RunJob) -> RunReport:
                 remake_run(former, here)
                 return _finish(replace(job, directory=here), "remade")
         return _finish(job, "verified")
+
+
+def _readable_manifest(run: RunDirectory) -> Manifest | None:
+    try:
+        return run.manifest()
+    except ManifestError:
+        return None
+
+
+def _make_again(job: RunJob, former: Manifest) -> RunReport:
+    """Make a run that is there aside; it takes its place unless it is another for no reason."""
+    run = job.directory
+    with made_aside(run) as aside:
+        _record(replace(job, directory=aside))
+        found = judge(run, former, aside)
+        if found.verdict == "unexplained":
+            if not is_local(run.root):
+                publish(aside.path, place_aside(run).path, MANIFEST_FILE)
+            report = _finish(replace(job, refresh=False), "verified")
+        elif is_local(run.root):
+            run.replace_with(aside)
+            judge_pair(run)
+            report = _finish(job, "made")
+        else:
+            report = _finish(replace(job, directory=aside), "made")
+            _put_in_place(aside, run)
+    return replace(report, reproduction=found)
 
 
 def _record(job: RunJob) -> None:

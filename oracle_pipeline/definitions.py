@@ -1,4 +1,4 @@
-"""The roof: all assets, checks, resources, jobs and schedules in one ``Definitions``.
+"""The roof: all assets, checks, resources, jobs, schedules and sensors in one ``Definitions``.
 
 Nobody imports this module but Dagster and tests. ``build_defs`` takes other resources in place of
 the default ones, so that a test or a script swaps a part without patching anything.
@@ -21,7 +21,9 @@ from assets import (  # noqa: E402
     evaluation,
     evaluation_checks,
     reports,
+    run_retention,
     runs,
+    scenario_changes,
 )
 from resources.budget import StorageBudget  # noqa: E402
 from resources.campaign import CampaignSettings  # noqa: E402
@@ -60,8 +62,9 @@ def build_defs(**overrides: object) -> dg.Definitions:
     return dg.Definitions(
         assets=dg.load_assets_from_modules([runs, datasets, evaluation, reports]),
         asset_checks=[checks.checks_of_runs, evaluation_checks.checks_of_evaluation],
-        jobs=[automation.everything],
-        schedules=[automation.nightly],
+        jobs=[automation.everything, run_retention.forget_old_runs],
+        schedules=[automation.nightly, run_retention.weekly],
+        sensors=[scenario_changes.changed_scenarios],
         resources=resources | overrides,
         executor=dg.in_process_executor,  # the assets fan out themselves
     )

@@ -8,7 +8,7 @@ here and nowhere else.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from oracle_pipeline.bags import manifest as schema
 from oracle_pipeline.bags.errors import RunDirectoryError
@@ -47,6 +47,9 @@ BEFORE_FIRST_GOAL_NS = 2 * SECOND  # from the recorder's start to the first goal
 AFTER_LAST_GOAL_NS = 2 * SECOND
 
 NODE = "/lidar_passthrough"  # the mode's node, whatever it does
+
+
+Verdict = Literal["same messages", "other software", "other recipe", "unexplained"]
 
 
 class BringUpError(RunDirectoryError):
@@ -139,6 +142,15 @@ def can_be_made_again(manifest: Manifest) -> bool:
     except RunDirectoryError:
         return False
     return True
+
+
+def compared(former: Manifest, again: Manifest) -> Verdict:
+    """Tell whether a run that was made again is what it was, and if not, what explains it."""
+    if again.content_hash == former.content_hash:
+        return "same messages"
+    if again.software != former.software:
+        return "other software"
+    return "unexplained" if again.recipe == former.recipe else "other recipe"
 
 
 def _make(

@@ -30,7 +30,10 @@ from rosbags.typesys.store import Typestore
 from oracle_pipeline.bags import types
 from oracle_pipeline.bags.content import ContentHash
 from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.qos_profiles import remember_profiles
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE, TypeDefinition
+
+remember_profiles()
 
 _SEPARATOR = "=" * 80 + "\n"  # between the files of a definition
 

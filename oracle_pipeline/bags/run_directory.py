@@ -187,6 +187,16 @@ class RunDirectory:
                 shutil.rmtree(scratch, ignore_errors=True)
                 raise
 
+    def replace_with(self, made: Self) -> None:
+        """Put a complete run that was made elsewhere on this disk here, in one step.
+
+        Raises
+        ------
+        RunDirectoryError
+            If it cannot be moved; both are where they were then.
+        """
+        self._put_in_place(made.path)
+
     @contextlib.contextmanager
     def _scratch(self) -> Iterator[Path]:
         """Make and hold a scratch directory; what dead writers of this run left is removed."""

@@ -21,7 +21,10 @@ from oracle_pipeline.bags import types
 from oracle_pipeline.bags.content import ContentHash
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.manifest import TopicCount
+from oracle_pipeline.bags.qos_profiles import remember_profiles
 from oracle_pipeline.bags.types import TypeDefinition
+
+remember_profiles()
 
 # The newest that Humble's `ros2 bag` opens; 9 turns the QoS profiles into a list it cannot parse.
 _METADATA_VERSION: Literal[8] = 8

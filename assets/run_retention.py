@@ -1,0 +1,85 @@
+"""Dagster's records of old runs: forgotten, but for those that something still points at.
+
+Dagster deletes old ticks by itself (``retention`` in dagster.yaml), and runs never. With a run it
+deletes the materializations that it made: a partition whose newest one is gone would turn grey.
+What is below the root of the store, recordings and reports, is never touched here.
+"""
+
+from collections.abc import Collection
+from datetime import UTC, datetime, timedelta
+from itertools import islice
+from pathlib import Path
+
+import dagster as dg
+from dagster._core.storage.event_log import SqliteEventLogStorage
+from pydantic import Field
+
+_ENDED = (dg.DagsterRunStatus.SUCCESS, dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.CANCELED)
+_BATCH = 500  # events read at a time
+
+
+class RetentionConfig(dg.Config):
+    """What is old."""
+
+    days: int = Field(default=30, ge=0, description="Runs that ended longer ago are forgotten.")
+
+
+@dg.op
+def forget_runs(context: dg.OpExecutionContext, config: RetentionConfig) -> None:
+    """Delete records, events and console logs of Dagster runs that ended long ago."""
+    instance = context.instance
+    in_use = runs_in_use(instance, context.repository_def.asset_graph.asset_check_keys)
+    before = datetime.now(UTC) - timedelta(days=config.days)
+    ended = [
+        run.run_id
+        for run in instance.get_runs(dg.RunsFilter(statuses=_ENDED, updated_before=before))
+    ]
+    forgotten = [run for run in ended if run not in in_use]
+    for run in forgotten:
+        _forget(instance, run)
+    context.add_output_metadata(
+        {"forgotten": len(forgotten), "old_and_in_use": len(ended) - len(forgotten)}
+    )
+
+
+@dg.job(description="Forget Dagster runs that ended long ago; never recordings or reports.")
+def forget_old_runs() -> None:
+    """Delete what Dagster remembers of old runs."""
+    forget_runs()
+
+
+weekly = dg.ScheduleDefinition(
+    name="weekly",
+    job=forget_old_runs,
+    cron_schedule="0 6 * * 0",
+    default_status=dg.DefaultScheduleStatus.STOPPED,
+    description="Every Sunday: forget Dagster runs that ended long ago.",
+)
+
+
+def runs_in_use(instance: dg.DagsterInstance, checks: Collection[dg.AssetCheckKey]) -> set[str]:
+    """Return the runs that made the newest materialization or check result of any partition."""
+    in_use = set()
+    for asset in instance.all_asset_keys():
+        if latest := instance.get_latest_materialization_event(asset):
+            in_use.add(latest.run_id)
+        newest = instance.get_latest_storage_id_by_partition(
+            asset, dg.DagsterEventType.ASSET_MATERIALIZATION
+        )
+        events = iter(newest.values())
+        while batch := list(islice(events, _BATCH)):
+            wanted = dg.AssetRecordsFilter(asset_key=asset, storage_ids=batch)
+            records = instance.fetch_materializations(wanted, limit=len(batch)).records
+            in_use |= {record.run_id for record in records}
+    results = instance.event_log_storage.get_asset_check_partition_info(list(checks))
+    return in_use | {result.latest_planned_run_id for result in results}
+
+
+def _forget(instance: dg.DagsterInstance, run: str) -> None:
+    instance.delete_run(run)
+    instance.compute_log_manager.delete_logs(prefix=[run])
+    events = instance.event_log_storage
+    if isinstance(events, SqliteEventLogStorage):  # a file a run; its rows are deleted, it is not
+        file = Path(events.path_for_shard(run))
+        for part in file.parent.glob(f"{file.name}*"):
+            part.unlink(missing_ok=True)
