@@ -53,20 +53,22 @@ def aggregate(
 
 def run_table(store: RunStore, testbed: TestbedChoice) -> "pd.DataFrame":
     """Return the features of the runs of one testbed, families that none of them has left out."""
-    from oracle_pipeline.datasets import without_empty_families
+    from oracle_pipeline.datasets import read_table, without_empty_families
 
-    df = stored_table(store, DATASET)
-    of = df["mode"].map(lambda mode: modes()[mode].testbed)
+    place = store.dataset(DATASET)
+    there = read_table(place, columns=["mode"])["mode"].unique()
+    of = {mode: modes()[mode].testbed for mode in there}
     if testbed == "auto":
-        testbed = "turtlebot3" if (of == "turtlebot3").any() else "atc"
-    return without_empty_families(df[of == testbed])
+        testbed = "turtlebot3" if "turtlebot3" in of.values() else "atc"
+    chosen = [mode for mode in there if of[mode] == testbed]
+    return without_empty_families(read_table(place, rows=("mode", chosen)))
 
 
-def stored_table(store: RunStore, name: str) -> "pd.DataFrame":
-    """Return a table over all runs."""
+def windows_of(store: RunStore, df: "pd.DataFrame") -> "pd.DataFrame":
+    """Return the windows of the runs in a table, a row a window."""
     from oracle_pipeline.datasets import read_table
 
-    return read_table(store.dataset(name))
+    return read_table(store.dataset(WINDOWS), rows=("run_id", df["run_id"]))
 
 
 def keep(result: "Report", store: RunStore, name: str) -> dg.MaterializeResult[None]:

@@ -7,12 +7,11 @@ import dagster as dg
 
 from assets.aggregates import (
     TRUTH,
-    WINDOWS,
     TestbedConfig,
     aggregate,
     keep,
     run_table,
-    stored_table,
+    windows_of,
 )
 from assets.checks import PAIR_CHECK, pairs_there
 from assets.datasets import feature_dataset
@@ -37,14 +36,15 @@ def oracle_evaluation(
     one is not green the headline is withheld. Grids below `<root>/grids`, which `oracle-sim grid`
     makes, give the kill matrix.
     """
+    from oracle_pipeline.datasets import read_table
     from oracle_pipeline.reporting import evaluation
 
     with clear_failures():
         df = run_table(store, config.testbed)
         result = evaluation.oracle_evaluation(
             df,
-            stored_table(store, WINDOWS),
-            stored_table(store, TRUTH),
+            windows_of(store, df),
+            read_table(store.dataset(TRUTH)),
             graph_differences=_graph_differences(store, fleet, set(df["run_id"])),
             grid=_mutants(store, fleet),
             progress=context.log.info,

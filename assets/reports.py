@@ -14,12 +14,11 @@ from pydantic import Field
 from assets import presentation
 from assets.aggregates import (
     DATASET,
-    WINDOWS,
     TestbedConfig,
     aggregate,
     keep,
     run_table,
-    stored_table,
+    windows_of,
 )
 from assets.datasets import feature_dataset
 from assets.evaluation import oracle_evaluation
@@ -141,6 +140,7 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
     of each attack explained beside its control, and the thesis's method side by side with what it
     prints and with what it makes of labels without meaning.
     """
+    from oracle_pipeline.datasets import KEYS, read_table
     from oracle_pipeline.reporting import html, reports
     from oracle_pipeline.reporting.explanation import drawn, explanations
     from oracle_pipeline.reporting.result import Report
@@ -154,8 +154,10 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
         evaluation = Report.load(store.results("oracle_evaluation"))
         judged = evaluation.tables["runs"]
         df = run_table(store, modes()[judged["mode"].iloc[0]].testbed)
-        explained = explanations(df, stored_table(store, WINDOWS), judged, draw)
-        radar, _ = drawn(_ghost_and_control(stored_table(store, DATASET)), draw)
+        attacked = windows_of(store, df[df["label"] == "malicious"])
+        explained = explanations(df, attacked, judged, draw)
+        keys = read_table(store.dataset(DATASET), columns=KEYS)
+        radar, _ = drawn(_ghost_and_control(keys), draw)
         rows, rate, seed, _ = _how_rows_were_drawn(store)
         page = html.render(
             df,

@@ -19,6 +19,7 @@ from typing import BinaryIO
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
@@ -221,17 +222,35 @@ def write_table(df: pd.DataFrame, path: Path) -> None:
         pq.write_table(table.cast(schema), sink)
 
 
-def read_table(path: Path) -> pd.DataFrame:
+def read_table(
+    path: Path,
+    *,
+    columns: Collection[str] | None = None,
+    rows: tuple[str, Iterable[str]] | None = None,
+) -> pd.DataFrame:
     """Read a Parquet table back; what its columns mean is in ``attrs["fields"]``.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+    columns : collection of str, optional
+        Read these only; by default all.
+    rows : (str, iterable of str), optional
+        A column, and the values of the rows to keep; by default all.
 
     Raises
     ------
     DatasetError
         The file is absent or is not Parquet.
     """
+    kept = None
+    if rows is not None:
+        column, values = rows
+        kept = pc.field(column).isin(pa.array(sorted(values), pa.large_string()))
     try:
         with path.open("rb") as source:
-            table = pq.read_table(source)
+            table = pq.read_table(source, columns=columns and list(columns), filters=kept)
     except FileNotFoundError as error:
         raise DatasetError(f"There is no table {path}; make it first.") from error
     except pa.ArrowInvalid as error:

@@ -92,6 +92,18 @@ def test_a_table_comes_back_from_parquet_with_its_units(tmp_path):
     assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 
+def test_some_columns_and_rows_are_read_as_they_are_in_the_whole_table(tmp_path):
+    path = tmp_path / "features.parquet"
+    write_table(CAMPAIGN, path)
+    columns = ["run_id", *feature_columns(CAMPAIGN)[::2]]
+    modes_read = CAMPAIGN["mode"].unique()[::2]
+    some = read_table(path, columns=columns, rows=("mode", modes_read))
+    expected = CAMPAIGN.loc[CAMPAIGN["mode"].isin(modes_read), columns]
+    pd.testing.assert_frame_equal(some, expected.reset_index(drop=True))
+    assert some.attrs["fields"] == {c: FIELDS[c] for c in columns if c in FIELDS}
+    assert read_table(path, rows=("mode", [])).empty
+
+
 def test_any_changed_value_changes_the_content_hash():
     hashes = {content_hash(CAMPAIGN)}
     for column in CAMPAIGN.columns:
