@@ -2,7 +2,7 @@
 
 import argparse
 
-from bench import clustering, engines, features, navigation, scenarios, storage, testbed
+from bench import campaign, clustering, engines, features, navigation, scenarios, storage, testbed
 
 BENCHMARKS = {
     "testbed": testbed.rows,
@@ -12,6 +12,7 @@ BENCHMARKS = {
     "clustering": clustering.rows,
     "engines": engines.rows,
     "storage": storage.rows,
+    "campaign": campaign.rows,
 }
 DEFAULT = ("testbed", "scenarios")  # speed, size and memory; the others take longer
 

@@ -14,7 +14,7 @@ from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Self
 
 import numpy as np
 import pandas as pd
@@ -43,6 +43,17 @@ PAIRS = (
 
 class DatasetError(OracleError):
     """A feature table cannot be joined, read or drawn from."""
+
+
+class Fields(dict[str, dict[str, str]]):
+    """What is declared of each column; shared by all tables that are made from one.
+
+    pandas copies ``attrs`` deeply whenever a column is taken, which a table of hundreds of declared
+    columns feels.
+    """
+
+    def __deepcopy__(self, _memo: dict[int, object]) -> Self:
+        return self
 
 
 def feature_columns(df: pd.DataFrame, families: Collection[str] | None = None) -> list[str]:
@@ -88,7 +99,7 @@ def without_empty_families(df: pd.DataFrame) -> pd.DataFrame:
     families = {column.split(".", 1)[0] for column in columns if df[column].notna().any()}
     empty = [column for column in columns if column.split(".", 1)[0] not in families]
     kept = df.drop(columns=empty).reset_index(drop=True)
-    kept.attrs["fields"] = {c: f for c, f in field_metadata(df).items() if c not in empty}
+    kept.attrs["fields"] = Fields({c: f for c, f in field_metadata(df).items() if c not in empty})
     return kept
 
 
@@ -176,8 +187,8 @@ def _check_columns(table: pd.DataFrame, columns: list[str]) -> None:
             )
 
 
-def _joined_fields(tables: list[pd.DataFrame]) -> dict[str, dict[str, str]]:
-    joined: dict[str, dict[str, str]] = {}
+def _joined_fields(tables: list[pd.DataFrame]) -> Fields:
+    joined = Fields()
     for table in tables:
         for column, field in field_metadata(table).items():
             if joined.setdefault(column, field) != field:
@@ -256,11 +267,13 @@ def read_table(
     except pa.ArrowInvalid as error:
         raise DatasetError(f"{path} is not a Parquet table ({error}); make it again.") from error
     df: pd.DataFrame = table.replace_schema_metadata(None).to_pandas()
-    df.attrs["fields"] = {
-        field.name: {key.decode(): value.decode() for key, value in field.metadata.items()}
-        for field in table.schema
-        if field.metadata
-    }
+    df.attrs["fields"] = Fields(
+        {
+            field.name: {key.decode(): value.decode() for key, value in field.metadata.items()}
+            for field in table.schema
+            if field.metadata
+        }
+    )
     return df
 
 

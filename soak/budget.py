@@ -61,8 +61,10 @@ def _largest_process(group: int) -> int:
     return largest
 
 
-def campaign(home: Path, runs: int, budget: str, goals: int) -> "subprocess.Popen[bytes]":
-    """Start the whole asset graph over the six modes."""
+def campaign(
+    home: Path, runs: int, goals: int, *, budget: str = "", stdout: int | None = None
+) -> "subprocess.Popen[bytes]":
+    """Start the whole asset graph over the six modes; no budget means what is free on the disk."""
     environment = os.environ | {
         "DAGSTER_HOME": str(home / "dagster"),
         "ORACLE_HOME": str(home / "data"),
@@ -76,7 +78,9 @@ def campaign(home: Path, runs: int, budget: str, goals: int) -> "subprocess.Pope
         "dagster", "asset", "materialize", "-m", "oracle_pipeline.definitions", "--select", "*",
         "--partition-range", f"{FIRST}|run000...{LAST}|run{runs - 1:03d}",
     ]  # fmt: skip
-    return subprocess.Popen(command, cwd=_ROOT, env=environment, start_new_session=True)
+    return subprocess.Popen(
+        command, cwd=_ROOT, env=environment, start_new_session=True, stdout=stdout, stderr=stdout
+    )
 
 
 def main() -> None:
@@ -92,7 +96,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         home = arguments.home or Path(folder)
         started = time.monotonic()
-        running = campaign(home, arguments.runs, arguments.budget, arguments.goals)
+        running = campaign(home, arguments.runs, arguments.goals, budget=arguments.budget)
         watch = Watch(home / "data", running.pid)
         watch.start()
         failed = running.wait()

@@ -19,7 +19,15 @@ import pandas as pd
 
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.run_directory import RunDirectory
-from oracle_pipeline.datasets import KEYS, MISSING, WHERE, WINDOW_S, WINDOW_START, write_table
+from oracle_pipeline.datasets import (
+    KEYS,
+    MISSING,
+    WHERE,
+    WINDOW_S,
+    WINDOW_START,
+    Fields,
+    write_table,
+)
 from oracle_pipeline.features.manager import FeatureManager
 from oracle_pipeline.features.plugin import (
     Feature,
@@ -249,7 +257,7 @@ def _table(
     data[WHERE] = [json.dumps(row.where, sort_keys=True) for row in rows]
     data[MISSING] = [json.dumps(row.missing, sort_keys=True) for row in rows]
     table = pd.DataFrame(data)
-    table.attrs["fields"] = fields
+    table.attrs["fields"] = Fields(fields)
     return table
 
 

@@ -1,0 +1,74 @@
+"""A whole campaign through Dagster, against the seconds that its simulations and analyses take.
+
+Pure seconds are what each run says its simulation and its features took, and what each step over
+all runs took. The wall is that of ``dagster asset materialize``, from the shell's point of view:
+its start, planning, pictures of the runs, events and checks are what is on top.
+"""
+
+import os
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import dagster as dg
+
+from assets.worker import RECORDED, TABLES, RunJob, process_run
+from bench.figures import Row
+from oracle_pipeline.bags.run_directory import RunDirectory
+from sim.recipes import Campaign
+from soak.budget import MODES, campaign
+
+CAMPAIGNS = ((20, 1), (3, 8))  # runs a mode, goals a run; the second is `make run`
+GOAL = 1.3
+TIMED = ("experiment_runs", "run_features")  # assets of a run that say how long they took
+OF_RUNS = ("runs", "checks_of_runs")  # steps that hand the work to processes of their own
+
+
+def rows() -> Iterator[Row]:
+    """Yield the figures."""
+    cores = os.cpu_count() or 1
+    with tempfile.TemporaryDirectory() as folder:
+        _warm_up(Path(folder))
+    for runs, goals in CAMPAIGNS:
+        with tempfile.TemporaryDirectory() as folder:
+            home = Path(folder)
+            started = time.perf_counter()
+            running = campaign(home, runs, goals, stdout=subprocess.DEVNULL)
+            if running.wait() != 0:
+                raise RuntimeError(f"The campaign of {runs} runs a mode failed.")
+            wall_s = time.perf_counter() - started
+            of_runs_s, of_all_s = _pure_seconds(home / "dagster")
+        name = f"campaign of {MODES * runs} runs, {goals} goals each"
+        pure_s = (of_runs_s + of_all_s) / cores
+        yield Row(f"{name}: wall over pure", wall_s / pure_s, "x", GOAL, True, f"({cores} cores)")
+        yield Row("  wall", wall_s, "s")
+        yield Row("  simulations and features, summed", of_runs_s, "s")
+        yield Row("  tables, evaluation and reports, summed", of_all_s, "s")
+
+
+def _warm_up(root: Path) -> None:
+    """Have everything compiled that a run needs."""
+    wanted = frozenset({*RECORDED, *TABLES})
+    for mode in ("random_noise", "delayed_fakeobject"):
+        run = RunDirectory(root, mode, 0)
+        process_run(RunJob(run, Campaign(goals_per_run=1), wanted, refresh=False))
+
+
+def _pure_seconds(dagster_home: Path) -> tuple[float, float]:
+    """Return the seconds of all runs' work, and of the steps over all runs."""
+    with dg.DagsterInstance.from_config(str(dagster_home)) as instance:
+        of_runs_s = 0.0
+        for asset in TIMED:
+            records = instance.fetch_materializations(dg.AssetKey(asset), limit=100_000).records
+            made = [record.asset_materialization for record in records]
+            of_runs_s += sum(float(str(each.metadata["wall_s"].value)) for each in made if each)
+        (run,) = instance.get_runs()
+        steps = instance.get_run_step_stats(run.run_id)
+    of_all_s = sum(
+        (step.end_time or 0.0) - (step.start_time or 0.0)
+        for step in steps
+        if step.step_key not in OF_RUNS
+    )
+    return of_runs_s, of_all_s
