@@ -1,4 +1,4 @@
-"""A complete run beside what came out when it was made again: is it the same, and if not, where?
+"""A complete run beside what came out when it was made again: the same, or where it differs first.
 
 No Dagster here: workers import this. Who replaces what then is decided in ``assets.worker``.
 """

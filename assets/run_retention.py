@@ -28,12 +28,12 @@ class RetentionConfig(dg.Config):
 def forget_runs(context: dg.OpExecutionContext, config: RetentionConfig) -> None:
     """Delete records, events and console logs of Dagster runs that ended long ago."""
     instance = context.instance
-    in_use = runs_in_use(instance, context.repository_def.asset_graph.asset_check_keys)
     before = datetime.now(UTC) - timedelta(days=config.days)
     ended = [
         run.run_id
         for run in instance.get_runs(dg.RunsFilter(statuses=_ENDED, updated_before=before))
     ]
+    in_use = _runs_in_use(instance, _checks_of(instance, ended))
     forgotten = [run for run in ended if run not in in_use]
     for run in forgotten:
         _forget(instance, run)
@@ -57,7 +57,17 @@ weekly = dg.ScheduleDefinition(
 )
 
 
-def runs_in_use(instance: dg.DagsterInstance, checks: Collection[dg.AssetCheckKey]) -> set[str]:
+def _checks_of(instance: dg.DagsterInstance, runs: Collection[str]) -> set[dg.AssetCheckKey]:
+    """Return the checks that runs were to make."""
+    planned = dg.DagsterEventType.ASSET_CHECK_EVALUATION_PLANNED
+    return {
+        event.get_dagster_event().asset_check_planned_data.asset_check_key
+        for run in runs
+        for event in instance.all_logs(run, of_type=planned)
+    }
+
+
+def _runs_in_use(instance: dg.DagsterInstance, checks: Collection[dg.AssetCheckKey]) -> set[str]:
     """Return the runs that made the newest materialization or check result of any partition."""
     in_use = set()
     for asset in instance.all_asset_keys():

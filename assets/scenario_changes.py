@@ -73,15 +73,13 @@ def _scenarios(file: Path) -> dict[str, Scenario]:
     return found
 
 
-def _requests(
-    instance: dg.DagsterInstance, changed: Mapping[str, str]
-) -> Iterator[dg.RunRequest]:
+def _requests(instance: dg.DagsterInstance, changed: Mapping[str, str]) -> Iterator[dg.RunRequest]:
     """Ask for each range of a changed mode's materialized runs, once after each change."""
     if not changed:
         return
     there = instance.get_materialized_partitions(EXPERIMENT_RUNS.key)
     latest = instance.get_latest_materialization_event(EXPERIMENT_RUNS.key)
-    after = latest.run_id if latest else ""  # a change back and forth is a change again
+    after = latest.timestamp if latest else 0.0  # a change back and forth is asked for each time
     for mode, digest in changed.items():
         for first, last in _ranges(mode, there):
             yield made_again(first, last, run_key=f"{first}...{last} {digest} {after}")

@@ -15,6 +15,7 @@ from dagster_webserver.webserver import DagsterWebserver
 
 from assets.checks import CHECKS
 from assets.evaluation_checks import CHECKS as OF_EVALUATION
+from assets.runs import REPRODUCIBLE
 from tests.assets.laboratory import ATTACKED, CONTROL, EVERYTHING, KEY, PER_RUN, ROOT, Laboratory
 
 Query = Callable[[str], Any]
@@ -70,13 +71,18 @@ def test_the_ui_shows_every_asset_with_kinds_owners_and_partitions(ui: Query) ->
             assert run["partitionKeys"] == [f"run{i:03d}" for i in range(15)]
 
 
-def test_the_ui_shows_job_and_schedule(ui: Query) -> None:
+def test_the_ui_shows_what_can_start_by_itself_and_that_it_is_off(ui: Query) -> None:
     repository = ui(
         "{ repositoriesOrError { ... on RepositoryConnection { nodes {"
-        "  jobs { name } schedules { name scheduleState { status } } } } } }"
+        "  jobs { name } schedules { name scheduleState { status } }"
+        "  sensors { name sensorState { status } } } } } }"
     )["repositoriesOrError"]["nodes"][0]
-    assert "everything" in {job["name"] for job in repository["jobs"]}
-    assert repository["schedules"] == [{"name": "nightly", "scheduleState": {"status": "STOPPED"}}]
+    assert {"everything", "forget_old_runs"} <= {job["name"] for job in repository["jobs"]}
+    off = {"status": "STOPPED"}
+    assert repository["schedules"] == [
+        {"name": name, "scheduleState": off} for name in ("nightly", "weekly")
+    ]
+    assert {"name": "changed_scenarios", "sensorState": off} in repository["sensors"]
 
 
 def test_the_matrix_shows_which_runs_are_there(ui: Query) -> None:
@@ -125,7 +131,8 @@ def test_each_check_shows_a_result_for_each_run(ui: Query) -> None:
     )["assetNodes"]
     checks = [check for node in nodes for check in node["assetChecksOrError"]["checks"]]
     of_runs = {each.name for each in CHECKS}
-    assert {c["name"] for c in checks} == of_runs | {each.name for each in OF_EVALUATION}
+    others = {each.name for each in (*OF_EVALUATION, REPRODUCIBLE)}
+    assert {c["name"] for c in checks} == of_runs | others
     for check in (check for check in checks if check["name"] in of_runs):
         last = check["partitionStatuses"]["ranges"][-1]
         assert last["primaryDimEndKey"] == ATTACKED
