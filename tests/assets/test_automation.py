@@ -108,17 +108,21 @@ def rewrite(run: RunDirectory, change: Callable[[dict[str, Any]], None]) -> None
 def test_a_run_that_comes_out_as_it_was_passes_and_one_that_is_verified_gives_no_result(
     copy_of_campaign: Laboratory,
 ) -> None:
-    hashes = {key: copy_of_campaign.store.run(key).manifest().content_hash for key in BOTH}
-    found = results(ask(copy_of_campaign, made_again(*BOTH)))
-    assert found.keys() == set(BOTH)
-    for key, result in found.items():
-        assert result.passed
-        assert result.metadata["former_hash"].value == result.metadata["new_hash"].value
-        assert result.metadata["new_hash"].value == hashes[str(key)]
-        assert result.target_materialization_data is not None
-        assert copy_of_campaign.figures("bags", key)["status"] == "made"
-        assert not place_aside(copy_of_campaign.store.run(str(key))).path.exists()
-    verified = copy_of_campaign.materialize(PER_RUN, *BOTH)
+    run = copy_of_campaign.store.run(BOTH[0])
+    before, hash_before = copy_of_campaign.files(), run.manifest().content_hash
+    found = results(ask(copy_of_campaign, made_again(run.key, run.key)))
+    assert found.keys() == {run.key}
+    result = found[run.key]
+    assert result.passed
+    assert result.metadata["former_hash"].value == result.metadata["new_hash"].value == hash_before
+    assert result.target_materialization_data is not None
+    assert {copy_of_campaign.figures(asset, run.key)["status"] for asset in PER_RUN} == {"made"}
+    after = copy_of_campaign.files()
+    changed = {path for path in after if after[path] != before.get(path)}
+    assert changed == {path for path in after if f"/{run.mode}/{run.run_id}" in path}
+    assert run.manifest().content_hash == hash_before
+    assert not place_aside(run).path.exists()
+    verified = copy_of_campaign.materialize(PER_RUN, run.key)
     assert verified.success
     assert results(verified) == {}
 

@@ -89,17 +89,6 @@ def test_what_is_complete_is_verified_and_left_alone(copy_of_campaign: Laborator
             assert copy_of_campaign.figures(asset, key)["status"] == "verified"
 
 
-def test_refresh_makes_the_same_run_again(copy_of_campaign: Laboratory) -> None:
-    run = copy_of_campaign.store.run(KEY)
-    before, hash_before = copy_of_campaign.files(), run.manifest().content_hash
-    assert copy_of_campaign.materialize(PER_RUN, KEY, config=REFRESH).success
-    after = copy_of_campaign.files()
-    changed = {path for path in after if after[path] != before.get(path)}
-    assert changed == {path for path in after if f"/{ATTACKED}/run000" in path}
-    assert run.manifest().content_hash == hash_before
-    assert {copy_of_campaign.figures(asset, KEY)["status"] for asset in PER_RUN} == {"made"}
-
-
 def test_features_alone_are_extracted_from_the_run_that_is_there(
     copy_of_campaign: Laboratory,
 ) -> None:

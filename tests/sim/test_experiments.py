@@ -97,7 +97,7 @@ def test_the_manifest_tells_what_the_bag_holds(runs):
 
 
 def test_every_message_decodes_with_a_decoder_that_is_not_rosbags(runs):
-    directory = runs["delayed_fakeobject"]
+    directory = runs["random_noise"]
     (file,) = directory.bag.glob("*.mcap")
     decoded = {}
     with file.open("rb") as stream:
