@@ -21,7 +21,6 @@ from resources.stock import parse_budget, take_stock
 
 FIRST, LAST = "lidar_passthrough", "delayed_fakeobject"  # the six modes
 MODES = 6
-_ROOT = Path(__file__).parent.parent
 _LOOK_S = 1.0
 
 
@@ -78,8 +77,8 @@ def campaign(
         "dagster", "asset", "materialize", "-m", "oracle_pipeline.definitions", "--select", "*",
         "--partition-range", f"{FIRST}|run000...{LAST}|run{runs - 1:03d}",
     ]  # fmt: skip
-    return subprocess.Popen(
-        command, cwd=_ROOT, env=environment, start_new_session=True, stdout=stdout, stderr=stdout
+    return subprocess.Popen(  # elsewhere, for the `.env` of a checkout would win
+        command, cwd=home, env=environment, start_new_session=True, stdout=stdout, stderr=stdout
     )
 
 
