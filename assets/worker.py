@@ -41,6 +41,7 @@ from sim.recipes import Campaign, recipe_for
 RECORDED = ("experiment_runs", "bags", "interval_graphs")  # made together, by the simulation
 # Made together, from the recording.
 TABLES: dict[str, Table] = {"window_features": "window", "run_features": "run"}
+OF_A_RUN = frozenset({*RECORDED, *TABLES})  # every asset of a run
 
 Figures = dict[str, int | float | str | bytes]  # bytes: a picture, PNG
 Status = Literal["made", "remade", "verified"]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import dagster as dg
 
-from assets.worker import RECORDED, TABLES, RunJob, process_run
+from assets.worker import OF_A_RUN, RunJob, process_run
 from bench.figures import Row
 from oracle_pipeline.bags.run_directory import RunDirectory
 from sim.recipes import Campaign
@@ -51,10 +51,9 @@ def rows() -> Iterator[Row]:
 
 def _warm_up(root: Path) -> None:
     """Have everything compiled that a run needs."""
-    wanted = frozenset({*RECORDED, *TABLES})
     for mode in ("random_noise", "delayed_fakeobject"):
         run = RunDirectory(root, mode, 0)
-        process_run(RunJob(run, Campaign(goals_per_run=1), wanted, refresh=False))
+        process_run(RunJob(run, Campaign(goals_per_run=1), OF_A_RUN, refresh=False))
 
 
 def _pure_seconds(dagster_home: Path) -> tuple[float, float]:

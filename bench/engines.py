@@ -15,7 +15,7 @@ from pathlib import Path
 
 from distributed import LocalCluster
 
-from assets.worker import RECORDED, TABLES, RunJob, process_run
+from assets.worker import OF_A_RUN, RunJob, process_run
 from bench.figures import Row, median, spread
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.cluster import DaskExecutor
@@ -61,9 +61,8 @@ def _seconds(executor: Executor, root: Path, jobs: int) -> float:
 
 def _run(root: Path, number: int) -> None:
     """Take one run from recipe to features."""
-    wanted = frozenset({*RECORDED, *TABLES})
     campaign = Campaign(goals_per_run=GOALS)
-    process_run(RunJob(RunDirectory(root, MODE, number), campaign, wanted, refresh=False))
+    process_run(RunJob(RunDirectory(root, MODE, number), campaign, OF_A_RUN, refresh=False))
 
 
 def _ratios(seconds: dict[str, list[float]]) -> Iterator[Row]:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from assets.worker import RECORDED, TABLES, RunJob, process_run
+from assets.worker import OF_A_RUN, RunJob, process_run
 from bench.figures import Row, median, spread
 from oracle_pipeline.bags.manifest import KEPT, Kept
 from oracle_pipeline.bags.run_directory import RunDirectory
@@ -17,7 +17,6 @@ from sim.fan_out import fan_out, process_pool
 from sim.recipes import Campaign
 
 MODES = ("lidar_passthrough", "fake_object", "delayed_fakeobject")
-EVERYTHING = frozenset({*RECORDED, *TABLES})
 MANY = (100, 1000)
 _IN_A_PROCESS = (
     "import sys; from bench.storage import verify; verify(sys.argv[1], int(sys.argv[2]))"
@@ -39,7 +38,7 @@ def rows() -> Iterator[Row]:
 
 def _process(run: RunDirectory, keep: Kept) -> float:
     started = time.perf_counter()
-    process_run(RunJob(run, Campaign(), EVERYTHING, refresh=False, keep=keep))
+    process_run(RunJob(run, Campaign(), OF_A_RUN, refresh=False, keep=keep))
     return time.perf_counter() - started
 
 
@@ -63,7 +62,7 @@ def _peak_memory(root: Path, number: int) -> Row:
 def verify(root: str, number: int) -> None:
     """Have one run verified many times, and print the peak memory of this process [MiB]."""
     run = RunDirectory(Path(root), MODES[0], 0)
-    job = RunJob(run, Campaign(), EVERYTHING, refresh=False)
+    job = RunJob(run, Campaign(), OF_A_RUN, refresh=False)
     for outcome in fan_out(process_run, [job] * number, lambda: process_pool(2)):
         if outcome.error is not None:
             raise RuntimeError(outcome.error)

@@ -60,7 +60,7 @@ def _require_same(former: Manifest, manifest: Manifest, directory: RunDirectory)
         raise RunDirectoryError(
             f"{directory.path} was made again with the same software, and other messages came out. "
             "Either the manifest was edited or the machine computes wrongly; what was there is "
-            "kept. Refresh the run to replace it."
+            f"kept. To have it made anew, remove {directory.path} and record the run again."
         )
 
 

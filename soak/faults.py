@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 
 from assets.feature_tables import TABLES, feature_table
-from assets.worker import RECORDED, RunJob, process_run
-from assets.worker import TABLES as TABLE_ASSETS
+from assets.worker import OF_A_RUN, RunJob, process_run
 from oracle_pipeline.bags.manifest import Kept
 from oracle_pipeline.bags.reader import content_hash
 from oracle_pipeline.bags.run_directory import RunDirectory, bytes_on_disk, find_runs
@@ -45,9 +44,8 @@ _COMMAND = "import sys; from soak.faults import run_campaign; run_campaign(sys.a
 
 def jobs(root: Path) -> list[RunJob]:
     """Return the jobs of the campaign."""
-    wanted = frozenset({*RECORDED, *TABLE_ASSETS})
     return [
-        RunJob(RunDirectory(root, mode, run), SHORT, wanted, refresh=False, keep=kept)
+        RunJob(RunDirectory(root, mode, run), SHORT, OF_A_RUN, refresh=False, keep=kept)
         for mode, run, kept in RUNS
     ]
 

@@ -85,7 +85,7 @@ def fold_scores(
 
     A fold with less than two rows to fit on, or without a finite value in them, is left NaN.
     """
-    X, floors = _plain(table, columns), feature_floors(table)
+    X, floors = table[list(columns)], feature_floors(table)
     scores = np.full((len(folds), len(table)), np.nan)
     for number, fold in enumerate(folds):
         if fold.fit.sum() > 1 and np.isfinite(X[fold.fit].to_numpy()).any():
@@ -198,15 +198,10 @@ def supervised_scores(
         Probability; NaN where the training rows are of one kind.
     """
     target = is_malicious(features) if target is None else target
-    X, floors = _plain(features, columns), feature_floors(features)
+    X, floors = features[list(columns)], feature_floors(features)
     scores = np.full(len(features), np.nan)
     for fold in folds:
         if np.unique(target[fold.train]).size == 2 and np.isfinite(X[fold.train].to_numpy()).any():
             model = pipeline(clone(classifier), floors).fit(X[fold.train], target[fold.train])
             scores[fold.test] = model.predict_proba(X[fold.test])[:, 1]
     return scores
-
-
-def _plain(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
-    """Return columns without the table's ``attrs``, which pandas copies in every step."""
-    return pd.DataFrame(table[list(columns)].to_numpy(dtype=np.float64), columns=list(columns))

@@ -5,7 +5,6 @@ import dataclasses
 import json
 import resource
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from click.testing import CliRunner
 
 from assets.feature_tables import feature_table, topics_of_features
 from assets.inspections import Inspection, inspect
-from assets.worker import RECORDED, TABLES, RunJob, RunReport, process_run
+from assets.worker import OF_A_RUN, RunJob, RunReport, process_run
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Kept
 from oracle_pipeline.bags.reader import BagReader, content_hash, read_ground_truth
@@ -28,8 +27,8 @@ from resources.storage_commands import remake, storage
 from resources.store import RunStore
 from sim.recipes import Campaign
 from tests.assets.laboratory import ATTACKED, CONTROL, KEY, PER_RUN, Laboratory
+from tests.locks import order_of_two
 
-EVERYTHING = frozenset({*RECORDED, *TABLES})
 FEATURES = frozenset({"run_features"})
 
 
@@ -103,7 +102,7 @@ def test_what_is_dropped_is_the_bag_and_nothing_else(run: RunDirectory) -> None:
 def test_a_run_is_never_given_more_than_it_has_and_verified_as_it_is(run: RunDirectory) -> None:
     process(run, "recipe")
     before = files(run.root)
-    report = process(run, "full", EVERYTHING)
+    report = process(run, "full", OF_A_RUN)
     assert {made.figures["status"] for made in report.assets.values()} == {"verified"}
     assert report.assets["bags"].figures["kept"] == "recipe"
     assert files(run.root) == before
@@ -182,19 +181,8 @@ def test_on_a_full_disk_a_run_stays_as_it_was(run: RunDirectory) -> None:
 
 
 def test_a_second_materialization_that_makes_runs_waits_for_the_first(tmp_path: Path) -> None:
-    store, budget, order = RunStore(root=str(tmp_path)), StorageBudget(), []
-
-    def wait_and_work() -> None:
-        with budget.alone(store):
-            order.append("second")
-
-    with budget.alone(store):
-        second = threading.Thread(target=wait_and_work)
-        second.start()
-        time.sleep(0.1)
-        order.append("first")
-    second.join()
-    assert order == ["first", "second"]
+    store, budget = RunStore(root=str(tmp_path)), StorageBudget()
+    assert order_of_two(lambda: budget.alone(store)) == ["first", "second"]
 
 
 @contextlib.contextmanager

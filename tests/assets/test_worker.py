@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from assets.inspections import Inspection, inspect
-from assets.worker import RECORDED, TABLES, RunJob, process_run
+from assets.worker import OF_A_RUN, RECORDED, TABLES, RunJob, process_run
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.datasets import feature_dataset, read_table
 from sim.recipes import Campaign
@@ -18,7 +18,7 @@ def test_an_air_traffic_run_becomes_all_five_assets_and_is_verified_then(
     mode: str, tmp_path: Path
 ) -> None:
     directory = RunDirectory(tmp_path, mode, 0)
-    job = RunJob(directory, HALF_A_MINUTE, frozenset({*RECORDED, *TABLES}), refresh=False)
+    job = RunJob(directory, HALF_A_MINUTE, OF_A_RUN, refresh=False)
     report = process_run(job)
     assert report.simulated_s == 30.0
     assert report.assets.keys() == {*RECORDED, *TABLES}

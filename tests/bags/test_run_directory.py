@@ -2,7 +2,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-import threading
 import time
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from hypothesis import strategies as st
 
 from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RunDirectory, find_runs
+from tests.locks import order_of_two
 
 
 def stage(directory: RunDirectory, content: str = "{}") -> None:
@@ -152,19 +152,8 @@ def test_what_a_living_writer_works_on_is_left_alone(tmp_path):
 
 
 def test_who_holds_a_run_is_alone_and_leaves_no_lock_behind(tmp_path):
-    directory, order = RunDirectory(tmp_path, "a", 0), []
-
-    def wait_and_work():
-        with directory.held():
-            order.append("second")
-
-    with directory.held():
-        second = threading.Thread(target=wait_and_work)
-        second.start()
-        time.sleep(0.1)
-        order.append("first")
-    second.join()
-    assert order == ["first", "second"]
+    directory = RunDirectory(tmp_path, "a", 0)
+    assert order_of_two(directory.held) == ["first", "second"]
     assert list(directory.path.parent.iterdir()) == []
 
 
