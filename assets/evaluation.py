@@ -22,7 +22,7 @@ from resources.fleet import Fleet
 from resources.store import RunStore
 
 if TYPE_CHECKING:
-    import pandas as pd
+    from oracle_pipeline.evaluation.campaign import Runs
 
 
 @aggregate("oracle", "scikitlearn", deps=[feature_dataset])
@@ -66,15 +66,15 @@ def _graph_differences(store: RunStore, fleet: Fleet, runs: set[str]) -> list[st
     ]
 
 
-def _mutants(store: RunStore, fleet: Fleet) -> "pd.DataFrame":
-    """Return the features of all grids' runs, joined to what was changed in each."""
+def _mutants(store: RunStore, fleet: Fleet) -> "Runs | None":
+    """Return what was measured of all grids' runs, joined to what was changed in each."""
     import pandas as pd
 
     from oracle_pipeline.datasets import feature_dataset as joined
-    from oracle_pipeline.datasets import read_table
-    from oracle_pipeline.reporting.evaluation import NO_GRID
+    from oracle_pipeline.datasets import read_table, window_dataset
+    from oracle_pipeline.evaluation.campaign import Runs
 
-    grids = []
+    runs_of_grids, windows_of_grids = [], []
     for index in sorted((store.path / "grids").glob("*/grid.json")):
         with index.open("rb") as source:
             mutants = pd.read_json(source)
@@ -82,8 +82,16 @@ def _mutants(store: RunStore, fleet: Fleet) -> "pd.DataFrame":
         _require_features(runs, fleet)
         df = joined(read_table(feature_table(run, "run")) for run in runs)
         told = mutants[["run_id", "scenario", "parameter", "value", "changed_messages"]]
-        grids.append(df.merge(told, on="run_id", validate="one_to_one"))
-    return pd.concat(grids, ignore_index=True) if grids else NO_GRID
+        df = df.merge(told, on="run_id", validate="one_to_one")
+        windows = window_dataset(read_table(feature_table(run, "window")) for run in runs)
+        grid = f"{index.parent.name}/"  # two grids may have runs of one name
+        runs_of_grids.append(df.assign(run_id=grid + df["run_id"]))
+        windows_of_grids.append(windows.assign(run_id=grid + windows["run_id"]))
+    if not runs_of_grids:
+        return None
+    return Runs.ordered(
+        pd.concat(runs_of_grids, ignore_index=True), pd.concat(windows_of_grids, ignore_index=True)
+    )
 
 
 def _require_features(runs: Sequence[RunDirectory], fleet: Fleet) -> None:

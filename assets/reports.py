@@ -214,9 +214,9 @@ def _drawn_from(store: RunStore) -> "pd.DataFrame":
 
 def _experiments(df: "pd.DataFrame") -> "pd.DataFrame":
     """Leave out what the thesis has not: shadow controls and hard negatives."""
-    from oracle_pipeline.evaluation.protocol import BENIGN
+    from oracle_pipeline.datasets import is_hard_negative
 
-    return df[(df["label"] != "control") & ~df["mode"].str.startswith(BENIGN)]
+    return df[(df["label"] != "control") & ~is_hard_negative(df)]
 
 
 def _how_rows_were_drawn(store: RunStore) -> "tuple[int, float, int, VariantName]":

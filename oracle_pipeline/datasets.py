@@ -33,6 +33,8 @@ WINDOW_START = "window_start_s"  # one more key where a row is a window [s of th
 WHERE = "where"  # the column that says at which topic, pair or edge a feature was attained
 MISSING = "missing"  # the column that says why a feature is NaN
 
+HARD_NEGATIVE = "benign_"  # begins the names of modes that change something and harm nobody
+
 #: Pairs of modes with equal graphs by construction: (control, attacked).
 PAIRS = (
     ("lidar_passthrough", "random_noise"),
@@ -91,6 +93,11 @@ def feature_floors(df: pd.DataFrame) -> dict[str, float]:
 def is_malicious(df: pd.DataFrame) -> NDArray[np.bool_]:
     """Return True for the rows of attacked runs; every other label is the negative class."""
     return np.asarray(df["label"] == "malicious", dtype=np.bool_)
+
+
+def is_hard_negative(df: pd.DataFrame) -> NDArray[np.bool_]:
+    """Return True for the rows of right runs in which something harmless was changed."""
+    return np.asarray(df["mode"].str.startswith(HARD_NEGATIVE), dtype=np.bool_)
 
 
 def without_empty_families(df: pd.DataFrame) -> pd.DataFrame:

@@ -23,8 +23,8 @@ class CampaignError(OracleError):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Campaign:
-    """Distinct runs and their windows; n_runs and n_windows rows, each by ``run_id``.
+class Runs:
+    """What is measured of distinct runs; n_runs and n_windows rows, each by ``run_id``.
 
     Attributes
     ----------
@@ -32,44 +32,36 @@ class Campaign:
         A row a run.
     windows : DataFrame
         A row a window, by start.
-    truth : DataFrame
-        A row a run (`truth.truth_table`).
     run : ndarray of shape (n_windows,)
         Row of `features` that each window belongs to.
     """
 
     features: pd.DataFrame
     windows: pd.DataFrame
-    truth: pd.DataFrame
     run: NDArray[np.intp]
 
     @classmethod
-    def of(cls, features: pd.DataFrame, windows: pd.DataFrame, truth: pd.DataFrame) -> "Campaign":
-        """Put the tables in order; attacked runs that ended before their attack are left out.
+    def ordered(cls, features: pd.DataFrame, windows: pd.DataFrame) -> "Runs":
+        """Put the tables in order; windows of other runs are left out.
 
         Raises
         ------
         CampaignError
-            A run without windows or without a truth.
+            A run without windows.
         """
-        for name, table in (("window", windows), ("truth", truth)):
-            absent = sorted(set(features["run_id"]) - set(table["run_id"]))
-            if absent:
-                raise CampaignError(
-                    f"{len(absent)} runs, {absent[0]} the first, are not in the {name} table; "
-                    "make the tables of the same runs again."
-                )
-        happened = truth.set_index("run_id").loc[features["run_id"]]
-        judged = ~is_malicious(features) | happened["onset_s"].notna().to_numpy()
-        runs = features[judged].sort_values("run_id", ignore_index=True)
+        _require_runs(features, windows, "window")
+        runs = features.sort_values("run_id", ignore_index=True)
         number = pd.Series(np.arange(len(runs)), index=runs["run_id"])
         known = windows[windows["run_id"].isin(number.index)]
         known = known.sort_values(["run_id", "window_start_s"], ignore_index=True)
-        return cls(
-            runs,
-            known,
-            happened.loc[runs["run_id"]].reset_index(),
-            number.loc[known["run_id"]].to_numpy(dtype=np.intp),
+        return cls(runs, known, number.loc[known["run_id"]].to_numpy(dtype=np.intp))
+
+    def followed_by(self, others: "Runs") -> "Runs":
+        """Return these runs and then others, with the columns of these."""
+        return Runs(
+            _below(self.features, others.features),
+            _below(self.windows, others.windows),
+            np.concatenate([self.run, len(self.features) + others.run]),
         )
 
     @property
@@ -99,6 +91,35 @@ class Campaign:
         """Start of each window [s of the recording], shape (n_windows,)."""
         return self.windows["window_start_s"].to_numpy(dtype=np.float64)
 
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Campaign(Runs):
+    """Runs that are judged, and what really happened in them.
+
+    Attributes
+    ----------
+    truth : DataFrame
+        A row a run (`truth.truth_table`).
+    """
+
+    truth: pd.DataFrame
+
+    @classmethod
+    def of(cls, features: pd.DataFrame, windows: pd.DataFrame, truth: pd.DataFrame) -> "Campaign":
+        """Put the tables in order; attacked runs that ended before their attack are left out.
+
+        Raises
+        ------
+        CampaignError
+            A run without windows or without a truth.
+        """
+        _require_runs(features, truth, "truth")
+        happened = truth.set_index("run_id").loc[features["run_id"]]
+        judged = ~is_malicious(features) | happened["onset_s"].notna().to_numpy()
+        runs = Runs.ordered(features[judged], windows)
+        truth_of_runs = happened.loc[runs.features["run_id"]].reset_index()
+        return cls(runs.features, runs.windows, runs.run, truth_of_runs)
+
     @property
     def end_s(self) -> NDArray[np.float64]:
         """End of each window [s of the recording], before which it cannot be judged."""
@@ -124,6 +145,21 @@ class Campaign:
                 overlap = (np.array(bins) < end) & (np.array(bins) + CHANGE_BIN_S > start)
                 attacked[of_run] &= overlap.any(axis=1)
         return attacked
+
+
+def _require_runs(features: pd.DataFrame, table: pd.DataFrame, name: str) -> None:
+    absent = sorted(set(features["run_id"]) - set(table["run_id"]))
+    if absent:
+        raise CampaignError(
+            f"{len(absent)} runs, {absent[0]} the first, are not in the {name} table; "
+            "make the tables of the same runs again."
+        )
+
+
+def _below(table: pd.DataFrame, others: pd.DataFrame) -> pd.DataFrame:
+    joined = pd.concat([table, others.reindex(columns=table.columns)], ignore_index=True)
+    joined.attrs = table.attrs
+    return joined
 
 
 def feature_sets(df: pd.DataFrame) -> dict[str, list[str]]:

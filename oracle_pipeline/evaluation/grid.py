@@ -6,40 +6,36 @@ which no message was changed is equivalent to the original and counts for nothin
 grid is ``oracle-sim grid``.
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from sklearn.base import clone
 
-from oracle_pipeline.datasets import feature_floors
-from oracle_pipeline.detectors import DetectorError, panel, pipeline
-from oracle_pipeline.evaluation.campaign import CampaignError, feature_sets
-from oracle_pipeline.evaluation.conformal import flag
+from oracle_pipeline.datasets import is_hard_negative
+from oracle_pipeline.detectors import DetectorError, panel
+from oracle_pipeline.evaluation.campaign import CampaignError, Runs, feature_sets
+from oracle_pipeline.evaluation.conformal import check_support
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate, clopper_pearson
-from oracle_pipeline.evaluation.protocol import HEADLINE, RATES
-from oracle_pipeline.evaluation.splits import fit_and_calibrate
+from oracle_pipeline.evaluation.protocol import HEADLINE, RATES, Scorer, scorers
+from oracle_pipeline.evaluation.scoring import held_out
+from oracle_pipeline.evaluation.splits import BLOCK, HARMLESS, Fold, fit_and_calibrate, untaught
 
-ORACLE, OPERATOR = ["detector", "features"], ["scenario", "parameter"]
+ORACLE, OPERATOR = [*Scorer._fields, "split"], ["scenario", "parameter"]
 REQUIRED = ("scenario", "parameter", "value", "changed_messages")
 DETECTABLE = 0.9  # detection rate that a detectable magnitude reaches
 
 
-def kill_matrix(
-    features: pd.DataFrame, grid: pd.DataFrame, seed: int, rate: float = RATES[0]
-) -> pd.DataFrame:
+def kill_matrix(campaign: Runs, grid: Runs, seed: int, rate: float = RATES[0]) -> pd.DataFrame:
     """Return how many runs of each magnitude each oracle kills.
 
-    Oracles are the whole panel on all features and the headline's detector on every other set.
-    They are fitted on and calibrated with right runs of the campaign's blocks that the grid does
-    not use: a grid made offline mutates runs of the campaign itself.
+    Oracles are the scorers of the evaluation, and the headline's once more where nobody told it
+    what is harmless (``split``): an attack that is weaker than what was declared harmless is right
+    by that declaration. They are fitted on and calibrated with right runs of the campaign's blocks
+    that the grid does not use: a grid made offline mutates runs of the campaign itself.
 
     Parameters
     ----------
-    features : DataFrame
-        The campaign, a row a run.
-    grid : DataFrame
+    campaign : Runs
+    grid : Runs
         The grid's runs with the same features and the columns ``scenario``, ``parameter``,
         ``value`` (magnitude, growing with strength) and ``changed_messages``.
     seed : int
@@ -60,47 +56,41 @@ def kill_matrix(
     ConformalError
         Too few right runs are left to calibrate with.
     """
-    wanted = feature_sets(features).get("all")
-    if not wanted:
+    sets = feature_sets(campaign.features)
+    if not sets.get("all"):
         raise CampaignError("No feature of the campaign has a finite value; extract them again.")
-    absent = [c for c in (*REQUIRED, *wanted) if c not in grid.columns]
+    absent = [c for c in (*REQUIRED, *sets["all"]) if c not in grid.features.columns]
     if absent:
         raise CampaignError(
             f"The grid lacks the columns {', '.join(absent[:5])}; take it from the index that "
             "`oracle-sim grid` writes and extract its features with the campaign's plugins."
         )
-    unused = ~features["block"].isin(grid["block"]).to_numpy()
-    fit, calibrate = fit_and_calibrate(features, unused, np.random.default_rng(seed))
+    runs, detectors = campaign.followed_by(grid), panel(seed)
+    mutants = np.arange(len(runs.features)) >= len(campaign.features)
+    fold = _fold(runs, mutants, seed)
+    oracles = [(scorer, BLOCK, [fold]) for scorer in scorers(detectors, sets)]
+    if is_hard_negative(campaign.features).any():
+        oracles.append((HEADLINE, HARMLESS, untaught(runs.features, [fold])))
     tables = []
-    for oracle, scores in _scores(features, grid, fit, calibrate, seed):
-        calibration, mutants = scores[: calibrate.sum()], scores[calibrate.sum() :]
-        verdicts = grid[list(REQUIRED)].assign(killed=flag(calibration, mutants, rate))
-        tables.append(_counted(verdicts).assign(**oracle))
+    for scorer, split, folds in oracles:
+        check_support(min(int(fold.calibrate.sum()) for fold in folds), rate)
+        try:
+            columns, detector = sets[scorer.features], detectors[scorer.detector]
+            scores = held_out(runs, columns, detector, folds, scorer.level)
+        except DetectorError:
+            continue  # its row in the evaluation's table says why
+        verdicts = grid.features[list(REQUIRED)].assign(killed=scores.p[mutants] <= rate)
+        tables.append(_counted(verdicts).assign(**scorer._asdict(), split=split))
     columns = [*ORACLE, *OPERATOR, "value", "mutants", "equivalent", "killed"]
     kills = pd.concat(tables, ignore_index=True)
     return kills[[*columns, "kill_rate", "kill_rate_low", "kill_rate_high"]]
 
 
-def _scores(
-    features: pd.DataFrame,
-    grid: pd.DataFrame,
-    fit: NDArray[np.bool_],
-    calibrate: NDArray[np.bool_],
-    seed: int,
-) -> Iterator[tuple[dict[str, str], NDArray[np.float64]]]:
-    """Yield each oracle that can be fitted and its scores of calibration, then of grid runs."""
-    detectors, sets = panel(seed), feature_sets(features)
-    oracles = [(detector, "all") for detector in detectors]
-    oracles += [(HEADLINE.detector, name) for name in sets if name != "all"]
-    for detector, name in oracles:
-        columns = sets[name]
-        model = pipeline(clone(detectors[detector]), feature_floors(features))
-        try:
-            model.fit(features.loc[fit, columns])
-        except DetectorError:
-            continue  # its row in the evaluation's table says why
-        scored = pd.concat([features.loc[calibrate, columns], grid[columns]])
-        yield {"detector": detector, "features": name}, -model.score_samples(scored)
+def _fold(runs: Runs, mutants: NDArray[np.bool_], seed: int) -> Fold:
+    """Return the round in which the mutants are tested, by nobody who saw their blocks."""
+    train = ~np.isin(runs.block, runs.block[mutants])
+    fit, calibrate = fit_and_calibrate(runs.features, train, np.random.default_rng(seed))
+    return Fold(fit, calibrate, mutants, train)
 
 
 def _counted(verdicts: pd.DataFrame) -> pd.DataFrame:

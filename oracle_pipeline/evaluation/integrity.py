@@ -14,12 +14,12 @@ import pandas as pd
 from numpy.typing import NDArray
 from sklearn.metrics import roc_auc_score
 
-from oracle_pipeline.datasets import PAIRS, DistinctRuns, field_metadata
+from oracle_pipeline.datasets import PAIRS, DistinctRuns, field_metadata, is_hard_negative
 from oracle_pipeline.detectors import Detector, upper_bounds
 from oracle_pipeline.evaluation.campaign import LEFT_OUT, Campaign, feature_sets
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
 from oracle_pipeline.evaluation.metrics import auc, share
-from oracle_pipeline.evaluation.protocol import BENIGN, RATES, runs_of
+from oracle_pipeline.evaluation.protocol import RATES, runs_of
 from oracle_pipeline.evaluation.scoring import (
     HeldOut,
     fold_scores,
@@ -189,8 +189,7 @@ def shuffled_labels(
 def hard_negatives(scores: HeldOut, campaign: Campaign, rng: np.random.Generator) -> Check:
     """Right runs with a harmless change are seldom called anomalous."""
     name = "hard_negatives_pass"
-    benign = campaign.features["mode"].str.startswith(BENIGN).to_numpy()
-    judged = benign & np.isfinite(scores.p)
+    judged = is_hard_negative(campaign.features) & np.isfinite(scores.p)
     if not judged.any():
         return _unsupported(name, "There are no hard negatives; record the benign_* modes.")
     rate = share(scores.p[judged] <= RATES[0], campaign.block[judged], rng)

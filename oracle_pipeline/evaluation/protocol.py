@@ -4,6 +4,7 @@ The protocol is fixed before the final data are there: the panel, the sets of fe
 scorer whose figure is the headline. Why it is this one: docs/evaluation.md.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.datasets import PAIRS, DistinctRuns
+from oracle_pipeline.datasets import HARD_NEGATIVE, PAIRS, DistinctRuns
 from oracle_pipeline.detectors import DEFAULT_DETECTOR
 from oracle_pipeline.evaluation.campaign import Campaign
 from oracle_pipeline.evaluation.conformal import runs_needed
@@ -24,7 +25,7 @@ ONE_SIDED = 0.90  # level of a two-sided interval whose lower end is the one-sid
 
 ALL_MODES = "all modes"
 HARD_NEGATIVES = "hard negatives"
-SHADOW, BENIGN = "_shadow", "benign_"  # of the names of label controls and of hard negatives
+SHADOW = "_shadow"  # ends the names of label controls
 OBSTACLE = ("benign_obstacle", "fake_object")  # the same place, there and not there
 
 
@@ -37,6 +38,20 @@ class Scorer(NamedTuple):
 
 
 HEADLINE = Scorer(DEFAULT_DETECTOR, "all", "both")
+
+
+def scorers(detectors: Iterable[str], sets: Iterable[str]) -> list[Scorer]:
+    """Return all that are judged, the headline first.
+
+    Its detector at every level and on every set of features, and every other detector.
+    """
+    named = [
+        HEADLINE,
+        *(Scorer(HEADLINE.detector, HEADLINE.features, level) for level in ("run", "windows")),
+        *(Scorer(detector, HEADLINE.features, "run") for detector in detectors),
+        *(Scorer(HEADLINE.detector, features, HEADLINE.level) for features in sets),
+    ]
+    return list(dict.fromkeys(named))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -57,7 +72,7 @@ def scopes(df: pd.DataFrame) -> list[Scope]:
     modes = set(df["mode"])
     attacked = sorted(set(df.loc[df["label"] == "malicious", "mode"]))
     couples = [*PAIRS, *((f"{mode}{SHADOW}", mode) for mode in attacked), OBSTACLE]
-    benign = sorted(mode for mode in modes if mode.startswith(BENIGN))
+    benign = sorted(mode for mode in modes if mode.startswith(HARD_NEGATIVE))
     named = {
         ALL_MODES: sorted(modes),
         **{" / ".join(couple): couple for couple in couples if modes.issuperset(couple)},

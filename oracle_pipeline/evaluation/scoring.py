@@ -17,7 +17,7 @@ from sklearn.base import clone
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
 from oracle_pipeline.datasets import feature_columns, feature_floors, is_malicious
 from oracle_pipeline.detectors import Detector, pipeline
-from oracle_pipeline.evaluation.campaign import Campaign
+from oracle_pipeline.evaluation.campaign import Runs
 from oracle_pipeline.evaluation.conformal import p_values
 from oracle_pipeline.evaluation.splits import Fold
 
@@ -36,7 +36,7 @@ class HeldOut:
 
 
 def held_out(
-    campaign: Campaign,
+    runs: Runs,
     columns: Sequence[str],
     detector: Detector,
     folds: Sequence[Fold],
@@ -46,13 +46,13 @@ def held_out(
 
     Parameters
     ----------
-    campaign : Campaign
+    runs : Runs
     columns : sequence of str
         Features to use; per window those of them that windows have.
     detector : Detector
         Unfitted; it is cloned.
     folds : sequence of Fold
-        Over the campaign's runs.
+        Over the runs.
     level : {"run", "windows", "both"}
         From the features of the run, from those of its oddest windows (`top_windows`), or whichever
         of the two is further from what its calibration runs show.
@@ -64,10 +64,10 @@ def held_out(
     """
     scores = []
     if level in ("run", "both"):
-        scores.append(fold_scores(campaign.features, columns, detector, folds))
+        scores.append(fold_scores(runs.features, columns, detector, folds))
     if level in ("windows", "both"):
-        of_windows = window_scores(campaign, columns, detector, folds)
-        scores.append(top_windows(of_windows, campaign, folds))
+        of_windows = window_scores(runs, columns, detector, folds)
+        scores.append(top_windows(of_windows, runs, folds))
     furthest = np.max([standardised(part, folds) for part in scores], axis=0)
     p = conformal(furthest, folds)
     return HeldOut(of_tested(furthest, folds), p, calibration_runs(folds))
@@ -96,28 +96,28 @@ def fold_scores(
 
 
 def window_scores(
-    campaign: Campaign, columns: Sequence[str], detector: Detector, folds: Sequence[Fold]
+    runs: Runs, columns: Sequence[str], detector: Detector, folds: Sequence[Fold]
 ) -> NDArray[np.float64]:
     """Score windows by a detector fitted on windows of right runs; (n_folds, n_windows)."""
-    present = set(feature_columns(campaign.windows))
+    present = set(feature_columns(runs.windows))
     windowed = [column for column in columns if column in present]
-    of_windows = [fold.of(campaign.run) for fold in folds]
-    return fold_scores(campaign.windows, windowed, detector, of_windows)
+    of_windows = [fold.of(runs.run) for fold in folds]
+    return fold_scores(runs.windows, windowed, detector, of_windows)
 
 
 def top_windows(
-    scores: NDArray[np.float64], campaign: Campaign, folds: Sequence[Fold]
+    scores: NDArray[np.float64], runs: Runs, folds: Sequence[Fold]
 ) -> NDArray[np.float64]:
     """Return the mean score of each run's three oddest windows, shape (n_folds, n_runs).
 
     The longer a run, the odder its oddest windows, and attacked runs are longer. So windows count
     only up to the length that nine tenths of the fitted runs reach.
     """
-    counts, place = campaign.counts, campaign.place
+    counts, place = runs.counts, runs.place
     top = np.full((len(folds), len(counts)), np.nan)
     for number, fold in enumerate(folds):
         laid_out = np.full((len(counts), int(counts.max(initial=1))), -np.inf)
-        laid_out[campaign.run, place] = scores[number]
+        laid_out[runs.run, place] = scores[number]
         seen = laid_out[:, : common_length(counts[fold.fit])]
         best = -np.sort(-seen, axis=1)[:, :TOP_WINDOWS]
         there = np.isfinite(best)

@@ -6,16 +6,18 @@ it. Hard negatives are right runs like any other.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.datasets import is_malicious
+from oracle_pipeline.datasets import is_hard_negative, is_malicious
 
 FOLDS = 5
 MIN_BLOCKS = 3  # one to fit, one to calibrate, one to test
+# What a detector has not seen of the runs that it is tested on.
+BLOCK, SESSION, HARMLESS = "block", "session", "block and hard negatives"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -54,6 +56,13 @@ def session_folds(df: pd.DataFrame, seed: int) -> list[Fold]:
     block, session = _column(df, "block"), _column(df, "session")
     of_session = [np.isin(block, block[session == number]) for number in np.unique(session)]
     return _folds(df, of_session, np.random.default_rng(seed)) if len(of_session) > 1 else []
+
+
+def untaught(df: pd.DataFrame, folds: Sequence[Fold]) -> list[Fold]:
+    """Return folds in which nobody says what is harmless: hard negatives are only tested."""
+    plain = ~is_hard_negative(df)
+    held_out = [replace(f, fit=f.fit & plain, calibrate=f.calibrate & plain) for f in folds]
+    return [fold for fold in held_out if fold.fit.any() and fold.calibrate.any()]
 
 
 def fit_and_calibrate(

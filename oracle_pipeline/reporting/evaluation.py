@@ -11,11 +11,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.clustering.tree import ClusteringError
-from oracle_pipeline.datasets import content_hash
+from oracle_pipeline.datasets import content_hash, is_hard_negative
 from oracle_pipeline.detectors import DetectorError, panel, upper_bounds
 from oracle_pipeline.evaluation import integrity
 from oracle_pipeline.evaluation.alarms import judge_alarms, window_p
-from oracle_pipeline.evaluation.campaign import Campaign, feature_sets
+from oracle_pipeline.evaluation.campaign import Campaign, Runs, feature_sets
 from oracle_pipeline.evaluation.conformal import runs_needed
 from oracle_pipeline.evaluation.effort import effort_curve, small_clusters_table
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
@@ -31,6 +31,7 @@ from oracle_pipeline.evaluation.protocol import (
     judge,
     runs_of,
     scopes,
+    scorers,
     unjudged,
 )
 from oracle_pipeline.evaluation.scoring import (
@@ -42,14 +43,21 @@ from oracle_pipeline.evaluation.scoring import (
     supervised_scores,
     window_scores,
 )
-from oracle_pipeline.evaluation.splits import Fold, block_folds, session_folds
+from oracle_pipeline.evaluation.splits import (
+    BLOCK,
+    HARMLESS,
+    SESSION,
+    Fold,
+    block_folds,
+    session_folds,
+    untaught,
+)
 from oracle_pipeline.reporting import figures
 from oracle_pipeline.reporting.figures import Curve
 from oracle_pipeline.reporting.result import Report, facts
 from oracle_pipeline.reporting.tables import estimate
 
 SEED = 50
-NO_GRID = pd.DataFrame()
 UPPER_BOUND = "random_forest"  # boosted trees take minutes and bound nothing else
 
 Progress = Callable[[str], None]
@@ -61,7 +69,7 @@ def oracle_evaluation(
     truth: pd.DataFrame,
     *,
     graph_differences: Sequence[str] | None = None,
-    grid: pd.DataFrame = NO_GRID,
+    grid: Runs | None = None,
     seed: int = SEED,
     progress: Progress = lambda _: None,
 ) -> Report:
@@ -77,7 +85,7 @@ def oracle_evaluation(
         What happened in each (`oracle_pipeline.evaluation.truth.truth_table`).
     graph_differences : sequence of str, optional
         Between graphs of pairs that should be equal; None if they were not compared.
-    grid : DataFrame
+    grid : Runs, optional
         Attacked runs at several magnitudes (`oracle_pipeline.evaluation.grid.kill_matrix`).
     seed : int
         Of splits, detectors and resamples.
@@ -110,9 +118,9 @@ def oracle_evaluation(
         ),
     }
     pictures = evaluation.pictures(headline)
-    if len(grid):
+    if grid is not None:
         progress("kill matrix")
-        kills = kill_matrix(campaign.features, grid, seed)
+        kills = kill_matrix(campaign, grid, seed)
         tables |= {
             "kills": kills,
             "mutation_scores": mutation_scores(kills),
@@ -177,21 +185,19 @@ class _Evaluation:
 
     def table(self, headline: HeldOut) -> pd.DataFrame:
         """Judge every scorer in every scope, the headline first."""
-        rows = self._rows(HEADLINE, "block", headline)
-        others = [
-            *(Scorer(HEADLINE.detector, HEADLINE.features, level) for level in ("run", "windows")),
-            *(Scorer(name, "all", "run") for name in self.detectors),
-            *(Scorer(HEADLINE.detector, name, HEADLINE.level) for name in self.sets),
-        ]
-        for scorer in dict.fromkeys(others):
+        rows = self._rows(HEADLINE, BLOCK, headline)
+        for scorer in scorers(self.detectors, self.sets):
             if scorer != HEADLINE:
-                rows += self._scored(scorer, "block", self.folds)
-        rows += self._scored(HEADLINE, "session", session_folds(self.campaign.features, self.seed))
+                rows += self._scored(scorer, BLOCK, self.folds)
+        df = self.campaign.features
+        rows += self._scored(HEADLINE, SESSION, session_folds(df, self.seed))
+        if is_hard_negative(df).any():
+            rows += self._scored(HEADLINE, HARMLESS, untaught(df, self.folds))
         self.progress(f"{UPPER_BOUND}, with labels")
         classifier, columns = upper_bounds(self.seed)[UPPER_BOUND], self.sets.get("all", [])
-        shown = supervised_scores(self.campaign.features, columns, classifier, self.folds)
+        shown = supervised_scores(df, columns, classifier, self.folds)
         scores = HeldOut(shown, np.full_like(shown, np.nan), 0)
-        rows += self._rows(Scorer(f"{UPPER_BOUND} (sees labels)", "all", "run"), "block", scores)
+        rows += self._rows(Scorer(f"{UPPER_BOUND} (sees labels)", "all", "run"), BLOCK, scores)
         return pd.DataFrame(rows)
 
     def _scored(
@@ -244,14 +250,15 @@ class _Evaluation:
         self.progress("integrity checks")
         campaign, columns = self.campaign, self.sets.get(HEADLINE.features, [])
         detector = self.detectors[HEADLINE.detector]
+        rng = np.random.default_rng([self.seed, 1])  # a further scorer above changes no check
         of_shortcuts = table[(table["features"] == "shortcuts") & (table["scope"] == ALL_MODES)]
         area = estimate(of_shortcuts.iloc[0], "auc") if len(of_shortcuts) else NOTHING
         return [
-            integrity.same_between_sessions(headline, campaign, self.rng),
+            integrity.same_between_sessions(headline, campaign, rng),
             integrity.equal_graphs(differences),
             integrity.label_above_session(campaign, columns, self.folds, self.seed),
-            integrity.shuffled_labels(campaign, columns, detector, block_folds, self.rng),
-            integrity.hard_negatives(headline, campaign, self.rng),
+            integrity.shuffled_labels(campaign, columns, detector, block_folds, rng),
+            integrity.hard_negatives(headline, campaign, rng),
             integrity.shortcuts_apart(campaign.features, columns, area),
         ]
 
@@ -314,16 +321,11 @@ def _kill_pictures(kills: pd.DataFrame) -> dict[str, bytes]:
     pictures = {}
     for (scenario, parameter), of in kills.groupby(["scenario", "parameter"], sort=False):
         pictures[f"kills_{scenario}_{parameter}"] = figures.kill_heat_map(of)
+        shown = of[(of["detector"] == HEADLINE.detector) & (of["level"] == HEADLINE.level)]
+        measures = ["value", "kill_rate", "kill_rate_low", "kill_rate_high"]
         lines = {
-            str(name): Curve(
-                *(
-                    line[c].to_numpy()
-                    for c in ("value", "kill_rate", "kill_rate_low", "kill_rate_high")
-                )
-            )
-            for name, line in of[of["detector"] == HEADLINE.detector].groupby(
-                "features", sort=False
-            )
+            figures.oracle_name(line.iloc[0]): Curve(*line[measures].to_numpy().T)
+            for _, line in shown.groupby(["features", "split"], sort=False)
         }
         pictures[f"magnitude_{scenario}_{parameter}"] = figures.curves(
             lines, f"{parameter} of {scenario}", "detection rate", log=True

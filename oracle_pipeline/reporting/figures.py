@@ -26,6 +26,7 @@ from scipy.cluster.hierarchy import leaves_list
 from oracle_pipeline.clustering.tree import Tree
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.metrics import RocCurve
+from oracle_pipeline.evaluation.splits import HARMLESS
 
 INK = "#757a83"
 AMBER = "#a8761a"
@@ -172,6 +173,12 @@ def curves(named: Mapping[str, Curve], x: str, y: str, *, log: bool = False) -> 
     return png.getvalue()
 
 
+def oracle_name(row: pd.Series) -> str:
+    """Name the oracle of a row of the kill matrix."""
+    name = f"{row['detector']}, {row['features']}, {row['level']}"
+    return f"{name}, hard negatives unseen" if row["split"] == HARMLESS else name
+
+
 def kill_heat_map(kills: pd.DataFrame) -> bytes:
     """Draw the share of killed mutants for every oracle and magnitude of one operator.
 
@@ -180,7 +187,7 @@ def kill_heat_map(kills: pd.DataFrame) -> bytes:
     kills : DataFrame
         Rows of one scenario and parameter of ``oracle_pipeline.evaluation.grid.kill_matrix``.
     """
-    names = (kills["detector"] + ", " + kills["features"]).to_numpy()
+    names = [oracle_name(row) for _, row in kills.iterrows()]
     oracles, values = list(dict.fromkeys(names)), sorted(set(kills["value"]))
     with drawing(7.2, 0.3 * len(oracles) + 1.2) as (axes, png):
         for name, (_, row) in zip(names, kills.iterrows(), strict=True):

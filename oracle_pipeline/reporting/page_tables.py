@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import pandas as pd
 
-from oracle_pipeline.evaluation.protocol import ALL_MODES, HEADLINE
+from oracle_pipeline.evaluation.protocol import ALL_MODES, HARD_NEGATIVES, HEADLINE
+from oracle_pipeline.evaluation.splits import BLOCK
 from oracle_pipeline.reporting.explanation import Explanation
 from oracle_pipeline.reporting.result import Report
 from oracle_pipeline.reporting.tables import estimate
@@ -51,9 +52,11 @@ _COUNTS = (
     Column("right runs", "right"),
     Column("blocks", "blocks"),
 )
+_HELD_OUT = Column("held out by", "split")
 _AT_5, _AT_1 = "at a false-alarm rate of 5%", "at 1%"
 _VERDICTS = (
     Column("comparison", "scope"),
+    _HELD_OUT,
     *_COUNTS,
     Column("AUC", "auc"),
     Column("detection rate", "detection_rate_5", _AT_5),
@@ -77,7 +80,7 @@ _SCORER = (
     Column("detector", "detector"),
     Column("features", "features"),
     Column("level", "level"),
-    Column("held out by", "split"),
+    _HELD_OUT,
 )
 _OVER_ALL = (
     Column("AUC", "auc"),
@@ -98,17 +101,17 @@ _SMALL_CLUSTERS = (
     Column("ARI", "ari", spec="z.2f"),
     _NOTE,
 )
-_ORACLE = (Column("detector", "detector"), Column("features", "features"))
 _OPERATOR = (Column("scenario", "scenario"), Column("parameter", "parameter"))
 _MUTATION_SCORES = (
-    *_ORACLE,
+    *_SCORER,
     Column("mutants", "mutants"),
     Column("killed", "killed"),
     Column("mutation score", "mutation_score"),
 )
-_MAGNITUDES = (*_ORACLE, *_OPERATOR, Column("smallest detected", "magnitude", spec=".3g"))
+_MAGNITUDES = (*_SCORER, *_OPERATOR, Column("smallest detected", "magnitude", spec=".3g"))
 _KILLS = (
     *_OPERATOR,
+    _HELD_OUT,
     Column("magnitude", "value", spec="g"),
     Column("mutants", "mutants"),
     Column("equivalent", "equivalent"),
@@ -174,9 +177,7 @@ def of_evaluation(evaluation: Report) -> dict[str, Grid]:
     against = [scope for scope in headline["scope"] if "/" in scope]
     areas = [Column(scope, scope) for scope in against]
     if "kills" in more:  # its picture has the other oracles'
-        of = more["kills"]
-        known = (of["detector"] == HEADLINE.detector) & (of["features"] == HEADLINE.features)
-        more = {**more, "kills": of[known]}
+        more = {**more, "kills": more["kills"][_is_headline(more["kills"])]}
     grids = {
         "verdicts": grid("Verdicts of the headline's scorer", headline, _VERDICTS),
         "alarms": grid("Alarms while a run goes on", more["alarms"], _ALARMS),
@@ -251,11 +252,13 @@ def _cell(row: pd.Series, column: Column) -> Cell:
 
 
 def _of_headline(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of the headline's scorer, held out by block."""
-    is_headline = (table["split"] == "block") & (
-        table[["detector", "features", "level"]] == list(HEADLINE)
-    ).all(axis=1)
-    return table[is_headline]
+    """Return the rows of the headline's scorer; of other splits those over all of a kind."""
+    overall = table["scope"].isin([ALL_MODES, HARD_NEGATIVES])
+    return table[_is_headline(table) & ((table["split"] == BLOCK) | overall)]
+
+
+def _is_headline(table: pd.DataFrame) -> pd.Series:
+    return (table[list(HEADLINE._fields)] == list(HEADLINE)).all(axis=1)
 
 
 def _areas(table: pd.DataFrame, scopes: Sequence[str]) -> pd.DataFrame:

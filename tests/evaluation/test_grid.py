@@ -2,18 +2,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from oracle_pipeline.evaluation.campaign import CampaignError
+from oracle_pipeline.evaluation.campaign import CampaignError, Runs
 from oracle_pipeline.evaluation.grid import kill_matrix, minimum_detectable, mutation_scores
-from tests.datasets.synthetic import ATTACKED, CONTROLS, MODES, run_features
-
-MODES_OF_GRID = MODES | CONTROLS
+from oracle_pipeline.evaluation.protocol import HEADLINE
+from tests.datasets.synthetic import ATTACKED, MODES, campaign
 
 
 def kills_by_hand(*rates, mutants=10):
     return pd.DataFrame(
         [
             {
-                "detector": "max_z", "features": "all", "scenario": "noise", "parameter": "level",
+                "detector": "max_z", "features": "all", "level": "run", "split": "block",
+                "scenario": "noise", "parameter": "level",
                 "value": value, "mutants": mutants + 2, "equivalent": 2,
                 "killed": round(rate * mutants), "kill_rate": rate,
             }
@@ -42,38 +42,54 @@ def test_the_mutation_score_leaves_equivalent_mutants_out():
 
 def grid_of(magnitudes, blocks=4, used=0):
     """Runs of an attack that shifts two features by so many deviations; 0 changes nothing."""
-    parts = []
+    runs, windows = [], []
     for shift in magnitudes:
-        runs = run_features(blocks, seed=7, modes={"random_noise": "malicious"})
-        for column, deviation in ATTACKED.items():
-            runs[column] += shift * deviation
-        parts.append(
-            runs.assign(
-                scenario="noise", parameter="level", value=shift, changed_messages=100 * (shift > 0)
-            )
-        )
-    grid = pd.concat(parts, ignore_index=True)
-    return grid.assign(block=grid["block"] + used)
+        tables = campaign(blocks, shift, seed=7, modes={"random_noise": "malicious"})[:2]
+        features, of_windows = (t.assign(run_id=f"{shift}/" + t["run_id"]) for t in tables)
+        told = {"value": shift, "changed_messages": 100 * (shift > 0)}
+        runs.append(features.assign(scenario="noise", parameter="level", **told))
+        windows.append(of_windows)
+    grid = pd.concat(runs, ignore_index=True)
+    return Runs.ordered(
+        grid.assign(block=grid["block"] + used), pd.concat(windows, ignore_index=True)
+    )
+
+
+def runs_of_campaign(**more):
+    return Runs.ordered(*campaign(12, **more)[:2])
 
 
 def test_stronger_attacks_are_killed_and_what_changes_nothing_counts_for_nothing():
-    campaign = run_features(12, modes=MODES_OF_GRID)
-    kills = kill_matrix(campaign, grid_of([0.0, 40.0]), seed=0)
+    kills = kill_matrix(runs_of_campaign(), grid_of([0.0, 40.0]), seed=0)
     unchanged, strong = (kills[kills["value"] == value] for value in (0.0, 40.0))
     assert (unchanged["equivalent"] == 4).all()
     assert unchanged["kill_rate"].isna().all()
     assert (strong.loc[strong["detector"] == "mahalanobis", "kill_rate"].max()) == 1.0
     assert {"all", "structural", "contextual"} <= set(kills["features"])
+    assert {"run", "windows", "both"} == set(kills["level"])
     assert "max_z" in set(kills["detector"])
 
 
+def test_an_attack_as_weak_as_a_declared_harmless_change_is_seen_where_nobody_declared_it():
+    features, windows, _ = campaign(24)
+    for table in features, windows:
+        harmless = table["mode"] == "benign_noise"
+        for column, deviation in ATTACKED.items():
+            table.loc[harmless, column] += 10.0 * deviation
+    kills = kill_matrix(Runs.ordered(features, windows), grid_of([10.0]), seed=0)
+    headline = kills[(kills[list(HEADLINE._fields)] == list(HEADLINE)).all(axis=1)]
+    rates = headline.set_index("split")["kill_rate"]
+    assert rates["block"] < 0.5 < rates["block and hard negatives"]
+
+
 def test_runs_of_blocks_that_the_grid_uses_do_not_train():
-    campaign, grid = run_features(12, modes=MODES_OF_GRID), grid_of([40.0], used=3)
-    odd = campaign.copy()
-    odd.loc[odd["block"].isin(grid["block"]), list(ATTACKED)] = 1e6
-    pd.testing.assert_frame_equal(kill_matrix(odd, grid, 0), kill_matrix(campaign, grid, 0))
+    runs, grid = runs_of_campaign(), grid_of([40.0], used=3)
+    features = runs.features.copy()
+    features.loc[features["block"].isin(grid.block), list(ATTACKED)] = 1e6
+    odd = Runs.ordered(features, runs.windows)
+    pd.testing.assert_frame_equal(kill_matrix(odd, grid, 0), kill_matrix(runs, grid, 0))
 
 
 def test_a_grid_without_its_index_is_refused():
     with pytest.raises(CampaignError, match="lacks the columns scenario"):
-        kill_matrix(run_features(12), run_features(3), 0)
+        kill_matrix(runs_of_campaign(), runs_of_campaign(modes=MODES), 0)

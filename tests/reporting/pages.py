@@ -32,7 +32,7 @@ def quickly():
         patch.setattr(evaluation, "upper_bounds", lambda _: small)
         patch.setattr(metrics, "RESAMPLES", 100)
         patch.setattr(integrity, "TREES", 5)
-        patch.setattr(integrity, "SHUFFLES", 10)
+        patch.setattr(integrity, "SHUFFLES", 40)
         yield
 
 
@@ -45,7 +45,7 @@ def draw(run):
     return png.getvalue()
 
 
-def page_of(df, windows, truth, *, mutants=evaluation.NO_GRID, differences=None, **more):
+def page_of(df, windows, truth, *, mutants=None, differences=None, **more):
     """Return the page of a campaign; `more` is said in its provenance or passed on."""
     passed_on = {name: more.pop(name) for name in ("radar", "storage") if name in more}
     with quickly():

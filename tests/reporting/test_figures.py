@@ -30,6 +30,8 @@ KILLS = pd.DataFrame(
     {
         "detector": ["max_z"] * 2 + ["knn"] * 2,
         "features": "all",
+        "level": "run",
+        "split": "block",
         "scenario": "random_noise",
         "parameter": "level",
         "value": [0.01, 0.1] * 2,
