@@ -2,7 +2,17 @@
 
 import argparse
 
-from bench import campaign, clustering, engines, features, navigation, scenarios, storage, testbed
+from bench import (
+    campaign,
+    clustering,
+    engines,
+    features,
+    instance,
+    navigation,
+    scenarios,
+    storage,
+    testbed,
+)
 
 BENCHMARKS = {
     "testbed": testbed.rows,
@@ -13,6 +23,7 @@ BENCHMARKS = {
     "engines": engines.rows,
     "storage": storage.rows,
     "campaign": campaign.rows,
+    "instance": instance.rows,
 }
 DEFAULT = ("testbed", "scenarios")  # speed, size and memory; the others take longer
 

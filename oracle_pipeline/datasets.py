@@ -9,7 +9,6 @@ import hashlib
 import io
 import json
 import os
-import secrets
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import LABELS
 from oracle_pipeline.bags.remote import is_local
+from oracle_pipeline.bags.scratch import scratch_beside
 
 KEYS = ("run_id", "mode", "label", "block", "session")
 WINDOW_S = 10.0  # length of a window; the last one of a recording may be shorter
@@ -219,16 +219,12 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         yield whole
         path.write_bytes(whole.getvalue())
         return
-    path.parent.mkdir(parents=True, exist_ok=True)
-    scratch = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    try:
-        with scratch.open("xb") as sink:
+    with scratch_beside(path, Path.touch) as scratch:
+        with scratch.open("wb") as sink:
             yield sink
             sink.flush()
             os.fsync(sink.fileno())
         scratch.replace(path)
-    finally:
-        scratch.unlink(missing_ok=True)
 
 
 def write_table(df: pd.DataFrame, path: Path) -> None:

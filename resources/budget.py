@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 import dagster as dg
 from pydantic import Field
 
-from oracle_pipeline.bags.run_directory import RunDirectory, lock
+from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.bags.scratch import lock
 from resources.failures import clear_failures
 from resources.stock import StoragePlan, make_plan, parse_budget
 from resources.store import RunStore

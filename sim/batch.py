@@ -133,11 +133,13 @@ def _executor(workers: int) -> Executor:
 
 
 def _summary(manifest: Manifest) -> str:
-    reached = sum(result.outcome == "succeeded" for result in manifest.goal_results)
+    told = str(manifest.outcome)
+    if manifest.goals:
+        reached = sum(result.outcome == "succeeded" for result in manifest.goal_results)
+        told += f", {reached} of {len(manifest.goals)} goals"
     factor = manifest.recording_s / manifest.measured.wall_s
     megabytes = sum(manifest.measured.bytes.values()) / 1e6
     return (
-        f"{manifest.outcome}, {reached} of {len(manifest.goals)} goals, "
-        f"{manifest.recording_s:.0f} s at {factor:.0f}x real time, "
+        f"{told}, {manifest.recording_s:.0f} s at {factor:.0f}x real time, "
         f"{megabytes:.1f} MB ({megabytes / manifest.recording_s * 60:.1f} MB a minute)"
     )

@@ -106,7 +106,9 @@ def read_graphml(path: Path) -> RosGraph:
 
 def _write(root: ET.Element, path: Path) -> None:
     ET.indent(root)
-    path.write_bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
+    # As text, which is then encoded at once: ElementTree would encode word by word.
+    text = ET.tostring(root, encoding="unicode")
+    path.write_bytes(f"<?xml version='1.0' encoding='utf-8'?>\n{text}\n".encode())
 
 
 def _refuse_document_type(*_declaration: object) -> None:

@@ -2,8 +2,8 @@
 
 ``<root>/runs/<mode>/run003`` holds ``manifest.json``, ``bag/`` and ``graphs/``. A run is written in
 a scratch directory beside its place (``.run003.<token>``), which its writer keeps locked, and
-renamed into place. Whatever moment a process dies at, no half-written run is ever at its place.
-Locks are the kernel's (``flock``), so they end with the process that holds them.
+renamed into place (``scratch``). Whatever moment a process dies at, no half-written run is ever at
+its place.
 """
 
 import contextlib
@@ -11,7 +11,6 @@ import dataclasses
 import fcntl
 import os
 import re
-import secrets
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from typing import Any, Self
 from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.remote import is_local
+from oracle_pipeline.bags.scratch import beside, lock, remove_left, scratch_beside, sync, sync_tree
 
 MANIFEST_FILE = "manifest.json"
 BAG_FOLDER = "bag"
@@ -120,13 +120,13 @@ class RunDirectory:
         if not is_local(self.path):  # an object is replaced in one step anyway
             dataclasses.replace(self.manifest(), **found).save(self.manifest_path)
             return
-        scratch = self.path / f".{MANIFEST_FILE}.{secrets.token_hex(4)}"
+        scratch = beside(self.manifest_path)
         try:
             with lock(self.path.parent):  # nobody else amends it or puts another run here
                 dataclasses.replace(self.manifest(), **found).save(scratch)
-                _sync(scratch)
+                sync(scratch)
                 scratch.replace(self.manifest_path)
-                _sync(self.path)
+                sync(self.path)
         except OSError as error:
             scratch.unlink(missing_ok=True)
             raise RunDirectoryError(
@@ -177,15 +177,12 @@ class RunDirectory:
         """
         with contextlib.ExitStack() as locks:
             try:
-                scratch = locks.enter_context(self._scratch())
+                held = scratch_beside(self.path, Path.mkdir, self._salvage)
+                scratch = locks.enter_context(held)
             except OSError as error:
                 raise self._unwritable(error) from error
-            try:
-                yield scratch
-                self._put_in_place(scratch)
-            except BaseException:
-                shutil.rmtree(scratch, ignore_errors=True)
-                raise
+            yield scratch
+            self._put_in_place(scratch)
 
     def replace_with(self, made: Self) -> None:
         """Put a complete run that was made elsewhere on this disk here, in one step.
@@ -197,41 +194,24 @@ class RunDirectory:
         """
         self._put_in_place(made.path)
 
-    @contextlib.contextmanager
-    def _scratch(self) -> Iterator[Path]:
-        """Make and hold a scratch directory; what dead writers of this run left is removed."""
-        parent = self.path.parent
-        parent.mkdir(parents=True, exist_ok=True)
-        with contextlib.ExitStack() as held:
-            with lock(parent):
-                self._tidy()
-                scratch = self._beside()
-                scratch.mkdir()
-                held.enter_context(lock(scratch))
-            yield scratch
-
     def _tidy(self) -> None:
         """Remove what dead writers left; the parent is locked."""
-        for leftover in self.path.parent.glob(f".{self.run_id}.*"):
-            with contextlib.suppress(BlockingIOError), lock(leftover, wait=False):
-                self._salvage(leftover)
+        remove_left(self.path, self._salvage)
         for leftover in self.path.glob(f".{MANIFEST_FILE}.*"):
             leftover.unlink(missing_ok=True)
 
     def _salvage(self, leftover: Path) -> None:
-        """Put back a whole run whose writer died while it moved it; remove anything else."""
+        """Put back a whole run whose writer died while it moved it."""
         if not self.path.exists() and (leftover / MANIFEST_FILE).is_file():
             leftover.rename(self.path)
-        else:
-            shutil.rmtree(leftover, ignore_errors=True)
 
     def _put_in_place(self, scratch: Path) -> None:
         """Rename; a former run is moved aside first, so that it is whole or gone."""
         if not (scratch / MANIFEST_FILE).is_file():
             raise RunDirectoryError(f"{self.key} was left without its {MANIFEST_FILE}.")
-        former = self._beside()
+        former = beside(self.path)
         try:
-            _sync_tree(scratch)
+            sync_tree(scratch)
             with lock(self.path.parent):
                 if self.path.exists():
                     self.path.rename(former)
@@ -241,16 +221,13 @@ class RunDirectory:
                     if former.exists():
                         former.rename(self.path)
                     raise
-                _sync(self.path.parent)
+                sync(self.path.parent)
         except OSError as error:
             raise RunDirectoryError(
                 f"Could not put {self.key} into {self.path}: {error}. Check free space and "
                 "permissions, then record it again."
             ) from error
         shutil.rmtree(former, ignore_errors=True)
-
-    def _beside(self) -> Path:
-        return self.path.with_name(f".{self.run_id}.{secrets.token_hex(4)}")
 
     def _unwritable(self, error: OSError) -> RunDirectoryError:
         return RunDirectoryError(
@@ -277,17 +254,6 @@ def find_runs(root: Path) -> list[RunDirectory]:
     )
 
 
-@contextlib.contextmanager
-def lock(directory: Path, *, wait: bool = True) -> Iterator[None]:
-    """Hold a directory; raises ``BlockingIOError`` if it is held and this is not to wait."""
-    descriptor = os.open(directory, os.O_RDONLY)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    finally:
-        os.close(descriptor)
-
-
 def _hold_file(path: Path) -> int:
     """Make and hold a file that its holder removes in the end; return its descriptor."""
     while True:
@@ -297,18 +263,3 @@ def _hold_file(path: Path) -> int:
             if os.path.samestat(os.fstat(descriptor), path.stat()):
                 return descriptor
         os.close(descriptor)  # its former holder has removed this one
-
-
-def _sync_tree(directory: Path) -> None:
-    for folder, _, names in os.walk(directory):
-        for name in names:
-            _sync(Path(folder, name))
-        _sync(Path(folder))
-
-
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -51,11 +51,27 @@ def block_folds(df: pd.DataFrame, seed: int, n_folds: int = FOLDS) -> list[Fold]
     return _folds(df, [hand == n for n in range(n_folds)], rng)
 
 
-def session_folds(df: pd.DataFrame, seed: int) -> list[Fold]:
-    """Return folds that hold out the blocks of one session each; none if there is only one."""
+def session_folds(df: pd.DataFrame, seed: int, known: int = 0) -> list[Fold]:
+    """Return folds that hold out the blocks of one session each, but for some that train.
+
+    Parameters
+    ----------
+    df : DataFrame
+        A row a run.
+    seed : int
+        Of who trains.
+    known : int
+        Blocks of the tested session that train like any other: runs that were taken on its day.
+        With only one session, or where a session has no further block, there are no folds.
+    """
     block, session = _column(df, "block"), _column(df, "session")
-    of_session = [np.isin(block, block[session == number]) for number in np.unique(session)]
-    return _folds(df, of_session, np.random.default_rng(seed)) if len(of_session) > 1 else []
+    rng = np.random.default_rng([seed, known])
+    tested = [
+        np.isin(block, rng.permutation(np.unique(block[session == number]))[known:])
+        for number in np.unique(session)
+    ]
+    possible = len(tested) > 1 and all(test.any() for test in tested)
+    return _folds(df, tested, np.random.default_rng(seed)) if possible else []
 
 
 def untaught(df: pd.DataFrame, folds: Sequence[Fold]) -> list[Fold]:

@@ -58,6 +58,7 @@ from oracle_pipeline.reporting.result import Report, facts
 from oracle_pipeline.reporting.tables import estimate
 
 SEED = 50
+KNOWN = (2, 4, 8)  # blocks of an otherwise unknown session that train
 UPPER_BOUND = "random_forest"  # boosted trees take minutes and bound nothing else
 
 Progress = Callable[[str], None]
@@ -191,6 +192,9 @@ class _Evaluation:
                 rows += self._scored(scorer, BLOCK, self.folds)
         df = self.campaign.features
         rows += self._scored(HEADLINE, SESSION, session_folds(df, self.seed))
+        for known in KNOWN:
+            if folds := session_folds(df, self.seed, known):
+                rows += self._scored(HEADLINE, f"{SESSION} but {known} blocks", folds)
         if is_hard_negative(df).any():
             rows += self._scored(HEADLINE, HARMLESS, untaught(df, self.folds))
         self.progress(f"{UPPER_BOUND}, with labels")

@@ -72,10 +72,11 @@ def drawing(width: float, height: float) -> Iterator[tuple[Axes, BytesIO]]:
     """Give axes of a figure [inches] and the buffer that holds its PNG once the block is left."""
     png = BytesIO()
     with house_style():
-        figure = Figure(figsize=(width, height), layout="constrained")
-        FigureCanvasAgg(figure)
+        figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+        canvas = FigureCanvasAgg(figure)
         yield figure.add_subplot(), png
-        figure.savefig(png, format="png", dpi=DPI, metadata={"Software": None})
+        # Figure.savefig would draw it twice.
+        canvas.print_png(png, metadata={"Software": None})  # type: ignore[no-untyped-call]
 
 
 def _legend_above(axes: Axes) -> None:

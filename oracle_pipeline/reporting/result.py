@@ -1,8 +1,6 @@
 """What every report gives: tables, pictures and a few plain facts, kept together in one folder."""
 
 import json
-import shutil
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.scratch import lock, scratch_beside
 from oracle_pipeline.datasets import read_table, write_table
 from oracle_pipeline.evaluation.estimate import Estimate
 
@@ -35,9 +34,7 @@ class Report:
 
         It is written beside its place and renamed into it, so that no reader sees half of it.
         """
-        directory.parent.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(dir=directory.parent, prefix=f".{directory.name}."))
-        try:
+        with scratch_beside(directory, Path.mkdir) as scratch:
             new, old = scratch / "new", scratch / "old"
             (new / FIGURES).mkdir(parents=True)
             write_table(self.table, new / TABLE)
@@ -47,11 +44,10 @@ class Report:
                 (new / FIGURES / f"{name}.png").write_bytes(png)
             summary = json.dumps(dict(self.summary), indent=2, ensure_ascii=False, allow_nan=False)
             (new / SUMMARY).write_text(summary, encoding="utf-8")
-            if directory.exists():
-                directory.rename(old)
-            new.rename(directory)
-        finally:
-            shutil.rmtree(scratch)
+            with lock(directory.parent):  # against somebody who makes the same report
+                if directory.exists():
+                    directory.rename(old)
+                new.rename(directory)
 
     @classmethod
     def load(cls, directory: Path) -> "Report":

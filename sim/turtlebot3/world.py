@@ -280,7 +280,7 @@ class World:
         measured = np.empty((1, steps, self._measured.shape[1]))
         self._rollout.rollout(
             [self._model], [self._data], self._states[-1:],
-            np.tile(self._command, (1, steps, 1)),
+            np.full((1, steps, len(self._command)), self._command),
             skip_checks=True, nstep=steps, initial_warmstart=self._data.qacc_warmstart[np.newaxis],
             state=states, sensordata=measured,
         )  # fmt: skip

@@ -129,6 +129,27 @@ def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_what_a_killed_writer_left_is_removed_by_the_next_one(tmp_path):
+    path = tmp_path / "table.parquet"
+    path.with_name(".table.parquet.0badcafe").write_bytes(b"ha")  # and then: kill -9
+    other = tmp_path / ".table.0badcafe"
+    other.touch()
+    with replacing(path) as sink:
+        sink.write(b"whole")
+    assert sorted(tmp_path.iterdir()) == [other, path]
+
+
+def test_what_a_living_writer_writes_is_left_alone(tmp_path):
+    path = tmp_path / "table.parquet"
+    with replacing(path) as sink:
+        sink.write(b"first")
+        with replacing(path) as another:
+            another.write(b"second")
+        assert path.read_bytes() == b"second"
+    assert path.read_bytes() == b"first"
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_what_is_no_table_is_named(tmp_path):
     with pytest.raises(DatasetError, match=r"There is no table .*absent\.parquet"):
         read_table(tmp_path / "absent.parquet")

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oracle_pipeline.datasets import is_malicious
-from oracle_pipeline.evaluation.splits import block_folds, session_folds
+from oracle_pipeline.evaluation.splits import block_folds, session_folds, untaught
 from tests.datasets.synthetic import CONTROLS, MODES, run_features
 
 
@@ -34,6 +34,30 @@ def test_sessions_are_spread_over_folds_and_halves_unless_one_is_held_out():
         for side in (fold.fit, fold.calibrate, fold.test):
             assert set(session[side]) == {0, 1, 2}
     assert [set(session[fold.test]) for fold in session_folds(df, 0)] == [{0}, {1}, {2}]
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(6, 25), st.integers(0, 9), st.integers(1, 4))
+def test_of_a_session_that_is_known_in_part_so_many_blocks_train_and_the_rest_is_tested(
+    blocks, seed, known
+):
+    df = runs(blocks)
+    block, session = df["block"].to_numpy(), df["session"].to_numpy()
+    folds = session_folds(df, seed, known)
+    assert len(folds) == (3 if known < blocks // 3 else 0)
+    for number, fold in enumerate(folds):
+        assert set(session[fold.test]) == {number}
+        assert len(set(block[fold.train & (session == number)])) == known
+        assert set(block[fold.train]).isdisjoint(block[fold.test])
+
+
+def test_harmless_changes_are_tested_where_nobody_was_shown_them():
+    df = runs(9)
+    harmless = df["mode"].str.startswith("benign_").to_numpy()
+    for fold, shown in zip(untaught(df, block_folds(df, 0)), block_folds(df, 0), strict=True):
+        assert not harmless[fold.fit | fold.calibrate].any()
+        assert (fold.fit == shown.fit & ~harmless).all()
+        assert (fold.test == shown.test).all()
 
 
 def test_hard_negatives_and_shadows_train():

@@ -65,7 +65,9 @@ def test_there_is_a_row_for_every_scorer_split_and_scope():
     table = strong()[0].table
     assert set(table["detector"]) == {*QUICK, "random_forest (sees labels)"}
     assert {"all", "structural", "contextual", "generic"} <= set(table["features"])
-    assert set(table["split"]) == {"block", "session", "block and hard negatives"}
+    assert set(table["split"]) == {
+        "block", "session", "session but 2 blocks", "block and hard negatives",
+    }  # fmt: skip
     assert set(table["level"]) == {"run", "windows", "both"}
     assert not table.duplicated(["detector", "features", "level", "split", "scope"]).any()
     pairs = table[table["scope"] == "random_noise_shadow / random_noise"]

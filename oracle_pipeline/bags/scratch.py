@@ -1,0 +1,96 @@
+"""Scratch beside the place that it is renamed to: half of a thing is never where the whole belongs.
+
+Who writes holds the scratch with a kernel's lock (``flock``), which ends with its process; what is
+not held was left by somebody who died, and is removed by whoever comes next.
+"""
+
+import contextlib
+import fcntl
+import os
+import secrets
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+
+@contextlib.contextmanager
+def scratch_beside(
+    place: Path,
+    make: Callable[[Path], object],
+    salvage: Callable[[Path], object] = lambda _: None,
+) -> Iterator[Path]:
+    """Make scratch beside a place and hold it until it is renamed, or removed after the block.
+
+    What dead writers left there is removed first.
+
+    Parameters
+    ----------
+    place
+        Where it is to be renamed to; its folder is made.
+    make
+        Makes the scratch: ``Path.mkdir`` or ``Path.touch``.
+    salvage
+        Looks at what somebody left, before it is removed.
+    """
+    place.parent.mkdir(parents=True, exist_ok=True)
+    with contextlib.ExitStack() as held:
+        with lock(place.parent):
+            remove_left(place, salvage)
+            scratch = beside(place)
+            make(scratch)
+            held.enter_context(lock(scratch))
+        try:
+            yield scratch
+        finally:
+            remove(scratch)
+
+
+def beside(place: Path) -> Path:
+    """Return a hidden name beside a place that nobody else has."""
+    return place.with_name(f".{place.name}.{secrets.token_hex(4)}")
+
+
+def remove_left(place: Path, salvage: Callable[[Path], object] = lambda _: None) -> None:
+    """Remove the scratch that dead writers left beside a place; its folder has to be held."""
+    for leftover in place.parent.glob(f".{place.name}.*"):
+        # It may be held, or have been renamed just now.
+        held_or_gone = contextlib.suppress(BlockingIOError, FileNotFoundError)
+        with held_or_gone, lock(leftover, wait=False):
+            salvage(leftover)
+            remove(leftover)
+
+
+def remove(path: Path) -> None:
+    """Remove a file or a folder, if it is there."""
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def lock(path: Path, *, wait: bool = True) -> Iterator[None]:
+    """Hold a file or folder; raises ``BlockingIOError`` if it is held and this is not to wait."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def sync(path: Path) -> None:
+    """Have a file or folder written to the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def sync_tree(directory: Path) -> None:
+    """Have a folder and all in it written to the disk."""
+    for folder, _, names in os.walk(directory):
+        for name in names:
+            sync(Path(folder, name))
+        sync(Path(folder))
