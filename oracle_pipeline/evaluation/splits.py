@@ -74,6 +74,11 @@ def session_folds(df: pd.DataFrame, seed: int, known: int = 0) -> list[Fold]:
     return _folds(df, tested, np.random.default_rng(seed)) if possible else []
 
 
+def tested_in(folds: Sequence[Fold]) -> NDArray[np.bool_] | None:
+    """Return which rows some fold tests; None if there are no folds."""
+    return np.any([fold.test for fold in folds], axis=0) if folds else None
+
+
 def untaught(df: pd.DataFrame, folds: Sequence[Fold]) -> list[Fold]:
     """Return folds in which nobody says what is harmless: hard negatives are only tested."""
     plain = ~is_hard_negative(df)

@@ -50,6 +50,7 @@ from oracle_pipeline.evaluation.splits import (
     Fold,
     block_folds,
     session_folds,
+    tested_in,
     untaught,
 )
 from oracle_pipeline.reporting import figures
@@ -208,19 +209,24 @@ class _Evaluation:
         self, scorer: Scorer, split: str, folds: Sequence[Fold]
     ) -> list[dict[str, float | int | str]]:
         try:
-            return self._rows(scorer, split, self.score(scorer, folds))
+            rows = self._rows(scorer, split, self.score(scorer, folds), tested_in(folds))
         except DetectorError as error:
             whole = self.scopes[0]
             row = unjudged(self.campaign, whole, str(error))
-            return [{**scorer._asdict(), "split": split, "scope": whole.name, **row}]
+            rows = [{**scorer._asdict(), "split": split, "scope": whole.name, **row}]
+        return rows
 
     def _rows(
-        self, scorer: Scorer, split: str, scores: HeldOut
+        self, scorer: Scorer, split: str, scores: HeldOut, tested: NDArray[np.bool_] | None = None
     ) -> list[dict[str, float | int | str]]:
+        """Judge a scorer in every scope; of a split that tests some runs only, on those."""
+        scopes = self.scopes
+        if tested is not None:
+            scopes = [Scope(scope.name, scope.runs & tested) for scope in scopes]
         place = {**scorer._asdict(), "split": split}
         return [
             {**place, "scope": scope.name, **judge(scores, self.campaign, scope, self.rng)}
-            for scope in self.scopes
+            for scope in scopes
         ]
 
     def alarms(self) -> pd.DataFrame:
