@@ -80,9 +80,18 @@ def test_the_ui_comes_up(checkout: Path) -> None:
         try:
             answer = wait_for(f"http://127.0.0.1:{port}/server_info", seconds=180)
         finally:
-            os.killpg(server.pid, signal.SIGINT)
-            server.wait(timeout=180)
+            end(server)
     assert answer["dagster_version"].startswith("1.13"), (checkout / "log").read_text()
+
+
+def end(group: "subprocess.Popen[bytes]") -> None:
+    """Press control-C; a web server that is interrupted while it starts has to be killed."""
+    os.killpg(group.pid, signal.SIGINT)
+    try:
+        group.wait(timeout=30)
+    except subprocess.TimeoutExpired:
+        os.killpg(group.pid, signal.SIGKILL)
+        group.wait()
 
 
 def wait_for(url: str, seconds: float) -> dict[str, str]:
