@@ -41,7 +41,7 @@ ui: setup ## Open the pipeline in the browser, on 127.0.0.1
 	dagster dev -w workspace.yaml -h 127.0.0.1
 
 test: setup lint types ## Check style and types, then run every test that needs only Python and PyPI
-	pytest -n 2 --dist loadfile
+	pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 test-browser: setup ## Look at the report in a headless Chromium, which has to be installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
