@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import Any
 
 from bench.figures import Row, median, spread
+from soak.budget import FIRST, LAST
 
 ROOT = Path(__file__).parent.parent
 RUNS = 1000  # of each mode
-FIRST, LAST = "lidar_passthrough", "delayed_fakeobject"  # the six modes
 AT_ONCE = (50, 250)  # partitions in a range
 ROUNDS = 5
 RESPONSIVE_S = 2.0

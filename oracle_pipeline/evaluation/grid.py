@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from oracle_pipeline.datasets import is_hard_negative
 from oracle_pipeline.detectors import DetectorError, panel
 from oracle_pipeline.evaluation.campaign import CampaignError, Runs, feature_sets
-from oracle_pipeline.evaluation.conformal import check_support
+from oracle_pipeline.evaluation.conformal import check_support, runs_needed
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate, clopper_pearson
 from oracle_pipeline.evaluation.protocol import HEADLINE, RATES, Scorer, scorers
-from oracle_pipeline.evaluation.scoring import held_out
+from oracle_pipeline.evaluation.scoring import calibration_runs, held_out
 from oracle_pipeline.evaluation.splits import BLOCK, HARMLESS, Fold, fit_and_calibrate, untaught
 
 ORACLE, OPERATOR = [*Scorer._fields, "split"], ["scenario", "parameter"]
@@ -69,11 +69,12 @@ def kill_matrix(campaign: Runs, grid: Runs, seed: int, rate: float = RATES[0]) -
     mutants = np.arange(len(runs.features)) >= len(campaign.features)
     fold = _fold(runs, mutants, seed)
     oracles = [(scorer, BLOCK, [fold]) for scorer in scorers(detectors, sets)]
-    if is_hard_negative(campaign.features).any():
-        oracles.append((HEADLINE, HARMLESS, untaught(runs.features, [fold])))
+    check_support(calibration_runs([fold]), rate)
+    plain = untaught(runs.features, [fold])
+    if is_hard_negative(campaign.features).any() and calibration_runs(plain) >= runs_needed(rate):
+        oracles.append((HEADLINE, HARMLESS, plain))
     tables = []
     for scorer, split, folds in oracles:
-        check_support(min(int(fold.calibrate.sum()) for fold in folds), rate)
         try:
             columns, detector = sets[scorer.features], detectors[scorer.detector]
             scores = held_out(runs, columns, detector, folds, scorer.level)

@@ -209,24 +209,23 @@ class _Evaluation:
         self, scorer: Scorer, split: str, folds: Sequence[Fold]
     ) -> list[dict[str, float | int | str]]:
         try:
-            rows = self._rows(scorer, split, self.score(scorer, folds), tested_in(folds))
+            return self._rows(scorer, split, self.score(scorer, folds), tested_in(folds))
         except DetectorError as error:
             whole = self.scopes[0]
             row = unjudged(self.campaign, whole, str(error))
-            rows = [{**scorer._asdict(), "split": split, "scope": whole.name, **row}]
-        return rows
+            return [{**scorer._asdict(), "split": split, "scope": whole.name, **row}]
 
     def _rows(
         self, scorer: Scorer, split: str, scores: HeldOut, tested: NDArray[np.bool_] | None = None
     ) -> list[dict[str, float | int | str]]:
         """Judge a scorer in every scope; of a split that tests some runs only, on those."""
-        scopes = self.scopes
+        judged = self.scopes
         if tested is not None:
-            scopes = [Scope(scope.name, scope.runs & tested) for scope in scopes]
+            judged = [Scope(scope.name, scope.runs & tested) for scope in judged]
         place = {**scorer._asdict(), "split": split}
         return [
             {**place, "scope": scope.name, **judge(scores, self.campaign, scope, self.rng)}
-            for scope in scopes
+            for scope in judged
         ]
 
     def alarms(self) -> pd.DataFrame:
