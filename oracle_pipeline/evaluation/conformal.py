@@ -108,20 +108,6 @@ def check_support(n_calibration: int, rate: float) -> None:
         )
 
 
-def flag(
-    calibration: NDArray[np.float64], scores: NDArray[np.float64], rate: float
-) -> NDArray[np.bool_]:
-    """Call each run anomalous whose p-value is at most `rate`, its chance if the run is right.
-
-    Raises
-    ------
-    ConformalError
-        The calibration runs cannot support the rate, or a score is not finite.
-    """
-    check_support(len(calibration), rate)
-    return np.asarray(p_values(calibration, scores) <= rate, dtype=np.bool_)
-
-
 def adjusted_for_suite(p: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return Benjamini-Hochberg p-values of runs that are judged together.
 

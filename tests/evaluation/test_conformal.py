@@ -8,7 +8,6 @@ from oracle_pipeline.evaluation.conformal import (
     ConformalError,
     adjusted_for_suite,
     check_support,
-    flag,
     p_values,
     runs_needed,
 )
@@ -73,7 +72,7 @@ def test_the_runs_needed_are_just_enough(rate):
     n = runs_needed(rate)
     check_support(n, rate)
     if n:
-        assert flag(np.zeros(n), np.array([1.0]), rate)[0]
+        assert p_values(np.zeros(n), np.array([1.0]))[0] <= rate
         assert 1 / n > rate
         with pytest.raises(ConformalError, match=f"{n} are needed"):
             check_support(n - 1, rate)
@@ -92,9 +91,10 @@ def test_a_rate_that_is_none_is_refused(rate):
 
 def test_no_verdict_beyond_what_the_calibration_supports():
     new = np.array([9.0, 0.0])
-    assert flag(np.arange(19.0) / 19, new, 0.05).tolist() == [True, False]
+    check_support(19, 0.05)
+    assert (p_values(np.arange(19.0) / 19, new) <= 0.05).tolist() == [True, False]
     with pytest.raises(ConformalError, match="18 calibration runs cannot support"):
-        flag(np.arange(18.0), new, 0.05)
+        check_support(18, 0.05)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
