@@ -10,7 +10,7 @@ import functools
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -20,13 +20,14 @@ from oracle_pipeline.bags.errors import OracleError
 from sim.atc.recipes import AtcCampaign, AtcRecipe, atc_recipe_for
 from sim.middleware.geometry import Pose2D
 from sim.modes import Conditions, Mode, modes
-from sim.nav2.costmap import LETHAL, Costmap2D, Costs
+from sim.nav2.costmap import LETHAL, Costmap2D
 from sim.nav2.costmap_layers import GLOBAL_COST_SCALING, InflationLayer, static_costs
 from sim.nav2.footprint import INSCRIBED_RADIUS
 from sim.nav2.navfn import plan
 from sim.seeds import generator, node_generator, sequence
 from sim.turtlebot3.arena import RING, clearance
 from sim.turtlebot3.map import (
+    RESOLUTION_M,
     WORLD_IN_MAP,
     OdometrySource,
     odom_in_map,
@@ -243,22 +244,28 @@ def path_length(path: NDArray[np.float64]) -> float:
     return float(np.hypot(*np.diff(path, axis=0).T).sum())
 
 
+_INFLATION = InflationLayer(RESOLUTION_M, INSCRIBED_RADIUS, GLOBAL_COST_SCALING)
+
+
 @functools.cache
-def _static_costs() -> Costs:
-    return static_costs(turtlebot3_world_map().data)
+def _empty_world() -> Costmap2D:
+    world = turtlebot3_world_map()
+    costs = static_costs(world.data)
+    _INFLATION.add_to(costs)
+    return Costmap2D(costs, world.resolution, *world.origin, "map")
 
 
 def planning_grid(obstacle: FakeObject | None = None) -> Costmap2D:
     """Return the global costmap of the world, empty or with an obstacle in it."""
-    world = turtlebot3_world_map()
-    origin_x, origin_y = world.origin
-    grid = Costmap2D(_static_costs().copy(), world.resolution, origin_x, origin_y, "map")
+    empty = _empty_world()
+    grid = replace(empty, costs=empty.costs.copy())
     if obstacle is not None:
         rows, columns = (np.arange(cells) + 0.5 for cells in grid.costs.shape)
-        x = origin_x + world.resolution * columns - obstacle.x
-        y = origin_y + world.resolution * rows - obstacle.y
-        grid.costs[x**2 + y[:, None] ** 2 <= obstacle.radius**2] = LETHAL
-    InflationLayer(world.resolution, INSCRIBED_RADIUS, GLOBAL_COST_SCALING).add_to(grid.costs)
+        x = grid.origin_x + grid.resolution * columns - obstacle.x
+        y = grid.origin_y + grid.resolution * rows - obstacle.y
+        inside = x**2 + y[:, None] ** 2 <= obstacle.radius**2
+        grid.costs[inside] = LETHAL
+        _INFLATION.add_to(grid.costs, inside)
     return grid
 
 

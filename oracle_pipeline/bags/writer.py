@@ -59,7 +59,21 @@ class _McapStorage(McapWriter):
 
 
 class _Writer(Writer):
+    """rosbags' own, but it does not look each message's connection up among all: it is from here.
+
+    With sixty topics that is a quarter of what writing a message costs.
+    """
+
     STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: _McapStorage}  # noqa: RUF012
+
+    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
+        """Append one message; messages are not compressed one by one."""
+        if self.storage is None:
+            raise WriterError("the bag is not open")
+        self.storage.write(connection, timestamp, data)
+        self.counts[connection.id] += 1
+        self.min_timestamp = min(timestamp, self.min_timestamp)
+        self.max_timestamp = max(timestamp, self.max_timestamp)
 
 
 class _Topic:

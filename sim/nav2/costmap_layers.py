@@ -159,9 +159,10 @@ class InflationLayer:
         costs[distance > reach * resolution + 1e-9] = FREE_SPACE
         self._stamp = costs.astype(np.uint8)
 
-    def add_to(self, costs: Costs) -> None:
-        """Raise ``costs`` around its lethal cells."""
-        _inflate(costs, self._stamp, np.flatnonzero(costs == LETHAL))
+    def add_to(self, costs: Costs, lethal: NDArray[np.bool_] | None = None) -> None:
+        """Raise ``costs`` around its lethal cells; around some, if the rest has been inflated."""
+        obstacles = np.flatnonzero(costs == LETHAL if lethal is None else lethal)
+        _inflate(costs, self._stamp, obstacles)
 
 
 @jit

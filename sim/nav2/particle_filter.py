@@ -8,7 +8,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from sim.middleware.geometry import Pose2D, wrap_angle
 
@@ -138,9 +137,13 @@ def cluster_labels(poses: NDArray[np.float64]) -> NDArray[np.int64]:
     bins, first, bin_of = _occupied_bins(poses)
     gaps = np.abs(bins[first, np.newaxis] - bins[np.newaxis, first])
     gaps[:, :, 2] = np.minimum(gaps[:, :, 2], _YAW_BINS - gaps[:, :, 2])
-    _, labels = connected_components(np.all(gaps <= 1, axis=2), directed=False)
-    clusters: NDArray[np.int64] = labels[bin_of].astype(np.int64)
-    return clusters
+    touches = np.all(gaps <= 1, axis=2)
+    labels, before = np.arange(len(first)), None
+    while before is None or np.any(labels != before):  # the lowest number wins its neighbours
+        before = labels
+        labels = np.where(touches, labels, len(first)).min(axis=1)
+    _, clusters = np.unique(labels, return_inverse=True)
+    return clusters[bin_of]
 
 
 def _occupied_bins(

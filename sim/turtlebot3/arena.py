@@ -4,6 +4,7 @@ Metres in the world frame (x right, y up, seen from above). Physics and rays are
 map that a robot would have made of it is in ``map``.
 """
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -40,14 +41,17 @@ class Hexagon:
 
     def signed_distance(self, points: Points) -> NDArray[np.float64]:
         """Return how far points of shape (n, 2) are outside; negative inside [m]."""
-        # By symmetry every point is seen in the sector of one side, from -30 to 30 degrees of it.
-        p = points - (self.x, self.y)
-        radius = np.hypot(p[:, 0], p[:, 1])
-        bearing = np.arctan2(p[:, 1], p[:, 0]) - math.pi / 6.0
-        sector = bearing - np.round(bearing / (math.pi / 3.0)) * math.pi / 3.0
-        out, along = radius * np.cos(sector) - self.apothem, np.abs(radius * np.sin(sector))
+        # By symmetry every point is seen in the first quadrant, before the nearer of two sides.
+        x, y = np.abs(points[:, 0] - self.x), np.abs(points[:, 1] - self.y)
+        slope_x, slope_y = math.sqrt(3.0) / 2.0, 0.5
+        to_slope = slope_x * x + slope_y * y
+        faces_slope = to_slope > y
+        out = np.where(faces_slope, to_slope, y) - self.apothem
+        along = np.where(faces_slope, np.abs(slope_x * y - slope_y * x), x)
         beyond_corner = np.maximum(along - self.circumradius / 2.0, 0.0)
-        distance: NDArray[np.float64] = np.where(out > 0.0, np.hypot(out, beyond_corner), out)
+        distance: NDArray[np.float64] = np.where(
+            out > 0.0, np.sqrt(out * out + beyond_corner * beyond_corner), out
+        )
         return distance
 
 
@@ -63,9 +67,8 @@ class Cylinder:
 
     def signed_distance(self, points: Points) -> NDArray[np.float64]:
         """Return how far points of shape (n, 2) are outside; negative inside [m]."""
-        distance: NDArray[np.float64] = (
-            np.hypot(points[:, 0] - self.x, points[:, 1] - self.y) - self.radius
-        )
+        x, y = points[:, 0] - self.x, points[:, 1] - self.y
+        distance: NDArray[np.float64] = np.sqrt(x * x + y * y) - self.radius
         return distance
 
 
@@ -108,5 +111,4 @@ def clearance(points: Points) -> NDArray[np.float64]:
     distances = [-RING.signed_distance(points)]
     distances += [block.signed_distance(points) for block in BLOCKS]
     distances += [cylinder.signed_distance(points) for cylinder in CYLINDERS]
-    nearest: NDArray[np.float64] = np.min(distances, axis=0)
-    return nearest
+    return functools.reduce(np.minimum, distances)

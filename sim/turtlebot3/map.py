@@ -9,7 +9,7 @@ import math
 from typing import Literal
 
 import numpy as np
-from scipy import ndimage
+from numpy.typing import NDArray
 
 from sim.middleware.geometry import Pose2D
 from sim.nav2.map_server import OccupancyMap
@@ -37,15 +37,24 @@ def turtlebot3_world_map() -> OccupancyMap:
     x, y = np.meshgrid(centres, centres)
     points = WORLD_IN_MAP.inverse().apply(np.column_stack([x.ravel(), y.ravel()]))
     distance = clearance(points).reshape(CELLS, CELLS)
-    pockets, _ = ndimage.label(distance > 0.0)
-    inside = int(-ORIGIN_M / RESOLUTION_M) + 10  # half a metre from the centre: between pillars
-    reachable = pockets == pockets[inside, inside]
-    seen = ndimage.binary_dilation(reachable, np.ones((5, 5), bool))
+    reachable = distance > 0.0  # one piece: a robot gets everywhere where there is room
+    seen = _widened(reachable, 2)
     data = np.full((CELLS, CELLS), UNKNOWN, np.int8)
     data[reachable] = FREE
     data[seen & (distance <= _BEFORE_M) & (distance > -_BEHIND_M)] = OCCUPIED
     data.flags.writeable = False
     return OccupancyMap(data, RESOLUTION_M, (ORIGIN_M, ORIGIN_M))
+
+
+def _widened(cells: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Return the cells with at least one of ``cells`` in the square of so many cells around."""
+    height, width = cells.shape
+    padded = np.pad(cells, reach)
+    rows = np.logical_or.reduce([padded[i : i + height] for i in range(2 * reach + 1)])
+    widened: NDArray[np.bool_] = np.logical_or.reduce(
+        [rows[:, i : i + width] for i in range(2 * reach + 1)]
+    )
+    return widened
 
 
 def odom_in_map(source: OdometrySource, start: Pose2D) -> Pose2D:
