@@ -23,7 +23,6 @@ from rosbags.interfaces import (
     Qos,
 )
 from rosbags.rosbag1 import Reader as Reader1
-from rosbags.rosbag2 import Reader as Reader2
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -31,6 +30,7 @@ from oracle_pipeline.bags import types
 from oracle_pipeline.bags.content import ContentHash
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.qos_profiles import remember_profiles
+from oracle_pipeline.bags.storage import Reader as Reader2
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE, TypeDefinition
 
 remember_profiles()

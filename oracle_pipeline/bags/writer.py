@@ -6,7 +6,6 @@ profiles, and errors that name the bag. Nothing depends on the clock: equal call
 
 import shutil
 import sqlite3
-import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,14 +13,14 @@ from types import TracebackType
 from typing import Literal, Self
 
 from rosbags.interfaces import Connection, Qos
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
-from rosbags.rosbag2.storage_mcap import McapWriter
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, WriterError
 
 from oracle_pipeline.bags import types
 from oracle_pipeline.bags.content import ContentHash
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.manifest import TopicCount
 from oracle_pipeline.bags.qos_profiles import remember_profiles
+from oracle_pipeline.bags.storage import Writer
 from oracle_pipeline.bags.types import TypeDefinition
 
 remember_profiles()
@@ -29,51 +28,6 @@ remember_profiles()
 # The newest that Humble's `ros2 bag` opens; 9 turns the QoS profiles into a list it cannot parse.
 _METADATA_VERSION: Literal[8] = 8
 _NO_HASH = f"RIHS01_{'0' * 64}"  # rosbags insists on one; ROS compares it only where both have one
-
-
-class _McapStorage(McapWriter):
-    """rosbags' own, but a message's record is packed in one go instead of field by field.
-
-    A run has a hundred thousand small messages, and this is half of what writing one costs.
-    """
-
-    _RECORD = struct.Struct("<BQHIQQ")  # opcode, length; channel, sequence, log and publish time
-    _MESSAGE = 0x05
-    _FIELDS_SIZE = 22
-    _CHUNK_SIZE = 2**20
-
-    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Append one message to the open chunk."""
-        chunk, channel = self.chunk, connection.id
-        self.message_start_time = min(timestamp, self.message_start_time)
-        self.message_end_time = max(timestamp, self.message_end_time)
-        chunk.message_start_time = min(timestamp, chunk.message_start_time)
-        chunk.message_end_time = max(timestamp, chunk.message_end_time)
-        self.channel_stats[channel] += 1
-        chunk.msgs[channel].append((timestamp, chunk.bio.tell()))
-        size = self._FIELDS_SIZE + len(data)
-        chunk.bio.write(self._RECORD.pack(self._MESSAGE, size, channel, 0, timestamp, timestamp))
-        chunk.bio.write(data)
-        if chunk.bio.tell() > self._CHUNK_SIZE:
-            self.close_chunk()
-
-
-class _Writer(Writer):
-    """rosbags' own, but it does not look each message's connection up among all: it is from here.
-
-    With sixty topics that is a quarter of what writing a message costs.
-    """
-
-    STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: _McapStorage}  # noqa: RUF012
-
-    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Append one message; messages are not compressed one by one."""
-        if self.storage is None:
-            raise WriterError("the bag is not open")
-        self.storage.write(connection, timestamp, data)
-        self.counts[connection.id] += 1
-        self.min_timestamp = min(timestamp, self.min_timestamp)
-        self.max_timestamp = max(timestamp, self.max_timestamp)
 
 
 class _Topic:
@@ -131,7 +85,7 @@ class BagWriter:
         if path.exists():
             raise BagError(f"{path} exists already; a bag is never written over another.")
         with self._errors():
-            self._writer = _Writer(
+            self._writer = Writer(
                 self._unfinished,
                 version=_METADATA_VERSION,
                 storage_plugin=StoragePlugin[storage.upper()],
