@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 
 import dagster as dg
 
-from assets.events import check_evaluation
+from assets.events import check_evaluation, latest_materializations
 from assets.partitions import RUNS
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.fleet import Fleet
@@ -69,14 +69,19 @@ def checks_of_runs(
             pairs_there(runs.values()) if name == PAIR_CHECK else [(run,) for run in runs.values()]
         )
     ]
+    targets = {
+        asset: latest_materializations(context.instance, asset, list(runs))
+        for asset in {spec.asset_key for spec in specs.values()}
+    }
     for outcome in fleet.outcomes(inspect, inspections):
         finding = outcome.result or Finding([outcome.error or "the inspection ended early"], {})
         for run in outcome.job.runs:
             if run.key in runs:
+                spec = specs[outcome.job.name]
                 yield check_evaluation(
-                    context,
-                    specs[outcome.job.name],
+                    spec,
                     run.key,
+                    targets[spec.asset_key].get(run.key),
                     passed=not finding.wrong,
                     description="; ".join(finding.wrong[:SHOWN]) or None,
                     metadata={**finding.figures, "wrong": len(finding.wrong)},

@@ -5,7 +5,8 @@ check result. Steps here yield the events of every partition themselves and then
 output without one. The two private names that this takes stand in this module only.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import dagster as dg
 from dagster._core.definitions.asset_checks.asset_check_evaluation import (
@@ -15,33 +16,47 @@ from dagster._core.definitions.source_asset import SYSTEM_METADATA_KEY_SOURCE_AS
 
 Figures = Mapping[str, int | float | str | dg.MetadataValue]
 
+_AT_ONCE = 1000  # partitions a query asks for; SQLite takes some thousands
 
-def materialization(
-    instance: dg.DagsterInstance,
-    spec: dg.AssetSpec,
-    key: dg.MultiPartitionKey,
-    *,
-    data_version: str,
-    code_version: str,
-    metadata: Figures,
-) -> dg.AssetMaterialization:
-    """Return the event that turns one partition of an asset green.
 
-    Its tags are those that Dagster itself would give it: from them the UI knows which partitions
-    are stale, because of other code or of newer data upstream.
+class Materialized(NamedTuple):
+    """One partition of an asset, as it is now."""
+
+    spec: dg.AssetSpec
+    data_version: str
+    code_version: str
+    metadata: Figures
+
+
+def materializations(
+    instance: dg.DagsterInstance, key: dg.MultiPartitionKey, assets: Iterable[Materialized]
+) -> Iterator[dg.AssetMaterialization]:
+    """Yield the events that turn one partition of some assets green, upstream before downstream.
+
+    Their tags are those that Dagster itself would give them: from them the UI knows which
+    partitions are stale, because of other code or of newer data upstream. They name the event
+    upstream, so each one has to be stored before the next is asked for.
     """
-    tags = {f"dagster/partition/{name}": of for name, of in key.keys_by_dimension.items()}
-    tags["dagster/data_version"] = data_version
-    tags["dagster/data_version_is_user_provided"] = "true"
-    tags["dagster/code_version"] = code_version
-    for dependency in spec.deps:
-        name = dependency.asset_key.to_user_string()
-        latest = latest_materialization(instance, dependency.asset_key, key)
-        seen = latest.asset_materialization if latest else None
-        versions = (seen.tags if seen else None) or {}
-        tags[f"dagster/input_data_version/{name}"] = versions.get("dagster/data_version", "INITIAL")
-        tags[f"dagster/input_event_pointer/{name}"] = str(latest.storage_id) if latest else "NULL"
-    return dg.AssetMaterialization(asset_key=spec.key, partition=key, metadata=metadata, tags=tags)
+    upstream: dict[dg.AssetKey, dg.EventLogRecord | None] = {}
+    for spec, data_version, code_version, metadata in assets:
+        tags = {f"dagster/partition/{name}": of for name, of in key.keys_by_dimension.items()}
+        tags["dagster/data_version"] = data_version
+        tags["dagster/data_version_is_user_provided"] = "true"
+        tags["dagster/code_version"] = code_version
+        for asset in (dependency.asset_key for dependency in spec.deps):
+            if asset not in upstream:
+                upstream[asset] = latest_materialization(instance, asset, key)
+            name, latest = asset.to_user_string(), upstream[asset]
+            seen = latest.asset_materialization if latest else None
+            versions = (seen.tags if seen else None) or {}
+            version = versions.get("dagster/data_version", "INITIAL")
+            tags[f"dagster/input_data_version/{name}"] = version
+            tags[f"dagster/input_event_pointer/{name}"] = (
+                str(latest.storage_id) if latest else "NULL"
+            )
+        yield dg.AssetMaterialization(
+            asset_key=spec.key, partition=key, metadata=metadata, tags=tags
+        )
 
 
 def latest_materialization(
@@ -52,17 +67,33 @@ def latest_materialization(
     return next(iter(instance.fetch_materializations(wanted, limit=1).records), None)
 
 
+def latest_materializations(
+    instance: dg.DagsterInstance, asset: dg.AssetKey, keys: Sequence[str]
+) -> dict[str, dg.EventLogRecord]:
+    """Return the newest materialization of each partition that has one, with few queries."""
+    latest = {}
+    for first in range(0, len(keys), _AT_ONCE):
+        some = set(keys[first : first + _AT_ONCE])
+        ids = instance.get_latest_storage_id_by_partition(
+            asset, dg.DagsterEventType.ASSET_MATERIALIZATION, some
+        )
+        if ids:
+            newest = dg.AssetRecordsFilter(asset_key=asset, storage_ids=list(ids.values()))
+            for record in instance.fetch_materializations(newest, limit=len(ids)).records:
+                latest[str(record.partition_key)] = record
+    return latest
+
+
 def check_evaluation(
-    context: dg.AssetCheckExecutionContext | dg.AssetExecutionContext,
     spec: dg.AssetCheckSpec,
     key: str,
+    target: dg.EventLogRecord | None,
     *,
     passed: bool,
     description: str | None,
     metadata: Figures,
 ) -> dg.AssetCheckEvaluation:
-    """Return a check's result for one partition, tied to what is materialized there now."""
-    latest = latest_materialization(context.instance, spec.asset_key, key)
+    """Return a check's result for one partition, tied to the materialization that was checked."""
     return dg.AssetCheckEvaluation(
         asset_key=spec.asset_key,
         check_name=spec.name,
@@ -71,11 +102,11 @@ def check_evaluation(
         description=description,
         metadata=metadata,
         target_materialization_data=AssetCheckEvaluationTargetMaterializationData(
-            storage_id=latest.storage_id,
-            run_id=latest.run_id,
-            timestamp=latest.timestamp,
+            storage_id=target.storage_id,
+            run_id=target.run_id,
+            timestamp=target.timestamp,
         )
-        if latest
+        if target
         else None,
     )
 

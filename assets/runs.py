@@ -15,7 +15,13 @@ from pydantic import Field
 
 from assets import presentation, terminal
 from assets.common import OWNERS, SINGLE_RUN
-from assets.events import check_evaluation, materialization, no_further_event
+from assets.events import (
+    Materialized,
+    check_evaluation,
+    latest_materialization,
+    materializations,
+    no_further_event,
+)
 from assets.partitions import RUNS
 from assets.versions import feature_code
 from resources.budget import StorageBudget
@@ -163,19 +169,8 @@ def recorded_runs(
             if not outcome.job.wanted:  # a finished run that had to make room
                 context.log_event(_shrunk(key, outcome.result))
                 continue
-            for spec in specs:
-                made = outcome.result.assets[spec.key.to_user_string()]
-                yield materialization(
-                    context.instance,
-                    spec,
-                    keys[key],
-                    data_version=made.version,
-                    code_version=made.code,
-                    metadata={
-                        **presentation.facts(made.figures),
-                        "path": dg.MetadataValue.path(str(store.path / made.path)),
-                    },
-                )
+            made = _materialized(specs, store, outcome.result)
+            yield from materializations(context.instance, keys[key], made)
             if is_compared and (found := outcome.result.reproduction):
                 yield _reproducible(context, store, key, found)
             progress.done(outcome.result.simulated_s)
@@ -223,6 +218,17 @@ def _outcomes(
         yield from fleet.outcomes(process_run, [*making_room, *planned])
 
 
+def _materialized(
+    specs: Sequence[dg.AssetSpec], store: RunStore, report: "RunReport"
+) -> Iterator[Materialized]:
+    """Yield the assets of a run as they are now."""
+    for spec in specs:
+        made = report.assets[spec.key.to_user_string()]
+        path = dg.MetadataValue.path(str(store.path / made.path))
+        figures = {**presentation.facts(made.figures), "path": path}
+        yield Materialized(spec, made.version, made.code, figures)
+
+
 def _shrunk(key: str, report: "RunReport") -> dg.AssetObservation:
     return dg.AssetObservation(
         "bags", partition=key, metadata={"kept": report.kept, "freed_bytes": report.freed_bytes}
@@ -246,9 +252,9 @@ def _reproducible(
             "first_difference": dg.MetadataValue.text(found.first_difference),
         }
     return check_evaluation(
-        context,
         REPRODUCIBLE,
         key,
+        latest_materialization(context.instance, REPRODUCIBLE.asset_key, key),
         passed=found.verdict != "unexplained",
         description=_SAID[found.verdict],
         metadata=facts,

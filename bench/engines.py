@@ -3,7 +3,8 @@
 The job is the product's own: one run from recipe to features. Every measure is the time from the
 first job to the last outcome of workers that have done such a job before, so what is compared is
 the work, not the start of processes. Rounds alternate between what is compared, so that what else
-the machine does falls on all of it.
+the machine does falls on all of it. What its two cores give two processes that share nothing is
+measured beside it, with bare physics.
 """
 
 import tempfile
@@ -17,6 +18,7 @@ from distributed import LocalCluster
 
 from assets.worker import OF_A_RUN, RunJob, process_run
 from bench.figures import Row, median, spread
+from bench.testbed import bare_physics_s
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.cluster import DaskExecutor
 from sim.fan_out import process_pool
@@ -24,13 +26,14 @@ from sim.recipes import Campaign
 
 MODE = "lidar_passthrough_odom"
 GOALS = 1
-JOBS = 8  # a round; even, so that two workers can share them
+JOBS = 16  # a round; the last one of two workers waits for half a job on average
 ROUNDS = 3
+PHYSICS_S = 100.0  # of simulated time, a job of bare physics
 
 
 def rows() -> Iterator[Row]:
     """Yield the figures."""
-    with ExitStack() as engines, tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as engines:
         cluster = engines.enter_context(
             LocalCluster(
                 n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None,
@@ -45,11 +48,14 @@ def rows() -> Iterator[Row]:
         for number, executor in enumerate(executors.values()):  # compiles and imports
             _seconds(executor, Path(folder, f"warm_up_{number}"), 2)
         seconds: dict[str, list[float]] = {name: [] for name in executors}
+        physics: dict[str, list[float]] = {"one": [], "two": []}
         for number in range(ROUNDS):
             for name, executor in executors.items():
                 root = Path(folder, f"{name}_{number}")
                 seconds[name].append(_seconds(executor, root, JOBS))
-        yield from _ratios(seconds)
+            for name, measured in physics.items():
+                measured.append(_physics_seconds(executors[name]))
+        yield from _ratios(seconds, physics)
 
 
 def _seconds(executor: Executor, root: Path, jobs: int) -> float:
@@ -59,19 +65,31 @@ def _seconds(executor: Executor, root: Path, jobs: int) -> float:
     return time.perf_counter() - started
 
 
+def _physics_seconds(executor: Executor) -> float:
+    """Return the time that bare physics takes [s]."""
+    started = time.perf_counter()
+    list(executor.map(bare_physics_s, [PHYSICS_S] * JOBS))
+    return time.perf_counter() - started
+
+
 def _run(root: Path, number: int) -> None:
     """Take one run from recipe to features."""
     campaign = Campaign(goals_per_run=GOALS)
     process_run(RunJob(RunDirectory(root, MODE, number), campaign, OF_A_RUN, refresh=False))
 
 
-def _ratios(seconds: dict[str, list[float]]) -> Iterator[Row]:
-    scaling = [one / two for one, two in zip(seconds["one"], seconds["two"], strict=True)]
+def _ratios(seconds: dict[str, list[float]], physics: dict[str, list[float]]) -> Iterator[Row]:
+    scaling, of_machine = _scaling(seconds), _scaling(physics)
     against = [dask / two for dask, two in zip(seconds["dask"], seconds["two"], strict=True)]
     yield Row("runs a minute, one process", _a_minute(seconds["one"]), "")
     yield Row("runs a minute, two processes", _a_minute(seconds["two"]), "")
     yield Row("two processes against one", median(scaling), "x", 1.8, False, spread(scaling))
+    yield Row("  of bare physics", median(of_machine), "x", remark=spread(of_machine))
     yield Row("Dask against the pool, time", median(against), "x", 1.1, True, spread(against))
+
+
+def _scaling(seconds: dict[str, list[float]]) -> list[float]:
+    return [one / two for one, two in zip(seconds["one"], seconds["two"], strict=True)]
 
 
 def _a_minute(seconds: list[float]) -> float:

@@ -49,7 +49,7 @@ def rows() -> Iterator[Row]:
         runs, ratios = [], []
         for block in range(ROUNDS):
             manifest = _record(root, block, refresh=True)
-            bare_s = _bare_physics_s(manifest.recording_s)
+            bare_s = bare_physics_s(manifest.recording_s)
             runs.append(manifest)
             ratios.append(manifest.measured.wall_s / bare_s)
         factors = [run.recording_s / run.measured.wall_s for run in runs]
@@ -73,7 +73,7 @@ def _record(root: Path, block: int, *, refresh: bool = False) -> Manifest:
     return experiments.record_run(recipe, RunDirectory(root, MODE, block), refresh=refresh)
 
 
-def _bare_physics_s(seconds: float) -> float:
+def bare_physics_s(seconds: float) -> float:
     """Return the wall time of physics at 5 ms and of two LiDARs at 5 Hz, with nothing around."""
     world = World(WorldParameters(Pose2D(-2.0, -0.5)))
     bearings = np.linspace(0.0, SCAN_ANGLE_MAX, SCAN_RAYS)

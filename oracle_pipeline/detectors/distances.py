@@ -40,7 +40,7 @@ class Mahalanobis(OwnDetector):
     """
 
     def _learn(self, X: NDArray[np.float64]) -> None:
-        shrunk = LedoitWolf().fit(X)
+        shrunk = LedoitWolf(store_precision=False).fit(X)
         raised = np.maximum(0.0, 1.0 - np.diag(shrunk.covariance_))
         self.location_ = shrunk.location_
         self.precision_ = np.linalg.inv(shrunk.covariance_ + np.diag(raised))
