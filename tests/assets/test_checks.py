@@ -33,15 +33,22 @@ def evaluations(laboratory: Laboratory, check: str) -> dict[str | None, dg.Asset
     }
 
 
+def newest(laboratory: Laboratory, asset: dg.AssetKey, key: str) -> dg.EventLogRecord:
+    of_partition = dg.AssetRecordsFilter(asset_key=asset, asset_partitions=[key])
+    return laboratory.instance.fetch_materializations(of_partition, limit=1).records[0]
+
+
 @pytest.mark.parametrize("check", ASSET_OF)
 def test_sound_runs_pass_each_with_a_result_of_its_own(campaign: Laboratory, check: str) -> None:
     found = evaluations(campaign, check)
     # The controls were there first, and had nothing to be compared with.
     expected = KEYS[2:] if check == PAIR_CHECK else KEYS
     assert sorted(map(str, found)) == expected
-    for evaluation in found.values():
+    for key, evaluation in found.items():
         assert evaluation.passed, evaluation.description
         assert evaluation.target_materialization_data is not None
+        checked = evaluation.target_materialization_data.storage_id
+        assert checked == newest(campaign, ASSET_OF[check], str(key)).storage_id
         assert evaluation.metadata["wrong"].value == 0
         assert len(evaluation.metadata) > 1
 

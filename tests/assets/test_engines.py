@@ -1,5 +1,6 @@
 """A Dask cluster, a store on S3, an instance on PostgreSQL: the same runs and tables as here."""
 
+import json
 import os
 import shutil
 from collections.abc import Iterator
@@ -11,6 +12,8 @@ import dagster as dg
 import pytest
 
 from assets.feature_tables import feature_table
+from assets.reproduction import place_aside
+from assets.runs import REPRODUCIBLE
 from oracle_pipeline.bags.run_directory import bytes_on_disk
 from oracle_pipeline.datasets import content_hash, feature_dataset, read_table
 from oracle_pipeline.reporting.result import Report
@@ -148,3 +151,23 @@ def test_a_run_of_which_only_a_part_was_published_is_made_again(shared: SharedLa
     assert not run.is_complete()
     assert shared.materialize(["bags"], KEY).success
     assert run.manifest().content_hash == version
+
+
+def test_a_run_that_comes_out_otherwise_for_no_reason_is_put_beside_the_one_in_the_bucket(
+    shared: SharedLaboratory,
+) -> None:
+    run = STORE.run(KEY)
+    document = json.loads(run.manifest_path.read_text(encoding="utf-8"))
+    version = document["content_hash"]
+    document["content_hash"] = "0" * 64  # as if this very software had recorded other messages
+    run.manifest_path.write_text(json.dumps(document), encoding="utf-8")
+    before = {name: of for name, of in shared.objects().items() if "/runs/" in name}
+
+    outcome = shared.materialize(PER_RUN, KEY, config={"runs": {"refresh": True}})
+    found = {each.check_name: each for each in outcome.get_asset_check_evaluations()}
+    assert not found[REPRODUCIBLE.name].passed
+    aside = place_aside(run)
+    assert aside.manifest().content_hash == version
+    assert bytes_on_disk(aside.path) == aside.manifest().measured.bytes
+    now = shared.objects()
+    assert before == {name: now[name] for name in before}
