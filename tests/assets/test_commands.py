@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 import urllib.error
-import urllib.parse
 import urllib.request
 from pathlib import Path
 
@@ -19,7 +18,6 @@ import pytest
 from tests.assets.laboratory import ATTACKED, KEYS, ROOT, Laboratory, dagster_home
 
 BIN = Path(sys.executable).parent
-LOADED = urllib.parse.quote("{ repositoriesOrError { __typename } }")  # what the page asks first
 MATERIALIZE = ["dagster", "asset", "materialize", "-m", "oracle_pipeline.definitions"]
 
 
@@ -77,16 +75,19 @@ def test_the_ui_comes_up(checkout: Path) -> None:
     with (checkout / "log").open("w") as log:
         server = subprocess.Popen(
             command, cwd=checkout, env=environment(checkout), stdout=log, stderr=log,
-            start_new_session=True,
+            start_new_session=True, preexec_fn=hear_control_c,
         )  # fmt: skip
         try:
             answer = wait_for(f"http://127.0.0.1:{port}/server_info", seconds=180)
-            # Whoever is interrupted in the second of his start may never end.
-            wait_for(f"http://127.0.0.1:{port}/graphql?query={LOADED}", seconds=180)
         finally:
             os.killpg(server.pid, signal.SIGINT)
-            server.wait(timeout=180)
+            server.wait(timeout=60)
     assert answer["dagster_version"].startswith("1.13"), (checkout / "log").read_text()
+
+
+def hear_control_c() -> None:
+    """Undo what a shell does to jobs in its background: they, and all they start, ignore it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def wait_for(url: str, seconds: float) -> dict[str, str]:

@@ -49,26 +49,31 @@ def test_tables_and_reports_killed_while_they_are_written_are_the_former_or_the_
 ) -> None:
     root = tmp_path / "data"
     shutil.copytree(campaign.root, root)
-    for folder in ("datasets", "report/parts", "report"):
-        running = start_aggregates(tmp_path)
+    written = {
+        "datasets": "feature_dataset",
+        "report/parts": "malicious_rate_report",
+        "report": "oracle_report",
+    }
+    for folder, asset in written.items():
+        running = materialize(tmp_path, asset)
         while not list((root / folder).glob(".*")):
             assert running.poll() is None
             time.sleep(0.001)
         os.killpg(running.pid, signal.SIGKILL)
         running.wait()
         assert_equal_tables(RunStore(root=str(root)), campaign.store)
-    assert start_aggregates(tmp_path).wait() == 0
+    assert materialize(tmp_path, ",".join(written.values())).wait() == 0
     assert_equal_tables(RunStore(root=str(root)), campaign.store)
     assert leftovers(root) == []
 
 
-def start_aggregates(place: Path) -> "subprocess.Popen[bytes]":
-    """Make everything that is made of all runs, as a process group of its own."""
+def materialize(place: Path, assets: str) -> "subprocess.Popen[bytes]":
+    """Make what is made of all runs, as a process group of its own."""
     (place / "home").mkdir(exist_ok=True)
     ours = {"DAGSTER_HOME": str(place / "home"), "ORACLE_HOME": str(place / "data")}
     command = ["asset", "materialize", "-m", "oracle_pipeline.definitions", "--select"]
     return subprocess.Popen(
-        [DAGSTER, *command, "feature_dataset*"], cwd=place, env=os.environ | ours,
+        [DAGSTER, *command, assets], cwd=place, env=os.environ | ours,
         start_new_session=True, stderr=subprocess.DEVNULL,
     )  # fmt: skip
 
