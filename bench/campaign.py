@@ -43,7 +43,7 @@ def rows() -> Iterator[Row]:
                 raise RuntimeError(f"The campaign of {runs} runs a mode failed.")
             wall_s = time.perf_counter() - started
             of_runs_s, of_all_s = _pure_seconds(home / "dagster")
-        name = f"campaign of {MODES * runs} runs, {goals} goals each"
+        name = f"campaign of {MODES * runs} runs, goals a run: {goals}"
         pure_s = (of_runs_s + of_all_s) / cores
         yield Row(f"{name}: wall over pure", wall_s / pure_s, "x", GOAL, True, f"({cores} cores)")
         yield Row("  wall", wall_s, "s")

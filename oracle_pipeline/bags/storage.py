@@ -10,8 +10,8 @@ from collections.abc import Collection, Generator, Iterator
 from operator import itemgetter
 
 from rosbags.interfaces import Connection
+from rosbags.rosbag2 import CompressionMode, ReaderError, StoragePlugin
 from rosbags.rosbag2 import Reader as RosbagsReader
-from rosbags.rosbag2 import ReaderError, StoragePlugin, WriterError
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, McapWriter, decompress
@@ -50,9 +50,10 @@ class Writer(RosbagsWriter):
     STORAGE_PLUGINS = {**RosbagsWriter.STORAGE_PLUGINS, StoragePlugin.MCAP: _McapWriter}  # noqa: RUF012
 
     def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Append one message; messages are not compressed one by one."""
-        if self.storage is None:
-            raise WriterError("the bag is not open")
+        """Append one message."""
+        if self.storage is None or self.compression_mode is CompressionMode.MESSAGE:
+            super().write(connection, timestamp, data)  # says that it is not open, or compresses
+            return
         self.storage.write(connection, timestamp, data)
         self.counts[connection.id] += 1
         self.min_timestamp = min(timestamp, self.min_timestamp)

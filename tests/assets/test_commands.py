@@ -81,7 +81,7 @@ def test_the_ui_comes_up(checkout: Path) -> None:
             answer = wait_for(f"http://127.0.0.1:{port}/server_info", seconds=180)
         finally:
             os.killpg(server.pid, signal.SIGINT)
-            server.wait(timeout=60)
+            server.wait(timeout=180)
     assert answer["dagster_version"].startswith("1.13"), (checkout / "log").read_text()
 
 

@@ -43,7 +43,7 @@ def test_every_bag_at_hand_reads_as_with_rosbags(any_bag):
         max_size=12,
     ),
     is_sorted=st.booleans(),
-    mode=st.sampled_from([CompressionMode.NONE, CompressionMode.STORAGE]),
+    mode=st.sampled_from(CompressionMode),
 )
 def test_chunks_in_any_order_of_time_read_as_with_rosbags(messages, is_sorted, mode):
     """Where chunks overlap in time they are merged, and where not they are read in turn."""
