@@ -8,7 +8,7 @@ from pydantic import Field
 
 from assets import presentation
 from assets.common import OWNERS, SINGLE_RUN
-from assets.versions import analysis_code
+from assets.worker.versions import analysis_code
 from oracle_pipeline.bags.remote import published
 from resources.store import RunStore
 from sim.modes import modes

@@ -4,8 +4,8 @@ import dagster as dg
 
 from assets import presentation
 from assets.aggregates import DATASET, TRUTH, WINDOWS, aggregate
-from assets.feature_tables import feature_table
 from assets.partitions import RUNS
+from assets.worker.feature_tables import feature_table
 from oracle_pipeline.bags.manifest import Manifest
 from resources.failures import clear_failures
 from resources.store import RunStore

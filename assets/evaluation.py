@@ -15,7 +15,7 @@ from assets.aggregates import (
 )
 from assets.checks import PAIR_CHECK, pairs_there
 from assets.datasets import feature_dataset
-from assets.feature_tables import feature_table
+from assets.worker.feature_tables import feature_table
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.failures import clear_failures
 from resources.fleet import Fleet
@@ -54,7 +54,7 @@ def oracle_evaluation(
 
 def _graph_differences(store: RunStore, fleet: Fleet, runs: set[str]) -> list[str] | None:
     """Compare the graphs of all pairs that are there; None if there is no pair."""
-    from assets.inspections import Inspection, inspect
+    from assets.worker.inspections import Inspection, inspect
 
     there = [Inspection(PAIR_CHECK, pair) for pair in pairs_there(map(store.run, runs))]
     if not there:
@@ -96,7 +96,7 @@ def _mutants(store: RunStore, fleet: Fleet) -> "Runs | None":
 
 def _require_features(runs: Sequence[RunDirectory], fleet: Fleet) -> None:
     """Extract the features of runs that have none yet."""
-    from assets.feature_tables import require_tables
+    from assets.worker.feature_tables import require_tables
 
     for outcome in fleet.outcomes(require_tables, runs):
         if outcome.error is not None:

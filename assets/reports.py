@@ -61,10 +61,10 @@ def bootstrapped_dataset(config: BootstrapConfig, store: RunStore) -> dg.Materia
     The thesis's dataset. Copies add no information: every figure made from it counts the distinct
     runs behind them.
     """
-    from oracle_pipeline.reporting import reports
+    from oracle_pipeline.reporting import thesis_reports
 
     with clear_failures():
-        result = reports.bootstrapped_dataset(
+        result = thesis_reports.bootstrapped_dataset(
             _experiments(run_table(store, config.testbed)),
             config.rows,
             config.malicious_rate,
@@ -82,12 +82,12 @@ def clustering_grid_search(store: RunStore) -> dg.MaterializeResult[None]:
     at its own threshold. For each: confusion matrix, TPR, FPR, balanced accuracy, MCC and the AUC
     of the continuous HAC height, with intervals.
     """
-    from oracle_pipeline.reporting import reports
+    from oracle_pipeline.reporting import thesis_reports
     from oracle_pipeline.reporting.result import Report
 
     with clear_failures():
         drawn = Report.load(store.results(ROWS))
-        result = reports.clustering_grid_search(drawn.table, variant=_variant(drawn))
+        result = thesis_reports.clustering_grid_search(drawn.table, variant=_variant(drawn))
         return keep(result, store, "clustering_grid_search")
 
 
@@ -98,11 +98,11 @@ def malicious_rate_report(store: RunStore) -> dg.MaterializeResult[None]:
     Each share is drawn from the runs as `bootstrapped_dataset` was: as many rows, same seed, same
     variant of the method.
     """
-    from oracle_pipeline.reporting import reports
+    from oracle_pipeline.reporting import thesis_reports
 
     with clear_failures():
         rows, _, seed, variant = _how_rows_were_drawn(store)
-        result = reports.malicious_rate_report(_drawn_from(store), rows, seed, variant)
+        result = thesis_reports.malicious_rate_report(_drawn_from(store), rows, seed, variant)
         return keep(result, store, "malicious_rate_report")
 
 
@@ -113,10 +113,10 @@ def pairwise_report(store: RunStore) -> dg.MaterializeResult[None]:
     Each pair is drawn as `bootstrapped_dataset` was: as many rows, same share, same seed, same
     variant of the method.
     """
-    from oracle_pipeline.reporting import reports
+    from oracle_pipeline.reporting import thesis_reports
 
     with clear_failures():
-        result = reports.pairwise_report(_drawn_from(store), *_how_rows_were_drawn(store))
+        result = thesis_reports.pairwise_report(_drawn_from(store), *_how_rows_were_drawn(store))
         return keep(result, store, "pairwise_report")
 
 
@@ -141,12 +141,12 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
     prints and with what it makes of labels without meaning.
     """
     from oracle_pipeline.datasets import KEYS, read_table
-    from oracle_pipeline.reporting import html, reports
+    from oracle_pipeline.reporting import html, thesis_reports
     from oracle_pipeline.reporting.explanation import drawn, explanations
     from oracle_pipeline.reporting.result import Report
 
     def draw(run: str) -> bytes:
-        from oracle_pipeline.reporting.run_picture import kept_picture
+        from oracle_pipeline.replay.picture import kept_picture
 
         return kept_picture(store.run(run).path)
 
@@ -166,8 +166,8 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
             grid=Report.load(store.results("clustering_grid_search")),
             rates=Report.load(store.results("malicious_rate_report")),
             pairs=Report.load(store.results("pairwise_report")),
-            side_by_side=reports.side_by_side(_drawn_from(store), rows, rate, seed),
-            null_model=reports.null_model(seed=seed),
+            side_by_side=thesis_reports.side_by_side(_drawn_from(store), rows, rate, seed),
+            null_model=thesis_reports.null_model(seed=seed),
             radar=radar,
             storage=_storage(store),
             provenance=html.provenance(df),
@@ -190,7 +190,7 @@ def _storage(store: RunStore) -> "pd.DataFrame":
     """Return what runs take on this machine and what was kept of them, a row a mode."""
     import pandas as pd
 
-    from resources.stock import storage_of_modes, take_stock
+    from resources.storage.stock import storage_of_modes, take_stock
 
     return pd.DataFrame(storage_of_modes(take_stock(store.path)) if store.is_local else [])
 

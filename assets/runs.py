@@ -23,18 +23,18 @@ from assets.events import (
     no_further_event,
 )
 from assets.partitions import RUNS
-from assets.versions import feature_code
+from assets.worker.versions import feature_code
 from resources.budget import StorageBudget
 from resources.campaign import CampaignSettings
 from resources.fleet import Fleet
 from resources.store import RunStore
+from sim.commands.progress import RunProgress
 from sim.modes import broken_scenarios
-from sim.progress import RunProgress
 from sim.software import software
 
 if TYPE_CHECKING:
-    from assets.reproduction import Reproduction
-    from assets.worker import RunJob, RunReport
+    from assets.worker.reproduction import Reproduction
+    from assets.worker.run import RunJob, RunReport
     from sim.experiments import Verdict
     from sim.fan_out import Outcome
 
@@ -192,7 +192,7 @@ def _outcomes(
 
     Finished runs that have to make room for others are done first.
     """
-    from assets.worker import RunJob, process_run
+    from assets.worker.run import RunJob, process_run
 
     log = dg.get_dagster_logger("oracle")
     waiting = list(jobs)
@@ -238,7 +238,7 @@ def _shrunk(key: str, report: "RunReport") -> dg.AssetObservation:
 def _reproducible(
     context: dg.AssetExecutionContext, store: RunStore, key: str, found: "Reproduction"
 ) -> dg.AssetCheckEvaluation:
-    from assets.reproduction import place_aside
+    from assets.worker.reproduction import place_aside
 
     facts: dict[str, dg.MetadataValue] = {
         "former_hash": dg.MetadataValue.text(found.former_hash),
@@ -269,7 +269,7 @@ def _job(
     *,
     refresh: bool,
 ) -> "RunJob":
-    from assets.worker import RunJob
+    from assets.worker.run import RunJob
 
     return RunJob(
         directory=store.run(key),

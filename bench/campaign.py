@@ -14,7 +14,7 @@ from pathlib import Path
 
 import dagster as dg
 
-from assets.worker import OF_A_RUN, RunJob, process_run
+from assets.worker.run import OF_A_RUN, RunJob, process_run
 from bench.figures import Row
 from oracle_pipeline.bags.run_directory import RunDirectory
 from sim.recipes import Campaign

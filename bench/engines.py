@@ -16,7 +16,7 @@ from pathlib import Path
 
 from distributed import LocalCluster
 
-from assets.worker import OF_A_RUN, RunJob, process_run
+from assets.worker.run import OF_A_RUN, RunJob, process_run
 from bench.figures import Row, median, spread
 from bench.testbed import bare_physics_s
 from oracle_pipeline.bags.run_directory import RunDirectory

@@ -17,13 +17,13 @@ from bench.figures import Row, median
 from oracle_pipeline.bags.manifest import GoalResult, Manifest
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.run_directory import RunDirectory
+from sim.commands.progress import RunProgress
 from sim.experiments import record_run
 from sim.fan_out import fan_out, process_pool
 from sim.middleware.geometry import Pose2D, quaternion_yaw
 from sim.middleware.stamps import stamp_ns
 from sim.nav2.navfn import plan
 from sim.pairs import task_effect
-from sim.progress import RunProgress
 from sim.recipes import Campaign, Options, Wiring, path_length, planning_grid, recipe_for
 from sim.turtlebot3.map import WORLD_IN_MAP
 

@@ -8,11 +8,11 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from assets.worker import OF_A_RUN, RunJob, process_run
+from assets.worker.run import OF_A_RUN, RunJob, process_run
 from bench.figures import Row, median, spread
 from oracle_pipeline.bags.manifest import KEPT, Kept
 from oracle_pipeline.bags.run_directory import RunDirectory
-from resources.stock import take_stock
+from resources.storage.stock import take_stock
 from sim.fan_out import fan_out, process_pool
 from sim.recipes import Campaign
 

@@ -35,8 +35,9 @@ ROUNDS = 5
 _SHOWN = 25  # of the shares, the largest
 MODE = "lidar_passthrough_odom"
 COLD_START = (
-    "from sim.cli import main; main()", "record", "-m", MODE, "--goals", "1", "--workers", "1",
-)  # fmt: skip
+    "from sim.commands.main import main; main()",
+    *("record", "-m", MODE, "--goals", "1", "--workers", "1"),
+)
 
 
 def rows() -> Iterator[Row]:

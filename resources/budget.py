@@ -1,4 +1,4 @@
-"""What may be spent on disk, as a Dagster resource; the planning is in ``resources.stock``."""
+"""What may be spent on disk, as a Dagster resource. ``resources.storage`` does the planning."""
 
 import contextlib
 from collections.abc import Iterator, Sequence
@@ -9,7 +9,7 @@ from pydantic import Field
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.scratch import lock
 from resources.failures import clear_failures
-from resources.stock import StoragePlan, make_plan, parse_budget
+from resources.storage.stock import StoragePlan, make_plan, parse_budget
 from resources.store import RunStore
 
 

@@ -30,7 +30,6 @@ from sim.modes import Mode
 from sim.nav2.basic_navigator import GoalResult
 from sim.nav2.bringup import bring_up
 from sim.nav2.collision_monitor import SOURCES
-from sim.odometer import Odometer
 from sim.pairs import judge_pair
 from sim.protocol import compiled, make
 from sim.recipes import Recipe
@@ -39,6 +38,7 @@ from sim.software import software
 from sim.turtlebot3.arena import Cylinder
 from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
 from sim.turtlebot3.nodes import LidarNoise, add_robot
+from sim.turtlebot3.odometer import Odometer
 from sim.turtlebot3.world import World, WorldParameters
 
 BRING_UP_NS = 20 * SECOND  # Nav2 must be active by then

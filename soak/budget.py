@@ -15,9 +15,9 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from assets.feature_tables import TABLES, feature_table
+from assets.worker.feature_tables import TABLES, feature_table
 from oracle_pipeline.bags.run_directory import find_runs
-from resources.stock import parse_budget, take_stock
+from resources.storage.stock import parse_budget, take_stock
 
 FIRST, LAST = "lidar_passthrough", "delayed_fakeobject"  # the six modes
 MODES = 6

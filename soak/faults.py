@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from assets.feature_tables import TABLES, feature_table
-from assets.worker import OF_A_RUN, RunJob, process_run
+from assets.worker.feature_tables import TABLES, feature_table
+from assets.worker.run import OF_A_RUN, RunJob, process_run
 from oracle_pipeline.bags.manifest import Kept
 from oracle_pipeline.bags.reader import content_hash
 from oracle_pipeline.bags.run_directory import RunDirectory, bytes_on_disk, find_runs

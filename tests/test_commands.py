@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from oracle_pipeline.cli import main as oracle
-from sim.cli import main as oracle_sim
+from sim.commands.main import main as oracle_sim
 
 REPOSITORY = Path(__file__).parent.parent
 BIN = Path(sys.executable).parent

@@ -56,7 +56,7 @@ from oracle_pipeline.evaluation.splits import (
 from oracle_pipeline.reporting import figures
 from oracle_pipeline.reporting.figures import Curve
 from oracle_pipeline.reporting.result import Report, facts
-from oracle_pipeline.reporting.tables import estimate
+from oracle_pipeline.reporting.thesis_tables import estimate
 
 SEED = 50
 KNOWN = (2, 4, 8)  # blocks of an otherwise unknown session that train

@@ -2,7 +2,7 @@
 
 Beside its picture stands that of the run that differs from it by the attack alone. How far a
 feature is out is found in ``oracle_pipeline.scoring``; how a run is drawn, in
-``oracle_pipeline.reporting.run_picture``.
+``oracle_pipeline.replay.picture``.
 """
 
 from collections.abc import Callable, Iterable, Mapping

@@ -1,6 +1,6 @@
 """Charts as PNG bytes: dendrogram, ROC and other curves, components, heat maps, intervals.
 
-A run seen from above is drawn in ``oracle_pipeline.reporting.scene``.
+A run seen from above is drawn in ``oracle_pipeline.replay.scene``.
 
 Every picture is transparent and drawn in inks of equal contrast to white and to near-black paper,
 so one file reads in light and in dark. Labels differ in marker as well as in colour. Nothing here
@@ -260,7 +260,7 @@ def grid_heat_map(table: pd.DataFrame) -> bytes:
     Parameters
     ----------
     table : DataFrame
-        As made by ``oracle_pipeline.reporting.tables.grid_search_table``.
+        As made by ``oracle_pipeline.reporting.thesis_tables.grid_search_table``.
     """
     settings = list(dict.fromkeys(zip(table["criterion"], table["t"], strict=True)))
     methods = list(dict.fromkeys(table["linkage"]))

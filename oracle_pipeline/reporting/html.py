@@ -22,7 +22,7 @@ from oracle_pipeline.reporting.explanation import Explanation
 from oracle_pipeline.reporting.figures import DPI
 from oracle_pipeline.reporting.page_tables import THESIS, Grid
 from oracle_pipeline.reporting.result import Report
-from oracle_pipeline.reporting.tables import estimate
+from oracle_pipeline.reporting.thesis_tables import estimate
 
 LIBRARIES = ("numpy", "scipy", "scikit-learn", "pandas", "networkx", "matplotlib", "mujoco")
 NO_STORAGE = pd.DataFrame()
@@ -135,7 +135,7 @@ def render(
     explained : sequence of Explanation
         Attacked runs with what gave them away.
     grid, rates, pairs, side_by_side, null_model : Report
-        Of the functions of ``oracle_pipeline.reporting.reports``.
+        Of the functions of ``oracle_pipeline.reporting.thesis_reports``.
     radar : mapping of str to bytes
         PNG pictures of an attacked air traffic run and its control, by run; may be empty.
     provenance : mapping of str to str

@@ -13,7 +13,7 @@ from oracle_pipeline.evaluation.protocol import ALL_MODES, HARD_NEGATIVES, HEADL
 from oracle_pipeline.evaluation.splits import BLOCK
 from oracle_pipeline.reporting.explanation import Explanation
 from oracle_pipeline.reporting.result import Report
-from oracle_pipeline.reporting.tables import estimate
+from oracle_pipeline.reporting.thesis_tables import estimate
 from oracle_pipeline.reporting.verdicts import HEADINGS, cells
 
 NO_FIGURE = "n/a"

@@ -18,9 +18,9 @@ from dagster._core.storage.tags import PARENT_RUN_ID_TAG, ROOT_RUN_ID_TAG, WILL_
 from dagster._core.test_utils import freeze_time
 
 from assets.automation import made_again
-from assets.reproduction import judge, place_aside
 from assets.run_retention import forget_old_runs
 from assets.runs import REPRODUCIBLE
+from assets.worker.reproduction import judge, place_aside
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.definitions import defs

@@ -9,9 +9,9 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from assets import inspections
 from assets.checks import CHECKS, PAIR_CHECK
-from assets.feature_tables import feature_table
+from assets.worker import inspections
+from assets.worker.feature_tables import feature_table
 from oracle_pipeline.bags.graph_files import read_gexf, write_gexf
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.datasets import read_table, write_table

@@ -11,9 +11,9 @@ from unittest import mock
 import dagster as dg
 import pytest
 
-from assets.feature_tables import feature_table
-from assets.reproduction import place_aside
 from assets.runs import REPRODUCIBLE
+from assets.worker.feature_tables import feature_table
+from assets.worker.reproduction import place_aside
 from oracle_pipeline.bags.run_directory import bytes_on_disk
 from oracle_pipeline.datasets import content_hash, feature_dataset, read_table
 from oracle_pipeline.reporting.result import Report

@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 
 from assets.aggregates import DATASET, TRUTH, WINDOWS
-from assets.worker import process_run
+from assets.worker.run import process_run
 from oracle_pipeline.datasets import read_table
 from oracle_pipeline.reporting.result import Report
 from resources.store import RunStore

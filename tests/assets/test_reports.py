@@ -9,7 +9,7 @@ import pytest
 from oracle_pipeline.datasets import read_table, write_table
 from oracle_pipeline.reporting.result import Report
 from tests.assets.laboratory import ATTACKED, CONTROL, EVERYTHING, KEYS, PER_RUN, Laboratory
-from tests.evaluation.thesis_runs import thesis_runs
+from tests.oracle_pipeline.evaluation.thesis_runs import thesis_runs
 
 AGGREGATES = [asset for asset in EVERYTHING if asset not in PER_RUN]
 

@@ -7,7 +7,7 @@ import re
 import dagster as dg
 import pytest
 
-from assets.feature_tables import feature_table
+from assets.worker.feature_tables import feature_table
 from resources.budget import StorageBudget
 from resources.campaign import CampaignSettings
 from resources.store import RunStore

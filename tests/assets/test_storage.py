@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from assets.feature_tables import feature_table, topics_of_features
-from assets.inspections import Inspection, inspect
-from assets.worker import OF_A_RUN, RunJob, RunReport, process_run
+from assets.worker.feature_tables import feature_table, topics_of_features
+from assets.worker.inspections import Inspection, inspect
+from assets.worker.run import OF_A_RUN, RunJob, RunReport, process_run
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Kept
 from oracle_pipeline.bags.reader import BagReader, content_hash, read_ground_truth
@@ -22,8 +22,8 @@ from oracle_pipeline.bags.retention import retain
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.datasets import read_table
 from resources.budget import StorageBudget
-from resources.stock import take_stock
-from resources.storage_commands import remake, storage
+from resources.storage.commands import remake, storage
+from resources.storage.stock import take_stock
 from resources.store import RunStore
 from sim.recipes import Campaign
 from tests.assets.laboratory import ATTACKED, CONTROL, KEY, PER_RUN, Laboratory

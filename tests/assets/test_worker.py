@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from assets.inspections import Inspection, inspect
-from assets.worker import OF_A_RUN, RECORDED, TABLES, RunJob, process_run
+from assets.worker.inspections import Inspection, inspect
+from assets.worker.run import OF_A_RUN, RECORDED, TABLES, RunJob, process_run
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.datasets import feature_dataset, read_table
 from sim.recipes import Campaign

@@ -9,7 +9,7 @@ from PIL import Image
 from playwright.sync_api import Browser, sync_playwright
 
 from oracle_pipeline.reporting.html import write_page
-from tests.reporting.pages import poor_page, whole_page
+from tests.oracle_pipeline.reporting.pages import poor_page, whole_page
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 DESK, PHONE = {"width": 1200, "height": 900}, {"width": 360, "height": 780}

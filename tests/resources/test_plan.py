@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.bags.manifest import KEPT
-from resources.plan import Sizes, StorageError, plan
-from resources.stock import make_plan, parse_budget, take_stock
+from resources.storage.plan import Sizes, StorageError, plan
+from resources.storage.stock import make_plan, parse_budget, take_stock
 from resources.store import RunStore
 
 size = st.integers(0, 1000)

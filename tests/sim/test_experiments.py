@@ -335,7 +335,7 @@ def test_a_damaged_run_is_named_and_can_be_made_again(copied):
 
 def oracle_sim(*arguments, **options):
     return subprocess.run(
-        [sys.executable, "-c", "from sim.cli import main; main()", *arguments],
+        [sys.executable, "-c", "from sim.commands.main import main; main()", *arguments],
         capture_output=True, text=True, check=False, **options,
     )  # fmt: skip
 

@@ -15,9 +15,9 @@ from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.types import TypeDefinition, serialize
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.runs import open_run
-from sim.cli import main
-from sim.fuzzing.mutants import Cell, derive_mutant, grid
-from sim.fuzzing.parameters import Sweep
+from sim.commands.main import main
+from sim.commands.mutants import Cell, derive_mutant, grid
+from sim.commands.parameter_grids import Sweep
 from sim.fuzzing.scenario import builtin_scenarios, parse_scenarios
 from sim.modes import FOLDER, find_mode
 from tests.sim.fuzzing.workbench import BUILTINS, SCAN, scans

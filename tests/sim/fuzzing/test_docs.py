@@ -9,7 +9,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from sim.cli import main
+from sim.commands.main import main
 from sim.fuzzing.functions import BUILTINS, CONSTANTS
 from sim.fuzzing.operators import OPERATORS
 from sim.fuzzing.program import compile_scenario

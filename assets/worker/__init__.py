@@ -1,0 +1,1 @@
+"""What a worker process does for one run. No Dagster here."""

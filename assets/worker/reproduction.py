@@ -1,0 +1,74 @@
+"""A complete run beside what came out when it was made again: the same, or where it differs first.
+
+No Dagster here: workers import this. Who replaces what then is decided in ``assets.worker.run``.
+"""
+
+import contextlib
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import zip_longest
+from pathlib import Path
+
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.reader import BagReader, RawMessage, content_hash
+from oracle_pipeline.bags.remote import fetched, is_local
+from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
+from sim.experiments import Verdict, compared
+
+FOLDER = "refreshed"  # below the root: a root of runs that were made again
+
+
+@dataclass(frozen=True, slots=True)
+class Reproduction:
+    """What making a complete run again gave."""
+
+    verdict: Verdict
+    former_hash: str  # of the messages
+    new_hash: str
+    first_difference: str = ""  # where it is unexplained
+
+
+def place_aside(run: RunDirectory) -> RunDirectory:
+    """Return where a run lies that was made again and may not take the former one's place."""
+    return replace(run, root=run.root / FOLDER)
+
+
+@contextlib.contextmanager
+def made_aside(run: RunDirectory) -> Iterator[RunDirectory]:
+    """Give a place on this machine to make a run again, away from the former one."""
+    if is_local(run.root):
+        yield place_aside(run)
+        return
+    with tempfile.TemporaryDirectory(prefix="oracle-") as root:
+        yield replace(run, root=Path(root))
+
+
+def judge(run: RunDirectory, former: Manifest, again: RunDirectory) -> Reproduction:
+    """Compare a run with what came out when it was made again."""
+    new = again.manifest()
+    verdict = compared(former, new)
+    where = _first_difference(run, former, again) if verdict == "unexplained" else ""
+    return Reproduction(verdict, former.content_hash, new.content_hash, where)
+
+
+def _first_difference(run: RunDirectory, former: Manifest, again: RunDirectory) -> str:
+    """Say which message is the first that is another, or why nobody can tell."""
+    if former.measured.kept != "full":
+        return "not known: the former bag is not whole any more"
+    try:
+        with fetched(run.bag) as bag, BagReader(bag) as one, BagReader(again.bag) as other:
+            for pair in zip_longest(one.messages(), other.messages()):
+                if pair[0] != pair[1]:
+                    return _told(min(filter(None, pair), key=lambda m: m.stamp_ns), one.start_ns)
+            if content_hash(bag) == content_hash(again.bag):
+                return "none: the bags hold the same, and the former manifest is of another bag"
+    except BagError as error:
+        return f"not known: {error}"
+    return GROUND_TRUTH_TOPIC
+
+
+def _told(message: RawMessage, start_ns: int) -> str:
+    return f"{message.topic}, {(message.stamp_ns - start_ns) / 1e9:.3f} s after the first message"

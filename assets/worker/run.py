@@ -1,0 +1,292 @@
+"""One run, from its recipe to its features, in a worker process.
+
+No Dagster here: a fresh interpreter imports this module before it can start. What is there
+already and still right is left as it is and called verified; refreshed, it is made again in another
+place, and put into its own unless nothing explains that it is another run. What the storage plan
+does not keep is given up once all is made from it, and made again when features need it. A run that
+belongs into an object store is made on this machine's disk and published there, features first, its
+manifest last.
+"""
+
+import contextlib
+import hashlib
+import json
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from assets.worker.feature_tables import (
+    Table,
+    ensure_tables,
+    feature_table,
+    tables_are_right,
+    topics_of_features,
+)
+from assets.worker.reproduction import Reproduction, judge, made_aside, place_aside
+from assets.worker.versions import feature_code
+from oracle_pipeline.bags.errors import ManifestError
+from oracle_pipeline.bags.graph_files import read_gexf
+from oracle_pipeline.bags.manifest import KEPT, Kept, Manifest
+from oracle_pipeline.bags.remote import is_local, publish
+from oracle_pipeline.bags.retention import retain
+from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RunDirectory
+from oracle_pipeline.datasets import MISSING, content_hash, feature_columns, read_table
+from sim.experiments import can_be_made_again, record_run, remake_run
+from sim.pairs import judge_pair
+from sim.recipes import Campaign, recipe_for
+
+RECORDED = ("experiment_runs", "bags", "interval_graphs")  # made together, by the simulation
+# Made together, from the recording.
+TABLES: dict[str, Table] = {"window_features": "window", "run_features": "run"}
+OF_A_RUN = frozenset({*RECORDED, *TABLES})  # every asset of a run
+
+Figures = dict[str, int | float | str | bytes]  # bytes: a picture, PNG
+Status = Literal["made", "remade", "verified"]
+
+
+@dataclass(frozen=True, slots=True)
+class RunJob:
+    """What is wanted of one run."""
+
+    directory: RunDirectory
+    campaign: Campaign
+    wanted: frozenset[str]  # assets
+    refresh: bool  # make again what is there already
+    keep: Kept = "full"  # what stays of the bag in the end
+
+    def __str__(self) -> str:
+        """Return the run's partition key."""
+        return self.directory.key
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """One asset of one run, as it is now."""
+
+    path: str  # below the root
+    code: str  # version of the code that made it
+    version: str  # hash of the content
+    figures: Figures
+
+
+@dataclass(frozen=True, slots=True)
+class RunReport:
+    """What became of one run."""
+
+    simulated_s: float  # of simulated time; 0 if the run was there already
+    assets: dict[str, Made]  # those that were wanted
+    kept: Kept
+    freed_bytes: int
+    reproduction: Reproduction | None = None  # if it was there and was made again
+
+
+def process_run(job: RunJob) -> RunReport:
+    """Make what is wanted of a run, and what that needs.
+
+    Raises
+    ------
+    OracleError
+        If the run cannot be recorded, or what was recorded cannot be read.
+    """
+    with job.directory.held():
+        to_be_recorded = not job.wanted.isdisjoint(RECORDED)
+        if to_be_recorded and job.refresh and (former := _readable_manifest(job.directory)):
+            return _make_again(job, former)
+        if not job.directory.is_complete() or (to_be_recorded and job.refresh):
+            with _made_here(job.directory) as here:
+                there = replace(job, directory=here)
+                _record(there)
+                return _finish(there, "made")
+        if to_be_recorded:
+            _record(job)
+        former = job.directory.manifest()
+        if _lacks_its_bag(job, former):
+            with _made_here(job.directory) as here:
+                remake_run(former, here)
+                return _finish(replace(job, directory=here), "remade")
+        return _finish(job, "verified")
+
+
+def _readable_manifest(run: RunDirectory) -> Manifest | None:
+    try:
+        return run.manifest()
+    except ManifestError:
+        return None
+
+
+def _make_again(job: RunJob, former: Manifest) -> RunReport:
+    """Make a run that is there aside; it takes its place unless it is another for no reason."""
+    run = job.directory
+    with made_aside(run) as aside:
+        _record(replace(job, directory=aside))
+        found = judge(run, former, aside)
+        if found.verdict == "unexplained":
+            if not is_local(run.root):
+                publish(aside.path, place_aside(run).path, MANIFEST_FILE)
+            report = _finish(replace(job, refresh=False), "verified")
+        elif is_local(run.root):
+            run.replace_with(aside)
+            judge_pair(run)
+            report = _finish(job, "made")
+        else:
+            report = _finish(replace(job, directory=aside), "made")
+            _put_in_place(aside, run)
+    return replace(report, reproduction=found)
+
+
+def _record(job: RunJob) -> None:
+    """Record the run, or verify it if it is there."""
+    recipe = recipe_for(job.directory.mode, job.directory.run, job.campaign)
+    record_run(recipe, job.directory, refresh=job.refresh)
+
+
+def _lacks_its_bag(job: RunJob, manifest: Manifest) -> bool:
+    """Tell whether features have to be extracted from a bag that is not whole any more."""
+    if manifest.measured.kept == "full" or job.wanted.isdisjoint(TABLES):
+        return False
+    return job.refresh or not tables_are_right(job.directory, manifest)
+
+
+@contextlib.contextmanager
+def _made_here(run: RunDirectory) -> Iterator[RunDirectory]:
+    """Give a place on this machine to make a run in: its own, or one that is published after it."""
+    if is_local(run.root):
+        yield run
+        return
+    with tempfile.TemporaryDirectory(prefix="oracle-") as root:
+        here = replace(run, root=Path(root))
+        try:
+            yield here
+        finally:  # a whole run is kept, whatever became of its features
+            if here.is_complete():
+                _put_in_place(here, run)
+
+
+def _put_in_place(here: RunDirectory, run: RunDirectory) -> None:
+    """Publish a run that was made on this machine, and judge it beside its pair's other one."""
+    for file in (here.root / "features").rglob("*"):
+        if file.is_file():
+            (run.root / file.relative_to(here.root).as_posix()).write_bytes(file.read_bytes())
+    publish(here.path, run.path, MANIFEST_FILE)
+    judge_pair(run)
+
+
+def _finish(job: RunJob, status: Status) -> RunReport:
+    """Extract the features of a run that is there, give up what is not kept, describe the rest."""
+    made: dict[str, Made] = {}
+    manifest = job.directory.manifest()
+    picture = _picture(job.directory) if "experiment_runs" in job.wanted else ""
+    if not job.wanted.isdisjoint(TABLES):
+        made |= _features(job, manifest)
+    if KEPT.index(job.keep) > KEPT.index(manifest.measured.kept) and can_be_made_again(manifest):
+        manifest = _retain(job, manifest)
+    if not job.wanted.isdisjoint(RECORDED):
+        made |= _recording(job.directory, manifest, status)
+        made["experiment_runs"].figures["picture"] = picture
+        made["bags"].figures["planned"] = job.keep
+    return RunReport(
+        simulated_s=manifest.recording_s if status != "verified" else 0.0,
+        assets={asset: described for asset, described in made.items() if asset in job.wanted},
+        kept=manifest.measured.kept,
+        freed_bytes=manifest.measured.freed_bytes,
+    )
+
+
+def _retain(job: RunJob, manifest: Manifest) -> Manifest:
+    """Give up what is not kept, once all is there that is made from the whole bag."""
+    run = job.directory
+    if manifest.measured.kept == "full":
+        ensure_tables(run, manifest, refresh=False)
+        _picture(run)
+    retain(run, job.keep, topics_of_features)
+    judge_pair(run)  # somebody may have, while the run was put back
+    return run.manifest()
+
+
+def _recording(directory: RunDirectory, manifest: Manifest, status: Status) -> dict[str, Made]:
+    measured = manifest.measured
+    run: Figures = {
+        "status": status,
+        "outcome": manifest.outcome,
+        "label": manifest.label,
+        "block": manifest.block,
+        "session": manifest.session,
+        "goals": len(manifest.goals),
+        "goals_reached": sum(goal.outcome == "succeeded" for goal in manifest.goal_results),
+        "contacts": len(manifest.contacts),
+        "recording_s": manifest.recording_s,
+        "wall_s": measured.wall_s,
+        "real_time_factor": manifest.recording_s / measured.wall_s,
+        "bytes": sum(measured.bytes.values()),
+        "content_hash": manifest.content_hash,
+    }
+    bag: Figures = {
+        "status": status,
+        "bytes": measured.bytes["bag"],
+        "messages": sum(topic.messages for topic in manifest.topics.values()),
+        "topics": len(manifest.topics),
+        "kept": measured.kept,
+        "freed_bytes": measured.freed_bytes,
+        "content_hash": manifest.content_hash,
+    }
+    graph = read_gexf(directory.graphs / "run.gexf")
+    files = sorted(directory.graphs.iterdir())
+    kinds = [vertex["kind"] for _, vertex in graph.nodes(data=True)]
+    graphs: Figures = {
+        "status": status,
+        "intervals": sum(file.stem.isdecimal() for file in files),
+        "nodes": kinds.count("node"),
+        "topics": kinds.count("topic"),
+        "edges": graph.number_of_edges(),
+        "bytes": measured.bytes["graphs"],
+        "content_hash": hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest(),
+    }
+    described = ((directory.path, run), (directory.bag, bag), (directory.graphs, graphs))
+    return {
+        asset: Made(
+            path.relative_to(directory.root).as_posix(),
+            manifest.software.code,
+            str(figures["content_hash"]),
+            figures,
+        )
+        for asset, (path, figures) in zip(RECORDED, described, strict=True)
+    }
+
+
+def _picture(directory: RunDirectory) -> bytes | str:
+    """Return the run from above, or why it could not be drawn: a run is not lost for a picture."""
+    from oracle_pipeline.replay.picture import kept_picture
+
+    try:
+        return kept_picture(directory.path)
+    except Exception as error:
+        return f"not drawn: {error}"
+
+
+def _features(job: RunJob, manifest: Manifest) -> dict[str, Made]:
+    started = time.perf_counter()
+    extracted = ensure_tables(job.directory, manifest, refresh=job.refresh)
+    wall_s = time.perf_counter() - started
+    made = {}
+    for asset, table in TABLES.items():
+        place = feature_table(job.directory, table)
+        df = read_table(place)
+        reasons = [json.loads(row) for row in df[MISSING]]
+        absent = sorted({name for row in reasons for name in row})
+        version = content_hash(df)
+        figures: Figures = {
+            "status": "made" if extracted else "verified",
+            "rows": len(df),
+            "features": len(feature_columns(df)),
+            "missing": sum(len(row) for row in reasons),
+            "missing_features": ", ".join(absent),
+            "bytes": place.stat().st_size,
+            "wall_s": wall_s,
+            "content_hash": version,
+        }
+        path = place.relative_to(job.directory.root).as_posix()
+        made[asset] = Made(path, feature_code(), version, figures)
+    return made

@@ -1,0 +1,1 @@
+"""A recorded run as a film and as one picture."""

@@ -1,0 +1,89 @@
+"""``oracle-sim replay``: a run as a film and as a picture.
+
+``oracle-sim`` finds the command by its entry point. What draws is imported when it is called, so
+that the help of every command comes at once.
+"""
+
+from pathlib import Path
+
+import click
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.run_directory import MANIFEST_FILE
+
+FASTEST_HZ = 50.0  # browsers slow a film down that asks for more
+SUFFIXES = (".gif", ".webp", ".png")
+
+
+@click.command()
+@click.argument("run_or_bag", type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--out", "places", multiple=True, type=click.Path(path_type=Path, dir_okay=False),
+    help="File to write: .gif or .webp (a third smaller, slower) for a film, .png for one "
+    "picture; may be given more than once.  [default: replay.gif and picture.png in the run "
+    "directory, <bag>.gif and <bag>.png here for a bag]",
+)  # fmt: skip
+@click.option(
+    "--frames", default=2.0, show_default=True, type=click.FloatRange(min=0, min_open=True),
+    help="Frames for one second of the run.",
+)  # fmt: skip
+@click.option(
+    "--speed", default=10.0, show_default=True, type=click.FloatRange(min=0, min_open=True),
+    help="Seconds of the run in one second of the film.",
+)  # fmt: skip
+def replay(run_or_bag: Path, places: tuple[Path, ...], frames: float, speed: float) -> None:
+    """Draw a run from above, as a film and as one picture.
+
+    Map, local costmap, scans, plan, way driven, goals, attack and time, as far as the bag has them.
+    RUN_OR_BAG is a run directory or a bag that somebody else recorded; that needs /odom, or /tf
+    with the robot's base.
+
+    \b
+    Examples:
+        oracle-sim replay data/runs/fake_object/run000
+        oracle-sim replay data/runs/fake_object/run000 -o attack.webp --speed 20
+        oracle-sim replay my_robot_bag/ -o robot.gif -o robot.png
+    """  # noqa: D301 -- click reads the control character
+    places = places or _beside(run_or_bag)
+    for place in places:
+        if place.suffix not in SUFFIXES:
+            raise click.UsageError(
+                f"{place}: a replay is written as {', '.join(SUFFIXES)}; choose one of them."
+            )
+    if frames * speed > FASTEST_HZ:
+        raise click.UsageError(
+            f"{frames:g} frames at {speed:g} times the speed are {frames * speed:g} a second; "
+            f"browsers show {FASTEST_HZ:g}. Lower --speed or --frames."
+        )
+    try:
+        _draw(run_or_bag, places, frames, speed)
+    except (OracleError, OSError) as error:
+        raise click.ClickException(str(error)) from error
+
+
+def _beside(run_or_bag: Path) -> tuple[Path, ...]:
+    """Return where a film and a picture go if nothing is said."""
+    from oracle_pipeline.replay.picture import FILM, PICTURE
+
+    if (run_or_bag / MANIFEST_FILE).is_file():
+        return run_or_bag / FILM, run_or_bag / PICTURE
+    name = run_or_bag.resolve().stem
+    return Path(f"{name}.gif"), Path(f"{name}.png")
+
+
+def _draw(run_or_bag: Path, places: tuple[Path, ...], frames: float, speed: float) -> None:
+    from oracle_pipeline.datasets import replacing
+    from oracle_pipeline.replay.film import save_film
+    from oracle_pipeline.replay.scene import top_down
+    from oracle_pipeline.replay.story import run_scene
+    from oracle_pipeline.runs import open_run
+
+    with open_run(run_or_bag) as run:
+        scene = run_scene(run, frames)
+    for place in places:
+        if place.suffix == ".png":
+            with replacing(place) as sink:
+                sink.write(top_down(scene))
+        else:
+            save_film(scene, place, speed)
+        click.echo(f"{place}: {place.stat().st_size / 1e3:.0f} kB")

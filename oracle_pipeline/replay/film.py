@@ -1,0 +1,269 @@
+"""A run as a film from above: the moments of a scene, one after the other.
+
+What never moves is drawn once; a frame is a copy of that with the moving parts drawn over it.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import ListedColormap, to_rgb, to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch, Rectangle
+from numpy.typing import NDArray
+from PIL import Image
+from tqdm import tqdm
+
+from oracle_pipeline.datasets import replacing
+from oracle_pipeline.replay.scene import (
+    FAKE_OBJECT,
+    NOT_REACHED,
+    REACHED,
+    Moment,
+    Scene,
+    draw_grid,
+    draw_ground,
+    lay_grid,
+)
+from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, SERIES, house_style
+
+# Suffix of a film -> how Pillow writes it.
+FORMATS: dict[str, dict[str, Any]] = {
+    ".gif": {"format": "GIF", "optimize": True},
+    ".webp": {"format": "WEBP", "lossless": True, "method": 1, "quality": 20},
+}
+LAST_FRAME_MS = 2000
+PALETTE = 96  # colours of a film
+PALETTE_FRAMES = 8  # from which they are chosen
+SIX_BITS = np.uint8(0b11111100)
+
+PAPER = "white"  # no pixel of a GIF is half transparent
+WIDTH_IN, HEAD_IN, FOOT_IN, DPI = 6.4, 0.66, 0.92, 100
+FLATTEST, TALLEST = 0.4, 1.2  # height of the world over its width
+ROBOT_RADIUS_M = 0.22  # a TurtleBot3's in Nav2's parameters
+DRIVEN, SEEN, ATTACK, COST = COLORS["normal"], COLORS["control"], COLORS["malicious"], SERIES[3]
+INKS = (INK, AMBER, DRIVEN, SEEN, ATTACK, COST)
+FAILED: dict[str, Any] = {"color": INK, "marker": "X", "ls": "", "ms": 8, "mec": PAPER}
+
+# A colour for each byte of a costmap, in few steps: that keeps films small. 99 is where the robot
+# would touch an obstacle, 100 is the obstacle.
+_COSTS = np.zeros((256, 4))
+_COSTS[:, :3] = to_rgb(COST)
+_COSTS[:101, 3] = 0.06 + 0.06 * (np.arange(101) // 20)
+_COSTS[99:101, 3] = 0.45, 1.0
+COST_COLORS = ListedColormap(_COSTS)
+
+
+def save_film(scene: Scene, path: Path, speed: float) -> None:
+    """Write a scene as an animated GIF or WebP, by the suffix of the path.
+
+    A progress bar shows on standard error, if that is a terminal.
+
+    Parameters
+    ----------
+    scene : Scene
+        With moments.
+    path : Path
+        What was there is replaced once the film is whole.
+    speed : float
+        Seconds of the run in one of the film.
+    """
+    times_s = np.array([moment.time_s for moment in scene.moments])
+    shown_ms = np.append(np.diff(times_s) / speed * 1000.0, LAST_FRAME_MS)
+    film = _Film(scene)
+    palette = _palette(film, scene)
+    moments = tqdm(scene.moments, unit="frame", disable=None, dynamic_ncols=True, desc=path.name)
+    frames = (_indexed(film.frame(moment), palette) for moment in moments)
+    with replacing(path) as sink:
+        next(frames).save(
+            sink, save_all=True, append_images=frames, loop=0,
+            duration=np.rint(shown_ms).astype(int).tolist(), **FORMATS[path.suffix],
+        )  # fmt: skip
+
+
+def _palette(film: "_Film", scene: Scene) -> Image.Image:
+    """Return the inks and what else is frequent in some frames: few, and exact but for edges."""
+    some = scene.moments[:: max(1, len(scene.moments) // PALETTE_FRAMES)]
+    sheet = Image.fromarray(np.concatenate([film.frame(moment) for moment in some]) & SIX_BITS)
+    counted: Any = sheet.getcolors(sheet.width * sheet.height)  # never None: it may count them all
+    inks = [tuple(int(255 * level) & 0b11111100 for level in to_rgb(ink)) for ink in INKS]
+    colors = list(dict.fromkeys([*inks, *(color for _, color in sorted(counted, reverse=True))]))
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([level for color in colors[:PALETTE] for level in color])
+    return palette
+
+
+def _indexed(frame: NDArray[np.uint8], palette: Image.Image) -> Image.Image:
+    """Return a frame in the colours of a palette, which Pillow compares by their upper six bits."""
+    image = Image.fromarray(frame & SIX_BITS).quantize(palette=palette, dither=Image.Dither.NONE)
+    image.putpalette([level | 0b11 for level in image.getpalette() or ()])  # white is white again
+    return image
+
+
+class _Film:
+    """A figure whose moving parts are drawn anew over its still ones."""
+
+    def __init__(self, scene: Scene) -> None:
+        (left, low), (right, high) = scene.corners()
+        world_in = WIDTH_IN * float(np.clip((high - low) / (right - left), FLATTEST, TALLEST))
+        height_in = HEAD_IN + world_in + FOOT_IN
+        with house_style():
+            self._figure = Figure((WIDTH_IN, height_in), dpi=DPI, facecolor=PAPER)
+            canvas: Any = FigureCanvasAgg(self._figure)  # it has no types
+            self._parts = (
+                _World(self._add_axes(0.0, FOOT_IN, WIDTH_IN, world_in), scene),
+                _Timeline(self._add_axes(0.25, 0.62, WIDTH_IN - 0.5, 0.09), scene),
+                _Words(self._figure, scene),
+            )
+            self._figure.legend(
+                handles=_legend(scene), loc="lower center", ncols=7, fontsize="small",
+                columnspacing=1.3, handlelength=1.3, handletextpad=0.5,
+            )  # fmt: skip
+        for part in self._parts:
+            for artist in part.moving:
+                artist.set_animated(True)
+        canvas.draw()
+        self._canvas, self._still = canvas, canvas.copy_from_bbox(self._figure.bbox)
+
+    def frame(self, moment: Moment) -> NDArray[np.uint8]:
+        """Return the picture of one moment, RGB, shape (height, width, 3)."""
+        self._canvas.restore_region(self._still)
+        for part in self._parts:
+            part.show(moment)
+            for artist in part.moving:
+                self._figure.draw_artist(artist)
+        return np.array(self._canvas.buffer_rgba())[..., :3]
+
+    def _add_axes(self, left: float, low: float, width: float, height: float) -> Axes:
+        """Add axes at a place in inches."""
+        across, up = self._figure.get_size_inches()
+        return self._figure.add_axes((left / across, low / up, width / across, height / up))
+
+
+class _World:
+    """Map and goals, and what the robot does, sees, plans and takes for an obstacle."""
+
+    def __init__(self, axes: Axes, scene: Scene) -> None:
+        self._scene = scene
+        axes.set_axis_off()
+        draw_ground(axes, scene)
+        axes.plot(*scene.goals[:, :2].T, **NOT_REACHED)
+        self._driven = _line(axes, "-", DRIVEN, lw=1.6)
+        self._plan = _line(axes, "-", AMBER, lw=1.6)
+        self._attacked = _line(axes, "s", ATTACK, ms=3.0, mew=0, antialiased=False)
+        self._scan = _line(axes, "s", SEEN, ms=2.0, mew=0, antialiased=False)
+        self._fake = Circle((0.0, 0.0), **FAKE_OBJECT)
+        (self._reached,) = axes.plot([], [], **REACHED)
+        self._current = _line(axes, "o", AMBER, ms=19, mew=1.6, mfc="none")
+        self._robot = Circle((0.0, 0.0), ROBOT_RADIUS_M, ec=DRIVEN, lw=1.8)
+        self._robot.set_facecolor(to_rgba(PAPER, 0.85))
+        axes.add_patch(self._fake)
+        axes.add_patch(self._robot)
+        self._heading = _line(axes, "-", DRIVEN, lw=1.8)
+        self.moving: list[Artist] = [
+            self._driven, self._plan, self._attacked, self._scan, self._fake,
+            self._reached, self._current, self._robot, self._heading,
+        ]  # fmt: skip
+        costmaps = [moment.costmap for moment in scene.moments if moment.costmap is not None]
+        self._costmap = draw_grid(axes, costmaps[0], COST_COLORS) if costmaps else None
+        if self._costmap is not None:
+            self.moving.insert(0, self._costmap)
+
+    def show(self, moment: Moment) -> None:
+        """Move everything to where it was."""
+        scene, (x, y, yaw) = self._scene, moment.robot
+        if self._costmap is not None:
+            self._costmap.set_visible(moment.costmap is not None)
+            if moment.costmap is not None:
+                lay_grid(self._costmap, moment.costmap)
+        self._driven.set_data(*scene.path[: moment.driven].T)
+        self._plan.set_data(*moment.plan.T)
+        self._scan.set_data(*moment.scan.T)
+        self._attacked.set_data(*moment.attacked.T)
+        self._fake.set_visible(moment.disc is not None)
+        if moment.disc is not None:
+            self._fake.set_center(moment.disc[:2])
+            self._fake.set_radius(moment.disc[2])
+        goal = scene.goal_at(moment.time_s)
+        self._reached.set_data(*scene.goals[scene.reached(moment.time_s), :2].T)
+        self._current.set_data(*scene.goals[[] if goal is None else [goal], :2].T)
+        self._robot.set_center((x, y))
+        rim = x + ROBOT_RADIUS_M * np.cos(yaw), y + ROBOT_RADIUS_M * np.sin(yaw)
+        self._heading.set_data([x, rim[0]], [y, rim[1]])
+
+
+class _Timeline:
+    """How far the film is, when there was an attack, and when goals ended."""
+
+    def __init__(self, axes: Axes, scene: Scene) -> None:
+        axes.set(xlim=(0.0, scene.duration_s), ylim=(0.0, 1.0), yticks=[])
+        axes.set_facecolor(to_rgba(INK, 0.2))
+        axes.spines[:].set_visible(False)
+        axes.xaxis.set_major_formatter("{x:g} s")
+        axes.tick_params(length=0, labelsize="small")
+        self._past = Rectangle((0.0, 0.0), 0.0, 1.0, color=INK)
+        axes.add_patch(self._past)
+        self.moving: list[Artist] = [self._past]
+        if scene.onset_s is not None:
+            during = [scene.onset_s, scene.duration_s]
+            axes.plot(during, [1.7, 1.7], color=ATTACK, lw=2.5, clip_on=False)
+            axes.text(scene.onset_s, 2.2, "attack", color=ATTACK, size="small", va="bottom")
+        for goal in scene.results:
+            if goal.ended_s is not None:
+                style = REACHED if goal.outcome == "succeeded" else FAILED
+                self.moving += axes.plot(goal.ended_s, 0.5, **style, clip_on=False)
+
+    def show(self, moment: Moment) -> None:
+        """Move on to a moment."""
+        self._past.set_width(moment.time_s)
+
+
+class _Words:
+    """Which run this is, how late it is, and how the robot fares."""
+
+    def __init__(self, figure: Figure, scene: Scene) -> None:
+        self._scene = scene
+        height_in = figure.get_size_inches()[1]
+        first, second = 1.0 - 0.12 / height_in, 1.0 - 0.38 / height_in
+        figure.text(0.04, first, scene.title, size="large", weight="bold", va="top")
+        self._clock = figure.text(0.96, first, "", size="large", ha="right", va="top")
+        self._news = figure.text(0.04, second, "", va="top")
+        self.moving: list[Artist] = [self._clock, self._news]
+
+    def show(self, moment: Moment) -> None:
+        """Tell of a moment."""
+        scene = self._scene
+        goal, reached = scene.goal_at(moment.time_s), int(scene.reached(moment.time_s).sum())
+        news = [f"to goal {goal + 1} of {len(scene.goals)}"] if goal is not None else []
+        news += [f"{reached} reached"] if len(scene.goals) else []
+        news += [f"recoveries: {moment.recoveries}"] if moment.recoveries else []
+        self._news.set_text(" \N{MIDDLE DOT} ".join(news))
+        self._clock.set_text(f"{moment.time_s:.1f} s")
+
+
+def _line(axes: Axes, style: str, color: str, **options: Any) -> Line2D:
+    (line,) = axes.plot([], [], style, color=color, **options)
+    return line
+
+
+def _legend(scene: Scene) -> list[Artist]:
+    """Return a sample of each thing that is seen in the film."""
+    seen = scene.moments
+
+    def dots(color: str, label: str) -> Line2D:
+        return Line2D([], [], ls="", marker="o", ms=4, mew=0, color=color, label=label)
+
+    samples: list[tuple[bool, Artist]] = [
+        (any(len(m.scan) for m in seen), dots(SEEN, "scan")),
+        (any(len(m.attacked) for m in seen), dots(ATTACK, "attacked scan")),
+        (any(m.disc for m in seen), Patch(label="fake object", **FAKE_OBJECT)),
+        (any(m.costmap for m in seen), Patch(color=to_rgba(COST, 0.5), lw=0, label="costmap")),
+        (any(len(m.plan) for m in seen), Line2D([], [], color=AMBER, label="plan")),
+        (True, Line2D([], [], color=DRIVEN, label="driven")),
+        (len(scene.goals) > 0, Line2D([], [], label="goal", **{**REACHED, "ms": 8})),
+    ]
+    return [sample for shown, sample in samples if shown]

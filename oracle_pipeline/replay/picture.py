@@ -1,0 +1,38 @@
+"""Where a run's film and picture are kept, and the picture itself."""
+
+from pathlib import Path
+
+from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.bags.remote import fetched
+from oracle_pipeline.bags.run_directory import BAG_FOLDER, MANIFEST_FILE
+from oracle_pipeline.datasets import replacing
+from oracle_pipeline.replay.radar import has_tracks, plan_view, radar_display
+from oracle_pipeline.replay.scene import top_down
+from oracle_pipeline.replay.story import run_scene
+from oracle_pipeline.runs import Run
+
+# Beside a run's manifest; a run that is made again starts without them.
+FILM, PICTURE = "replay.gif", "picture.png"
+
+
+def kept_picture(path: Path) -> bytes:
+    """Return the picture of a run directory, drawn once and kept, as PNG.
+
+    Raises
+    ------
+    OracleError
+        If there is none yet and the run cannot be read or drawn.
+    """
+    place = path / PICTURE
+    if place.is_file():
+        return place.read_bytes()
+    manifest = Manifest.load(path / MANIFEST_FILE)
+    with (
+        fetched(path / BAG_FOLDER) as bag,
+        Run(path, BagReader(bag), manifest, ()) as run,  # graphs are not in it
+    ):
+        png = plan_view(radar_display(run)) if has_tracks(run) else top_down(run_scene(run))
+    with replacing(place) as sink:
+        sink.write(png)
+    return png

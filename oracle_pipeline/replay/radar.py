@@ -1,0 +1,228 @@
+"""An air traffic recording as a controller sees it: tracks, reports and plots around the antenna.
+
+Where the antenna stands is found as the features find it, in
+``oracle_pipeline.features.atc_reports``.
+"""
+
+import cmath
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
+from matplotlib.patches import Circle
+from numpy.typing import NDArray
+
+from oracle_pipeline.features.atc_reports import (
+    Flight,
+    Replies,
+    find_antenna,
+    flights,
+    keep_reply,
+    keep_report,
+)
+from oracle_pipeline.features.geodesy import Site, cartesian
+from oracle_pipeline.features.plugin import Series
+from oracle_pipeline.replay.scene import compact
+from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, drawing
+from oracle_pipeline.reporting.result import ReportError
+from oracle_pipeline.runs import Run
+
+TRACKS, REPORT = "atc_msgs/msg/TrackArray", "atc_msgs/msg/AdsbReport"
+ECHO, REPLY = "atc_msgs/msg/RadarPlot", "atc_msgs/msg/SecondaryReply"
+INSTANT = 0.25  # of the recording; halfway through, flights of our testbed meet over the antenna
+HISTORY_S = 120.0  # of what is shown, before the instant
+RING_KM = 20.0
+AHEAD_S = 60.0  # which a track's line reaches ahead
+FLIGHT_LEVEL_M = 30.48
+# Where labels stand from their tracks, from west to east in turn: queues stay readable [points].
+LABELS = ((6, 6), (6, -13), (6, 17), (6, -24))
+
+_ADSB = 1  # in the sources of a track
+_INKS: dict[str, dict[str, Any]] = {
+    "seen by both": {"color": COLORS["normal"], "marker": "o"},
+    "radar alone": {"color": AMBER, "marker": "s"},
+    "ADS-B alone": {"color": COLORS["malicious"], "marker": "^"},
+}
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Track:
+    """One aircraft as the fusion sees it; places are north + i east of the antenna [km]."""
+
+    label: str
+    seen_by: str  # a key of the legend
+    trail: NDArray[np.complex128]  # (n,), the newest last
+    ahead: complex  # where it will be in a minute, from here
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Display:
+    """What is on the screen at one instant; places are north + i east of the antenna [km]."""
+
+    title: str
+    tracks: Sequence[Track]
+    reports: NDArray[np.complex128]  # (n,), of the last two minutes
+    plots: NDArray[np.complex128]  # (m,), the same of both radars
+
+
+def has_tracks(run: Run) -> bool:
+    """Tell whether a recording is of air traffic."""
+    return TRACKS in {topic.msgtype for topic in run.bag.topics.values()}
+
+
+def radar_display(run: Run) -> Display:
+    """Read what the screen shows when a quarter of a recording is over.
+
+    Raises
+    ------
+    ReportError
+        There was no track then.
+    BagError
+        The bag cannot be read.
+    """
+    instant_s = INSTANT * run.duration_s
+    heard = _heard(run, instant_s)
+    if not heard[TRACKS] or not heard[TRACKS][-1].tracks:
+        raise ReportError(f"{run.path} cannot be drawn: there is no track a quarter through it.")
+    antenna = _antenna(heard)
+    reports = [(m.latitude, m.longitude, m.altitude_m) for m in heard[REPORT]]
+    plots = [_plot(m, getattr(m, "altitude_m", 0.0)) for m in (*heard[ECHO], *heard[REPLY])]
+    name = run.path.resolve().name
+    if run.manifest is not None:
+        name = f"{run.manifest.mode}|run{run.manifest.run:03d}"
+    return Display(
+        f"{name}, {instant_s:.0f} s",
+        _tracks(heard[TRACKS], antenna),
+        _places(reports, antenna),
+        np.array(plots, dtype=np.complex128),
+    )
+
+
+def plan_view(display: Display) -> bytes:
+    """Draw the screen as PNG, in the inks of ``oracle_pipeline.reporting.figures``; north is up."""
+    trails = np.concatenate([track.trail for track in display.tracks])
+    reach = RING_KM * math.ceil(float(np.abs(trails).max()) / RING_KM)
+    with drawing(4.7, 5.2) as (axes, png):
+        _draw_rings(axes, reach)
+        dots: dict[str, Any] = {"marker": "o", "ls": "", "mew": 0}
+        teal = to_rgba(COLORS["control"], 0.35)
+        axes.plot(*_xy(display.reports), ms=3.2, label="ADS-B report", color=teal, **dots)
+        axes.plot(*_xy(display.plots), ms=1.8, label="radar plot", color=INK, **dots)
+        eastwards = sorted(display.tracks, key=lambda track: track.trail[-1].imag)
+        for track, place in zip(eastwards, cycle(LABELS), strict=False):
+            ink, now = _INKS[track.seen_by], track.trail[-1]
+            axes.plot(*_xy(track.trail), color=ink["color"], lw=0.6)
+            axes.plot(*_xy(np.array([now, now + track.ahead])), color=ink["color"], lw=1.2)
+            axes.plot(*_xy(now), ls="", ms=6, **ink)
+            axes.annotate(
+                track.label, _xy(now), place, textcoords="offset points", fontsize="x-small",
+                color=ink["color"],
+            )  # fmt: skip
+        for seen_by, ink in _INKS.items():
+            axes.plot([], [], ls="", label=seen_by, **ink)
+        axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
+        axes.set(xlabel="east of the radar [km]", ylabel="north of the radar [km]")
+        axes.set_title(display.title)
+        axes.figure.legend(loc="outside lower center", ncols=3, fontsize="small", markerscale=1.2)
+    return compact(png)
+
+
+def _heard(run: Run, instant_s: float) -> Mapping[str, list[Any]]:
+    """Return the messages of the history, by type."""
+    types = {name: topic.msgtype for name, topic in run.bag.topics.items()}
+    wanted = {name for name, of in types.items() if of in (TRACKS, REPORT, ECHO, REPLY)}
+    heard = defaultdict(list)
+    for raw in run.bag.messages(wanted):
+        time_s = (raw.stamp_ns - run.bag.start_ns) * 1e-9
+        if instant_s - HISTORY_S <= time_s <= instant_s:
+            heard[types[raw.topic]].append(run.bag.deserialize(raw))
+    return heard
+
+
+def _antenna(heard: Mapping[str, Sequence[Any]]) -> Site:
+    """Return where the radar stands or, where nobody answers it, the middle of the tracks."""
+    replies = defaultdict(list)
+    for address, *reply in map(keep_reply, heard[REPLY]):
+        replies[address].append(reply)
+    pairs = []
+    for address, flight in _flights(heard[REPORT]).items():
+        if address in replies:
+            stamps_s, slant_m, azimuth_deg, altitude_m = np.array(replies[address]).T
+            azimuth = np.exp(1j * np.radians(azimuth_deg))
+            of_radar = Replies(stamps_s, stamps_s, slant_m, azimuth, altitude_m)
+            pairs.append((flight.at(stamps_s)[0], of_radar))
+    if pairs:
+        return find_antenna(pairs)
+    newest = heard[TRACKS][-1].tracks
+    middle = np.median([(track.latitude, track.longitude) for track in newest], axis=0)
+    return Site(*middle.tolist())
+
+
+def _flights(reports: Sequence[Any]) -> dict[str, Flight]:
+    if not reports:
+        return {}
+    rows = np.array([keep_report(report) for report in reports], dtype=object)
+    return flights(Series(rows[:, 1].astype(np.float64), rows))
+
+
+def _tracks(arrays: Sequence[Any], antenna: Site) -> list[Track]:
+    """Return the tracks of the newest array, with where they were in those before."""
+    told = defaultdict(list)
+    for array in arrays:
+        for track in array.tracks:
+            told[track.track_id].append((track.latitude, track.longitude, track.altitude_m))
+    return [
+        Track(
+            _label(track),
+            _seen_by(track.sources),
+            _places(told[track.track_id], antenna),
+            _ahead(track),
+        )
+        for track in arrays[-1].tracks
+    ]
+
+
+def _label(track: Any) -> str:
+    """Return who it is and at which flight level."""
+    name = track.callsign or track.icao24 or "no name"
+    level = "---" if math.isnan(track.altitude_m) else f"{track.altitude_m / FLIGHT_LEVEL_M:03.0f}"
+    return f"{name} {level}"
+
+
+def _seen_by(sources: int) -> str:
+    if sources == _ADSB:
+        return "ADS-B alone"
+    return "seen by both" if sources & _ADSB else "radar alone"
+
+
+def _ahead(track: Any) -> complex:
+    turn = math.radians(track.track_deg)
+    return cmath.rect(AHEAD_S * 1e-3 * track.ground_speed, turn)
+
+
+def _places(positions: Sequence[tuple[float, ...]], antenna: Site) -> NDArray[np.complex128]:
+    """Return where positions [deg, deg, m] are; an unknown altitude moves nothing to speak of."""
+    columns = np.nan_to_num(np.array(positions, dtype=np.float64).reshape(-1, 3))
+    return np.asarray(antenna.seen(cartesian(*columns.T))[0] * 1e-3)
+
+
+def _plot(message: Any, altitude_m: float) -> complex:
+    ground_m = math.sqrt(max(message.slant_range_m**2 - altitude_m**2, 0.0))
+    azimuth = math.radians(message.azimuth_deg)
+    return cmath.rect(ground_m * 1e-3, azimuth)
+
+
+def _xy(places: Any) -> tuple[Any, Any]:
+    return np.imag(places), np.real(places)
+
+
+def _draw_rings(axes: Axes, reach_km: float) -> None:
+    for radius in np.arange(RING_KM, reach_km * math.sqrt(2.0), RING_KM):
+        axes.add_patch(Circle((0.0, 0.0), radius, fill=False, ec=INK, alpha=0.35, lw=0.7))
+    axes.plot(0.0, 0.0, "+", color=INK, ms=9)

@@ -1,0 +1,309 @@
+"""From an opened run to its scene, told by the run's own bag and manifest in one pass.
+
+The way driven is where transforms and odometry put the robot's base, in the frame from which all
+others hang: map, or odom where nothing localized the robot. Everything is planar, so a point is a
+complex number [m] and a rotation a complex factor. Drawing is in
+``oracle_pipeline.replay.scene``.
+"""
+
+import cmath
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.replay.scene import Grid, Moment, Scene
+from oracle_pipeline.reporting.result import ReportError
+from oracle_pipeline.runs import Run
+
+MAP, ODOMETRY, TF, TF_STATIC = "/map", "/odom", "/tf", "/tf_static"
+SCAN, ATTACKED = "/scan", "/scan_fakeobject"
+PLAN, COSTMAP, BEHAVIORS = "/plan", "/local_costmap/costmap", "/behavior_tree_log"
+BASES = ("base_footprint", "base_link")  # REP 105 and 120
+RECOVERY = "RecoveryActions"  # what Nav2's behaviour trees call the node above their recoveries
+LEAST_STEP_M = 0.01  # between two points of the way; finer does not show
+
+_Points = NDArray[np.complex128]
+_Placed = tuple[complex, complex]  # where something is, and how it is turned
+_NO_POINTS: _Points = np.zeros(0, dtype=np.complex128)
+
+
+def run_scene(run: Run, moments_per_s: float | None = None) -> Scene:
+    """Read what there is to draw of a run, or of a bag that somebody else recorded.
+
+    Parameters
+    ----------
+    run : Run
+        Map, goals and attack are in the scene as far as bag and manifest have them.
+    moments_per_s : float, optional
+        How many moments the scene has for a second of the recording; by default it has none.
+
+    Raises
+    ------
+    ReportError
+        The bag does not tell where the robot was, or not on the map that it holds.
+    BagError
+        The bag cannot be read.
+    """
+    story = _Story(run, moments_per_s)
+    for raw in run.bag.messages(story.topics):
+        story.hear(raw.topic, raw.stamp_ns, run.bag.deserialize(raw))
+    return story.scene()
+
+
+class _Story:
+    """What the messages of a run tell, heard in the order in which they were recorded.
+
+    Of the attacked scans that from nearest to the fake object is kept or, where there is none, the
+    one nearest to halfway through the recording.
+    """
+
+    def __init__(self, run: Run, moments_per_s: float | None) -> None:
+        self._run = run
+        attacked = run.manifest if run.manifest and run.manifest.label == "malicious" else None
+        self._attack = attacked.attack if attacked else {}
+        self._onset_s = attacked.onset_s if attacked else None
+        self._has_odometry = ODOMETRY in run.bag.topics
+        self._now_ns = 0  # since the start of the recording
+        self._step_ns = round(1e9 / moments_per_s) if moments_per_s else None
+        self._next_ns = 0  # when the next moment is
+
+        self._frames = _Frames()
+        self._map: Any = None  # nav_msgs/msg/OccupancyGrid
+        self._recoveries = 0
+        self._begin_in("")
+
+        self._hearers: dict[str, Callable[[Any], None]] = {
+            MAP: self._hear_map,
+            ODOMETRY: self._hear_odometry,
+            TF: self._hear_transforms,
+            TF_STATIC: self._frames.hear,
+        }
+        if attacked:
+            self._hearers[ATTACKED] = self._hear_attacked_scan
+        if moments_per_s:
+            self._hearers |= {
+                SCAN: self._hear_scan,
+                PLAN: self._hear_plan,
+                COSTMAP: self._hear_costmap,
+                BEHAVIORS: self._hear_behaviors,
+            }
+
+    @property
+    def topics(self) -> set[str]:
+        """What is to be heard."""
+        return set(self._hearers)
+
+    def hear(self, topic: str, stamp_ns: int, message: Any) -> None:
+        """Take one message in."""
+        self._now_ns = stamp_ns - self._run.bag.start_ns
+        while self._step_ns and self._next_ns < self._now_ns:
+            self._remember(self._next_ns * 1e-9)
+            self._next_ns += self._step_ns
+        self._hearers[topic](message)
+
+    def scene(self) -> Scene:
+        """Return all that was heard; errors are those of `run_scene`."""
+        run, manifest = self._run, self._run.manifest
+        if not self._way:
+            raise ReportError(
+                f"{run.path} cannot be drawn: its bag has neither {ODOMETRY} nor a transform to "
+                f"{' or '.join(BASES)}, so nothing tells where the robot was."
+            )
+        ground = None if self._map is None else self._grid(self._map)
+        if self._map is not None and ground is None:
+            raise ReportError(
+                f"{run.path} cannot be drawn: its bag has {MAP} but no transform from "
+                f"{self._map.header.frame_id} to {self._root}; record {TF} and {TF_STATIC} too."
+            )
+        if self._step_ns:
+            self._remember(run.duration_s)
+        path = _xy(np.array(self._way))
+        scene = Scene(
+            title=run.path.resolve().name,
+            frame=self._root,
+            map=ground,
+            path=path,
+            start=(path[0, 0], path[0, 1]),
+            duration_s=run.duration_s,
+            moments=tuple(self._moments),
+        )
+        if manifest is None:
+            return scene
+        return replace(
+            scene,
+            title=f"{manifest.mode}|run{manifest.run:03d}, {manifest.outcome}",
+            start=(manifest.start.x, manifest.start.y),
+            goals=np.array([(g.x, g.y, g.yaw) for g in manifest.goals]).reshape(-1, 3),
+            results=manifest.goal_results,
+            onset_s=self._onset_s,
+            disc=self._disc(),
+            scan=None if self._closest_scan is None else _xy(self._closest_scan),
+        )
+
+    def _begin_in(self, root: str) -> None:
+        """Begin to tell in a frame, and forget what was told in another."""
+        self._root = root
+        self._way: list[complex] = []
+        self._robot: _Placed = (0j, 1 + 0j)
+        self._scan = self._attacked = self._plan = _NO_POINTS
+        self._costmap: Grid | None = None
+        self._moments: list[Moment] = []
+        self._closest = np.inf
+        self._closest_scan: _Points | None = None
+
+    def _hear_map(self, message: Any) -> None:
+        self._map = message
+
+    def _hear_transforms(self, message: Any) -> None:
+        self._frames.hear(message)
+        if not self._has_odometry:
+            self._drive(next((base for base in BASES if base in self._frames), ""))
+
+    def _hear_odometry(self, message: Any) -> None:
+        pose = message.pose.pose
+        self._frames.hang(message, message.child_frame_id, pose.position, pose.orientation)
+        self._drive(message.child_frame_id)
+
+    def _hear_scan(self, message: Any) -> None:
+        self._scan = self._hits(message)
+
+    def _hear_attacked_scan(self, message: Any) -> None:
+        self._attacked = self._hits(message)
+        fake, halfway_s = self._fake_object(), self._run.duration_s / 2
+        off = abs(self._now_ns * 1e-9 - halfway_s) if fake is None else abs(self._robot[0] - fake)
+        if len(self._attacked) and off < self._closest:
+            self._closest, self._closest_scan = off, self._attacked
+
+    def _hear_plan(self, message: Any) -> None:
+        if (placed := self._placed(message.header.frame_id)) is not None:
+            points = [stamped.pose.position for stamped in message.poses]
+            plan = np.array([complex(point.x, point.y) for point in points], dtype=np.complex128)
+            self._plan = placed[0] + placed[1] * plan
+
+    def _hear_costmap(self, message: Any) -> None:
+        self._costmap = self._grid(message)
+
+    def _hear_behaviors(self, message: Any) -> None:
+        self._recoveries += sum(
+            change.node_name == RECOVERY
+            and (change.previous_status, change.current_status) == ("IDLE", "RUNNING")
+            for change in message.event_log
+        )
+
+    def _drive(self, base: str) -> None:
+        """Note where the robot's base is now."""
+        root, robot = self._frames.from_root(base)
+        if not root or root in BASES:  # nothing says where the robot is
+            return
+        if root != self._root:
+            self._begin_in(root)
+        if not self._way or abs(robot[0] - self._way[-1]) > LEAST_STEP_M:
+            self._way.append(robot[0])
+        self._robot = robot
+
+    def _placed(self, frame: str) -> _Placed | None:
+        """Return where a frame is in the scene, if that is known."""
+        root, placed = self._frames.from_root(frame)
+        return placed if root == self._root else None
+
+    def _hits(self, scan: Any) -> _Points:
+        """Return where the rays of a scan ended."""
+        sensor = self._placed(scan.header.frame_id)
+        if sensor is None:
+            return _NO_POINTS
+        ranges = np.asarray(scan.ranges, dtype=np.float64)
+        hit = np.flatnonzero((ranges >= scan.range_min) & (ranges <= scan.range_max))
+        bearings = scan.angle_min + scan.angle_increment * hit
+        return np.asarray(sensor[0] + sensor[1] * ranges[hit] * np.exp(1j * bearings))
+
+    def _grid(self, message: Any) -> Grid | None:
+        """Return an occupancy grid where it lies in the scene."""
+        placed = self._placed(message.header.frame_id)
+        if placed is None:
+            return None
+        info = message.info
+        corner, turn = _pose(info.origin.position, info.origin.orientation)
+        return Grid(
+            np.asarray(message.data, dtype=np.int8).reshape(info.height, info.width),
+            info.resolution,
+            _x_y_yaw((placed[0] + placed[1] * corner, placed[1] * turn)),
+        )
+
+    def _fake_object(self) -> complex | None:
+        """Return where the object that is not there is by the newest transform."""
+        if "radius" not in self._attack:
+            return None
+        frame = self._placed(self._attack["frame"])
+        return frame and frame[0] + frame[1] * complex(self._attack["x"], self._attack["y"])
+
+    def _disc(self) -> tuple[float, float, float] | None:
+        fake = self._fake_object()
+        return None if fake is None else (fake.real, fake.imag, self._attack["radius"])
+
+    def _remember(self, time_s: float) -> None:
+        if not self._way:
+            return
+        attacked = self._onset_s is not None and time_s >= self._onset_s
+        self._moments.append(
+            Moment(
+                time_s=time_s,
+                robot=_x_y_yaw(self._robot),
+                driven=len(self._way),
+                scan=_xy(self._scan),
+                attacked=_xy(self._attacked),
+                plan=_xy(self._plan),
+                costmap=self._costmap,
+                disc=self._disc() if attacked else None,
+                recoveries=self._recoveries,
+            )
+        )
+
+
+class _Frames:
+    """Which frame hangs from which, as last heard."""
+
+    def __init__(self) -> None:
+        self._parents: dict[str, tuple[str, _Placed]] = {}
+
+    def __contains__(self, frame: str) -> bool:
+        return frame in self._parents
+
+    def hear(self, message: Any) -> None:
+        """Take a tf2_msgs/msg/TFMessage in."""
+        for heard in message.transforms:
+            step = heard.transform
+            self.hang(heard, heard.child_frame_id, step.translation, step.rotation)
+
+    def hang(self, stamped: Any, child: str, position: Any, orientation: Any) -> None:
+        """Hang a frame from that of a stamped message."""
+        self._parents[child] = (stamped.header.frame_id, _pose(position, orientation))
+
+    def from_root(self, frame: str) -> tuple[str, _Placed]:
+        """Return the frame from which a frame hangs in the end, and where it is in that.
+
+        The name of the root is empty if the frames hang in a ring.
+        """
+        at, turn = 0j, 1 + 0j
+        for _ in range(len(self._parents) + 1):
+            if frame not in self._parents:
+                return frame, (at, turn)
+            frame, (offset, rotation) = self._parents[frame]
+            at, turn = offset + rotation * at, rotation * turn
+        return "", (at, turn)
+
+
+def _pose(position: Any, q: Any) -> _Placed:
+    turn = complex(1.0 - 2.0 * (q.y**2 + q.z**2), 2.0 * (q.w * q.z + q.x * q.y))
+    return complex(position.x, position.y), turn / abs(turn)
+
+
+def _x_y_yaw(placed: _Placed) -> tuple[float, float, float]:
+    at, turn = placed
+    return at.real, at.imag, cmath.phase(turn)
+
+
+def _xy(points: _Points) -> NDArray[np.float64]:
+    return np.column_stack([points.real, points.imag])

@@ -1,0 +1,276 @@
+"""One function a report: from feature tables to a `Report` of table, pictures and facts.
+
+The first four follow the thesis's method, which draws copies of runs before it clusters them, in
+the variant asked for; `side_by_side` has both variants and what the thesis prints, and `null_model`
+what its method makes of labels without meaning. Our own evaluation is in ``evaluation`` beside this
+module, tables are made in ``tables``, pictures in ``figures``.
+"""
+
+import numpy as np
+import pandas as pd
+
+from oracle_pipeline.clustering.scores import hac_height
+from oracle_pipeline.clustering.tree import LINKAGES, ClusteringError
+from oracle_pipeline.datasets import (
+    PAIRS,
+    DatasetError,
+    content_hash,
+    distinct_runs,
+    is_malicious,
+    lacking,
+)
+from oracle_pipeline.evaluation.clustering import grow_over_runs
+from oracle_pipeline.evaluation.estimate import Estimate
+from oracle_pipeline.evaluation.metrics import RocCurve, auc, roc_curve
+from oracle_pipeline.evaluation.variants import VARIANTS, Variant, VariantName
+from oracle_pipeline.reporting import figures, thesis_tables
+from oracle_pipeline.reporting.result import Report, facts
+from oracle_pipeline.reporting.thesis_figures import FAMILIES
+from oracle_pipeline.reporting.thesis_tables import estimate
+
+ROWS, MALICIOUS_RATE, SEED = 1000, 0.3, 50  # the thesis's bootstrap
+
+THESIS_WARNING = (
+    "Copies of the same runs are clustered, and labels choose the cluster that they then measure: "
+    "recall and AUC of the best cluster do not say how well attacks are detected."
+)
+
+
+def bootstrapped_dataset(
+    df: pd.DataFrame,
+    n: int = ROWS,
+    malicious_rate: float = MALICIOUS_RATE,
+    seed: int = SEED,
+    variant: VariantName = "corrected",
+) -> Report:
+    """Draw rows with replacement; the report's table holds them.
+
+    Parameters and errors are those of `oracle_pipeline.datasets.bootstrap`; but of a campaign that
+    has only one class so far, all rows are drawn from that one, and the summary says so. The
+    thesis's variant leaves out runs that lack one of its ten features, and names them.
+    """
+    by = VARIANTS[variant]
+    usable = by.whole_runs(df)
+    lacks = lacking(usable)
+    rate = float(is_malicious(usable).mean()) if lacks else malicious_rate
+    rows = by.draw(usable, n, rate, seed)
+    runs = distinct_runs(rows)
+    drawn = rows.iloc[runs.first]
+    X = by.matrix(drawn, by.columns(rows, "all"))
+    picture = figures.principal_components(X, _labels(rows), runs.copies)
+    summary: dict[str, float | int | str] = {
+        "rows": n,
+        "runs": len(runs),
+        "malicious_rate": rate,
+        "malicious_rows": int(runs.copies[runs.malicious].sum()),
+        "malicious_runs": int(runs.malicious.sum()),
+        "most_copies_of_a_run": int(runs.copies.max()),
+        "seed": seed,
+        "left_out": ", ".join(df["run_id"][~df["run_id"].isin(usable["run_id"])]),
+        "content_hash": content_hash(rows),
+        "note": lacks,
+    }
+    return Report(rows, {"principal_components": picture}, summary | _drawn_by(by))
+
+
+def _drawn_by(variant: Variant) -> dict[str, float | int | str]:
+    """Return for a summary which variant made a report, and what it cannot say."""
+    warning = {"warning": THESIS_WARNING} if variant.name == "thesis" else {}
+    return {"variant": str(variant.name), **warning}
+
+
+def clustering_grid_search(
+    rows: pd.DataFrame, seed: int = SEED, variant: VariantName = "corrected"
+) -> Report:
+    """Cluster the bootstrapped rows with every setting of the grid (the thesis's table 5.1).
+
+    Parameters
+    ----------
+    rows : DataFrame
+        The table of `bootstrapped_dataset`, of the same variant.
+    seed : int
+        Of the resamples behind the intervals.
+    variant : {"corrected", "thesis"}
+    """
+    by = VARIANTS[variant]
+    rng = np.random.default_rng(seed)
+    table = thesis_tables.grid_search_table(rows, rng, by)
+    pictures = {"grid": figures.grid_heat_map(table)}
+    curves: dict[str, tuple[RocCurve, Estimate]] = {}
+    runs = distinct_runs(rows)
+    for method in LINKAGES:
+        try:
+            tree = grow_over_runs(rows, by.columns(rows, "all"), method, by)
+        except ClusteringError:
+            continue  # its rows in the table say why
+        pictures[f"dendrogram_{method}"] = figures.dendrogram(tree, _labels(rows))
+        if not lacking(rows):
+            height = hac_height(tree)
+            curves[method] = (roc_curve(height, runs, rng), auc(height, runs, rng))
+    if curves:
+        pictures["roc"] = figures.roc_curves(curves)
+    summary: dict[str, float | int | str] = {"settings": len(table), "note": lacking(rows)}
+    return Report(table, pictures, summary | _drawn_by(by) | _thesis_choice(table))
+
+
+def _labels(rows: pd.DataFrame) -> list[str]:
+    """Return the labels of the distinct runs."""
+    return list(rows["label"].iloc[distinct_runs(rows).first])
+
+
+def _thesis_choice(table: pd.DataFrame) -> dict[str, float | int | str]:
+    """Return the setting that the thesis's rule picks, by recall alone, and what it costs."""
+    if table["recall_best_cluster"].isna().all():
+        return {}
+    chosen = table.iloc[int(table["recall_best_cluster"].argmax())]
+    picked = f"{chosen['linkage']}, {chosen['criterion']} {chosen['t']:g}"
+    return {
+        "thesis_rule_picks": picked,
+        **facts("recall_best_cluster", estimate(chosen, "recall_best_cluster")),
+        **facts("fpr_best_cluster", estimate(chosen, "fpr_best_cluster")),
+    }
+
+
+def malicious_rate_report(
+    df: pd.DataFrame, n: int = ROWS, seed: int = SEED, variant: VariantName = "corrected"
+) -> Report:
+    """Cluster bootstraps of five malicious rates (the thesis's table 6.1).
+
+    Parameters
+    ----------
+    df : DataFrame
+        Distinct runs.
+    n, seed : int
+        Of each bootstrap; the seed is that of the intervals too.
+    variant : {"corrected", "thesis"}
+    """
+    by = VARIANTS[variant]
+    table = thesis_tables.malicious_rate_table(df, n, seed, np.random.default_rng(seed), by)
+    ours, thesis = {}, {}
+    for _, row in table.iterrows():
+        for name, figure in (("recall", "recall"), ("false alarms", "fpr")):
+            line = f"{row['malicious_rate']:.0%} malicious, {name}"
+            ours[line] = estimate(row, f"{figure}_best_cluster")
+            thesis[line] = row[f"thesis_{figure}"]
+    picture = figures.intervals(ours, thesis, "share of rows in the best cluster", chance=None)
+    summary: dict[str, float | int | str] = {"rows": n, "seed": seed, "note": lacking(df)}
+    return Report(table, {"rates": picture}, summary | _drawn_by(by))
+
+
+def pairwise_report(
+    df: pd.DataFrame,
+    n: int = ROWS,
+    malicious_rate: float = MALICIOUS_RATE,
+    seed: int = SEED,
+    variant: VariantName = "corrected",
+) -> Report:
+    """Cluster all modes and each pair on each set of features (sections 6.2 to 6.4, table 6.2).
+
+    Parameters are those of `bootstrapped_dataset`.
+    """
+    by = VARIANTS[variant]
+    settings = (n, malicious_rate, seed, np.random.default_rng(seed), by)
+    parts = [thesis_tables.family_table(df, *settings), thesis_tables.pairwise_table(df, *settings)]
+    table = pd.concat(parts, ignore_index=True)
+    ours = {
+        _line(row): estimate(row, "balanced_accuracy_best_cluster") for _, row in table.iterrows()
+    }
+    thesis = {_line(row): row["thesis_auc"] for _, row in table.iterrows()}
+    picture = figures.intervals(ours, thesis, "AUC of the best cluster's hard verdict")
+    pictures = {"pairs": picture} | _pair_dendrograms(df, n, malicious_rate, seed, by)
+    summary: dict[str, float | int | str] = {
+        "rows": n,
+        "malicious_rate": malicious_rate,
+        "seed": seed,
+    }
+    return Report(table, pictures, summary | _drawn_by(by))
+
+
+def _line(row: pd.Series) -> str:
+    """Name a row of a chart by the attacked mode, which implies its control."""
+    return f"{row['scope'].split(' / ')[-1]}, {row['features']}"
+
+
+def _pair_dendrograms(
+    df: pd.DataFrame, n: int, malicious_rate: float, seed: int, variant: Variant
+) -> dict[str, bytes]:
+    """Draw the tree of each pair that can be clustered, all features."""
+    pictures = {}
+    for control, attacked in PAIRS:
+        pair = df[df["mode"].isin([control, attacked])]
+        try:
+            rows = variant.draw(variant.whole_runs(pair), n, malicious_rate, seed)
+            tree = grow_over_runs(rows, variant.columns(rows, "all"), "ward", variant)
+        except (ClusteringError, DatasetError):
+            continue  # its row in the table says why
+        pictures[f"dendrogram_{attacked}"] = figures.dendrogram(tree, _labels(rows))
+    return pictures
+
+
+def side_by_side(
+    df: pd.DataFrame, n: int = ROWS, malicious_rate: float = MALICIOUS_RATE, seed: int = SEED
+) -> Report:
+    """Put what the thesis prints beside what both variants of its method give on our runs.
+
+    Parameters are those of `bootstrapped_dataset`; the columns are those of
+    `oracle_pipeline.reporting.thesis_tables.side_by_side_table`.
+    """
+    rng = np.random.default_rng(seed)
+    table = thesis_tables.side_by_side_table(df, n, malicious_rate, seed, rng)
+    names = table["thesis_source"] + ": " + table["experiment"]
+    areas = [estimate(row, "reproduced_auc") for _, row in table.iterrows()]
+    ours = dict(zip(names, areas, strict=True))
+    thesis = dict(zip(names, table["thesis_auc"], strict=True))
+    picture = figures.intervals(ours, thesis, "AUC of the best cluster's hard verdict")
+    summary: dict[str, float | int | str] = {
+        "rows": n,
+        "malicious_rate": malicious_rate,
+        "seed": seed,
+        "note": lacking(df),
+        "warning": THESIS_WARNING,
+    }
+    return Report(table, {"reproduced": picture}, summary)
+
+
+def null_model(repetitions: int = 50, seed: int = SEED) -> Report:
+    """Say what the thesis's method makes of runs that do not depend on their labels.
+
+    Parameters
+    ----------
+    repetitions : int
+        Experiments of 90 runs for each share of long runs.
+    seed : int
+        Of the generator that makes the runs.
+    """
+    table = thesis_tables.null_model_table(repetitions, seed)
+    usual = table[table["p_long"] == thesis_tables.P_LONG].iloc[0]
+    recall, area = estimate(usual, "recall"), estimate(usual, "auc")
+    return Report(
+        table,
+        {},
+        {
+            "headline": null_headline(recall, area),
+            "repetitions": repetitions,
+            "seed": seed,
+            **facts("recall", recall),
+            **facts("auc", area),
+        },
+    )
+
+
+def null_headline(recall: Estimate, area: Estimate) -> str:
+    """Say whether the thesis's headline could come of a method that found nothing.
+
+    Examples
+    --------
+    >>> null_headline(Estimate(0.96, 0.81, 1.0), Estimate(0.50, 0.45, 0.55))  # doctest: +ELLIPSIS
+    'The thesis reports an "accuracy" of 0.953 and an AUC of 0.504: not distinguishable from ...'
+    """
+    thesis = FAMILIES["all"]
+    by_chance = recall.covers(thesis.recall) and area.covers(thesis.auc)
+    return (
+        f'The thesis reports an "accuracy" of {thesis.recall:.3f} and an AUC of {thesis.auc:.3f}: '
+        f"{'not distinguishable' if by_chance else 'distinguishable'} from chance, because labels "
+        f'without meaning give its method an "accuracy" of {recall} and an AUC of {area} '
+        "(median, and where 95% of the experiments lie)."
+    )

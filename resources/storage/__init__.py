@@ -1,0 +1,1 @@
+"""What is kept on disk and what is dropped. Only the commands know a terminal."""

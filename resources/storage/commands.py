@@ -1,0 +1,89 @@
+"""``oracle-sim storage`` and ``oracle-sim remake``: what runs take on disk, and bags made again."""
+
+import os
+from pathlib import Path
+
+import click
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.manifest import KEPT
+from oracle_pipeline.bags.run_directory import RunDirectory
+from resources.storage.plan import megabytes
+from resources.storage.stock import (
+    BUDGET_VARIABLE,
+    Stock,
+    expected_sizes,
+    parse_budget,
+    storage_of_modes,
+    take_stock,
+)
+from sim.commands.batch import home
+from sim.experiments import remake_run
+
+
+@click.command()
+@click.option(
+    "--root", type=click.Path(path_type=Path, file_okay=False, exists=True),
+    default=home,
+    help="Root of the run directories.  [default: $ORACLE_HOME or ./data]",
+)  # fmt: skip
+def storage(root: Path) -> None:
+    """Show what runs take on disk, what was kept of them, and how many more there is room for.
+
+    \b
+    Example:
+        ORACLE_STORAGE_BUDGET=20GiB oracle-sim storage
+    """  # noqa: D301 -- click reads the control character
+    try:
+        budget = parse_budget(os.environ.get(BUDGET_VARIABLE, ""))
+    except OracleError as error:
+        raise click.ClickException(str(error)) from error
+    stock = take_stock(root.resolve())
+    there_is = stock.total + stock.free
+    limit = there_is if budget is None else min(budget, there_is)
+    click.echo(f"{root}: {megabytes(stock.total)} of {megabytes(limit)} taken")
+    _show_modes(stock)
+    _show_room(stock, limit - stock.total)
+
+
+def _show_modes(stock: Stock) -> None:
+    rows = storage_of_modes(stock)
+    heads = [tuple(row) for row in rows[:1]]
+    for first, *others in (*heads, *(tuple(row.values()) for row in rows)):
+        click.echo(f"{first:<32}" + "".join(f"{cell:>14}" for cell in others))
+
+
+def _show_room(stock: Stock, room: int) -> None:
+    """Tell how many further blocks, a run of each of these modes, fit beside what is there."""
+    modes = sorted({run.mode for run in stock.runs})
+    sizes = [size for mode in modes if (size := expected_sizes(mode, stock))]
+    for kept in KEPT if sizes else ():
+        block = sum(size.of(kept) for size in sizes)
+        click.echo(f"room for {max(room, 0) // block} more blocks, {kept}: {megabytes(block)} each")
+
+
+@click.command()
+@click.argument("run", type=click.Path(path_type=Path, file_okay=False, exists=True))
+def remake(run: Path) -> None:
+    """Make the bag of RUN again from its recipe, if it was dropped or trimmed to save space.
+
+    \b
+    Example:
+        oracle-sim remake data/runs/fake_object/run003
+    """  # noqa: D301 -- click reads the control character
+    try:
+        directory = RunDirectory.at(run)
+        with directory.held():
+            former = directory.manifest()
+            if former.measured.kept == "full":
+                click.echo(f"{run} has its whole bag.")
+                return
+            manifest = remake_run(former, directory)
+    except OracleError as error:
+        raise click.ClickException(str(error)) from error
+    click.echo(f"{run}: {megabytes(manifest.measured.bytes['bag'])} of bag made again.")
+    if manifest.content_hash != former.content_hash:
+        click.echo(
+            "Other software has made other messages: this is a new generation of the run. Its "
+            "features are made anew when they are materialized next."
+        )

@@ -1,0 +1,280 @@
+"""What lies below a root on this machine, what further runs will take, and what there is room for.
+
+No Dagster here: the pipeline plans with it before it starts runs, ``oracle-sim storage`` shows it.
+"""
+
+import os
+import shutil
+from collections import Counter, defaultdict
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean
+
+from pydantic import ByteSize, TypeAdapter, ValidationError
+
+from oracle_pipeline.bags.errors import ManifestError
+from oracle_pipeline.bags.manifest import KEPT, Kept, Manifest
+from oracle_pipeline.bags.run_directory import BAG_FOLDER, RunDirectory, find_runs
+from resources.storage.plan import Sizes, StorageError, megabytes, plan
+
+BUDGET_VARIABLE = "ORACLE_STORAGE_BUDGET"
+
+# What a run takes at first guess: so much in any case, and for each goal.
+FIRST_GUESS = Sizes(full=1_500_000, trimmed=1_000_000, recipe=900_000)
+FIRST_GUESS_A_GOAL = Sizes(full=3_000_000, trimmed=1_100_000, recipe=250_000)
+TRIMMED_SHARE = 0.3  # of a bag, while none has been trimmed
+SAMPLE = 20  # finished runs of a mode that the expected size is the mean of
+AMPLE = 4  # times what is expected: if that fits, there is nothing to plan
+MARGIN = 0.05  # of the limit: runs differ, and reports come after them
+
+
+@dataclass(frozen=True, slots=True)
+class RunBytes:
+    """What a finished run takes on disk [B]."""
+
+    bag: int
+    rest: int  # graphs, manifest, picture, features
+
+    @property
+    def total(self) -> int:
+        """All of it."""
+        return self.bag + self.rest
+
+
+@dataclass(frozen=True, slots=True)
+class Stock:
+    """What lies below a root."""
+
+    total: int  # [B]
+    free: int  # on its disk [B]
+    runs: Mapping[RunDirectory, RunBytes]  # the finished ones, by mode and number
+
+
+@dataclass(frozen=True, slots=True)
+class StoragePlan:
+    """What is kept of which runs, as far as is known now.
+
+    Attributes
+    ----------
+    kept
+        What stays of the runs of each block.
+    expected
+        What a run of each mode that is still to be made takes.
+    shrink
+        Finished runs, none of those planned for, that keep more than their block's share.
+    blocks_ahead
+        How many blocks may be made before sizes are known so much better that it pays to plan
+        again.
+    taken, limit
+        By everything below the root when the plan was made, and at most [B].
+    """
+
+    kept: Mapping[int, Kept]
+    expected: Mapping[str, Sizes]
+    shrink: tuple[RunDirectory, ...]
+    blocks_ahead: int
+    taken: int
+    limit: int
+
+    def __str__(self) -> str:
+        """Return the plan in one line."""
+        runs = Counter(self.kept.values())
+        blocks = ", ".join(f"{runs[kept]} {kept}" for kept in KEPT if runs[kept])
+        return f"{megabytes(self.taken)} of {megabytes(self.limit)} taken; blocks to keep: {blocks}"
+
+
+def parse_budget(text: str) -> int | None:
+    """Return a budget in bytes; None if none is set.
+
+    Raises
+    ------
+    StorageError
+        If it is not a number of bytes, with or without a unit.
+    """
+    if not text.strip():
+        return None
+    try:
+        return int(TypeAdapter(ByteSize).validate_python(text.strip()))
+    except ValidationError as error:
+        raise StorageError(
+            f"{BUDGET_VARIABLE} is {text!r}; give a number of bytes, such as 20GiB or 500MB."
+        ) from error
+
+
+def take_stock(root: Path) -> Stock:
+    """Measure everything below a root, in one walk."""
+    total = 0
+    bags: defaultdict[tuple[str, str], int] = defaultdict(int)
+    rest: defaultdict[tuple[str, str], int] = defaultdict(int)
+    for folder, _, names in os.walk(root):
+        place = Path(folder).relative_to(root).parts
+        for name in names:
+            size = _bytes_on_disk(os.path.join(folder, name))  # noqa: PTH118 -- a million of them
+            total += size
+            if place[:1] == ("runs",) and len(place) > 2:
+                run = place[1], place[2]
+                if len(place) > 3 and place[3] == BAG_FOLDER:
+                    bags[run] += size
+                else:
+                    rest[run] += size
+            elif place[:1] == ("features",) and len(place) == 3:
+                rest[place[2], name.partition(".")[0]] += size
+    runs = {
+        run: RunBytes(bags[run.mode, run.run_id], rest[run.mode, run.run_id])
+        for run in find_runs(root)
+    }
+    return Stock(total, shutil.disk_usage(root).free, runs)
+
+
+def _bytes_on_disk(path: str) -> int:
+    try:
+        status = os.stat(path)  # noqa: PTH116
+    except FileNotFoundError:  # a run was moved into its place meanwhile
+        return 0
+    return max(status.st_size, 512 * status.st_blocks)
+
+
+def make_plan(
+    root: Path,
+    wanted: Collection[RunDirectory],
+    *,
+    budget: int | None,
+    reserve: int,
+    workers: int,
+    goals: int,
+) -> StoragePlan:
+    """Plan for runs that are wanted, beside those that are finished.
+
+    Parameters
+    ----------
+    root
+        A folder of this machine.
+    wanted
+        All runs that are asked for, finished or not.
+    budget
+        What everything below the root may take [B]; None: what the disk gives.
+    reserve
+        What has to stay free on the disk [B].
+    workers
+        Runs that are made at a time, each with its whole bag.
+    goals
+        Of a run, for a first guess.
+
+    Raises
+    ------
+    StorageError
+        If not even graphs and features of all fit.
+    """
+    stock = take_stock(root)
+    there_is = stock.total + stock.free - reserve
+    limit = there_is if budget is None else min(budget, there_is)
+    new = [run for run in wanted if run not in stock.runs]
+    guess = _first_guess(goals)
+    expected = {
+        mode: expected_sizes(mode, stock) or guess for mode in sorted({run.mode for run in new})
+    }
+    room = _working_room(new, expected, workers)
+    needed = sum(expected[run.mode].full for run in new)
+    if AMPLE * needed + room <= limit - stock.total:
+        blocks = sorted({run.run for run in wanted})
+        return StoragePlan(
+            dict.fromkeys(blocks, "full"), expected, (), len(blocks), stock.total, limit
+        )
+
+    finished = {run: _may_take(run, stock) for run in stock.runs}
+    takes: defaultdict[int, list[Sizes]] = defaultdict(list)
+    for run in new:
+        takes[run.run].append(expected[run.mode])
+    for run, (_, sizes) in finished.items():
+        takes[run.run].append(sizes)
+    others = stock.total - sum(run.total for run in stock.runs.values())
+    known = _fewest_finished(expected, stock)
+    try:
+        kept = plan(takes, int(limit * (1.0 - MARGIN)) - others - room)
+    except StorageError:
+        # A first guess may be wrong: where a run or two have room, they tell.
+        if known or limit - stock.total < workers * guess.recipe:
+            raise
+        kept = dict.fromkeys(sorted(takes), "recipe")
+    asked_for = set(wanted)
+    shrink = tuple(
+        run
+        for run, (has, sizes) in finished.items()
+        if run not in asked_for and sizes.of(kept[run.run]) < sizes.of(has)
+    )
+    return StoragePlan(kept, expected, shrink, max(1, known), stock.total, limit)
+
+
+def _fewest_finished(modes: Collection[str], stock: Stock) -> int:
+    """Return how many finished runs each of some modes has at least."""
+    finished = Counter(run.mode for run in stock.runs)
+    return min((finished[mode] for mode in modes), default=len(stock.runs))
+
+
+def _first_guess(goals: int) -> Sizes:
+    return Sizes(*(FIRST_GUESS.of(kept) + goals * FIRST_GUESS_A_GOAL.of(kept) for kept in KEPT))
+
+
+def expected_sizes(mode: str, stock: Stock) -> Sizes | None:
+    """Return what a run of a mode takes: as those that are there, or those of all modes."""
+    of_mode = [run for run in stock.runs if run.mode == mode] or list(stock.runs)
+    sample = of_mode[:: len(of_mode) // SAMPLE + 1]
+    measured = [(stock.runs[run].rest, m.measured) for run in sample if (m := _manifest(run))]
+    if not measured:
+        return None
+    rest = fmean(rest for rest, _ in measured)
+    bag = fmean(m.bytes[BAG_FOLDER] + m.freed_bytes for _, m in measured)
+    trimmed = [float(m.bytes[BAG_FOLDER]) for _, m in measured if m.kept == "trimmed"]
+    smaller = fmean(trimmed) if trimmed else TRIMMED_SHARE * bag
+    return Sizes(round(rest + bag), round(rest + smaller), round(rest))
+
+
+def _working_room(new: Sequence[RunDirectory], expected: Mapping[str, Sizes], workers: int) -> int:
+    """Return what runs in the making take beside what stays of them."""
+    if not new:
+        return 0
+    return min(workers, len(new)) * max(size.full + size.trimmed for size in expected.values())
+
+
+def _may_take(run: RunDirectory, stock: Stock) -> tuple[Kept, Sizes]:
+    """Return what is kept of a finished run, and what it would take if less were kept."""
+    from sim.experiments import can_be_made_again  # the testbeds: half a second to import
+
+    now = stock.runs[run]
+    fixed = Sizes(now.total, now.total, now.total)
+    if now.bag == 0:
+        return "recipe", fixed
+    manifest = _manifest(run)
+    if manifest is None or not can_be_made_again(manifest):
+        return "full", fixed
+    has = manifest.measured.kept
+    trimmed = now.bag if has == "trimmed" else round(TRIMMED_SHARE * now.bag)
+    return has, Sizes(now.total, now.rest + trimmed, now.rest)
+
+
+def _manifest(run: RunDirectory) -> Manifest | None:
+    """Return a run's manifest; None if it cannot be read, which its verification will tell."""
+    try:
+        return run.manifest()
+    except ManifestError:
+        return None
+
+
+def storage_of_modes(stock: Stock) -> list[dict[str, str | int]]:
+    """Return what was kept of the runs of each mode and what was freed, as rows of a table."""
+    by_mode: defaultdict[str, list[RunDirectory]] = defaultdict(list)
+    for run in stock.runs:
+        by_mode[run.mode].append(run)
+    rows: list[dict[str, str | int]] = []
+    for mode, runs in by_mode.items():
+        measured = [m.measured for run in runs if (m := _manifest(run))]
+        rows.append(
+            {
+                "mode": mode,
+                **{kept: sum(m.kept == kept for m in measured) for kept in KEPT},
+                "on disk": megabytes(sum(stock.runs[run].total for run in runs)),
+                "freed": megabytes(sum(m.freed_bytes for m in measured)),
+            }
+        )
+    return rows

@@ -1,0 +1,1 @@
+"""``oracle-sim``: what a person types. No run depends on this folder."""

@@ -1,0 +1,145 @@
+"""Many runs from a command: the options that say how to record, and the loop that makes them."""
+
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+import click
+
+from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.run_directory import RunDirectory
+from sim.commands.progress import RunProgress
+from sim.fan_out import fan_out, process_pool
+from sim.recipes import DEFAULT_SEED, Campaign, Options, Wiring
+from sim.turtlebot3.map import OdometrySource
+
+J = TypeVar("J")
+Command = Callable[..., None]
+
+seed_option = click.option(
+    "--seed", default=DEFAULT_SEED, show_default=True, type=click.IntRange(min=0),
+    help="What all randomness comes from; the same seed gives the same messages.",
+)  # fmt: skip
+allow_actuation_option = click.option(
+    "--allow-actuation", is_flag=True, help="The scenario may send commands to motors."
+)
+workers_option = click.option(
+    "--workers", default=lambda: os.cpu_count() or 1, type=click.IntRange(min=1),
+    help="Runs at a time.  [default: one a processor]",
+)  # fmt: skip
+refresh_option = click.option("--refresh", is_flag=True, help="Make again what is there already.")
+
+_CAMPAIGN_OPTIONS = (
+    seed_option,
+    click.option(
+        "--goals", default=lambda: Campaign.from_environment().goals_per_run,
+        type=click.IntRange(min=1),
+        help="Goals a run; 1 is the thesis's protocol.  [default: $ORACLE_GOALS_PER_RUN or 8]",
+    ),
+    click.option(
+        "--storage", default="mcap", show_default=True, type=click.Choice(["mcap", "sqlite3"]),
+        help="Storage of the bag.",
+    ),
+    click.option(
+        "--wiring", default="additive", show_default=True, type=click.Choice(get_args(Wiring)),
+        help="Whether the collision monitor hears the mode's topic as one more LiDAR (additive), "
+        "in place of the LiDAR it comes from (replace), or there is no such node (absent).",
+    ),
+    click.option(
+        "--odometry-source", default="world", show_default=True,
+        type=click.Choice(get_args(OdometrySource)),
+        help="Where /odom comes from: ground truth, as on Humble, or the wheels' turns.",
+    ),
+    click.option("--cameras", is_flag=True, help="Depth camera on: 15 MB a second."),
+    click.option(
+        "--debug-topics", is_flag=True,
+        help="Record the controller's /evaluation and /marker: 20 MB a second while it drives.",
+    ),
+    click.option(
+        "--include-hidden-topics", "hidden_topics", is_flag=True,
+        help="Record feedback and status of actions.",
+    ),
+    click.option(
+        "--receive-stamps", is_flag=True,
+        help="Bag stamps are the recorder's wall clock, as without --use-sim-time.",
+    ),
+)  # fmt: skip
+
+
+def home() -> Path:
+    """Return where runs are kept if nothing else is said."""
+    return Path(os.environ.get("ORACLE_HOME", "data"))
+
+
+def campaign_options(command: Command) -> Command:
+    """Give a command the options that ``campaign`` takes."""
+    for option in reversed(_CAMPAIGN_OPTIONS):
+        command = option(command)
+    return command
+
+
+def campaign(options: Mapping[str, Any]) -> Campaign:
+    """Return the campaign that the options of ``campaign_options`` describe."""
+    rest = {k: v for k, v in options.items() if k not in ("seed", "goals", "storage")}
+    return Campaign(
+        seed=options["seed"],
+        goals_per_run=options["goals"],
+        storage=options["storage"],
+        options=Options(**rest),
+    )
+
+
+def make_runs(
+    make: Callable[[J], Manifest],
+    jobs: Sequence[J],
+    place: Callable[[J], RunDirectory],
+    workers: int,
+) -> None:
+    """Make every run, several at a time, and tell of each; exit with 1 if any failed.
+
+    Parameters
+    ----------
+    make
+        Makes one run, or returns the manifest of what is there already; must be picklable, as the
+        jobs must.
+    jobs
+        One a run.
+    place
+        Where a job's run goes.
+    workers
+        How many at a time.
+    """
+    failed = 0
+    with RunProgress(len(jobs)) as progress:
+        for outcome in fan_out(make, jobs, lambda: _executor(min(workers, len(jobs)))):
+            directory = place(outcome.job)
+            if outcome.result is None:
+                failed += 1
+                click.echo(f"{directory.key}: {outcome.error}", err=True)
+                continue
+            progress.done(outcome.result.recording_s)
+            progress.say(f"{directory.path}: {_summary(outcome.result)}")
+    if failed:
+        click.echo(f"{failed} of {len(jobs)} runs failed; call again to complete them.", err=True)
+        sys.exit(1)
+
+
+def _executor(workers: int) -> Executor:
+    """Return what runs the jobs; one at a time needs no process of its own to be started."""
+    return ThreadPoolExecutor(1) if workers == 1 else process_pool(workers)
+
+
+def _summary(manifest: Manifest) -> str:
+    told = str(manifest.outcome)
+    if manifest.goals:
+        reached = sum(result.outcome == "succeeded" for result in manifest.goal_results)
+        told += f", {reached} of {len(manifest.goals)} goals"
+    factor = manifest.recording_s / manifest.measured.wall_s
+    megabytes = sum(manifest.measured.bytes.values()) / 1e6
+    return (
+        f"{told}, {manifest.recording_s:.0f} s at {factor:.0f}x real time, "
+        f"{megabytes:.1f} MB ({megabytes / manifest.recording_s * 60:.1f} MB a minute)"
+    )

@@ -1,0 +1,43 @@
+"""Campaigns of a few runs whose windows and truth are written out by hand."""
+
+import numpy as np
+import pandas as pd
+
+from oracle_pipeline.evaluation.campaign import Campaign
+from tests.oracle_pipeline.datasets.synthetic import MODES, campaign
+
+
+def by_hand(*runs):
+    """Return a campaign of runs given as (mode, block, recording_s, onset_s, changes)."""
+    keys = [
+        {
+            "run_id": f"{mode}|run{block:03d}",
+            "mode": mode,
+            "label": MODES.get(mode, "normal"),
+            "block": block,
+            "session": block % 3,
+        }
+        for mode, block, *_ in runs
+    ]
+    features = pd.DataFrame(keys).assign(**{"some.value": 0.0})
+    windows = pd.concat(
+        [
+            features.iloc[[row]].merge(
+                pd.DataFrame({"window_start_s": np.arange(0.0, length - 5.0, 5.0)}), how="cross"
+            )
+            for row, (_, _, length, *_) in enumerate(runs)
+        ]
+    )
+    truth = pd.DataFrame(
+        {
+            "run_id": features["run_id"],
+            "onset_s": [onset for *_, onset, _ in runs],
+            "recording_s": [length for _, _, length, *_ in runs],
+            "changes": [changes for *_, changes in runs],
+        }
+    )
+    return Campaign.of(features, windows, truth)
+
+
+def synthetic(runs=9, effect=0.0, seed=0, **more):
+    return Campaign.of(*campaign(runs, effect, seed, **more))

@@ -1,0 +1,112 @@
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from oracle_pipeline.detectors import panel
+from oracle_pipeline.evaluation import integrity
+from oracle_pipeline.evaluation.campaign import Campaign
+from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
+from oracle_pipeline.evaluation.scoring import HeldOut
+from oracle_pipeline.evaluation.splits import block_folds
+from tests.oracle_pipeline.datasets.synthetic import ATTACKED, campaign
+from tests.oracle_pipeline.evaluation.campaigns import synthetic
+
+COLUMNS = list(ATTACKED)
+
+
+def rng():
+    return np.random.default_rng(0)
+
+
+def scores_of(campaign, score):
+    return HeldOut(np.asarray(score, dtype=float), np.asarray(score, dtype=float), 100)
+
+
+def test_sessions_that_score_apart_are_red_and_one_session_is_unsupported():
+    judged = synthetic(30)
+    noise, session = rng().normal(size=len(judged.features)), judged.features["session"]
+    alike = integrity.same_between_sessions(scores_of(judged, noise), judged, rng())
+    assert (alike.status, alike.figure.covers(0.5)) == ("green", True)
+    apart = integrity.same_between_sessions(scores_of(judged, noise + 9 * session), judged, rng())
+    assert (apart.status, apart.figure.value) == ("red", 1.0)
+    alone = synthetic(1)
+    none = integrity.same_between_sessions(scores_of(alone, [0.0] * 11), alone, rng())
+    assert none.status == "unsupported"
+
+
+@pytest.mark.parametrize(
+    ("differences", "status"),
+    [(None, "unsupported"), ([], "green"), (["random_noise|run000: node:/intruder"], "red")],
+)
+def test_graphs_are_equal_or_say_where_they_differ(differences, status):
+    check = integrity.equal_graphs(differences)
+    assert check.status == status
+    assert status != "red" or "/intruder" in check.sentence
+
+
+def test_a_session_that_is_told_as_easily_as_the_label_is_red(monkeypatch):
+    monkeypatch.setattr(integrity, "TREES", 15)
+    features, windows, truth = campaign(9, effect=12.0)
+    judged = Campaign.of(features, windows, truth)
+    folds = block_folds(judged.features, 0)
+    check = integrity.label_above_session(judged, COLUMNS, folds, 0)
+    assert (check.status, check.figure.value < 0.75) == ("green", True)
+    marked = features.assign(**{"structural.density": features["session"] + 0.0})
+    confounded = Campaign.of(marked, windows, truth)
+    columns = [*COLUMNS, "structural.density"]
+    check = integrity.label_above_session(confounded, columns, folds, 0)
+    assert (check.status, check.figure.value > 0.95) == ("red", True)
+    assert integrity.label_above_session(judged, COLUMNS, [], 0).status == "unsupported"
+
+
+def test_shuffled_labels_are_chance_unless_a_label_leaks(monkeypatch):
+    monkeypatch.setattr(integrity, "SHUFFLES", 25)
+    judged, detector = synthetic(9, effect=8.0), panel(0)["max_z"]
+    check = integrity.shuffled_labels(judged, COLUMNS, detector, block_folds, rng())
+    assert check.status == "green"
+    assert check.figure.low <= 0.5 <= check.figure.high
+
+    def leaky(df, seed):
+        """Folds whose training runs are those tested: only right ones are fitted on."""
+        right = (df["label"] != "malicious").to_numpy()
+        whole = np.ones(len(df), dtype=bool)
+        return [replace(f, fit=right, calibrate=right, test=whole) for f in block_folds(df, seed)]
+
+    knn = panel(0)["knn"].set_params(n_neighbors=1)
+    leaked = integrity.shuffled_labels(judged, COLUMNS, knn, leaky, rng())
+    assert (leaked.status, leaked.figure.value > 0.9) == ("red", True)
+
+
+def test_hard_negatives_may_be_called_anomalous_one_time_in_ten():
+    judged = synthetic(10)
+    benign = judged.features["mode"].str.startswith("benign_").to_numpy()
+    p = np.full(len(benign), 0.5)
+    p[np.flatnonzero(benign)[:2]] = 0.01
+    assert integrity.hard_negatives(scores_of(judged, p), judged, rng()).status == "green"
+    p[np.flatnonzero(benign)[:3]] = 0.01
+    assert integrity.hard_negatives(scores_of(judged, p), judged, rng()).status == "red"
+    no_p = np.full(len(benign), np.nan)
+    assert integrity.hard_negatives(scores_of(judged, no_p), judged, rng()).status == "unsupported"
+
+
+def test_a_shortcut_behind_the_headline_is_red_and_an_undeclared_feature_unsupported():
+    features, _, _ = campaign(3)
+    assert integrity.shortcuts_apart(features, COLUMNS, NOTHING).status == "green"
+    fields = features.attrs["fields"]
+    features.attrs["fields"] = fields | {COLUMNS[0]: {"shortcut": "true"}}
+    check = integrity.shortcuts_apart(features, COLUMNS, Estimate(1.0, 0.9, 1.0))
+    assert (check.status, COLUMNS[0] in check.sentence) == ("red", True)
+    features.attrs["fields"] = {}
+    assert integrity.shortcuts_apart(features, COLUMNS, NOTHING).status == "unsupported"
+
+
+def test_the_banner_says_all_that_is_not_green_and_nothing_else():
+    green = integrity.equal_graphs([])
+    unknown = integrity.equal_graphs(None)
+    assert integrity.banner([green, green]) == ""
+    assert integrity.banner([green, unknown]).startswith("graphs_of_pairs_are_equal is unsupported")
+    assert set(pd.DataFrame([green.columns()])) == {
+        "name", "status", "sentence", "figure", "figure_low", "figure_high"
+    }  # fmt: skip

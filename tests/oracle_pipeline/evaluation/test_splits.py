@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from oracle_pipeline.datasets import is_malicious
+from oracle_pipeline.evaluation.splits import block_folds, session_folds, untaught
+from tests.oracle_pipeline.datasets.synthetic import CONTROLS, MODES, run_features
+
+
+def runs(blocks=12, **more):
+    return run_features(runs=blocks, modes=MODES | CONTROLS, **more)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(3, 25), st.integers(0, 9), st.sampled_from([block_folds, session_folds]))
+def test_no_block_is_on_two_sides_and_every_run_is_tested_once(blocks, seed, split):
+    df = runs(blocks)
+    block = df["block"].to_numpy()
+    folds = split(df, seed)
+    assert sum(fold.test.astype(int) for fold in folds).tolist() == [1] * len(df)
+    for fold in folds:
+        sides = [set(block[side]) for side in (fold.fit, fold.calibrate, fold.test)]
+        assert all(sides)
+        assert sum(map(len, sides)) == len(set().union(*sides))
+        assert not is_malicious(df)[fold.fit | fold.calibrate].any()
+        assert set(block[fold.train]).isdisjoint(sides[2])
+
+
+def test_sessions_are_spread_over_folds_and_halves_unless_one_is_held_out():
+    df = runs(15)
+    session = df["session"].to_numpy()
+    for fold in block_folds(df, 0):
+        for side in (fold.fit, fold.calibrate, fold.test):
+            assert set(session[side]) == {0, 1, 2}
+    assert [set(session[fold.test]) for fold in session_folds(df, 0)] == [{0}, {1}, {2}]
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(6, 25), st.integers(0, 9), st.integers(1, 4))
+def test_of_a_session_that_is_known_in_part_so_many_blocks_train_and_the_rest_is_tested(
+    blocks, seed, known
+):
+    df = runs(blocks)
+    block, session = df["block"].to_numpy(), df["session"].to_numpy()
+    folds = session_folds(df, seed, known)
+    assert len(folds) == (3 if known < blocks // 3 else 0)
+    for number, fold in enumerate(folds):
+        assert set(session[fold.test]) == {number}
+        assert len(set(block[fold.train & (session == number)])) == known
+        assert set(block[fold.train]).isdisjoint(block[fold.test])
+
+
+def test_harmless_changes_are_tested_where_nobody_was_shown_them():
+    df = runs(9)
+    harmless = df["mode"].str.startswith("benign_").to_numpy()
+    for fold, shown in zip(untaught(df, block_folds(df, 0)), block_folds(df, 0), strict=True):
+        assert not harmless[fold.fit | fold.calibrate].any()
+        assert (fold.fit == shown.fit & ~harmless).all()
+        assert (fold.test == shown.test).all()
+
+
+def test_hard_negatives_and_shadows_train():
+    df = runs(9)
+    for fold in block_folds(df, 0):
+        assert {"benign_noise", "fake_object_shadow"} <= set(df.loc[fold.fit, "mode"])
+        assert {"benign_noise", "fake_object_shadow"} <= set(df.loc[fold.calibrate, "mode"])
+
+
+@pytest.mark.parametrize("blocks", [1, 2])
+def test_too_few_blocks_give_no_folds(blocks):
+    assert block_folds(runs(blocks), 0) == []
+    assert session_folds(runs(1), 0) == []
+
+
+def test_a_split_is_a_function_of_its_seed_and_does_not_depend_on_the_order_of_runs():
+    df = runs(10)
+    shuffled = df.iloc[np.random.default_rng(0).permutation(len(df))]
+    for one, other in zip(block_folds(df, 4), block_folds(shuffled, 4), strict=True):
+        assert set(df.loc[one.fit, "run_id"]) == set(shuffled.loc[other.fit, "run_id"])
+        assert set(df.loc[one.test, "run_id"]) == set(shuffled.loc[other.test, "run_id"])

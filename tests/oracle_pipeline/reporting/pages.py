@@ -1,0 +1,86 @@
+"""Pages of synthetic campaigns, made by the functions that make the real one."""
+
+import io
+from contextlib import contextmanager
+from functools import cache
+
+import pandas as pd
+import pytest
+from PIL import Image
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.evaluation import grid, integrity, metrics
+from oracle_pipeline.reporting import evaluation, html, thesis_reports
+from oracle_pipeline.reporting.explanation import explanations
+from tests.oracle_pipeline.datasets.synthetic import campaign
+from tests.oracle_pipeline.evaluation.test_grid import grid_of
+
+ROWS = 60
+QUICK = ("mahalanobis", "max_z")
+GHOST, WITHOUT = "atc_ghost_static|run000", "atc_normal|run000"
+UNDRAWN = "lidar_passthrough|run003"
+
+
+@contextmanager
+def quickly():
+    """Two detectors, small forests, few resamples: what is slow has tests of its own."""
+    panel, bounds, bound = evaluation.panel, evaluation.upper_bounds, evaluation.UPPER_BOUND
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (evaluation, grid):
+            patch.setattr(module, "panel", lambda seed: {name: panel(seed)[name] for name in QUICK})
+        small = {bound: bounds(0)[bound].set_params(n_estimators=5)}
+        patch.setattr(evaluation, "upper_bounds", lambda _: small)
+        patch.setattr(metrics, "RESAMPLES", 100)
+        patch.setattr(integrity, "TREES", 5)
+        patch.setattr(integrity, "SHUFFLES", 40)
+        yield
+
+
+def draw(run):
+    """Return a transparent picture; of one run there is none."""
+    if run == UNDRAWN:
+        raise OracleError("its bag is gone")
+    png = io.BytesIO()
+    Image.new("RGBA", (480, 320), (117, 122, 131, 128)).save(png, "png")
+    return png.getvalue()
+
+
+def page_of(df, windows, truth, *, mutants=None, differences=None, **more):
+    """Return the page of a campaign; `more` is said in its provenance or passed on."""
+    passed_on = {name: more.pop(name) for name in ("radar", "storage") if name in more}
+    with quickly():
+        judged = evaluation.oracle_evaluation(
+            df, windows, truth, graph_differences=differences, grid=mutants
+        )
+        drawn = thesis_reports.bootstrapped_dataset(df, ROWS)
+        return html.render(
+            df,
+            evaluation=judged,
+            explained=explanations(df, windows, judged.tables["runs"], draw),
+            grid=thesis_reports.clustering_grid_search(drawn.table),
+            rates=thesis_reports.malicious_rate_report(df, ROWS),
+            pairs=thesis_reports.pairwise_report(df, ROWS),
+            side_by_side=thesis_reports.side_by_side(df, ROWS),
+            null_model=thesis_reports.null_model(3),
+            provenance={**html.provenance(df), **more},
+            **{"radar": {}, **passed_on},
+        )
+
+
+@cache
+def whole_page():
+    """Return a page with every section, of a campaign in which attacks are plain to see."""
+    return page_of(
+        *campaign(9, effect=20.0),
+        mutants=grid_of([1.0, 40.0], 2, used=20),
+        differences=[],
+        radar={run: draw(run) for run in (GHOST, WITHOUT)},
+        storage=pd.DataFrame({"mode": ["fake_object"], "full_bags": [9]}),
+        Note="<script>alert(1)</script>",
+    )
+
+
+@cache
+def poor_page():
+    """Return the page of two blocks, which support next to nothing."""
+    return page_of(*campaign(2))

@@ -1,0 +1,106 @@
+import numpy as np
+import pandas as pd
+import pytest
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.datasets import feature_columns
+from oracle_pipeline.features import FeatureTables
+from oracle_pipeline.reporting.explanation import counterpart, explanations
+from oracle_pipeline.scoring import ScoringError, evidence
+from tests.oracle_pipeline.datasets.synthetic import ATTACKED, DELAY_S, campaign
+
+RUNS = 6
+
+
+@pytest.fixture(scope="module")
+def tables():
+    features, windows, _ = campaign(RUNS, effect=30.0)
+    return features, windows
+
+
+def judged(df, p=0.01):
+    """Run 0 is the least, the last one the most anomalous; all are called so."""
+    return df[["run_id", "mode", "label"]].assign(score=df["block"].astype(float), p=p)
+
+
+def draw(run):
+    return run.encode()
+
+
+def test_of_each_attack_the_detected_run_with_the_median_score_is_explained(tables):
+    runs = judged(tables[0])
+    runs.loc[runs["score"] < 3.0, "p"] = 0.5
+    assert [each.run_id for each in explanations(*tables, runs, draw)] == [
+        "random_noise|run004", "fake_object|run004", "delayed_fakeobject|run004",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("p", "words"),
+    [(0.05, "Called anomalous"), (0.051, "Not called anomalous"), (np.nan, "Not judged")],
+)
+def test_the_verdict_is_the_one_that_was_passed(tables, p, words):
+    found = explanations(*tables, judged(tables[0], p), draw)
+    assert len(found) == 3
+    assert all(each.verdict.startswith(words) for each in found)
+
+
+def test_what_gave_a_run_away_is_what_the_attack_changed(tables):
+    for each in explanations(*tables, judged(tables[0]), draw):
+        assert {e.feature for e in each.evidence[:2]} == set(ATTACKED)
+        assert not each.notes
+    delayed = each.evidence[0]
+    assert delayed.window_start_s + 10.0 > DELAY_S
+
+
+def test_the_usual_range_is_that_of_right_runs_of_other_blocks(tables):
+    df, windows = tables
+    run = "random_noise|run002"
+    of_run = FeatureTables(df[df["run_id"] == run], windows[windows["run_id"] == run])
+    found = {each.feature: each for each in evidence(of_run, df)}
+    right = df[(df["label"] != "malicious") & (df["block"] != 2)]
+    assert set(found) == set(feature_columns(df))
+    for name, each in found.items():
+        low, high = np.percentile(right[name], [5, 95])
+        assert (each.usual_low, each.usual_high) == pytest.approx((low, high))
+
+
+def test_without_a_right_run_of_another_block_there_is_no_evidence_and_a_reason(tables):
+    df, windows = tables
+    alone = df[df["block"] == 0]
+    row = alone[alone["mode"] == "fake_object"]
+    with pytest.raises(ScoringError, match="no right run of another block"):
+        evidence(FeatureTables(row, windows[windows["run_id"] == "fake_object|run000"]), alone)
+    for each in explanations(alone, windows, judged(alone), draw):
+        assert each.evidence == ()
+        assert "no right run of another block" in each.notes[0]
+
+
+def test_beside_a_run_is_its_control_of_the_same_block(tables):
+    (_, found, _) = explanations(*tables, judged(tables[0]), draw)
+    assert list(found.pictures) == ["fake_object|run002", "lidar_passthrough_odom|run002"]
+    assert found.pictures["fake_object|run002"] == b"fake_object|run002"
+
+
+def test_the_counterpart_of_other_attacks_is_the_shadow_or_plain_air_traffic():
+    df = pd.DataFrame({"run_id": ["held_shadow|run001", "atc_normal|run001", "atc_x_shadow|run0"]})
+    assert counterpart("held|run001", df) == ["held_shadow|run001"]
+    assert counterpart("atc_x|run001", df) == ["atc_normal|run001"]
+    assert counterpart("held|run002", df) == []
+
+
+def test_a_picture_that_cannot_be_drawn_is_a_note(tables):
+    def no_bag(run):
+        if run.startswith("fake_object"):
+            raise OracleError("it has no bag")
+        return b""
+
+    (_, found, _) = explanations(*tables, judged(tables[0]), no_bag)
+    assert list(found.pictures) == ["lidar_passthrough_odom|run002"]
+    assert found.notes == ("fake_object|run002 is not drawn: it has no bag",)
+
+
+def test_without_attacks_nothing_is_explained(tables):
+    df, windows = tables
+    right = df[df["label"] != "malicious"]
+    assert explanations(right, windows, judged(right), draw) == []

@@ -1,0 +1,105 @@
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.colors import to_rgb
+
+from oracle_pipeline.bags.manifest import GoalResult
+from oracle_pipeline.clustering.tree import LINKAGES, grow_tree
+from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
+from oracle_pipeline.evaluation.metrics import RocCurve
+from oracle_pipeline.replay.scene import Grid, Scene, top_down
+from oracle_pipeline.reporting import figures
+from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, SERIES
+
+LABELS = ["normal", "malicious", "control"] * 10
+X = np.random.default_rng(0).normal(size=(30, 4))
+DIAGONAL = np.linspace(0.0, 1.0, 11)
+CURVE = RocCurve(DIAGONAL, DIAGONAL, DIAGONAL / 2, np.sqrt(DIAGONAL))
+GRID = pd.DataFrame(
+    {
+        "linkage": ["ward", "ward", "single", "single"],
+        "criterion": ["maxclust"] * 4,
+        "t": [2.0, 4.0] * 2,
+        "balanced_accuracy": [0.5, 0.9, 0.2, np.nan],
+        "balanced_accuracy_low": [0.4, 0.8, 0.1, np.nan],
+        "balanced_accuracy_high": [0.6, 1.0, 0.3, np.nan],
+    }
+)
+KILLS = pd.DataFrame(
+    {
+        "detector": ["max_z"] * 2 + ["knn"] * 2,
+        "features": "all",
+        "level": "run",
+        "split": "block",
+        "scenario": "random_noise",
+        "parameter": "level",
+        "value": [0.01, 0.1] * 2,
+        "kill_rate": [0.2, 1.0, np.nan, 0.9],
+    }
+)
+SCENE = Scene(
+    title="fake_object|run003",
+    frame="map",
+    map=Grid(np.array([[-1, 0, 100], [0, 0, 100]], dtype=np.int8), 0.5, (-1.0, -2.0, 0.1)),
+    path=np.array([[0.0, 0.0], [0.5, 0.2]]),
+    start=(0.0, 0.0),
+    duration_s=10.0,
+    goals=np.array([[0.4, 0.2, 0.0], [0.4, 0.3, 0.0]]),
+    results=(GoalResult(1.0, 5.0, "succeeded", driven_m=1.0, recoveries=0),),
+    disc=(0.2, 0.1, 0.15),
+    scan=X[:, :2],
+)
+EMPTY = Scene(
+    title="", frame="odom", map=None, path=np.zeros((1, 2)), start=(0.0, 0.0), duration_s=0.0
+)
+PICTURES = {
+    **{m: lambda m=m: figures.dendrogram(grow_tree(X, m), LABELS) for m in LINKAGES},
+    "tree of copies": lambda: figures.dendrogram(grow_tree(np.ones((6, 1))), LABELS[:6]),
+    "roc": lambda: figures.roc_curves({"ward": (CURVE, Estimate(0.5, 0.4, 0.6))}),
+    "components": lambda: figures.principal_components(X, LABELS, np.arange(1, 31)),
+    "no features": lambda: figures.principal_components(np.zeros((2, 0)), LABELS[:2]),
+    "grid": lambda: figures.grid_heat_map(GRID),
+    "intervals": lambda: figures.intervals(
+        {"a": Estimate(0.5, 0.4, 0.6), "b": NOTHING}, {"a": 1.0}
+    ),
+    "curves": lambda: figures.curves(
+        {
+            "band": figures.Curve(*[DIAGONAL] * 2, DIAGONAL / 2, np.sqrt(DIAGONAL)),
+            "line": figures.Curve(DIAGONAL, DIAGONAL),
+        },
+        "budget",
+        "found",
+    ),
+    "kills": lambda: figures.kill_heat_map(KILLS),
+    "run": lambda: top_down(SCENE),
+    "run of which little is known": lambda: top_down(EMPTY),
+}
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_a_picture_depends_on_its_numbers_alone_and_leaves_settings_alone(name):
+    before = dict(mpl.rcParams)
+    first = PICTURES[name]()
+    with mpl.rc_context({"lines.linewidth": 7, "font.size": 30, "savefig.dpi": 20}):
+        second = PICTURES[name]()
+    assert first.startswith(b"\x89PNG\r\n")
+    assert first == second
+    assert dict(mpl.rcParams) == before
+
+
+def luminance(color):
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in to_rgb(color)]
+    return np.dot(linear, [0.2126, 0.7152, 0.0722])
+
+
+@pytest.mark.parametrize("paper", ["#ffffff", "#0f1216"])
+@pytest.mark.parametrize("ink", sorted({INK, AMBER, *COLORS.values(), *SERIES}))
+def test_every_ink_reads_on_light_and_on_dark_paper(ink, paper):
+    dark, light = sorted([luminance(ink), luminance(paper)])
+    wanted = 4.3 if ink == INK else 3.0  # WCAG asks 3 of graphics and large text
+    assert (light + 0.05) / (dark + 0.05) > wanted
+
+
+def test_labels_differ_without_colour():
+    assert len(set(figures.MARKERS.values())) == len(COLORS)

@@ -1,0 +1,193 @@
+import base64
+import re
+from html.parser import HTMLParser
+from itertools import product
+
+import pytest
+
+from oracle_pipeline.reporting.html import write_page
+from tests.oracle_pipeline.reporting.pages import GHOST, UNDRAWN, WITHOUT, poor_page, whole_page
+
+VOID = {"meta", "img", "link", "br"}
+EVERYTHING = [
+    "verdicts", "integrity", "limits", "curves", "alarms", "scorers", "magnitude", "effort",
+    "explained", "radar", "trees", "thesis", "storage", "reading", "provenance",
+]  # fmt: skip
+READABLE = 4.5  # contrast of text, WCAG 2.2, level AA
+
+
+class Page(HTMLParser):
+    """Every tag, every text and every place that a browser would load something from."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.loaded, self.images, self.texts, self.cells = [], [], [], [], []
+        self.headings, self.links, self.ids, self.tables, self.captions = [], [], [], 0, []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        if tag not in VOID:
+            self.open.append(tag)
+        attrs = dict(attrs)
+        self.loaded += [attrs[name] for name in ("src", "srcset", "data") if name in attrs]
+        self.links += [attrs[name] for name in ("href", "aria-labelledby") if name in attrs]
+        self.ids += [attrs["id"]] if "id" in attrs else []
+        self.tables += tag == "table"
+        if tag == "h2":
+            self.headings.append(attrs["id"])
+        if tag == "img":
+            self.images.append(attrs)
+        if tag == "td":
+            self.cells.append("")
+        if tag == "caption":
+            self.captions.append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.texts.append(data)
+        if "td" in self.open:
+            self.cells[-1] += data
+        if "caption" in self.open:
+            self.captions[-1] += data
+
+
+@pytest.fixture(scope="module")
+def page():
+    return whole_page()
+
+
+@pytest.fixture(scope="module")
+def poor():
+    return poor_page()
+
+
+def answer(page):
+    (said,) = re.findall(r'class="answer">([^<]*)<', page)
+    return said
+
+
+def test_the_page_holds_everything_it_shows(page):
+    parsed = Page(page)
+    assert parsed.open == []
+    assert parsed.loaded
+    assert all(place.startswith("data:image/png;base64,") for place in parsed.loaded)
+    assert "url(" not in page
+    assert "@import" not in page
+    for place in parsed.loaded:
+        assert base64.b64decode(place.partition(",")[2]).startswith(b"\x89PNG")
+
+
+def test_what_is_said_is_text_and_never_markup(page):
+    assert "<script" not in page
+    assert "<script>alert(1)</script>" in "".join(Page(page).texts)
+
+
+def test_every_section_is_there_in_the_order_in_which_a_reader_needs_it(page, poor):
+    whole, part = Page(page), Page(poor)
+    assert whole.headings == [name for name in EVERYTHING if name != "limits"]
+    absent = {"curves", "magnitude", "radar", "storage"}
+    assert part.headings == [name for name in EVERYTHING if name not in absent]
+    for parsed in (whole, part):
+        assert len(set(parsed.ids)) == len(parsed.ids)
+        assert {link.lstrip("#") for link in parsed.links} == set(parsed.headings)
+
+
+def test_every_picture_has_words_in_its_place_and_every_table_a_caption(page):
+    parsed = Page(page)
+    described = [image["alt"] for image in parsed.images]
+    assert all(described)
+    assert {f"{GHOST} seen from above", f"{WITHOUT} seen from above"} < set(described)
+    assert any(alt.startswith("ROC") for alt in described)
+    assert len(parsed.captions) == parsed.tables
+    assert all(parsed.captions)
+
+
+def test_no_figure_of_ours_stands_without_its_interval(page):
+    number = r"-?\d+\.\d\d"
+    cells = [cell for cell in Page(page).cells if re.match(rf"{number}\[", cell)]
+    assert len(cells) > 16 * 8
+    assert all(re.fullmatch(rf"{number}\[{number}, {number}\]", cell) for cell in cells)
+
+
+def test_the_headline_is_the_evaluations(page):
+    assert re.search(r"stand out clearly: AUC \d\.\d\d \[\d\.\d\d, \d\.\d\d\]", answer(page))
+
+
+def test_a_headline_that_is_withheld_says_no_figure_and_why(poor):
+    assert re.match(r"The headline is withheld: \d of 6 integrity checks", answer(poor))
+    assert "AUC" not in answer(poor)
+    reasons = poor.split("<nav")[0]
+    assert "Graphs of pairs are equal: unsupported." in reasons
+    assert "AUC" not in reasons.partition("graphs were not compared")[0]
+
+
+def test_every_check_says_in_words_how_it_ended(page, poor):
+    panel = re.findall(r'<span class="status (\w+)">(\S) (\w+)</span>', page + poor)
+    assert len(panel) == 12
+    assert all(status == word for status, _, word in panel)
+    assert {(mark, word) for _, mark, word in panel} >= {("✓", "green"), ("?", "unsupported")}
+
+
+def test_what_the_runs_cannot_support_is_said(poor):
+    limits = poor[poor.index('id="limits"') : poor.index('id="alarms"')]
+    assert "All runs come from 2 blocks" in limits
+
+
+def test_attacked_runs_are_explained_by_what_the_attack_changed_and_shown_beside_controls(page):
+    section = page[page.index('id="explained"') : page.index('id="radar"')]
+    runs = re.findall(r"<h3>(\w+)\|run\d\d\d</h3>", section)
+    assert runs == ["random_noise", "fake_object", "delayed_fakeobject"]
+    assert section.count("Called anomalous at a false-alarm rate of 5%") == 3
+    first_rows = re.findall(r'<tbody>\n<tr>\n  <th scope="row">([^<]*)<', section)
+    assert set(first_rows) <= {"contextual.yaw_variance", "structural.entropy"}
+    drawn = section.count("<img")
+    assert drawn == 6 - section.count(f"{UNDRAWN} is not drawn: its bag is gone")
+
+
+def test_a_note_is_said_once_below_its_table_and_numbered_in_it(poor):
+    section = poor[poor.index(">Side by side<") : poor.index(">The same method on labels")]
+    assert section.count("No run has all ten features") == 1
+    assert len(re.findall(r"<td[^>]*>1</td>\n</tr>", section)) > 10
+
+
+def test_the_page_reads_in_light_in_dark_on_paper_and_on_a_phone(page):
+    for need in ("prefers-color-scheme: dark", "@media print", "width=device-width", "overflow-x"):
+        assert need in page
+
+
+def luminance(ink):
+    channels = [int(ink[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
+    return sum(c * weight for c, weight in zip(linear, (0.2126, 0.7152, 0.0722), strict=True))
+
+
+def contrast(one, other):
+    dark, light = sorted(map(luminance, (one, other)))
+    return (light + 0.05) / (dark + 0.05)
+
+
+def test_contrast_is_that_of_black_on_white_and_of_equal_inks():
+    assert contrast("#000000", "#ffffff") == pytest.approx(21.0)
+    assert contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.01)
+    assert contrast("#123456", "#123456") == 1.0
+
+
+def test_all_inks_can_be_read_in_light_in_dark_and_on_paper(page):
+    schemes = [dict(re.findall(r"--([\w-]+): (#\w{6})", part))
+               for part in re.findall(r":root \{(.*?)\}", page, re.DOTALL)]  # fmt: skip
+    assert len(schemes) == 3
+    for inks in schemes:
+        for ink, paper in [
+            *product(("ink", "soft", "accent"), ("paper", "tint")),
+            ("warn", "warn-tint"), ("good", "good-tint"), ("bad", "bad-tint"),
+        ]:  # fmt: skip
+            assert contrast(inks[ink], inks[paper]) >= READABLE, (ink, paper)
+
+
+def test_the_page_comes_whole_into_its_place(page, tmp_path):
+    path = tmp_path / "report" / "index.html"
+    write_page(page, path)
+    assert path.read_text(encoding="utf-8") == page
+    assert list(path.parent.iterdir()) == [path]
