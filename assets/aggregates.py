@@ -40,15 +40,19 @@ def aggregate(
     freshness_policy: dg.FreshnessPolicy | None = None,
 ) -> Callable[[Callable[..., Any]], dg.AssetsDefinition]:
     """Decorate an asset over all runs."""
-    return dg.asset(
-        deps=deps,
-        group_name=group,
-        kinds=set(kinds),
-        owners=OWNERS,
-        code_version=analysis_code(),
-        backfill_policy=SINGLE_RUN,
-        freshness_policy=freshness_policy,
-    )
+
+    def decorate(function: Callable[..., Any]) -> dg.AssetsDefinition:
+        return dg.asset(
+            deps=deps,
+            group_name=group,
+            kinds=set(kinds),
+            owners=OWNERS,
+            code_version=analysis_code(function.__module__),
+            backfill_policy=SINGLE_RUN,
+            freshness_policy=freshness_policy,
+        )(function)
+
+    return decorate
 
 
 def run_table(store: RunStore, testbed: TestbedChoice) -> "pd.DataFrame":
