@@ -20,10 +20,10 @@ from sim.experiments import record_run
 from sim.fuzzing.fields import zero
 from sim.fuzzing.mutation import Program
 from sim.fuzzing.program import compile_scenario
-from sim.fuzzing.scenario import builtin_scenarios
 from sim.middleware.executor import SECOND
 from sim.middleware.stamps import header
 from sim.recipes import Campaign, recipe_for
+from sim.scenarios import builtin_scenarios
 
 MESSAGES, ROUNDS = 200, 15
 RAYS = 360

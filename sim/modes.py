@@ -17,7 +17,8 @@ from typing import Any, Literal
 
 from oracle_pipeline.bags.manifest import Label
 from sim.fuzzing.program import compile_scenario
-from sim.fuzzing.scenario import Scenario, ScenarioError, builtin_scenarios, load_scenarios
+from sim.fuzzing.scenario import Scenario, ScenarioError, load_scenarios
+from sim.scenarios import builtin_scenarios
 
 FOLDER = "ORACLE_SCENARIOS"  # the environment's name of the user's folder of scenario files
 

@@ -31,9 +31,10 @@ from sim.commands.parameter_grids import draw, ranges, sweep, typed
 from sim.experiments import record_run
 from sim.fuzzing.offline import mutate_bag
 from sim.fuzzing.program import compile_scenario
-from sim.fuzzing.scenario import Scenario, ScenarioError, builtin_scenarios, load_scenarios
+from sim.fuzzing.scenario import Scenario, ScenarioError, load_scenarios
 from sim.modes import Mode, broken_scenarios, find_mode, modes
 from sim.recipes import Campaign, recipe_for
+from sim.scenarios import builtin_scenarios
 from sim.seeds import node_generator
 
 _PARAMETERS = 16  # branch of the seed on which parameters are drawn; recipes have those before

@@ -146,17 +146,6 @@ def parse_scenarios(data: bytes, file: str) -> list[Scenario]:
 
 
 @functools.cache
-def builtin_scenarios() -> Mapping[str, Scenario]:
-    """Return the scenarios that come with the testbed, by name, in the order of their files."""
-    folder = files(__package__).joinpath("scenarios")
-    return {
-        scenario.id: scenario
-        for file in sorted(folder.iterdir(), key=lambda file: file.name)
-        for scenario in load_scenarios(file)
-    }
-
-
-@functools.cache
 def schema() -> dict[str, Any]:
     """Return the JSON Schema of a scenario."""
     text = files(__package__).joinpath("scenario.schema.json").read_text("utf-8")

@@ -24,8 +24,8 @@ from assets.worker.reproduction import judge, place_aside
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.definitions import defs
-from sim.fuzzing.scenario import builtin_scenarios
 from sim.modes import FOLDER, modes
+from sim.scenarios import builtin_scenarios
 from tests.assets.laboratory import KEYS, PER_RUN, ROOT, Laboratory, dagster_home
 
 BOTH = KEYS[2:]  # runs of the attacked mode

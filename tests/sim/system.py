@@ -9,12 +9,12 @@ import numpy as np
 from sim.experiments import NODE
 from sim.fuzzing.node import MutationNode
 from sim.fuzzing.program import compile_scenario
-from sim.fuzzing.scenario import builtin_scenarios
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.middleware.geometry import Pose2D
 from sim.nav2.bringup import bring_up
 from sim.recording import DEBUG_TOPICS, Recorder
+from sim.scenarios import builtin_scenarios
 from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
 from sim.turtlebot3.nodes import LidarNoise, add_robot
 from sim.turtlebot3.world import World, WorldParameters

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from sim.fuzzing.program import compile_scenario
-from sim.fuzzing.scenario import ScenarioError, builtin_scenarios
+from sim.fuzzing.scenario import ScenarioError
 from sim.modes import FOLDER, PAIRS, Conditions, broken_scenarios, find_mode, modes
 from sim.recipes import Campaign, recipe_for
+from sim.scenarios import builtin_scenarios
 from tests.sim.fuzzing.workbench import INCREMENT, only, scan
 
 SIX = [

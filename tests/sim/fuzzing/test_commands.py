@@ -18,8 +18,9 @@ from oracle_pipeline.runs import open_run
 from sim.commands.main import main
 from sim.commands.mutants import Cell, derive_mutant, grid
 from sim.commands.parameter_grids import Sweep
-from sim.fuzzing.scenario import builtin_scenarios, parse_scenarios
+from sim.fuzzing.scenario import parse_scenarios
 from sim.modes import FOLDER, find_mode
+from sim.scenarios import builtin_scenarios
 from tests.sim.fuzzing.workbench import BUILTINS, SCAN, scans
 
 FOREIGN = "made_up_msgs/msg/Reading"

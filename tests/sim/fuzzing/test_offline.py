@@ -14,12 +14,13 @@ from sim.fuzzing.mutation import PASSTHROUGH
 from sim.fuzzing.node import MutationNode
 from sim.fuzzing.offline import mutate_bag
 from sim.fuzzing.program import compile_scenario
-from sim.fuzzing.scenario import builtin_scenarios, parse_scenarios
+from sim.fuzzing.scenario import parse_scenarios
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import Executor
 from sim.middleware.node import Node
 from sim.recording import Recorder
+from sim.scenarios import builtin_scenarios
 from tests.sim.fuzzing.workbench import BUILTINS, builtin, examples, odometry, scans
 
 LATENCY_NS = 3_000_000

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from sim.fuzzing.functions import haversine_m
 from sim.fuzzing.program import compile_scenario
 from sim.fuzzing.random import Draws
-from sim.fuzzing.scenario import ScenarioError, builtin_scenarios
+from sim.fuzzing.scenario import ScenarioError
+from sim.scenarios import builtin_scenarios
 from sim.turtlebot3 import frames
 from tests.sim.fuzzing.workbench import (
     BUILTINS,

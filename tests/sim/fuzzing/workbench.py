@@ -10,10 +10,11 @@ from hypothesis.extra import numpy as hnp
 from oracle_pipeline.bags.types import message_class, serialize
 from sim.fuzzing.fields import zero
 from sim.fuzzing.program import compile_scenario
-from sim.fuzzing.scenario import builtin_scenarios, parse_scenarios
+from sim.fuzzing.scenario import parse_scenarios
 from sim.fuzzing.values import message_type
 from sim.middleware.geometry import yaw_quaternion
 from sim.middleware.stamps import header
+from sim.scenarios import builtin_scenarios
 
 SCAN = "sensor_msgs/msg/LaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
