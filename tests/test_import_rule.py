@@ -15,7 +15,9 @@ ROOF = "oracle_pipeline.definitions"
 MAY_IMPORT = {
     ROOF: {"assets", "resources", "sim", "oracle_pipeline"},
     "assets": {"assets", "resources", "sim", "oracle_pipeline"},
+    "assets.worker": {"assets.worker", "resources.storage", "sim", "oracle_pipeline"},
     "resources": {"resources", "sim", "oracle_pipeline"},
+    "resources.storage": {"resources.storage", "sim", "oracle_pipeline"},
     "sim": {"sim", "oracle_pipeline.bags"},
     "oracle_pipeline": {"oracle_pipeline"},
     "oracle_pipeline.bags": {"oracle_pipeline.bags"},
@@ -24,7 +26,9 @@ MAY_IMPORT = {
 MAY_NOT_IMPORT = {
     ROOF: set(),
     "assets": {"mujoco", "rosbags"},
+    "assets.worker": {"dagster", "mujoco", "rosbags"},
     "resources": {"mujoco", "rosbags"},
+    "resources.storage": {"dagster", "mujoco", "rosbags"},
     "sim": {"dagster", "pandas", "sklearn"},
     "oracle_pipeline": {"dagster", "mujoco"},
     "oracle_pipeline.bags": {"dagster", "mujoco", "pandas", "sklearn"},
@@ -82,9 +86,23 @@ def test_a_module_imports_only_what_is_below_it(module):
     assert violations(module, MODULES[module]) == []
 
 
-@pytest.mark.parametrize("module", ["assets.worker.run", "assets.worker.inspections"])
-def test_workers_start_without_dagster(module):
-    code = f"import sys, {module}; sys.exit('dagster' in sys.modules)"
+def test_only_one_module_uses_private_names_of_dagster():
+    private = {
+        str(path.relative_to(ROOT))
+        for folder in (*OURS, "bench", "soak", "tests")
+        for path in (ROOT / folder).rglob("*.py")
+        if any(
+            name.startswith("dagster._")
+            for name in imports(path.read_text(encoding="utf-8"), module_name(path))
+        )
+    }
+    assert private == {"assets/dagster_internals.py", "tests/assets/dagster_internals.py"}
+
+
+@pytest.mark.parametrize("folder", ["assets.worker", "resources.storage"])
+def test_workers_and_the_storage_plan_start_without_dagster(folder):
+    modules = ", ".join(module for module in MODULES if within(module, {folder}))
+    code = f"import sys, {modules}; sys.exit('dagster' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
@@ -102,6 +120,9 @@ def test_workers_start_without_dagster(module):
         ("oracle_pipeline.cli", "from .definitions import defs"),
         ("resources.store", "from assets.partitions import RUNS"),
         ("assets.runs", "from oracle_pipeline.definitions import defs"),
+        ("assets.worker.run", "import dagster"),
+        ("assets.worker.run", "from assets.partitions import RUNS"),
+        ("resources.storage.plan", "from resources.fleet import Fleet"),
     ],
 )
 def test_the_rule_notices_what_it_forbids(module, source):
