@@ -5,7 +5,6 @@ import dagster as dg
 from assets import presentation
 from assets.aggregates import DATASET, TRUTH, WINDOWS, aggregate
 from assets.partitions import RUNS
-from assets.worker.feature_tables import feature_table
 from oracle_pipeline.bags.manifest import Manifest
 from resources.failures import clear_failures
 from resources.store import RunStore
@@ -30,16 +29,16 @@ def feature_dataset(store: RunStore) -> dg.MaterializeResult[None]:
     from oracle_pipeline.evaluation.truth import truth_table
 
     runs = [store.run(key) for key in RUNS.get_partition_keys()]
-    extracted = [run for run in runs if feature_table(run, "run").is_file()]
+    extracted = [run for run in runs if run.feature_table("run").is_file()]
     with clear_failures():
         manifests = {run.key: run.manifest() for run in extracted if run.is_complete()}
         too_short = sorted(key for key, manifest in manifests.items() if not _acted(manifest))
         joined = [run for run in extracted if run.key not in too_short]
         df = datasets.feature_dataset(
-            datasets.read_table(feature_table(run, "run")) for run in joined
+            datasets.read_table(run.feature_table("run")) for run in joined
         )
         windows = datasets.window_dataset(
-            datasets.read_table(feature_table(run, "window")) for run in joined
+            datasets.read_table(run.feature_table("window")) for run in joined
         )
         datasets.write_table(df, store.dataset(DATASET))
         datasets.write_table(windows, store.dataset(WINDOWS))

@@ -15,7 +15,6 @@ from assets.aggregates import (
 )
 from assets.checks import PAIR_CHECK, pairs_there
 from assets.datasets import feature_dataset
-from assets.worker.feature_tables import feature_table
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.failures import clear_failures
 from resources.fleet import Fleet
@@ -75,15 +74,15 @@ def _mutants(store: RunStore, fleet: Fleet) -> "Runs | None":
     from oracle_pipeline.evaluation.campaign import Runs
 
     runs_of_grids, windows_of_grids = [], []
-    for index in sorted((store.path / "grids").glob("*/grid.json")):
+    for index in store.grid_indices():
         with index.open("rb") as source:
             mutants = pd.read_json(source)
         runs = [RunDirectory.of_key(index.parent, key) for key in mutants["run_id"]]
         _require_features(runs, fleet)
-        df = joined(read_table(feature_table(run, "run")) for run in runs)
+        df = joined(read_table(run.feature_table("run")) for run in runs)
         told = mutants[["run_id", "scenario", "parameter", "value", "changed_messages"]]
         df = df.merge(told, on="run_id", validate="one_to_one")
-        windows = window_dataset(read_table(feature_table(run, "window")) for run in runs)
+        windows = window_dataset(read_table(run.feature_table("window")) for run in runs)
         grid = f"{index.parent.name}/"  # two grids may have runs of one name
         runs_of_grids.append(df.assign(run_id=grid + df["run_id"]))
         windows_of_grids.append(windows.assign(run_id=grid + windows["run_id"]))

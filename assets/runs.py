@@ -15,12 +15,12 @@ from pydantic import Field
 
 from assets import presentation, terminal
 from assets.common import OWNERS, SINGLE_RUN
+from assets.dagster_internals import output_without_event
 from assets.events import (
     Materialized,
     check_evaluation,
     latest_materialization,
     materializations,
-    no_further_event,
 )
 from assets.partitions import RUNS
 from assets.worker.versions import feature_code
@@ -180,7 +180,7 @@ def recorded_runs(
     if failed:
         raise _failure(failed, len(jobs))
     for spec in specs:
-        yield no_further_event(spec.key.to_python_identifier())
+        yield output_without_event(spec.key.to_python_identifier())
     if is_compared:
         yield dg.Output(None, output_name=REPRODUCIBLE.get_python_identifier())
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from sklearn.pipeline import Pipeline
 from tqdm import tqdm
 
+from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE
 from oracle_pipeline.datasets import (
@@ -113,7 +114,7 @@ def read_reference(path: Path, manager: FeatureManager) -> Reference:
     """
     if path.is_file():
         reference = Reference(read_table(path))
-    elif tables := sorted(path.glob("features/run/*/*.parquet")):
+    elif tables := layout.feature_tables(path, "run"):
         reference = Reference(feature_dataset(read_table(table) for table in tables))
     else:
         reference = _extracted(path, manager)

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from assets.worker.feature_tables import TABLES, feature_table
 from assets.worker.run import OF_A_RUN, RunJob, process_run
+from oracle_pipeline.bags.layout import TABLES
 from oracle_pipeline.bags.manifest import Kept
 from oracle_pipeline.bags.reader import content_hash
 from oracle_pipeline.bags.run_directory import RunDirectory, bytes_on_disk, find_runs
@@ -118,7 +118,7 @@ def _known(run: RunDirectory) -> dict[str, Any]:
     document = asdict(run.manifest())
     kept = document.pop("measured")["kept"]
     graphs = {file.name: file.read_bytes() for file in sorted(run.graphs.iterdir())}
-    features = {table: table_hash(read_table(feature_table(run, table))) for table in TABLES}
+    features = {table: table_hash(read_table(run.feature_table(table))) for table in TABLES}
     return {"kept": kept, "graphs": graphs, "features": features, **document}
 
 

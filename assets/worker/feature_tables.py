@@ -8,23 +8,16 @@ import hashlib
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from assets.worker.versions import feature_code
+from oracle_pipeline.bags.layout import TABLES
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.remote import fetched, is_local
 from oracle_pipeline.bags.run_directory import RunDirectory
 
 if TYPE_CHECKING:
     from oracle_pipeline.bags.reader import BagReader
-
-Table = Literal["run", "window"]
-TABLES: tuple[Table, ...] = ("run", "window")
-
-
-def feature_table(run: RunDirectory, table: Table) -> Path:
-    """Return the place of the features of a run, or of its windows."""
-    return run.root / "features" / table / run.mode / f"{run.run_id}.parquet"
 
 
 def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bool:
@@ -80,12 +73,12 @@ def _tidy(run: RunDirectory) -> None:
     """Remove half-written tables that a dead worker left; nobody else works on the run now."""
     if is_local(run.root):
         for table in TABLES:
-            for leftover in feature_table(run, table).parent.glob(f".{run.run_id}.*"):
+            for leftover in run.feature_table(table).parent.glob(f".{run.run_id}.*"):
                 leftover.unlink(missing_ok=True)
 
 
 def _record(run: RunDirectory) -> Path:
-    return feature_table(run, "run").with_suffix(".json")
+    return run.feature_table("run").with_suffix(".json")
 
 
 def _inputs(manifest: Manifest) -> str:
@@ -96,7 +89,7 @@ def _inputs(manifest: Manifest) -> str:
 
 
 def _hashes(run: RunDirectory) -> dict[str, str]:
-    places = {table: feature_table(run, table) for table in TABLES}
+    places = {table: run.feature_table(table) for table in TABLES}
     return {
         table: hashlib.sha256(place.read_bytes()).hexdigest()
         for table, place in places.items()

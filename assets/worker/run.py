@@ -18,17 +18,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from assets.worker.feature_tables import (
-    Table,
-    ensure_tables,
-    feature_table,
-    tables_are_right,
-    topics_of_features,
-)
+from assets.worker.feature_tables import ensure_tables, tables_are_right, topics_of_features
 from assets.worker.reproduction import Reproduction, judge, made_aside, place_aside
 from assets.worker.versions import feature_code
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.graph_files import read_gexf
+from oracle_pipeline.bags.layout import FEATURES, Table
 from oracle_pipeline.bags.manifest import KEPT, Kept, Manifest
 from oracle_pipeline.bags.remote import is_local, publish
 from oracle_pipeline.bags.retention import retain
@@ -167,7 +162,7 @@ def _made_here(run: RunDirectory) -> Iterator[RunDirectory]:
 
 def _put_in_place(here: RunDirectory, run: RunDirectory) -> None:
     """Publish a run that was made on this machine, and judge it beside its pair's other one."""
-    for file in (here.root / "features").rglob("*"):
+    for file in (here.root / FEATURES).rglob("*"):
         if file.is_file():
             (run.root / file.relative_to(here.root).as_posix()).write_bytes(file.read_bytes())
     publish(here.path, run.path, MANIFEST_FILE)
@@ -272,7 +267,7 @@ def _features(job: RunJob, manifest: Manifest) -> dict[str, Made]:
     wall_s = time.perf_counter() - started
     made = {}
     for asset, table in TABLES.items():
-        place = feature_table(job.directory, table)
+        place = job.directory.feature_table(table)
         df = read_table(place)
         reasons = [json.loads(row) for row in df[MISSING]]
         absent = sorted({name for row in reasons for name in row})

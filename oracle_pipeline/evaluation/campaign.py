@@ -12,9 +12,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.datasets import WINDOW_S, feature_columns, field_metadata, is_malicious
+from oracle_pipeline.bags.manifest import CHANGE_BIN_S
+from oracle_pipeline.datasets import feature_columns, field_metadata, is_malicious
+from oracle_pipeline.windows import WINDOW_S
 
-CHANGE_BIN_S = 5.0  # of a manifest's changes
 LEFT_OUT = ("thesis",)  # families that are no part of our oracle
 
 

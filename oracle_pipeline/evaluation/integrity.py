@@ -14,7 +14,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from sklearn.metrics import roc_auc_score
 
-from oracle_pipeline.datasets import PAIRS, DistinctRuns, field_metadata, is_hard_negative
+from oracle_pipeline.bags.protocol import PAIRS
+from oracle_pipeline.datasets import DistinctRuns, field_metadata, is_hard_negative
 from oracle_pipeline.detectors import Detector, upper_bounds
 from oracle_pipeline.evaluation.campaign import LEFT_OUT, Campaign, feature_sets
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate

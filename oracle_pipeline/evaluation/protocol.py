@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.datasets import HARD_NEGATIVE, PAIRS, DistinctRuns
+from oracle_pipeline.bags.protocol import PAIRS
+from oracle_pipeline.datasets import HARD_NEGATIVE, DistinctRuns
 from oracle_pipeline.detectors import DEFAULT_DETECTOR
 from oracle_pipeline.evaluation.campaign import Campaign
 from oracle_pipeline.evaluation.conformal import runs_needed

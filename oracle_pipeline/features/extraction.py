@@ -23,7 +23,6 @@ from oracle_pipeline.datasets import (
     KEYS,
     MISSING,
     WHERE,
-    WINDOW_S,
     WINDOW_START,
     Fields,
     write_table,
@@ -41,11 +40,7 @@ from oracle_pipeline.features.recording import Recording, Span
 from oracle_pipeline.features.thesis import MessageTable, ThesisPlugin
 from oracle_pipeline.graphs.intervals import graph_between
 from oracle_pipeline.runs import Run
-
-_SECOND_NS = 1_000_000_000
-_WINDOW_NS = round(WINDOW_S * _SECOND_NS)
-_HOP_NS = 5 * _SECOND_NS  # windows at multiples of 10 s match a graph file
-_SHORTEST_WINDOW_NS = 5 * _SECOND_NS  # of one that the end of the recording cuts off
+from oracle_pipeline.windows import windows_ns
 
 _log = logging.getLogger(__name__)
 
@@ -120,10 +115,7 @@ def extract(run: Run, manager: FeatureManager) -> FeatureTables:
 
 def window_spans(whole: Span) -> list[Span]:
     """Return the windows of a recording: 10 s, each 5 s; cut off by the end, at least 5 s."""
-    return [
-        Span(start_ns, min(start_ns + _WINDOW_NS, whole.end_ns))
-        for start_ns in range(0, whole.end_ns - _SHORTEST_WINDOW_NS, _HOP_NS)
-    ]
+    return [Span(start_ns, end_ns) for start_ns, end_ns in windows_ns(whole.end_ns)]
 
 
 def write(tables: FeatureTables, directory: RunDirectory) -> tuple[Path, Path]:
@@ -134,10 +126,7 @@ def write(tables: FeatureTables, directory: RunDirectory) -> tuple[Path, Path]:
     tuple of Path
         Of the table of the run, and of that of its windows.
     """
-    root = directory.root / "features"
-    of_run, of_windows = (
-        root / table / directory.mode / f"{directory.run_id}.parquet" for table in ("run", "window")
-    )
+    of_run, of_windows = directory.feature_table("run"), directory.feature_table("window")
     write_table(tables.windows, of_windows)
     write_table(tables.run, of_run)
     return of_run, of_windows
@@ -238,8 +227,7 @@ def _keys(run: Run) -> dict[str, Any]:
     if manifest is None:
         values: tuple[Any, ...] = (run.path.resolve().name, "foreign", "unknown", -1, -1)
     else:
-        key = f"{manifest.mode}|run{manifest.run:03d}"
-        values = (key, manifest.mode, manifest.label, manifest.block, manifest.session)
+        values = (manifest.key, manifest.mode, manifest.label, manifest.block, manifest.session)
     return dict(zip(KEYS, values, strict=True))
 
 

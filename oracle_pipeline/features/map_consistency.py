@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -41,7 +42,6 @@ from oracle_pipeline.features.scan_geometry import (
     scene,
     stamp_s,
 )
-from oracle_pipeline.jit import jit
 
 MAP_TOPIC = "/map"
 POSE_TOPIC = "/amcl_pose"

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.plugin import Request, Series
-from oracle_pipeline.jit import jit
 
 Floats: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.graph_files import RosGraph
+from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.bags.protocol import INTERVAL_S
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -21,9 +23,7 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.graphs.intervals import INTERVAL_S
 from oracle_pipeline.graphs.views import system_view
-from oracle_pipeline.jit import jit
 
 Edge: TypeAlias = tuple[str, str]
 Flows: TypeAlias = Mapping[Edge, int]  # messages or bytes by edge

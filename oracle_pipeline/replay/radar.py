@@ -95,7 +95,7 @@ def radar_display(run: Run) -> Display:
     plots = [_plot(m, getattr(m, "altitude_m", 0.0)) for m in (*heard[ECHO], *heard[REPLY])]
     name = run.path.resolve().name
     if run.manifest is not None:
-        name = f"{run.manifest.mode}|run{run.manifest.run:03d}"
+        name = run.manifest.key
     return Display(
         f"{name}, {instant_s:.0f} s",
         _tracks(heard[TRACKS], antenna),

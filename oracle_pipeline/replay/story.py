@@ -134,7 +134,7 @@ class _Story:
             return scene
         return replace(
             scene,
-            title=f"{manifest.mode}|run{manifest.run:03d}, {manifest.outcome}",
+            title=f"{manifest.key}, {manifest.outcome}",
             start=(manifest.start.x, manifest.start.y),
             goals=np.array([(g.x, g.y, g.yaw) for g in manifest.goals]).reshape(-1, 3),
             results=manifest.goal_results,

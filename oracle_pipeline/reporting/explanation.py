@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.datasets import PAIRS, is_malicious
+from oracle_pipeline.bags.protocol import PAIRS
+from oracle_pipeline.datasets import is_malicious
 from oracle_pipeline.evaluation.protocol import RATES, SHADOW
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring import Evidence, evidence

@@ -9,10 +9,10 @@ module, tables are made in ``tables``, pictures in ``figures``.
 import numpy as np
 import pandas as pd
 
+from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.clustering.scores import hac_height
 from oracle_pipeline.clustering.tree import LINKAGES, ClusteringError
 from oracle_pipeline.datasets import (
-    PAIRS,
     DatasetError,
     content_hash,
     distinct_runs,

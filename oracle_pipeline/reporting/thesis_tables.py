@@ -11,8 +11,9 @@ from itertools import product
 import numpy as np
 import pandas as pd
 
+from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.clustering.tree import CRITERIA, LINKAGES
-from oracle_pipeline.datasets import PAIRS, DatasetError
+from oracle_pipeline.datasets import DatasetError
 from oracle_pipeline.evaluation.clustering import ClusteringResult, cluster_and_judge
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.metrics import BAND

@@ -14,8 +14,9 @@ from statistics import fmean
 from pydantic import ByteSize, TypeAdapter, ValidationError
 
 from oracle_pipeline.bags.errors import ManifestError
+from oracle_pipeline.bags.layout import BAG_FOLDER, owner
 from oracle_pipeline.bags.manifest import KEPT, Kept, Manifest
-from oracle_pipeline.bags.run_directory import BAG_FOLDER, RunDirectory, find_runs
+from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
 from resources.storage.plan import Sizes, StorageError, megabytes, plan
 
 BUDGET_VARIABLE = "ORACLE_STORAGE_BUDGET"
@@ -112,14 +113,8 @@ def take_stock(root: Path) -> Stock:
         for name in names:
             size = _bytes_on_disk(os.path.join(folder, name))  # noqa: PTH118 -- a million of them
             total += size
-            if place[:1] == ("runs",) and len(place) > 2:
-                run = place[1], place[2]
-                if len(place) > 3 and place[3] == BAG_FOLDER:
-                    bags[run] += size
-                else:
-                    rest[run] += size
-            elif place[:1] == ("features",) and len(place) == 3:
-                rest[place[2], name.partition(".")[0]] += size
+            if (run := owner((*place, name))) is not None:
+                (bags if run.in_bag else rest)[run.mode, run.run_id] += size
     runs = {
         run: RunBytes(bags[run.mode, run.run_id], rest[run.mode, run.run_id])
         for run in find_runs(root)

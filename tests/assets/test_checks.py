@@ -11,7 +11,6 @@ import pytest
 
 from assets.checks import CHECKS, PAIR_CHECK
 from assets.worker import inspections
-from assets.worker.feature_tables import feature_table
 from oracle_pipeline.bags.graph_files import read_gexf, write_gexf
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.datasets import read_table, write_table
@@ -92,12 +91,12 @@ Damage = Callable[[RunDirectory], None]
         (PAIR_CHECK, node_added, "node:/intruder"),
         (
             "run_features_are_finite",
-            lambda run: value_lost(feature_table(run, "run")),
+            lambda run: value_lost(run.feature_table("run")),
             "structural.density",
         ),
         (
             "window_features_are_finite",
-            lambda run: value_lost(feature_table(run, "window")),
+            lambda run: value_lost(run.feature_table("window")),
             "structural.density",
         ),
     ],

@@ -7,7 +7,6 @@ import re
 import dagster as dg
 import pytest
 
-from assets.worker.feature_tables import feature_table
 from resources.budget import StorageBudget
 from resources.campaign import CampaignSettings
 from resources.store import RunStore
@@ -92,7 +91,7 @@ def test_what_is_complete_is_verified_and_left_alone(copy_of_campaign: Laborator
 def test_features_alone_are_extracted_from_the_run_that_is_there(
     copy_of_campaign: Laboratory,
 ) -> None:
-    feature_table(copy_of_campaign.store.run(KEY), "run").unlink()
+    copy_of_campaign.store.run(KEY).feature_table("run").unlink()
     before = copy_of_campaign.files()
     # Other goals would be another recipe; features read what is there, whatever it was made from.
     other = CampaignSettings(goals_per_run=2)
@@ -116,7 +115,7 @@ def test_bags_alone_leave_features_alone(copy_of_campaign: Laboratory) -> None:
 
 
 def test_a_changed_table_is_extracted_again(copy_of_campaign: Laboratory) -> None:
-    place = feature_table(copy_of_campaign.store.run(KEY), "window")
+    place = copy_of_campaign.store.run(KEY).feature_table("window")
     whole = place.read_bytes()
     place.write_bytes(whole[:-100])
     assert copy_of_campaign.materialize(["window_features"], KEY).success

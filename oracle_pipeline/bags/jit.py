@@ -1,7 +1,4 @@
-"""The one way the analysis compiles hot loops: numba, cached on disk, no fastmath.
-
-``sim.jit`` is the simulation's; neither may import the other.
-"""
+"""The one way hot loops are compiled: numba, cached on disk, IEEE arithmetic (no fastmath)."""
 
 from collections.abc import Callable
 from typing import ParamSpec, TypeVar, cast
