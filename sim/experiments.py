@@ -12,9 +12,9 @@ from typing import Any, Literal
 
 from oracle_pipeline.bags import manifest as schema
 from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.layout import BAG_FOLDER
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import (
-    BAG_FOLDER,
     GRAPHS_FOLDER,
     RunDirectory,
     bytes_on_disk,

@@ -8,8 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from oracle_pipeline.bags import manifest as schema
+from oracle_pipeline.bags.layout import BAG_FOLDER
 from oracle_pipeline.bags.manifest import Manifest
-from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, bytes_on_disk
+from oracle_pipeline.bags.run_directory import GRAPHS_FOLDER, bytes_on_disk
 from oracle_pipeline.bags.writer import BagWriter
 from sim.atc.airspace import AirSpace
 from sim.atc.conflict_detection import ConflictDetection

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.layout import BAG_FOLDER
 from oracle_pipeline.bags.manifest import Manifest, Measured
 from oracle_pipeline.bags.run_directory import (
-    BAG_FOLDER,
     GRAPHS_FOLDER,
     MANIFEST_FILE,
     RunDirectory,
