@@ -1,7 +1,8 @@
 """What can start by itself: the job over all assets, and the schedule that makes runs again.
 
 Everything is off until somebody switches it on. The sensor is in ``assets.scenario_changes``, the
-job that forgets old Dagster runs in ``assets.run_retention``. How to use them: docs/automation.md.
+job that forgets old Dagster runs in ``assets.run_retention``. How to use them:
+docs/how-to/automation.md.
 """
 
 import dagster as dg

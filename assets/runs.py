@@ -2,7 +2,7 @@
 
 A worker takes one run all the way, so that its bag is read while it is there (and can be dropped
 before the next one comes), and so that a range of partitions needs one Dagster run. Why, and what
-it costs: docs/dagster.md.
+it costs: docs/explanation/dagster.md.
 """
 
 import contextlib

@@ -1,7 +1,7 @@
 """Our own evaluation as a `Report`: each run once, every score held out, checks before figures.
 
 What is measured lives in ``oracle_pipeline.evaluation``; here it is put into tables and pictures.
-The protocol and what each figure means: docs/evaluation.md.
+The protocol and what each figure means: docs/explanation/evaluation.md.
 """
 
 from collections.abc import Callable, Sequence
