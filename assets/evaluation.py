@@ -21,7 +21,7 @@ from resources.fleet import Fleet
 from resources.store import RunStore
 
 if TYPE_CHECKING:
-    from oracle_pipeline.evaluation.campaign import Runs
+    from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
 
 
 @aggregate("oracle", "scikitlearn", deps=[feature_dataset])
@@ -36,11 +36,11 @@ def oracle_evaluation(
     makes, give the kill matrix.
     """
     from oracle_pipeline.datasets import read_table
-    from oracle_pipeline.reporting import evaluation
+    from oracle_pipeline.reporting import evaluation_report
 
     with clear_failures():
         df = run_table(store, config.testbed)
-        result = evaluation.oracle_evaluation(
+        result = evaluation_report.oracle_evaluation(
             df,
             windows_of(store, df),
             read_table(store.dataset(TRUTH)),
@@ -65,13 +65,13 @@ def _graph_differences(store: RunStore, fleet: Fleet, runs: set[str]) -> list[st
     ]
 
 
-def _mutants(store: RunStore, fleet: Fleet) -> "Runs | None":
+def _mutants(store: RunStore, fleet: Fleet) -> "MeasuredRuns | None":
     """Return what was measured of all grids' runs, joined to what was changed in each."""
     import pandas as pd
 
     from oracle_pipeline.datasets import feature_dataset as joined
     from oracle_pipeline.datasets import read_table, window_dataset
-    from oracle_pipeline.evaluation.campaign import Runs
+    from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
 
     runs_of_grids, windows_of_grids = [], []
     for index in store.grid_indices():
@@ -88,7 +88,7 @@ def _mutants(store: RunStore, fleet: Fleet) -> "Runs | None":
         windows_of_grids.append(windows.assign(run_id=grid + windows["run_id"]))
     if not runs_of_grids:
         return None
-    return Runs.ordered(
+    return MeasuredRuns.ordered(
         pd.concat(runs_of_grids, ignore_index=True), pd.concat(windows_of_grids, ignore_index=True)
     )
 

@@ -31,7 +31,7 @@ def checks_of_evaluation(
     context: dg.AssetCheckExecutionContext, store: RunStore
 ) -> Iterator[dg.AssetCheckResult]:
     """Show what the evaluation found of itself; a check that is unsupported is not passed."""
-    from oracle_pipeline.reporting.result import Report
+    from oracle_pipeline.reporting.report import Report
 
     with clear_failures():
         table = Report.load(store.results(EVALUATION)).tables[TABLE]

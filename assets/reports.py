@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from oracle_pipeline.evaluation.variants import VariantName
-    from oracle_pipeline.reporting.result import Report
+    from oracle_pipeline.reporting.report import Report
 
 ROWS = "bootstrapped_dataset"
 FRESH = dg.FreshnessPolicy.time_window(  # one night may fail; nobody looks unless it is switched on
@@ -83,7 +83,7 @@ def clustering_grid_search(store: RunStore) -> dg.MaterializeResult[None]:
     of the continuous HAC height, with intervals.
     """
     from oracle_pipeline.reporting import thesis_reports
-    from oracle_pipeline.reporting.result import Report
+    from oracle_pipeline.reporting.report import Report
 
     with clear_failures():
         drawn = Report.load(store.results(ROWS))
@@ -143,7 +143,7 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
     from oracle_pipeline.datasets import KEYS, read_table
     from oracle_pipeline.reporting import html, thesis_reports
     from oracle_pipeline.reporting.explanation import drawn, explanations
-    from oracle_pipeline.reporting.result import Report
+    from oracle_pipeline.reporting.report import Report
 
     def draw(run: str) -> bytes:
         from oracle_pipeline.replay.picture import kept_picture
@@ -206,7 +206,7 @@ def _ghost_and_control(df: "pd.DataFrame") -> list[str]:
 
 def _drawn_from(store: RunStore) -> "pd.DataFrame":
     """Return the runs that the rows of `bootstrapped_dataset` were drawn from."""
-    from oracle_pipeline.reporting.result import Report
+    from oracle_pipeline.reporting.report import Report
 
     drawn = Report.load(store.results(ROWS)).table
     return _experiments(run_table(store, modes()[drawn["mode"].iloc[0]].testbed))
@@ -221,7 +221,7 @@ def _experiments(df: "pd.DataFrame") -> "pd.DataFrame":
 
 def _how_rows_were_drawn(store: RunStore) -> "tuple[int, float, int, VariantName]":
     """Return rows, malicious rate, seed and variant of `bootstrapped_dataset`."""
-    from oracle_pipeline.reporting.result import Report
+    from oracle_pipeline.reporting.report import Report
 
     drawn = Report.load(store.results(ROWS))
     rows, rate, seed = (drawn.summary[name] for name in ("rows", "malicious_rate", "seed"))

@@ -14,7 +14,7 @@ import pandas as pd
 from oracle_pipeline import features as feature_extraction
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import MISSING, WHERE, field_metadata, replacing, write_table
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.opened_run import open_run
 
 
 class _Failure(click.ClickException):
@@ -153,15 +153,16 @@ def score(
         oracle score my_robot_bag/ --reference data --format json \\
             | jq '.recordings[0].evidence[0]'
     """  # noqa: D301 -- click reads the control character
-    from oracle_pipeline import scoring
-    from oracle_pipeline.reporting import verdicts
+    from oracle_pipeline.scoring import judging, output
+    from oracle_pipeline.scoring.junit import as_junit
+    from oracle_pipeline.scoring.reference import read_reference
 
     manager = feature_extraction.build_manager(plugins)
-    known = scoring.read_reference(reference, manager)
-    judged = scoring.score(recordings, known, manager, far)
-    show = verdicts.as_json if file_format == "json" else verdicts.as_text
-    click.echo(show(judged, far, known.notes))
+    normal = read_reference(reference, manager)
+    verdicts = judging.score(recordings, normal, manager, far)
+    show = output.as_json if file_format == "json" else output.as_text
+    click.echo(show(verdicts, far, normal.notes))
     if junit is not None:
         with replacing(junit) as sink:
-            sink.write(verdicts.as_junit(judged))
-    ctx.exit(verdicts.exit_code(judged))
+            sink.write(as_junit(verdicts))
+    ctx.exit(output.exit_code(verdicts))

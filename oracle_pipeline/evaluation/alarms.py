@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.datasets import DistinctRuns
-from oracle_pipeline.evaluation.campaign import Campaign
+from oracle_pipeline.evaluation.comparisons import RATES, ComparedRuns
 from oracle_pipeline.evaluation.conformal import p_values
+from oracle_pipeline.evaluation.held_out import common_length
+from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import auc, events_per_hour, quantile, share
-from oracle_pipeline.evaluation.protocol import RATES, Scope
-from oracle_pipeline.evaluation.scoring import common_length
 from oracle_pipeline.evaluation.splits import Fold
 
 
 def window_p(
-    scores: NDArray[np.float64], campaign: Campaign, folds: Sequence[Fold]
+    scores: NDArray[np.float64], campaign: JudgedRuns, folds: Sequence[Fold]
 ) -> NDArray[np.float64]:
     """Return the p-value of each window of tested runs, shape (n_windows,).
 
@@ -43,7 +43,7 @@ def window_p(
     return p
 
 
-def times_to_detect(alarm: NDArray[np.bool_], campaign: Campaign) -> NDArray[np.float64]:
+def times_to_detect(alarm: NDArray[np.bool_], campaign: JudgedRuns) -> NDArray[np.float64]:
     """Return seconds from the onset to the end of the first window with an alarm, (n_runs,).
 
     Windows that ended before the onset do not count. Infinite for an attack that is missed; NaN for
@@ -57,7 +57,7 @@ def times_to_detect(alarm: NDArray[np.bool_], campaign: Campaign) -> NDArray[np.
     return first
 
 
-def alarms_raised(alarm: NDArray[np.bool_], campaign: Campaign) -> NDArray[np.int64]:
+def alarms_raised(alarm: NDArray[np.bool_], campaign: JudgedRuns) -> NDArray[np.int64]:
     """Return how often an alarm begins in each run, shape (n_runs,); neighbours are one alarm."""
     goes_on = np.append(False, alarm[:-1] & (campaign.run[1:] == campaign.run[:-1]))
     begun = campaign.run[alarm & ~goes_on]
@@ -67,8 +67,8 @@ def alarms_raised(alarm: NDArray[np.bool_], campaign: Campaign) -> NDArray[np.in
 def judge_alarms(
     score: NDArray[np.float64],
     p: NDArray[np.float64],
-    campaign: Campaign,
-    scope: Scope,
+    campaign: JudgedRuns,
+    scope: ComparedRuns,
     rng: np.random.Generator,
 ) -> dict[str, float | int | str]:
     """Return the figures of windows and alarms in one scope as table columns, an estimate as three.

@@ -97,7 +97,7 @@ def small_clusters_table(
     """
     X, runs = scale_rows(df, columns), distinct_runs(df)
     malicious, block = is_malicious(df), df["block"].to_numpy(dtype=np.int64)
-    kinds = np.where(malicious, df["mode"], "right")
+    kinds = np.where(malicious, df["mode"], "normal")
     table = []
     for method in METHODS:
         tree = grow_tree(X, method)

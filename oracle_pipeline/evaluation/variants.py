@@ -2,7 +2,7 @@
 
 In either, runs are drawn with replacement and their rows clustered; the variants differ in which
 numbers of a run are taken, how rows are drawn, and what is done to them. docs/thesis.md lists the
-differences. What a clustering is worth is in ``oracle_pipeline.evaluation.clustering``.
+differences. What a clustering is worth is in ``oracle_pipeline.evaluation.clustering_result``.
 """
 
 from collections.abc import Callable, Sequence

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.features.geodesy import Site, cartesian
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -27,6 +26,7 @@ from oracle_pipeline.features.plugin import (
 )
 from oracle_pipeline.features.reduction import largest, mean, quantile, within
 from oracle_pipeline.features.scan_geometry import Floats, Points, stamp_s
+from oracle_pipeline.features.wgs84 import Site, cartesian
 
 RADAR_FEATURES = (
     Feature(
@@ -71,7 +71,7 @@ _ALOFT_M = 600.0
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class ReportedFlight:
     """The reports of one address on one topic, in the order of their stamps."""
 
     times_s: Floats  # recorded at
@@ -216,7 +216,7 @@ def compute_reports(window: Window) -> Values:
     }
 
 
-def velocity_residual(flight: Flight) -> Series:
+def velocity_residual(flight: ReportedFlight) -> Series:
     """Return how far the reported velocity is from that of the reported positions [m/s]."""
     earlier_s = flight.stamps_s - _LAG_S
     before, _ = flight.at(earlier_s)
@@ -225,7 +225,7 @@ def velocity_residual(flight: Flight) -> Series:
     return Series(flight.times_s, np.abs(-place / _LAG_S - reported / 2.0))
 
 
-def sudden(aircraft: Sequence[Flight], times_s: Floats) -> tuple[Floats, Floats]:
+def sudden(aircraft: Sequence[ReportedFlight], times_s: Floats) -> tuple[Floats, Floats]:
     """Return when aircraft came into the middle of the air space, and went, out of nowhere [s].
 
     Parameters
@@ -243,7 +243,7 @@ def sudden(aircraft: Sequence[Flight], times_s: Floats) -> tuple[Floats, Floats]
     radius_m = np.quantile(np.abs(centre.seen(cartesian(latitude, longitude, 0.0))[0]), 0.99)
     lowest_m = np.quantile(altitude_m, 0.01)
 
-    def in_the_middle(flight: Flight, end: int) -> bool:
+    def in_the_middle(flight: ReportedFlight, end: int) -> bool:
         position = cartesian(flight.latitude[[end]], flight.longitude[[end]], 0.0)
         away_m = abs(centre.seen(position)[0][0])
         return bool(away_m < _MIDDLE * radius_m and flight.altitude_m[end] > lowest_m + _ALOFT_M)
@@ -254,7 +254,7 @@ def sudden(aircraft: Sequence[Flight], times_s: Floats) -> tuple[Floats, Floats]
     return np.sort(np.array(begun, dtype=float)), np.sort(np.array(ended, dtype=float))
 
 
-def flights(series: Series) -> dict[str, Flight]:
+def flights(series: Series) -> dict[str, ReportedFlight]:
     """Sort the reports of a topic by address; what no aircraft can be is left out."""
     addresses, *columns = zip(*series.values, strict=True)
     table = np.array([series.times_s, *columns])
@@ -263,7 +263,9 @@ def flights(series: Series) -> dict[str, Flight]:
     for address, rows in _by_address(addresses, table[1], of_aircraft):
         times_s, stamps_s, latitude, longitude, altitude_m, speed, course_deg = table[:, rows]
         velocity = speed * np.exp(1j * np.radians(course_deg))
-        found[address] = Flight(times_s, stamps_s, latitude, longitude, altitude_m, velocity)
+        found[address] = ReportedFlight(
+            times_s, stamps_s, latitude, longitude, altitude_m, velocity
+        )
     return found
 
 

@@ -27,16 +27,16 @@ from oracle_pipeline.features.reduction import largest, mean, quantile, row_medi
 from oracle_pipeline.features.scan_geometry import (
     CELL_M,
     CLOSER_M,
-    SCENE_TOPICS,
+    SETUP_TOPICS,
     Floats,
     Hits,
     Ints,
-    Mount,
-    Scene,
+    ScannerSetup,
+    SensorMount,
     agreement,
     frame,
     nearest,
-    scene,
+    scanner_setup,
     stamp_s,
 )
 
@@ -84,7 +84,7 @@ class _Comparison:
 
 def prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
     """Hold every scanner against every other one, over the whole recording."""
-    told = scene(window.topics)
+    told = scanner_setup(window.topics)
     if len(told.scanners) < 2:
         return Missing("fewer than two laser scanners are recorded")
     return {
@@ -114,7 +114,7 @@ def compute_scanners(window: Window) -> Values:
 
 def prepare_ranges(window: Window) -> dict[str, Series] | Missing:
     """Return how far each range is beyond the nearest return in its cone [m], by pair of topics."""
-    told = scene(window.topics)
+    told = scanner_setup(window.topics)
     ranges = window.topics["ranges"]
     mounts = {topic: told.frames.mount(series.values[0][1]) for topic, series in ranges.items()}
     return {
@@ -154,17 +154,17 @@ def register_features() -> list[FeaturePlugin]:
     ranges = {"ranges": Request(keep_range, msgtype="sensor_msgs/msg/Range", dtype=object)}
     return [
         FeaturePlugin(
-            "redundant_scanners", "redundancy", SCANNER_FEATURES, compute_scanners, SCENE_TOPICS,
+            "redundant_scanners", "redundancy", SCANNER_FEATURES, compute_scanners, SETUP_TOPICS,
             prepare=prepare_scanners,
         ),
         FeaturePlugin(
             "redundant_ranges", "redundancy", RANGE_FEATURES, compute_ranges,
-            SCENE_TOPICS | ranges, prepare=prepare_ranges,
+            SETUP_TOPICS | ranges, prepare=prepare_ranges,
         ),
     ]  # fmt: skip
 
 
-def _held_against(told: Scene, suspect: str, other: str) -> _Comparison:
+def _held_against(told: ScannerSetup, suspect: str, other: str) -> _Comparison:
     scans, reference = told.scanners[suspect], told.scanners[other]
     here, there = _simultaneous(scans.stamps_s, reference.stamps_s)
     scans, reference = scans.rows(here), reference.rows(there)
@@ -183,7 +183,7 @@ def _held_against(told: Scene, suspect: str, other: str) -> _Comparison:
     )
 
 
-def _beyond(told: Scene, ranges: Series, mount: Mount, scanner: str) -> Series:
+def _beyond(told: ScannerSetup, ranges: Series, mount: SensorMount, scanner: str) -> Series:
     stamps_s, _, *columns = (np.array(column) for column in zip(*ranges.values, strict=True))
     scans = told.scanners[scanner]
     here, there = _simultaneous(stamps_s, scans.stamps_s)

@@ -20,12 +20,12 @@ from oracle_pipeline.features.plugin import (
 from oracle_pipeline.features.reduction import largest, quantile, row_medians
 from oracle_pipeline.features.scan_geometry import (
     CLOSER_M,
-    SCENE_TOPICS,
+    SETUP_TOPICS,
     Floats,
+    ScannerSetup,
     Scans,
-    Scene,
     agreement,
-    scene,
+    scanner_setup,
 )
 
 FEATURES = (
@@ -60,7 +60,7 @@ class _Scanner:
 
 def prepare(window: Window) -> dict[str, _Scanner]:
     """Compute what each scan of the recording says."""
-    told = scene(window.topics)
+    told = scanner_setup(window.topics)
     return {topic: _scanner(told, topic, scans) for topic, scans in told.scanners.items()}
 
 
@@ -99,10 +99,10 @@ def whiteness(signed: Floats) -> Floats:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of single laser scanners."""
-    return [FeaturePlugin("scan", "scan", FEATURES, compute, SCENE_TOPICS, prepare=prepare)]
+    return [FeaturePlugin("scan", "scan", FEATURES, compute, SETUP_TOPICS, prepare=prepare)]
 
 
-def _scanner(told: Scene, topic: str, scans: Scans) -> _Scanner:
+def _scanner(told: ScannerSetup, topic: str, scans: Scans) -> _Scanner:
     rough = Series(scans.times_s, roughness(scans.ranges))
     mount = told.mounts.get(topic)
     if told.motion is None or mount is None:

@@ -19,19 +19,19 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from oracle_pipeline.features.atc_reports import (
-    Flight,
     Replies,
+    ReportedFlight,
     find_antenna,
     flights,
     keep_reply,
     keep_report,
 )
-from oracle_pipeline.features.geodesy import Site, cartesian
 from oracle_pipeline.features.plugin import Series
+from oracle_pipeline.features.wgs84 import Site, cartesian
+from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.replay.scene import compact
 from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, drawing
-from oracle_pipeline.reporting.result import ReportError
-from oracle_pipeline.runs import Run
+from oracle_pipeline.reporting.report import ReportError
 
 TRACKS, REPORT = "atc_msgs/msg/TrackArray", "atc_msgs/msg/AdsbReport"
 ECHO, REPLY = "atc_msgs/msg/RadarPlot", "atc_msgs/msg/SecondaryReply"
@@ -71,12 +71,12 @@ class Display:
     plots: NDArray[np.complex128]  # (m,), the same of both radars
 
 
-def has_tracks(run: Run) -> bool:
+def has_tracks(run: OpenedRun) -> bool:
     """Tell whether a recording is of air traffic."""
     return TRACKS in {topic.msgtype for topic in run.bag.topics.values()}
 
 
-def radar_display(run: Run) -> Display:
+def radar_display(run: OpenedRun) -> Display:
     """Read what the screen shows when a quarter of a recording is over.
 
     Raises
@@ -133,7 +133,7 @@ def plan_view(display: Display) -> bytes:
     return compact(png)
 
 
-def _heard(run: Run, instant_s: float) -> Mapping[str, list[Any]]:
+def _heard(run: OpenedRun, instant_s: float) -> Mapping[str, list[Any]]:
     """Return the messages of the history, by type."""
     types = {name: topic.msgtype for name, topic in run.bag.topics.items()}
     wanted = {name for name, of in types.items() if of in (TRACKS, REPORT, ECHO, REPLY)}
@@ -164,7 +164,7 @@ def _antenna(heard: Mapping[str, Sequence[Any]]) -> Site:
     return Site(*middle.tolist())
 
 
-def _flights(reports: Sequence[Any]) -> dict[str, Flight]:
+def _flights(reports: Sequence[Any]) -> dict[str, ReportedFlight]:
     if not reports:
         return {}
     rows = np.array([keep_report(report) for report in reports], dtype=object)

@@ -1,7 +1,7 @@
 """One run of each attack explained: what was said of it, what gave it away, and how it looks.
 
 Beside its picture stands that of the run that differs from it by the attack alone. How far a
-feature is out is found in ``oracle_pipeline.scoring``; how a run is drawn, in
+feature is out is found in ``oracle_pipeline.scoring.evidence``; how a run is drawn, in
 ``oracle_pipeline.replay.picture``.
 """
 
@@ -14,9 +14,10 @@ import pandas as pd
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.datasets import is_malicious
-from oracle_pipeline.evaluation.protocol import RATES, SHADOW
+from oracle_pipeline.evaluation.comparisons import RATES, SHADOW
 from oracle_pipeline.features import FeatureTables
-from oracle_pipeline.scoring import Evidence, evidence
+from oracle_pipeline.scoring.evidence import evidence
+from oracle_pipeline.scoring.verdict import Evidence
 
 SHOWN = 3  # attacks
 CONTROLS = {attacked: control for control, attacked in PAIRS}

@@ -14,9 +14,9 @@ from statistics import fmean
 from pydantic import ByteSize, TypeAdapter, ValidationError
 
 from oracle_pipeline.bags.errors import ManifestError
-from oracle_pipeline.bags.layout import BAG_FOLDER, owner
+from oracle_pipeline.bags.layout import owner
 from oracle_pipeline.bags.manifest import KEPT, Kept, Manifest
-from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
+from oracle_pipeline.bags.run_directory import BAG_FOLDER, RunDirectory, find_runs
 from resources.storage.plan import Sizes, StorageError, megabytes, plan
 
 BUDGET_VARIABLE = "ORACLE_STORAGE_BUDGET"
@@ -114,7 +114,7 @@ def take_stock(root: Path) -> Stock:
             size = _bytes_on_disk(os.path.join(folder, name))  # noqa: PTH118 -- a million of them
             total += size
             if (run := owner((*place, name))) is not None:
-                (bags if run.in_bag else rest)[run.mode, run.run_id] += size
+                (bags if run.part == BAG_FOLDER else rest)[run.mode, run.run_id] += size
     runs = {
         run: RunBytes(bags[run.mode, run.run_id], rest[run.mode, run.run_id])
         for run in find_runs(root)

@@ -15,7 +15,7 @@ from assets.runs import REPRODUCIBLE
 from assets.worker.reproduction import place_aside
 from oracle_pipeline.bags.run_directory import bytes_on_disk
 from oracle_pipeline.datasets import content_hash, feature_dataset, read_table
-from oracle_pipeline.reporting.result import Report
+from oracle_pipeline.reporting.report import Report
 from resources.fleet import Fleet
 from resources.store import RunStore
 from tests.assets.laboratory import KEY, PARTNER, PER_RUN, Laboratory

@@ -18,7 +18,7 @@ from oracle_pipeline.graphs.intervals import Interval, read_intervals
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class OpenedRun:
     """One recording; a context manager that closes its bag."""
 
     path: Path
@@ -43,7 +43,7 @@ class Run:
         self.bag.close()
 
 
-def open_run(path: Path) -> Run:
+def open_run(path: Path) -> OpenedRun:
     """Open a run directory, or a bag that somebody else recorded.
 
     Parameters
@@ -64,10 +64,10 @@ def open_run(path: Path) -> Run:
             f"{path} looks like a run directory but has no {MANIFEST_FILE}, so the run is not "
             f"complete; record it again, or name {path / BAG_FOLDER} to read its bag alone."
         )
-    return Run(path, BagReader(path), None, ())
+    return OpenedRun(path, BagReader(path), None, ())
 
 
-def _open_run_directory(path: Path) -> Run:
+def _open_run_directory(path: Path) -> OpenedRun:
     manifest = Manifest.load(path / MANIFEST_FILE)
     if not (path / BAG_FOLDER).exists():
         raise BagError(
@@ -86,4 +86,4 @@ def _open_run_directory(path: Path) -> Run:
             f"messages on {', '.join(differing)} differ. If it was trimmed to save space, "
             f"`oracle-sim remake {path}` makes it whole."
         )
-    return Run(path, bag, manifest, intervals)
+    return OpenedRun(path, bag, manifest, intervals)
