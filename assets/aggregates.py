@@ -7,7 +7,7 @@ import dagster as dg
 from pydantic import Field
 
 from assets import presentation
-from assets.common import OWNERS, SINGLE_RUN
+from assets.asset_defaults import OWNERS, SINGLE_RUN
 from assets.worker.versions import analysis_code
 from oracle_pipeline.bags.remote import published
 from resources.store import RunStore

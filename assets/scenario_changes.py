@@ -11,9 +11,9 @@ from pathlib import Path
 
 import dagster as dg
 
-from assets.automation import everything, made_again
+from assets.automation import everything, refreshed_runs
+from assets.experiment_runs import EXPERIMENT_RUNS
 from assets.partitions import RUNS
-from assets.runs import EXPERIMENT_RUNS
 from sim.fuzzing.program import compile_scenario
 from sim.fuzzing.scenario import Scenario, ScenarioError, load_scenarios
 from sim.modes import broken_scenarios, modes
@@ -82,7 +82,7 @@ def _requests(instance: dg.DagsterInstance, changed: Mapping[str, str]) -> Itera
     after = latest.timestamp if latest else 0.0  # a change back and forth is asked for each time
     for mode, digest in changed.items():
         for first, last in _ranges(mode, there):
-            yield made_again(first, last, run_key=f"{first}...{last} {digest} {after}")
+            yield refreshed_runs(first, last, run_key=f"{first}...{last} {digest} {after}")
 
 
 def _ranges(mode: str, keys: Collection[str]) -> Iterator[tuple[str, str]]:

@@ -1,6 +1,6 @@
 """What the asset checks look at: functions of run directories, and what they found.
 
-No Dagster here, workers import this; ``assets.checks`` makes checks of them.
+No Dagster here, workers import this; ``assets.run_checks`` makes checks of them.
 """
 
 import json

@@ -58,7 +58,7 @@ class RunJob:
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class AssetOfRun:
     """One asset of one run, as it is now."""
 
     path: str  # below the root
@@ -72,7 +72,7 @@ class RunReport:
     """What became of one run."""
 
     simulated_s: float  # of simulated time; 0 if the run was there already
-    assets: dict[str, Made]  # those that were wanted
+    assets: dict[str, AssetOfRun]  # those that were wanted
     kept: Kept
     freed_bytes: int
     reproduction: Reproduction | None = None  # if it was there and was made again
@@ -171,7 +171,7 @@ def _put_in_place(here: RunDirectory, run: RunDirectory) -> None:
 
 def _finish(job: RunJob, status: Status) -> RunReport:
     """Extract the features of a run that is there, give up what is not kept, describe the rest."""
-    made: dict[str, Made] = {}
+    made: dict[str, AssetOfRun] = {}
     manifest = job.directory.manifest()
     picture = _picture(job.directory) if "experiment_runs" in job.wanted else ""
     if not job.wanted.isdisjoint(TABLES):
@@ -201,7 +201,9 @@ def _retain(job: RunJob, manifest: Manifest) -> Manifest:
     return run.manifest()
 
 
-def _recording(directory: RunDirectory, manifest: Manifest, status: Status) -> dict[str, Made]:
+def _recording(
+    directory: RunDirectory, manifest: Manifest, status: Status
+) -> dict[str, AssetOfRun]:
     measured = manifest.measured
     run: Figures = {
         "status": status,
@@ -241,7 +243,7 @@ def _recording(directory: RunDirectory, manifest: Manifest, status: Status) -> d
     }
     described = ((directory.path, run), (directory.bag, bag), (directory.graphs, graphs))
     return {
-        asset: Made(
+        asset: AssetOfRun(
             path.relative_to(directory.root).as_posix(),
             manifest.software.code,
             str(figures["content_hash"]),
@@ -261,7 +263,7 @@ def _picture(directory: RunDirectory) -> bytes | str:
         return f"not drawn: {error}"
 
 
-def _features(job: RunJob, manifest: Manifest) -> dict[str, Made]:
+def _features(job: RunJob, manifest: Manifest) -> dict[str, AssetOfRun]:
     started = time.perf_counter()
     extracted = ensure_tables(job.directory, manifest, refresh=job.refresh)
     wall_s = time.perf_counter() - started
@@ -283,5 +285,5 @@ def _features(job: RunJob, manifest: Manifest) -> dict[str, Made]:
             "content_hash": version,
         }
         path = place.relative_to(job.directory.root).as_posix()
-        made[asset] = Made(path, feature_code(), version, figures)
+        made[asset] = AssetOfRun(path, feature_code(), version, figures)
     return made

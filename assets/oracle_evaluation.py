@@ -13,8 +13,8 @@ from assets.aggregates import (
     run_table,
     windows_of,
 )
-from assets.checks import PAIR_CHECK, pairs_there
-from assets.datasets import feature_dataset
+from assets.feature_dataset import feature_dataset
+from assets.run_checks import PAIR_CHECK, pairs_there
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.failures import clear_failures
 from resources.fleet import Fleet

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import dagster as dg
 from pydantic import Field
 
-from assets import presentation, terminal
-from assets.common import OWNERS, SINGLE_RUN
+from assets import presentation
+from assets.asset_defaults import OWNERS, SINGLE_RUN
 from assets.dagster_internals import output_without_event
 from assets.events import (
     Materialized,
@@ -24,6 +24,7 @@ from assets.events import (
 )
 from assets.partitions import RUNS
 from assets.worker.versions import feature_code
+from resources import terminal
 from resources.budget import StorageBudget
 from resources.campaign import CampaignSettings
 from resources.fleet import Fleet
