@@ -36,11 +36,12 @@ def oracle_evaluation(
     makes, give the kill matrix.
     """
     from oracle_pipeline.datasets import read_table
-    from oracle_pipeline.reporting import evaluation_report
+    from oracle_pipeline.evaluation.oracle_evaluation import evaluate
+    from oracle_pipeline.reporting.evaluation_report import evaluation_report
 
     with clear_failures():
         df = run_table(store, config.testbed)
-        result = evaluation_report.oracle_evaluation(
+        evaluation = evaluate(
             df,
             windows_of(store, df),
             read_table(store.dataset(TRUTH)),
@@ -48,7 +49,7 @@ def oracle_evaluation(
             grid=_mutants(store, fleet),
             progress=context.log.info,
         )
-        return keep(result, store, "oracle_evaluation")
+        return keep(evaluation_report(evaluation), store, "oracle_evaluation")
 
 
 def _graph_differences(store: RunStore, fleet: Fleet, runs: set[str]) -> list[str] | None:

@@ -6,7 +6,6 @@ graphs, and everything that needs them says so.
 
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from oracle_pipeline.bags.errors import BagError, RunDirectoryError
@@ -34,12 +33,7 @@ class OpenedRun:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc_value: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_exception: object) -> None:
         self.bag.close()
 
 

@@ -67,6 +67,8 @@ class Evaluation:
     """What was measured of one campaign."""
 
     campaign: JudgedRuns
+    left_out: int  # attacked runs that ended before their attack
+    seed: int  # of splits, detectors and resamples
     headline: HeldOutScores  # of the headline's scorer
     table: pd.DataFrame  # a row for each scorer, split and comparison, the headline first
     checks: list[integrity.IntegrityCheck]
@@ -122,7 +124,16 @@ def evaluate(
         progress("kill matrix")
         kills = kill_matrix(steps.campaign, grid, seed)
     return Evaluation(
-        steps.campaign, headline, table, checks, alarms, small_clusters, curves, kills
+        campaign=steps.campaign,
+        left_out=len(features) - len(steps.campaign.features),
+        seed=seed,
+        headline=headline,
+        table=table,
+        checks=checks,
+        alarms=alarms,
+        small_clusters=small_clusters,
+        curves=curves,
+        kills=kills,
     )
 
 

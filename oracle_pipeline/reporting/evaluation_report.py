@@ -3,8 +3,6 @@
 Everything shown is measured in ``oracle_pipeline.evaluation.oracle_evaluation``.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 import pandas as pd
 
@@ -13,48 +11,22 @@ from oracle_pipeline.evaluation import integrity
 from oracle_pipeline.evaluation.comparisons import HEADLINE
 from oracle_pipeline.evaluation.curves import Curve, HeadlineCurves
 from oracle_pipeline.evaluation.estimate import Estimate
-from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
 from oracle_pipeline.evaluation.kill_matrix import minimum_detectable, mutation_scores
-from oracle_pipeline.evaluation.oracle_evaluation import SEED, Evaluation, Progress, evaluate
+from oracle_pipeline.evaluation.oracle_evaluation import Evaluation
 from oracle_pipeline.reporting import figures
 from oracle_pipeline.reporting.report import Report, facts
 
 
-def oracle_evaluation(
-    features: pd.DataFrame,
-    windows: pd.DataFrame,
-    truth: pd.DataFrame,
-    *,
-    graph_differences: Sequence[str] | None = None,
-    grid: MeasuredRuns | None = None,
-    seed: int = SEED,
-    progress: Progress = lambda _: None,
-) -> Report:
-    """Evaluate the oracle and report on it; parameters and errors are those of `evaluate`.
+def evaluation_report(evaluation: Evaluation) -> Report:
+    """Return the report on an evaluation.
 
-    Returns
-    -------
-    Report
-        The table has a row for each scorer, split and comparison, the headline first; the tables
-        ``alarms``, ``small_clusters``, ``checks``, ``runs`` and, with a grid, ``kills``,
-        ``mutation_scores`` and ``minimum_detectable`` the rest.
+    The table has a row for each scorer, split and comparison, the headline first; the tables
+    ``alarms``, ``small_clusters``, ``checks``, ``runs`` and, with a grid, ``kills``,
+    ``mutation_scores`` and ``minimum_detectable`` the rest.
     """
-    evaluation = evaluate(
-        features,
-        windows,
-        truth,
-        graph_differences=graph_differences,
-        grid=grid,
-        seed=seed,
-        progress=progress,
-    )
     return Report(
-        evaluation.table,
-        _pictures(evaluation),
-        {**_summary(evaluation), "left_out": len(features) - len(evaluation.campaign.features),
-         "seed": seed},
-        _tables(evaluation),
-    )  # fmt: skip
+        evaluation.table, _pictures(evaluation), _summary(evaluation), _tables(evaluation)
+    )
 
 
 def _tables(evaluation: Evaluation) -> dict[str, pd.DataFrame]:
@@ -86,6 +58,8 @@ def _summary(evaluation: Evaluation) -> dict[str, float | int | str]:
         "malicious_runs": int(campaign.malicious.sum()),
         "normal_runs": int((~campaign.malicious).sum()),
         "blocks": len(np.unique(campaign.block)),
+        "left_out": evaluation.left_out,
+        "seed": evaluation.seed,
         "content_hash": content_hash(campaign.features),
         **facts("auc", area),
         **facts("detection_rate_5", Estimate.of_row(first_row, "detection_rate_5")),

@@ -131,7 +131,7 @@ def render(
     df : DataFrame
         The distinct runs, a row each.
     evaluation : Report
-        Of `oracle_pipeline.reporting.evaluation_report.oracle_evaluation`.
+        Of `oracle_pipeline.reporting.evaluation_report`.
     explained : sequence of Explanation
         Attacked runs with what gave them away.
     grid, rates, pairs, side_by_side, null_model : Report

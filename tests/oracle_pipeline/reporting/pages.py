@@ -10,7 +10,8 @@ from PIL import Image
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.evaluation import integrity, kill_matrix, metrics, oracle_evaluation
-from oracle_pipeline.reporting import evaluation_report, html, thesis_reports
+from oracle_pipeline.reporting import html, thesis_reports
+from oracle_pipeline.reporting.evaluation_report import evaluation_report
 from oracle_pipeline.reporting.explanation import explanations
 from tests.oracle_pipeline.datasets.synthetic import campaign
 from tests.oracle_pipeline.evaluation.test_kill_matrix import grid_of
@@ -53,15 +54,16 @@ def page_of(df, windows, truth, *, mutants=None, differences=None, **more):
     """Return the page of a campaign; `more` is said in its provenance or passed on."""
     passed_on = {name: more.pop(name) for name in ("radar", "storage") if name in more}
     with quickly():
-        judged = evaluation_report.oracle_evaluation(
+        evaluation = oracle_evaluation.evaluate(
             df, windows, truth, graph_differences=differences, grid=mutants
         )
+        judged = evaluation_report(evaluation)
         drawn = thesis_reports.bootstrapped_dataset(df, ROWS)
         return html.render(
             df,
             evaluation=judged,
             explained=explanations(df, windows, judged.tables["runs"], draw),
-            kill_matrix=thesis_reports.clustering_grid_search(drawn.table),
+            grid=thesis_reports.clustering_grid_search(drawn.table),
             rates=thesis_reports.malicious_rate_report(df, ROWS),
             pairs=thesis_reports.pairwise_report(df, ROWS),
             side_by_side=thesis_reports.side_by_side(df, ROWS),
