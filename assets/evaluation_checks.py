@@ -35,10 +35,10 @@ def checks_of_evaluation(
 
     with clear_failures():
         table = Report.load(store.results(EVALUATION)).tables[TABLE]
-    found = {str(row["name"]): row for row in table.to_dict("records")}
+    row_of_check = {str(row["name"]): row for row in table.to_dict("records")}
     for spec in CHECKS:
         if spec.key in context.selected_asset_check_keys:
-            row = found[spec.name]
+            row = row_of_check[spec.name]
             figures = {name: float(row[name]) for name in ("figure", "figure_low", "figure_high")}
             yield dg.AssetCheckResult(
                 check_name=spec.name,

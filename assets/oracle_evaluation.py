@@ -56,12 +56,12 @@ def _graph_differences(store: RunStore, fleet: Fleet, runs: set[str]) -> list[st
     """Compare the graphs of all pairs that are there; None if there is no pair."""
     from assets.worker.inspections import Inspection, inspect
 
-    there = [Inspection(PAIR_CHECK, pair) for pair in pairs_there(map(store.run, runs))]
-    if not there:
+    inspections = [Inspection(PAIR_CHECK, pair) for pair in pairs_there(map(store.run, runs))]
+    if not inspections:
         return None
     return [
         f"{outcome.job.runs[1].key}: {wrong}"
-        for outcome in fleet.outcomes(inspect, there)
+        for outcome in fleet.outcomes(inspect, inspections)
         for wrong in (outcome.result.wrong if outcome.result else [str(outcome.error)])
     ]
 
@@ -81,8 +81,8 @@ def _mutants(store: RunStore, fleet: Fleet) -> "MeasuredRuns | None":
         runs = [RunDirectory.of_key(index.parent, key) for key in mutants["run_id"]]
         _require_features(runs, fleet)
         df = joined(read_table(run.feature_table("run")) for run in runs)
-        told = mutants[["run_id", "scenario", "parameter", "value", "changed_messages"]]
-        df = df.merge(told, on="run_id", validate="one_to_one")
+        changes = mutants[["run_id", "scenario", "parameter", "value", "changed_messages"]]
+        df = df.merge(changes, on="run_id", validate="one_to_one")
         windows = window_dataset(read_table(run.feature_table("window")) for run in runs)
         grid = f"{index.parent.name}/"  # two grids may have runs of one name
         runs_of_grids.append(df.assign(run_id=grid + df["run_id"]))

@@ -76,8 +76,8 @@ def clustering_grid_search(store: RunStore) -> dg.MaterializeResult[None]:
     from oracle_pipeline.reporting.report import Report
 
     with clear_failures():
-        drawn = Report.load(store.results(ROWS))
-        result = thesis_reports.clustering_grid_search(drawn.table, variant=_variant(drawn))
+        dataset = Report.load(store.results(ROWS))
+        result = thesis_reports.clustering_grid_search(dataset.table, variant=_variant(dataset))
         return keep(result, store, "clustering_grid_search")
 
 
@@ -114,8 +114,8 @@ def runs_drawn_from(store: RunStore) -> "pd.DataFrame":
     """Return the runs that the rows of `bootstrapped_dataset` were drawn from."""
     from oracle_pipeline.reporting.report import Report
 
-    drawn = Report.load(store.results(ROWS)).table
-    return _experiments(run_table(store, modes()[drawn["mode"].iloc[0]].testbed))
+    rows = Report.load(store.results(ROWS)).table
+    return _experiments(run_table(store, modes()[rows["mode"].iloc[0]].testbed))
 
 
 def _experiments(df: "pd.DataFrame") -> "pd.DataFrame":
@@ -129,10 +129,10 @@ def how_rows_were_drawn(store: RunStore) -> "tuple[int, float, int, VariantName]
     """Return rows, malicious rate, seed and variant of `bootstrapped_dataset`."""
     from oracle_pipeline.reporting.report import Report
 
-    drawn = Report.load(store.results(ROWS))
-    rows, rate, seed = (drawn.summary[name] for name in ("rows", "malicious_rate", "seed"))
-    return int(rows), float(rate), int(seed), _variant(drawn)
+    dataset = Report.load(store.results(ROWS))
+    rows, rate, seed = (dataset.summary[name] for name in ("rows", "malicious_rate", "seed"))
+    return int(rows), float(rate), int(seed), _variant(dataset)
 
 
-def _variant(drawn: "Report") -> "VariantName":
-    return "thesis" if drawn.summary["variant"] == "thesis" else "corrected"
+def _variant(dataset: "Report") -> "VariantName":
+    return "thesis" if dataset.summary["variant"] == "thesis" else "corrected"

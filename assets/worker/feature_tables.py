@@ -83,8 +83,8 @@ def _record(run: RunDirectory) -> Path:
 
 def _inputs(manifest: Manifest) -> str:
     """Hash what features are a function of: our code, and the run, but for what was found of it."""
-    found = {"measured": None, "task_effect": None}
-    sources = {**asdict(manifest), **found, "code": feature_code()}
+    not_inputs = {"measured": None, "task_effect": None}
+    sources = {**asdict(manifest), **not_inputs, "code": feature_code()}
     return hashlib.sha256(json.dumps(sources, sort_keys=True).encode()).hexdigest()
 
 

@@ -38,8 +38,8 @@ def window_p(
         oddest = np.full(len(counts), -np.inf)
         np.maximum.at(oddest, campaign.run[common], scores[number, common])
         tested = fold.test[campaign.run] & np.isfinite(scores[number])
-        known = oddest[fold.calibrate]
-        p[tested] = p_values(known[np.isfinite(known)], scores[number, tested])
+        calibration = oddest[fold.calibrate]
+        p[tested] = p_values(calibration[np.isfinite(calibration)], scores[number, tested])
     return p
 
 
@@ -85,10 +85,10 @@ def judge_alarms(
     rng : Generator
         Draws the resamples behind the intervals.
     """
-    known, ranked = np.isfinite(score), np.isfinite(p)
+    scored, ranked = np.isfinite(score), np.isfinite(p)
     tested = np.isin(np.arange(len(campaign.features)), campaign.run[ranked])
     attacked, malicious = campaign.attacked_windows(), campaign.malicious
-    compared = scope.runs[campaign.run] & known & (attacked | ~malicious[campaign.run])
+    compared = scope.runs[campaign.run] & scored & (attacked | ~malicious[campaign.run])
     first = np.flatnonzero(compared)
     windows = DistinctRuns(
         first,
@@ -97,16 +97,18 @@ def judge_alarms(
         campaign.block[campaign.run[first]],
     )
     alarm = ranked & (p <= RATES[0])
-    hit, right = scope.runs & malicious & tested, scope.runs & ~malicious & tested
-    late, raised = times_to_detect(alarm, campaign)[hit], alarms_raised(alarm, campaign)[right]
+    hit, normal = scope.runs & malicious & tested, scope.runs & ~malicious & tested
+    late, raised = times_to_detect(alarm, campaign)[hit], alarms_raised(alarm, campaign)[normal]
     lengths, block = campaign.truth["recording_s"].to_numpy(dtype=np.float64), campaign.block
     return {
         "attacked_windows": int(windows.malicious.sum()),
-        "right_windows": int((~windows.malicious).sum()),
+        "normal_windows": int((~windows.malicious).sum()),
         **auc(score[first], windows, rng).columns("auc"),
         "attacked_runs": int(hit.sum()),
         **share(np.isinf(late), block[hit], rng).columns("missed"),
         **quantile(late, block[hit], 0.5, rng).columns("time_to_detect_median_s"),
         **quantile(late, block[hit], 0.9, rng).columns("time_to_detect_90_s"),
-        **events_per_hour(raised, lengths[right], block[right], rng).columns("false_alarms_per_h"),
+        **events_per_hour(raised, lengths[normal], block[normal], rng).columns(
+            "false_alarms_per_h"
+        ),
     }

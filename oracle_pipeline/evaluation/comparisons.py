@@ -124,17 +124,17 @@ def _at_rate(
     p: NDArray[np.float64], runs: DistinctRuns, rate: float, rng: np.random.Generator
 ) -> dict[str, float | int | str]:
     """Return the figures of the verdict ``p <= rate``; nothing where `p` is NaN."""
-    known = np.isfinite(p)
-    judged, flagged = only(runs, known), p[known] <= rate
-    right, hit = ~judged.malicious, flagged.astype(np.float64)
+    with_p = np.isfinite(p)
+    judged, flagged = only(runs, with_p), p[with_p] <= rate
+    normal, flag = ~judged.malicious, flagged.astype(np.float64)
     block = judged.block
     name = f"{100 * rate:g}"
     return {
-        **share(flagged[~right], block[~right], rng).columns(f"detection_rate_{name}"),
-        **share(flagged[right], block[right], rng).columns(f"false_alarm_rate_{name}"),
-        f"false_alarm_rate_{name}_bound": share(flagged[right], block[right], rng, ONE_SIDED).low,
+        **share(flagged[~normal], block[~normal], rng).columns(f"detection_rate_{name}"),
+        **share(flagged[normal], block[normal], rng).columns(f"false_alarm_rate_{name}"),
+        f"false_alarm_rate_{name}_bound": share(flagged[normal], block[normal], rng, ONE_SIDED).low,
         **matthews(flagged, judged, rng).columns(f"mcc_{name}"),
-        **auc(hit, judged, rng).columns(f"balanced_accuracy_{name}"),
+        **auc(flag, judged, rng).columns(f"balanced_accuracy_{name}"),
     }
 
 
@@ -144,15 +144,15 @@ def _note(scored: NDArray[np.bool_], calibration: int, runs: DistinctRuns) -> st
         return (
             "no run could be scored: it takes features with values and three blocks of right runs"
         )
-    said = [
+    remarks = [
         f"no {name} runs"
         for name, of in (("malicious", runs.malicious), ("normal", ~runs.malicious))
         if not of.any()
     ]
     needed = runs_needed(RATES[0])
     if calibration < needed:
-        said.append(f"{calibration} runs to calibrate with, {RATES[0]:.0%} takes {needed}")
-    return "; ".join(said)
+        remarks.append(f"{calibration} runs to calibrate with, {RATES[0]:.0%} takes {needed}")
+    return "; ".join(remarks)
 
 
 def unjudged(campaign: JudgedRuns, scope: ComparedRuns, note: str) -> dict[str, float | int | str]:

@@ -17,8 +17,8 @@ def feature_sets(df: pd.DataFrame) -> dict[str, list[str]]:
     value are in none.
     """
     fields = field_metadata(df)
-    known = np.isfinite(df[feature_columns(df)].to_numpy(dtype=np.float64)).any(axis=0)
-    present = [c for c, there in zip(feature_columns(df), known, strict=True) if there]
+    has_value = np.isfinite(df[feature_columns(df)].to_numpy(dtype=np.float64)).any(axis=0)
+    present = [c for c, finite in zip(feature_columns(df), has_value, strict=True) if finite]
     columns = [c for c in present if c.split(".", 1)[0] not in LEFT_OUT]
     shortcut = [c for c in columns if fields.get(c, {}).get("shortcut") == "true"]
     usable = [c for c in columns if c not in shortcut]

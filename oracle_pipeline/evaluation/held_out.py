@@ -118,11 +118,11 @@ def top_windows(
     for number, fold in enumerate(folds):
         laid_out = np.full((len(counts), int(counts.max(initial=1))), -np.inf)
         laid_out[runs.run, place] = scores[number]
-        seen = laid_out[:, : common_length(counts[fold.fit])]
-        best = -np.sort(-seen, axis=1)[:, :TOP_WINDOWS]
-        there = np.isfinite(best)
-        total = np.where(there, best, 0.0).sum(axis=1)
-        np.divide(total, there.sum(axis=1), out=top[number], where=there.any(axis=1))
+        considered = laid_out[:, : common_length(counts[fold.fit])]
+        best = -np.sort(-considered, axis=1)[:, :TOP_WINDOWS]
+        finite = np.isfinite(best)
+        total = np.where(finite, best, 0.0).sum(axis=1)
+        np.divide(total, finite.sum(axis=1), out=top[number], where=finite.any(axis=1))
     return top
 
 
@@ -139,12 +139,12 @@ def standardised(scores: NDArray[np.float64], folds: Sequence[Fold]) -> NDArray[
     """
     scaled = np.empty_like(scores)
     for number, fold in enumerate(folds):
-        known = _finite(scores[number, fold.calibrate])
-        if not len(known):
+        calibration = _finite(scores[number, fold.calibrate])
+        if not len(calibration):
             scaled[number] = np.nan
             continue
-        centre = np.median(known)
-        spread = MAD_TO_DEVIATION * np.median(np.abs(known - centre))
+        centre = np.median(calibration)
+        spread = MAD_TO_DEVIATION * np.median(np.abs(calibration - centre))
         scaled[number] = (scores[number] - centre) / (spread if spread > 0.0 else 1.0)
     return scaled
 
@@ -161,8 +161,9 @@ def conformal(scores: NDArray[np.float64], folds: Sequence[Fold]) -> NDArray[np.
     """Return each run's p-value among the calibration runs of the fold that tests it."""
     p = np.full(scores.shape[1:], np.nan)
     for number, fold in enumerate(folds):
-        tested, known = fold.test & np.isfinite(scores[number]), scores[number, fold.calibrate]
-        p[tested] = p_values(_finite(known), scores[number, tested])
+        tested = fold.test & np.isfinite(scores[number])
+        calibration = _finite(scores[number, fold.calibrate])
+        p[tested] = p_values(calibration, scores[number, tested])
     return p
 
 

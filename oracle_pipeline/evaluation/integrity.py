@@ -105,9 +105,9 @@ def equal_graphs(differences: Sequence[str] | None) -> IntegrityCheck:
     name = "graphs_of_pairs_are_equal"
     if differences is None:
         return _unsupported(name, "The graphs of pairs were not compared; run the graph check.")
-    found = Estimate(*[float(len(differences))] * 3)
-    said = "; ".join(differences[:3]) or "vertices, types and edges agree in every interval"
-    return _found(name, passed=not differences, figure=found, sentence=f"{said}.")
+    count = Estimate(*[float(len(differences))] * 3)
+    named = "; ".join(differences[:3]) or "vertices, types and edges agree in every interval"
+    return _found(name, passed=not differences, figure=count, sentence=f"{named}.")
 
 
 def label_above_session(
@@ -141,10 +141,10 @@ def label_above_session(
 
 
 def _area(score: NDArray[np.float64], target: NDArray[np.bool_]) -> float:
-    known = np.isfinite(score)
-    if len(np.unique(target[known])) < 2:
+    scored = np.isfinite(score)
+    if len(np.unique(target[scored])) < 2:
         return np.nan
-    return float(roc_auc_score(target[known], score[known]))
+    return float(roc_auc_score(target[scored], score[scored]))
 
 
 def shuffled_labels(
@@ -175,17 +175,17 @@ def shuffled_labels(
             fold = folds[number % len(folds)]
             score = of_tested(fold_scores(shuffled, columns, detector, [fold]), [fold])
             areas.append(_area(score, (shuffled["label"] == "malicious").to_numpy()))
-    known = np.array(areas)[np.isfinite(areas)]
-    if len(known) < SHUFFLES // 2:
+    finite = np.array(areas)[np.isfinite(areas)]
+    if len(finite) < SHUFFLES // 2:
         return _unsupported(name, "It takes both classes in at least three blocks.")
-    error = 1.96 * float(known.std(ddof=1)) / np.sqrt(len(known))
-    mean = float(known.mean())
+    error = 1.96 * float(finite.std(ddof=1)) / np.sqrt(len(finite))
+    mean = float(finite.mean())
     low, high = SHUFFLED
     return _found(
         name,
         passed=low <= mean <= high,
         figure=Estimate(mean, mean - error, mean + error),
-        sentence=f"Mean AUC of {len(known)} permutations {mean:.3f}; it belongs in "
+        sentence=f"Mean AUC of {len(finite)} permutations {mean:.3f}; it belongs in "
         f"[{low}, {high}].",
     )
 
@@ -227,14 +227,14 @@ def shortcuts_apart(
         return _unsupported(
             name, f"{undeclared[0]} and {len(undeclared) - 1} more do not declare what they are."
         )
-    told = feature_sets(features).get("shortcuts", [])
-    mixed = [c for c in columns if c in told or c.split(".", 1)[0] in LEFT_OUT]
-    said = f"{len(told)} shortcut features are reported apart (AUC {of_shortcuts})"
+    shortcuts = feature_sets(features).get("shortcuts", [])
+    mixed = [c for c in columns if c in shortcuts or c.split(".", 1)[0] in LEFT_OUT]
+    summary = f"{len(shortcuts)} shortcut features are reported apart (AUC {of_shortcuts})"
     return _found(
         name,
         passed=not mixed,
         figure=of_shortcuts,
-        sentence=f"The headline uses {', '.join(mixed)}." if mixed else f"{said}.",
+        sentence=f"The headline uses {', '.join(mixed)}." if mixed else f"{summary}.",
     )
 
 

@@ -51,9 +51,9 @@ class MeasuredRuns:
         _require_runs(features, windows, "window")
         runs = features.sort_values("run_id", ignore_index=True)
         number = pd.Series(np.arange(len(runs)), index=runs["run_id"])
-        known = windows[windows["run_id"].isin(number.index)]
-        known = known.sort_values(["run_id", "window_start_s"], ignore_index=True)
-        return cls(runs, known, number.loc[known["run_id"]].to_numpy(dtype=np.intp))
+        of_runs = windows[windows["run_id"].isin(number.index)]
+        of_runs = of_runs.sort_values(["run_id", "window_start_s"], ignore_index=True)
+        return cls(runs, of_runs, number.loc[of_runs["run_id"]].to_numpy(dtype=np.intp))
 
     def followed_by(self, others: "MeasuredRuns") -> "MeasuredRuns":
         """Return these runs and then others, with the columns of these."""
@@ -113,10 +113,10 @@ class JudgedRuns(MeasuredRuns):
             A run without windows or without a truth.
         """
         _require_runs(features, truth, "truth")
-        happened = truth.set_index("run_id").loc[features["run_id"]]
-        judged = ~is_malicious(features) | happened["onset_s"].notna().to_numpy()
+        truth_of_all = truth.set_index("run_id").loc[features["run_id"]]
+        judged = ~is_malicious(features) | truth_of_all["onset_s"].notna().to_numpy()
         runs = MeasuredRuns.ordered(features[judged], windows)
-        truth_of_runs = happened.loc[runs.features["run_id"]].reset_index()
+        truth_of_runs = truth_of_all.loc[runs.features["run_id"]].reset_index()
         return cls(runs.features, runs.windows, runs.run, truth_of_runs)
 
     @property

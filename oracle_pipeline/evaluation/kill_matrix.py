@@ -152,10 +152,10 @@ def minimum_detectable(kills: pd.DataFrame) -> pd.DataFrame:
         values = [0.0, *counted["value"]]
         missed = np.flatnonzero(counted["kill_rate"].to_numpy() < DETECTABLE)
         first = int(missed[-1]) + 2 if len(missed) else 1
-        found = NOTHING
+        magnitude = NOTHING
         if first < len(values):
-            found = Estimate(values[first], values[first - 1], values[first])
+            magnitude = Estimate(values[first], values[first - 1], values[first])
         rows.append(
-            dict(zip([*ORACLE, *OPERATOR], place, strict=True)) | found.columns("magnitude")
+            dict(zip([*ORACLE, *OPERATOR], place, strict=True)) | magnitude.columns("magnitude")
         )
     return pd.DataFrame(rows)

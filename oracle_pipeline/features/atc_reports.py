@@ -135,22 +135,24 @@ def prepare_radar(window: Window) -> dict[str, tuple[Series, Series]] | Missing:
         return Missing("no aircraft both reports and replies")
     compared = [(where, *flight.at(reply.stamps_s), reply) for where, flight, reply in pairs]
     antenna = find_antenna([(position, reply) for _, position, _, reply in compared])
-    found = {}
+    residuals = {}
     for where, position, altitude_m, reply in compared:
         place, up_m = antenna.seen(position)
-        found[where] = (
+        residuals[where] = (
             Series(reply.times_s, np.abs(place - reply.plots(up_m))),
             Series(reply.times_s, np.abs(altitude_m - reply.altitude_m)),
         )
-    return found
+    return residuals
 
 
 def compute_radar(window: Window) -> Values:
     """Reduce to the window."""
-    found: dict[str, tuple[Series, Series]] = window.prepared
+    residuals: dict[str, tuple[Series, Series]] = window.prepared
     none = "no aircraft both reported and replied in this window"
     return {
-        name: largest({w: quantile(both[column], window, 0.5) for w, both in found.items()}, none)
+        name: largest(
+            {w: quantile(both[column], window, 0.5) for w, both in residuals.items()}, none
+        )
         for column, name in enumerate(("position_residual", "altitude_residual"))
     }
 
@@ -259,14 +261,14 @@ def flights(series: Series) -> dict[str, ReportedFlight]:
     addresses, *columns = zip(*series.values, strict=True)
     table = np.array([series.times_s, *columns])
     of_aircraft = np.isfinite(table).all(axis=0) & (np.abs(table[2]) <= 90.0)
-    found = {}
+    by_address = {}
     for address, rows in _by_address(addresses, table[1], of_aircraft):
         times_s, stamps_s, latitude, longitude, altitude_m, speed, course_deg = table[:, rows]
         velocity = speed * np.exp(1j * np.radians(course_deg))
-        found[address] = ReportedFlight(
+        by_address[address] = ReportedFlight(
             times_s, stamps_s, latitude, longitude, altitude_m, velocity
         )
-    return found
+    return by_address
 
 
 def keep_report(message: Any) -> tuple[Any, ...]:
@@ -304,15 +306,15 @@ def register_features() -> list[FeaturePlugin]:
 
 def _replies(topics: Mapping[str, Series]) -> dict[str, Replies]:
     """Sort the replies of all topics by address; an address on two topics has the last one's."""
-    found = {}
+    by_address = {}
     for series in topics.values():
         addresses, *columns = zip(*series.values, strict=True)
         table = np.array([series.times_s, *columns])
         for address, rows in _by_address(addresses, table[1], np.isfinite(table).all(axis=0)):
             times_s, stamps_s, slant_m, azimuth_deg, altitude_m = table[:, rows]
             azimuth = np.exp(1j * np.radians(azimuth_deg))
-            found[address] = Replies(times_s, stamps_s, slant_m, azimuth, altitude_m)
-    return found
+            by_address[address] = Replies(times_s, stamps_s, slant_m, azimuth, altitude_m)
+    return by_address
 
 
 def _by_address(

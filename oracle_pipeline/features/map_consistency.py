@@ -155,25 +155,25 @@ def prepare(window: Window) -> dict[str, _Consistency] | Missing:
     """Hold every scanner against the map, over the whole recording."""
     grids = window.topics["map"].get(MAP_TOPIC)
     poses = window.topics["poses"].get(POSE_TOPIC)
-    told = scanner_setup(window.topics)
+    setup = scanner_setup(window.topics)
     if grids is None or poses is None:
         return Missing(f"no message on {MAP_TOPIC if grids is None else POSE_TOPIC}")
-    if told.motion is None:
+    if setup.motion is None:
         return Missing("no odometry")
     world = Map.of(grids.values[-1])
-    correction = _Correction(poses, told)
-    return {topic: _held_against(world, correction, told, topic) for topic in told.mounts}
+    correction = _Correction(poses, setup)
+    return {topic: _held_against(world, correction, setup, topic) for topic in setup.mounts}
 
 
 def compute(window: Window) -> Values:
     """Reduce to the window."""
     residual, unexpected, persistence, through = {}, {}, {}, {}
     consistency: dict[str, _Consistency] = window.prepared
-    for topic, found in consistency.items():
-        residual[topic] = quantile(found.residual, window, 0.5)
-        unexpected[topic] = quantile(found.unexpected, window, 0.95)
-        persistence[topic] = found.hits.persistence(within(found.residual.times_s, window))
-        through[topic] = quantile(found.looked_through, window, 0.95)
+    for topic, each in consistency.items():
+        residual[topic] = quantile(each.residual, window, 0.5)
+        unexpected[topic] = quantile(each.unexpected, window, 0.95)
+        persistence[topic] = each.hits.persistence(within(each.residual.times_s, window))
+        through[topic] = quantile(each.looked_through, window, 0.95)
     reason = "no level scanner looked where the map knows something"
     return {
         "residual": largest(residual, reason),

@@ -173,20 +173,20 @@ def _agree(
                 continue
             bearing = math.atan2(points[i, j].imag, points[i, j].real)
             own = round((bearing - angle_min[i]) / angle_increment[i])
-            apart, free, known = math.inf, range_max, True
+            apart, free, all_valid = math.inf, range_max, True
             for neighbour in range(own - _NEIGHBOURS, own + _NEIGHBOURS + 1):
                 ray = neighbour % circle
-                seen = ranges[i, ray] if ray < ranges.shape[1] else math.nan
-                if math.isnan(seen):
-                    known = False
+                measured = ranges[i, ray] if ray < ranges.shape[1] else math.nan
+                if math.isnan(measured):
+                    all_valid = False
                     continue
-                apart, free = min(apart, abs(distance - seen)), min(free, seen)
-                if neighbour == own and seen < math.inf:
-                    signed[i, j] = distance - seen
+                apart, free = min(apart, abs(distance - measured)), min(free, measured)
+                if neighbour == own and measured < math.inf:
+                    signed[i, j] = distance - measured
             if apart < math.inf:
                 residual[i, j] = apart
-            compared[i, j] = known
-            contradicted[i, j] = known and distance + CLOSER_M < free
+            compared[i, j] = all_valid
+            contradicted[i, j] = all_valid and distance + CLOSER_M < free
     return residual, signed, contradicted, compared
 
 

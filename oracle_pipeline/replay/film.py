@@ -252,17 +252,17 @@ def _line(axes: Axes, style: str, color: str, **options: Any) -> Line2D:
 
 def _legend(scene: ReplayScene) -> list[Artist]:
     """Return a sample of each thing that is seen in the film."""
-    seen = scene.moments
+    moments = scene.moments
 
     def dots(color: str, label: str) -> Line2D:
         return Line2D([], [], ls="", marker="o", ms=4, mew=0, color=color, label=label)
 
     samples: list[tuple[bool, Artist]] = [
-        (any(len(m.scan) for m in seen), dots(SEEN, "scan")),
-        (any(len(m.attacked) for m in seen), dots(ATTACK, "attacked scan")),
-        (any(m.disc for m in seen), Patch(label="fake object", **FAKE_OBJECT)),
-        (any(m.costmap for m in seen), Patch(color=to_rgba(COST, 0.5), lw=0, label="costmap")),
-        (any(len(m.plan) for m in seen), Line2D([], [], color=AMBER, label="plan")),
+        (any(len(m.scan) for m in moments), dots(SEEN, "scan")),
+        (any(len(m.attacked) for m in moments), dots(ATTACK, "attacked scan")),
+        (any(m.disc for m in moments), Patch(label="fake object", **FAKE_OBJECT)),
+        (any(m.costmap for m in moments), Patch(color=to_rgba(COST, 0.5), lw=0, label="costmap")),
+        (any(len(m.plan) for m in moments), Line2D([], [], color=AMBER, label="plan")),
         (True, Line2D([], [], color=DRIVEN, label="driven")),
         (len(scene.goals) > 0, Line2D([], [], label="goal", **{**REACHED, "ms": 8})),
     ]

@@ -87,18 +87,18 @@ def radar_display(run: OpenedRun) -> Display:
         The bag cannot be read.
     """
     instant_s = INSTANT * run.duration_s
-    heard = _heard(run, instant_s)
-    if not heard[TRACKS] or not heard[TRACKS][-1].tracks:
+    messages = _heard(run, instant_s)
+    if not messages[TRACKS] or not messages[TRACKS][-1].tracks:
         raise ReportError(f"{run.path} cannot be drawn: there is no track a quarter through it.")
-    antenna = _antenna(heard)
-    reports = [(m.latitude, m.longitude, m.altitude_m) for m in heard[REPORT]]
-    plots = [_plot(m, getattr(m, "altitude_m", 0.0)) for m in (*heard[ECHO], *heard[REPLY])]
+    antenna = _antenna(messages)
+    reports = [(m.latitude, m.longitude, m.altitude_m) for m in messages[REPORT]]
+    plots = [_plot(m, getattr(m, "altitude_m", 0.0)) for m in (*messages[ECHO], *messages[REPLY])]
     name = run.path.resolve().name
     if run.manifest is not None:
         name = run.manifest.key
     return Display(
         f"{name}, {instant_s:.0f} s",
-        _tracks(heard[TRACKS], antenna),
+        _tracks(messages[TRACKS], antenna),
         _places(reports, antenna),
         np.array(plots, dtype=np.complex128),
     )
@@ -145,13 +145,13 @@ def _heard(run: OpenedRun, instant_s: float) -> Mapping[str, list[Any]]:
     return heard
 
 
-def _antenna(heard: Mapping[str, Sequence[Any]]) -> Site:
+def _antenna(messages: Mapping[str, Sequence[Any]]) -> Site:
     """Return where the radar stands or, where nobody answers it, the middle of the tracks."""
     replies = defaultdict(list)
-    for address, *reply in map(keep_reply, heard[REPLY]):
+    for address, *reply in map(keep_reply, messages[REPLY]):
         replies[address].append(reply)
     pairs = []
-    for address, flight in _flights(heard[REPORT]).items():
+    for address, flight in _flights(messages[REPORT]).items():
         if address in replies:
             stamps_s, slant_m, azimuth_deg, altitude_m = np.array(replies[address]).T
             azimuth = np.exp(1j * np.radians(azimuth_deg))
@@ -159,7 +159,7 @@ def _antenna(heard: Mapping[str, Sequence[Any]]) -> Site:
             pairs.append((flight.at(stamps_s)[0], of_radar))
     if pairs:
         return find_antenna(pairs)
-    newest = heard[TRACKS][-1].tracks
+    newest = messages[TRACKS][-1].tracks
     middle = np.median([(track.latitude, track.longitude) for track in newest], axis=0)
     return Site(*middle.tolist())
 
@@ -173,15 +173,15 @@ def _flights(reports: Sequence[Any]) -> dict[str, ReportedFlight]:
 
 def _tracks(arrays: Sequence[Any], antenna: Site) -> list[Track]:
     """Return the tracks of the newest array, with where they were in those before."""
-    told = defaultdict(list)
+    positions = defaultdict(list)
     for array in arrays:
         for track in array.tracks:
-            told[track.track_id].append((track.latitude, track.longitude, track.altitude_m))
+            positions[track.track_id].append((track.latitude, track.longitude, track.altitude_m))
     return [
         Track(
             _label(track),
             _seen_by(track.sources),
-            _places(told[track.track_id], antenna),
+            _places(positions[track.track_id], antenna),
             _ahead(track),
         )
         for track in arrays[-1].tracks

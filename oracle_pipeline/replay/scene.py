@@ -108,12 +108,12 @@ class ReplayScene:
 
     def corners(self) -> NDArray[np.float64]:
         """Return lower left and upper right corner of what there is to see, shape (2, 2)."""
-        seen = [self.path, self.goals[:, :2], np.array([self.start])]
+        extents = [self.path, self.goals[:, :2], np.array([self.start])]
         if self.map is not None:
-            seen.append(self.map.known())
+            extents.append(self.map.known())
         else:
-            seen.append(self.surroundings())
-        points = np.concatenate(seen)
+            extents.append(self.surroundings())
+        points = np.concatenate(extents)
         return np.stack([points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M])
 
 

@@ -56,8 +56,8 @@ def explanations(
         From a run to its picture, PNG; an `OracleError` becomes a note.
     """
     attacked = judged[is_malicious(judged)]
-    there = sorted(set(attacked["mode"]))
-    modes = [mode for mode in dict.fromkeys([*CONTROLS, *there]) if mode in there]
+    attacked_modes = sorted(set(attacked["mode"]))
+    modes = [mode for mode in dict.fromkeys([*CONTROLS, *attacked_modes]) if mode in attacked_modes]
     return [
         _explanation(_typical(attacked[attacked["mode"] == mode]), df, windows, draw)
         for mode in modes[:SHOWN]
@@ -76,14 +76,14 @@ def _explanation(
 ) -> Explanation:
     run, notes = str(chosen["run_id"]), []
     row = df[df["run_id"] == run]
-    found: tuple[Evidence, ...] = ()
+    farthest: tuple[Evidence, ...] = ()
     try:
-        found = evidence(FeatureTables(row, windows[windows["run_id"] == run]), df)
+        farthest = evidence(FeatureTables(row, windows[windows["run_id"] == run]), df)
     except OracleError as error:
         notes.append(str(error))
     pictures, undrawn = drawn([run, *counterpart(run, df)], draw)
     verdict = _verdict(float(chosen["p"]))
-    return Explanation(run, verdict, found, pictures, (*notes, *undrawn))
+    return Explanation(run, verdict, farthest, pictures, (*notes, *undrawn))
 
 
 def drawn(runs: Iterable[str], draw: Callable[[str], bytes]) -> tuple[dict[str, bytes], list[str]]:
@@ -106,8 +106,8 @@ def counterpart(run: str, df: pd.DataFrame) -> list[str]:
     likely = [CONTROLS.get(mode, f"{mode}{SHADOW}")]
     if mode.startswith(AIR_TRAFFIC):
         likely.append(ITS_CONTROL)
-    there = set(df["run_id"])
-    return [other for control in likely if (other := f"{control}|{number}") in there][:1]
+    runs = set(df["run_id"])
+    return [other for control in likely if (other := f"{control}|{number}") in runs][:1]
 
 
 def _verdict(p: float) -> str:

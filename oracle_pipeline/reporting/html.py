@@ -234,10 +234,10 @@ def _checks(evaluation: Report) -> list[CheckLine]:
 
 
 def _draws(pairs: Report, evaluation: Report) -> dict[str, str]:
-    drawn = pairs.summary
+    settings = pairs.summary
     return {
-        "Bootstrap": f"{drawn['rows']} rows, share malicious {drawn['malicious_rate']}, seed "
-        f"{drawn['seed']}",
+        "Bootstrap": f"{settings['rows']} rows, share malicious {settings['malicious_rate']}, seed "
+        f"{settings['seed']}",
         "Resampled blocks": f"{RESAMPLES} times, seed {evaluation.summary['seed']}",
     }
 
