@@ -7,7 +7,7 @@ import dagster as dg
 from pydantic import Field
 
 from assets import presentation
-from assets.common import OWNERS, SINGLE_RUN
+from assets.asset_defaults import OWNERS, SINGLE_RUN
 from assets.worker.versions import analysis_code
 from oracle_pipeline.bags.remote import published
 from resources.store import RunStore
@@ -16,7 +16,7 @@ from sim.modes import modes
 if TYPE_CHECKING:
     import pandas as pd
 
-    from oracle_pipeline.reporting.result import Report
+    from oracle_pipeline.reporting.report import Report
 
 DATASET, WINDOWS, TRUTH = "features", "windows", "truth"  # tables over all runs
 
@@ -78,7 +78,7 @@ def windows_of(store: RunStore, df: "pd.DataFrame") -> "pd.DataFrame":
 def keep(result: "Report", store: RunStore, name: str) -> dg.MaterializeResult[None]:
     """Save a report where `oracle_report` finds it, and show it."""
     from oracle_pipeline.datasets import content_hash
-    from oracle_pipeline.reporting.result import SUMMARY
+    from oracle_pipeline.reporting.report import SUMMARY
 
     place = store.results(name)
     with published(place, last=SUMMARY) as folder:

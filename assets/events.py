@@ -45,8 +45,8 @@ def materializations(
             if asset not in upstream:
                 upstream[asset] = latest_materialization(instance, asset, key)
             name, latest = asset.to_user_string(), upstream[asset]
-            seen = latest.asset_materialization if latest else None
-            versions = (seen.tags if seen else None) or {}
+            upstream_event = latest.asset_materialization if latest else None
+            versions = (upstream_event.tags if upstream_event else None) or {}
             version = versions.get("dagster/data_version", "INITIAL")
             tags[f"dagster/input_data_version/{name}"] = version
             tags[f"dagster/input_event_pointer/{name}"] = (

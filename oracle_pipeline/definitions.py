@@ -16,14 +16,15 @@ warnings.filterwarnings("ignore", category=dg.PreviewWarning)
 
 from assets import (  # noqa: E402
     automation,
-    checks,
-    datasets,
-    evaluation,
     evaluation_checks,
-    reports,
+    experiment_runs,
+    feature_dataset,
+    oracle_evaluation,
+    oracle_report,
+    run_checks,
     run_retention,
-    runs,
     scenario_changes,
+    thesis_method,
 )
 from resources.budget import StorageBudget  # noqa: E402
 from resources.campaign import CampaignSettings  # noqa: E402
@@ -60,8 +61,10 @@ def build_defs(**overrides: object) -> dg.Definitions:
     if unknown := overrides.keys() - resources.keys():
         raise TypeError(f"No resource is called {sorted(unknown)}; there are {sorted(resources)}.")
     return dg.Definitions(
-        assets=dg.load_assets_from_modules([runs, datasets, evaluation, reports]),
-        asset_checks=[checks.checks_of_runs, evaluation_checks.checks_of_evaluation],
+        assets=dg.load_assets_from_modules(
+            [experiment_runs, feature_dataset, oracle_evaluation, thesis_method, oracle_report]
+        ),
+        asset_checks=[run_checks.checks_of_runs, evaluation_checks.checks_of_evaluation],
         jobs=[automation.everything, run_retention.forget_old_runs],
         schedules=[automation.nightly, run_retention.weekly],
         sensors=[scenario_changes.changed_scenarios],

@@ -174,9 +174,11 @@ def main() -> None:
         quiet, other = Path(folder, "quiet"), Path(folder, "disturbed")
         run_campaign(str(quiet))
         wrong: list[str] = []
-        for number, found in enumerate(disturbed(other, arguments.kills, arguments.seed), start=1):
-            print(f"{number}: {'; '.join(found) or 'nothing wrong'}", flush=True)
-            wrong += found
+        for number, wrong_now in enumerate(
+            disturbed(other, arguments.kills, arguments.seed), start=1
+        ):
+            print(f"{number}: {'; '.join(wrong_now) or 'nothing wrong'}", flush=True)
+            wrong += wrong_now
         if state(other) != state(quiet):
             wrong.append("the runs are not those of an undisturbed campaign")
         wrong += [f"{name} was left behind" for name in leftovers(other)]

@@ -46,7 +46,7 @@ def test_the_tree_keeps_the_rule(tree):
         ("oracle_pipeline/bags/reader.py", "from .. import datasets"),
         ("oracle_pipeline/cli.py", "from .definitions import defs"),
         ("resources/store.py", "from assets.partitions import RUNS"),
-        ("assets/runs.py", "from oracle_pipeline.definitions import defs"),
+        ("assets/experiment_runs.py", "from oracle_pipeline.definitions import defs"),
         ("assets/worker/run.py", "def late():\n    import dagster"),
         ("resources/storage/plan.py", "from resources.store import RunStore"),
     ],

@@ -32,7 +32,7 @@ def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bo
     """
     from oracle_pipeline.datasets import replacing
     from oracle_pipeline.features import build_manager, extract, write
-    from oracle_pipeline.runs import open_run
+    from oracle_pipeline.opened_run import open_run
 
     if not refresh and tables_are_right(run, manifest):
         return False
@@ -58,10 +58,10 @@ def tables_are_right(run: RunDirectory, manifest: Manifest) -> bool:
 def topics_of_features(bag: "BagReader") -> set[str]:
     """Return the topics of a bag whose messages a plugin wants decoded."""
     from oracle_pipeline.features import build_manager
-    from oracle_pipeline.features.layout import Layout
+    from oracle_pipeline.features.message_layout import MessageLayout
 
     requests = [r for plugin in build_manager().plugins for r in plugin.topics.values()]
-    layouts = {name: Layout(bag, name) for name in bag.topics}
+    layouts = {name: MessageLayout(bag, name) for name in bag.topics}
     return {
         name
         for name, topic in bag.topics.items()
@@ -83,8 +83,8 @@ def _record(run: RunDirectory) -> Path:
 
 def _inputs(manifest: Manifest) -> str:
     """Hash what features are a function of: our code, and the run, but for what was found of it."""
-    found = {"measured": None, "task_effect": None}
-    sources = {**asdict(manifest), **found, "code": feature_code()}
+    not_inputs = {"measured": None, "task_effect": None}
+    sources = {**asdict(manifest), **not_inputs, "code": feature_code()}
     return hashlib.sha256(json.dumps(sources, sort_keys=True).encode()).hexdigest()
 
 

@@ -1,6 +1,6 @@
 """What the asset checks look at: functions of run directories, and what they found.
 
-No Dagster here, workers import this; ``assets.checks`` makes checks of them.
+No Dagster here, workers import this; ``assets.run_checks`` makes checks of them.
 """
 
 import json
@@ -73,10 +73,10 @@ def every_interval_has_a_graph(run: RunDirectory) -> Finding:
     """Count the graphs: one each 10 s of the recording, and one for a rest of 5 s or more."""
     intervals = interval_count(run.manifest().recording_s)
     expected = {f"{number * INTERVAL_S:06d}" for number in range(intervals)}
-    found = {path.stem for path in run.graphs.glob("*.gexf") if path.stem.isdecimal()}
-    wrong = [f"{start} s: no graph" for start in sorted(expected - found)]
-    wrong += [f"{start} s: no such interval" for start in sorted(found - expected)]
-    return Finding(wrong, {"graphs": len(found), "intervals": intervals})
+    recorded = {path.stem for path in run.graphs.glob("*.gexf") if path.stem.isdecimal()}
+    wrong = [f"{start} s: no graph" for start in sorted(expected - recorded)]
+    wrong += [f"{start} s: no such interval" for start in sorted(recorded - expected)]
+    return Finding(wrong, {"graphs": len(recorded), "intervals": intervals})
 
 
 def graphs_of_a_pair_are_equal(control: RunDirectory, attacked: RunDirectory) -> Finding:

@@ -11,7 +11,6 @@ Table = Literal["run", "window"]
 TABLES: tuple[Table, ...] = ("run", "window")
 
 RUNS, FEATURES, DATASETS, REPORT, GRIDS = "runs", "features", "datasets", "report", "grids"
-BAG_FOLDER = "bag"  # of a run directory
 GRID_INDEX = "grid.json"  # of a grid: what was changed in each of its runs
 REFRESHED = "refreshed"  # a root of runs that were simulated again and differ without a reason
 
@@ -61,7 +60,7 @@ class Owner(NamedTuple):
 
     mode: str
     run_id: str
-    in_bag: bool
+    part: str  # of the run: a folder or file of its directory, or "features"
 
 
 def owner(parts: tuple[str, ...]) -> Owner | None:
@@ -70,13 +69,13 @@ def owner(parts: tuple[str, ...]) -> Owner | None:
     Examples
     --------
     >>> owner(("runs", "fake_object", "run003", "bag", "bag_0.mcap"))
-    Owner(mode='fake_object', run_id='run003', in_bag=True)
+    Owner(mode='fake_object', run_id='run003', part='bag')
     >>> owner(("features", "run", "fake_object", "run003.parquet"))
-    Owner(mode='fake_object', run_id='run003', in_bag=False)
+    Owner(mode='fake_object', run_id='run003', part='features')
     >>> owner(("report", "index.html"))
     """
     if parts[0] == RUNS and len(parts) > 3:
-        return Owner(parts[1], parts[2], in_bag=len(parts) > 4 and parts[3] == BAG_FOLDER)
+        return Owner(parts[1], parts[2], parts[3])
     if parts[0] == FEATURES and len(parts) == 4:
-        return Owner(parts[2], parts[3].partition(".")[0], in_bag=False)
+        return Owner(parts[2], parts[3].partition(".")[0], FEATURES)
     return None

@@ -18,13 +18,14 @@ from pathlib import Path
 from typing import Any, Self
 
 from oracle_pipeline.bags.errors import RunDirectoryError
-from oracle_pipeline.bags.layout import BAG_FOLDER, RUNS, Table, feature_table, run_folder
+from oracle_pipeline.bags.layout import RUNS, Table, feature_table, run_folder
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.protocol import run_key
 from oracle_pipeline.bags.remote import is_local
 from oracle_pipeline.bags.scratch import beside, lock, remove_left, scratch_beside, sync, sync_tree
 
 MANIFEST_FILE = "manifest.json"
+BAG_FOLDER = "bag"
 GRAPHS_FOLDER = "graphs"
 
 _MODE = re.compile(r"[a-z0-9_]+")

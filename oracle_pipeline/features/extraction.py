@@ -27,6 +27,7 @@ from oracle_pipeline.datasets import (
     Fields,
     write_table,
 )
+from oracle_pipeline.features.kept_messages import KeptMessages, Span
 from oracle_pipeline.features.manager import FeatureManager
 from oracle_pipeline.features.plugin import (
     Feature,
@@ -36,10 +37,9 @@ from oracle_pipeline.features.plugin import (
     Values,
     Window,
 )
-from oracle_pipeline.features.recording import Recording, Span
 from oracle_pipeline.features.thesis import MessageTable, ThesisPlugin
 from oracle_pipeline.graphs.intervals import graph_between
-from oracle_pipeline.runs import Run
+from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.windows import windows_ns
 
 _log = logging.getLogger(__name__)
@@ -76,7 +76,7 @@ class _Row:
         self.missing[column] = reason
 
 
-def extract(run: Run, manager: FeatureManager) -> FeatureTables:
+def extract(run: OpenedRun, manager: FeatureManager) -> FeatureTables:
     """Compute all features of a recording.
 
     Parameters
@@ -95,7 +95,7 @@ def extract(run: Run, manager: FeatureManager) -> FeatureTables:
     whole = Span(0, run.bag.end_ns - run.bag.start_ns + 1)
     with closing(MessageTable(run.bag)) as messages:
         every_message = messages.add if manager.thesis else None
-        recording = Recording.read(run.bag, manager.plugins, every_message)
+        recording = KeptMessages.read(run.bag, manager.plugins, every_message)
         extraction = _Extraction(run, manager, recording, whole)
         of_run = extraction.row(whole)
         fields = _fields(manager.features())
@@ -136,7 +136,7 @@ class _Extraction:
     """Calls the plugins on spans of one recording."""
 
     def __init__(
-        self, run: Run, manager: FeatureManager, recording: Recording, whole: Span
+        self, run: OpenedRun, manager: FeatureManager, recording: KeptMessages, whole: Span
     ) -> None:
         self._run = run
         self._plugins = manager.plugins
@@ -222,7 +222,7 @@ class _Extraction:
         return Missing(f"{type(error).__name__}: {error}")
 
 
-def _keys(run: Run) -> dict[str, Any]:
+def _keys(run: OpenedRun) -> dict[str, Any]:
     manifest = run.manifest
     if manifest is None:
         values: tuple[Any, ...] = (run.path.resolve().name, "foreign", "unknown", -1, -1)

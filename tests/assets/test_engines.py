@@ -11,15 +11,15 @@ from unittest import mock
 import dagster as dg
 import pytest
 
-from assets.runs import REPRODUCIBLE
+from assets.experiment_runs import REPRODUCIBLE
 from assets.worker.reproduction import place_aside
 from oracle_pipeline.bags.run_directory import bytes_on_disk
 from oracle_pipeline.datasets import content_hash, feature_dataset, read_table
-from oracle_pipeline.reporting.result import Report
+from oracle_pipeline.reporting.report import Report
 from resources.fleet import Fleet
 from resources.store import RunStore
 from tests.assets.laboratory import KEY, PARTNER, PER_RUN, Laboratory
-from tests.assets.test_checks import ASSET_OF, evaluations
+from tests.assets.test_run_checks import ASSET_OF, evaluations
 from tests.servers import ROOT, dask_cluster, postgres_server, s3_server
 
 STORE = RunStore(root="s3://oracle/campaign")

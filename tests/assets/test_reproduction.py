@@ -8,8 +8,8 @@ from typing import Any
 
 import dagster as dg
 
-from assets.automation import made_again
-from assets.runs import REPRODUCIBLE
+from assets.automation import refreshed_runs
+from assets.experiment_runs import REPRODUCIBLE
 from assets.worker.reproduction import judge, place_aside
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.run_directory import RunDirectory
@@ -57,7 +57,7 @@ def test_a_run_that_comes_out_as_it_was_passes_and_one_that_is_verified_gives_no
 ) -> None:
     run = copy_of_campaign.store.run(BOTH[0])
     before, hash_before = copy_of_campaign.files(), run.manifest().content_hash
-    found = results(ask(copy_of_campaign, made_again(run.key, run.key)))
+    found = results(ask(copy_of_campaign, refreshed_runs(run.key, run.key)))
     assert found.keys() == {run.key}
     result = found[run.key]
     assert result.passed
@@ -90,7 +90,7 @@ def test_other_software_or_another_recipe_explains_another_run_and_it_is_replace
 
     rewrite(of_software, other_software)
     rewrite(of_recipe, other_recipe)
-    found = results(ask(copy_of_campaign, made_again(*BOTH)))
+    found = results(ask(copy_of_campaign, refreshed_runs(*BOTH)))
     for run, what in ((of_software, "code"), (of_recipe, "recipe")):
         assert found[run.key].passed
         assert what in str(found[run.key].description)
@@ -111,7 +111,7 @@ def test_a_difference_that_nothing_explains_fails_and_both_runs_are_kept(
     rewrite(run, lambda document: document.update({name: own[name] for name in who}))
     before = recorded(copy_of_campaign)
 
-    outcome = ask(copy_of_campaign, made_again(BOTH[0], BOTH[0]))
+    outcome = ask(copy_of_campaign, refreshed_runs(BOTH[0], BOTH[0]))
     assert outcome.success  # the check tells; what could be made is there
     result = results(outcome)[run.key]
     assert not result.passed
@@ -129,7 +129,7 @@ def test_a_difference_that_nothing_explains_fails_and_both_runs_are_kept(
     assert len(copy_of_campaign.store.complete_runs()) == len(KEYS)
 
     rewrite(run, lambda document: document.update(content_hash=right))  # as if it were explained
-    assert results(ask(copy_of_campaign, made_again(BOTH[0], BOTH[0])))[run.key].passed
+    assert results(ask(copy_of_campaign, refreshed_runs(BOTH[0], BOTH[0])))[run.key].passed
     assert not aside.path.exists()
 
 

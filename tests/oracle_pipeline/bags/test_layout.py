@@ -12,18 +12,18 @@ RUN = RunDirectory(ROOT, "fake_object", 3)
 
 
 @pytest.mark.parametrize(
-    ("file", "in_bag"),
+    ("file", "part"),
     [
-        (RUN.manifest_path, False),
-        (RUN.bag / "bag_0.mcap", True),
-        (RUN.graphs / "000010.gexf", False),
-        (RUN.feature_table("run"), False),
-        (RUN.feature_table("window").with_suffix(".json"), False),
+        (RUN.manifest_path, "manifest.json"),
+        (RUN.bag / "bag_0.mcap", "bag"),
+        (RUN.graphs / "000010.gexf", "graphs"),
+        (RUN.feature_table("run"), "features"),
+        (RUN.feature_table("window").with_suffix(".json"), "features"),
     ],
 )
-def test_a_file_of_a_run_belongs_to_that_run(file: Path, in_bag: bool) -> None:
+def test_a_file_of_a_run_belongs_to_that_run(file: Path, part: str) -> None:
     owner = layout.owner(file.relative_to(ROOT).parts)
-    assert owner == (RUN.mode, RUN.run_id, in_bag)
+    assert owner == (RUN.mode, RUN.run_id, part)
 
 
 @pytest.mark.parametrize(

@@ -1,26 +1,28 @@
-"""Verdicts on recordings, shown to a person, a program or a CI system."""
+"""Verdicts on recordings as text for people and JSON for programs, and the exit code."""
 
 import dataclasses
 import json
-import re
 from collections.abc import Iterator, Sequence
-from xml.etree import ElementTree
 
-from oracle_pipeline.scoring import Evidence, Verdict
+from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
 
-EXIT_CODES = {"pass": 0, "anomalous": 1, "error": 2}  # the worst of a suite counts
+# The worst of a suite counts.
+EXIT_CODES: dict[Judgement, int] = {
+    "normal": 0,
+    "anomalous": 1,
+    "error": 2,
+}  # the worst of a suite counts
 
 HEADINGS = ("feature", "value", "usual (5-95 %)", "z", "window", "where")
-_NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def exit_code(verdicts: Sequence[Verdict]) -> int:
-    """Return 0 if all pass, 1 if one is anomalous, 2 if one could not be judged."""
+    """Return 0 if all are normal, 1 if one is anomalous, 2 if one could not be judged."""
     return max(EXIT_CODES[verdict.outcome] for verdict in verdicts)
 
 
 def as_json(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> str:
-    """Return one JSON object: the worst outcome, and each verdict with all that it rests on."""
+    """Return one JSON object: the worst outcome, and each verdict with its basis."""
     worst = exit_code(verdicts)
     document = {
         "outcome": next(outcome for outcome, code in EXIT_CODES.items() if code == worst),
@@ -32,10 +34,10 @@ def as_json(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> st
 
 
 def as_text(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> str:
-    """Return a paragraph for each verdict, then what is true of all of them, once."""
+    """Return a paragraph for each verdict, then once the remarks that all of them share."""
     judged = [_remarks(verdict) for verdict in verdicts if verdict.outcome != "error"]
     shared = [remark for remark in judged[0] if all(remark in j for j in judged)] if judged else []
-    lines = [line for verdict in verdicts for line in _paragraph(verdict, shared)]
+    lines = [line for verdict in verdicts for line in paragraph(verdict, shared)]
     if judged:
         over = f", adjusted for a suite of {len(judged)} (Benjamini-Hochberg)"
         lines += ["", f"Anomalous is p <= {far:g}{over if len(judged) > 1 else ''}."]
@@ -43,22 +45,23 @@ def as_text(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> st
 
 
 def _remarks(verdict: Verdict) -> list[str]:
-    """Return what a judged verdict rests on, then its notes."""
+    """Return the basis of a verdict, then its notes."""
     basis = (
-        f"Judged by {verdict.detector} on {verdict.features} features: {verdict.fit_runs} right "
+        f"Judged by {verdict.detector} on {verdict.features} features: {verdict.fit_runs} normal "
         f"runs fit it, {verdict.calibration_runs} of {verdict.calibration_blocks} other blocks "
         "calibrate it."
     )
     return [basis, *verdict.notes]
 
 
-def _paragraph(verdict: Verdict, shared: Sequence[str]) -> Iterator[str]:
+def paragraph(verdict: Verdict, shared: Sequence[str] = ()) -> Iterator[str]:
+    """Yield the lines on one verdict, without the remarks that are shared by all."""
     if verdict.outcome == "error":
         yield f"COULD NOT JUDGE  {verdict.recording}: {verdict.error}"
         return
     anomalous = verdict.outcome == "anomalous"
     yield (
-        f"{'ANOMALOUS' if anomalous else 'pass     '}  {verdict.recording}  "
+        f"{'ANOMALOUS' if anomalous else 'normal   '}  {verdict.recording}  "
         f"p = {verdict.suite_p_value:.3g} (alone {verdict.p_value:.3g}, by block "
         f"{verdict.p_value_by_block:.3g}), score {verdict.score:.3g}"
     )
@@ -68,7 +71,7 @@ def _paragraph(verdict: Verdict, shared: Sequence[str]) -> Iterator[str]:
 
 
 def cells(evidence: Evidence) -> tuple[str, ...]:
-    """Return one line of what gave a recording away, below `HEADINGS`."""
+    """Return one piece of evidence as the cells of a table below `HEADINGS`."""
     unit = "" if evidence.unit == "1" else f" {evidence.unit}"
     window = "" if evidence.window_start_s is None else f"from {evidence.window_start_s:g} s"
     return (
@@ -86,31 +89,3 @@ def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
     for row in rows:
         padded = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         yield f"    {'  '.join(padded)}".rstrip()
-
-
-def as_junit(verdicts: Sequence[Verdict]) -> bytes:
-    """Return JUnit XML: a test case for each recording, anomalous ones are its failures."""
-    outcomes = [verdict.outcome for verdict in verdicts]
-    suite = ElementTree.Element(
-        "testsuite",
-        name="oracle score",
-        tests=str(len(outcomes)),
-        failures=str(outcomes.count("anomalous")),
-        errors=str(outcomes.count("error")),
-    )
-    for verdict in verdicts:
-        name = _xml_text(verdict.recording)
-        case = ElementTree.SubElement(suite, "testcase", classname="oracle.score", name=name)
-        if verdict.outcome == "pass":
-            continue
-        what = "failure" if verdict.outcome == "anomalous" else "error"
-        text = _xml_text("\n".join(_paragraph(verdict, ())))
-        ElementTree.SubElement(case, what, message=text.partition("\n")[0]).text = text
-    ElementTree.indent(suite)
-    document: bytes = ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True)
-    return document
-
-
-def _xml_text(text: str) -> str:
-    """Replace the characters that XML cannot hold."""
-    return _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", text)

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.datasets import HARD_NEGATIVE, DistinctRuns
 from oracle_pipeline.detectors import DEFAULT_DETECTOR
-from oracle_pipeline.evaluation.campaign import Campaign
 from oracle_pipeline.evaluation.conformal import runs_needed
+from oracle_pipeline.evaluation.held_out import HeldOutScores, Level
+from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import auc, average_precision, matthews, only, share
-from oracle_pipeline.evaluation.scoring import HeldOut, Level
 
 RATES = (0.05, 0.01)  # false-alarm rates a verdict is asked to keep; the first is the usual one
 BLOCKS_NEEDED = {0.01: 250}  # two in five calibrate, so that even one mode alone gives 99 runs
@@ -56,14 +56,14 @@ def scorers(detectors: Iterable[str], sets: Iterable[str]) -> list[Scorer]:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Scope:
+class ComparedRuns:
     """Runs that are judged together; the mask is of shape (n_runs,)."""
 
     name: str
     runs: NDArray[np.bool_]
 
 
-def scopes(df: pd.DataFrame) -> list[Scope]:
+def comparisons(df: pd.DataFrame) -> list[ComparedRuns]:
     """Return the comparisons that the modes of a table allow, named ``control / attacked``.
 
     All modes; each attack against its control, and against its shadow, which does the same work and
@@ -80,10 +80,10 @@ def scopes(df: pd.DataFrame) -> list[Scope]:
         **({HARD_NEGATIVES: benign} if benign else {}),
         **{mode: [mode] for mode in benign},
     }
-    return [Scope(name, np.asarray(df["mode"].isin(of))) for name, of in named.items()]
+    return [ComparedRuns(name, np.asarray(df["mode"].isin(of))) for name, of in named.items()]
 
 
-def runs_of(campaign: Campaign, members: NDArray[np.bool_]) -> DistinctRuns:
+def runs_of(campaign: JudgedRuns, members: NDArray[np.bool_]) -> DistinctRuns:
     """Return the runs of a scope as metrics take them."""
     first = np.flatnonzero(members)
     return DistinctRuns(
@@ -92,7 +92,7 @@ def runs_of(campaign: Campaign, members: NDArray[np.bool_]) -> DistinctRuns:
 
 
 def judge(
-    scores: HeldOut, campaign: Campaign, scope: Scope, rng: np.random.Generator
+    scores: HeldOutScores, campaign: JudgedRuns, scope: ComparedRuns, rng: np.random.Generator
 ) -> dict[str, float | int | str]:
     """Return the figures of one comparison as table columns, an estimate as three.
 
@@ -104,7 +104,7 @@ def judge(
     score, p = scores.score[runs.first], scores.p[runs.first]
     row: dict[str, float | int | str] = {
         "malicious": int(runs.malicious.sum()),
-        "right": int((~runs.malicious).sum()),
+        "normal": int((~runs.malicious).sum()),
         "blocks": len(np.unique(runs.block)),
         "prevalence": float(runs.malicious.mean()),
         **auc(score, runs, rng).columns("auc"),
@@ -124,17 +124,17 @@ def _at_rate(
     p: NDArray[np.float64], runs: DistinctRuns, rate: float, rng: np.random.Generator
 ) -> dict[str, float | int | str]:
     """Return the figures of the verdict ``p <= rate``; nothing where `p` is NaN."""
-    known = np.isfinite(p)
-    judged, flagged = only(runs, known), p[known] <= rate
-    right, hit = ~judged.malicious, flagged.astype(np.float64)
+    with_p = np.isfinite(p)
+    judged, flagged = only(runs, with_p), p[with_p] <= rate
+    normal, flag = ~judged.malicious, flagged.astype(np.float64)
     block = judged.block
     name = f"{100 * rate:g}"
     return {
-        **share(flagged[~right], block[~right], rng).columns(f"detection_rate_{name}"),
-        **share(flagged[right], block[right], rng).columns(f"false_alarm_rate_{name}"),
-        f"false_alarm_rate_{name}_bound": share(flagged[right], block[right], rng, ONE_SIDED).low,
+        **share(flagged[~normal], block[~normal], rng).columns(f"detection_rate_{name}"),
+        **share(flagged[normal], block[normal], rng).columns(f"false_alarm_rate_{name}"),
+        f"false_alarm_rate_{name}_bound": share(flagged[normal], block[normal], rng, ONE_SIDED).low,
         **matthews(flagged, judged, rng).columns(f"mcc_{name}"),
-        **auc(hit, judged, rng).columns(f"balanced_accuracy_{name}"),
+        **auc(flag, judged, rng).columns(f"balanced_accuracy_{name}"),
     }
 
 
@@ -144,19 +144,19 @@ def _note(scored: NDArray[np.bool_], calibration: int, runs: DistinctRuns) -> st
         return (
             "no run could be scored: it takes features with values and three blocks of right runs"
         )
-    said = [
+    remarks = [
         f"no {name} runs"
         for name, of in (("malicious", runs.malicious), ("normal", ~runs.malicious))
         if not of.any()
     ]
     needed = runs_needed(RATES[0])
     if calibration < needed:
-        said.append(f"{calibration} runs to calibrate with, {RATES[0]:.0%} takes {needed}")
-    return "; ".join(said)
+        remarks.append(f"{calibration} runs to calibrate with, {RATES[0]:.0%} takes {needed}")
+    return "; ".join(remarks)
 
 
-def unjudged(campaign: Campaign, scope: Scope, note: str) -> dict[str, float | int | str]:
+def unjudged(campaign: JudgedRuns, scope: ComparedRuns, note: str) -> dict[str, float | int | str]:
     """Return the row of a comparison that could not be made."""
     nowhere = np.full(len(campaign.features), np.nan)
-    row = judge(HeldOut(nowhere, nowhere, 0), campaign, scope, np.random.default_rng(0))
+    row = judge(HeldOutScores(nowhere, nowhere, 0), campaign, scope, np.random.default_rng(0))
     return row | {"note": note}

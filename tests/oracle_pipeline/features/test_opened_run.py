@@ -4,7 +4,7 @@ import shutil
 import pytest
 
 from oracle_pipeline.bags.errors import BagError, GraphError, ManifestError, RunDirectoryError
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.opened_run import open_run
 
 
 def test_a_run_directory_is_opened_with_all_its_parts(make_run):

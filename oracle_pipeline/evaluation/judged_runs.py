@@ -1,6 +1,6 @@
 """The runs that are judged: their features, their windows and what really happened, in one order.
 
-Scores are made of the first two in ``oracle_pipeline.evaluation.scoring``; the third is what they
+Scores are made of the first two in ``oracle_pipeline.evaluation.held_out``; the third is what they
 are measured against.
 """
 
@@ -13,18 +13,16 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import CHANGE_BIN_S
-from oracle_pipeline.datasets import feature_columns, field_metadata, is_malicious
+from oracle_pipeline.datasets import is_malicious
 from oracle_pipeline.windows import WINDOW_S
 
-LEFT_OUT = ("thesis",)  # families that are no part of our oracle
 
-
-class CampaignError(OracleError):
+class EvaluationError(OracleError):
     """The tables of a campaign do not fit together."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Runs:
+class MeasuredRuns:
     """What is measured of distinct runs; n_runs and n_windows rows, each by ``run_id``.
 
     Attributes
@@ -42,7 +40,7 @@ class Runs:
     run: NDArray[np.intp]
 
     @classmethod
-    def ordered(cls, features: pd.DataFrame, windows: pd.DataFrame) -> "Runs":
+    def ordered(cls, features: pd.DataFrame, windows: pd.DataFrame) -> "MeasuredRuns":
         """Put the tables in order; windows of other runs are left out.
 
         Raises
@@ -53,13 +51,13 @@ class Runs:
         _require_runs(features, windows, "window")
         runs = features.sort_values("run_id", ignore_index=True)
         number = pd.Series(np.arange(len(runs)), index=runs["run_id"])
-        known = windows[windows["run_id"].isin(number.index)]
-        known = known.sort_values(["run_id", "window_start_s"], ignore_index=True)
-        return cls(runs, known, number.loc[known["run_id"]].to_numpy(dtype=np.intp))
+        of_runs = windows[windows["run_id"].isin(number.index)]
+        of_runs = of_runs.sort_values(["run_id", "window_start_s"], ignore_index=True)
+        return cls(runs, of_runs, number.loc[of_runs["run_id"]].to_numpy(dtype=np.intp))
 
-    def followed_by(self, others: "Runs") -> "Runs":
+    def followed_by(self, others: "MeasuredRuns") -> "MeasuredRuns":
         """Return these runs and then others, with the columns of these."""
-        return Runs(
+        return MeasuredRuns(
             _below(self.features, others.features),
             _below(self.windows, others.windows),
             np.concatenate([self.run, len(self.features) + others.run]),
@@ -94,7 +92,7 @@ class Runs:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Campaign(Runs):
+class JudgedRuns(MeasuredRuns):
     """Runs that are judged, and what really happened in them.
 
     Attributes
@@ -106,7 +104,7 @@ class Campaign(Runs):
     truth: pd.DataFrame
 
     @classmethod
-    def of(cls, features: pd.DataFrame, windows: pd.DataFrame, truth: pd.DataFrame) -> "Campaign":
+    def of(cls, features: pd.DataFrame, windows: pd.DataFrame, truth: pd.DataFrame) -> "JudgedRuns":
         """Put the tables in order; attacked runs that ended before their attack are left out.
 
         Raises
@@ -115,10 +113,10 @@ class Campaign(Runs):
             A run without windows or without a truth.
         """
         _require_runs(features, truth, "truth")
-        happened = truth.set_index("run_id").loc[features["run_id"]]
-        judged = ~is_malicious(features) | happened["onset_s"].notna().to_numpy()
-        runs = Runs.ordered(features[judged], windows)
-        truth_of_runs = happened.loc[runs.features["run_id"]].reset_index()
+        truth_of_all = truth.set_index("run_id").loc[features["run_id"]]
+        judged = ~is_malicious(features) | truth_of_all["onset_s"].notna().to_numpy()
+        runs = MeasuredRuns.ordered(features[judged], windows)
+        truth_of_runs = truth_of_all.loc[runs.features["run_id"]].reset_index()
         return cls(runs.features, runs.windows, runs.run, truth_of_runs)
 
     @property
@@ -151,7 +149,7 @@ class Campaign(Runs):
 def _require_runs(features: pd.DataFrame, table: pd.DataFrame, name: str) -> None:
     absent = sorted(set(features["run_id"]) - set(table["run_id"]))
     if absent:
-        raise CampaignError(
+        raise EvaluationError(
             f"{len(absent)} runs, {absent[0]} the first, are not in the {name} table; "
             "make the tables of the same runs again."
         )
@@ -161,28 +159,3 @@ def _below(table: pd.DataFrame, others: pd.DataFrame) -> pd.DataFrame:
     joined = pd.concat([table, others.reindex(columns=table.columns)], ignore_index=True)
     joined.attrs = table.attrs
     return joined
-
-
-def feature_sets(df: pd.DataFrame) -> dict[str, list[str]]:
-    """Return the sets of columns that are judged, by name.
-
-    ``all`` is the oracle's own: every family but the thesis's, without shortcuts. Then each family
-    alone; ``generic``, what any bag gives; ``without redundancy``, what is left if no second sensor
-    sees the same; and ``shortcuts``, which tell a run by who was there. Features without any finite
-    value are in none.
-    """
-    fields = field_metadata(df)
-    known = np.isfinite(df[feature_columns(df)].to_numpy(dtype=np.float64)).any(axis=0)
-    present = [c for c, there in zip(feature_columns(df), known, strict=True) if there]
-    columns = [c for c in present if c.split(".", 1)[0] not in LEFT_OUT]
-    shortcut = [c for c in columns if fields.get(c, {}).get("shortcut") == "true"]
-    usable = [c for c in columns if c not in shortcut]
-    families = dict.fromkeys(c.split(".", 1)[0] for c in usable)
-    sets = {
-        "all": usable,
-        **{family: [c for c in usable if c.startswith(f"{family}.")] for family in families},
-        "generic": [c for c in usable if fields.get(c, {}).get("origin") == "generic"],
-        "without redundancy": [c for c in usable if not c.startswith("redundancy.")],
-        "shortcuts": shortcut,
-    }
-    return {name: chosen for name, chosen in sets.items() if chosen}

@@ -6,7 +6,6 @@ graphs, and everything that needs them says so.
 
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from oracle_pipeline.bags.errors import BagError, RunDirectoryError
@@ -19,7 +18,7 @@ from oracle_pipeline.graphs.intervals import Interval, read_intervals
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class OpenedRun:
     """One recording; a context manager that closes its bag."""
 
     path: Path
@@ -35,16 +34,11 @@ class Run:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc_value: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_exception: object) -> None:
         self.bag.close()
 
 
-def open_run(path: Path) -> Run:
+def open_run(path: Path) -> OpenedRun:
     """Open a run directory, or a bag that somebody else recorded.
 
     Parameters
@@ -65,10 +59,10 @@ def open_run(path: Path) -> Run:
             f"{path} looks like a run directory but has no {MANIFEST_FILE}, so the run is not "
             f"complete; record it again, or name {path / BAG_FOLDER} to read its bag alone."
         )
-    return Run(path, BagReader(path), None, ())
+    return OpenedRun(path, BagReader(path), None, ())
 
 
-def _open_run_directory(path: Path) -> Run:
+def _open_run_directory(path: Path) -> OpenedRun:
     manifest = Manifest.load(path / MANIFEST_FILE)
     if not (path / BAG_FOLDER).exists():
         raise BagError(
@@ -87,4 +81,4 @@ def _open_run_directory(path: Path) -> Run:
             f"messages on {', '.join(differing)} differ. If it was trimmed to save space, "
             f"`oracle-sim remake {path}` makes it whole."
         )
-    return Run(path, bag, manifest, intervals)
+    return OpenedRun(path, bag, manifest, intervals)

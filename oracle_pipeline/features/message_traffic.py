@@ -129,17 +129,17 @@ def centralities(
         settled = np.zeros(n, np.bool_)
         count = 0
         while count < n:  # Dijkstra
-            here = -1
+            nearest = -1
             for v in range(n):
-                if not settled[v] and (here < 0 or distance[v] < distance[here]):
-                    here = v
-            if np.isinf(distance[here]):
+                if not settled[v] and (nearest < 0 or distance[v] < distance[nearest]):
+                    nearest = v
+            if np.isinf(distance[nearest]):
                 break
-            settled[here] = True
-            order[count] = here
+            settled[nearest] = True
+            order[count] = nearest
             count += 1
             for v in range(n):
-                distance[v] = min(distance[v], distance[here] + lengths[here, v])
+                distance[v] = min(distance[v], distance[nearest] + lengths[nearest, v])
         paths, dependency = np.zeros(n), np.zeros(n)
         paths[source] = 1.0
         for i in range(1, count):

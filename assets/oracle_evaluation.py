@@ -13,15 +13,15 @@ from assets.aggregates import (
     run_table,
     windows_of,
 )
-from assets.checks import PAIR_CHECK, pairs_there
-from assets.datasets import feature_dataset
+from assets.feature_dataset import feature_dataset
+from assets.run_checks import PAIR_CHECK, pairs_there
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.failures import clear_failures
 from resources.fleet import Fleet
 from resources.store import RunStore
 
 if TYPE_CHECKING:
-    from oracle_pipeline.evaluation.campaign import Runs
+    from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
 
 
 @aggregate("oracle", "scikitlearn", deps=[feature_dataset])
@@ -36,11 +36,12 @@ def oracle_evaluation(
     makes, give the kill matrix.
     """
     from oracle_pipeline.datasets import read_table
-    from oracle_pipeline.reporting import evaluation
+    from oracle_pipeline.evaluation.oracle_evaluation import evaluate
+    from oracle_pipeline.reporting.evaluation_report import evaluation_report
 
     with clear_failures():
         df = run_table(store, config.testbed)
-        result = evaluation.oracle_evaluation(
+        evaluation = evaluate(
             df,
             windows_of(store, df),
             read_table(store.dataset(TRUTH)),
@@ -48,30 +49,30 @@ def oracle_evaluation(
             grid=_mutants(store, fleet),
             progress=context.log.info,
         )
-        return keep(result, store, "oracle_evaluation")
+        return keep(evaluation_report(evaluation), store, "oracle_evaluation")
 
 
 def _graph_differences(store: RunStore, fleet: Fleet, runs: set[str]) -> list[str] | None:
     """Compare the graphs of all pairs that are there; None if there is no pair."""
     from assets.worker.inspections import Inspection, inspect
 
-    there = [Inspection(PAIR_CHECK, pair) for pair in pairs_there(map(store.run, runs))]
-    if not there:
+    inspections = [Inspection(PAIR_CHECK, pair) for pair in pairs_there(map(store.run, runs))]
+    if not inspections:
         return None
     return [
         f"{outcome.job.runs[1].key}: {wrong}"
-        for outcome in fleet.outcomes(inspect, there)
+        for outcome in fleet.outcomes(inspect, inspections)
         for wrong in (outcome.result.wrong if outcome.result else [str(outcome.error)])
     ]
 
 
-def _mutants(store: RunStore, fleet: Fleet) -> "Runs | None":
+def _mutants(store: RunStore, fleet: Fleet) -> "MeasuredRuns | None":
     """Return what was measured of all grids' runs, joined to what was changed in each."""
     import pandas as pd
 
     from oracle_pipeline.datasets import feature_dataset as joined
     from oracle_pipeline.datasets import read_table, window_dataset
-    from oracle_pipeline.evaluation.campaign import Runs
+    from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
 
     runs_of_grids, windows_of_grids = [], []
     for index in store.grid_indices():
@@ -80,15 +81,15 @@ def _mutants(store: RunStore, fleet: Fleet) -> "Runs | None":
         runs = [RunDirectory.of_key(index.parent, key) for key in mutants["run_id"]]
         _require_features(runs, fleet)
         df = joined(read_table(run.feature_table("run")) for run in runs)
-        told = mutants[["run_id", "scenario", "parameter", "value", "changed_messages"]]
-        df = df.merge(told, on="run_id", validate="one_to_one")
+        changes = mutants[["run_id", "scenario", "parameter", "value", "changed_messages"]]
+        df = df.merge(changes, on="run_id", validate="one_to_one")
         windows = window_dataset(read_table(run.feature_table("window")) for run in runs)
         grid = f"{index.parent.name}/"  # two grids may have runs of one name
         runs_of_grids.append(df.assign(run_id=grid + df["run_id"]))
         windows_of_grids.append(windows.assign(run_id=grid + windows["run_id"]))
     if not runs_of_grids:
         return None
-    return Runs.ordered(
+    return MeasuredRuns.ordered(
         pd.concat(runs_of_grids, ignore_index=True), pd.concat(windows_of_grids, ignore_index=True)
     )
 

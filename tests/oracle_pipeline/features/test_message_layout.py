@@ -3,7 +3,7 @@ import pytest
 
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.types import message_class, serialize, typestore
-from oracle_pipeline.features.layout import Layout
+from oracle_pipeline.features.message_layout import MessageLayout
 
 FIRST_ARRAYS = {  # the field of each type that the layout must find
     "sensor_msgs/msg/LaserScan": "ranges",
@@ -15,7 +15,7 @@ FIRST_ARRAYS = {  # the field of each type that the layout must find
 def test_layouts_agree_with_the_decoder_on_real_bags(foreign_bag):
     compared = 0
     with BagReader(foreign_bag) as bag:
-        layouts = {topic: Layout(bag, topic) for topic in bag.topics}
+        layouts = {topic: MessageLayout(bag, topic) for topic in bag.topics}
         for message in bag.messages():
             decoded, layout = bag.deserialize(message), layouts[message.topic]
             if hasattr(decoded, "header"):
@@ -49,7 +49,7 @@ def test_arrays_are_found_behind_texts_and_structures(label, little_endian, bag_
     message = multi_array(label, [1.0, np.nan, -3.0])
     with BagReader(bag_of([(0.0, "/a", message)])) as bag:
         data = typestore().serialize_cdr(message, message.__msgtype__, little_endian=little_endian)
-        array = Layout(bag, "/a").array(bytes(data))
+        array = MessageLayout(bag, "/a").array(bytes(data))
     np.testing.assert_array_equal(array, [1.0, np.nan, -3.0])
 
 
@@ -58,14 +58,14 @@ def test_stamps_are_read_in_either_byte_order(little_endian, bag_of, messages):
     message = messages.scan(7, [1.0])
     with BagReader(bag_of([(0.0, "/scan", message)])) as bag:
         data = typestore().serialize_cdr(message, message.__msgtype__, little_endian=little_endian)
-        assert Layout(bag, "/scan").header_stamp_ns(bytes(data)) == 7_000_000_000
+        assert MessageLayout(bag, "/scan").header_stamp_ns(bytes(data)) == 7_000_000_000
 
 
 def test_broken_bytes_have_no_array(bag_of, messages):
     message = messages.scan(0, np.arange(20.0))
     data = serialize(message, message.__msgtype__)
     with BagReader(bag_of([(0.0, "/scan", message)])) as bag:
-        layout = Layout(bag, "/scan")
+        layout = MessageLayout(bag, "/scan")
         assert layout.array(data).tolist() == list(range(20))
         for end in range(len(data) - 24):  # cut off before the last ranges
             assert layout.array(data[:end]) is None
@@ -74,6 +74,6 @@ def test_broken_bytes_have_no_array(bag_of, messages):
 
 def test_an_empty_array_is_an_array(bag_of):
     with BagReader(bag_of([(0.0, "/a", message := multi_array("ab", []))])) as bag:
-        array = Layout(bag, "/a").array(serialize(message, message.__msgtype__))
+        array = MessageLayout(bag, "/a").array(serialize(message, message.__msgtype__))
     assert array is not None
     assert array.size == 0

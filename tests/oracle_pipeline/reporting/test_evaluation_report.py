@@ -6,13 +6,17 @@ import pandas as pd
 import pytest
 
 from oracle_pipeline.evaluation import integrity, metrics
+from oracle_pipeline.evaluation import oracle_evaluation as evaluation
 from oracle_pipeline.evaluation.estimate import Estimate
-from oracle_pipeline.reporting import evaluation
-from oracle_pipeline.reporting.evaluation import oracle_evaluation, said
-from oracle_pipeline.reporting.result import Report
-from oracle_pipeline.reporting.thesis_tables import estimate
+from oracle_pipeline.reporting.evaluation_report import evaluation_report, in_words
+from oracle_pipeline.reporting.report import Report
 from tests.oracle_pipeline.datasets.synthetic import CONTROLS, MODES, campaign, run_features
-from tests.oracle_pipeline.evaluation.test_grid import grid_of
+from tests.oracle_pipeline.evaluation.test_kill_matrix import grid_of
+
+
+def oracle_evaluation(*tables, **options):
+    return evaluation_report(evaluation.evaluate(*tables, **options))
+
 
 QUICK = ("mahalanobis", "max_z", "elliptic_envelope")
 
@@ -56,7 +60,7 @@ def test_the_headline_stands_first_with_its_interval():
         "both",
         "all modes",
     )
-    assert estimate(first, "auc").low > 0.85
+    assert Estimate.of_row(first, "auc").low > 0.85
     assert report.summary["auc"] == first["auc"]
     assert heard[0].startswith("mahalanobis")
 
@@ -72,8 +76,8 @@ def test_there_is_a_row_for_every_scorer_split_and_scope():
     assert not table.duplicated(["detector", "features", "level", "split", "scope"]).any()
     pairs = table[table["scope"] == "random_noise_shadow / random_noise"]
     known = pairs["split"] == "session but 2 blocks"  # of three in each session
-    assert (pairs.loc[~known, ["malicious", "right"]] == 9).all(axis=None)
-    assert (pairs.loc[known, ["malicious", "right"]] == 3).all(axis=None)
+    assert (pairs.loc[~known, ["malicious", "normal"]] == 9).all(axis=None)
+    assert (pairs.loc[known, ["malicious", "normal"]] == 3).all(axis=None)
 
 
 def test_the_other_tables_and_pictures_are_there():
@@ -104,7 +108,7 @@ def test_a_check_that_is_not_green_withholds_the_headline_but_no_table():
 def test_no_attack_gives_no_finding():
     report = oracle_evaluation(*campaign(12, seed=1), graph_differences=[])
     first = report.table.iloc[0]
-    assert estimate(first, "auc").covers(0.5)
+    assert Estimate.of_row(first, "auc").covers(0.5)
     assert first["false_alarm_rate_5_bound"] <= 0.05
     shuffled = report.tables["checks"].set_index("name").loc["shuffled_labels_are_chance"]
     assert shuffled["figure"] == pytest.approx(0.5, abs=0.06)
@@ -152,7 +156,7 @@ def test_further_tables_come_back_and_a_report_without_them_does_too(tmp_path):
     ],
 )
 def test_the_headline_says_no_more_than_the_interval(area, words):
-    assert words in said(area)
+    assert words in in_words(area)
 
 
 def test_a_campaign_of_one_control_and_one_attack_in_three_blocks_is_a_report_without_figures():

@@ -51,7 +51,7 @@ class _Repeated(NamedTuple):
 _Field: TypeAlias = _Numbers | _Text | _Repeated
 
 
-class Layout:
+class MessageLayout:
     """Where the messages of one topic have their header stamp and their first array.
 
     A type whose definition nobody knows has neither.

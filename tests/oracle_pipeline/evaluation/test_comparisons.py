@@ -1,27 +1,27 @@
 import numpy as np
 import pytest
 
-from oracle_pipeline.evaluation.protocol import Scope, judge, scopes
-from oracle_pipeline.evaluation.scoring import HeldOut
+from oracle_pipeline.evaluation.comparisons import ComparedRuns, comparisons, judge
+from oracle_pipeline.evaluation.held_out import HeldOutScores
 from tests.oracle_pipeline.evaluation.campaigns import synthetic
 
 
 def judged(campaign, score, p, calibration=100, scope="all modes"):
-    chosen = next(s for s in scopes(campaign.features) if s.name == scope)
-    scores = HeldOut(score, p, calibration)
+    chosen = next(s for s in comparisons(campaign.features) if s.name == scope)
+    scores = HeldOutScores(score, p, calibration)
     return judge(scores, campaign, chosen, np.random.default_rng(0))
 
 
 def test_scopes_are_pairs_shadows_the_real_obstacle_and_hard_negatives():
     df = synthetic(3).features
-    named = {scope.name: set(df.loc[scope.runs, "mode"]) for scope in scopes(df)}
+    named = {scope.name: set(df.loc[scope.runs, "mode"]) for scope in comparisons(df)}
     assert next(iter(named)) == "all modes"
     assert named["lidar_passthrough / random_noise"] == {"lidar_passthrough", "random_noise"}
     assert "random_noise_shadow / random_noise" in named
     assert named["benign_obstacle / fake_object"] == {"benign_obstacle", "fake_object"}
     assert named["hard negatives"] == {"benign_noise", "benign_obstacle"}
     six = df[~df["mode"].str.contains("shadow|benign")]
-    assert len(scopes(six)) == 4
+    assert len(comparisons(six)) == 4
 
 
 def test_figures_by_hand():
@@ -32,7 +32,7 @@ def test_figures_by_hand():
     right = np.flatnonzero(~campaign.malicious)
     p[right[:3]] = 0.05
     row = judged(campaign, score, p)
-    assert (row["malicious"], row["right"], row["blocks"]) == (9, n - 9, 3)
+    assert (row["malicious"], row["normal"], row["blocks"]) == (9, n - 9, 3)
     assert row["prevalence"] == 9 / n
     assert row["auc"] == row["average_precision"] == row["detection_rate_5"] == 1.0
     assert row["false_alarm_rate_5"] == 3 / (n - 9)
@@ -66,5 +66,5 @@ def test_a_row_without_scores_says_so():
     nowhere = np.full(len(campaign.features), np.nan)
     row = judged(campaign, nowhere, nowhere)
     assert "no run could be scored" in row["note"]
-    everything = Scope("all modes", np.ones(len(nowhere), dtype=bool))
+    everything = ComparedRuns("all modes", np.ones(len(nowhere), dtype=bool))
     assert everything.runs.all()

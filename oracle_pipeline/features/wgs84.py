@@ -37,8 +37,8 @@ class Site:
         The angle of the complex number is the azimuth.
         """
         lat, lon = np.radians(self.latitude), np.radians(self.longitude)
-        here = cartesian(self.latitude, self.longitude, 0.0)
-        x, y, z = positions - here.reshape(3, -1)
+        origin = cartesian(self.latitude, self.longitude, 0.0)
+        x, y, z = positions - origin.reshape(3, -1)
         away = np.cos(lon) * x + np.sin(lon) * y  # from the earth's axis
         north, up = np.cos(lat) * z - np.sin(lat) * away, np.cos(lat) * away + np.sin(lat) * z
         return north + 1j * (np.cos(lon) * y - np.sin(lon) * x), up
@@ -46,5 +46,5 @@ class Site:
     def moved(self, step: complex) -> "Site":
         """Return the place north + i east [m] from this one."""
         azimuth = math.degrees(cmath.phase(step))
-        there = Geodesic.WGS84.Direct(self.latitude, self.longitude, azimuth, abs(step))
-        return Site(there["lat2"], there["lon2"])
+        end = Geodesic.WGS84.Direct(self.latitude, self.longitude, azimuth, abs(step))
+        return Site(end["lat2"], end["lon2"])

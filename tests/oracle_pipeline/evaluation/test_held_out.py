@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from oracle_pipeline.detectors import panel
-from oracle_pipeline.evaluation.campaign import Campaign
-from oracle_pipeline.evaluation.scoring import (
+from oracle_pipeline.evaluation.held_out import (
     common_length,
     conformal,
     held_out,
@@ -12,6 +11,7 @@ from oracle_pipeline.evaluation.scoring import (
     supervised_scores,
     top_windows,
 )
+from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.splits import Fold, block_folds
 from tests.oracle_pipeline.datasets.synthetic import ATTACKED, campaign
 from tests.oracle_pipeline.evaluation.campaigns import by_hand, synthetic
@@ -31,10 +31,10 @@ def scored(judged, level="both", seed=0):
 @pytest.mark.parametrize("level", ["run", "windows", "both"])
 def test_labels_of_tested_runs_do_not_reach_their_scores(level):
     features, windows, truth = campaign(5, effect=2.0)
-    judged = Campaign.of(features, windows, truth)
+    judged = JudgedRuns.of(features, windows, truth)
     scores, folds = scored(judged, level), block_folds(judged.features, 0)
     relabelled = judged.features["label"].where(~folds[0].test, "malicious")
-    blind = Campaign.of(judged.features.assign(label=relabelled), windows, truth)
+    blind = JudgedRuns.of(judged.features.assign(label=relabelled), windows, truth)
     again = scored(blind, level)
     assert np.array_equal(again.score[folds[0].test], scores.score[folds[0].test])
     assert np.array_equal(again.p[folds[0].test], scores.p[folds[0].test])
@@ -42,11 +42,11 @@ def test_labels_of_tested_runs_do_not_reach_their_scores(level):
 
 def test_values_of_tested_runs_do_not_reach_other_scores():
     features, windows, truth = campaign(5)
-    judged = Campaign.of(features, windows, truth)
+    judged = JudgedRuns.of(features, windows, truth)
     test = block_folds(judged.features, 0)[0].test
     odd = judged.features.copy()
     odd.loc[np.flatnonzero(test)[0], COLUMNS] = 1e6
-    before, after = scored(judged, "run"), scored(Campaign.of(odd, windows, truth), "run")
+    before, after = scored(judged, "run"), scored(JudgedRuns.of(odd, windows, truth), "run")
     assert np.array_equal(before.score[test][1:], after.score[test][1:])
 
 
@@ -90,7 +90,7 @@ def test_the_oddest_three_windows_speak_for_a_run_up_to_the_common_length():
 def test_no_finite_value_and_no_folds_give_no_score():
     judged = synthetic(3)
     empty = judged.features.assign(**dict.fromkeys(COLUMNS, np.nan))
-    alone = Campaign.of(empty, judged.windows, judged.truth)
+    alone = JudgedRuns.of(empty, judged.windows, judged.truth)
     folds = block_folds(empty, 0)
     assert np.isnan(held_out(alone, COLUMNS, DETECTOR, folds).score).all()
     assert np.isnan(held_out(judged, COLUMNS, DETECTOR, []).p).all()

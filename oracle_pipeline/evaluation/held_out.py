@@ -17,8 +17,8 @@ from sklearn.base import clone
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
 from oracle_pipeline.datasets import feature_columns, feature_floors, is_malicious
 from oracle_pipeline.detectors import Detector, pipeline
-from oracle_pipeline.evaluation.campaign import Runs
 from oracle_pipeline.evaluation.conformal import p_values
+from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
 from oracle_pipeline.evaluation.splits import Fold
 
 Level = Literal["run", "windows", "both"]
@@ -27,7 +27,7 @@ COMMON = 0.9  # share of the fitted runs that are as long as what is looked at o
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class HeldOut:
+class HeldOutScores:
     """What detectors that never saw a run's block say of it; arrays of shape (n_runs,)."""
 
     score: NDArray[np.float64]  # deviations of the calibration scores from their median
@@ -36,12 +36,12 @@ class HeldOut:
 
 
 def held_out(
-    runs: Runs,
+    runs: MeasuredRuns,
     columns: Sequence[str],
     detector: Detector,
     folds: Sequence[Fold],
     level: Level = "run",
-) -> HeldOut:
+) -> HeldOutScores:
     """Score every run by a detector fitted on right runs of other blocks.
 
     Parameters
@@ -70,7 +70,7 @@ def held_out(
         scores.append(top_windows(of_windows, runs, folds))
     furthest = np.max([standardised(part, folds) for part in scores], axis=0)
     p = conformal(furthest, folds)
-    return HeldOut(of_tested(furthest, folds), p, calibration_runs(folds))
+    return HeldOutScores(of_tested(furthest, folds), p, calibration_runs(folds))
 
 
 def calibration_runs(folds: Sequence[Fold]) -> int:
@@ -96,7 +96,7 @@ def fold_scores(
 
 
 def window_scores(
-    runs: Runs, columns: Sequence[str], detector: Detector, folds: Sequence[Fold]
+    runs: MeasuredRuns, columns: Sequence[str], detector: Detector, folds: Sequence[Fold]
 ) -> NDArray[np.float64]:
     """Score windows by a detector fitted on windows of right runs; (n_folds, n_windows)."""
     present = set(feature_columns(runs.windows))
@@ -106,7 +106,7 @@ def window_scores(
 
 
 def top_windows(
-    scores: NDArray[np.float64], runs: Runs, folds: Sequence[Fold]
+    scores: NDArray[np.float64], runs: MeasuredRuns, folds: Sequence[Fold]
 ) -> NDArray[np.float64]:
     """Return the mean score of each run's three oddest windows, shape (n_folds, n_runs).
 
@@ -118,11 +118,11 @@ def top_windows(
     for number, fold in enumerate(folds):
         laid_out = np.full((len(counts), int(counts.max(initial=1))), -np.inf)
         laid_out[runs.run, place] = scores[number]
-        seen = laid_out[:, : common_length(counts[fold.fit])]
-        best = -np.sort(-seen, axis=1)[:, :TOP_WINDOWS]
-        there = np.isfinite(best)
-        total = np.where(there, best, 0.0).sum(axis=1)
-        np.divide(total, there.sum(axis=1), out=top[number], where=there.any(axis=1))
+        considered = laid_out[:, : common_length(counts[fold.fit])]
+        best = -np.sort(-considered, axis=1)[:, :TOP_WINDOWS]
+        finite = np.isfinite(best)
+        total = np.where(finite, best, 0.0).sum(axis=1)
+        np.divide(total, finite.sum(axis=1), out=top[number], where=finite.any(axis=1))
     return top
 
 
@@ -139,12 +139,12 @@ def standardised(scores: NDArray[np.float64], folds: Sequence[Fold]) -> NDArray[
     """
     scaled = np.empty_like(scores)
     for number, fold in enumerate(folds):
-        known = _finite(scores[number, fold.calibrate])
-        if not len(known):
+        calibration = _finite(scores[number, fold.calibrate])
+        if not len(calibration):
             scaled[number] = np.nan
             continue
-        centre = np.median(known)
-        spread = MAD_TO_DEVIATION * np.median(np.abs(known - centre))
+        centre = np.median(calibration)
+        spread = MAD_TO_DEVIATION * np.median(np.abs(calibration - centre))
         scaled[number] = (scores[number] - centre) / (spread if spread > 0.0 else 1.0)
     return scaled
 
@@ -161,8 +161,9 @@ def conformal(scores: NDArray[np.float64], folds: Sequence[Fold]) -> NDArray[np.
     """Return each run's p-value among the calibration runs of the fold that tests it."""
     p = np.full(scores.shape[1:], np.nan)
     for number, fold in enumerate(folds):
-        tested, known = fold.test & np.isfinite(scores[number]), scores[number, fold.calibrate]
-        p[tested] = p_values(_finite(known), scores[number, tested])
+        tested = fold.test & np.isfinite(scores[number])
+        calibration = _finite(scores[number, fold.calibrate])
+        p[tested] = p_values(calibration, scores[number, tested])
     return p
 
 

@@ -2,9 +2,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from oracle_pipeline.evaluation.campaign import CampaignError, Runs
-from oracle_pipeline.evaluation.grid import kill_matrix, minimum_detectable, mutation_scores
-from oracle_pipeline.evaluation.protocol import HEADLINE
+from oracle_pipeline.evaluation.comparisons import HEADLINE
+from oracle_pipeline.evaluation.judged_runs import EvaluationError, MeasuredRuns
+from oracle_pipeline.evaluation.kill_matrix import kill_matrix, minimum_detectable, mutation_scores
 from tests.oracle_pipeline.datasets.synthetic import ATTACKED, MODES, campaign
 
 
@@ -50,13 +50,13 @@ def grid_of(magnitudes, blocks=4, used=0):
         runs.append(features.assign(scenario="noise", parameter="level", **told))
         windows.append(of_windows)
     grid = pd.concat(runs, ignore_index=True)
-    return Runs.ordered(
+    return MeasuredRuns.ordered(
         grid.assign(block=grid["block"] + used), pd.concat(windows, ignore_index=True)
     )
 
 
 def runs_of_campaign(**more):
-    return Runs.ordered(*campaign(12, **more)[:2])
+    return MeasuredRuns.ordered(*campaign(12, **more)[:2])
 
 
 def test_stronger_attacks_are_killed_and_what_changes_nothing_counts_for_nothing():
@@ -76,7 +76,7 @@ def test_an_attack_as_weak_as_a_declared_harmless_change_is_seen_where_nobody_de
         harmless = table["mode"] == "benign_noise"
         for column, deviation in ATTACKED.items():
             table.loc[harmless, column] += 10.0 * deviation
-    kills = kill_matrix(Runs.ordered(features, windows), grid_of([10.0]), seed=0)
+    kills = kill_matrix(MeasuredRuns.ordered(features, windows), grid_of([10.0]), seed=0)
     headline = kills[(kills[list(HEADLINE._fields)] == list(HEADLINE)).all(axis=1)]
     rates = headline.set_index("split")["kill_rate"]
     assert rates["block"] < 0.5 < rates["block and hard negatives"]
@@ -86,10 +86,10 @@ def test_runs_of_blocks_that_the_grid_uses_do_not_train():
     runs, grid = runs_of_campaign(), grid_of([40.0], used=3)
     features = runs.features.copy()
     features.loc[features["block"].isin(grid.block), list(ATTACKED)] = 1e6
-    odd = Runs.ordered(features, runs.windows)
+    odd = MeasuredRuns.ordered(features, runs.windows)
     pd.testing.assert_frame_equal(kill_matrix(odd, grid, 0), kill_matrix(runs, grid, 0))
 
 
 def test_a_grid_without_its_index_is_refused():
-    with pytest.raises(CampaignError, match="lacks the columns scenario"):
+    with pytest.raises(EvaluationError, match="lacks the columns scenario"):
         kill_matrix(runs_of_campaign(), runs_of_campaign(modes=MODES), 0)

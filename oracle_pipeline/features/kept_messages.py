@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.reader import BagReader, RawMessage
-from oracle_pipeline.features.layout import Layout
+from oracle_pipeline.features.message_layout import MessageLayout
 from oracle_pipeline.features.plugin import (
     Arrivals,
     FeaturePlugin,
@@ -104,7 +104,7 @@ class _Kept:
 class _Topic:
     """One topic of the bag: when its messages came, and what is kept of them."""
 
-    def __init__(self, msgtype: str, layout: Layout) -> None:
+    def __init__(self, msgtype: str, layout: MessageLayout) -> None:
         self.msgtype, self.layout = msgtype, layout
         self.kept: dict[int, _Kept] = {}  # by identity of the request
         self._times_ns = array("q")
@@ -146,12 +146,12 @@ class _Topic:
         return Arrivals(self.msgtype, times_s[part], sizes[part], stamps_ns[part])
 
 
-class Recording:
+class KeptMessages:
     """When the messages of a bag came, and what plugins kept of them."""
 
     def __init__(self, bag: BagReader, plugins: tuple[FeaturePlugin, ...]) -> None:
         self._topics = {
-            name: _Topic(topic.msgtype, Layout(bag, name))
+            name: _Topic(topic.msgtype, MessageLayout(bag, name))
             for name, topic in sorted(bag.topics.items())
         }
         self._kept: dict[str, dict[str, dict[str, _Kept]]] = {

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.datasets import is_hard_negative
 from oracle_pipeline.detectors import DetectorError, panel
-from oracle_pipeline.evaluation.campaign import CampaignError, Runs, feature_sets
+from oracle_pipeline.evaluation.comparisons import HEADLINE, RATES, Scorer, scorers
 from oracle_pipeline.evaluation.conformal import check_support, runs_needed
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate, clopper_pearson
-from oracle_pipeline.evaluation.protocol import HEADLINE, RATES, Scorer, scorers
-from oracle_pipeline.evaluation.scoring import calibration_runs, held_out
+from oracle_pipeline.evaluation.feature_sets import feature_sets
+from oracle_pipeline.evaluation.held_out import calibration_runs, held_out
+from oracle_pipeline.evaluation.judged_runs import EvaluationError, MeasuredRuns
 from oracle_pipeline.evaluation.splits import BLOCK, HARMLESS, Fold, fit_and_calibrate, untaught
 
 ORACLE, OPERATOR = [*Scorer._fields, "split"], ["scenario", "parameter"]
@@ -24,7 +25,9 @@ REQUIRED = ("scenario", "parameter", "value", "changed_messages")
 DETECTABLE = 0.9  # detection rate that a detectable magnitude reaches
 
 
-def kill_matrix(campaign: Runs, grid: Runs, seed: int, rate: float = RATES[0]) -> pd.DataFrame:
+def kill_matrix(
+    campaign: MeasuredRuns, grid: MeasuredRuns, seed: int, rate: float = RATES[0]
+) -> pd.DataFrame:
     """Return how many runs of each magnitude each oracle kills.
 
     Oracles are the scorers of the evaluation, and the headline's once more where nobody told it
@@ -58,10 +61,10 @@ def kill_matrix(campaign: Runs, grid: Runs, seed: int, rate: float = RATES[0]) -
     """
     sets = feature_sets(campaign.features)
     if not sets.get("all"):
-        raise CampaignError("No feature of the campaign has a finite value; extract them again.")
+        raise EvaluationError("No feature of the campaign has a finite value; extract them again.")
     absent = [c for c in (*REQUIRED, *sets["all"]) if c not in grid.features.columns]
     if absent:
-        raise CampaignError(
+        raise EvaluationError(
             f"The grid lacks the columns {', '.join(absent[:5])}; take it from the index that "
             "`oracle-sim grid` writes and extract its features with the campaign's plugins."
         )
@@ -87,7 +90,7 @@ def kill_matrix(campaign: Runs, grid: Runs, seed: int, rate: float = RATES[0]) -
     return kills[[*columns, "kill_rate", "kill_rate_low", "kill_rate_high"]]
 
 
-def _fold(runs: Runs, mutants: NDArray[np.bool_], seed: int) -> Fold:
+def _fold(runs: MeasuredRuns, mutants: NDArray[np.bool_], seed: int) -> Fold:
     """Return the round in which the mutants are tested, by nobody who saw their blocks."""
     train = ~np.isin(runs.block, runs.block[mutants])
     fit, calibrate = fit_and_calibrate(runs.features, train, np.random.default_rng(seed))
@@ -149,10 +152,10 @@ def minimum_detectable(kills: pd.DataFrame) -> pd.DataFrame:
         values = [0.0, *counted["value"]]
         missed = np.flatnonzero(counted["kill_rate"].to_numpy() < DETECTABLE)
         first = int(missed[-1]) + 2 if len(missed) else 1
-        found = NOTHING
+        magnitude = NOTHING
         if first < len(values):
-            found = Estimate(values[first], values[first - 1], values[first])
+            magnitude = Estimate(values[first], values[first - 1], values[first])
         rows.append(
-            dict(zip([*ORACLE, *OPERATOR], place, strict=True)) | found.columns("magnitude")
+            dict(zip([*ORACLE, *OPERATOR], place, strict=True)) | magnitude.columns("magnitude")
         )
     return pd.DataFrame(rows)

@@ -9,7 +9,7 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from assets.checks import CHECKS, PAIR_CHECK
+from assets.run_checks import CHECKS, PAIR_CHECK
 from assets.worker import inspections
 from oracle_pipeline.bags.graph_files import read_gexf, write_gexf
 from oracle_pipeline.bags.run_directory import RunDirectory

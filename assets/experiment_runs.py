@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import dagster as dg
 from pydantic import Field
 
-from assets import presentation, terminal
-from assets.common import OWNERS, SINGLE_RUN
+from assets import presentation
+from assets.asset_defaults import OWNERS, SINGLE_RUN
 from assets.dagster_internals import output_without_event
 from assets.events import (
     Materialized,
@@ -24,6 +24,7 @@ from assets.events import (
 )
 from assets.partitions import RUNS
 from assets.worker.versions import feature_code
+from resources import terminal
 from resources.budget import StorageBudget
 from resources.campaign import CampaignSettings
 from resources.fleet import Fleet
@@ -169,10 +170,10 @@ def recorded_runs(
             if not outcome.job.wanted:  # a finished run that had to make room
                 context.log_event(_shrunk(key, outcome.result))
                 continue
-            made = _materialized(specs, store, outcome.result)
-            yield from materializations(context.instance, keys[key], made)
-            if is_compared and (found := outcome.result.reproduction):
-                yield _reproducible(context, store, key, found)
+            assets_of_run = _materialized(specs, store, outcome.result)
+            yield from materializations(context.instance, keys[key], assets_of_run)
+            if is_compared and (reproduction := outcome.result.reproduction):
+                yield _reproducible(context, store, key, reproduction)
             progress.done(outcome.result.simulated_s)
             simulated += outcome.result.simulated_s > 0.0
     verified = len(jobs) - simulated - len(failed)
@@ -236,27 +237,27 @@ def _shrunk(key: str, report: "RunReport") -> dg.AssetObservation:
 
 
 def _reproducible(
-    context: dg.AssetExecutionContext, store: RunStore, key: str, found: "Reproduction"
+    context: dg.AssetExecutionContext, store: RunStore, key: str, reproduction: "Reproduction"
 ) -> dg.AssetCheckEvaluation:
     from assets.worker.reproduction import place_aside
 
     facts: dict[str, dg.MetadataValue] = {
-        "former_hash": dg.MetadataValue.text(found.former_hash),
-        "new_hash": dg.MetadataValue.text(found.new_hash),
+        "former_hash": dg.MetadataValue.text(reproduction.former_hash),
+        "new_hash": dg.MetadataValue.text(reproduction.new_hash),
     }
-    if found.verdict == "unexplained":
+    if reproduction.verdict == "unexplained":
         run = store.run(key)
         facts |= {
             "former_path": dg.MetadataValue.path(str(run.path)),
             "new_path": dg.MetadataValue.path(str(place_aside(run).path)),
-            "first_difference": dg.MetadataValue.text(found.first_difference),
+            "first_difference": dg.MetadataValue.text(reproduction.first_difference),
         }
     return check_evaluation(
         REPRODUCIBLE,
         key,
         latest_materialization(context.instance, REPRODUCIBLE.asset_key, key),
-        passed=found.verdict != "unexplained",
-        description=_SAID[found.verdict],
+        passed=reproduction.verdict != "unexplained",
+        description=_SAID[reproduction.verdict],
         metadata=facts,
     )
 
