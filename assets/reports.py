@@ -25,6 +25,7 @@ from assets.evaluation import oracle_evaluation
 from resources.failures import clear_failures
 from resources.store import RunStore
 from sim.modes import modes
+from sim.testbeds import which_testbed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -153,7 +154,7 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
     with clear_failures():
         evaluation = Report.load(store.results("oracle_evaluation"))
         judged = evaluation.tables["runs"]
-        df = run_table(store, modes()[judged["mode"].iloc[0]].testbed)
+        df = run_table(store, _testbed(judged["mode"].iloc[0]))
         attacked = windows_of(store, df[df["label"] == "malicious"])
         explained = explanations(df, attacked, judged, draw)
         keys = read_table(store.dataset(DATASET), columns=KEYS)
@@ -199,9 +200,15 @@ def _ghost_and_control(df: "pd.DataFrame") -> list[str]:
     """Return an air traffic run with a ghost and the same run without; nothing if there is none."""
     from oracle_pipeline.reporting.explanation import counterpart
 
-    ghosts = df.loc[df["mode"] == GHOST, "run_id"]
-    pairs = ([ghost, *counterpart(ghost, df)] for ghost in ghosts)
+    sky = df[df["mode"].map(_testbed) == _testbed(GHOST)]
+    ghosts = sky.loc[sky["mode"] == GHOST, "run_id"]
+    pairs = ([ghost, *counterpart(ghost, sky)] for ghost in ghosts)
     return next((pair for pair in pairs if len(pair) > 1), [])
+
+
+def _testbed(mode: str) -> str:
+    """Return the name of the testbed that a mode is run on."""
+    return which_testbed(modes()[mode].scenario)
 
 
 def _drawn_from(store: RunStore) -> "pd.DataFrame":
@@ -209,7 +216,7 @@ def _drawn_from(store: RunStore) -> "pd.DataFrame":
     from oracle_pipeline.reporting.result import Report
 
     drawn = Report.load(store.results(ROWS)).table
-    return _experiments(run_table(store, modes()[drawn["mode"].iloc[0]].testbed))
+    return _experiments(run_table(store, _testbed(drawn["mode"].iloc[0])))
 
 
 def _experiments(df: "pd.DataFrame") -> "pd.DataFrame":

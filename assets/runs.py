@@ -35,7 +35,7 @@ from sim.software import software
 if TYPE_CHECKING:
     from assets.worker.reproduction import Reproduction
     from assets.worker.run import RunJob, RunReport
-    from sim.experiments import Verdict
+    from sim.experiments import Comparison
     from sim.fan_out import Outcome
 
 EXPERIMENT_RUNS = dg.AssetSpec(
@@ -100,7 +100,7 @@ RUN_FEATURES = dg.AssetSpec(
 Columns are named `<family>.<feature>`, units in the schema. Features never see label, mode,
 onset, recipe or ground truth.""",
 )
-_SAID: Mapping["Verdict", str] = {
+_SAID: Mapping["Comparison", str] = {
     "same messages": "Made again, the run holds the same messages.",
     "other software": "Replaced: the code, a library or the processor is another one.",
     "other recipe": "Replaced: the recipe is another one.",

@@ -16,13 +16,13 @@ import numpy as np
 from bench.figures import Row, median, spread
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
-from sim.experiments import record_run
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for, record_run
 from sim.fuzzing.fields import zero
 from sim.fuzzing.mutation import Program
 from sim.fuzzing.program import compile_scenario
 from sim.middleware.executor import SECOND
 from sim.middleware.stamps import header
-from sim.recipes import Campaign, recipe_for
 from sim.scenarios import builtin_scenarios
 
 MESSAGES, ROUNDS = 200, 15

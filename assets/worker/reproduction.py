@@ -16,7 +16,7 @@ from oracle_pipeline.bags.reader import BagReader, RawMessage, content_hash
 from oracle_pipeline.bags.remote import fetched, is_local
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
-from sim.experiments import Verdict, compared
+from sim.experiments import Comparison, compared
 
 FOLDER = "refreshed"  # below the root: a root of runs that were made again
 
@@ -25,7 +25,7 @@ FOLDER = "refreshed"  # below the root: a root of runs that were made again
 class Reproduction:
     """What making a complete run again gave."""
 
-    verdict: Verdict
+    verdict: Comparison
     former_hash: str  # of the messages
     new_hash: str
     first_difference: str = ""  # where it is unexplained

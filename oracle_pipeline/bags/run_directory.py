@@ -19,6 +19,7 @@ from typing import Any, Self
 
 from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.protocol import run_key
 from oracle_pipeline.bags.remote import is_local
 from oracle_pipeline.bags.scratch import beside, lock, remove_left, scratch_beside, sync, sync_tree
 
@@ -79,7 +80,7 @@ class RunDirectory:
     @property
     def key(self) -> str:
         """``fake_object|run003``, the run's partition key."""
-        return f"{self.mode}|{self.run_id}"
+        return run_key(self.mode, self.run)
 
     @property
     def path(self) -> Path:

@@ -11,10 +11,9 @@ import click
 
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
+from sim.campaigns import DEFAULT_SEED, Campaign, OdometrySource, Options, Wiring
 from sim.commands.progress import RunProgress
 from sim.fan_out import fan_out, process_pool
-from sim.recipes import DEFAULT_SEED, Campaign, Options, Wiring
-from sim.turtlebot3.map import OdometrySource
 
 J = TypeVar("J")
 Command = Callable[..., None]

@@ -9,6 +9,7 @@ import click
 
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
+from sim.campaigns import Campaign
 from sim.commands.batch import (
     allow_actuation_option,
     campaign,
@@ -19,10 +20,10 @@ from sim.commands.batch import (
     workers_option,
 )
 from sim.commands.scenarios import fuzz, grid_, mutate, scenarios
-from sim.experiments import record_run
+from sim.experiments import recipe_for, record_run
 from sim.fuzzing.scenario import ScenarioError
-from sim.modes import Mode, broken_scenarios, find_mode, modes
-from sim.recipes import Campaign, recipe_for
+from sim.modes import broken_scenarios, find_mode, modes
+from sim.testbed import Mode
 
 COMMANDS = "oracle_sim.commands"  # entry points of commands that come from elsewhere
 

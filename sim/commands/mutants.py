@@ -23,13 +23,13 @@ from oracle_pipeline.bags.run_directory import (
     RunDirectory,
     bytes_on_disk,
 )
+from sim.campaigns import Campaign
 from sim.commands.parameter_grids import Sweep
-from sim.experiments import record_run
+from sim.experiments import recipe_for, recipe_of, record_run
 from sim.fuzzing.offline import Summary, mutate_bag
 from sim.fuzzing.program import compile_scenario
-from sim.modes import Mode
-from sim.recipes import Campaign, Options, recipe_for
 from sim.software import software
+from sim.testbed import Mode
 
 INDEX_FILE = "grid.json"
 
@@ -86,7 +86,7 @@ def derive_mutant(mode: Mode, controls: Path, root: Path, refresh: bool, cell: C
     """
     control = controls / f"run{cell.block:03d}"
     original = Manifest.load(control / MANIFEST_FILE)
-    recipe = recipe_for(mode, original.block, _campaign(original), cell.given)
+    recipe = recipe_for(mode, original.block, recipe_of(original).campaign(), cell.given)
     recipe = dataclasses.replace(recipe, run=cell.run)
     document = {**recipe.to_dict(), "mutant_of": original.content_hash}
     directory = RunDirectory(root, mode.id, cell.run)
@@ -112,7 +112,7 @@ def derive_mutant(mode: Mode, controls: Path, root: Path, refresh: bool, cell: C
             _mutated(original, mode, summary),
             run=cell.run,
             attack={"frame": "odom", **recipe.parameters}
-            if mode.has_object
+            if mode.scenario.has_object
             else dict(recipe.parameters),
             recipe=document,
             measured=Measured(time.perf_counter() - started, bytes_on_disk(folder)),
@@ -154,17 +154,6 @@ def _row(directory: RunDirectory, cell: Cell, changed: int) -> dict[str, Any]:
         "changed_messages": changed,
         "equivalent": changed == 0,
     }
-
-
-def _campaign(run: Manifest) -> Campaign:
-    """Return the campaign that a run is of, as far as its block's draws depend on it."""
-    return Campaign(
-        seed=run.seed,
-        goals_per_run=len(run.goals),
-        timeout_s=run.recipe.get("duration_s", run.recipe.get("timeout_s")),
-        storage=run.recipe["storage"],
-        options=Options(**run.recipe.get("options", {})),
-    )
 
 
 def _mutated(original: Manifest, mode: Mode, summary: Summary) -> Manifest:

@@ -16,6 +16,7 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.reader import RawMessage
 from oracle_pipeline.bags.run_directory import RunDirectory
+from sim.campaigns import Campaign
 from sim.commands.batch import (
     allow_actuation_option,
     campaign,
@@ -28,14 +29,14 @@ from sim.commands.batch import (
 )
 from sim.commands.mutants import Cell, derive_mutant, grid, record_mutant, write_index
 from sim.commands.parameter_grids import draw, ranges, sweep, typed
-from sim.experiments import record_run
+from sim.experiments import recipe_for, record_run
 from sim.fuzzing.offline import mutate_bag
 from sim.fuzzing.program import compile_scenario
 from sim.fuzzing.scenario import Scenario, ScenarioError, load_scenarios
-from sim.modes import Mode, broken_scenarios, find_mode, modes
-from sim.recipes import Campaign, recipe_for
+from sim.modes import broken_scenarios, find_mode, modes
 from sim.scenarios import builtin_scenarios
 from sim.seeds import node_generator
+from sim.testbed import Mode
 
 _PARAMETERS = 16  # branch of the seed on which parameters are drawn; recipes have those before
 

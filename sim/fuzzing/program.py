@@ -276,3 +276,15 @@ def _sources(scenario: Scenario, compiler: Compiler) -> dict[str, Source]:
             spec.get("on_missing", "forward"),
         )
     return sources
+
+
+def compile_document(mode: str, document: Mapping[str, Any]) -> Program:
+    """Compile the scenario in a recipe; whether it may move something was asked before.
+
+    Raises
+    ------
+    ScenarioError
+        If this release's language is no longer that of the recipe.
+    """
+    scenario = Scenario(f"recipe of {mode}", document, {(): 1})
+    return compile_scenario(scenario, allow_actuation=True)

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.experiments import NODE
 from sim.fuzzing.node import MutationNode
 from sim.fuzzing.program import compile_scenario
 from sim.middleware.domain import Domain
@@ -17,6 +16,7 @@ from sim.recording import DEBUG_TOPICS, Recorder
 from sim.scenarios import builtin_scenarios
 from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
 from sim.turtlebot3.nodes import LidarNoise, add_robot
+from sim.turtlebot3.run import NODE
 from sim.turtlebot3.world import World, WorldParameters
 from tests.sim import humble
 

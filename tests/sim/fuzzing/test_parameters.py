@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from sim.commands.parameter_grids import ParameterError, draw, sweep, typed
 from sim.fuzzing.program import compile_scenario
 from sim.fuzzing.scenario import ScenarioError
-from sim.modes import Mode, find_mode
+from sim.modes import find_mode
+from sim.testbed import Mode
 from tests.sim.fuzzing.workbench import scenario
 
 MODE = Mode(

@@ -26,11 +26,10 @@ from sim.atc.sensors import (
     Transponder,
 )
 from sim.fuzzing.node import MutationNode
+from sim.fuzzing.program import compile_document
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
-from sim.protocol import compiled
 from sim.recording import GraphRecorder, Recorder
-from sim.software import software
 
 NODE = "/adsb_relay"  # the mode's node, whatever it does
 
@@ -53,7 +52,7 @@ class AtcRun:
 
     def __init__(self, recipe: AtcRecipe, folder: Path) -> None:
         self._recipe = recipe
-        self._program = compiled(recipe.mode, recipe.scenario)
+        self._program = compile_document(recipe.mode, recipe.scenario)
         activation = self._program.activation
         if activation.after == "goal_accepted":
             raise self._program.scenario.error(
@@ -118,7 +117,7 @@ class AtcRun:
             executor.run_until(self._start_ns + round(self._recipe.duration_s * SECOND))
             graph.finish()
 
-    def manifest(self, wall_s: float) -> Manifest:
+    def manifest(self, wall_s: float, software: schema.Software) -> Manifest:
         """Return what the finished run was."""
         recipe, scenario = self._recipe, self._program.scenario
         onset_s = (self._onset_ns - self._start_ns) / SECOND
@@ -144,6 +143,6 @@ class AtcRun:
             topics=self._bag.topics,
             content_hash=self._bag.content_hash,
             recipe=recipe.to_dict(),
-            software=software(),
+            software=software,
             measured=schema.Measured(wall_s=wall_s, bytes=bytes_on_disk(self._folder)),
         )
