@@ -49,7 +49,7 @@ EXPERIMENT_RUNS = dg.AssetSpec(
 Run *i* of every mode of a testbed has the same start, goals or flights, and nuisance (block *i*).
 The manifest holds recipe, outcome, onset, what was changed, contacts and hashes:
 `<root>/runs/<mode>/run003/manifest.json`. The same recipe gives the same messages, byte for byte.
-A picture of the run is in the metadata and in `picture.png`; `oracle-sim replay` makes a film.""",
+A picture of the run is in the metadata and in `picture.png`; `oracle replay` makes a film.""",
 )
 BAGS = dg.AssetSpec(
     "bags",

@@ -14,6 +14,7 @@ import pandas as pd
 from oracle_pipeline import features as feature_extraction
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import MISSING, WHERE, field_metadata, replacing, write_table
+from oracle_pipeline.replay.command import replay
 from oracle_pipeline.runs import open_run
 
 
@@ -41,6 +42,9 @@ class _Group(click.Group):
 @click.group(cls=_Group)
 def main() -> None:
     """Tell right behaviour of a ROS 2 system from wrong, from its recordings."""
+
+
+main.add_command(replay)
 
 
 _plugins = click.option(

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from sim.commands.parameter_grids import ParameterError, draw, sweep, typed
+from sim.commands.parameter_values import ParameterError, draw, sweep, typed
 from sim.fuzzing.program import compile_scenario
 from sim.fuzzing.scenario import ScenarioError
 from sim.modes import find_mode
