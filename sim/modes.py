@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from sim.fuzzing.program import compile_scenario
+from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.scenario import Scenario, ScenarioError, load_scenarios
 from sim.scenarios import builtin_scenarios
 from sim.testbed import Mode

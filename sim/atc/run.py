@@ -25,8 +25,9 @@ from sim.atc.sensors import (
     SecondaryRadar,
     Transponder,
 )
-from sim.fuzzing.node import MutationNode
-from sim.fuzzing.program import compile_document
+from sim.fuzzing.compilation import compile_document
+from sim.fuzzing.execution import execute
+from sim.fuzzing.node import ScenarioNode
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.recording import GraphRecorder, Recorder
@@ -60,7 +61,7 @@ class AtcRun:
             )
         self._start_ns = round(SETTLING_S * SECOND)  # of the recording
         self._onset_ns = self._start_ns + round(activation.seconds * SECOND)
-        self._node: MutationNode | None = None
+        self._node: ScenarioNode | None = None
         self._folder = folder
         self._air = AirSpace(recipe.flights, recipe.session.wind)
         self._executor = Executor(on_advance=self._air.advance_to)
@@ -77,8 +78,8 @@ class AtcRun:
 
     def _start_node(self) -> None:
         """Put the mode's node into the graph."""
-        mutation = self._program.start(self._recipe.attack_seed(), self._recipe.parameters)
-        self._node = MutationNode(self.domain, NODE, mutation, latency_ns=self._latency_ns)
+        execution = execute(self._program, self._recipe.attack_seed(), self._recipe.parameters)
+        self._node = ScenarioNode(self.domain, NODE, execution, latency_ns=self._latency_ns)
         self._node.begin(self._onset_ns)
 
     def _add_sensors(self) -> None:

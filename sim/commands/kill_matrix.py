@@ -26,8 +26,8 @@ from oracle_pipeline.bags.run_directory import (
 from sim.campaigns import Campaign
 from sim.commands.parameter_values import Sweep
 from sim.experiments import recipe_for, recipe_of, record_run
+from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.offline import Summary, mutate_bag
-from sim.fuzzing.program import compile_scenario
 from sim.software import software
 from sim.testbed import Mode
 

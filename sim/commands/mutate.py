@@ -13,8 +13,8 @@ from sim.commands.batch import (
     seed_option,
 )
 from sim.commands.parameter_values import typed
+from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.offline import mutate_bag
-from sim.fuzzing.program import compile_scenario
 from sim.modes import find_mode
 
 

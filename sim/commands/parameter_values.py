@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from oracle_pipeline.bags.errors import OracleError
-from sim.fuzzing.mutation import Parameter, Program
-from sim.fuzzing.program import compile_scenario
-from sim.fuzzing.values import Boolean, Number
+from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.program import Parameter, Program
+from sim.fuzzing.value_types import Boolean, Number
 from sim.testbed import Mode
 
 MAX_VALUES = 1000  # of a sweep

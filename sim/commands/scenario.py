@@ -14,7 +14,7 @@ from sim.commands.batch import (
     errors_told,
 )
 from sim.commands.parameter_values import ranges
-from sim.fuzzing.program import compile_scenario
+from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.scenario import Scenario, ScenarioError, load_scenarios
 from sim.modes import broken_scenarios, find_mode, modes
 from sim.scenarios import builtin_scenarios

@@ -14,8 +14,9 @@ from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, bytes_on_disk
 from oracle_pipeline.bags.writer import BagWriter
-from sim.fuzzing.node import MutationNode
-from sim.fuzzing.program import compile_document
+from sim.fuzzing.compilation import compile_document
+from sim.fuzzing.execution import execute
+from sim.fuzzing.node import ScenarioNode
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.middleware.geometry import Pose2D
@@ -88,7 +89,7 @@ class TurtleBot3Run:
         self._patrol_over = False
         self._start_ns = 0  # of the recording
         self._end_ns = 0
-        self._node: MutationNode | None = None
+        self._node: ScenarioNode | None = None
         self._onset_ns: int | None = None
 
     def go(self) -> None:
@@ -200,8 +201,8 @@ class TurtleBot3Run:
         recipe = self._recipe
         if recipe.options.wiring == "absent":
             return
-        mutation = self._program.start(recipe.attack_seed(), recipe.parameters)
-        self._node = MutationNode(self._domain, NODE, mutation, latency_ns=self._latency_ns)
+        execution = execute(self._program, recipe.attack_seed(), recipe.parameters)
+        self._node = ScenarioNode(self._domain, NODE, execution, latency_ns=self._latency_ns)
         if self._onset_ns is not None:
             self._node.begin(self._onset_ns)
 

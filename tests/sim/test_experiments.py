@@ -26,8 +26,8 @@ from oracle_pipeline.graphs.intervals import read_intervals
 from sim.campaigns import Campaign
 from sim.experiments import recipe_for, record_run
 from sim.fan_out import fan_out, process_pool
+from sim.fuzzing.compilation import compile_document
 from sim.fuzzing.offline import mutate_bag
-from sim.fuzzing.program import compile_document
 from sim.middleware.geometry import Pose2D, quaternion_yaw
 from sim.middleware.stamps import stamp_ns
 from sim.modes import find_mode, modes

@@ -9,7 +9,7 @@ import pytest
 from oracle_pipeline.bags.protocol import PAIRS
 from sim.campaigns import Campaign
 from sim.experiments import recipe_for
-from sim.fuzzing.program import compile_scenario
+from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.scenario import ScenarioError
 from sim.modes import FOLDER, broken_scenarios, find_mode, modes
 from sim.scenarios import builtin_scenarios
