@@ -36,7 +36,7 @@ from sim.software import software
 if TYPE_CHECKING:
     from assets.worker.reproduction import Reproduction
     from assets.worker.run import RunJob, RunReport
-    from sim.experiments import Verdict
+    from sim.experiments import Comparison
     from sim.fan_out import Outcome
 
 EXPERIMENT_RUNS = dg.AssetSpec(
@@ -50,7 +50,7 @@ EXPERIMENT_RUNS = dg.AssetSpec(
 Run *i* of every mode of a testbed has the same start, goals or flights, and nuisance (block *i*).
 The manifest holds recipe, outcome, onset, what was changed, contacts and hashes:
 `<root>/runs/<mode>/run003/manifest.json`. The same recipe gives the same messages, byte for byte.
-A picture of the run is in the metadata and in `picture.png`; `oracle-sim replay` makes a film.""",
+A picture of the run is in the metadata and in `picture.png`; `oracle replay` makes a film.""",
 )
 BAGS = dg.AssetSpec(
     "bags",
@@ -101,7 +101,7 @@ RUN_FEATURES = dg.AssetSpec(
 Columns are named `<family>.<feature>`, units in the schema. Features never see label, mode,
 onset, recipe or ground truth.""",
 )
-_SAID: Mapping["Verdict", str] = {
+_SAID: Mapping["Comparison", str] = {
     "same messages": "Made again, the run holds the same messages.",
     "other software": "Replaced: the code, a library or the processor is another one.",
     "other recipe": "Replaced: the recipe is another one.",

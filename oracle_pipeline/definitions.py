@@ -30,7 +30,7 @@ from resources.budget import StorageBudget  # noqa: E402
 from resources.campaign import CampaignSettings  # noqa: E402
 from resources.fleet import Fleet  # noqa: E402
 from resources.store import RunStore  # noqa: E402
-from sim.recipes import Campaign  # noqa: E402
+from sim.campaigns import Campaign  # noqa: E402
 
 
 def build_defs(**overrides: object) -> dg.Definitions:

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Self
 
 from oracle_pipeline.bags.errors import BagError, RunDirectoryError
-from oracle_pipeline.bags.layout import BAG_FOLDER
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.reader import BagReader
-from oracle_pipeline.bags.run_directory import GRAPHS_FOLDER, MANIFEST_FILE
+from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, MANIFEST_FILE
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.graphs.intervals import Interval, read_intervals
 

@@ -12,8 +12,8 @@ import llvmlite.binding
 
 from oracle_pipeline.bags.manifest import Software
 from oracle_pipeline.bags.sources import ROOT, code_hash
+from sim.testbeds import TESTBEDS
 
-_MADE_BY = ("sim.experiments",)  # the modules that make a run from its recipe
 # Libraries whose arithmetic, random numbers or serialisation end up in messages.
 _LIBRARIES = ("geographiclib", "llvmlite", "mujoco", "numba", "numpy", "rosbags", "scipy")
 
@@ -37,4 +37,4 @@ def run_code(root: Path = ROOT) -> str:
     root
         The folder of our packages.
     """
-    return code_hash(_MADE_BY, root=root)
+    return code_hash([testbed.made_by for testbed in TESTBEDS.values()], root=root)

@@ -15,10 +15,10 @@ from typing import Literal
 
 from oracle_pipeline.bags import types
 from oracle_pipeline.bags.errors import RunDirectoryError
-from oracle_pipeline.bags.layout import BAG_FOLDER
 from oracle_pipeline.bags.manifest import KEPT, Kept, Manifest
 from oracle_pipeline.bags.reader import BagReader, RawMessage, read_ground_truth
 from oracle_pipeline.bags.run_directory import (
+    BAG_FOLDER,
     MANIFEST_FILE,
     RunDirectory,
     bytes_on_disk,

@@ -2,11 +2,10 @@
 
 from pathlib import Path
 
-from oracle_pipeline.bags.layout import BAG_FOLDER
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.remote import fetched
-from oracle_pipeline.bags.run_directory import MANIFEST_FILE
+from oracle_pipeline.bags.run_directory import BAG_FOLDER, MANIFEST_FILE
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.replay.radar import has_tracks, plan_view, radar_display

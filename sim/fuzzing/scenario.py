@@ -88,6 +88,17 @@ class Scenario:
         """SHA-256 of the document, whatever its layout."""
         return hashlib.sha256(json.dumps(self.document, sort_keys=True).encode()).hexdigest()
 
+    @property
+    def drawn(self) -> Mapping[str, str]:
+        """Parameters whose value comes from the block: name -> what of the block."""
+        parameters = self.document.get("parameters", {})
+        return {name: spec["drawn"] for name, spec in parameters.items() if "drawn" in spec}
+
+    @property
+    def has_object(self) -> bool:
+        """Whether it shows the robot the block's object that is not there."""
+        return "object_x" in self.drawn.values()
+
     def as_shadow(self) -> "Scenario":
         """Return its control: the same node doing the same work, publishing the original."""
         changes = {

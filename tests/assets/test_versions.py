@@ -44,10 +44,16 @@ NOTHING: set[str] = set()
 @pytest.mark.parametrize(
     ("place", "old", "new", "changed"),
     [
-        ("sim/commands/main.py", "look at them.", "look.", NOTHING),
+        ("sim/commands/record.py", "N runs of one mode", "runs of one mode", NOTHING),
         ("sim/commands/progress.py", "real time", "time", NOTHING),
         ("sim/fan_out.py", '"""', '"""A line. ', NOTHING),
         ("resources/fleet.py", '"""', '"""A line. ', NOTHING),
+        ("sim/scenarios/random_noise.yaml", "\n", "\n# A line.\n", NOTHING),
+        ("sim/modes.py", '"""', '"""A line. ', NOTHING),
+        ("sim/experiments.py", '"""', '"""A line. ', NOTHING),
+        ("sim/turtlebot3/drawing.py", '"""', '"""A line. ', NOTHING),
+        ("sim/turtlebot3/recipes.py", '"""', '"""A line. ', RUNS),
+        ("sim/recording.py", '"""', '"""A line. ', RUNS),
         ("assets/runs.py", '"""', '"""A line. ', NOTHING),
         ("sim/nav2/amcl.py", '"""', '"""A line. ', RUNS),
         ("sim/atc/fusion.py", '"""', '"""A line. ', RUNS),

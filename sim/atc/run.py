@@ -8,9 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from oracle_pipeline.bags import manifest as schema
-from oracle_pipeline.bags.layout import BAG_FOLDER
 from oracle_pipeline.bags.manifest import Manifest
-from oracle_pipeline.bags.run_directory import GRAPHS_FOLDER, bytes_on_disk
+from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, bytes_on_disk
 from oracle_pipeline.bags.writer import BagWriter
 from sim.atc.airspace import AirSpace
 from sim.atc.conflict_detection import ConflictDetection
@@ -26,12 +25,12 @@ from sim.atc.sensors import (
     SecondaryRadar,
     Transponder,
 )
-from sim.fuzzing.node import MutationNode
+from sim.fuzzing.compilation import compile_document
+from sim.fuzzing.execution import execute
+from sim.fuzzing.node import ScenarioNode
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
-from sim.protocol import compiled
 from sim.recording import GraphRecorder, Recorder
-from sim.software import software
 
 NODE = "/adsb_relay"  # the mode's node, whatever it does
 
@@ -54,7 +53,7 @@ class AtcRun:
 
     def __init__(self, recipe: AtcRecipe, folder: Path) -> None:
         self._recipe = recipe
-        self._program = compiled(recipe.mode, recipe.scenario)
+        self._program = compile_document(recipe.mode, recipe.scenario)
         activation = self._program.activation
         if activation.after == "goal_accepted":
             raise self._program.scenario.error(
@@ -62,7 +61,7 @@ class AtcRun:
             )
         self._start_ns = round(SETTLING_S * SECOND)  # of the recording
         self._onset_ns = self._start_ns + round(activation.seconds * SECOND)
-        self._node: MutationNode | None = None
+        self._node: ScenarioNode | None = None
         self._folder = folder
         self._air = AirSpace(recipe.flights, recipe.session.wind)
         self._executor = Executor(on_advance=self._air.advance_to)
@@ -79,8 +78,8 @@ class AtcRun:
 
     def _start_node(self) -> None:
         """Put the mode's node into the graph."""
-        mutation = self._program.start(self._recipe.attack_seed(), self._recipe.parameters)
-        self._node = MutationNode(self.domain, NODE, mutation, latency_ns=self._latency_ns)
+        execution = execute(self._program, self._recipe.attack_seed(), self._recipe.parameters)
+        self._node = ScenarioNode(self.domain, NODE, execution, latency_ns=self._latency_ns)
         self._node.begin(self._onset_ns)
 
     def _add_sensors(self) -> None:
@@ -119,7 +118,7 @@ class AtcRun:
             executor.run_until(self._start_ns + round(self._recipe.duration_s * SECOND))
             graph.finish()
 
-    def manifest(self, wall_s: float) -> Manifest:
+    def manifest(self, wall_s: float, software: schema.Software) -> Manifest:
         """Return what the finished run was."""
         recipe, scenario = self._recipe, self._program.scenario
         onset_s = (self._onset_ns - self._start_ns) / SECOND
@@ -145,6 +144,6 @@ class AtcRun:
             topics=self._bag.topics,
             content_hash=self._bag.content_hash,
             recipe=recipe.to_dict(),
-            software=software(),
+            software=software,
             measured=schema.Measured(wall_s=wall_s, bytes=bytes_on_disk(self._folder)),
         )

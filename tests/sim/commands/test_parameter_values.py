@@ -5,10 +5,12 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from sim.commands.parameter_grids import ParameterError, draw, sweep, typed
-from sim.fuzzing.program import compile_scenario
+from sim.commands.parameter_values import ParameterError, draw, sweep, typed
+from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.execution import execute
 from sim.fuzzing.scenario import ScenarioError
-from sim.modes import Mode, find_mode
+from sim.modes import find_mode
+from sim.testbed import Mode
 from tests.sim.fuzzing.workbench import scenario
 
 MODE = Mode(
@@ -69,7 +71,7 @@ def test_what_is_drawn_is_within_bounds_and_the_rest_is_left(seed):
     assert list(drawn) == ["level", "rays"]
     assert 0.0 <= drawn["level"] <= 1.0
     assert drawn["rays"] in range(1, 6)
-    compile_scenario(MODE.scenario).start(1, drawn)
+    execute(compile_scenario(MODE.scenario), 1, drawn)
     assert drawn == draw(MODE, np.random.default_rng(seed))
 
 
@@ -90,7 +92,7 @@ def test_words_become_values_of_the_parameters_type():
     words = ["level=.5", "rays=2", "on=false", "name=a=b"]
     values = typed(program, words)
     assert values == {"level": 0.5, "rays": 2, "on": False, "name": "a=b"}
-    program.start(1, values)
+    execute(program, 1, values)
 
 
 @pytest.mark.parametrize(
@@ -105,7 +107,7 @@ def test_words_become_values_of_the_parameters_type():
 def test_words_that_are_no_value_are_refused_where_the_run_begins(word, expected):
     program = compile_scenario(MODE.scenario)
     with pytest.raises(ScenarioError) as refused:
-        program.start(1, typed(program, [word]))
+        execute(program, 1, typed(program, [word]))
     assert expected in str(refused.value)
 
 

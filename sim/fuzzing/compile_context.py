@@ -1,104 +1,29 @@
-"""What operators are compiled with: the step a message is in, terms, and the fields they change.
+"""What operators are compiled against: scope, message types, and the fields that they change.
 
 Everything is checked here against the types of the messages, and errors name the place in the file.
 """
 
 import dataclasses
-import functools
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol, Self
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 
-from sim.fuzzing.expressions import (
-    DRAWS,
-    Expression,
-    ExpressionError,
-    Scope,
-    compile_expression,
-)
+from sim.fuzzing.expressions import compile_expression
 from sim.fuzzing.fields import Convert, Field, RefusedMessage, converter, difference
-from sim.fuzzing.random import Draws
+from sim.fuzzing.grammar import ExpressionError
 from sim.fuzzing.scenario import Key, Scenario, ScenarioError
-from sim.fuzzing.values import INTEGER, Array, Boolean, Message, Number, Record, Text, Type
-
-_BRANCH = 1 << 32  # the operations of one round of a loop, apart from those of the next
+from sim.fuzzing.scopes import Scope
+from sim.fuzzing.step import Step, Term
+from sim.fuzzing.value_types import INTEGER, Array, Boolean, Message, Number, Record, Text, Type
 
 Spec = Mapping[str, Any]
 
 
-@dataclass(slots=True)
-class Step:
-    """One message, or one beat of a timer, on its way through a scenario."""
-
-    stamp_ns: int  # when it was published
-    heard: int  # how many messages came before
-    index: int  # what its draws go by
-    draws: Draws
-    env: dict[str, Any]  # the values of names
-    header: Any  # for messages that are made; None if the type has none
-    recent: Sequence[Any]  # what came last, this message included
-    memory: dict[int, Any]  # of operators, from message to message
-    original: Any = None  # the message, or element, as the action found it
-    message: Any = None  # as far as it is changed
-    dropped: bool = False
-    delay_s: float = 0.0
-    copies: int = 1
-    spacing_s: float = 0.0
-    emitted: list[Any] = field(default_factory=list)
-    magnitude: float = 0.0
-    notes: list[str] = field(default_factory=list)
-    branch: int = 0
-
-    def generator(self, operation: int, place: int = 0) -> np.random.Generator:
-        """Return the generator of one draw."""
-        return self.draws.generator(self.index, operation + self.branch * _BRANCH, place)
-
-    def note(self, magnitude: float, text: str) -> None:
-        """Keep what was done, for the ground truth."""
-        self.magnitude = max(self.magnitude, magnitude)
-        self.notes.append(text)
-
-
 @dataclass(frozen=True, slots=True)
-class Term:
-    """An expression in its place, with draws of its own."""
-
-    expression: Expression
-    number: int
-
-    @property
-    def type(self) -> Type:
-        """Of the value."""
-        return self.expression.type
-
-    @property
-    def cost(self) -> int:
-        """Elements that one evaluation computes."""
-        return self.expression.cost
-
-    def __call__(self, step: Step) -> Any:
-        """Return the value for a message."""
-        if DRAWS in self.expression.names:
-            step.env[DRAWS] = functools.partial(step.generator, self.number)
-        return self.expression(step.env)
-
-
-class Operator(Protocol):
-    """What is done to a message."""
-
-    @property
-    def cost(self) -> int:
-        """Elements that it computes for one message, at most."""
-
-    def __call__(self, step: Step) -> None:
-        """Do it."""
-
-
-@dataclass(frozen=True, slots=True)
-class Compiler:
+class CompileContext:
     """What operators are compiled against.
 
     Parameters
@@ -148,28 +73,28 @@ class Compiler:
 
     def let(
         self, spec: Spec, key: Key, *, elements: int = 1
-    ) -> tuple["Compiler", tuple[tuple[str, Term], ...]]:
+    ) -> tuple["CompileContext", tuple[tuple[str, Term], ...]]:
         """Compile ``let``: each of its names is known to those below it and to the rest."""
-        compiler, terms = self, []
+        context, terms = self, []
         for name, text in spec.get("let", {}).items():
             place = (*key, "let", name)
-            term = compiler.term(text, place, elements=elements)
+            term = context.term(text, place, elements=elements)
             is_vector = term.expression.vector
-            compiler = compiler.with_local(place, name, term.type, is_vector=is_vector)
+            context = context.with_local(place, name, term.type, is_vector=is_vector)
             terms.append((name, term))
-        return compiler, tuple(terms)
+        return context, tuple(terms)
 
-    def loop(self, spec: Spec, key: Key, element: Type) -> tuple["Compiler", tuple[str, ...]]:
+    def loop(self, spec: Spec, key: Key, element: Type) -> tuple["CompileContext", tuple[str, ...]]:
         """Compile ``as``: names of an element and of its index."""
         names = tuple(spec["as"])
-        compiler = self
+        context = self
         for name, kind in zip(names, (element, INTEGER), strict=False):
             is_vector = isinstance(element, Number | Boolean)
-            compiler = compiler.with_local((*key, "as"), name, kind, is_vector=is_vector)
-        return compiler, names
+            context = context.with_local((*key, "as"), name, kind, is_vector=is_vector)
+        return context, names
 
-    def with_local(self, key: Key, name: str, kind: Type, *, is_vector: bool) -> "Compiler":
-        """Return a compiler whose expressions may name something more."""
+    def with_local(self, key: Key, name: str, kind: Type, *, is_vector: bool) -> "CompileContext":
+        """Return a context whose expressions may name something more."""
         if name in self.scope.locals:
             raise self.scenario.error(key, f"expected a new name, {name} is taken")
         vectors = (*self.scope.vectors, name) if is_vector else self.scope.vectors
@@ -192,7 +117,7 @@ class Compiler:
         except LookupError as error:
             raise self.scenario.error(key, str(error.args[0])) from error
 
-    def checkfits(self, value: Term, field: Field, key: Key) -> None:
+    def check_fits(self, value: Term, field: Field, key: Key) -> None:
         """Refuse a value that cannot be stored in a field."""
         if not fits(value.type, field.type):
             raise self.scenario.error(
@@ -214,18 +139,18 @@ class Target:
     keep: bool  # leave what is not finite as it is
 
     @classmethod
-    def of(cls, spec: Spec, key: Key, compiler: Compiler) -> Self:
+    def of(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
         """Return the target of a specification."""
-        field = compiler.field(spec, key)
+        field = context.field(spec, key)
         convert = converter(field.type, spec.get("on_overflow", "wrap"))
-        return cls(field, compiler.longest, convert, spec.get("nonfinite", "keep") == "keep")
+        return cls(field, context.longest, convert, spec.get("nonfinite", "keep") == "keep")
 
     @classmethod
-    def of_numbers(cls, spec: Spec, key: Key, compiler: Compiler) -> Self:
+    def of_numbers(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
         """Return the target of a specification that only numbers can meet."""
-        target = cls.of(spec, key, compiler)
+        target = cls.of(spec, key, context)
         if not isinstance(target.element, Number):
-            raise compiler.scenario.error(
+            raise context.scenario.error(
                 (*key, "field"),
                 f"expected a number or an array of numbers, {target.field.path} is a "
                 f"{target.field.type}",

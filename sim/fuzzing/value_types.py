@@ -199,3 +199,14 @@ def _base_type(kind: str, bound: int) -> Type:
 def strip_padding(text: str) -> str:
     """Return a string as strings are compared: without trailing NULs and spaces."""
     return text.rstrip("\0 ")
+
+
+def listable(kind: Type) -> Type | None:
+    """Return what a value of a type is as an element of a list, or None."""
+    match kind:
+        case Number():
+            return FLOAT
+        case Array(Number(), int() as length, True):
+            return Array(FLOAT, length, fixed=True)
+        case _:
+            return None

@@ -12,22 +12,24 @@ from oracle_pipeline.graphs.intervals import read_intervals
 from sim.atc.airspace import AirSpace
 from sim.atc.fusion import ADSB, PSR, SSR
 from sim.atc.geodesy import Place, distance, to_geodetic
-from sim.atc.recipes import AtcCampaign, AtcRecipe, atc_recipe_for
-from sim.atc.runs import AtcRun
+from sim.atc.recipes import AtcRecipe
+from sim.atc.run import AtcRun
 from sim.atc.sensors import SECTOR_NS
-from sim.experiments import record_run
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for, record_run
 from sim.fuzzing.scenario import ScenarioError
 from sim.middleware import qos
 from sim.middleware.executor import SECOND
 from sim.middleware.node import Node
 from sim.middleware.stamps import stamp_ns
-from sim.modes import Mode, modes
+from sim.modes import modes
+from sim.testbed import Mode
 
 TARGET = "C07AB1"
 GHOST = Place(44.25, -76.55)
 ONSET_S = 60.0
 OVERHEAD_S = 260  # soon after, the target is so high above the radar that it cannot be seen
-CAMPAIGN = AtcCampaign(duration_s=300.0)
+CAMPAIGN = Campaign(timeout_s=300.0)
 
 
 def later(mode):
@@ -47,8 +49,8 @@ MODES = {
 
 def record(root, name):
     directory = RunDirectory(root, name, 0)
-    target = {"target": TARGET} if "target" in MODES[name].drawn else {}
-    record_run(atc_recipe_for(MODES[name], 0, CAMPAIGN, target), directory)
+    target = {"target": TARGET} if "target" in MODES[name].scenario.drawn else {}
+    record_run(recipe_for(MODES[name], 0, CAMPAIGN, target), directory)
     return directory
 
 
@@ -222,7 +224,7 @@ def test_a_scenario_that_waits_for_a_goal_is_refused(tmp_path):
     activation = {"onset": {"after": "goal_accepted"}}
     mode = Mode(replace(scenario, document={**scenario.document, "activation": activation}))
     with pytest.raises(ScenarioError, match="air traffic has no goals"):
-        AtcRun(atc_recipe_for(mode, 0, CAMPAIGN), tmp_path)
+        AtcRun(recipe_for(mode, 0, CAMPAIGN), tmp_path)
 
 
 def test_a_node_may_appear_at_the_onset(tmp_path):
@@ -230,7 +232,7 @@ def test_a_node_may_appear_at_the_onset(tmp_path):
     activation = {"onset": {"seconds": 10.0}, "before": "absent"}
     mode = Mode(replace(scenario, document={**scenario.document, "activation": activation}))
     directory = RunDirectory(tmp_path, mode.id, 0)
-    record_run(atc_recipe_for(mode, 0, AtcCampaign(duration_s=20.0)), directory)
+    record_run(recipe_for(mode, 0, Campaign(timeout_s=20.0)), directory)
     assert 10.0 <= min(second for second, _ in messages(directory, "/adsb_fuzzed")) < 11.0
 
 
@@ -252,7 +254,7 @@ EVERY_NODE = {"/rosout", "/parameter_events"}
 @pytest.fixture
 def listened(tmp_path):
     """A run, and what a bystander heard: messages, and the bytes that they were when sent."""
-    recipe = atc_recipe_for(modes()["atc_normal"], 0, AtcCampaign(duration_s=30.0))
+    recipe = recipe_for(modes()["atc_normal"], 0, Campaign(timeout_s=30.0))
     run = AtcRun(recipe, tmp_path)
     bystander, heard, sent = Node(run.domain, "/bystander"), [], []
     for _, sends in GRAPH.values():

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from oracle_pipeline.bags.errors import OracleError
-from sim.fuzzing.mutation import Parameter, Program
-from sim.fuzzing.program import compile_scenario
-from sim.fuzzing.values import Boolean, Number
-from sim.modes import Mode
+from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.program import Parameter, Program
+from sim.fuzzing.value_types import Boolean, Number
+from sim.testbed import Mode
 
 MAX_VALUES = 1000  # of a sweep
 
@@ -78,7 +78,7 @@ def draw(mode: Mode, rng: np.random.Generator) -> dict[str, Any]:
     drawn: dict[str, Any] = {}
     for name, parameter in program.parameters.items():
         low, high = parameter.low, parameter.high
-        if name in mode.drawn or low is None or high is None:
+        if name in mode.scenario.drawn or low is None or high is None:
             continue
         match parameter.type:
             case Number(is_integer=True):

@@ -1,89 +1,32 @@
-"""A compiled scenario, and one run of it.
+"""A scenario at work: what becomes of each message.
 
-A ``Program`` is fixed; a ``Mutation`` remembers. The same mutation makes the same outputs in the
+A ``Program`` is fixed; an ``Execution`` remembers. The same execution makes the same outputs in the
 simulator and over a recorded bag: a message's draws go by the stamp in its header (by its number
 where it has none), never by what came before, and times are those at which messages were
 published, which is what a recorder notes.
 """
 
-import math
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from oracle_pipeline.bags.manifest import Change
-from oracle_pipeline.bags.types import GROUND_TRUTH_TYPE, message_class
-from sim.fuzzing.compiler import Operator, Step, Term
 from sim.fuzzing.fields import RefusedMessage
-from sim.fuzzing.operators import STORED_NS
+from sim.fuzzing.ground_truth import GroundTruth
+from sim.fuzzing.program import Program
 from sim.fuzzing.random import Draws
-from sim.fuzzing.scenario import Scenario
-from sim.fuzzing.values import Boolean, Message, Number, Record, Text, Type
+from sim.fuzzing.state_operators import STORED_NS
+from sim.fuzzing.step import ACTIVATION, Step
 from sim.middleware.executor import SECOND
 from sim.middleware.stamps import header as make_header
 from sim.middleware.stamps import stamp_ns as nanoseconds
-from sim.middleware.stamps import time_message
 
 PASSTHROUGH = "passthrough"  # the operation of what is handed on unchanged
-ACTIVATION = 0  # the operation whose draw decides whether a message is touched
 
-_HEADER = "std_msgs/msg/Header"
-_BIN_NS = 5 * SECOND  # of the account of what was changed
 _PERIODS_S = (0.001, 3600.0)  # of a timer
 
 _QUIETLY = np.errstate(all="ignore")  # NaN and infinities are values like others
-
-_GroundTruth = message_class(GROUND_TRUTH_TYPE)
-
-
-@dataclass(frozen=True, slots=True)
-class GroundTruth:
-    """What was done to one message, or by a timer."""
-
-    stamp_ns: int  # of the message's header, else when it was published
-    topic: str
-    index: int  # how many messages had been published on the topic before
-    operation: str
-    magnitude: float  # the largest change, in the operation's own unit; 0 for nothing
-    detail: str
-
-    def message(self) -> Any:
-        """Return ``oracle_msgs/msg/GroundTruth``."""
-        return _GroundTruth(
-            time_message(self.stamp_ns),
-            self.topic,
-            self.index,
-            self.operation,
-            self.magnitude,
-            self.detail,
-        )
-
-
-def in_bins(changes: Iterable[tuple[int, float]], start_ns: int) -> tuple[Change, ...]:
-    """Return what was changed, in bins of five seconds from the start of the recording.
-
-    Parameters
-    ----------
-    changes
-        When [ns], in order, and the magnitude; what came before the start is left out.
-    start_ns
-        Of the recording.
-    """
-    bins: dict[int, list[float]] = {}
-    for time_ns, magnitude in changes:
-        if time_ns >= start_ns:
-            bins.setdefault((time_ns - start_ns) // _BIN_NS, []).append(magnitude)
-    return tuple(
-        Change(number * _BIN_NS / SECOND, len(found), _finite(max(found)))
-        for number, found in bins.items()
-    )
-
-
-def _finite(magnitude: float) -> float | None:
-    return magnitude if math.isfinite(magnitude) else None
 
 
 class Output(NamedTuple):
@@ -100,172 +43,44 @@ class Result(NamedTuple):
     truth: GroundTruth | None  # None: a timer had nothing to do
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """A value that each run may choose."""
-
-    name: str
-    type: Type
-    default: Any
-    low: float | None
-    high: float | None
-
-    def checked(self, value: Any) -> Any:
-        """Return a value as its type has it.
-
-        Raises
-        ------
-        ValueError
-            If it is of another type, too long or out of range; the text says what was expected.
-        """
-        match self.type:
-            case Number():
-                kinds = int if self.type.is_integer else int | float
-                fits = isinstance(value, kinds) and not isinstance(value, bool)
-                what = "a whole number" if self.type.is_integer else "a number"
-            case Boolean():
-                fits, what = isinstance(value, bool), "true or false"
-            case Text(max_len):
-                fits = isinstance(value, str) and len(value) <= max_len
-                what = f"a text of at most {max_len} characters"
-            case _:
-                raise TypeError(self.type)
-        if not fits:
-            raise ValueError(f"expected {what}, found {value!r}")
-        if isinstance(self.type, Number):
-            low = -np.inf if self.low is None else self.low
-            high = np.inf if self.high is None else self.high
-            if not low <= value <= high:
-                raise ValueError(f"expected {low} to {high}, found {value}")
-            return value if self.type.is_integer else float(value)
-        return value
-
-
-@dataclass(frozen=True, slots=True)
-class Source:
-    """A topic that is heard besides the main one."""
-
-    topic: str
-    type: Message
-    as_sent: Callable[[Any], Any]
-    let: tuple[tuple[str, Term], ...]  # what is kept of a message; nothing: the message itself
-    value: Record
-    max_age_ns: int | None
-    on_missing: Literal["forward", "drop"]
-
-
-@dataclass(frozen=True, slots=True)
-class Activation:
-    """When a scenario acts."""
-
-    after: Literal["start", "goal_accepted"] = "start"
-    seconds: float = 0.0  # from then to the onset
-    before: Literal["forward", "absent"] = "forward"  # absent: the node appears at the onset
-    duration_s: float | None = None  # None: to the end
-    probability: float = 1.0  # that a message is touched
-
-    def includes(self, t_s: float) -> bool:
-        """Tell whether the scenario acts so long after its onset."""
-        return t_s >= 0.0 and (self.duration_s is None or t_s < self.duration_s)
-
-
-@dataclass(frozen=True, slots=True)
-class Action:
-    """Operators that are applied together, if a condition holds."""
-
-    name: str
-    when: Term | None
-    let: tuple[tuple[str, Term], ...]
-    do: tuple[Operator, ...]
-
-    @property
-    def cost(self) -> int:
-        """Elements that it computes for one message, at most."""
-        parts = [*(term for _, term in self.let), *self.do, *filter(None, [self.when])]
-        return sum(part.cost for part in parts)
-
-    def __call__(self, step: Step) -> bool:
-        """Do it if its condition holds; tell whether it did."""
-        step.original = step.message
-        if step.message is not None:
-            step.env["msg"] = step.message
-        if self.when is not None and not self.when(step):
-            return False
-        env = step.env
-        step.env = dict(env)
-        for name, term in self.let:
-            step.env[name] = term(step)
-        for operator in self.do:
-            operator(step)
-        step.env = env
-        return True
-
-
-@dataclass(frozen=True, slots=True)
-class Program:
-    """A scenario that can be run; see ``compile_scenario``."""
-
-    scenario: Scenario
-    type: Message  # of the main topic
-    as_sent: Callable[[Any], Any]  # takes its messages as a recorder sees them
-    input_topic: str
-    output_topic: str
-    sources: Mapping[str, Source]
-    parameters: Mapping[str, Parameter]
-    activation: Activation
-    cost: int  # elements computed for one message, at most
-    constants: Mapping[str, Any]
-    state: Mapping[str, Any]  # what it begins with
-    lifetimes_ns: Mapping[str, int]  # of the rows of tables
-    always: Action | None
-    actions: tuple[Action, ...]
-    first_match_only: bool
-    period: Term | None  # of the timer [s]
-    timer: Action | None
-    magnitude: Term | None
-    outputs: int  # at most, for one message
-    memory: int  # how many messages are kept to be played back
-
-    @property
-    def has_header(self) -> bool:
-        """Whether messages carry a stamp."""
-        header = self.type.fields.get("header")
-        return isinstance(header, Message) and header.name == _HEADER
-
-    def start(self, run_seed: int, parameters: Mapping[str, Any] | None = None) -> "Mutation":
-        """Begin a run.
-
-        Parameters
-        ----------
-        run_seed
-            With the scenario's own seed, the key of all draws.
-        parameters
-            Values that are to be others than the defaults.
-
-        Raises
-        ------
-        ScenarioError
-            If there is no such parameter, or it cannot have that value.
-        """
-        values = {name: parameter.default for name, parameter in self.parameters.items()}
-        for name, value in (parameters or {}).items():
-            if name not in values:
-                known = ", ".join(values) or "none"
-                raise self.scenario.error(("parameters",), f"expected one of {known}, found {name}")
-            try:
-                values[name] = self.parameters[name].checked(value)
-            except ValueError as error:
-                raise self.scenario.error(("parameters", name), str(error)) from error
-        return Mutation(self, Draws(run_seed, self.scenario.seed), values)
-
-
-class Mutation:
-    """One run of a program: everything that it remembers from message to message.
+def execute(
+    program: Program, run_seed: int, parameters: Mapping[str, Any] | None = None
+) -> "Execution":
+    """Begin to execute a program.
 
     Parameters
     ----------
     program
-        What is run.
+        What is executed.
+    run_seed
+        With the scenario's own seed, the key of all draws.
+    parameters
+        Values that are to be others than the defaults.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such parameter, or it cannot have that value.
+    """
+    values = {name: parameter.default for name, parameter in program.parameters.items()}
+    for name, value in (parameters or {}).items():
+        if name not in values:
+            known = ", ".join(values) or "none"
+            raise program.scenario.error(("parameters",), f"expected one of {known}, found {name}")
+        try:
+            values[name] = program.parameters[name].checked(value)
+        except ValueError as error:
+            raise program.scenario.error(("parameters", name), str(error)) from error
+    return Execution(program, Draws(run_seed, program.scenario.seed), values)
+
+
+class Execution:
+    """One run of a program, begun by ``execute``: all that it remembers from message to message.
+
+    Parameters
+    ----------
+    program
+        What is executed.
     draws
         Its randomness.
     parameters

@@ -7,8 +7,8 @@ import pytest
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, RunDirectory
 from oracle_pipeline.bags.writer import BagWriter
-from sim.experiments import record_run
-from sim.recipes import Campaign, recipe_for
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for, record_run
 
 
 @pytest.fixture(scope="session")

@@ -9,18 +9,13 @@ from hypothesis import strategies as st
 
 from sim.atc.airspace import AirSpace
 from sim.atc.geodesy import slant_range
+from sim.campaigns import Campaign, CampaignError, Options
+from sim.experiments import recipe_for
 from sim.middleware.geometry import Pose2D
 from sim.modes import modes
-from sim.recipes import (
-    MIN_CLEARANCE_M,
-    MIN_LEG_M,
-    Campaign,
-    Options,
-    RecipeError,
-    draw_session,
-    recipe_for,
-)
+from sim.testbeds import which_testbed
 from sim.turtlebot3.arena import RING, clearance
+from sim.turtlebot3.drawing import MIN_CLEARANCE_M, MIN_LEG_M, draw_session
 from sim.turtlebot3.map import WORLD_IN_MAP, odom_in_map
 
 blocks = st.integers(0, 200)
@@ -55,7 +50,7 @@ def test_the_fake_object_leaves_start_and_goals_free(seed, run):
 @given(seeds, blocks, st.sampled_from(["turtlebot3", "atc"]))
 def test_runs_of_one_block_differ_in_what_their_mode_is_only(seed, run, testbed):
     campaign = Campaign(seed=seed)
-    of_testbed = [mode for mode in modes().values() if mode.testbed == testbed]
+    of_testbed = [mode for mode in modes().values() if which_testbed(mode.scenario) == testbed]
     recipes = [recipe_for(mode, run, campaign) for mode in of_testbed]
     assert [recipe.scenario["id"] for recipe in recipes] == [mode.id for mode in of_testbed]
     what = ("mode", "scenario", "parameters", "conditions")
@@ -138,12 +133,12 @@ def test_a_recipe_survives_json(seed, run):
 
 
 def test_an_unknown_mode_is_refused_with_those_that_there_are():
-    with pytest.raises(RecipeError, match="no mode 'fake'; there are lidar_passthrough, "):
+    with pytest.raises(CampaignError, match="no mode 'fake'; there are lidar_passthrough, "):
         recipe_for("fake", 0, Campaign())
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "many", ""])
 def test_goals_per_run_from_the_environment_must_be_a_whole_number(monkeypatch, text):
     monkeypatch.setenv("ORACLE_GOALS_PER_RUN", text)
-    with pytest.raises(RecipeError, match="ORACLE_GOALS_PER_RUN"):
+    with pytest.raises(CampaignError, match="ORACLE_GOALS_PER_RUN"):
         Campaign.from_environment()

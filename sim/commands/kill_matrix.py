@@ -15,28 +15,28 @@ from pathlib import Path
 from typing import Any
 
 from oracle_pipeline.bags.errors import RunDirectoryError
-from oracle_pipeline.bags.layout import BAG_FOLDER
 from oracle_pipeline.bags.manifest import Manifest, Measured
 from oracle_pipeline.bags.run_directory import (
+    BAG_FOLDER,
     GRAPHS_FOLDER,
     MANIFEST_FILE,
     RunDirectory,
     bytes_on_disk,
 )
-from sim.commands.parameter_grids import Sweep
-from sim.experiments import record_run
+from sim.campaigns import Campaign
+from sim.commands.parameter_values import Sweep
+from sim.experiments import recipe_for, recipe_of, record_run
+from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.offline import Summary, mutate_bag
-from sim.fuzzing.program import compile_scenario
-from sim.modes import Mode
-from sim.recipes import Campaign, Options, recipe_for
 from sim.software import software
+from sim.testbed import Mode
 
 INDEX_FILE = "grid.json"
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
-    """One mutant of a grid."""
+class Mutant:
+    """One run of a kill matrix."""
 
     run: int
     block: int
@@ -49,32 +49,34 @@ class Cell:
         return {self.parameter: self.value}
 
 
-def grid(sweeps: Sequence[Sweep], blocks: int) -> list[Cell]:
+def mutants(sweeps: Sequence[Sweep], blocks: int) -> list[Mutant]:
     """Return every value of every sweep in every block.
 
     Runs are numbered block by block, so a grid of more blocks begins with that of fewer.
     """
     points = [(sweep.parameter, value) for sweep in sweeps for value in sweep.values]
     return [
-        Cell(block * len(points) + place, block, *point)
+        Mutant(block * len(points) + place, block, *point)
         for block in range(blocks)
         for place, point in enumerate(points)
     ]
 
 
 def record_mutant(
-    mode: Mode, campaign: Campaign, root: Path, refresh: bool, cell: Cell
+    mode: Mode, campaign: Campaign, root: Path, refresh: bool, mutant: Mutant
 ) -> Manifest:
     """Record a mutant in closed loop; raises as ``record_run`` does."""
-    recipe = recipe_for(mode, cell.block, campaign, cell.given)
+    recipe = recipe_for(mode, mutant.block, campaign, mutant.given)
     return record_run(
-        dataclasses.replace(recipe, run=cell.run),
-        RunDirectory(root, mode.id, cell.run),
+        dataclasses.replace(recipe, run=mutant.run),
+        RunDirectory(root, mode.id, mutant.run),
         refresh=refresh,
     )
 
 
-def derive_mutant(mode: Mode, controls: Path, root: Path, refresh: bool, cell: Cell) -> Manifest:
+def derive_mutant(
+    mode: Mode, controls: Path, root: Path, refresh: bool, mutant: Mutant
+) -> Manifest:
     """Make a mutant from the run of its block below ``controls``.
 
     Raises
@@ -84,12 +86,12 @@ def derive_mutant(mode: Mode, controls: Path, root: Path, refresh: bool, cell: C
     OracleError
         If the run is not there, does not have what the scenario hears, or cannot be mutated.
     """
-    control = controls / f"run{cell.block:03d}"
+    control = controls / f"run{mutant.block:03d}"
     original = Manifest.load(control / MANIFEST_FILE)
-    recipe = recipe_for(mode, original.block, _campaign(original), cell.given)
-    recipe = dataclasses.replace(recipe, run=cell.run)
+    recipe = recipe_for(mode, original.block, recipe_of(original).campaign(), mutant.given)
+    recipe = dataclasses.replace(recipe, run=mutant.run)
     document = {**recipe.to_dict(), "mutant_of": original.content_hash}
-    directory = RunDirectory(root, mode.id, cell.run)
+    directory = RunDirectory(root, mode.id, mutant.run)
     if directory.is_complete() and not refresh:
         found = directory.manifest()
         if found.recipe != document:
@@ -110,9 +112,9 @@ def derive_mutant(mode: Mode, controls: Path, root: Path, refresh: bool, cell: C
         shutil.copytree(control / GRAPHS_FOLDER, folder / GRAPHS_FOLDER)
         manifest = dataclasses.replace(
             _mutated(original, mode, summary),
-            run=cell.run,
+            run=mutant.run,
             attack={"frame": "odom", **recipe.parameters}
-            if mode.has_object
+            if mode.scenario.has_object
             else dict(recipe.parameters),
             recipe=document,
             measured=Measured(time.perf_counter() - started, bytes_on_disk(folder)),
@@ -121,7 +123,7 @@ def derive_mutant(mode: Mode, controls: Path, root: Path, refresh: bool, cell: C
     return manifest
 
 
-def write_index(root: Path, mode: Mode, cells: Sequence[Cell]) -> Path:
+def write_index(root: Path, mode: Mode, mutants: Sequence[Mutant]) -> Path:
     """Write which mutant is what, as far as they are there.
 
     Returns
@@ -132,39 +134,28 @@ def write_index(root: Path, mode: Mode, cells: Sequence[Cell]) -> Path:
         changed).
     """
     rows = []
-    for cell in cells:
-        directory = RunDirectory(root, mode.id, cell.run)
+    for mutant in mutants:
+        directory = RunDirectory(root, mode.id, mutant.run)
         if directory.is_complete():
             changed = sum(change.messages for change in directory.manifest().changes)
-            rows.append(_row(directory, cell, changed))
+            rows.append(_row(directory, mutant, changed))
     root.mkdir(parents=True, exist_ok=True)
     path = root / INDEX_FILE
     path.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
     return path
 
 
-def _row(directory: RunDirectory, cell: Cell, changed: int) -> dict[str, Any]:
+def _row(directory: RunDirectory, mutant: Mutant, changed: int) -> dict[str, Any]:
     return {
         "run_id": directory.key,
         "scenario": directory.mode,
-        "parameter": cell.parameter,
-        "value": cell.value,
-        "block": cell.block,
+        "parameter": mutant.parameter,
+        "value": mutant.value,
+        "block": mutant.block,
         "path": str(directory.path.relative_to(directory.root)),
         "changed_messages": changed,
         "equivalent": changed == 0,
     }
-
-
-def _campaign(run: Manifest) -> Campaign:
-    """Return the campaign that a run is of, as far as its block's draws depend on it."""
-    return Campaign(
-        seed=run.seed,
-        goals_per_run=len(run.goals),
-        timeout_s=run.recipe.get("duration_s", run.recipe.get("timeout_s")),
-        storage=run.recipe["storage"],
-        options=Options(**run.recipe.get("options", {})),
-    )
 
 
 def _mutated(original: Manifest, mode: Mode, summary: Summary) -> Manifest:

@@ -15,9 +15,9 @@ from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.types import TypeDefinition, serialize
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.opened_run import open_run
+from sim.commands.kill_matrix import Mutant, derive_mutant, mutants
 from sim.commands.main import main
-from sim.commands.mutants import Cell, derive_mutant, grid
-from sim.commands.parameter_grids import Sweep
+from sim.commands.parameter_values import Sweep
 from sim.fuzzing.scenario import parse_scenarios
 from sim.modes import FOLDER, find_mode
 from sim.scenarios import builtin_scenarios
@@ -163,9 +163,9 @@ def test_the_list_has_the_built_in_scenarios_and_ones_own(tmp_path, monkeypatch)
 
 def test_a_grid_has_every_value_in_every_block_and_grows_by_blocks():
     sweeps = [Sweep("level", (0.1, 0.2)), Sweep("rays", (3,))]
-    cells = grid(sweeps, 3)
+    cells = mutants(sweeps, 3)
     assert [cell.run for cell in cells] == list(range(9))
-    assert cells[:6] == grid(sweeps, 2)
+    assert cells[:6] == mutants(sweeps, 2)
     assert {(cell.block, cell.parameter, cell.value) for cell in cells} == {
         (block, name, value)
         for block in range(3)
@@ -192,7 +192,7 @@ def test_a_grid_is_indexed_as_far_as_there_are_runs_with_its_equivalent_mutants(
 
 def test_a_mutant_of_a_run_is_a_run_of_its_block(controls, tmp_path):
     mode = find_mode("fake_object")
-    cell = Cell(7, 0, "radius", 0.3)
+    cell = Mutant(7, 0, "radius", 0.3)
     manifest = derive_mutant(mode, controls, tmp_path, False, cell)
     original = Manifest.load(controls / "run000" / "manifest.json")
     with open_run(tmp_path / "runs/fake_object/run007") as opened:
@@ -210,10 +210,10 @@ def test_a_mutant_of_a_run_is_a_run_of_its_block(controls, tmp_path):
 
 def test_a_mutant_that_is_there_is_kept_and_another_is_not_put_in_its_place(controls, tmp_path):
     mode = find_mode("sensor_drop")
-    cell = Cell(0, 0, "share", 0.5)
+    cell = Mutant(0, 0, "share", 0.5)
     made = derive_mutant(mode, controls, tmp_path, False, cell)
     assert derive_mutant(mode, controls, tmp_path, False, cell) == made  # wall time included
-    other = Cell(0, 0, "share", 0.6)
+    other = Mutant(0, 0, "share", 0.6)
     with pytest.raises(RunDirectoryError, match="is another mutant"):
         derive_mutant(mode, controls, tmp_path, False, other)
     assert derive_mutant(mode, controls, tmp_path, True, other).attack == {"share": 0.6}

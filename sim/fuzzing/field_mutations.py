@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sim.fuzzing.fields import converter, difference, replaced
-from sim.fuzzing.values import Array, Message, Number, Text, Type
+from sim.fuzzing.value_types import Array, Message, Number, Text, Type
 
 _LARGEST_STEP = 35  # of arithmetic, as in AFL
 
@@ -28,7 +28,7 @@ _Way = tuple[str | None, ...]  # to a value: names of fields, None for an elemen
 
 
 @dataclass(frozen=True, slots=True)
-class Mutator:
+class FieldMutator:
     """Changes one value of a message.
 
     Parameters
@@ -43,7 +43,7 @@ class Mutator:
     mutations: tuple[str, ...]
 
     @classmethod
-    def of(cls, root: Message, fields: Sequence[str], mutations: Sequence[str]) -> "Mutator":
+    def of(cls, root: Message, fields: Sequence[str], mutations: Sequence[str]) -> "FieldMutator":
         """Return the mutator of a message type.
 
         Parameters
