@@ -27,6 +27,7 @@ from assets import (  # noqa: E402
 )
 from resources.budget import StorageBudget  # noqa: E402
 from resources.campaign import CampaignSettings  # noqa: E402
+from resources.executor import in_process_executor  # noqa: E402
 from resources.fleet import Fleet  # noqa: E402
 from resources.no_values import NoValues  # noqa: E402
 from resources.store import RunStore  # noqa: E402
@@ -64,7 +65,7 @@ def build_defs(**overrides: object) -> dg.Definitions:
         schedules=[automation.nightly, run_retention.weekly],
         sensors=[scenario_changes.changed_scenarios],
         resources=resources | overrides,
-        executor=dg.in_process_executor,  # the assets fan out themselves
+        executor=in_process_executor,  # the assets fan out themselves
     )
 
 
