@@ -1,4 +1,4 @@
-"""What the assets over all runs share: how one is declared, what it reads and where it keeps."""
+"""What the assets over all runs share: their declaration, their inputs and their results."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
@@ -24,12 +24,12 @@ TestbedChoice = Literal["auto", "turtlebot3", "atc"]
 
 
 class TestbedConfig(dg.Config):
-    """Which runs are looked at: those of two testbeds have nothing in common to compare."""
+    """Which testbed to analyse: runs of two testbeds have no features in common."""
 
     testbed: TestbedChoice = Field(
         default="auto",
-        description="Runs of this testbed; by default the TurtleBot3's, or the air traffic's "
-        "while there are no others.",
+        description="Testbed whose runs are analysed; by default the TurtleBot3's, or air "
+        "traffic if no others are recorded.",
     )
 
 
@@ -52,20 +52,20 @@ def aggregate(
 
 
 def run_table(store: RunStore, testbed: TestbedChoice) -> "pd.DataFrame":
-    """Return the features of the runs of one testbed, families that none of them has left out."""
+    """Return the run features of one testbed, without families that have no value there."""
     from oracle_pipeline.datasets import read_table, without_empty_families
 
     place = store.dataset(DATASET)
-    there = read_table(place, columns=["mode"])["mode"].unique()
-    of = {mode: modes()[mode].testbed for mode in there}
+    recorded = read_table(place, columns=["mode"])["mode"].unique()
+    of = {mode: modes()[mode].testbed for mode in recorded}
     if testbed == "auto":
         testbed = "turtlebot3" if "turtlebot3" in of.values() else "atc"
-    chosen = [mode for mode in there if of[mode] == testbed]
+    chosen = [mode for mode in recorded if of[mode] == testbed]
     return without_empty_families(read_table(place, rows=("mode", chosen)))
 
 
 def windows_of(store: RunStore, df: "pd.DataFrame") -> "pd.DataFrame":
-    """Return the windows of the runs in a table, a row a window."""
+    """Return the window features of the runs in a table, one row for each window."""
     from oracle_pipeline.datasets import read_table
 
     return read_table(store.dataset(WINDOWS), rows=("run_id", df["run_id"]))

@@ -88,7 +88,7 @@ def is_malicious(df: pd.DataFrame) -> NDArray[np.bool_]:
 
 
 def is_hard_negative(df: pd.DataFrame) -> NDArray[np.bool_]:
-    """Return True for the rows of right runs in which something harmless was changed."""
+    """Return True for the rows of normal runs in which something harmless was changed."""
     return np.asarray(df["mode"].str.startswith(HARD_NEGATIVE), dtype=np.bool_)
 
 

@@ -1,4 +1,4 @@
-"""How well one clustering tells attacked runs from right ones, by our reading and the thesis's."""
+"""How well one clustering tells attacked runs from normal ones, by our reading and the thesis's."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace

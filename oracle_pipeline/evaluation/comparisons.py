@@ -142,7 +142,7 @@ def _note(scored: NDArray[np.bool_], calibration: int, runs: DistinctRuns) -> st
     """Say what of a row is missing, and why."""
     if not scored.any():
         return (
-            "no run could be scored: it takes features with values and three blocks of right runs"
+            "no run could be scored: it takes features with values and three blocks of normal runs"
         )
     remarks = [
         f"no {name} runs"

@@ -42,7 +42,7 @@ def held_out(
     folds: Sequence[Fold],
     level: Level = "run",
 ) -> HeldOutScores:
-    """Score every run by a detector fitted on right runs of other blocks.
+    """Score every run by a detector fitted on normal runs of other blocks.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def fold_scores(
 def window_scores(
     runs: MeasuredRuns, columns: Sequence[str], detector: Detector, folds: Sequence[Fold]
 ) -> NDArray[np.float64]:
-    """Score windows by a detector fitted on windows of right runs; (n_folds, n_windows)."""
+    """Score windows by a detector fitted on windows of normal runs; (n_folds, n_windows)."""
     present = set(feature_columns(runs.windows))
     windowed = [column for column in columns if column in present]
     of_windows = [fold.of(runs.run) for fold in folds]

@@ -1,4 +1,4 @@
-"""What has to be right before a figure is believed: each check with its figure and a sentence.
+"""Integrity checks of the evaluation itself: each with its figure and a sentence.
 
 A check is green, red, or unsupported: the campaign is too small or lacks the runs for it. Only if
 all are green is the headline said.
@@ -130,7 +130,7 @@ def label_above_session(
         return _unsupported(name, "It takes two sessions, both classes and three blocks of each.")
     of_session = float(np.mean(areas))
     passed = of_session <= of_label - MARGIN
-    meaning = "" if passed else " Verdicts need not hold in a session without right runs."
+    meaning = "" if passed else " Verdicts need not hold in a session without normal runs."
     return _found(
         name,
         passed=passed,
@@ -193,7 +193,7 @@ def shuffled_labels(
 def hard_negatives(
     scores: HeldOutScores, campaign: JudgedRuns, rng: np.random.Generator
 ) -> IntegrityCheck:
-    """Right runs with a harmless change are seldom called anomalous."""
+    """Hard negatives, normal runs with a harmless change, are seldom called anomalous."""
     name = "hard_negatives_pass"
     judged = is_hard_negative(campaign.features) & np.isfinite(scores.p)
     if not judged.any():

@@ -1,8 +1,8 @@
 """Which runs a detector is fitted on, calibrated with and tested on: never of one block.
 
-Runs of a block share start, goals and nuisance seed, so whole blocks go to one side. Only right
+Runs of a block share start, goals and nuisance seed, so whole blocks go to one side. Only normal
 runs train: those of half the training blocks fit the detector, those of the other half calibrate
-it. Hard negatives are right runs like any other.
+it. Hard negatives are normal runs like any other.
 """
 
 from collections.abc import Sequence
@@ -24,8 +24,8 @@ BLOCK, SESSION, HARMLESS = "block", "session", "block and hard negatives"
 class Fold:
     """Who does what in one round; masks of shape (n_rows,)."""
 
-    fit: NDArray[np.bool_]  # right runs
-    calibrate: NDArray[np.bool_]  # right runs of other blocks
+    fit: NDArray[np.bool_]  # normal runs
+    calibrate: NDArray[np.bool_]  # normal runs of other blocks
     test: NDArray[np.bool_]  # all runs of yet other blocks
     train: NDArray[np.bool_]  # all runs of no tested block: for classifiers, which need attacks too
 
@@ -89,9 +89,9 @@ def untaught(df: pd.DataFrame, folds: Sequence[Fold]) -> list[Fold]:
 def fit_and_calibrate(
     df: pd.DataFrame, train: NDArray[np.bool_], rng: np.random.Generator
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Split the right runs among the training rows, half of the blocks to either mask."""
-    hand, right = _dealt(df, train, 2, rng), ~is_malicious(df)
-    return right & (hand == 0), right & (hand == 1)
+    """Split the normal runs among the training rows, half of the blocks to either mask."""
+    hand, normal = _dealt(df, train, 2, rng), ~is_malicious(df)
+    return normal & (hand == 0), normal & (hand == 1)
 
 
 def _folds(

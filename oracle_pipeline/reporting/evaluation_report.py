@@ -68,19 +68,21 @@ def _summary(evaluation: Evaluation) -> dict[str, float | int | str]:
 
 
 def in_words(area: Estimate) -> str:
-    """Say in words what an AUC with its interval supports, and no more.
+    """Return the claim that an AUC with its interval supports.
 
     Examples
     --------
     >>> in_words(Estimate(0.55, 0.41, 0.68))
-    'Attacked and normal runs cannot be told apart: AUC 0.55 [0.41, 0.68] holds 0.5, or chance.'
+    'Attacked and normal runs cannot be distinguished: AUC 0.55 [0.41, 0.68] contains 0.5 (chance).'
     """
     if np.isnan(area.value):
         return "Nothing could be measured; the notes say why."
     if area.covers(0.5):
-        return f"Attacked and normal runs cannot be told apart: AUC {area} holds 0.5, or chance."
+        return (
+            f"Attacked and normal runs cannot be distinguished: AUC {area} contains 0.5 (chance)."
+        )
     if area.high < 0.5:
-        return f"Attacked runs look more ordinary than normal ones: AUC {area}, below chance."
+        return f"Attacked runs look more usual than normal ones: AUC {area}, below chance."
     if area.low < 0.85:
         return f"Attacked runs stand out, but not reliably: AUC {area}, above chance."
     return f"Attacked runs stand out clearly: AUC {area}."

@@ -148,7 +148,7 @@ def test_further_tables_come_back_and_a_report_without_them_does_too(tmp_path):
 @pytest.mark.parametrize(
     ("area", "words"),
     [
-        (Estimate(0.5, 0.3, 0.7), "cannot be told apart"),
+        (Estimate(0.5, 0.3, 0.7), "cannot be distinguished"),
         (Estimate(0.2, 0.1, 0.3), "below chance"),
         (Estimate(0.8, 0.6, 0.9), "not reliably"),
         (Estimate(0.99, 0.9, 1.0), "clearly"),
