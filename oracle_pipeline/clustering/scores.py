@@ -1,4 +1,4 @@
-"""What a tree says of each run, without labels: a verdict by flat clusters, or a score.
+"""Unsupervised results of a tree for each run: a verdict by flat clusters, or a score.
 
 Higher scores are more anomalous. How good they are is measured in ``oracle_pipeline.evaluation``.
 """

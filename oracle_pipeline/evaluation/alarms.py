@@ -1,4 +1,4 @@
-"""What the oracle says while a run goes on: alarms a window, how soon they come, how often in vain.
+"""Alarms during a run: one verdict per window, time to detect, and false alarms per hour.
 
 A window's p-value is its rank among the *oddest* windows of calibration runs: anywhere in a normal
 run, ``p <= alpha`` is reached with a probability of about alpha.

@@ -65,7 +65,7 @@ def smallness(clusters: NDArray[np.int32]) -> NDArray[np.float64]:
 
 
 def in_small_cluster(clusters: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Tell which rows are in a cluster smaller than the mean one."""
+    """Return which rows are in a cluster smaller than the mean one."""
     mean = len(clusters) / len(np.unique(clusters))
     return np.asarray(-smallness(clusters) < mean, dtype=np.bool_)
 

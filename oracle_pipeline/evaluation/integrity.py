@@ -1,7 +1,7 @@
 """Integrity checks of the evaluation itself: each with its figure and a sentence.
 
-A check is green, red, or unsupported: the campaign is too small or lacks the runs for it. Only if
-all are green is the headline said.
+A check is green, red, or unsupported: the campaign is too small or lacks the runs for it. The
+headline is withheld unless all are green.
 """
 
 from collections.abc import Callable, Sequence
@@ -211,7 +211,7 @@ def hard_negatives(
 def shortcuts_apart(
     features: pd.DataFrame, columns: Sequence[str], of_shortcuts: Estimate
 ) -> IntegrityCheck:
-    """No feature behind the headline tells a run by who was there or how it was recorded.
+    """No headline feature identifies a run by its nodes or by how it was recorded.
 
     Parameters
     ----------

@@ -82,7 +82,7 @@ def kill_matrix(
             columns, detector = sets[scorer.features], detectors[scorer.detector]
             scores = held_out(runs, columns, detector, folds, scorer.level)
         except DetectorError:
-            continue  # its row in the evaluation's table says why
+            continue  # its row in the evaluation's table gives the reason
         verdicts = grid.features[list(REQUIRED)].assign(killed=scores.p[mutants] <= rate)
         tables.append(_counted(verdicts).assign(**scorer._asdict(), split=split))
     columns = [*ORACLE, *OPERATOR, "value", "mutants", "equivalent", "killed"]

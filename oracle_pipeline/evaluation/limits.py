@@ -1,4 +1,4 @@
-"""What a campaign is too small, or built wrongly, to support: said before any figure is shown."""
+"""Claims that a campaign cannot support, because it is too small or lacks kinds of runs."""
 
 from math import log
 

@@ -40,7 +40,7 @@ def block_folds(df: pd.DataFrame, seed: int, n_folds: int = FOLDS) -> list[Fold]
     Parameters
     ----------
     df : DataFrame
-        A row a run.
+        One row for each run.
     seed : int
         Of the order in which blocks are dealt.
     n_folds : int
@@ -57,7 +57,7 @@ def session_folds(df: pd.DataFrame, seed: int, blocks_that_train: int = 0) -> li
     Parameters
     ----------
     df : DataFrame
-        A row a run.
+        One row for each run.
     seed : int
         Of who trains.
     blocks_that_train : int
@@ -80,7 +80,7 @@ def tested_in(folds: Sequence[Fold]) -> NDArray[np.bool_] | None:
 
 
 def untaught(df: pd.DataFrame, folds: Sequence[Fold]) -> list[Fold]:
-    """Return folds in which nobody says what is harmless: hard negatives are only tested."""
+    """Return folds in which hard negatives are only tested, never trained on."""
     plain = ~is_hard_negative(df)
     held_out = [replace(f, fit=f.fit & plain, calibrate=f.calibrate & plain) for f in folds]
     return [fold for fold in held_out if fold.fit.any() and fold.calibrate.any()]

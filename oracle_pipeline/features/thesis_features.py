@@ -1,7 +1,7 @@
 """The ten numbers that the thesis's code computes of a run, for its variant of the method.
 
 They are not what their names promise: corrected features are in ``structural``, ``odometry``,
-``laser`` and ``goals``; docs/thesis.md tells the two apart. Two plugins, as there: what goes wrong
+``laser`` and ``goals``; docs/thesis.md compares the two. Two plugins, as there: what goes wrong
 with the messages costs all three contextual features, never the structural ones. A number that
 comes out as NaN becomes 0, as there. Plugins in the thesis's *form* are in ``thesis``.
 """

@@ -76,7 +76,7 @@ def in_words(area: Estimate) -> str:
     'Attacked and normal runs cannot be distinguished: AUC 0.55 [0.41, 0.68] contains 0.5 (chance).'
     """
     if np.isnan(area.value):
-        return "Nothing could be measured; the notes say why."
+        return "Nothing could be measured; the notes give the reasons."
     if area.covers(0.5):
         return (
             f"Attacked and normal runs cannot be distinguished: AUC {area} contains 0.5 (chance)."

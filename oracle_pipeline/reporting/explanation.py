@@ -1,6 +1,6 @@
-"""One run of each attack explained: what was said of it, what gave it away, and how it looks.
+"""One run of each attack explained: its verdict, the evidence, and a picture.
 
-Beside its picture stands that of the run that differs from it by the attack alone. How far a
+Beside it is the picture of the run that differs only by the attack. How far a
 feature is out is found in ``oracle_pipeline.scoring.evidence``; how a run is drawn, in
 ``oracle_pipeline.replay.picture``.
 """
@@ -26,7 +26,7 @@ AIR_TRAFFIC, ITS_CONTROL = "atc_", "atc_normal"  # modes of the second testbed
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Explanation:
-    """One attacked run; the notes say what of it is missing."""
+    """One attacked run; the notes name what is missing."""
 
     run_id: str
     verdict: str
