@@ -242,7 +242,8 @@ def null_model_table(repetitions: int, seed: int) -> pd.DataFrame:
     -------
     DataFrame
         One row for each share of very long runs, ``p_long``. Of the best cluster ``recall``,
-        ``fpr`` and ``auc``: the median of the repetitions and, ``_low`` and ``_high``, where 95% of them lie.
+        ``fpr`` and ``auc``: the median of the repetitions and, ``_low`` and ``_high``, where 95%
+        of them lie.
         ``reaches_headline`` is the share with the recall that the thesis reports, or more.
     """
     table = []
