@@ -1,7 +1,7 @@
 """The job over all assets, and the nightly schedule that re-simulates one block.
 
 All automation is off by default. The sensor is in ``assets.scenario_changes``, the job that deletes
-old Dagster runs in ``assets.run_retention``. How to use them: docs/automation.md.
+old Dagster runs in ``assets.run_retention``. How to use them: docs/how-to/automation.md.
 """
 
 import dagster as dg

@@ -2,7 +2,7 @@
 
 A worker processes one run completely before it takes the next: the bag is read right after it was
 recorded and can be dropped then, and any range of partitions is one Dagster run. Reasons and
-costs: docs/dagster.md.
+costs: docs/explanation/dagster.md.
 """
 
 import contextlib
@@ -36,7 +36,7 @@ from sim.software import software
 if TYPE_CHECKING:
     from assets.worker.reproduction import Reproduction
     from assets.worker.run import RunJob, RunReport
-    from sim.experiments import Verdict
+    from sim.experiments import Comparison
     from sim.fan_out import Outcome
 
 EXPERIMENT_RUNS = dg.AssetSpec(
@@ -50,7 +50,7 @@ EXPERIMENT_RUNS = dg.AssetSpec(
 Run *i* of every mode of a testbed has the same start, goals or flights, and nuisance (block *i*).
 `<root>/runs/<mode>/run003/manifest.json` holds recipe, outcome, onset, changes made by the attack,
 contacts and hashes. The same recipe gives the same messages, byte for byte. A picture of the run is
-in the metadata and in `picture.png`; `oracle-sim replay` makes a film.""",
+in the metadata and in `picture.png`; `oracle replay` makes a film.""",
 )
 BAGS = dg.AssetSpec(
     "bags",
@@ -101,7 +101,7 @@ RUN_FEATURES = dg.AssetSpec(
 Columns are named `<family>.<feature>`, units in the schema. Features never see label, mode,
 onset, recipe or ground truth.""",
 )
-_DESCRIPTIONS: Mapping["Verdict", str] = {
+_DESCRIPTIONS: Mapping["Comparison", str] = {
     "same messages": "Re-simulated: the messages are the same.",
     "other software": "Replaced: the code, a library or the CPU has changed.",
     "other recipe": "Replaced: the recipe has changed.",

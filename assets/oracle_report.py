@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import dagster as dg
 
 from assets import presentation
-from assets.aggregates import DATASET, aggregate, run_table, windows_of
+from assets.aggregates import DATASET, aggregate, run_table, testbed_of, windows_of
 from assets.feature_dataset import feature_dataset
 from assets.oracle_evaluation import oracle_evaluation
 from assets.thesis_method import (
@@ -22,7 +22,6 @@ from assets.thesis_method import (
 )
 from resources.failures import clear_failures
 from resources.store import RunStore
-from sim.modes import modes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -66,7 +65,7 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
     with clear_failures():
         evaluation = Report.load(store.results("oracle_evaluation"))
         judged = evaluation.tables["runs"]
-        df = run_table(store, modes()[judged["mode"].iloc[0]].testbed)
+        df = run_table(store, testbed_of(judged["mode"].iloc[0]))
         attacked = windows_of(store, df[df["label"] == "malicious"])
         explained = explanations(df, attacked, judged, draw)
         keys = read_table(store.dataset(DATASET), columns=KEYS)
@@ -112,6 +111,7 @@ def _ghost_and_control(df: "pd.DataFrame") -> list[str]:
     """Return an air traffic run with a ghost and the same run without; empty if not recorded."""
     from oracle_pipeline.reporting.explanation import counterpart
 
-    ghosts = df.loc[df["mode"] == GHOST, "run_id"]
-    pairs = ([ghost, *counterpart(ghost, df)] for ghost in ghosts)
+    sky = df[df["mode"].map(testbed_of) == testbed_of(GHOST)]
+    ghosts = sky.loc[sky["mode"] == GHOST, "run_id"]
+    pairs = ([ghost, *counterpart(ghost, sky)] for ghost in ghosts)
     return next((pair for pair in pairs if len(pair) > 1), [])

@@ -10,10 +10,10 @@ import dagster as dg
 
 from assets.events import check_evaluation, latest_materializations
 from assets.partitions import RUNS
+from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.fleet import Fleet
 from resources.store import RunStore
-from sim.modes import PAIRS
 
 SHOWN = 10  # faults named in the description of a result
 

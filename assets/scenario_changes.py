@@ -14,7 +14,7 @@ import dagster as dg
 from assets.automation import everything, refreshed_runs
 from assets.experiment_runs import EXPERIMENT_RUNS
 from assets.partitions import RUNS
-from sim.fuzzing.program import compile_scenario
+from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.scenario import Scenario, ScenarioError, load_scenarios
 from sim.modes import broken_scenarios, modes
 

@@ -14,11 +14,11 @@ from assets.aggregates import (
     aggregate,
     keep,
     run_table,
+    testbed_of,
 )
 from assets.feature_dataset import feature_dataset
 from resources.failures import clear_failures
 from resources.store import RunStore
-from sim.modes import modes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -115,7 +115,7 @@ def runs_drawn_from(store: RunStore) -> "pd.DataFrame":
     from oracle_pipeline.reporting.report import Report
 
     rows = Report.load(store.results(ROWS)).table
-    return _experiments(run_table(store, modes()[rows["mode"].iloc[0]].testbed))
+    return _experiments(run_table(store, testbed_of(rows["mode"].iloc[0])))
 
 
 def _experiments(df: "pd.DataFrame") -> "pd.DataFrame":

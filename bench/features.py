@@ -18,8 +18,8 @@ from oracle_pipeline import features
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.features.message_layout import MessageLayout
 from oracle_pipeline.opened_run import open_run
-from sim.experiments import record_run
-from sim.recipes import Campaign, recipe_for
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for, record_run
 
 P = ParamSpec("P")
 

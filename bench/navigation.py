@@ -17,14 +17,15 @@ from bench.figures import Row, median
 from oracle_pipeline.bags.manifest import GoalResult, Manifest
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.run_directory import RunDirectory
+from sim.campaigns import Campaign, Options, Wiring
 from sim.commands.progress import RunProgress
-from sim.experiments import record_run
+from sim.experiments import recipe_for, record_run
 from sim.fan_out import fan_out, process_pool
 from sim.middleware.geometry import Pose2D, quaternion_yaw
 from sim.middleware.stamps import stamp_ns
 from sim.nav2.navfn import plan
 from sim.pairs import task_effect
-from sim.recipes import Campaign, Options, Wiring, path_length, planning_grid, recipe_for
+from sim.turtlebot3.drawing import path_length, planning_grid
 from sim.turtlebot3.map import WORLD_IN_MAP
 
 BLOCKS, ATTACKED_BLOCKS = 100, 30

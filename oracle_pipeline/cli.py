@@ -16,6 +16,7 @@ from oracle_pipeline import features as feature_extraction
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import MISSING, WHERE, field_metadata, replacing, write_table
 from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.replay.command import replay
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -44,6 +45,9 @@ class _Group(click.Group):
 @click.group(cls=_Group)
 def main() -> None:
     """Tell normal from anomalous behaviour of a ROS 2 system, using only recordings."""
+
+
+main.add_command(replay)
 
 
 def _format_option(*formats: str, text: str) -> Callable[[_Command], _Command]:

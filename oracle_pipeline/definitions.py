@@ -28,9 +28,11 @@ from assets import (  # noqa: E402
 )
 from resources.budget import StorageBudget  # noqa: E402
 from resources.campaign import CampaignSettings  # noqa: E402
+from resources.executor import in_process_executor  # noqa: E402
 from resources.fleet import Fleet  # noqa: E402
+from resources.no_values import NoValues  # noqa: E402
 from resources.store import RunStore  # noqa: E402
-from sim.recipes import Campaign  # noqa: E402
+from sim.campaigns import Campaign  # noqa: E402
 
 
 def build_defs(**overrides: object) -> dg.Definitions:
@@ -39,7 +41,7 @@ def build_defs(**overrides: object) -> dg.Definitions:
     Parameters
     ----------
     **overrides
-        Resources by name: ``store``, ``fleet``, ``campaign``, ``budget``.
+        Resources by name: ``store``, ``fleet``, ``campaign``, ``budget``, ``io_manager``.
 
     Raises
     ------
@@ -47,16 +49,13 @@ def build_defs(**overrides: object) -> dg.Definitions:
         If there is no such resource.
     """
     resources: dict[str, object] = {
-        "store": RunStore(root=dg.EnvVar("ORACLE_HOME"))
-        if "ORACLE_HOME" in os.environ
-        else RunStore(),
-        "fleet": Fleet(address=dg.EnvVar("ORACLE_DASK"))
-        if "ORACLE_DASK" in os.environ
-        else Fleet(),
+        "store": RunStore(root=os.environ.get("ORACLE_HOME") or "data"),
+        "fleet": Fleet(address=os.environ.get("ORACLE_DASK", "")),
         "campaign": CampaignSettings(goals_per_run=Campaign.from_environment().goals_per_run),
         "budget": StorageBudget(limit=dg.EnvVar("ORACLE_STORAGE_BUDGET"))
         if "ORACLE_STORAGE_BUDGET" in os.environ
         else StorageBudget(),
+        "io_manager": NoValues(),
     }
     if unknown := overrides.keys() - resources.keys():
         raise TypeError(f"No resource is called {sorted(unknown)}; there are {sorted(resources)}.")
@@ -69,7 +68,7 @@ def build_defs(**overrides: object) -> dg.Definitions:
         schedules=[automation.nightly, run_retention.weekly],
         sensors=[scenario_changes.changed_scenarios],
         resources=resources | overrides,
-        executor=dg.in_process_executor,  # the assets fan out themselves
+        executor=in_process_executor,  # the assets fan out themselves
     )
 
 

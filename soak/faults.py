@@ -26,8 +26,8 @@ from oracle_pipeline.bags.reader import content_hash
 from oracle_pipeline.bags.run_directory import RunDirectory, bytes_on_disk, find_runs
 from oracle_pipeline.datasets import content_hash as table_hash
 from oracle_pipeline.datasets import read_table
+from sim.campaigns import Campaign
 from sim.fan_out import fan_out, process_pool
-from sim.recipes import Campaign
 
 RUNS: tuple[tuple[str, int, Kept], ...] = (
     ("atc_ghost_static", 0, "trimmed"),

@@ -28,9 +28,9 @@ from oracle_pipeline.bags.remote import is_local, publish
 from oracle_pipeline.bags.retention import retain
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RunDirectory
 from oracle_pipeline.datasets import MISSING, content_hash, feature_columns, read_table
-from sim.experiments import can_be_made_again, record_run, remake_run
+from sim.campaigns import Campaign
+from sim.experiments import can_be_made_again, recipe_for, record_run, remake_run
 from sim.pairs import judge_pair
-from sim.recipes import Campaign, recipe_for
 
 RECORDED = ("experiment_runs", "bags", "interval_graphs")  # by the simulation, in one step
 # From the recording, in one step.

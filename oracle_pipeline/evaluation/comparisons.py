@@ -1,7 +1,7 @@
 """Who is judged against whom, by which scorer, and the figures of one such comparison.
 
 The protocol is fixed before the final data are there: the panel, the sets of features and the one
-scorer whose figure is the headline. Why it is this one: docs/evaluation.md.
+scorer whose figure is the headline. Why it is this one: docs/explanation/evaluation.md.
 """
 
 from collections.abc import Iterable

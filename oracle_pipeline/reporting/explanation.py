@@ -13,7 +13,7 @@ import pandas as pd
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.protocol import PAIRS
-from oracle_pipeline.datasets import is_malicious
+from oracle_pipeline.datasets import is_hard_negative, is_malicious
 from oracle_pipeline.evaluation.comparisons import RATES, SHADOW
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.evidence import evidence
@@ -21,7 +21,6 @@ from oracle_pipeline.scoring.verdict import Evidence
 
 SHOWN = 3  # attacks
 CONTROLS = {attacked: control for control, attacked in PAIRS}
-AIR_TRAFFIC, ITS_CONTROL = "atc_", "atc_normal"  # modes of the second testbed
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -100,14 +99,21 @@ def drawn(runs: Iterable[str], draw: Callable[[str], bytes]) -> tuple[dict[str, 
 def counterpart(run: str, df: pd.DataFrame) -> list[str]:
     """Return the run of the same block without the attack, if there is one.
 
-    That is the attack's control; of other attacks the shadow, or air traffic as it is.
+    That is the attack's control; of other attacks the shadow, or else the block's first normal run
+    that is no hard negative.
+
+    Parameters
+    ----------
+    run : str
+        An attacked run.
+    df : DataFrame
+        ``run_id``, ``mode`` and ``label`` of the runs of one testbed, sorted by run.
     """
     mode, number = run.split("|")
-    likely = [CONTROLS.get(mode, f"{mode}{SHADOW}")]
-    if mode.startswith(AIR_TRAFFIC):
-        likely.append(ITS_CONTROL)
-    runs = set(df["run_id"])
-    return [other for control in likely if (other := f"{control}|{number}") in runs][:1]
+    control = f"{CONTROLS.get(mode, f'{mode}{SHADOW}')}|{number}"
+    normal = df.loc[(df["label"] == "normal") & ~is_hard_negative(df), "run_id"]
+    of_block = [other for other in normal if other.endswith(f"|{number}")]
+    return [other for other in (control, *of_block) if other in set(df["run_id"])][:1]
 
 
 def _verdict(p: float) -> str:

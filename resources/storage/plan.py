@@ -1,7 +1,7 @@
 """How much of each run is kept on disk: the first blocks keep most, all runs of a block the same.
 
 A pure function of sizes. Sizes on disk are measured in ``resources.storage.stock``. Reasons:
-docs/storage.md.
+docs/how-to/storage.md.
 """
 
 from collections.abc import Mapping, Sequence

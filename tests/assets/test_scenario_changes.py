@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from oracle_pipeline.definitions import defs
-from sim.fuzzing.scenario import builtin_scenarios
 from sim.modes import FOLDER
+from sim.scenarios import builtin_scenarios
 from tests.assets.laboratory import Laboratory, dagster_home
 
 RANGE = ("dagster/asset_partition_range_start", "dagster/asset_partition_range_end")

@@ -25,7 +25,7 @@ from resources.budget import StorageBudget
 from resources.storage.commands import remake, storage
 from resources.storage.stock import take_stock
 from resources.store import RunStore
-from sim.recipes import Campaign
+from sim.campaigns import Campaign
 from tests.assets.laboratory import ATTACKED, CONTROL, KEY, PER_RUN, Laboratory
 from tests.locks import order_of_two
 

@@ -83,11 +83,23 @@ def test_beside_a_run_is_its_control_of_the_same_block(tables):
     assert found.pictures["fake_object|run002"] == b"fake_object|run002"
 
 
-def test_the_counterpart_of_other_attacks_is_the_shadow_or_plain_air_traffic():
-    df = pd.DataFrame({"run_id": ["held_shadow|run001", "atc_normal|run001", "atc_x_shadow|run0"]})
+def test_the_counterpart_of_other_attacks_is_the_shadow_or_the_first_normal_run_of_the_block():
+    rows = [
+        ("benign_slow", "normal", 1),
+        ("held_shadow", "control", 1),
+        ("quiet_sky", "normal", 2),
+        ("quiet_sky", "normal", 1),
+        ("still_sky", "normal", 1),
+        ("ghost_shadow", "control", 2),
+        ("benign_slow", "normal", 3),
+    ]
+    df = pd.DataFrame(
+        {"run_id": f"{mode}|run{run:03d}", "mode": mode, "label": label}
+        for mode, label, run in rows
+    )
     assert counterpart("held|run001", df) == ["held_shadow|run001"]
-    assert counterpart("atc_x|run001", df) == ["atc_normal|run001"]
-    assert counterpart("held|run002", df) == []
+    assert counterpart("ghost|run001", df) == ["quiet_sky|run001"]
+    assert counterpart("held|run003", df) == []
 
 
 def test_a_picture_that_cannot_be_drawn_is_a_note(tables):
