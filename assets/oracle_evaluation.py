@@ -36,7 +36,7 @@ def oracle_evaluation(
     add the kill matrix.
     """
     from oracle_pipeline.datasets import read_table
-    from oracle_pipeline.evaluation.oracle_evaluation import evaluate
+    from oracle_pipeline.evaluation.campaign_evaluation import evaluate
     from oracle_pipeline.reporting.evaluation_report import evaluation_report
 
     with clear_failures():

@@ -5,13 +5,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from oracle_pipeline.evaluation import campaign_evaluation as evaluation
 from oracle_pipeline.evaluation import integrity, metrics
-from oracle_pipeline.evaluation import oracle_evaluation as evaluation
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.reporting.evaluation_report import evaluation_report, in_words
 from oracle_pipeline.reporting.report import Report
 from tests.oracle_pipeline.datasets.synthetic import CONTROLS, MODES, campaign, run_features
-from tests.oracle_pipeline.evaluation.test_kill_matrix import grid_of
+from tests.oracle_pipeline.evaluation.test_kill_rates import grid_of
 
 
 def oracle_evaluation(*tables, **options):
