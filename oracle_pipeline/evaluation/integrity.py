@@ -117,7 +117,7 @@ def label_above_session(
 
     The figure is the AUC of predicting the session, macro-averaged, on blocks it was not shown.
     """
-    name, df = "label_is_told_before_session", campaign.features
+    name, df = "label_is_predicted_better_than_session", campaign.features
     classifier = upper_bounds(seed)["random_forest"].set_params(n_estimators=TREES)
     label = supervised_scores(df, columns, classifier, folds)
     sessions = np.unique(df["session"])

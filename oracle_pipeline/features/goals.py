@@ -56,7 +56,7 @@ class Goal:
 
 def compute(window: Window) -> Values | Missing:
     """Compute from all messages up to the end of the window."""
-    goals = goals_told(window)
+    goals = goals_so_far(window)
     if isinstance(goals, Missing):
         return goals
     none = Missing("no goal was accepted")
@@ -67,7 +67,7 @@ def compute(window: Window) -> Values | Missing:
     }
 
 
-def goals_told(window: Window) -> list[Goal] | Missing:
+def goals_so_far(window: Window) -> list[Goal] | Missing:
     """Return the goals so far, from the action's status or else from the behavior tree's log."""
     status = window.history["status"].get(STATUS_TOPIC)
     if status is not None and len(status.times_s):

@@ -222,7 +222,7 @@ def register_features() -> list[FeaturePlugin]:
 
 def _accepted(window: Window) -> list[Goal] | Missing:
     """Return the accepted goals of a recording; missing without one."""
-    return goals.goals_told(window) or Missing("no goal was accepted")
+    return goals.goals_so_far(window) or Missing("no goal was accepted")
 
 
 def _efficiency(accepted: Sequence[Goal], plans: Series | None, driven: Series) -> float | Missing:

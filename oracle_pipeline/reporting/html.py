@@ -55,7 +55,7 @@ class ExplainedRun(NamedTuple):
     pictures: Sequence[Picture]
 
 
-# Of each section that is there: its anchor and its heading.
+# Of each section that is shown: its anchor and its heading.
 _SECTIONS = {
     "verdicts": "What is detected",
     "integrity": "Integrity checks",
@@ -161,7 +161,7 @@ def render(
         ),
         "storage": page_tables.of_any("What was kept", storage),
     }
-    there = {
+    content = {
         "limits": limits(df),
         "curves": _charts(evaluation, "roc", "detection"),
         "magnitude": "kills" in tables,
@@ -175,8 +175,8 @@ def render(
         answer=_answer(evaluation),
         scorer=evaluation.summary["scorer"],
         checks=_checks(evaluation),
-        sections={name: title for name, title in _SECTIONS.items() if there.get(name, True)},
-        there=there,
+        sections={name: title for name, title in _SECTIONS.items() if content.get(name, True)},
+        content=content,
         tables=tables,
         charts={
             "magnitude": _charts(evaluation, "kills", "magnitude"),
