@@ -45,7 +45,7 @@ class _Repeated(NamedTuple):
     """The same fields again and again."""
 
     fields: "tuple[_Field, ...]"
-    times: int | None  # None: the message says how often
+    times: int | None  # None: given in the message
 
 
 _Field: TypeAlias = _Numbers | _Text | _Repeated
