@@ -7,7 +7,7 @@ import dagster as dg
 from pydantic import Field
 
 from assets import presentation
-from assets.common import OWNERS, SINGLE_RUN
+from assets.asset_defaults import OWNERS, SINGLE_RUN
 from assets.worker.versions import analysis_code
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.remote import published
@@ -18,7 +18,7 @@ from sim.testbeds import TESTBEDS, which_testbed
 if TYPE_CHECKING:
     import pandas as pd
 
-    from oracle_pipeline.reporting.result import Report
+    from oracle_pipeline.reporting.report import Report
 
 AUTO = "auto"
 DATASET, WINDOWS, TRUTH = "features", "windows", "truth"  # tables over all runs
@@ -56,6 +56,11 @@ def aggregate(
     return decorate
 
 
+def testbed_of(mode: str) -> str:
+    """Return the name of the testbed that a mode runs on."""
+    return which_testbed(modes()[mode].scenario)
+
+
 def run_table(store: RunStore, testbed: str) -> "pd.DataFrame":
     """Return the features of the runs of one testbed, families that none of them has left out.
 
@@ -68,7 +73,7 @@ def run_table(store: RunStore, testbed: str) -> "pd.DataFrame":
 
     place = store.dataset(DATASET)
     there = read_table(place, columns=["mode"])["mode"].unique()
-    of = {mode: which_testbed(modes()[mode].scenario) for mode in there}
+    of = {mode: testbed_of(mode) for mode in there}
     if testbed == AUTO:
         testbed = next(name for name in TESTBEDS if name in of.values())
     elif testbed not in TESTBEDS:
@@ -87,7 +92,7 @@ def windows_of(store: RunStore, df: "pd.DataFrame") -> "pd.DataFrame":
 def keep(result: "Report", store: RunStore, name: str) -> dg.MaterializeResult[None]:
     """Save a report where `oracle_report` finds it, and show it."""
     from oracle_pipeline.datasets import content_hash
-    from oracle_pipeline.reporting.result import SUMMARY
+    from oracle_pipeline.reporting.report import SUMMARY
 
     place = store.results(name)
     with published(place, last=SUMMARY) as folder:

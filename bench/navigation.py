@@ -128,9 +128,9 @@ def _amcl_errors_m(directory: RunDirectory) -> list[float]:
             else:
                 believed.append((time_ns, x, y))
     errors = []
-    known, there = np.array(times), np.array(truth)
+    times_ns, positions = np.array(times), np.array(truth)
     for time_ns, x, y in believed:
-        if known[0] <= time_ns <= known[-1]:
-            where = [np.interp(time_ns, known, there[:, axis]) for axis in (0, 1)]
+        if times_ns[0] <= time_ns <= times_ns[-1]:
+            where = [np.interp(time_ns, times_ns, positions[:, axis]) for axis in (0, 1)]
             errors.append(float(np.hypot(x - where[0], y - where[1])))
     return errors

@@ -3,7 +3,7 @@
 What a mode's node does to the attacked topic, when, and how the runs are labelled stands in the
 mode's scenario file. Modes are the six of the experiments that this project reproduces, shadow
 controls of their attacks, hard negatives, whatever the folder ``ORACLE_SCENARIOS`` holds, and the
-second testbed's. See docs/scenarios.md.
+second testbed's. See docs/reference/modes.md.
 """
 
 import functools

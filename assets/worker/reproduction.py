@@ -11,14 +11,13 @@ from itertools import zip_longest
 from pathlib import Path
 
 from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.layout import REFRESHED
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.reader import BagReader, RawMessage, content_hash
 from oracle_pipeline.bags.remote import fetched, is_local
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from sim.experiments import Comparison, compared
-
-FOLDER = "refreshed"  # below the root: a root of runs that were made again
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +32,7 @@ class Reproduction:
 
 def place_aside(run: RunDirectory) -> RunDirectory:
     """Return where a run lies that was made again and may not take the former one's place."""
-    return replace(run, root=run.root / FOLDER)
+    return replace(run, root=run.root / REFRESHED)
 
 
 @contextlib.contextmanager

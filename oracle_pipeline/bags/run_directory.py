@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.layout import RUNS, Table, feature_table, run_folder
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.protocol import run_key
 from oracle_pipeline.bags.remote import is_local
@@ -66,7 +67,7 @@ class RunDirectory:
         """Return the run directory at a path, ``<root>/runs/<mode>/run003``."""
         place = path.resolve()
         match = _RUN.fullmatch(place.name)
-        if match is None or len(place.parts) < 4 or place.parts[-3] != "runs":
+        if match is None or len(place.parts) < 4 or place.parts[-3] != RUNS:
             raise RunDirectoryError(
                 f"{path} is not the place of a run; name one such as data/runs/fake_object/run003."
             )
@@ -85,7 +86,7 @@ class RunDirectory:
     @property
     def path(self) -> Path:
         """The run's own directory."""
-        return self.root / "runs" / self.mode / self.run_id
+        return run_folder(self.root, self.mode, self.run_id)
 
     @property
     def manifest_path(self) -> Path:
@@ -101,6 +102,10 @@ class RunDirectory:
     def graphs(self) -> Path:
         """Folder of its graphs: one a 10 s interval, ``run.gexf`` and ``run.graphml``."""
         return self.path / GRAPHS_FOLDER
+
+    def feature_table(self, table: Table) -> Path:
+        """Return the place of the features of the run, or of its windows."""
+        return feature_table(self.root, table, self.mode, self.run_id)
 
     def is_complete(self) -> bool:
         """Tell whether the run is there."""
@@ -249,7 +254,7 @@ def find_runs(root: Path) -> list[RunDirectory]:
     """Return the complete runs below ``root``, sorted by mode and number."""
     return sorted(
         directory
-        for path in root.glob("runs/*/run*")
+        for path in root.glob(f"{RUNS}/*/run*")
         if _MODE.fullmatch(path.parent.name) and (match := _RUN.fullmatch(path.name))
         if (directory := RunDirectory(root, path.parent.name, int(match[1]))).is_complete()
     )

@@ -68,10 +68,10 @@ def _beside(run_or_bag: Path) -> tuple[Path, ...]:
 
 def _draw(run_or_bag: Path, places: tuple[Path, ...], frames: float, speed: float) -> None:
     from oracle_pipeline.datasets import replacing
+    from oracle_pipeline.opened_run import open_run
     from oracle_pipeline.replay.film import save_film
     from oracle_pipeline.replay.scene import top_down
     from oracle_pipeline.replay.story import run_scene
-    from oracle_pipeline.runs import open_run
 
     with open_run(run_or_bag) as run:
         scene = run_scene(run, frames)

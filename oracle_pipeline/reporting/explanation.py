@@ -1,7 +1,7 @@
 """One run of each attack explained: what was said of it, what gave it away, and how it looks.
 
 Beside its picture stands that of the run that differs from it by the attack alone. How far a
-feature is out is found in ``oracle_pipeline.scoring``; how a run is drawn, in
+feature is out is found in ``oracle_pipeline.scoring.evidence``; how a run is drawn, in
 ``oracle_pipeline.replay.picture``.
 """
 
@@ -12,10 +12,12 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.datasets import PAIRS, is_hard_negative, is_malicious
-from oracle_pipeline.evaluation.protocol import RATES, SHADOW
+from oracle_pipeline.bags.protocol import PAIRS
+from oracle_pipeline.datasets import is_hard_negative, is_malicious
+from oracle_pipeline.evaluation.comparisons import RATES, SHADOW
 from oracle_pipeline.features import FeatureTables
-from oracle_pipeline.scoring import Evidence, evidence
+from oracle_pipeline.scoring.evidence import evidence
+from oracle_pipeline.scoring.verdict import Evidence
 
 SHOWN = 3  # attacks
 CONTROLS = {attacked: control for control, attacked in PAIRS}
@@ -53,8 +55,8 @@ def explanations(
         From a run to its picture, PNG; an `OracleError` becomes a note.
     """
     attacked = judged[is_malicious(judged)]
-    there = sorted(set(attacked["mode"]))
-    modes = [mode for mode in dict.fromkeys([*CONTROLS, *there]) if mode in there]
+    attacked_modes = sorted(set(attacked["mode"]))
+    modes = [mode for mode in dict.fromkeys([*CONTROLS, *attacked_modes]) if mode in attacked_modes]
     return [
         _explanation(_typical(attacked[attacked["mode"] == mode]), df, windows, draw)
         for mode in modes[:SHOWN]
@@ -73,14 +75,14 @@ def _explanation(
 ) -> Explanation:
     run, notes = str(chosen["run_id"]), []
     row = df[df["run_id"] == run]
-    found: tuple[Evidence, ...] = ()
+    farthest: tuple[Evidence, ...] = ()
     try:
-        found = evidence(FeatureTables(row, windows[windows["run_id"] == run]), df)
+        farthest = evidence(FeatureTables(row, windows[windows["run_id"] == run]), df)
     except OracleError as error:
         notes.append(str(error))
     pictures, undrawn = drawn([run, *counterpart(run, df)], draw)
     verdict = _verdict(float(chosen["p"]))
-    return Explanation(run, verdict, found, pictures, (*notes, *undrawn))
+    return Explanation(run, verdict, farthest, pictures, (*notes, *undrawn))
 
 
 def drawn(runs: Iterable[str], draw: Callable[[str], bytes]) -> tuple[dict[str, bytes], list[str]]:

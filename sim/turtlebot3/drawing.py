@@ -35,7 +35,7 @@ from sim.turtlebot3.recipes import (
 
 SESSIONS = 3
 
-MIN_CLEARANCE_M = 0.55  # of start and goals from every obstacle; see docs/navigation.md
+MIN_CLEARANCE_M = 0.55  # of start and goals from every obstacle; see docs/explanation/navigation.md
 MIN_LEG_M = 1.5  # straight distance from one goal to the next
 FAKE_OBJECT_CLEARANCE_M = 0.6  # of the fake object from start and goals
 MIN_DETOUR = 1.35  # the way around the fake object over the way that it lies across

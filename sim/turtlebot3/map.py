@@ -1,7 +1,7 @@
 """The map that Nav2 ships for this world, as an occupancy grid, and what lies where in it.
 
 The original was made by SLAM: walls are one or two cells thick, what no ray reached is unknown,
-and the whole is turned and shifted a little against the world. Figures: docs/world.md.
+and the whole is turned and shifted a little against the world. Figures: docs/explanation/world.md.
 """
 
 import functools

@@ -21,7 +21,7 @@ from sim.turtlebot3.run import NODE
 from sim.turtlebot3.world import World, WorldParameters
 from tests.sim import humble
 
-DOC = Path(__file__).parents[2] / "docs" / "testbed.md"
+DOC = Path(__file__).parents[2] / "docs" / "explanation" / "testbed.md"
 RUN = 7
 START = Pose2D(-2.0, -0.5)  # in the world
 BRING_UP_NS = 10 * SECOND

@@ -1,5 +1,5 @@
 """The graph of a run against the graph of the real system: `tests.sim.humble` and the
-differences that docs/testbed.md states, nothing else."""
+differences that docs/explanation/testbed.md states, nothing else."""
 
 import re
 from collections import Counter

@@ -162,9 +162,9 @@ def test_a_parameter_drawn_from_what_the_other_testbed_has_is_refused(tmp_path):
         recipe_for(find_mode(str(file)), 0, Campaign())
 
 
-# docs/scenarios.md
+# docs/reference/modes.md
 
-PAGE = Path(__file__).parents[2] / "docs" / "scenarios.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "modes.md"
 
 
 def test_the_page_lists_every_mode_in_order_with_its_label():

@@ -6,7 +6,8 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import feature_columns
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.reporting.explanation import counterpart, explanations
-from oracle_pipeline.scoring import ScoringError, evidence
+from oracle_pipeline.scoring.evidence import evidence
+from oracle_pipeline.scoring.verdict import ScoringError
 from tests.oracle_pipeline.datasets.synthetic import ATTACKED, DELAY_S, campaign
 
 RUNS = 6
@@ -69,11 +70,11 @@ def test_without_a_right_run_of_another_block_there_is_no_evidence_and_a_reason(
     df, windows = tables
     alone = df[df["block"] == 0]
     row = alone[alone["mode"] == "fake_object"]
-    with pytest.raises(ScoringError, match="no right run of another block"):
+    with pytest.raises(ScoringError, match="no normal run of another block"):
         evidence(FeatureTables(row, windows[windows["run_id"] == "fake_object|run000"]), alone)
     for each in explanations(alone, windows, judged(alone), draw):
         assert each.evidence == ()
-        assert "no right run of another block" in each.notes[0]
+        assert "no normal run of another block" in each.notes[0]
 
 
 def test_beside_a_run_is_its_control_of_the_same_block(tables):

@@ -10,11 +10,11 @@ from click.testing import CliRunner
 from PIL import Image
 
 from oracle_pipeline.cli import main
+from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.replay import film as replay
 from oracle_pipeline.replay.film import save_film
 from oracle_pipeline.replay.picture import kept_picture
 from oracle_pipeline.replay.story import run_scene
-from oracle_pipeline.runs import open_run
 from tests.oracle_pipeline.reporting.recordings import (
     COSTMAP,
     MAP,

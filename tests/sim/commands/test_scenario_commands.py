@@ -14,7 +14,7 @@ from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.types import TypeDefinition, serialize
 from oracle_pipeline.bags.writer import BagWriter
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.opened_run import open_run
 from sim.commands.kill_matrix import Mutant, derive_mutant, mutants
 from sim.commands.main import main
 from sim.commands.parameter_values import Sweep
