@@ -2,7 +2,7 @@
 
 In either, runs are drawn with replacement and their rows clustered; the variants differ in which
 numbers of a run are taken, how rows are drawn, and what is done to them.
-docs/explanation/thesis.md lists the differences. ``oracle_pipeline.evaluation.clustering``
+docs/explanation/thesis.md lists the differences. ``oracle_pipeline.evaluation.clustering_result``
 measures how good a clustering is.
 """
 

@@ -6,16 +6,14 @@ and the whole is turned and shifted a little against the world. Figures: docs/ex
 
 import functools
 import math
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.campaigns import OdometrySource
 from sim.middleware.geometry import Pose2D
 from sim.nav2.map_server import OccupancyMap
 from sim.turtlebot3.arena import clearance
-
-OdometrySource = Literal["world", "encoder"]  # gazebo_ros_diff_drive's two
 
 RESOLUTION_M = 0.05
 CELLS = 384  # a side

@@ -8,7 +8,7 @@ import pytest
 
 from oracle_pipeline import features
 from oracle_pipeline.features.manager import FeatureManager
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.opened_run import open_run
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "features.md"
 BEGIN, END = "<!-- features: begin -->\n", "<!-- features: end -->\n"

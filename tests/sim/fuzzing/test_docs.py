@@ -10,9 +10,10 @@ import pytest
 from click.testing import CliRunner
 
 from sim.commands.main import main
+from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.execution import execute
 from sim.fuzzing.functions import BUILTINS, CONSTANTS
 from sim.fuzzing.operators import OPERATORS
-from sim.fuzzing.program import compile_scenario
 from sim.fuzzing.scenario import parse_scenarios, schema
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -32,7 +33,7 @@ COMMANDS = "".join(blocks("console")).splitlines()
 @pytest.mark.parametrize("text", SCENARIOS)
 def test_scenarios_of_the_page_are_right(text):
     for scenario in parse_scenarios(text.encode(), "docs/reference/scenario-language.md"):
-        compile_scenario(scenario).start(1)
+        execute(compile_scenario(scenario), 1)
 
 
 def test_commands_of_the_page_run_one_after_the_other(controls, tmp_path, monkeypatch):
