@@ -45,6 +45,7 @@ _CELL_M = 0.1  # of the robot's path; a robot is wider than that
 _FEWEST = 2  # returns on the path that count
 _SMALL_RAYS = (4, 80)  # rays that a compact thing takes
 _STEP_M = 0.15  # from ray to ray on one thing, at most
+_GAP_RAYS = 2.5  # that are missing at most from a scan that closes around
 _NEXT_S = 0.4  # between two scans in which it is looked for
 _FAR_M = 0.6  # that it may have moved between two scans to be the same
 
@@ -210,12 +211,17 @@ def _crossed(world: Points, stamps_s: Floats, last_s: Floats) -> Ints:
 def _loose(scans: Scans, placed: Planar) -> Series:
     """Return how far the fastest compact thing went from one scan to the next [m]."""
     now, before = _apart(scans.stamps_s, _NEXT_S)
-    things = [_compact(row) for row in scans.ranges]
+    around = 2.0 * np.pi / np.abs(scans.angle_increment.ravel())
+    closed = np.abs(around - scans.ranges.shape[1]) < _GAP_RAYS
+    things = [_compact(row, bool(c)) for row, c in zip(scans.ranges, closed, strict=True)]
     points = scans.points()
     fastest = np.full(len(now), np.nan)
     for k, (i, j) in enumerate(zip(now.tolist(), before.tolist(), strict=True)):
         here, there = (
-            np.array([np.mean(points[n, a:b]) for a, b in things[n]], dtype=np.complex128)
+            np.array(
+                [points[n].take(range(*thing), mode="wrap").mean() for thing in things[n]],
+                dtype=np.complex128,
+            )
             for n in (i, j)
         )
         if len(here) and len(there):
@@ -227,18 +233,25 @@ def _loose(scans: Scans, placed: Planar) -> Series:
 
 
 @jit
-def _compact(ranges: Floats) -> Ints:
-    """Return first and one past last ray of the things that stand free in a scan, shape (n, 2)."""
+def _compact(ranges: Floats, closed: bool) -> Ints:
+    """Return first and one past last ray of the things that stand free in a scan, shape (n, 2).
+
+    In a scan that closes around, rays are counted on past its end.
+    """
     fewest, most = _SMALL_RAYS
-    found = np.empty((len(ranges), 2), np.int64)
-    count, start = 0, 0
-    for i in range(1, len(ranges)):
-        if abs(ranges[i] - ranges[i - 1]) < _STEP_M and i < len(ranges) - 1:
+    size = len(ranges)
+    found = np.empty((size, 2), np.int64)
+    count, start = 0, -1
+    for i in range(1, 2 * size if closed else size):
+        before, now = ranges[(i - 1) % size], ranges[i % size]
+        if abs(now - before) < _STEP_M:
             continue
-        free = start > 0 and ranges[start - 1] > ranges[start] + CLOSER_M
-        free = free and ranges[i] > ranges[i - 1] + CLOSER_M
-        if free and fewest <= i - start <= most:
+        in_front = ranges[(start - 1) % size] > ranges[start % size] + CLOSER_M
+        in_front = in_front and now > before + CLOSER_M
+        if start >= 0 and in_front and fewest <= i - start <= most:
             found[count] = start, i
             count += 1
+        if i >= size:
+            break
         start = i
     return found[:count]

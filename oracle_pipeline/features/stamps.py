@@ -100,20 +100,20 @@ def _over_the_freshest(
     """Return the times from stamp to recording less those of the freshest sensor just then.
 
     The recorder's clock may run otherwise than that of the stamps, as with a slow simulator; it
-    does so for all sensors. The freshest one itself is told against the next.
+    does so for all sensors. The freshest one itself is told against an even clock.
     """
-    order = sorted(held, key=lambda topic: (float(np.median(held[topic])), topic))
-    over = {}
-    for topic in order:
-        other = next((each for each in order if each != topic), None)
-        common = (
-            np.median(held[topic])
-            if other is None
-            else np.interp(arrivals[topic].times_s, arrivals[other].times_s, held[other])
+    freshest = min(held, key=lambda topic: (float(np.median(held[topic])), topic))
+    times_s = arrivals[freshest].times_s
+    common = np.polynomial.Polynomial.fit(times_s, held[freshest], 1)(times_s)
+    return {
+        topic: each
+        - (
+            common
+            if topic == freshest
+            else np.interp(arrivals[topic].times_s, times_s, held[freshest])
         )
-        over[topic] = held[topic] - common
-    over[order[0]] = over[order[0]] - np.median(over[order[0]])
-    return over
+        for topic, each in held.items()
+    }
 
 
 def _held_s(arrivals: Arrivals) -> Floats:
