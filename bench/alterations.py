@@ -15,7 +15,7 @@ import numpy as np
 from oracle_pipeline.bags.reader import BagReader, RawMessage
 from oracle_pipeline.bags.types import serialize
 from oracle_pipeline.features.scan_geometry import pose_of
-from oracle_pipeline.runs import Run, open_run
+from oracle_pipeline.opened_run import OpenedRun, open_run
 
 SCAN, RANGE = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range"
 ODOMETRY, IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
@@ -72,7 +72,7 @@ class AlteredBag(BagReader):
             yield RawMessage(raw.topic, raw.stamp_ns + round(late_s * 1e9), data)
 
 
-def open_altered(path: Path, alteration: Alteration, left_out: Collection[str] = ()) -> Run:
+def open_altered(path: Path, alteration: Alteration, left_out: Collection[str] = ()) -> OpenedRun:
     """Open a run directory as if it had been recorded so; its graphs are left out."""
     run = open_run(path)
     bag = AlteredBag(run.bag.path, alteration, left_out)

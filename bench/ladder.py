@@ -45,9 +45,10 @@ from oracle_pipeline.datasets import (
     window_dataset,
 )
 from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel
-from oracle_pipeline.evaluation.campaign import Runs, feature_sets
+from oracle_pipeline.evaluation.feature_sets import feature_sets
+from oracle_pipeline.evaluation.held_out import held_out
+from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
 from oracle_pipeline.evaluation.metrics import auc
-from oracle_pipeline.evaluation.scoring import held_out
 from oracle_pipeline.evaluation.splits import block_folds
 from sim.experiments import record_run
 from sim.recipes import Campaign, recipe_for
@@ -260,7 +261,7 @@ def _extract(
 
 def _figures(attack: Attack, right: Tables, attacked: Tables) -> Iterator[Row]:
     df = feature_dataset([*right.runs, *attacked.runs])
-    runs = Runs.ordered(df, window_dataset([*right.windows, *attacked.windows]))
+    runs = MeasuredRuns.ordered(df, window_dataset([*right.windows, *attacked.windows]))
     columns = feature_sets(runs.features)["all"]
     before = [column for column in columns if column.partition(".")[0] not in _NEW]
     mode = runs.features["mode"].to_numpy()
@@ -278,12 +279,12 @@ def _figures(attack: Attack, right: Tables, attacked: Tables) -> Iterator[Row]:
         )  # fmt: skip
 
 
-def _score(runs: Runs, columns: Sequence[str]) -> np.ndarray:
+def _score(runs: MeasuredRuns, columns: Sequence[str]) -> np.ndarray:
     folds = block_folds(runs.features, SEED)
     return held_out(runs, columns, panel(SEED)[DEFAULT_DETECTOR], folds, "both").score
 
 
-def _auc(score: np.ndarray, runs: Runs, rows_: np.ndarray) -> "object":
+def _auc(score: np.ndarray, runs: MeasuredRuns, rows_: np.ndarray) -> "object":
     chosen = runs.features[rows_]
     distinct = DistinctRuns(
         np.arange(len(chosen)),

@@ -16,6 +16,8 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, McapWriter, decompress
 
+from oracle_pipeline.bags import mcap_checksums
+
 # The head of a message: opcode, length of the rest; channel, sequence, log and publish time.
 _MESSAGE, _HEAD = 0x05, struct.Struct("<BQHIQQ")
 _LENGTH_FIRST = struct.Struct("<BQ")  # of any record: opcode, length of the rest
@@ -24,7 +26,7 @@ _CHUNK_HEAD = struct.Struct("<BQQQQI")  # opcode, length; first and last stamp, 
 
 
 class _McapWriter(McapWriter):
-    """A message's record is packed in one go."""
+    """A message's record is packed in one go, and every checksum is written."""
 
     _CHUNK_SIZE = 2**20
 
@@ -42,6 +44,17 @@ class _McapWriter(McapWriter):
         chunk.bio.write(data)
         if chunk.bio.tell() > self._CHUNK_SIZE:
             self.close_chunk()
+
+    def close_chunk(self) -> None:
+        """Write the open chunk with its checksum."""
+        start, records = self.bio.tell(), self.chunk.bio
+        super().close_chunk()
+        mcap_checksums.write_of_chunk(self.bio, start, records.getbuffer())
+
+    def close(self, version: int, metadata: str) -> None:
+        """Write what is behind the chunks, and the checksums of the two sections."""
+        super().close(version, metadata)
+        mcap_checksums.write_of_sections(self.path)
 
 
 class Writer(RosbagsWriter):
@@ -62,6 +75,12 @@ class Writer(RosbagsWriter):
 
 class _McapReader(McapReader):
     """Chunks that follow one another in time, as a recorder writes them, are read in turn."""
+
+    def _open(self) -> None:
+        """Compare the summary with its checksum before anything of it is used."""
+        if self.bio is not None:
+            mcap_checksums.check_summary(self.bio)
+        super()._open()
 
     def messages(
         self,

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.motion import (
     COMMAND,
     GYRO,
@@ -42,9 +43,8 @@ from oracle_pipeline.features.plugin import (
     hookimpl,
 )
 from oracle_pipeline.features.reduction import largest, quantile, within
-from oracle_pipeline.features.scan_geometry import Bools, Floats, Points, scene
+from oracle_pipeline.features.scan_geometry import Bools, Floats, Points, scanner_setup
 from oracle_pipeline.features.scan_matching import Steps
-from oracle_pipeline.jit import jit
 
 
 class Pair(NamedTuple):
@@ -78,7 +78,7 @@ PAIRS = (
 
 _UNITS = {TURN: "rad/s", TRAVEL: "m/s"}
 _FEWEST = 8  # spans that a comparison takes
-_LEAST = {TURN: 0.5, TRAVEL: 0.3}  # to be gained before a scale is told
+_LEAST = {TURN: 0.5, TRAVEL: 0.3}  # to be gained before a scale is known
 _OUTLYING = 4.0  # robust deviations from which on a span does not count for scale and lag
 
 
@@ -130,7 +130,7 @@ class Prepared:
 
 def prepare(window: Window) -> Prepared | Missing:
     """Hold every source against every other one of its quantity."""
-    found = sources(window.topics, scene(window.topics))
+    found = sources(window.topics, scanner_setup(window.topics))
     pairs = {pair: dict(_compared(found, pair)) for pair in PAIRS}
     if not any(pairs.values()) and not found.gravity:
         return Missing("fewer than two sources tell how the robot moved")
@@ -250,14 +250,14 @@ def _fitted(pair: Pair, compared: Comparison, window: Window) -> tuple[float, fl
     if len(first) < _FEWEST:
         return nothing
     scale, lag, kept = fit(first, slopes, second)
-    told = float(np.abs(first[kept]).sum())
+    gained = float(np.abs(first[kept]).sum())
     if math.isnan(scale):
         return nothing
     lengths_s = compared.lengths_s[part]
     shift = 0.0 if math.isnan(lag) else lag
     left = np.abs(second - scale * (first - shift * slopes)) / lengths_s
     residual = float(np.sqrt(np.mean(left**2)))
-    if told < _LEAST[pair.quantity] or scale <= 0.0:
+    if gained < _LEAST[pair.quantity] or scale <= 0.0:
         return math.nan, math.nan, residual
     return math.log(scale), lag, residual
 

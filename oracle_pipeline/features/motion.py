@@ -15,11 +15,11 @@ import numpy as np
 from oracle_pipeline.features.plugin import Request, Series
 from oracle_pipeline.features.scan_geometry import (
     SCANS,
-    SCENE_TOPICS,
+    SETUP_TOPICS,
     Floats,
     Planar,
     Points,
-    Scene,
+    ScannerSetup,
     pose_of,
     stamp_s,
 )
@@ -73,13 +73,13 @@ def slope(track: Track, quantity: str, from_s: Floats, to_s: Floats) -> Points:
     return rates[1] - rates[0]
 
 
-def sources(topics: Mapping[str, Mapping[str, Series]], told: Scene) -> Sources:
+def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> Sources:
     """Return what the messages on `MOTION_TOPICS` say."""
     driven, inertial = topics["driven"], topics["inertial"]
     poses = [_posed(topic, series) for topic, series in _long(driven)]
     poses = poses or list(_transformed(topics["transforms"]))
     mounts = {
-        topic: told.frames.mount(series.values[0])
+        topic: setup.frames.mount(series.values[0])
         for topic, series in topics["inertial_frames"].items()
     }
     units = [(t, s, m) for t, s in _long(inertial) if (m := mounts[t].pose) is not None]
@@ -100,7 +100,7 @@ def sources(topics: Mapping[str, Mapping[str, Series]], told: Scene) -> Sources:
         if poses
         else [],
     }
-    matched = {topic: steps(told.scanners[topic], mount) for topic, mount in told.mounts.items()}
+    matched = {topic: steps(setup.scanners[topic], mount) for topic, mount in setup.mounts.items()}
     gravity = {
         topic: Series(series.times_s, np.linalg.norm(series.values[:, 8:11], axis=1))
         for topic, series in inertial.items()
@@ -159,7 +159,7 @@ def keep_command(message: Any) -> tuple[float, float, float]:
 
 #: ROS gives the topic of transforms that move its name.
 TRANSFORMS = Request(keep_transforms, "/tf", "tf2_msgs/msg/TFMessage", dtype=object, optional=True)
-MOTION_TOPICS = SCENE_TOPICS | {
+MOTION_TOPICS = SETUP_TOPICS | {
     "scans": replace(SCANS, optional=True),
     "driven": Request(keep_driven, msgtype="nav_msgs/msg/Odometry", optional=True),
     "inertial": Request(

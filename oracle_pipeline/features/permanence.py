@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -24,19 +25,18 @@ from oracle_pipeline.features.plugin import (
 from oracle_pipeline.features.reduction import largest, mean, quantile
 from oracle_pipeline.features.scan_geometry import (
     CLOSER_M,
-    SCENE_TOPICS,
+    SETUP_TOPICS,
     Bools,
     Floats,
     Ints,
     Planar,
     Points,
+    ScannerSetup,
     Scans,
-    Scene,
     agreement,
     nearest,
-    scene,
+    scanner_setup,
 )
-from oracle_pipeline.jit import jit
 
 _EARLIER_S = 1.0  # between two scans that are compared
 _LATER_S = 1.0  # at least until the robot drives across what it saw
@@ -90,11 +90,11 @@ class Seen:
 
 def prepare(window: Window) -> dict[str, Seen] | Missing:
     """Hold each scan against the same scanner's earlier one, over the whole recording."""
-    told = scene(window.topics)
-    if told.motion is None:
+    setup = scanner_setup(window.topics)
+    if setup.motion is None:
         return Missing("no odometry")
-    path = _Path.of(told)
-    return {topic: _seen(told, topic, path) for topic in told.mounts} or Missing(
+    path = _Path.of(setup)
+    return {topic: _seen(setup, topic, path) for topic in setup.mounts} or Missing(
         "no level laser scanner"
     )
 
@@ -125,13 +125,13 @@ def compute(window: Window) -> Values:
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of things that stay where they are."""
     return [
-        FeaturePlugin("permanence", "permanence", FEATURES, compute, SCENE_TOPICS, prepare=prepare)
+        FeaturePlugin("permanence", "permanence", FEATURES, compute, SETUP_TOPICS, prepare=prepare)
     ]
 
 
-def _seen(told: Scene, topic: str, path: "_Path") -> Seen:
-    scans, mount = told.scanners[topic], told.mounts[topic]
-    placed = told.placed(mount, scans.stamps_s)
+def _seen(setup: ScannerSetup, topic: str, path: "_Path") -> Seen:
+    scans, mount = setup.scanners[topic], setup.mounts[topic]
+    placed = setup.placed(mount, scans.stamps_s)
     world = placed.columns().apply(scans.points())
     across = path.crossed(world, scans.stamps_s)
     now, before = _apart(scans.stamps_s, _EARLIER_S)
@@ -178,12 +178,12 @@ class _Path:
     last_s: Floats  # stamp, shape (rows, columns); -inf where it never was
 
     @classmethod
-    def of(cls, told: Scene) -> "_Path":
+    def of(cls, setup: ScannerSetup) -> "_Path":
         """Follow the robot while its scanners looked."""
-        assert told.motion is not None  # noqa: S101 -- checked before
-        stamps_s = np.concatenate([scans.stamps_s for scans in told.scanners.values()])
+        assert setup.motion is not None  # noqa: S101 -- checked before
+        stamps_s = np.concatenate([scans.stamps_s for scans in setup.scanners.values()])
         steps_s = np.arange(stamps_s.min(), stamps_s.max() + _PATH_STEP_S, _PATH_STEP_S)
-        places = told.motion.base(steps_s).shift
+        places = setup.motion.base(steps_s).shift
         corner = complex(places.real.min(), places.imag.min())
         cells = np.floor((places - corner).view(np.float64).reshape(-1, 2) / _CELL_M)
         columns, rows = cells.astype(np.int64).T

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oracle_pipeline.features.scan_geometry import Floats, Ints, Mount, Planar, Points, Scans
-from oracle_pipeline.jit import jit
+from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.scan_geometry import Floats, Ints, Planar, Points, Scans, SensorMount
 
 SPACING_S = 0.35  # at least between two scans that are matched
 _LONGEST_S = 1.0  # between them at most
@@ -38,14 +38,14 @@ class Steps(NamedTuple):
     turned: Floats  # [rad]
 
 
-def steps(scans: Scans, mount: Mount) -> Steps:
+def steps(scans: Scans, mount: SensorMount) -> Steps:
     """Match each scan with the one at least `SPACING_S` before it.
 
     Parameters
     ----------
     scans : Scans
         Of one topic.
-    mount : Mount
+    mount : SensorMount
         Of the scanner on the robot; without a pose there is no plane to match in.
     """
     before, after = _pairs(scans.stamps_s)

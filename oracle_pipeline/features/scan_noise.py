@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -21,13 +22,12 @@ from oracle_pipeline.features.plugin import (
 from oracle_pipeline.features.reduction import largest, mean, quantile, smallest
 from oracle_pipeline.features.scan_geometry import (
     CLOSER_M,
-    SCENE_TOPICS,
+    SETUP_TOPICS,
     Floats,
+    ScannerSetup,
     Scans,
-    Scene,
-    scene,
+    scanner_setup,
 )
-from oracle_pipeline.jit import jit
 
 _OF = "of the scanners"
 FEATURES = (
@@ -78,8 +78,8 @@ class _Noise:
 
 def prepare(window: Window) -> dict[str, _Noise]:
     """Measure each scan of the recording."""
-    told = scene(window.topics)
-    return {topic: _noise(told, topic, scans) for topic, scans in told.scanners.items()}
+    setup = scanner_setup(window.topics)
+    return {topic: _noise(setup, topic, scans) for topic, scans in setup.scanners.items()}
 
 
 def compute(window: Window) -> Values:
@@ -140,12 +140,12 @@ def _uneven(ranges: Floats) -> Floats:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of a scanner's noise."""
-    return [FeaturePlugin("scan_noise", "noise", FEATURES, compute, SCENE_TOPICS, prepare=prepare)]
+    return [FeaturePlugin("scan_noise", "noise", FEATURES, compute, SETUP_TOPICS, prepare=prepare)]
 
 
-def _noise(told: Scene, topic: str, scans: Scans) -> _Noise:
+def _noise(setup: ScannerSetup, topic: str, scans: Scans) -> _Noise:
     smooth, rough = _uneven(scans.ranges).T
-    still, flicker = _standing(told, topic, scans)
+    still, flicker = _standing(setup, topic, scans)
     return _Noise(
         Series(scans.times_s, smooth),
         Series(scans.times_s, rough),
@@ -166,13 +166,13 @@ def _repeated(ranges: Floats) -> Floats:
     return again
 
 
-def _standing(told: Scene, topic: str, scans: Scans) -> tuple[Series, Series]:
+def _standing(setup: ScannerSetup, topic: str, scans: Scans) -> tuple[Series, Series]:
     """Return noise [m] and flicker of the scans between which the robot stood."""
     nothing = Series(np.empty(0), np.empty(0))
-    mount = told.mounts.get(topic)
-    if told.motion is None or mount is None or len(scans.stamps_s) < 2:
+    mount = setup.mounts.get(topic)
+    if setup.motion is None or mount is None or len(scans.stamps_s) < 2:
         return nothing, nothing
-    placed = told.placed(mount, scans.stamps_s)
+    placed = setup.placed(mount, scans.stamps_s)
     moved_m = np.abs(np.diff(placed.shift))
     turned = np.abs(np.angle(placed.turn[1:] / placed.turn[:-1]))
     near = np.abs(np.diff(scans.stamps_s)) <= _NEXT_S

@@ -109,12 +109,14 @@ def compute(window: Window) -> Values | Missing:
     """Reduce to the window."""
     prepared: _Prepared = window.prepared
     values = {}
-    for name, told, reason in (
+    for name, statements, reason in (
         ("odometry", prepared.odometry, "no odometry and transform of the same frames"),
         ("localisation", prepared.localisation, "no localisation's pose and transform"),
     ):
         for part in ("position", "yaw"):
-            sizes = {p: quantile(getattr(apart, part), window, _MANY) for p, apart in told.items()}
+            sizes = {
+                p: quantile(getattr(apart, part), window, _MANY) for p, apart in statements.items()
+            }
             values[f"{name}_{part}"] = largest(sizes, reason)
     for name, part in (("odometry_jump", "position"), ("odometry_yaw_jump", "yaw")):
         sizes = {

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from oracle_pipeline.features.scan_geometry import Mount, Planar, Scans
+from oracle_pipeline.features.scan_geometry import Planar, Scans, SensorMount
 from oracle_pipeline.features.scan_matching import along_arc, steps
 from tests.oracle_pipeline.features.scenery import RANGE_MAX_M, RAYS, Pose, World
 
@@ -40,7 +40,7 @@ def test_the_motion_of_the_base_is_found_wherever_the_scanner_is(ahead, aside, t
     mount = mounted(complex(x, 0.05), yaw, flipped=flip)
     found = steps(
         looked((0j, 0.3), (complex(ahead, aside) * np.exp(0.3j), 0.3 + turn), mount=mount),
-        Mount("base", mount),
+        SensorMount("base", mount),
     )
     assert found.turned == pytest.approx([turn], abs=3e-3)
     expected = complex(ahead, aside) * along_arc(np.array([turn]))[0]
@@ -49,7 +49,7 @@ def test_the_motion_of_the_base_is_found_wherever_the_scanner_is(ahead, aside, t
 
 def test_noise_of_a_centimetre_costs_millimetres():
     poses = [(complex(0.1 * i - 0.9, 0.0), 0.1 * i) for i in range(15)]
-    found = steps(looked(*poses, mount=mounted(), noise_m=0.01), Mount("base", mounted()))
+    found = steps(looked(*poses, mount=mounted(), noise_m=0.01), SensorMount("base", mounted()))
     assert np.abs(found.turned - 0.1).max() < 0.01
     assert np.abs(np.abs(found.travelled) - 0.1).mean() < 5e-3
 
@@ -57,17 +57,20 @@ def test_noise_of_a_centimetre_costs_millimetres():
 def test_a_scan_in_which_nothing_returns_matches_nothing():
     scans = looked((0j, 0.0), (0.1 + 0j, 0.0), mount=mounted())
     scans.ranges[1] = np.inf
-    found = steps(scans, Mount("base", mounted()))
+    found = steps(scans, SensorMount("base", mounted()))
     assert np.isnan(found.turned).all()
     assert np.isnan(found.travelled).all()
 
 
 def test_scans_too_far_apart_or_too_close_are_not_matched():
     poses = [(0j, 0.0)] * 4
-    assert len(steps(looked(*poses, mount=mounted(), step_s=2.0), Mount("b", mounted())).to_s) == 0
-    close = steps(looked(*poses, mount=mounted(), step_s=0.2), Mount("b", mounted()))
+    assert (
+        len(steps(looked(*poses, mount=mounted(), step_s=2.0), SensorMount("b", mounted())).to_s)
+        == 0
+    )
+    close = steps(looked(*poses, mount=mounted(), step_s=0.2), SensorMount("b", mounted()))
     assert close.to_s == pytest.approx([0.4])
-    assert len(steps(looked(*poses, mount=mounted()), Mount("b", None)).to_s) == 3
+    assert len(steps(looked(*poses, mount=mounted()), SensorMount("b", None)).to_s) == 3
 
 
 def test_the_way_along_an_arc_is_longer_than_its_chord():
