@@ -16,7 +16,15 @@ from typing import BinaryIO, NamedTuple
 from oracle_pipeline.bags.compression import decompress
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import LARGEST_CHUNK
-from oracle_pipeline.bags.part import Batch, Channel, Extent, add_channel, measure, unpacked
+from oracle_pipeline.bags.part import (
+    Batch,
+    Channel,
+    Extent,
+    add_channel,
+    measure,
+    unpacked,
+    written_size,
+)
 from oracle_pipeline.bags.records import MCAP_CHANNEL, MCAP_MESSAGE, MCAP_SCHEMA, mcap_records
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -94,9 +102,10 @@ class McapPart:
         self._chunk_channels: dict[int, frozenset[int]] = {}  # by where the chunk begins
         self._file: BinaryIO = file.open("rb")
         try:
-            self._size = self._file.seek(0, 2)
+            self._size = self._end = self._file.seek(0, 2)
             summary = self._summary_start()
             self._is_cut = summary is None
+            self._end = written_size(self._file) if self._is_cut else self._size
             if not (summary and self._read_summary(summary)):
                 self.channels, self._schemas, self._chunk_channels = {}, {}, {}
                 measure(self)
@@ -132,6 +141,7 @@ class McapPart:
                 return
             opcode, length = _HEAD.unpack(head)
             if opcode in (_DATA_END, _FOOTER):
+                self.cut = "it has no footer" if self._is_cut else ""
                 return
             if opcode == 0 or _LAST_STANDARD < opcode < _FIRST_PRIVATE:
                 self._stop(at, f"there is no record at byte {at}")
@@ -152,7 +162,7 @@ class McapPart:
                 if reason:
                     self._stop(at, reason)
                     return
-            if end > self._size:
+            if end > self._end:
                 self._stop(at, f"the record at byte {at} is not whole")
                 return
             at = end
@@ -163,8 +173,8 @@ class McapPart:
 
     def _messages(self, at: int, length: int) -> bytes:
         """Return complete records from a place on that stand in no chunk."""
-        size = max(_BLOCK, _HEAD.size + min(length, self._size))
-        if length > LARGEST_CHUNK and at + length <= self._size:
+        size = max(_BLOCK, _HEAD.size + min(length, self._end))
+        if length > LARGEST_CHUNK and at + length <= self._end:
             raise self._corrupt(
                 f"the record at byte {at} has {length} bytes; the limit is {LARGEST_CHUNK} "
                 "(LARGEST_CHUNK)"
@@ -210,7 +220,7 @@ class McapPart:
     def _stop(self, at: int, reason: str) -> None:
         if not self._is_cut:
             raise self._corrupt(reason)
-        self.cut, self.unread = reason, self._size - min(at, self._size)
+        self.cut, self.unread = reason, self._size - at
 
     def _corrupt(self, what: str) -> BagError:
         return BagError(
@@ -219,7 +229,7 @@ class McapPart:
 
     def _read(self, at: int, size: int) -> bytes:
         self._file.seek(at)
-        return self._file.read(size)
+        return self._file.read(max(0, min(size, self._end - at)))
 
     # Schemas, channels and the summary.
 

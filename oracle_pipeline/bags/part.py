@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import BinaryIO, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import MOST_CHANNELS, MOST_MESSAGES
 from oracle_pipeline.bags.records import Records
 
+_READ_BYTES, _SECTOR_BYTES = 2**20, 512
 _BATCH_BYTES = 32 * 2**20  # of messages that were compressed one by one
 
 
@@ -82,6 +83,22 @@ class Part(Protocol):
     def close(self) -> None:
         """Close the file."""
         ...
+
+
+def written_size(file: BinaryIO) -> int:
+    """Return where an unfinished file ends, without the zeros that a full disk leaves behind.
+
+    Fewer than a sector of them may belong to the last message.
+    """
+    size = end = file.seek(0, 2)
+    while end:
+        begin = max(0, end - _READ_BYTES)
+        file.seek(begin)
+        block = file.read(end - begin).rstrip(b"\0")
+        end = begin + len(block)
+        if block:
+            break
+    return end if size - end >= _SECTOR_BYTES else size
 
 
 def measure(part: Part) -> None:

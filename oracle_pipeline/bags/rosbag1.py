@@ -11,7 +11,15 @@ from oracle_pipeline.bags.compression import decompress
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import LARGEST_CHUNK, MOST_CHANNELS
 from oracle_pipeline.bags.mcap import ros2_name
-from oracle_pipeline.bags.part import Batch, Channel, Extent, add_channel, measure, unpacked
+from oracle_pipeline.bags.part import (
+    Batch,
+    Channel,
+    Extent,
+    add_channel,
+    measure,
+    unpacked,
+    written_size,
+)
 from oracle_pipeline.bags.records import ros1_records
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -49,7 +57,8 @@ class Rosbag1Part:
             self._end = self._size
             self._is_cut = not self._read_index()
             if self._is_cut:
-                self.channels, self._end = {}, self._size
+                self.channels = {}
+                self._size = self._end = written_size(self._file)
                 measure(self)
         except BaseException:
             self._file.close()
@@ -69,7 +78,7 @@ class Rosbag1Part:
                 self._stop(at, f"the record at byte {at} is not whole")
                 return
             header, begin, size = record
-            is_whole = begin + size <= self._size
+            is_whole = begin + size <= self._end
             opcode = _number(header, "op")
             if opcode == _CHUNK:
                 data, reason = self._chunk(header, begin, size)
@@ -89,7 +98,8 @@ class Rosbag1Part:
     def _batches(self, data: bytes, at: int, *, whole: bool) -> Iterator[Batch]:
         records = ros1_records(data)
         for begin in records.described.tolist():
-            self._describe(data, begin)
+            if not self._describe(data, begin) and not self._is_cut:
+                raise self._corrupt(f"a connection in the chunk at byte {at} is not described")
         if whole and records.end != len(data):
             raise self._corrupt(f"a record in the chunk at byte {at} ends beyond the chunk")
         yield from unpacked(data, records)
@@ -117,14 +127,14 @@ class Rosbag1Part:
     def _stop(self, at: int, reason: str) -> None:
         if not self._is_cut:
             raise self._corrupt(reason)
-        self.cut, self.unread = reason, self._size - min(at, self._size)
+        self.cut, self.unread = reason, self._size - at
 
     def _corrupt(self, what: str) -> BagError:
         return BagError(f"{self.path} is corrupt: {what}. Copy it again, or see `rosbag fix`.")
 
     def _read(self, at: int, size: int) -> bytes:
         self._file.seek(at)
-        return self._file.read(size)
+        return self._file.read(max(0, min(size, self._size - at)))
 
     def _record(self, at: int) -> tuple[_Header, int, int] | None:
         """Return header, place and size of a record's data; None if the header is not whole."""
@@ -140,15 +150,15 @@ class Rosbag1Part:
             return None
         return header, at + 8 + length, int.from_bytes(data[length:], "little")
 
-    def _describe(self, data: bytes, at: int) -> None:
-        """Keep a connection that a record describes."""
+    def _describe(self, data: bytes, at: int) -> bool:
+        """Keep a connection that a record describes; False if it does not."""
         length = int.from_bytes(data[at : at + 4], "little")
         header = _header(data[at + 4 : at + 4 + length])
         at += 4 + length
         size = int.from_bytes(data[at : at + 4], "little")
         about = _header(data[at + 4 : at + 4 + size])
         if header is None or about is None:
-            raise self._corrupt("a connection is not described as it should be")
+            return False
         topic = header.get("topic", b"").decode("utf-8", "replace")
         slash = "/" if topic.startswith("/") else ""
         channel = Channel(
@@ -157,6 +167,7 @@ class Rosbag1Part:
             about.get("message_definition", b"").decode("utf-8", "replace"), "msg", "", "",
         )  # fmt: skip
         add_channel(self.channels, _number(header, "conn"), channel)
+        return True
 
     def _read_index(self) -> bool:
         """Take connections, counts and times from the index; False if there is none."""
@@ -185,7 +196,8 @@ class Rosbag1Part:
             header, begin, size = record
             data = self._read(begin, size)
             if _number(header, "op") == _CONNECTION:
-                self._describe(self._read(at, begin + size - at), 0)
+                if not self._describe(self._read(at, begin + size - at), 0):
+                    return False
             elif _number(header, "op") == _CHUNK_INFO:
                 for connection, count in struct.iter_unpack("<II", data[: size // 8 * 8]):
                     counts[connection] += count

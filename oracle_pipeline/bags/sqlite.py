@@ -4,6 +4,7 @@ The database itself is never opened for writing: one with a journal or a write-a
 is copied to a temporary folder and finished there.
 """
 
+import os
 import shutil
 import sqlite3
 import tempfile
@@ -54,7 +55,12 @@ class SqlitePart:
         self._database: sqlite3.Connection | None = None
         try:
             self._database = self._open(file)
-            self._read_topics(self._database)
+            try:
+                self._read_topics(self._database)
+            except sqlite3.DatabaseError:
+                # Without this, SQLite refuses a file that is shorter than its header says.
+                self._database.execute("PRAGMA writable_schema = ON")
+                self._read_topics(self._database)
             self._measure(self._database)
         except BaseException as error:
             self.close()
@@ -104,14 +110,17 @@ class SqlitePart:
 
     def _open(self, file: Path) -> sqlite3.Connection:
         """Open the database, or a copy of one that was not closed."""
+        if self._size % (page := _page_size(file)):
+            # Read as it is, the page that was cut would be filled up with zeros.
+            copy = self._copy(file)
+            os.truncate(copy, self._size - self._size % page)
+            file = copy
         aside = [file.with_name(file.name + end) for end in ("-wal", "-journal")]
         if any(each.is_file() and each.stat().st_size for each in aside):
-            self._folder = tempfile.TemporaryDirectory(prefix="oracle-")
-            copy = Path(self._folder.name, "copy.db3")
-            shutil.copyfile(file, copy)
+            copy = self._copy(file)
             for each in aside:
                 if each.is_file():
-                    shutil.copyfile(each, copy.with_name("copy.db3" + each.name[len(file.name) :]))
+                    shutil.copyfile(each, copy.with_name(copy.name + each.name[len(file.name) :]))
             database = sqlite3.connect(copy)
             self.cut = "the database was not closed; its journal or write-ahead log was read too"
             with suppress(sqlite3.DatabaseError):
@@ -124,6 +133,12 @@ class SqlitePart:
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_CHUNK)
         database.text_factory = lambda text: text.decode("utf-8", "replace")
         return database
+
+    def _copy(self, file: Path) -> Path:
+        self._folder = tempfile.TemporaryDirectory(prefix="oracle-")
+        copy = Path(self._folder.name, "copy.db3")
+        shutil.copyfile(file, copy)
+        return copy
 
     def _read_topics(self, database: sqlite3.Connection) -> None:
         tables = {
@@ -166,6 +181,12 @@ class SqlitePart:
             self.claims, self.extent = False, Extent()
             for batch in self.batches():
                 self.extent.add(batch)
+
+
+def _page_size(file: Path) -> int:
+    with file.open("rb") as source:
+        size = int.from_bytes(source.read(18)[16:], "big")
+    return 65_536 if size == 1 else size or 4096  # 65,536 does not fit into its two bytes
 
 
 def _batches(rows: list[tuple[Any, ...]]) -> Iterator[Batch]:
