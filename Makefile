@@ -3,8 +3,9 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-PWD := $(CURDIR)
 include .env
+ORACLE_DAGSTER_HOME := $(CURDIR)/.dagster_home
+DAGSTER_HOME := $(ORACLE_DAGSTER_HOME)
 export
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
@@ -45,7 +46,7 @@ campaign: setup ## Simulate 60 blocks of every mode and hard negative, and evalu
 		--partition-range 'lidar_passthrough|run000...benign_slow|run059'
 
 ui: setup ## Open the pipeline in the browser, on 127.0.0.1
-	dagster dev -w workspace.yaml -h 127.0.0.1
+	oracle-ui -w workspace.yaml
 
 test: setup-dev lint types ## Check style and types, then run every test that needs only Python and PyPI
 	pytest -n 2 --dist loadfile --no-loadscope-reorder

@@ -1,5 +1,6 @@
 """Imports go one way only: the contracts in pyproject.toml, which import-linter checks."""
 
+import re
 import shutil
 import subprocess
 import sys
@@ -45,7 +46,7 @@ def test_the_tree_keeps_the_rule(tree):
         ("oracle_pipeline/bags/reader.py", "from .. import datasets"),
         ("oracle_pipeline/cli.py", "from .definitions import defs"),
         ("resources/store.py", "from assets.partitions import RUNS"),
-        ("assets/runs.py", "from oracle_pipeline.definitions import defs"),
+        ("assets/experiment_runs.py", "from oracle_pipeline.definitions import defs"),
         ("assets/worker/run.py", "def late():\n    import dagster"),
         ("resources/storage/plan.py", "from resources.store import RunStore"),
     ],
@@ -56,3 +57,14 @@ def test_the_rule_notices_what_it_forbids(tree, module, statement):
     done = lint(tree)
     assert done.returncode == 1
     assert "BROKEN" in done.stdout
+
+
+def test_private_names_of_dagster_are_imported_in_one_module_and_one_of_the_tests():
+    private = re.compile(r"^\s*(?:from|import) dagster\._", re.MULTILINE)
+    found = {
+        path.relative_to(ROOT).as_posix()
+        for folder in (*PACKAGES, "bench", "soak", "tests")
+        for path in (ROOT / folder).rglob("*.py")
+        if private.search(path.read_text(encoding="utf-8"))
+    }
+    assert found == {"assets/dagster_internals.py", "tests/assets/dagster_internals.py"}

@@ -16,6 +16,7 @@ from typing import BinaryIO, NamedTuple
 from oracle_pipeline.bags.compression import decompress
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import LARGEST_CHUNK
+from oracle_pipeline.bags.mcap_checksums import check_summary
 from oracle_pipeline.bags.part import (
     Batch,
     Channel,
@@ -105,7 +106,10 @@ class McapPart:
             self._size = self._end = self._file.seek(0, 2)
             summary = self._summary_start()
             self._is_cut = summary is None
-            self._end = written_size(self._file) if self._is_cut else self._size
+            if self._is_cut:
+                self._end = written_size(self._file)
+            else:
+                self._check_summary()
             if not (summary and self._read_summary(summary)):
                 self.channels, self._schemas, self._chunk_channels = {}, {}, {}
                 measure(self)
@@ -194,6 +198,8 @@ class McapPart:
         begin += name_size
         packed_size = int.from_bytes(self._read(begin, 8), "little")
         begin += 8
+        if begin > self._end:
+            return b"", f"the chunk at byte {at} is not whole"
         if begin + packed_size > at + _HEAD.size + length:
             return self._broken(at, "is longer than its record")
         packed = self._read(begin, min(packed_size, LARGEST_CHUNK))
@@ -263,6 +269,12 @@ class McapPart:
             return None
         start = int.from_bytes(tail[_HEAD.size : _HEAD.size + 8], "little")
         return start if start < self._size - size else 0
+
+    def _check_summary(self) -> None:
+        try:
+            check_summary(self._file)
+        except BagError as error:
+            raise self._corrupt(str(error)) from error
 
     def _read_summary(self, start: int) -> bool:
         """Take channels, counts and times from the summary; False if it does not tell them."""

@@ -7,9 +7,10 @@ make no sense, and say where that was.
 
 from typing import Any, NamedTuple, TypeAlias
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from oracle_pipeline.bags.jit import jit
 
 Bytes: TypeAlias = NDArray[np.uint8]
 
@@ -47,7 +48,7 @@ def ros1_records(data: bytes) -> Records:
     return Records(*_index_ros1(np.frombuffer(data, np.uint8)))
 
 
-@numba.njit(cache=True)
+@jit
 def _number(data: Bytes, at: int, size: int) -> Any:
     """Return a little-endian number; eight bytes that do not fit are negative."""
     number = np.int64(0)
@@ -56,7 +57,7 @@ def _number(data: Bytes, at: int, size: int) -> Any:
     return number
 
 
-@numba.njit(cache=True)
+@jit
 def _count_mcap(data: Bytes, only_messages: bool) -> Any:
     at, end, messages, described = 0, len(data), 0, 0
     while at + _MCAP_HEAD <= end:
@@ -76,7 +77,7 @@ def _count_mcap(data: Bytes, only_messages: bool) -> Any:
     return messages, described, at
 
 
-@numba.njit(cache=True)
+@jit
 def _index_mcap(data: Bytes, only_messages: bool) -> Any:
     messages, others, end = _count_mcap(data, only_messages)
     channels, stamps = np.empty(messages, np.int64), np.empty(messages, np.int64)
@@ -99,7 +100,7 @@ def _index_mcap(data: Bytes, only_messages: bool) -> Any:
     return channels, stamps, offsets, sizes, described, end
 
 
-@numba.njit(cache=True)
+@jit
 def _ros1_head(data: Bytes, at: int, end: int) -> Any:
     """Return opcode, connection, stamp [ns] and length of a header; opcode -1 if it is broken."""
     opcode, connection, stamp = np.int64(-1), np.int64(-1), np.int64(-1)
@@ -119,7 +120,7 @@ def _ros1_head(data: Bytes, at: int, end: int) -> Any:
     return opcode, connection, stamp
 
 
-@numba.njit(cache=True)
+@jit
 def _index_ros1(data: Bytes) -> Any:
     end = len(data)
     most = end // 40 + 1  # a message takes more: lengths, op, conn and time

@@ -24,6 +24,8 @@ from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.rosbag2.storage_mcap import McapWriter
 from ruamel.yaml import YAML
 
+from oracle_pipeline.bags import mcap_checksums
+
 # The newest that Humble's `ros2 bag` opens; 9 turns the QoS profiles into a list it cannot parse.
 METADATA_VERSION: Literal[8] = 8
 
@@ -36,7 +38,7 @@ _FIELDS_SIZE = _HEAD.size - _LENGTH_FIRST.size
 
 
 class _McapWriter(McapWriter):
-    """A message's record is packed in one go."""
+    """A message's record is packed in one go, and every checksum is written."""
 
     _CHUNK_SIZE = 2**20
 
@@ -54,6 +56,17 @@ class _McapWriter(McapWriter):
         chunk.bio.write(data)
         if chunk.bio.tell() > self._CHUNK_SIZE:
             self.close_chunk()
+
+    def close_chunk(self) -> None:
+        """Write the open chunk with its checksum."""
+        start, records = self.bio.tell(), self.chunk.bio
+        super().close_chunk()
+        mcap_checksums.write_of_chunk(self.bio, start, records.getbuffer())
+
+    def close(self, version: int, metadata: str) -> None:
+        """Write what is behind the chunks, and the checksums of the two sections."""
+        super().close(version, metadata)
+        mcap_checksums.write_of_sections(self.path)
 
 
 class Writer(RosbagsWriter):

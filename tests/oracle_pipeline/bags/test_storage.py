@@ -48,11 +48,23 @@ def test_a_bag_is_the_one_that_rosbags_writes(storage, qos, tmp_path):
     ours, theirs = folders
     assert ours["metadata.yaml"] == theirs["metadata.yaml"]
     if storage is StoragePlugin.MCAP:  # SQLite counts transactions
-        assert ours == theirs
+        assert without_checksums(ours["bag.mcap"]) == theirs["bag.mcap"]
 
 
 def test_importing_reader_and_writer_leaves_rosbags_as_it_was():
     subprocess.run([sys.executable, "-c", UNPATCHED], check=True)
+
+
+def without_checksums(content):
+    """Return the bytes of an MCAP file with zeros where its checksums are: rosbags writes none."""
+    content, at = bytearray(content), 8
+    while at < len(content) - 8:
+        end = at + 9 + int.from_bytes(content[at + 1 : at + 9], "little")
+        checksums = {0x06: at + 9 + 24, 0x0F: end - 4, 0x02: end - 4}  # chunk, data end, footer
+        if (checksum := checksums.get(content[at])) is not None:
+            content[checksum : checksum + 4] = bytes(4)
+        at = end
+    return bytes(content)
 
 
 def _channel(writer, topic, msgtype, profiles):
