@@ -58,7 +58,7 @@ class MessageLayout:
     """
 
     def __init__(self, bag: BagReader, topic: str) -> None:
-        self._is_cdr = bag.serialization == "cdr"
+        self._is_cdr = bag.topics[topic].encoding != "ros1"
         self._has_header = False
         self._before: list[_Field] = []
         self._element: np.dtype[Any] | None = None
