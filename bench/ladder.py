@@ -50,8 +50,8 @@ from oracle_pipeline.evaluation.held_out import held_out
 from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
 from oracle_pipeline.evaluation.metrics import auc
 from oracle_pipeline.evaluation.splits import block_folds
-from sim.experiments import record_run
-from sim.recipes import Campaign, recipe_for
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for, record_run
 
 CONTROL, FAKE, REAL = "lidar_passthrough_odom", "fake_object", "benign_obstacle"
 GOALS = 2

@@ -5,7 +5,7 @@ scores in ``oracle_pipeline.evaluation.conformal``.
 """
 
 from oracle_pipeline.detectors.base import Detector, DetectorError
-from oracle_pipeline.detectors.explain import Deviation, explain
+from oracle_pipeline.detectors.explain import Deviation, FamilyDeviation, by_family, explain
 from oracle_pipeline.detectors.panel import DEFAULT_DETECTOR, panel, pipeline, upper_bounds
 
 __all__ = [
@@ -13,6 +13,8 @@ __all__ = [
     "Detector",
     "DetectorError",
     "Deviation",
+    "FamilyDeviation",
+    "by_family",
     "explain",
     "panel",
     "pipeline",

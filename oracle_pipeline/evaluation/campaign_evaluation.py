@@ -241,4 +241,5 @@ class _Steps:
             integrity.shuffled_labels(campaign, columns, detector, block_folds, rng),
             integrity.hard_negatives(headline, campaign, rng),
             integrity.shortcuts_apart(campaign.features, columns, area),
+            integrity.unaltered_runs_alike(campaign, columns),
         ]

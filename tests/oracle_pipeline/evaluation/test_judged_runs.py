@@ -46,16 +46,20 @@ def test_an_attack_that_never_began_is_left_out_and_a_run_without_truth_is_refus
 def test_sets_of_features_keep_shortcuts_and_the_thesis_apart():
     features, _, _ = campaign(3)
     features = features.assign(
-        **{"thesis.vector_0": 1.0, "redundancy.residual": 1.0, "generic.identity": 1.0}
-    )
+        **{
+            "thesis.vector_0": 1.0, "redundancy.residual": 1.0, "pairs.rate_ratio": 1.0,
+            "generic.identity": 1.0,
+        }
+    )  # fmt: skip
     features.attrs["fields"] = {
         **features.attrs["fields"],
         "redundancy.residual": {"origin": "domain", "shortcut": "false"},
+        "pairs.rate_ratio": {"origin": "domain", "shortcut": "false"},
         "generic.identity": {"origin": "generic", "shortcut": "true"},
     }
     sets = feature_sets(features)
     own = {c for c in features if c.startswith(("structural.", "contextual."))}
-    assert set(sets["all"]) == own | {"redundancy.residual"}
+    assert set(sets["all"]) == own | {"redundancy.residual", "pairs.rate_ratio"}
     assert sets["shortcuts"] == ["generic.identity"]
     assert set(sets["without redundancy"]) == own
     assert sets["redundancy"] == ["redundancy.residual"]
