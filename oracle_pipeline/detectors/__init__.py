@@ -1,7 +1,7 @@
 """The detector panel: from scaled features of normal runs to a score of any one run.
 
-Detectors are scikit-learn estimators; a verdict with a known false-alarm rate is made of their
-scores in ``oracle_pipeline.evaluation.conformal``.
+Detectors are scikit-learn estimators. ``oracle_pipeline.evaluation.conformal`` turns their scores
+into verdicts with a known false-alarm rate.
 """
 
 from oracle_pipeline.detectors.base import Detector, DetectorError

@@ -1,6 +1,6 @@
 """The whole evaluation of a campaign: each run once, every score held out, checks before figures.
 
-The steps are in the other modules of this package; here they are done in order, for every scorer.
+The steps are in the other modules of this package; this one runs them for every scorer.
 The protocol and what each figure means: docs/explanation/evaluation.md.
 """
 

@@ -1,7 +1,7 @@
-"""Who is judged against whom, by which scorer, and the figures of one such comparison.
+"""Which runs are compared, by which scorer, and the figures of one comparison.
 
-The protocol is fixed before the final data are there: the panel, the sets of features and the one
-scorer whose figure is the headline. Why it is this one: docs/explanation/evaluation.md.
+The protocol is fixed before the final data are recorded: the panel, the sets of features and the
+one scorer whose figure is the headline. The reasons: docs/explanation/evaluation.md.
 """
 
 from collections.abc import Iterable

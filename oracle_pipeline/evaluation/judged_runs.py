@@ -1,7 +1,7 @@
-"""The runs that are judged: their features, their windows and what really happened, in one order.
+"""The runs that are judged: their features, windows and ground truth, in one order.
 
-Scores are made of the first two in ``oracle_pipeline.evaluation.held_out``; the third is what they
-are measured against.
+``oracle_pipeline.evaluation.held_out`` computes scores from features and windows; they are measured
+against the ground truth.
 """
 
 import json

@@ -2,8 +2,8 @@
 
 A grid of attacked runs, one operator of the scenario language at several magnitudes, is scored by
 an oracle that was fitted on the campaign. A run that is called anomalous is a killed mutant; one in
-which no message was changed is equivalent to the original and counts for nothing. Recording the
-grid is ``oracle-sim grid``.
+which no message was changed is equivalent to the original and is left out. ``oracle-sim grid``
+records the grid.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""What of a reference one recording can be compared with: which features, and which normal runs."""
+"""The features and the normal runs of a reference that one recording can be compared with."""
 
 import json
 from collections.abc import Sequence
