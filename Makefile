@@ -13,7 +13,11 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 FIRST := lidar_passthrough|run000
 LAST := delayed_fakeobject|run002
 
-.PHONY: help setup run campaign ui test test-browser lint types bench soak constraints clean
+# Pins without the address of any registry.
+COMPILE := pip-compile --quiet --strip-extras --no-header --no-annotate \
+	--no-emit-index-url --no-emit-trusted-host --no-emit-find-links
+
+.PHONY: help setup run campaign ui test test-browser lint types bench soak constraints requirements image sbom clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list
@@ -56,8 +60,19 @@ types: setup
 	mypy
 
 constraints: setup ## Pin the newest versions that fit pyproject.toml
-	pip-compile --quiet --upgrade --all-extras --strip-extras --no-header --no-annotate \
-		--no-emit-index-url --no-emit-trusted-host --no-emit-find-links --output-file constraints.txt pyproject.toml
+	$(COMPILE) --upgrade --all-extras --output-file constraints.txt pyproject.toml
+
+requirements: setup ## Write deploy/requirements.txt: what the image holds, with the hash of every file
+	$(COMPILE) --constraint constraints.txt --generate-hashes --allow-unsafe --build-deps-for wheel \
+		--extra dask --extra postgres --extra s3 --output-file deploy/requirements.txt pyproject.toml
+
+image: requirements ## Build the image of deploy/ from files whose hashes are known
+	docker build $(if $(BASE),--build-arg BASE=$(BASE)) -f deploy/Containerfile -t ros2-behaviour-oracle .
+
+sbom: requirements ## Write dist/sbom.cdx.json: what the image is made of, as CycloneDX
+	mkdir -p dist
+	cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible \
+		--output-format JSON --output-file dist/sbom.cdx.json deploy/requirements.txt
 
 bench: setup ## Measure speed, size and memory, as ratios of one run
 	python -m bench
