@@ -1,4 +1,4 @@
-"""The roof: all assets, checks, resources, jobs, schedules and sensors in one ``Definitions``.
+"""All assets, checks, resources, jobs, schedules and sensors in one ``Definitions``.
 
 Nobody imports this module but Dagster and tests. ``build_defs`` takes other resources in place of
 the default ones, so that a test or a script swaps a part without patching anything.
@@ -9,21 +9,22 @@ import warnings
 
 import dagster as dg
 
-# Backfill policies, partition mappings and partitioned checks are what this pipeline stands on;
-# Dagster calls them beta or preview, and would say so at each load. Before our own assets load.
+# This pipeline needs backfill policies, partition mappings and partitioned checks. Dagster calls
+# them beta or preview and would warn at each load. This must stand before our own assets.
 warnings.filterwarnings("ignore", category=dg.BetaWarning)
 warnings.filterwarnings("ignore", category=dg.PreviewWarning)
 
 from assets import (  # noqa: E402
     automation,
-    checks,
-    datasets,
-    evaluation,
     evaluation_checks,
-    reports,
+    experiment_runs,
+    feature_dataset,
+    oracle_evaluation,
+    oracle_report,
+    run_checks,
     run_retention,
-    runs,
     scenario_changes,
+    thesis_method,
 )
 from resources.budget import StorageBudget  # noqa: E402
 from resources.campaign import CampaignSettings  # noqa: E402
@@ -31,7 +32,7 @@ from resources.executor import in_process_executor  # noqa: E402
 from resources.fleet import Fleet  # noqa: E402
 from resources.no_values import NoValues  # noqa: E402
 from resources.store import RunStore  # noqa: E402
-from sim.recipes import Campaign  # noqa: E402
+from sim.campaigns import Campaign  # noqa: E402
 
 
 def build_defs(**overrides: object) -> dg.Definitions:
@@ -59,8 +60,10 @@ def build_defs(**overrides: object) -> dg.Definitions:
     if unknown := overrides.keys() - resources.keys():
         raise TypeError(f"No resource is called {sorted(unknown)}; there are {sorted(resources)}.")
     return dg.Definitions(
-        assets=dg.load_assets_from_modules([runs, datasets, evaluation, reports]),
-        asset_checks=[checks.checks_of_runs, evaluation_checks.checks_of_evaluation],
+        assets=dg.load_assets_from_modules(
+            [experiment_runs, feature_dataset, oracle_evaluation, thesis_method, oracle_report]
+        ),
+        asset_checks=[run_checks.checks_of_runs, evaluation_checks.checks_of_evaluation],
         jobs=[automation.everything, run_retention.forget_old_runs],
         schedules=[automation.nightly, run_retention.weekly],
         sensors=[scenario_changes.changed_scenarios],

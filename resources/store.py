@@ -6,6 +6,7 @@ from typing import cast
 
 import dagster as dg
 
+from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
 
 
@@ -67,13 +68,17 @@ class RunStore(dg.ConfigurableResource[None]):
 
     def dataset(self, name: str) -> Path:
         """Return the place of a table over many runs."""
-        return self.path / "datasets" / f"{name}.parquet"
+        return layout.dataset(self.path, name)
 
     def results(self, name: str) -> Path:
         """Return the folder of one report's table, pictures and facts."""
-        return self.path / "report" / "parts" / name
+        return layout.report_part(self.path, name)
+
+    def grid_indices(self) -> list[Path]:
+        """Return the index of each grid that was recorded below the root."""
+        return layout.grid_indices(self.path)
 
     @property
     def report(self) -> Path:
         """The report: one HTML file."""
-        return self.path / "report" / "index.html"
+        return layout.report_page(self.path)

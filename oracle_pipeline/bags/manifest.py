@@ -16,9 +16,10 @@ from typing import Any, Literal, NamedTuple, Self, TypeAlias
 import jsonschema
 
 from oracle_pipeline.bags.errors import ManifestError
+from oracle_pipeline.bags.protocol import run_key
 
 SCHEMA_VERSION = 3
-_WITHOUT_CHANGES = 2  # the version before; its runs did not tell what their node changed
+_WITHOUT_CHANGES = 2  # the version before; its runs have no record of changes
 
 Label: TypeAlias = Literal["malicious", "normal", "control"]
 Outcome: TypeAlias = Literal["succeeded", "aborted", "timeout"]
@@ -56,10 +57,13 @@ class Contact:
     piece: str  # name in the world, for example two_two
 
 
-class Change(NamedTuple):
-    """What the mode's node changed within five seconds, as it says itself."""
+CHANGE_BIN_S = 5.0  # length of the bins in which changes are counted [s]
 
-    start_s: float  # a multiple of 5
+
+class Change(NamedTuple):
+    """What the mode's node changed in one bin of time, from its own log."""
+
+    start_s: float  # a multiple of `CHANGE_BIN_S`
     messages: int  # changed, dropped, delayed or made up
     largest: float | None  # in the unit of what was changed; None: a number was no longer finite
 
@@ -93,7 +97,7 @@ class Measured:
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class Manifest:
-    """One run, as ``manifest.json`` tells it."""
+    """One run, as in ``manifest.json``."""
 
     mode: str
     label: Label
@@ -120,6 +124,11 @@ class Manifest:
     changes: tuple[Change, ...] = ()  # the five seconds in which anything was changed
     schema_version: int = SCHEMA_VERSION
 
+    @property
+    def key(self) -> str:
+        """``fake_object|run003``, the run's partition key."""
+        return run_key(self.mode, self.run)
+
     def save(self, path: Path) -> None:
         """Write ``manifest.json``.
 
@@ -143,7 +152,7 @@ class Manifest:
         ------
         ManifestError
             Naming the file and the field, if it is missing, broken, of another schema version, or
-            not what the schema says.
+            not valid by the schema.
         """
         try:
             document = json.loads(path.read_text(encoding="utf-8"))

@@ -13,7 +13,7 @@ import pandas as pd
 from assets.aggregates import DATASET, TRUTH, WINDOWS
 from assets.worker.run import process_run
 from oracle_pipeline.datasets import read_table
-from oracle_pipeline.reporting.result import Report
+from oracle_pipeline.reporting.report import Report
 from resources.store import RunStore
 from sim.fan_out import fan_out, process_pool
 from soak.faults import disturbed, jobs, leftovers, start, state
