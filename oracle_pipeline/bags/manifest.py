@@ -19,7 +19,7 @@ from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.protocol import run_key
 
 SCHEMA_VERSION = 3
-_WITHOUT_CHANGES = 2  # the version before; its runs did not tell what their node changed
+_WITHOUT_CHANGES = 2  # the version before; its runs have no record of changes
 
 Label: TypeAlias = Literal["malicious", "normal", "control"]
 Outcome: TypeAlias = Literal["succeeded", "aborted", "timeout"]
@@ -61,7 +61,7 @@ CHANGE_BIN_S = 5.0  # length of the bins in which changes are counted [s]
 
 
 class Change(NamedTuple):
-    """What the mode's node changed in one bin of time, as it logs it itself."""
+    """What the mode's node changed in one bin of time, from its own log."""
 
     start_s: float  # a multiple of `CHANGE_BIN_S`
     messages: int  # changed, dropped, delayed or made up
@@ -97,7 +97,7 @@ class Measured:
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class Manifest:
-    """One run, as ``manifest.json`` tells it."""
+    """One run, as in ``manifest.json``."""
 
     mode: str
     label: Label
@@ -152,7 +152,7 @@ class Manifest:
         ------
         ManifestError
             Naming the file and the field, if it is missing, broken, of another schema version, or
-            not what the schema says.
+            not valid by the schema.
         """
         try:
             document = json.loads(path.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""What every report gives: tables, pictures and a few plain facts, kept together in one folder."""
+"""A report: tables, pictures and a few facts, stored together in one folder."""
 
 import json
 from collections.abc import Mapping
@@ -61,7 +61,9 @@ class Report:
         try:
             summary = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
         except (FileNotFoundError, json.JSONDecodeError) as error:
-            raise ReportError(f"{directory} holds no report ({error}); make it again.") from error
+            raise ReportError(
+                f"{directory} holds no report ({error}); materialize it again."
+            ) from error
         figures = {
             png.stem: png.read_bytes() for png in sorted((directory / FIGURES).glob("*.png"))
         }
