@@ -23,13 +23,15 @@ CHECKS = (
         "bag_is_complete",
         asset="bags",
         partitions_def=RUNS,
-        description="Every message that the manifest counts can be read from the bag.",
+        description="Every message that the manifest counts can be read from the bag, and the "
+        "hashes of messages and files are those of the manifest.",
     ),
     dg.AssetCheckSpec(
         "every_interval_has_a_graph",
         asset="interval_graphs",
         partitions_def=RUNS,
-        description="There is a graph each 10 s of the recording, and for a rest of 5 s or more.",
+        description="There is a graph each 10 s of the recording, and for a rest of 5 s or more; "
+        "every graph is as it was recorded.",
     ),
     dg.AssetCheckSpec(
         PAIR_CHECK,

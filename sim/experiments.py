@@ -12,7 +12,9 @@ from typing import Any, Literal
 
 from oracle_pipeline.bags import manifest as schema
 from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.integrity import hashes_of_files, require_undamaged
 from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.remote import is_local
 from oracle_pipeline.bags.run_directory import (
     BAG_FOLDER,
     GRAPHS_FOLDER,
@@ -181,6 +183,8 @@ def _verified(directory: RunDirectory, recipe: Recipe | AtcRecipe) -> Manifest:
             f"{directory.path} is damaged: its parts should have {dict(found.measured.bytes)} "
             f"bytes and have {sizes}; refresh it to make it again."
         )
+    if is_local(directory.path):  # from an object store, who uses a file compares it
+        require_undamaged(directory.path, found)
     return found
 
 
@@ -304,7 +308,11 @@ class Run:
             content_hash=self._bag.content_hash,
             recipe=recipe.to_dict(),
             software=software(),
-            measured=schema.Measured(wall_s=wall_s, bytes=bytes_on_disk(self._folder)),
+            measured=schema.Measured(
+                wall_s=wall_s,
+                bytes=bytes_on_disk(self._folder),
+                files=hashes_of_files(self._folder),
+            ),
         )
 
     def _onset_s(self) -> float | None:
