@@ -61,8 +61,10 @@ constraints: setup ## Pin the newest versions that fit pyproject.toml
 bench: setup ## Measure speed, size and memory, as ratios of one run
 	python -m bench
 
-soak: setup ## Kill a campaign 50 times, flip bits everywhere, and keep 600 runs within 2 GB; hours
+soak: setup ## Kill everything at random moments, fill the disk, flip bits, keep 600 runs within 2 GB; hours
 	python -m soak.faults
+	python -m soak.aggregates
+	python -m soak.full_disk
 	python -m soak.flips
 	python -m soak.budget
 

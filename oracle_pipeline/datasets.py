@@ -215,18 +215,29 @@ def _runs(table: pd.DataFrame) -> str:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Give a file to write that takes the place of `path` once it is whole and on the disk."""
+    """Give a file to write that takes the place of `path` once it is whole and on the disk.
+
+    Raises
+    ------
+    OSError
+        Naming the file, if it cannot be written; what was there stays.
+    """
     if not is_local(path):  # an object is there when all of it is
         whole = io.BytesIO()
         yield whole
         path.write_bytes(whole.getvalue())
         return
-    with scratch_beside(path, Path.touch) as scratch:
-        with scratch.open("wb") as sink:
-            yield sink
-            sink.flush()
-            os.fsync(sink.fileno())
-        scratch.replace(path)
+    try:
+        with scratch_beside(path, Path.touch) as scratch:
+            with scratch.open("wb") as sink:
+                yield sink
+                sink.flush()
+                os.fsync(sink.fileno())
+            scratch.replace(path)
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error  # as of a full disk
 
 
 def write_table(df: pd.DataFrame, path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import resource
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +23,7 @@ from resources.storage.commands import remake, storage
 from resources.storage.stock import take_stock
 from resources.store import RunStore
 from sim.recipes import Campaign
+from soak.full_disk import largest_file
 from tests.assets.laboratory import ATTACKED, CONTROL, KEY, PER_RUN, Laboratory
 from tests.locks import order_of_two
 from tests.manifests import rewrite
@@ -47,17 +47,6 @@ def files(root: Path) -> dict[str, tuple[int, int]]:
         for path in root.rglob("*")
         if path.is_file()
     }
-
-
-@contextlib.contextmanager
-def largest_file(size: int) -> Iterator[None]:
-    """No file can grow larger, as on a disk that is full."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_a_trimmed_bag_holds_what_features_decode_and_all_that_is_light(run: RunDirectory) -> None:
