@@ -1,7 +1,8 @@
 """What can start by itself: the job over all assets, and the schedule that makes runs again.
 
 Everything is off until somebody switches it on. The sensor is in ``assets.scenario_changes``, the
-job that forgets old Dagster runs in ``assets.run_retention``. How to use them: docs/automation.md.
+job that forgets old Dagster runs in ``assets.run_retention``. How to use them:
+docs/how-to/automation.md.
 """
 
 import dagster as dg
@@ -15,7 +16,7 @@ everything = dg.define_asset_job(
 )
 
 
-def made_again(first: str, last: str, run_key: str | None = None) -> dg.RunRequest:
+def refreshed_runs(first: str, last: str, run_key: str | None = None) -> dg.RunRequest:
     """Ask for a range of partitions, simulated again: one Dagster run, not one a partition."""
     return dg.RunRequest(
         run_key=run_key,
@@ -40,4 +41,4 @@ def nightly(context: dg.ScheduleEvaluationContext) -> dg.RunRequest:
         RUNS.get_partitions_def_for_dimension(name).get_partition_keys() for name in ("mode", "run")
     )
     run = runs[context.scheduled_execution_time.toordinal() % len(runs)]
-    return made_again(f"{modes[0]}|{run}", f"{modes[-1]}|{run}")
+    return refreshed_runs(f"{modes[0]}|{run}", f"{modes[-1]}|{run}")

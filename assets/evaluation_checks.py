@@ -31,14 +31,14 @@ def checks_of_evaluation(
     context: dg.AssetCheckExecutionContext, store: RunStore
 ) -> Iterator[dg.AssetCheckResult]:
     """Show what the evaluation found of itself; a check that is unsupported is not passed."""
-    from oracle_pipeline.reporting.result import Report
+    from oracle_pipeline.reporting.report import Report
 
     with clear_failures():
         table = Report.load(store.results(EVALUATION)).tables[TABLE]
-    found = {str(row["name"]): row for row in table.to_dict("records")}
+    row_of_check = {str(row["name"]): row for row in table.to_dict("records")}
     for spec in CHECKS:
         if spec.key in context.selected_asset_check_keys:
-            row = found[spec.name]
+            row = row_of_check[spec.name]
             figures = {name: float(row[name]) for name in ("figure", "figure_low", "figure_high")}
             yield dg.AssetCheckResult(
                 check_name=spec.name,

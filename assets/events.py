@@ -1,18 +1,16 @@
-"""One event a run, from steps that take many runs.
+"""One event for each run, from steps that process many runs.
 
 Dagster 1.13 has no public way to give each partition of a range its own data version, or its own
-check result. Steps here yield the events of every partition themselves and then hand Dagster an
-output without one. The two private names that this takes stand in this module only.
+check result. Steps yield the events of every partition themselves and then return an output without
+one (``assets.dagster_internals``).
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import dagster as dg
-from dagster._core.definitions.asset_checks.asset_check_evaluation import (
-    AssetCheckEvaluationTargetMaterializationData,
-)
-from dagster._core.definitions.source_asset import SYSTEM_METADATA_KEY_SOURCE_ASSET_OBSERVATION
+
+from assets.dagster_internals import checked_materialization
 
 Figures = Mapping[str, int | float | str | dg.MetadataValue]
 
@@ -47,8 +45,8 @@ def materializations(
             if asset not in upstream:
                 upstream[asset] = latest_materialization(instance, asset, key)
             name, latest = asset.to_user_string(), upstream[asset]
-            seen = latest.asset_materialization if latest else None
-            versions = (seen.tags if seen else None) or {}
+            upstream_event = latest.asset_materialization if latest else None
+            versions = (upstream_event.tags if upstream_event else None) or {}
             version = versions.get("dagster/data_version", "INITIAL")
             tags[f"dagster/input_data_version/{name}"] = version
             tags[f"dagster/input_event_pointer/{name}"] = (
@@ -101,20 +99,5 @@ def check_evaluation(
         passed=passed,
         description=description,
         metadata=metadata,
-        target_materialization_data=AssetCheckEvaluationTargetMaterializationData(
-            storage_id=target.storage_id,
-            run_id=target.run_id,
-            timestamp=target.timestamp,
-        )
-        if target
-        else None,
-    )
-
-
-def no_further_event(output_name: str) -> dg.Output[None]:
-    """Return the output that lets what is downstream start, without an event of its own."""
-    return dg.Output(
-        None,
-        output_name=output_name,
-        metadata={SYSTEM_METADATA_KEY_SOURCE_ASSET_OBSERVATION: True},
+        target_materialization_data=checked_materialization(target) if target else None,
     )

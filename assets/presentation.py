@@ -13,7 +13,7 @@ import dagster as dg
 if TYPE_CHECKING:
     import pandas as pd
 
-    from oracle_pipeline.reporting.result import Report
+    from oracle_pipeline.reporting.report import Report
 
 MAX_PNG_BYTES = 100_000  # pictures live in the event log, which every page load reads
 MAX_ROWS = 40
@@ -46,7 +46,7 @@ def _cell(row: "pd.Series", name: str) -> str:
 
     value = row[name]
     if f"{name}_low" in row.index:
-        return str(Estimate(value, row[f"{name}_low"], row[f"{name}_high"]))
+        return str(Estimate.of_row(row, name))
     if isinstance(value, float):
         return "" if math.isnan(value) else f"{value:.4g}"
     return str(value)

@@ -11,7 +11,6 @@ from itertools import islice
 from pathlib import Path
 
 import dagster as dg
-from dagster._core.storage.event_log import SqliteEventLogStorage
 from pydantic import Field
 
 _ENDED = (dg.DagsterRunStatus.SUCCESS, dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.CANCELED)
@@ -88,8 +87,9 @@ def _runs_in_use(instance: dg.DagsterInstance, checks: Collection[dg.AssetCheckK
 def _forget(instance: dg.DagsterInstance, run: str) -> None:
     instance.delete_run(run)
     instance.compute_log_manager.delete_logs(prefix=[run])
-    events = instance.event_log_storage
-    if isinstance(events, SqliteEventLogStorage):  # a file a run; its rows are deleted, it is not
-        file = Path(events.path_for_shard(run))
+    # On SQLite each run has a database file of its own. Dagster empties it but leaves the file.
+    path_of_run = getattr(instance.event_log_storage, "path_for_shard", None)
+    if path_of_run is not None:
+        file = Path(path_of_run(run))
         for part in file.parent.glob(f"{file.name}*"):
             part.unlink(missing_ok=True)

@@ -17,7 +17,7 @@ import dagster as dg
 from assets.worker.run import OF_A_RUN, RunJob, process_run
 from bench.figures import Row
 from oracle_pipeline.bags.run_directory import RunDirectory
-from sim.recipes import Campaign
+from sim.campaigns import Campaign
 from soak.budget import MODES, campaign
 
 # Runs a mode, goals a run: with patrols as they are by default, with the shortest ones, where all

@@ -5,8 +5,9 @@ Exit codes: 0 done, 2 could not be done, whatever the reason. ``oracle score`` a
 
 import json
 import traceback
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 import pandas as pd
@@ -14,7 +15,10 @@ import pandas as pd
 from oracle_pipeline import features as feature_extraction
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import MISSING, WHERE, field_metadata, replacing, write_table
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.replay.command import replay
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
 class _Failure(click.ClickException):
@@ -43,6 +47,22 @@ def main() -> None:
     """Tell right behaviour of a ROS 2 system from wrong, from its recordings."""
 
 
+main.add_command(replay)
+
+
+def _format_option(*formats: str, text: str) -> Callable[[_Command], _Command]:
+    """Return the option that chooses among output formats, the first by default."""
+    return click.option(
+        "--format", "file_format", type=click.Choice(formats), default=formats[0],
+        show_default=True, help=text,
+    )  # fmt: skip
+
+
+def _output_option(name: str, text: str) -> Callable[[_Command], _Command]:
+    """Return an option that names a file to write."""
+    return click.option(name, type=click.Path(path_type=Path, dir_okay=False), help=text)
+
+
 _plugins = click.option(
     "--plugins", type=click.Path(path_type=Path), envvar="ORACLE_PLUGINS",
     help="Folder of feature plugins.  [default: $ORACLE_PLUGINS, if set]",
@@ -55,14 +75,10 @@ _plugins = click.option(
     "--table", type=click.Choice(["run", "window"]), default="run", show_default=True,
     help="One row for the recording, or one for each window of 10 s (every 5 s).",
 )  # fmt: skip
-@click.option(
-    "--format", "file_format", type=click.Choice(["json", "parquet"]), default="json",
-    show_default=True, help="JSON for reading and jq; Parquet for pandas, units in its schema.",
-)  # fmt: skip
-@click.option(
-    "--output", type=click.Path(path_type=Path, dir_okay=False),
-    help="File to write; Parquet needs one.  [default: standard output]",
-)  # fmt: skip
+@_format_option(
+    "json", "parquet", text="JSON for reading and jq; Parquet for pandas, units in its schema."
+)
+@_output_option("--output", "File to write; Parquet needs one.  [default: standard output]")
 @_plugins
 def features(
     run_or_bag: Path, table: str, file_format: str, output: Path | None, plugins: Path | None
@@ -118,14 +134,8 @@ def _json(table: pd.DataFrame) -> str:
     type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
     help="False-alarm rate: the share of right runs that may be called anomalous.",
 )  # fmt: skip
-@click.option(
-    "--format", "file_format", type=click.Choice(["text", "json"]), default="text",
-    show_default=True, help="Text for reading; one JSON object for programs.",
-)  # fmt: skip
-@click.option(
-    "--junit", type=click.Path(path_type=Path, dir_okay=False),
-    help="File to write the verdicts to as JUnit XML as well, for a CI system.",
-)  # fmt: skip
+@_format_option("text", "json", text="Text for reading; one JSON object for programs.")
+@_output_option("--junit", "File for the verdicts as JUnit XML, for a CI system.")
 @_plugins
 @click.pass_context
 def score(
@@ -153,15 +163,16 @@ def score(
         oracle score my_robot_bag/ --reference data --format json \\
             | jq '.recordings[0].evidence[0]'
     """  # noqa: D301 -- click reads the control character
-    from oracle_pipeline import scoring
-    from oracle_pipeline.reporting import verdicts
+    from oracle_pipeline.scoring import judging, output
+    from oracle_pipeline.scoring.junit import as_junit
+    from oracle_pipeline.scoring.reference import read_reference
 
     manager = feature_extraction.build_manager(plugins)
-    known = scoring.read_reference(reference, manager)
-    judged = scoring.score(recordings, known, manager, far)
-    show = verdicts.as_json if file_format == "json" else verdicts.as_text
-    click.echo(show(judged, far, known.notes))
+    normal = read_reference(reference, manager)
+    verdicts = judging.score(recordings, normal, manager, far)
+    show = output.as_json if file_format == "json" else output.as_text
+    click.echo(show(verdicts, far, normal.notes))
     if junit is not None:
         with replacing(junit) as sink:
-            sink.write(verdicts.as_junit(judged))
-    ctx.exit(verdicts.exit_code(judged))
+            sink.write(as_junit(verdicts))
+    ctx.exit(output.exit_code(verdicts))

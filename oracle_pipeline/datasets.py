@@ -29,20 +29,12 @@ from oracle_pipeline.bags.remote import is_local
 from oracle_pipeline.bags.scratch import scratch_beside
 
 KEYS = ("run_id", "mode", "label", "block", "session")
-WINDOW_S = 10.0  # length of a window; the last one of a recording may be shorter
 WINDOW_START = "window_start_s"  # one more key where a row is a window [s of the recording]
 WHERE = "where"  # the column that says at which topic, pair or edge a feature was attained
 _SEAL = "oracle.seal"  # key in the metadata of a Parquet schema
 MISSING = "missing"  # the column that says why a feature is NaN
 
 HARD_NEGATIVE = "benign_"  # begins the names of modes that change something and harm nobody
-
-#: Pairs of modes with equal graphs by construction: (control, attacked).
-PAIRS = (
-    ("lidar_passthrough", "random_noise"),
-    ("lidar_passthrough_odom", "fake_object"),
-    ("delayed_passthrough", "delayed_fakeobject"),
-)
 
 
 class DatasetError(OracleError):

@@ -5,7 +5,7 @@ from typing import Literal
 import dagster as dg
 from pydantic import Field
 
-from sim.recipes import DEFAULT_SEED, Campaign
+from sim.campaigns import DEFAULT_SEED, Campaign
 
 
 class CampaignSettings(dg.ConfigurableResource[None]):

@@ -16,14 +16,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from assets.worker.feature_tables import feature_table
 from assets.worker.run import OF_A_RUN, RunJob, process_run
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.datasets import feature_dataset, read_table, write_table
 from oracle_pipeline.features import FeatureManager, build_manager, extract
-from oracle_pipeline.runs import open_run
-from sim.recipes import Campaign
+from oracle_pipeline.opened_run import open_run
+from sim.campaigns import Campaign
 
 MODE = "atc_normal"
 TIMEOUT_S = 20.0  # of simulated time: two graphs, and a bag of several chunks
@@ -91,7 +90,7 @@ def _same(found: Sequence[pd.DataFrame], expected: Sequence[pd.DataFrame]) -> bo
 
 def targets_of(run: RunDirectory, manager: FeatureManager) -> Iterator[Target]:
     """Return what there is to damage of a run and its tables."""
-    tables = [feature_table(run, table) for table in ("run", "window")]
+    tables = [run.feature_table(table) for table in ("run", "window")]
 
     def of_recording(path: Path) -> Features:
         return lambda: _features(path, manager)
@@ -119,7 +118,7 @@ def made(root: Path) -> Iterator[tuple[str, Target]]:
         campaign = Campaign(timeout_s=TIMEOUT_S, storage=storage)
         process_run(RunJob(run, campaign, OF_A_RUN, refresh=False))
         yield from ((storage, target) for target in targets_of(run, manager))
-        rows.append(read_table(feature_table(run, "run")).assign(run_id=storage))
+        rows.append(read_table(run.feature_table("run")).assign(run_id=storage))
     joined = root / "features.parquet"
     write_table(feature_dataset(rows), joined)
     yield "both", Target("joined table", (joined,), lambda: [read_table(joined)])

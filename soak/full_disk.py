@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from assets.aggregates import DATASET
-from assets.worker.feature_tables import TABLES, feature_table
 from assets.worker.run import RECORDED, RunJob, process_run
 from assets.worker.run import TABLES as FEATURES
+from oracle_pipeline.bags.layout import TABLES
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.store import RunStore
-from sim.recipes import Campaign
+from sim.campaigns import Campaign
 from soak.aggregates import AGGREGATES, REPORTS, RUNS, compared, made, make_campaign, state
 from soak.faults import leftovers
 
@@ -60,7 +60,7 @@ def recording(run: RunDirectory, rng: np.random.Generator) -> list[str]:
 
 def features(run: RunDirectory, rng: np.random.Generator) -> list[str]:
     """Extract the features of a run again on a full disk; return what is wrong then."""
-    tables = [feature_table(run, table) for table in TABLES]
+    tables = [run.feature_table(table) for table in TABLES]
     return _of_run(run, frozenset(FEATURES), tables, rng)
 
 

@@ -8,23 +8,16 @@ import hashlib
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from assets.worker.versions import feature_code
+from oracle_pipeline.bags.layout import TABLES
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.remote import fetched, is_local
 from oracle_pipeline.bags.run_directory import RunDirectory
 
 if TYPE_CHECKING:
     from oracle_pipeline.bags.reader import BagReader
-
-Table = Literal["run", "window"]
-TABLES: tuple[Table, ...] = ("run", "window")
-
-
-def feature_table(run: RunDirectory, table: Table) -> Path:
-    """Return the place of the features of a run, or of its windows."""
-    return run.root / "features" / table / run.mode / f"{run.run_id}.parquet"
 
 
 def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bool:
@@ -39,7 +32,7 @@ def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bo
     """
     from oracle_pipeline.datasets import replacing
     from oracle_pipeline.features import build_manager, extract, write
-    from oracle_pipeline.runs import open_run
+    from oracle_pipeline.opened_run import open_run
 
     if not refresh and tables_are_right(run, manifest):
         return False
@@ -65,10 +58,10 @@ def tables_are_right(run: RunDirectory, manifest: Manifest) -> bool:
 def topics_of_features(bag: "BagReader") -> set[str]:
     """Return the topics of a bag whose messages a plugin wants decoded."""
     from oracle_pipeline.features import build_manager
-    from oracle_pipeline.features.layout import Layout
+    from oracle_pipeline.features.message_layout import MessageLayout
 
     requests = [r for plugin in build_manager().plugins for r in plugin.topics.values()]
-    layouts = {name: Layout(bag, name) for name in bag.topics}
+    layouts = {name: MessageLayout(bag, name) for name in bag.topics}
     return {
         name
         for name, topic in bag.topics.items()
@@ -80,23 +73,23 @@ def _tidy(run: RunDirectory) -> None:
     """Remove half-written tables that a dead worker left; nobody else works on the run now."""
     if is_local(run.root):
         for table in TABLES:
-            for leftover in feature_table(run, table).parent.glob(f".{run.run_id}.*"):
+            for leftover in run.feature_table(table).parent.glob(f".{run.run_id}.*"):
                 leftover.unlink(missing_ok=True)
 
 
 def _record(run: RunDirectory) -> Path:
-    return feature_table(run, "run").with_suffix(".json")
+    return run.feature_table("run").with_suffix(".json")
 
 
 def _inputs(manifest: Manifest) -> str:
     """Hash what features are a function of: our code, and the run, but for what was found of it."""
-    found = {"measured": None, "task_effect": None}
-    sources = {**asdict(manifest), **found, "code": feature_code()}
+    not_inputs = {"measured": None, "task_effect": None}
+    sources = {**asdict(manifest), **not_inputs, "code": feature_code()}
     return hashlib.sha256(json.dumps(sources, sort_keys=True).encode()).hexdigest()
 
 
 def _hashes(run: RunDirectory) -> dict[str, str]:
-    places = {table: feature_table(run, table) for table in TABLES}
+    places = {table: run.feature_table(table) for table in TABLES}
     return {
         table: hashlib.sha256(place.read_bytes()).hexdigest()
         for table, place in places.items()

@@ -1,6 +1,6 @@
 """What the asset checks look at: functions of run directories, and what they found.
 
-No Dagster here, workers import this; ``assets.checks`` makes checks of them.
+No Dagster here, workers import this; ``assets.run_checks`` makes checks of them.
 """
 
 import json
@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.worker.feature_tables import feature_table
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.integrity import damaged_files, require_undamaged
+from oracle_pipeline.bags.protocol import INTERVAL_S
 from oracle_pipeline.bags.reader import BagReader, content_hash
 from oracle_pipeline.bags.remote import fetched
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, RunDirectory
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.datasets import MISSING, feature_columns, read_table
 from oracle_pipeline.graphs.differences import graph_differences
-from oracle_pipeline.graphs.intervals import INTERVAL_S, read_intervals
+from oracle_pipeline.graphs.intervals import interval_count, read_intervals
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,14 +86,14 @@ def bag_is_complete(run: RunDirectory) -> Finding:
 
 def every_interval_has_a_graph(run: RunDirectory) -> Finding:
     """Count the graphs: one each 10 s of the recording, and one for a rest of 5 s or more."""
-    intervals = int((run.manifest().recording_s + INTERVAL_S / 2) // INTERVAL_S)
-    expected = {f"{number * int(INTERVAL_S):06d}" for number in range(intervals)}
-    found = {path.stem for path in run.graphs.glob("*.gexf") if path.stem.isdecimal()}
-    wrong = [f"{start} s: no graph" for start in sorted(expected - found)]
-    wrong += [f"{start} s: no such interval" for start in sorted(found - expected)]
+    intervals = interval_count(run.manifest().recording_s)
+    expected = {f"{number * INTERVAL_S:06d}" for number in range(intervals)}
+    recorded = {path.stem for path in run.graphs.glob("*.gexf") if path.stem.isdecimal()}
+    wrong = [f"{start} s: no graph" for start in sorted(expected - recorded)]
+    wrong += [f"{start} s: no such interval" for start in sorted(recorded - expected)]
     damaged = damaged_files(run.path, run.manifest(), GRAPHS_FOLDER)
     wrong += [f"{file} is not what was recorded" for file in damaged]
-    return Finding(wrong, {"graphs": len(found), "intervals": intervals})
+    return Finding(wrong, {"graphs": len(recorded), "intervals": intervals})
 
 
 def graphs_of_a_pair_are_equal(control: RunDirectory, attacked: RunDirectory) -> Finding:
@@ -107,12 +107,12 @@ def graphs_of_a_pair_are_equal(control: RunDirectory, attacked: RunDirectory) ->
 
 def run_features_are_finite(run: RunDirectory) -> Finding:
     """Look for features of the run that are no finite number and have no reason for it."""
-    return _finite(feature_table(run, "run"))
+    return _finite(run.feature_table("run"))
 
 
 def window_features_are_finite(run: RunDirectory) -> Finding:
     """Look for features of its windows that are no finite number and have no reason for it."""
-    return _finite(feature_table(run, "window"))
+    return _finite(run.feature_table("window"))
 
 
 def _finite(place: Path) -> Finding:

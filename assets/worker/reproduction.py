@@ -11,21 +11,20 @@ from itertools import zip_longest
 from pathlib import Path
 
 from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.layout import REFRESHED
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.reader import BagReader, RawMessage, content_hash
 from oracle_pipeline.bags.remote import fetched, is_local
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
-from sim.experiments import Verdict, compared
-
-FOLDER = "refreshed"  # below the root: a root of runs that were made again
+from sim.experiments import Comparison, compared
 
 
 @dataclass(frozen=True, slots=True)
 class Reproduction:
     """What making a complete run again gave."""
 
-    verdict: Verdict
+    verdict: Comparison
     former_hash: str  # of the messages
     new_hash: str
     first_difference: str = ""  # where it is unexplained
@@ -33,7 +32,7 @@ class Reproduction:
 
 def place_aside(run: RunDirectory) -> RunDirectory:
     """Return where a run lies that was made again and may not take the former one's place."""
-    return replace(run, root=run.root / FOLDER)
+    return replace(run, root=run.root / REFRESHED)
 
 
 @contextlib.contextmanager

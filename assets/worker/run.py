@@ -18,26 +18,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from assets.worker.feature_tables import (
-    Table,
-    ensure_tables,
-    feature_table,
-    tables_are_right,
-    topics_of_features,
-)
+from assets.worker.feature_tables import ensure_tables, tables_are_right, topics_of_features
 from assets.worker.reproduction import Reproduction, judge, made_aside, place_aside
 from assets.worker.versions import feature_code
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.graph_files import read_gexf
 from oracle_pipeline.bags.integrity import require_undamaged
+from oracle_pipeline.bags.layout import FEATURES, Table
 from oracle_pipeline.bags.manifest import KEPT, Kept, Manifest
 from oracle_pipeline.bags.remote import is_local, publish
 from oracle_pipeline.bags.retention import retain
 from oracle_pipeline.bags.run_directory import GRAPHS_FOLDER, MANIFEST_FILE, RunDirectory
 from oracle_pipeline.datasets import MISSING, content_hash, feature_columns, read_table
-from sim.experiments import can_be_made_again, record_run, remake_run
+from sim.campaigns import Campaign
+from sim.experiments import can_be_made_again, recipe_for, record_run, remake_run
 from sim.pairs import judge_pair
-from sim.recipes import Campaign, recipe_for
 
 RECORDED = ("experiment_runs", "bags", "interval_graphs")  # made together, by the simulation
 # Made together, from the recording.
@@ -64,7 +59,7 @@ class RunJob:
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class AssetOfRun:
     """One asset of one run, as it is now."""
 
     path: str  # below the root
@@ -78,7 +73,7 @@ class RunReport:
     """What became of one run."""
 
     simulated_s: float  # of simulated time; 0 if the run was there already
-    assets: dict[str, Made]  # those that were wanted
+    assets: dict[str, AssetOfRun]  # those that were wanted
     kept: Kept
     freed_bytes: int
     reproduction: Reproduction | None = None  # if it was there and was made again
@@ -97,17 +92,17 @@ def process_run(job: RunJob) -> RunReport:
         if to_be_recorded and job.refresh and (former := _readable_manifest(job.directory)):
             return _make_again(job, former)
         if not job.directory.is_complete() or (to_be_recorded and job.refresh):
-            with _made_here(job.directory) as here:
-                there = replace(job, directory=here)
-                _record(there)
-                return _finish(there, "made")
+            with _made_here(job.directory) as local:
+                local_job = replace(job, directory=local)
+                _record(local_job)
+                return _finish(local_job, "made")
         if to_be_recorded:
             _record(job)
         former = job.directory.manifest()
         if _lacks_its_bag(job, former):
-            with _made_here(job.directory) as here:
-                remake_run(former, here)
-                return _finish(replace(job, directory=here), "remade")
+            with _made_here(job.directory) as local:
+                remake_run(former, local)
+                return _finish(replace(job, directory=local), "remade")
         return _finish(job, "verified")
 
 
@@ -123,8 +118,8 @@ def _make_again(job: RunJob, former: Manifest) -> RunReport:
     run = job.directory
     with made_aside(run) as aside:
         _record(replace(job, directory=aside))
-        found = judge(run, former, aside)
-        if found.verdict == "unexplained":
+        reproduction = judge(run, former, aside)
+        if reproduction.verdict == "unexplained":
             if not is_local(run.root):
                 publish(aside.path, place_aside(run).path, MANIFEST_FILE)
             report = _finish(replace(job, refresh=False), "verified")
@@ -135,7 +130,7 @@ def _make_again(job: RunJob, former: Manifest) -> RunReport:
         else:
             report = _finish(replace(job, directory=aside), "made")
             _put_in_place(aside, run)
-    return replace(report, reproduction=found)
+    return replace(report, reproduction=reproduction)
 
 
 def _record(job: RunJob) -> None:
@@ -158,26 +153,26 @@ def _made_here(run: RunDirectory) -> Iterator[RunDirectory]:
         yield run
         return
     with tempfile.TemporaryDirectory(prefix="oracle-") as root:
-        here = replace(run, root=Path(root))
+        local = replace(run, root=Path(root))
         try:
-            yield here
+            yield local
         finally:  # a whole run is kept, whatever became of its features
-            if here.is_complete():
-                _put_in_place(here, run)
+            if local.is_complete():
+                _put_in_place(local, run)
 
 
-def _put_in_place(here: RunDirectory, run: RunDirectory) -> None:
+def _put_in_place(local: RunDirectory, run: RunDirectory) -> None:
     """Publish a run that was made on this machine, and judge it beside its pair's other one."""
-    for file in (here.root / "features").rglob("*"):
+    for file in (local.root / FEATURES).rglob("*"):
         if file.is_file():
-            (run.root / file.relative_to(here.root).as_posix()).write_bytes(file.read_bytes())
-    publish(here.path, run.path, MANIFEST_FILE)
+            (run.root / file.relative_to(local.root).as_posix()).write_bytes(file.read_bytes())
+    publish(local.path, run.path, MANIFEST_FILE)
     judge_pair(run)
 
 
 def _finish(job: RunJob, status: Status) -> RunReport:
     """Extract the features of a run that is there, give up what is not kept, describe the rest."""
-    made: dict[str, Made] = {}
+    made: dict[str, AssetOfRun] = {}
     manifest = job.directory.manifest()
     picture = _picture(job.directory) if "experiment_runs" in job.wanted else ""
     if not job.wanted.isdisjoint(TABLES):
@@ -207,7 +202,9 @@ def _retain(job: RunJob, manifest: Manifest) -> Manifest:
     return run.manifest()
 
 
-def _recording(directory: RunDirectory, manifest: Manifest, status: Status) -> dict[str, Made]:
+def _recording(
+    directory: RunDirectory, manifest: Manifest, status: Status
+) -> dict[str, AssetOfRun]:
     measured = manifest.measured
     run: Figures = {
         "status": status,
@@ -248,7 +245,7 @@ def _recording(directory: RunDirectory, manifest: Manifest, status: Status) -> d
     }
     described = ((directory.path, run), (directory.bag, bag), (directory.graphs, graphs))
     return {
-        asset: Made(
+        asset: AssetOfRun(
             path.relative_to(directory.root).as_posix(),
             manifest.software.code,
             str(figures["content_hash"]),
@@ -268,13 +265,13 @@ def _picture(directory: RunDirectory) -> bytes | str:
         return f"not drawn: {error}"
 
 
-def _features(job: RunJob, manifest: Manifest) -> dict[str, Made]:
+def _features(job: RunJob, manifest: Manifest) -> dict[str, AssetOfRun]:
     started = time.perf_counter()
     extracted = ensure_tables(job.directory, manifest, refresh=job.refresh)
     wall_s = time.perf_counter() - started
     made = {}
     for asset, table in TABLES.items():
-        place = feature_table(job.directory, table)
+        place = job.directory.feature_table(table)
         df = read_table(place)
         reasons = [json.loads(row) for row in df[MISSING]]
         absent = sorted({name for row in reasons for name in row})
@@ -290,5 +287,5 @@ def _features(job: RunJob, manifest: Manifest) -> dict[str, Made]:
             "content_hash": version,
         }
         path = place.relative_to(job.directory.root).as_posix()
-        made[asset] = Made(path, feature_code(), version, figures)
+        made[asset] = AssetOfRun(path, feature_code(), version, figures)
     return made

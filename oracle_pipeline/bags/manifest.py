@@ -18,6 +18,7 @@ import jsonschema
 
 from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import ManifestError
+from oracle_pipeline.bags.protocol import run_key
 
 SCHEMA_VERSION = 4
 # What older versions did not have, and what is taken for it.
@@ -60,10 +61,13 @@ class Contact:
     piece: str  # name in the world, for example two_two
 
 
-class Change(NamedTuple):
-    """What the mode's node changed within five seconds, as it says itself."""
+CHANGE_BIN_S = 5.0  # length of the bins in which changes are counted [s]
 
-    start_s: float  # a multiple of 5
+
+class Change(NamedTuple):
+    """What the mode's node changed in one bin of time, as it logs it itself."""
+
+    start_s: float  # a multiple of `CHANGE_BIN_S`
     messages: int  # changed, dropped, delayed or made up
     largest: float | None  # in the unit of what was changed; None: a number was no longer finite
 
@@ -125,6 +129,11 @@ class Manifest:
     measured: Measured
     changes: tuple[Change, ...] = ()  # the five seconds in which anything was changed
     schema_version: int = SCHEMA_VERSION
+
+    @property
+    def key(self) -> str:
+        """``fake_object|run003``, the run's partition key."""
+        return run_key(self.mode, self.run)
 
     def save(self, path: Path) -> None:
         """Write ``manifest.json``.

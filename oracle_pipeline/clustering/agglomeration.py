@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from oracle_pipeline.jit import jit
+from oracle_pipeline.bags.jit import jit
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]

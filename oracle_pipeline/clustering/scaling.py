@@ -53,10 +53,10 @@ class FlooredRobustScaler(TransformerMixin, BaseEstimator):  # type: ignore[misc
 
     def fit(self, X: pd.DataFrame, y: None = None) -> Self:  # noqa: ARG002  # scikit-learn passes it
         """Learn centre and scale from the rows of `X`, shape (n_runs, n_features)."""
-        known = _finite(X).notna().mean()
-        self.kept_ = list(known.index[known > 0.0])
-        self.dropped_ = list(known.index[known == 0.0])
-        self.indicated_ = list(known.index[(known > 0.0) & (known < 1.0)])
+        share_finite = _finite(X).notna().mean()
+        self.kept_ = list(share_finite.index[share_finite > 0.0])
+        self.dropped_ = list(share_finite.index[share_finite == 0.0])
+        self.indicated_ = list(share_finite.index[(share_finite > 0.0) & (share_finite < 1.0)])
 
         values = _finite(X[self.kept_])
         center = values.median()

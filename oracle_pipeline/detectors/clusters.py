@@ -41,7 +41,7 @@ class HacHeight(_InTree):
     Parameters
     ----------
     linkage : {"ward", "single", "complete", "average"}
-        Average linkage is measured best (docs/clustering.md).
+        Average linkage is measured best (docs/explanation/clustering.md).
     """
 
     def __init__(self, linkage: Linkage = "average") -> None:

@@ -52,11 +52,11 @@ def effort_curve(suspicion: NDArray[np.float64], malicious: NDArray[np.bool_]) -
     EffortCurve
         From (0, 0) to (1, 1), a point for each distinct suspicion.
     """
-    known = ~np.isnan(suspicion)
-    level, place = np.unique(-suspicion[known], return_inverse=True)
+    scored = ~np.isnan(suspicion)
+    level, place = np.unique(-suspicion[scored], return_inverse=True)
     inspected = np.append(0.0, np.cumsum(np.bincount(place, minlength=len(level))))
-    found = np.append(0.0, np.cumsum(np.bincount(place, weights=malicious[known])))
-    return EffortCurve(inspected / inspected[-1], found / found[-1])
+    attacks_found = np.append(0.0, np.cumsum(np.bincount(place, weights=malicious[scored])))
+    return EffortCurve(inspected / inspected[-1], attacks_found / attacks_found[-1])
 
 
 def smallness(clusters: NDArray[np.int32]) -> NDArray[np.float64]:
@@ -97,7 +97,7 @@ def small_clusters_table(
     """
     X, runs = scale_rows(df, columns), distinct_runs(df)
     malicious, block = is_malicious(df), df["block"].to_numpy(dtype=np.int64)
-    kinds = np.where(malicious, df["mode"], "right")
+    kinds = np.where(malicious, df["mode"], "normal")
     table = []
     for method in METHODS:
         tree = grow_tree(X, method)

@@ -1,8 +1,10 @@
 """A measured figure that cannot be printed without its interval, and how intervals are made."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import beta, norm
 
@@ -30,6 +32,11 @@ class Estimate:
     def covers(self, value: float) -> bool:
         """Tell whether the interval holds `value`; nothing covers nothing."""
         return self.low <= value <= self.high
+
+    @classmethod
+    def of_row(cls, row: pd.Series, name: str) -> Self:
+        """Return the estimate whose three numbers `columns` put into a table row."""
+        return cls(*(float(row[f"{name}{end}"]) for end in ("", "_low", "_high")))
 
     def columns(self, name: str) -> dict[str, float]:
         """Return the three numbers as table columns ``name``, ``name_low`` and ``name_high``."""

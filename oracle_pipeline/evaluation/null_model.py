@@ -8,8 +8,9 @@ depends on its label, so whatever "accuracy" comes out is that of a method which
 import numpy as np
 import pandas as pd
 
-from oracle_pipeline.datasets import PAIRS, distinct_runs
-from oracle_pipeline.evaluation.clustering import grow_over_runs, in_best_cluster
+from oracle_pipeline.bags.protocol import PAIRS
+from oracle_pipeline.datasets import distinct_runs
+from oracle_pipeline.evaluation.clustering_result import grow_over_runs, in_best_cluster
 from oracle_pipeline.evaluation.metrics import confusion
 from oracle_pipeline.evaluation.variants import THESIS
 from oracle_pipeline.features.thesis_features import VECTOR

@@ -51,7 +51,7 @@ def block_folds(df: pd.DataFrame, seed: int, n_folds: int = FOLDS) -> list[Fold]
     return _folds(df, [hand == n for n in range(n_folds)], rng)
 
 
-def session_folds(df: pd.DataFrame, seed: int, known: int = 0) -> list[Fold]:
+def session_folds(df: pd.DataFrame, seed: int, blocks_that_train: int = 0) -> list[Fold]:
     """Return folds that hold out the blocks of one session each, but for some that train.
 
     Parameters
@@ -60,14 +60,14 @@ def session_folds(df: pd.DataFrame, seed: int, known: int = 0) -> list[Fold]:
         A row a run.
     seed : int
         Of who trains.
-    known : int
+    blocks_that_train : int
         Blocks of the tested session that train like any other: runs that were taken on its day.
         With only one session, or where a session has no further block, there are no folds.
     """
     block, session = _column(df, "block"), _column(df, "session")
-    rng = np.random.default_rng([seed, known])
+    rng = np.random.default_rng([seed, blocks_that_train])
     tested = [
-        np.isin(block, rng.permutation(np.unique(block[session == number]))[known:])
+        np.isin(block, rng.permutation(np.unique(block[session == number]))[blocks_that_train:])
         for number in np.unique(session)
     ]
     possible = len(tested) > 1 and all(test.any() for test in tested)

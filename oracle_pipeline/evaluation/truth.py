@@ -24,7 +24,7 @@ def truth_table(manifests: Iterable[Manifest]) -> pd.DataFrame:
     """
     rows = [
         (
-            f"{manifest.mode}|run{manifest.run:03d}",
+            manifest.key,
             np.nan if manifest.onset_s is None else manifest.onset_s,
             manifest.recording_s,
             manifest.task_effect,

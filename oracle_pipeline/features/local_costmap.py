@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from oracle_pipeline.features.map_consistency import Grid, keep_grid
+from oracle_pipeline.features.map_consistency import MapGrid, keep_grid
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -35,7 +35,7 @@ FEATURES = (
 _LETHAL = 100
 
 
-def changes(before: Grid, now: Grid) -> tuple[int, int]:
+def changes(before: MapGrid, now: MapGrid) -> tuple[int, int]:
     """Count the cells that became lethal, and those that are it no more, where both grids are."""
     offset = complex(before.pose.inverse().apply(now.pose.shift) / before.resolution)
     rows = _shared(round(offset.imag), len(before.cells), len(now.cells))

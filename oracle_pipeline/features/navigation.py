@@ -184,8 +184,8 @@ def stalls(accepted: Sequence[Goal], driven: Series) -> Series:
     goal = goal_at(accepted, steps_s)
     under_way = (goal >= 0) & (goal == goal_at(accepted, steps_s - _STALLED_S))
     steps_s = steps_s[under_way]
-    here, before = _places(driven, steps_s), _places(driven, steps_s - _STALLED_S)
-    return Series(steps_s, (np.abs(here - before) < _STALLED_M).astype(np.float64))
+    now, before = _places(driven, steps_s), _places(driven, steps_s - _STALLED_S)
+    return Series(steps_s, (np.abs(now - before) < _STALLED_M).astype(np.float64))
 
 
 def longest(flags: NDArray[np.bool_]) -> int:
@@ -197,7 +197,7 @@ def longest(flags: NDArray[np.bool_]) -> int:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of navigation."""
-    told = {
+    goal_topics = {
         "status": Request(goals.keep_status, STATUS_TOPIC, dtype=object, optional=True),
         "log": Request(goals.keep_log, LOG_TOPIC, dtype=object, optional=True),
     }
@@ -210,11 +210,11 @@ def register_features() -> list[FeaturePlugin]:
     return [
         FeaturePlugin("recoveries", "navigation", RECOVERY_FEATURES, compute_recoveries, begun),
         FeaturePlugin(
-            "plans", "navigation", PLAN_FEATURES, compute_plans, told | {"plan": plan},
+            "plans", "navigation", PLAN_FEATURES, compute_plans, goal_topics | {"plan": plan},
             prepare=prepare_plans,
         ),
         FeaturePlugin(
-            "drive", "navigation", DRIVE_FEATURES, compute_drive, told | driven,
+            "drive", "navigation", DRIVE_FEATURES, compute_drive, goal_topics | driven,
             prepare=prepare_drive,
         ),
     ]  # fmt: skip

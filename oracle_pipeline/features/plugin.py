@@ -18,7 +18,7 @@ from numpy.typing import DTypeLike, NDArray
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.reader import Topic
-from oracle_pipeline.features.layout import Layout
+from oracle_pipeline.features.message_layout import MessageLayout
 from oracle_pipeline.graphs.intervals import Interval
 
 PROJECT = "oracle_pipeline"  # the entry-point group that other distributions use
@@ -95,7 +95,7 @@ class Request:
     every_s: float = 0.0
     needs_array: bool = False
 
-    def matches(self, topic: Topic, layout: Layout) -> bool:
+    def matches(self, topic: Topic, layout: MessageLayout) -> bool:
         """Tell whether a topic of a bag is asked for."""
         return (
             fnmatchcase(topic.name, self.name)
@@ -111,7 +111,7 @@ class RawRecord(NamedTuple):
     """A message as it was recorded, and what can be read from it without decoding."""
 
     data: bytes
-    layout: Layout
+    layout: MessageLayout
 
     @property
     def header_stamp_ns(self) -> int | None:

@@ -66,8 +66,8 @@ def prepare_monitor(window: Window) -> Series | Missing:
     topic = next((name for name in MONITORED_TOPICS if name in monitored), None)
     if topic is None:
         return Missing(f"no message on {' or '.join(MONITORED_TOPICS)}")
-    asked = monitored[topic]
-    return passed(asked, window.topics["commands"][COMMAND_TOPIC])
+    commands = monitored[topic]
+    return passed(commands, window.topics["commands"][COMMAND_TOPIC])
 
 
 def compute_monitor(window: Window) -> Values | Missing:

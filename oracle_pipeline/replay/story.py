@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.replay.scene import Grid, Moment, Scene
-from oracle_pipeline.reporting.result import ReportError
-from oracle_pipeline.runs import Run
+from oracle_pipeline.opened_run import OpenedRun
+from oracle_pipeline.replay.scene import DrawnGrid, Moment, ReplayScene
+from oracle_pipeline.reporting.report import ReportError
 
 MAP, ODOMETRY, TF, TF_STATIC = "/map", "/odom", "/tf", "/tf_static"
 SCAN, ATTACKED = "/scan", "/scan_fakeobject"
@@ -30,7 +30,7 @@ _Placed = tuple[complex, complex]  # where something is, and how it is turned
 _NO_POINTS: _Points = np.zeros(0, dtype=np.complex128)
 
 
-def run_scene(run: Run, moments_per_s: float | None = None) -> Scene:
+def run_scene(run: OpenedRun, moments_per_s: float | None = None) -> ReplayScene:
     """Read what there is to draw of a run, or of a bag that somebody else recorded.
 
     Parameters
@@ -60,7 +60,7 @@ class _Story:
     one nearest to halfway through the recording.
     """
 
-    def __init__(self, run: Run, moments_per_s: float | None) -> None:
+    def __init__(self, run: OpenedRun, moments_per_s: float | None) -> None:
         self._run = run
         attacked = run.manifest if run.manifest and run.manifest.label == "malicious" else None
         self._attack = attacked.attack if attacked else {}
@@ -104,7 +104,7 @@ class _Story:
             self._next_ns += self._step_ns
         self._hearers[topic](message)
 
-    def scene(self) -> Scene:
+    def scene(self) -> ReplayScene:
         """Return all that was heard; errors are those of `run_scene`."""
         run, manifest = self._run, self._run.manifest
         if not self._way:
@@ -121,7 +121,7 @@ class _Story:
         if self._step_ns:
             self._remember(run.duration_s)
         path = _xy(np.array(self._way))
-        scene = Scene(
+        scene = ReplayScene(
             title=run.path.resolve().name,
             frame=self._root,
             map=ground,
@@ -134,7 +134,7 @@ class _Story:
             return scene
         return replace(
             scene,
-            title=f"{manifest.mode}|run{manifest.run:03d}, {manifest.outcome}",
+            title=f"{manifest.key}, {manifest.outcome}",
             start=(manifest.start.x, manifest.start.y),
             goals=np.array([(g.x, g.y, g.yaw) for g in manifest.goals]).reshape(-1, 3),
             results=manifest.goal_results,
@@ -149,7 +149,7 @@ class _Story:
         self._way: list[complex] = []
         self._robot: _Placed = (0j, 1 + 0j)
         self._scan = self._attacked = self._plan = _NO_POINTS
-        self._costmap: Grid | None = None
+        self._costmap: DrawnGrid | None = None
         self._moments: list[Moment] = []
         self._closest = np.inf
         self._closest_scan: _Points | None = None
@@ -219,14 +219,14 @@ class _Story:
         bearings = scan.angle_min + scan.angle_increment * hit
         return np.asarray(sensor[0] + sensor[1] * ranges[hit] * np.exp(1j * bearings))
 
-    def _grid(self, message: Any) -> Grid | None:
+    def _grid(self, message: Any) -> DrawnGrid | None:
         """Return an occupancy grid where it lies in the scene."""
         placed = self._placed(message.header.frame_id)
         if placed is None:
             return None
         info = message.info
         corner, turn = _pose(info.origin.position, info.origin.orientation)
-        return Grid(
+        return DrawnGrid(
             np.asarray(message.data, dtype=np.int8).reshape(info.height, info.width),
             info.resolution,
             _x_y_yaw((placed[0] + placed[1] * corner, placed[1] * turn)),

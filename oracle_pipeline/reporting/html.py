@@ -1,7 +1,7 @@
 """The report for people: one HTML file that holds everything it shows and asks the network nothing.
 
-What it says comes from ``oracle_pipeline.reporting.evaluation`` and ``.reports``; its tables are
-chosen in ``page_tables``; the page itself is ``templates/report.html.j2``.
+Its content comes from ``evaluation_report`` and ``thesis_reports`` beside this module; its tables
+are chosen in ``page_tables``; the page itself is ``templates/report.html.j2``.
 """
 
 import base64
@@ -15,14 +15,14 @@ import jinja2
 import pandas as pd
 
 from oracle_pipeline.datasets import content_hash, is_malicious, replacing
+from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.limits import limits
 from oracle_pipeline.evaluation.metrics import RESAMPLES
 from oracle_pipeline.reporting import page_tables
 from oracle_pipeline.reporting.explanation import Explanation
 from oracle_pipeline.reporting.figures import DPI
-from oracle_pipeline.reporting.page_tables import THESIS, Grid
-from oracle_pipeline.reporting.result import Report
-from oracle_pipeline.reporting.thesis_tables import estimate
+from oracle_pipeline.reporting.page_tables import THESIS, PageTable
+from oracle_pipeline.reporting.report import Report
 
 LIBRARIES = ("numpy", "scipy", "scikit-learn", "pandas", "networkx", "matplotlib", "mujoco")
 NO_STORAGE = pd.DataFrame()
@@ -37,7 +37,7 @@ class Picture(NamedTuple):
     width: int  # [CSS px]
 
 
-class Check(NamedTuple):
+class CheckLine(NamedTuple):
     """One integrity check, in words."""
 
     name: str
@@ -45,12 +45,12 @@ class Check(NamedTuple):
     sentence: str
 
 
-class Explained(NamedTuple):
+class ExplainedRun(NamedTuple):
     """One run explained."""
 
     run_id: str
     verdict: str
-    table: Grid
+    table: PageTable
     notes: Sequence[str]
     pictures: Sequence[Picture]
 
@@ -131,7 +131,7 @@ def render(
     df : DataFrame
         The distinct runs, a row each.
     evaluation : Report
-        Of `oracle_pipeline.reporting.evaluation.oracle_evaluation`.
+        Of `oracle_pipeline.reporting.evaluation_report`.
     explained : sequence of Explanation
         Attacked runs with what gave them away.
     grid, rates, pairs, side_by_side, null_model : Report
@@ -226,33 +226,33 @@ def _answer(evaluation: Report) -> str:
     return f"The headline is withheld: {doubtful} of {len(checks)} integrity checks are not green."
 
 
-def _checks(evaluation: Report) -> list[Check]:
+def _checks(evaluation: Report) -> list[CheckLine]:
     return [
-        Check(row["name"].replace("_", " "), row["status"], row["sentence"])
+        CheckLine(row["name"].replace("_", " "), row["status"], row["sentence"])
         for _, row in evaluation.tables["checks"].iterrows()
     ]
 
 
 def _draws(pairs: Report, evaluation: Report) -> dict[str, str]:
-    drawn = pairs.summary
+    settings = pairs.summary
     return {
-        "Bootstrap": f"{drawn['rows']} rows, share malicious {drawn['malicious_rate']}, seed "
-        f"{drawn['seed']}",
+        "Bootstrap": f"{settings['rows']} rows, share malicious {settings['malicious_rate']}, seed "
+        f"{settings['seed']}",
         "Resampled blocks": f"{RESAMPLES} times, seed {evaluation.summary['seed']}",
     }
 
 
 def _thesis_reading(row: pd.Series) -> str:
     """Say what the thesis's method, Ward and two clusters, gives on all modes and features."""
-    recall, fpr = (estimate(row, f"{name}_best_cluster") for name in ("recall", "fpr"))
+    recall, fpr = (Estimate.of_row(row, f"{name}_best_cluster") for name in ("recall", "fpr"))
     return (
         f"On these runs it holds {recall} of the malicious rows and {fpr} of the others; "
         f"in the thesis {row['thesis_recall']:.3f} and {row['thesis_fpr']:.3f}."
     )
 
 
-def _explained(explanation: Explanation) -> Explained:
-    return Explained(
+def _explained(explanation: Explanation) -> ExplainedRun:
+    return ExplainedRun(
         explanation.run_id,
         explanation.verdict,
         page_tables.of_explanation(explanation),

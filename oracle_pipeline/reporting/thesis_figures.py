@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oracle_pipeline.evaluation.clustering import in_words
+from oracle_pipeline.evaluation.clustering_result import in_words
 from oracle_pipeline.evaluation.metrics import Confusion, decode_thesis_row
 
 RUNS = 15  # of each of the six modes, half of which are attacked

@@ -9,24 +9,23 @@ module, tables are made in ``tables``, pictures in ``figures``.
 import numpy as np
 import pandas as pd
 
+from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.clustering.scores import hac_height
 from oracle_pipeline.clustering.tree import LINKAGES, ClusteringError
 from oracle_pipeline.datasets import (
-    PAIRS,
     DatasetError,
     content_hash,
     distinct_runs,
     is_malicious,
     lacking,
 )
-from oracle_pipeline.evaluation.clustering import grow_over_runs
+from oracle_pipeline.evaluation.clustering_result import grow_over_runs
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.metrics import RocCurve, auc, roc_curve
 from oracle_pipeline.evaluation.variants import VARIANTS, Variant, VariantName
 from oracle_pipeline.reporting import figures, thesis_tables
-from oracle_pipeline.reporting.result import Report, facts
+from oracle_pipeline.reporting.report import Report, facts
 from oracle_pipeline.reporting.thesis_figures import FAMILIES
-from oracle_pipeline.reporting.thesis_tables import estimate
 
 ROWS, MALICIOUS_RATE, SEED = 1000, 0.3, 50  # the thesis's bootstrap
 
@@ -126,8 +125,8 @@ def _thesis_choice(table: pd.DataFrame) -> dict[str, float | int | str]:
     picked = f"{chosen['linkage']}, {chosen['criterion']} {chosen['t']:g}"
     return {
         "thesis_rule_picks": picked,
-        **facts("recall_best_cluster", estimate(chosen, "recall_best_cluster")),
-        **facts("fpr_best_cluster", estimate(chosen, "fpr_best_cluster")),
+        **facts("recall_best_cluster", Estimate.of_row(chosen, "recall_best_cluster")),
+        **facts("fpr_best_cluster", Estimate.of_row(chosen, "fpr_best_cluster")),
     }
 
 
@@ -150,7 +149,7 @@ def malicious_rate_report(
     for _, row in table.iterrows():
         for name, figure in (("recall", "recall"), ("false alarms", "fpr")):
             line = f"{row['malicious_rate']:.0%} malicious, {name}"
-            ours[line] = estimate(row, f"{figure}_best_cluster")
+            ours[line] = Estimate.of_row(row, f"{figure}_best_cluster")
             thesis[line] = row[f"thesis_{figure}"]
     picture = figures.intervals(ours, thesis, "share of rows in the best cluster", chance=None)
     summary: dict[str, float | int | str] = {"rows": n, "seed": seed, "note": lacking(df)}
@@ -173,7 +172,8 @@ def pairwise_report(
     parts = [thesis_tables.family_table(df, *settings), thesis_tables.pairwise_table(df, *settings)]
     table = pd.concat(parts, ignore_index=True)
     ours = {
-        _line(row): estimate(row, "balanced_accuracy_best_cluster") for _, row in table.iterrows()
+        _line(row): Estimate.of_row(row, "balanced_accuracy_best_cluster")
+        for _, row in table.iterrows()
     }
     thesis = {_line(row): row["thesis_auc"] for _, row in table.iterrows()}
     picture = figures.intervals(ours, thesis, "AUC of the best cluster's hard verdict")
@@ -218,7 +218,7 @@ def side_by_side(
     rng = np.random.default_rng(seed)
     table = thesis_tables.side_by_side_table(df, n, malicious_rate, seed, rng)
     names = table["thesis_source"] + ": " + table["experiment"]
-    areas = [estimate(row, "reproduced_auc") for _, row in table.iterrows()]
+    areas = [Estimate.of_row(row, "reproduced_auc") for _, row in table.iterrows()]
     ours = dict(zip(names, areas, strict=True))
     thesis = dict(zip(names, table["thesis_auc"], strict=True))
     picture = figures.intervals(ours, thesis, "AUC of the best cluster's hard verdict")
@@ -244,7 +244,7 @@ def null_model(repetitions: int = 50, seed: int = SEED) -> Report:
     """
     table = thesis_tables.null_model_table(repetitions, seed)
     usual = table[table["p_long"] == thesis_tables.P_LONG].iloc[0]
-    recall, area = estimate(usual, "recall"), estimate(usual, "auc")
+    recall, area = Estimate.of_row(usual, "recall"), Estimate.of_row(usual, "auc")
     return Report(
         table,
         {},

@@ -1,7 +1,7 @@
 """The thesis's tables made from our runs, its figures in the columns ``thesis_*``, and our own.
 
 Functions of a feature table and a generator to a DataFrame; nothing is drawn or written here. An
-estimate takes up three columns, ``auc``, ``auc_low`` and ``auc_high``; `estimate` puts it together.
+estimate takes up three columns, ``auc``, ``auc_low`` and ``auc_high`` (`Estimate.of_row`).
 The thesis's tables can be made by either variant of its method, and by both side by side.
 """
 
@@ -11,9 +11,11 @@ from itertools import product
 import numpy as np
 import pandas as pd
 
+from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.clustering.tree import CRITERIA, LINKAGES
-from oracle_pipeline.datasets import PAIRS, DatasetError
-from oracle_pipeline.evaluation.clustering import ClusteringResult, cluster_and_judge
+from oracle_pipeline.datasets import DatasetError
+from oracle_pipeline.evaluation.clustering_result import ClusteringResult, cluster_and_judge
+from oracle_pipeline.evaluation.comparisons import ALL_MODES
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.metrics import BAND
 from oracle_pipeline.evaluation.null_model import best_cluster_rates
@@ -30,13 +32,7 @@ from oracle_pipeline.reporting.thesis_figures import (
 
 FEATURE_SETS: tuple[FeatureSet, ...] = ("all", "structural", "contextual")
 MALICIOUS_RATES = (0.1, 0.3, 0.5, 0.7, 0.9)
-ALL_MODES = "all modes"
 P_LONG = 0.05  # share of very long runs in the null model that its headline is about
-
-
-def estimate(row: pd.Series, name: str) -> Estimate:
-    """Put the estimate of a table row back together."""
-    return Estimate(*(float(row[f"{name}{end}"]) for end in ("", "_low", "_high")))
 
 
 def grid_search_table(

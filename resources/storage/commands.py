@@ -40,8 +40,8 @@ def storage(root: Path) -> None:
     except OracleError as error:
         raise click.ClickException(str(error)) from error
     stock = take_stock(root.resolve())
-    there_is = stock.total + stock.free
-    limit = there_is if budget is None else min(budget, there_is)
+    capacity = stock.total + stock.free
+    limit = capacity if budget is None else min(budget, capacity)
     click.echo(f"{root}: {megabytes(stock.total)} of {megabytes(limit)} taken")
     _show_modes(stock)
     _show_room(stock, limit - stock.total)

@@ -1,7 +1,7 @@
 """How much of each run is kept on disk: all blocks from the first on alike, as long as room lasts.
 
 No Dagster and no files here: a pure function of sizes. What lies on the disk is measured in
-``resources.budget``. Why so: docs/storage.md.
+``resources.budget``. Why so: docs/how-to/storage.md.
 """
 
 from collections.abc import Mapping, Sequence

@@ -14,6 +14,7 @@ from statistics import fmean
 from pydantic import ByteSize, TypeAdapter, ValidationError
 
 from oracle_pipeline.bags.errors import ManifestError
+from oracle_pipeline.bags.layout import owner
 from oracle_pipeline.bags.manifest import KEPT, Kept, Manifest
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, RunDirectory, find_runs
 from resources.storage.plan import Sizes, StorageError, megabytes, plan
@@ -112,14 +113,8 @@ def take_stock(root: Path) -> Stock:
         for name in names:
             size = _bytes_on_disk(os.path.join(folder, name))  # noqa: PTH118 -- a million of them
             total += size
-            if place[:1] == ("runs",) and len(place) > 2:
-                run = place[1], place[2]
-                if len(place) > 3 and place[3] == BAG_FOLDER:
-                    bags[run] += size
-                else:
-                    rest[run] += size
-            elif place[:1] == ("features",) and len(place) == 3:
-                rest[place[2], name.partition(".")[0]] += size
+            if (run := owner((*place, name))) is not None:
+                (bags if run.part == BAG_FOLDER else rest)[run.mode, run.run_id] += size
     runs = {
         run: RunBytes(bags[run.mode, run.run_id], rest[run.mode, run.run_id])
         for run in find_runs(root)
@@ -167,8 +162,8 @@ def make_plan(
         If not even graphs and features of all fit.
     """
     stock = take_stock(root)
-    there_is = stock.total + stock.free - reserve
-    limit = there_is if budget is None else min(budget, there_is)
+    capacity = stock.total + stock.free - reserve
+    limit = capacity if budget is None else min(budget, capacity)
     new = [run for run in wanted if run not in stock.runs]
     guess = _first_guess(goals)
     expected = {
@@ -189,12 +184,12 @@ def make_plan(
     for run, (_, sizes) in finished.items():
         takes[run.run].append(sizes)
     others = stock.total - sum(run.total for run in stock.runs.values())
-    known = _fewest_finished(expected, stock)
+    fewest_finished = _fewest_finished(expected, stock)
     try:
         kept = plan(takes, int(limit * (1.0 - MARGIN)) - others - room)
     except StorageError:
         # A first guess may be wrong: where a run or two have room, they tell.
-        if known or limit - stock.total < workers * guess.recipe:
+        if fewest_finished or limit - stock.total < workers * guess.recipe:
             raise
         kept = dict.fromkeys(sorted(takes), "recipe")
     asked_for = set(wanted)
@@ -203,7 +198,7 @@ def make_plan(
         for run, (has, sizes) in finished.items()
         if run not in asked_for and sizes.of(kept[run.run]) < sizes.of(has)
     )
-    return StoragePlan(kept, expected, shrink, max(1, known), stock.total, limit)
+    return StoragePlan(kept, expected, shrink, max(1, fewest_finished), stock.total, limit)
 
 
 def _fewest_finished(modes: Collection[str], stock: Stock) -> int:

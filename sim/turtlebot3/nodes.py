@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
+from sim.campaigns import OdometrySource
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
@@ -24,7 +25,6 @@ from sim.middleware.stamps import header, stamp_ns, time_message
 from sim.middleware.tf import TransformBroadcaster, planar_transform, transforms_template
 from sim.turtlebot3 import frames
 from sim.turtlebot3.camera import add_depth_camera
-from sim.turtlebot3.map import OdometrySource
 from sim.turtlebot3.wheel_odometry import WheelOdometry
 from sim.turtlebot3.world import WHEEL_RADIUS_M, WHEEL_SEPARATION_M, ImuSamples, World
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from assets.worker.feature_tables import feature_table, topics_of_features
+from assets.worker.feature_tables import topics_of_features
 from assets.worker.inspections import Inspection, inspect
 from assets.worker.run import OF_A_RUN, RunJob, RunReport, process_run
 from oracle_pipeline.bags.errors import OracleError
@@ -22,7 +22,7 @@ from resources.budget import StorageBudget
 from resources.storage.commands import remake, storage
 from resources.storage.stock import take_stock
 from resources.store import RunStore
-from sim.recipes import Campaign
+from sim.campaigns import Campaign
 from soak.full_disk import largest_file
 from tests.assets.laboratory import ATTACKED, CONTROL, KEY, PER_RUN, Laboratory
 from tests.locks import order_of_two
@@ -91,15 +91,15 @@ def test_a_run_is_never_given_more_than_it_has_and_verified_as_it_is(run: RunDir
 
 def test_features_and_picture_come_before_the_bag_goes(run: RunDirectory) -> None:
     for table in ("run", "window"):
-        feature_table(run, table).unlink()
+        run.feature_table(table).unlink()
     (run.path / "picture.png").unlink()
     process(run, "recipe")
-    assert all(feature_table(run, table).is_file() for table in ("run", "window"))
+    assert all(run.feature_table(table).is_file() for table in ("run", "window"))
     assert (run.path / "picture.png").is_file()
 
 
 def test_features_of_a_dropped_run_make_its_bag_again_first(run: RunDirectory) -> None:
-    place = feature_table(run, "run")
+    place = run.feature_table("run")
     features, hash_before = read_table(place), run.manifest().content_hash
     process(run, "recipe")
     place.unlink()
@@ -127,7 +127,7 @@ def test_other_software_makes_a_new_generation_with_features_of_its_own(run: Run
     process(run, "recipe")
     rewrite(run, lambda document: document["software"].update(code="of last year"))
     rewrite(run, lambda document: document.update(content_hash="0" * 64))
-    record = feature_table(run, "run").with_suffix(".json")
+    record = run.feature_table("run").with_suffix(".json")
     record.write_text(record.read_text().replace('"inputs": "', '"inputs": "of last year '))
     report = process(run, "full", FEATURES)
     assert report.assets["run_features"].figures["status"] == "made"
@@ -207,4 +207,4 @@ def test_under_a_tight_budget_blocks_keep_alike_and_it_is_never_exceeded(
     assert kept[CONTROL] != ["full", "full", "full"]
     for mode, levels in kept.items():
         assert laboratory.figures("bags", f"{mode}|run002")["kept"] == levels[2]
-        assert feature_table(RunDirectory(laboratory.root, mode, 2), "run").is_file()
+        assert RunDirectory(laboratory.root, mode, 2).feature_table("run").is_file()

@@ -17,23 +17,28 @@ from mcap_ros2.decoder import DecoderFactory
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.graph_files import read_gexf
+from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bags.reader import BagReader, read_ground_truth
 from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.graphs.differences import graph_differences
 from oracle_pipeline.graphs.intervals import read_intervals
-from sim.experiments import record_run
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for, record_run
 from sim.fan_out import fan_out, process_pool
+from sim.fuzzing.compilation import compile_document
 from sim.fuzzing.offline import mutate_bag
 from sim.middleware.geometry import Pose2D, quaternion_yaw
 from sim.middleware.stamps import stamp_ns
-from sim.modes import PAIRS, find_mode, modes
+from sim.modes import find_mode, modes
 from sim.pairs import task_effect
-from sim.protocol import compiled
-from sim.recipes import Campaign, Recipe, recipe_for
+from sim.testbeds import which_testbed
 from sim.turtlebot3.frames import BASE_SCAN, BASE_SCAN_TOM
+from sim.turtlebot3.recipes import TurtleBot3Recipe
 
-TURTLEBOT3 = {name: mode for name, mode in modes().items() if mode.testbed == "turtlebot3"}
+TURTLEBOT3 = {
+    name: mode for name, mode in modes().items() if which_testbed(mode.scenario) == "turtlebot3"
+}
 ONE_GOAL, TWO_GOALS = Campaign(goals_per_run=1), Campaign(goals_per_run=2)
 
 
@@ -226,8 +231,8 @@ def test_ground_truth_tells_what_was_changed_and_only_attacks_change_anything(ru
 @pytest.mark.parametrize("mode", ["fake_object", "random_noise", "benign_drop"])
 def test_the_recipes_scenario_over_the_bag_gives_what_the_node_published(runs, mode, tmp_path):
     directory = runs[mode]
-    recipe = Recipe.from_dict(directory.manifest().recipe)
-    program = compiled(recipe.mode, recipe.scenario)
+    recipe = TurtleBot3Recipe.from_dict(directory.manifest().recipe)
+    program = compile_document(recipe.mode, recipe.scenario)
     bag, mutant = directory.bag, tmp_path / "mutant"
     mutate_bag(bag, mutant, program, recipe.attack_seed(), parameters=recipe.parameters)
     online, offline = (by_stamp(path, program.output_topic) for path in (bag, mutant))
@@ -259,7 +264,7 @@ def returns_from_object(directory, topic):
 
     ``/odom`` is exact: its frame is the world.
     """
-    recipe = Recipe.from_dict(directory.manifest().recipe)
+    recipe = TurtleBot3Recipe.from_dict(directory.manifest().recipe)
     values = recipe_of("fake_object").parameters
     mount = {"/scan": BASE_SCAN, "/scan_fakeobject": BASE_SCAN_TOM}[topic]
     robot, ratios = None, [np.empty(0)]
@@ -347,8 +352,8 @@ def test_a_run_that_was_killed_leaves_nothing_that_looks_finished_and_is_made_by
         sys.executable, "-c",
         "from pathlib import Path\n"
         "from oracle_pipeline.bags.run_directory import RunDirectory\n"
-        "from sim.experiments import record_run\n"
-        "from sim.recipes import Campaign, recipe_for\n"
+        "from sim.campaigns import Campaign\n"
+        "from sim.experiments import recipe_for, record_run\n"
         "recipe = recipe_for('lidar_passthrough', 0, Campaign(goals_per_run=8))\n"
         f"record_run(recipe, RunDirectory(Path({str(tmp_path)!r}), 'lidar_passthrough', 0))",
     ]  # fmt: skip

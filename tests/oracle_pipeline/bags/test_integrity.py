@@ -16,7 +16,7 @@ from oracle_pipeline.bags.manifest import Manifest, Measured, Pose, Software, To
 from oracle_pipeline.bags.retention import retain
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.writer import BagWriter
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.opened_run import open_run
 from tests.oracle_pipeline.bags.conftest import CLOCK, clock
 
 

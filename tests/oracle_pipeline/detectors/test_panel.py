@@ -14,7 +14,7 @@ MEMBERS = (
     "hac_height", "small_cluster_count", "small_cluster_size", "reference_distance", "mahalanobis",
     "max_z", "knn", "ocsvm", "isolation_forest", "elliptic_envelope", "lof", "hdbscan", "gmm",
 )  # fmt: skip
-# No split and no pseudo-inverse sees what never varied in training (docs/detectors.md).
+# No split and no pseudo-inverse sees what never varied in training (docs/explanation/detectors.md).
 BLIND_TO_CONSTANTS = {"isolation_forest", "elliptic_envelope"}
 every_member = pytest.mark.parametrize("name", MEMBERS)
 

@@ -6,7 +6,8 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import feature_columns
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.reporting.explanation import counterpart, explanations
-from oracle_pipeline.scoring import ScoringError, evidence
+from oracle_pipeline.scoring.evidence import evidence
+from oracle_pipeline.scoring.verdict import ScoringError
 from tests.oracle_pipeline.datasets.synthetic import ATTACKED, DELAY_S, campaign
 
 RUNS = 6
@@ -69,11 +70,11 @@ def test_without_a_right_run_of_another_block_there_is_no_evidence_and_a_reason(
     df, windows = tables
     alone = df[df["block"] == 0]
     row = alone[alone["mode"] == "fake_object"]
-    with pytest.raises(ScoringError, match="no right run of another block"):
+    with pytest.raises(ScoringError, match="no normal run of another block"):
         evidence(FeatureTables(row, windows[windows["run_id"] == "fake_object|run000"]), alone)
     for each in explanations(alone, windows, judged(alone), draw):
         assert each.evidence == ()
-        assert "no right run of another block" in each.notes[0]
+        assert "no normal run of another block" in each.notes[0]
 
 
 def test_beside_a_run_is_its_control_of_the_same_block(tables):
@@ -82,11 +83,23 @@ def test_beside_a_run_is_its_control_of_the_same_block(tables):
     assert found.pictures["fake_object|run002"] == b"fake_object|run002"
 
 
-def test_the_counterpart_of_other_attacks_is_the_shadow_or_plain_air_traffic():
-    df = pd.DataFrame({"run_id": ["held_shadow|run001", "atc_normal|run001", "atc_x_shadow|run0"]})
+def test_the_counterpart_of_other_attacks_is_the_shadow_or_the_first_normal_run_of_the_block():
+    rows = [
+        ("benign_slow", "normal", 1),
+        ("held_shadow", "control", 1),
+        ("quiet_sky", "normal", 2),
+        ("quiet_sky", "normal", 1),
+        ("still_sky", "normal", 1),
+        ("ghost_shadow", "control", 2),
+        ("benign_slow", "normal", 3),
+    ]
+    df = pd.DataFrame(
+        {"run_id": f"{mode}|run{run:03d}", "mode": mode, "label": label}
+        for mode, label, run in rows
+    )
     assert counterpart("held|run001", df) == ["held_shadow|run001"]
-    assert counterpart("atc_x|run001", df) == ["atc_normal|run001"]
-    assert counterpart("held|run002", df) == []
+    assert counterpart("ghost|run001", df) == ["quiet_sky|run001"]
+    assert counterpart("held|run003", df) == []
 
 
 def test_a_picture_that_cannot_be_drawn_is_a_note(tables):

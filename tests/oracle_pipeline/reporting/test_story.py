@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from oracle_pipeline.bags.manifest import Pose
+from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.replay.story import run_scene
-from oracle_pipeline.reporting.result import ReportError
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.reporting.report import ReportError
 from tests.oracle_pipeline.reporting.recordings import (
     COSTMAP,
     MAP,

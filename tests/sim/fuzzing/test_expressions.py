@@ -12,17 +12,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from oracle_pipeline.bags.types import message_class, typestore
-from sim.fuzzing.expressions import (
-    MAX_DEPTH,
-    MAX_OPERATIONS,
-    ExpressionError,
-    Function,
-    Scope,
-    compile_expression,
-)
+from sim.fuzzing.expression_compiler import MAX_DEPTH, MAX_OPERATIONS
+from sim.fuzzing.expressions import compile_expression
 from sim.fuzzing.functions import BUILTINS, CONSTANTS
+from sim.fuzzing.grammar import ExpressionError
 from sim.fuzzing.random import Draws
-from sim.fuzzing.values import (
+from sim.fuzzing.scopes import Function, Scope
+from sim.fuzzing.value_types import (
     BOOLEAN,
     FLOAT,
     INTEGER,

@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.bags.types import deserialize, typestore
+from sim.fuzzing.field_mutations import MUTATIONS, FieldMutator
 from sim.fuzzing.fields import replaced, zero
-from sim.fuzzing.mutator import MUTATIONS, Mutator
-from sim.fuzzing.values import BOOLEAN, Array, Boolean, Message, Number, Text, message_type
+from sim.fuzzing.value_types import BOOLEAN, Array, Boolean, Message, Number, Text, message_type
 from tests.sim.fuzzing.workbench import data, doing, frozen, results, scan, scans, stamp
 
 KINDS = list(MUTATIONS)
@@ -52,7 +52,7 @@ def test_one_value_of_any_message_type_is_changed_and_the_result_can_be_sent(nam
     kind = message_type(name)
     whole = filled(kind)
     before = data(whole)
-    mutator = Mutator.of(kind, [], KINDS)
+    mutator = FieldMutator.of(kind, [], KINDS)
     for seed in range(8):
         mutant, _, text = mutator(whole, np.random.default_rng(seed))
         changed = dict(leaves(mutant)).items() ^ dict(leaves(whole)).items()
@@ -65,12 +65,12 @@ def test_one_value_of_any_message_type_is_changed_and_the_result_can_be_sent(nam
 def test_a_message_of_empty_sequences_alone_comes_back_as_it_is(rng):
     kind = message_type("tf2_msgs/msg/TFMessage")
     empty = zero(kind)
-    assert Mutator.of(kind, [], KINDS)(empty, rng) == (empty, 0.0, "nothing to mutate")
+    assert FieldMutator.of(kind, [], KINDS)(empty, rng) == (empty, 0.0, "nothing to mutate")
 
 
 def test_all_fields_have_their_turn():
     kind = message_type("sensor_msgs/msg/LaserScan")
-    mutator = Mutator.of(kind, [], ["bit_flip"])
+    mutator = FieldMutator.of(kind, [], ["bit_flip"])
     texts = [mutator(scan(), np.random.default_rng(seed))[2] for seed in range(400)]
     fields = {text.removeprefix("bit_flip ").split("[")[0].split(" ")[0] for text in texts}
     assert fields == {

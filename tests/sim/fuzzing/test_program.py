@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.execution import execute
 from sim.fuzzing.functions import haversine_m
-from sim.fuzzing.program import compile_scenario
 from sim.fuzzing.random import Draws
-from sim.fuzzing.scenario import ScenarioError, builtin_scenarios
+from sim.fuzzing.scenario import ScenarioError
+from sim.scenarios import builtin_scenarios
 from sim.turtlebot3 import frames
 from tests.sim.fuzzing.workbench import (
     BUILTINS,
@@ -105,20 +107,20 @@ def test_what_becomes_of_a_message_does_not_depend_on_those_lost_before(name, lo
     compiled = builtin(name)
     messages = list(scans(20))
     whole = results(compiled, messages)
-    mutation = start(compiled)
+    execution = start(compiled)
     for number, message in enumerate(messages):
         if number not in lost:
-            ((_, output),) = mutation.on_message(message, stamp(number), 0.2 * number).outputs
+            ((_, output),) = execution.on_message(message, stamp(number), 0.2 * number).outputs
             assert data(output) == data(whole[number].outputs[0].message)
 
 
 @pytest.mark.parametrize("name", BUILTINS)
 def test_before_its_onset_a_program_hands_on_what_comes(name):
-    mutation = start(builtin(name))
-    (message,) = examples(mutation.program, 1)
-    ((_, output),) = mutation.on_message(message, stamp(0), -0.1).outputs
+    execution = start(builtin(name))
+    (message,) = examples(execution.program, 1)
+    ((_, output),) = execution.on_message(message, stamp(0), -0.1).outputs
     assert output is message
-    assert mutation.on_timer(stamp(0), -0.1).outputs == []
+    assert execution.on_timer(stamp(0), -0.1).outputs == []
 
 
 def test_messages_without_a_stamp_draw_by_their_number():
@@ -209,10 +211,10 @@ def ray_disc(origin, direction, centre, radius):
 )
 def test_fake_object_is_a_disc_in_the_odometry_frame(values, pose, centre, radius):
     compiled = builtin("fake_object")
-    mutation = compiled.start(1, {"x": centre[0], "y": centre[1], "radius": radius})
-    mutation.on_source("odom", odometry(0, *pose), stamp(0))
+    execution = execute(compiled, 1, {"x": centre[0], "y": centre[1], "radius": radius})
+    execution.on_source("odom", odometry(0, *pose), stamp(0))
     message = scan(1, values)
-    ((_, heard),) = mutation.on_message(message, stamp(1), 0.2).outputs
+    ((_, heard),) = execution.on_message(message, stamp(1), 0.2).outputs
     x, y, yaw = pose
     ahead, left, _ = frames.BASE_SCAN_TOM.xyz
     assert left == 0.0
@@ -233,7 +235,7 @@ def test_fake_object_is_a_disc_in_the_odometry_frame(values, pose, centre, radiu
 
 def test_fake_object_waits_for_the_odometry():
     message = scan()
-    result = builtin("fake_object").start(1).on_message(message, stamp(0), 0.0)
+    result = execute(builtin("fake_object"), 1).on_message(message, stamp(0), 0.0)
     assert result.outputs[0].message is message
     assert (result.truth.operation, result.truth.detail) == ("passthrough", "no odom yet")
 
@@ -250,10 +252,10 @@ def test_a_frozen_sensor_shows_one_scan_under_the_stamps_that_come():
 
 
 def test_a_replay_plays_what_came_before_the_onset_in_a_loop():
-    mutation = start(builtin("sensor_replay"))
+    execution = start(builtin("sensor_replay"))
     messages = list(scans(90))
     heard = [
-        mutation.on_message(message, stamp(n), (n - 30) / 5).outputs[0].message
+        execution.on_message(message, stamp(n), (n - 30) / 5).outputs[0].message
         for n, message in enumerate(messages)
     ]
     assert all(one is other for one, other in zip(heard[:30], messages, strict=False))
@@ -302,11 +304,11 @@ def test_spoofed_odometry_slides_to_the_left_of_the_robot():
 
 
 def test_injected_commands_come_from_the_timer_alone():
-    mutation = start(builtin("command_injection"), rate=20.0, speed=0.1)
-    assert mutation.timer_period_ns == 50_000_000
-    (command,) = examples(mutation.program, 1)
-    assert mutation.on_message(command, stamp(0), 0.0).outputs == []
-    ((due_ns, sent),) = mutation.on_timer(stamp(1), 0.2).outputs
+    execution = start(builtin("command_injection"), rate=20.0, speed=0.1)
+    assert execution.timer_period_ns == 50_000_000
+    (command,) = examples(execution.program, 1)
+    assert execution.on_message(command, stamp(0), 0.0).outputs == []
+    ((due_ns, sent),) = execution.on_timer(stamp(1), 0.2).outputs
     assert (due_ns, sent.linear.x, sent.angular.z) == (stamp(1), 0.1, 0.5)
 
 
@@ -376,11 +378,11 @@ def test_a_dead_zone_is_a_circle_on_the_earth():
 
 
 def test_a_static_ghost_is_reported_every_second_under_new_stamps():
-    mutation = start(builtin("atc_ghost_static"))
+    execution = start(builtin("atc_ghost_static"))
     real = report(0, "REAL")
-    assert mutation.on_message(real, stamp(0), 0.0).outputs[0].message is real
-    assert mutation.timer_period_ns == 1_000_000_000
-    ((_, ghost),) = mutation.on_timer(stamp(9), 1.8).outputs
+    assert execution.on_message(real, stamp(0), 0.0).outputs[0].message is real
+    assert execution.timer_period_ns == 1_000_000_000
+    ((_, ghost),) = execution.on_timer(stamp(9), 1.8).outputs
     assert (ghost.icao24, ghost.latitude, ghost.altitude_m) == ("GHOST1", 44.25, 1500.0)
     assert ghost.header == report(9).header
 
@@ -421,11 +423,11 @@ def test_the_follower_is_right_behind_the_nearest_other():
 
 
 def test_the_follower_forgets_who_was_not_heard_of_for_long():
-    mutation = start(builtin("atc_follow_closest"))
-    mutation.on_message(report(0, "GONE"), stamp(0), 0.0)
+    execution = start(builtin("atc_follow_closest"))
+    execution.on_message(report(0, "GONE"), stamp(0), 0.0)
     later = 200
     message = report(later)
-    result = mutation.on_message(message, stamp(later), 0.2 * later)
+    result = execution.on_message(message, stamp(later), 0.2 * later)
     assert result.outputs[0].message is message
 
 
@@ -525,9 +527,9 @@ sources:
   odom: {type: nav_msgs/msg/Odometry, topic: /odom, max_age: 0.3, on_missing: drop}
 transform: {actions: [{name: slow, do: [{scale: {field: ranges, by: 2.0}}]}]}
 """
-    mutation = start(program(rest))
-    assert len(mutation.on_message(scan(1), stamp(1), 0.2).outputs) == 1
-    late = mutation.on_message(scan(2), stamp(2), 0.4)
+    execution = start(program(rest))
+    assert len(execution.on_message(scan(1), stamp(1), 0.2).outputs) == 1
+    late = execution.on_message(scan(2), stamp(2), 0.4)
     assert late.outputs == []
     assert late.truth.detail == "dropped: odom is 0.4 s old"
 
@@ -572,7 +574,7 @@ def test_no_more_is_published_for_a_message_than_allowed():
 )
 def test_a_run_cannot_have_parameters_that_the_scenario_does_not_allow(parameters, expected):
     with pytest.raises(ScenarioError, match=expected):
-        builtin("random_noise").start(1, parameters)
+        execute(builtin("random_noise"), 1, parameters)
 
 
 ACT = "transform: {{actions: [{{name: act, do: [{}]}}]}}\n"
