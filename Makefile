@@ -13,7 +13,7 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 FIRST := lidar_passthrough|run000
 LAST := delayed_fakeobject|run002
 
-.PHONY: help setup setup-dev run campaign ui test test-quick test-browser lint types architecture bench soak \
+.PHONY: help setup setup-dev run campaign ui test test-quick test-browser lint types architecture docs bench soak \
 	constraints clean
 .DEFAULT_GOAL := help
 
@@ -32,7 +32,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dask,dev,postgres,s3]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dask,dev,docs,postgres,s3]'
 	@touch $@
 
 run: setup ## Simulate the small campaign, analyse it, and say where the report is
@@ -62,6 +62,13 @@ lint: setup-dev ## Check style and the direction of imports
 
 types: setup-dev ## Check types, strictly
 	mypy
+
+docs: export NO_MKDOCS_2_WARNING = 1
+docs: setup-dev ## Check words, spelling and links of the docs, and build their site into site/
+	codespell docs *.md mkdocs.yml
+	pytest -q tests/docs/test_words.py tests/docs/test_reference.py
+	mkdocs build --quiet --clean
+	@echo "Site: $(CURDIR)/site/index.html (search needs a server: mkdocs serve)"
 
 constraints: setup-dev ## Pin the newest versions that fit pyproject.toml
 	pip-compile --quiet --upgrade --all-extras --strip-extras --no-header --no-annotate \

@@ -30,9 +30,9 @@ from oracle_pipeline.bags.scratch import scratch_beside
 
 KEYS = ("run_id", "mode", "label", "block", "session")
 WINDOW_START = "window_start_s"  # one more key where a row is a window [s of the recording]
-WHERE = "where"  # the column that says at which topic, pair or edge a feature was attained
+WHERE = "where"  # the column with the topic, pair or edge at which a feature was attained
 _SEAL = "oracle.seal"  # key in the metadata of a Parquet schema
-MISSING = "missing"  # the column that says why a feature is NaN
+MISSING = "missing"  # the column with the reason why a feature is NaN
 
 HARD_NEGATIVE = "benign_"  # begins the names of modes that change something and harm nobody
 
@@ -90,7 +90,7 @@ def is_malicious(df: pd.DataFrame) -> NDArray[np.bool_]:
 
 
 def is_hard_negative(df: pd.DataFrame) -> NDArray[np.bool_]:
-    """Return True for the rows of right runs in which something harmless was changed."""
+    """Return True for the rows of normal runs in which something harmless was changed."""
     return np.asarray(df["mode"].str.startswith(HARD_NEGATIVE), dtype=np.bool_)
 
 
@@ -105,9 +105,9 @@ def without_empty_families(df: pd.DataFrame) -> pd.DataFrame:
 
 
 def feature_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
-    """Join the feature tables of many runs into one, a row a run, sorted by ``run_id``.
+    """Join the feature tables of many runs into one with a row for each run, by ``run_id``.
 
-    A feature that a table lacks becomes NaN if the table's ``missing`` column says why.
+    A feature that a table lacks becomes NaN if the table's ``missing`` column holds a reason.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def feature_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
 
 
 def window_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
-    """Join the window tables of many runs into one, a row a window, by ``run_id`` and start.
+    """Join the window tables of many runs into one, sorted by ``run_id`` and window start.
 
     As `feature_dataset`, errors included.
     """
@@ -282,14 +282,16 @@ def read_table(
         raise DatasetError(f"There is no table {path}; make it first.") from error
     if seals.check(content) == "wrong":
         raise DatasetError(
-            f"{path} is damaged: it is not what was written. Make it again. If it was rewritten on "
-            f"purpose, write it without {_SEAL!r} in the metadata of its schema."
+            f"{path} is damaged: it is not what was written. Materialize it again. If you rewrote "
+            f"it on purpose, write it without {_SEAL!r} in the metadata of its schema."
         )
     try:
         source = pa.BufferReader(content)
         table = pq.read_table(source, columns=columns and list(columns), filters=kept)
     except (pa.ArrowException, OSError) as error:
-        raise DatasetError(f"{path} is not a Parquet table ({error}); make it again.") from error
+        raise DatasetError(
+            f"{path} is not a Parquet table ({error}); materialize it again."
+        ) from error
     df: pd.DataFrame = table.replace_schema_metadata(None).to_pandas()
     df.attrs["fields"] = Fields(
         {
@@ -317,13 +319,13 @@ def content_hash(df: pd.DataFrame) -> str:
 def bootstrap(df: pd.DataFrame, n: int, malicious_rate: float, seed: int) -> pd.DataFrame:
     """Draw ``n`` rows with replacement, a fixed share of them attacked.
 
-    Copies add no information: each row keeps its ``run_id``, and `distinct_runs` tells how many
+    Copies add no information: each row keeps its ``run_id``, and `distinct_runs` counts how many
     runs there really are.
 
     Parameters
     ----------
     df : DataFrame
-        A row a run.
+        One row for each run.
     n : int
         Rows to draw.
     malicious_rate : float

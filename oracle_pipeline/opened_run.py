@@ -1,7 +1,7 @@
 """A run directory or a foreign bag, opened and checked.
 
 A run directory has a manifest, a bag and graphs; somebody else's bag has neither manifest nor
-graphs, and everything that needs them says so.
+graphs, and what needs them raises an error.
 """
 
 import logging
@@ -72,7 +72,7 @@ def _open_run_directory(path: Path) -> OpenedRun:
     manifest = Manifest.load(path / MANIFEST_FILE)
     if not (path / BAG_FOLDER).exists():
         raise BagError(
-            f"{path} has no bag, perhaps to save space; `oracle-sim remake {path}` makes it again."
+            f"{path} has no bag, perhaps to save space; `oracle-sim remake {path}` re-simulates it."
         )
     if manifest.measured.files:
         require_undamaged(path, manifest)

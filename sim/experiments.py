@@ -9,7 +9,7 @@ from oracle_pipeline.bags.integrity import require_undamaged
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.remote import is_local
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RunDirectory, bytes_on_disk
-from sim.campaigns import Campaign, CampaignError
+from sim.campaigns import Campaign, RecipeError
 from sim.modes import modes
 from sim.pairs import judge_pair
 from sim.software import software
@@ -43,7 +43,7 @@ def recipe_for(
     """
     if isinstance(mode, str):
         if mode not in modes():
-            raise CampaignError(f"There is no mode {mode!r}; there are {', '.join(modes())}.")
+            raise RecipeError(f"There is no mode {mode!r}; there are {', '.join(modes())}.")
         mode = modes()[mode]
     return TESTBEDS[which_testbed(mode.scenario)].draw(mode, run, campaign, parameters or {})
 

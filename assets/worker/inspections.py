@@ -1,7 +1,4 @@
-"""What the asset checks look at: functions of run directories, and what they found.
-
-No Dagster here, workers import this; ``assets.run_checks`` makes checks of them.
-"""
+"""Inspections of run directories and their findings; ``assets.run_checks`` makes checks of them."""
 
 import json
 from dataclasses import dataclass
@@ -23,26 +20,26 @@ from oracle_pipeline.graphs.intervals import interval_count, read_intervals
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """One look at one run, or at the two of a pair."""
+    """One inspection of one run, or of the two runs of a pair."""
 
     name: str  # of a function in this module
     runs: tuple[RunDirectory, ...]
 
     def __str__(self) -> str:
-        """Return what is looked at, and where."""
+        """Return the name of the inspection and its runs."""
         return f"{self.name} of {' and '.join(run.key for run in self.runs)}"
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was found out."""
+    """The result of an inspection."""
 
     wrong: list[str]  # empty: passed
     figures: dict[str, int | float]
 
 
 def inspect(inspection: Inspection) -> Finding:
-    """Do an inspection; what cannot be read is wrong."""
+    """Make an inspection; a file that cannot be read is a fault."""
     try:
         return _INSPECTIONS[inspection.name](*inspection.runs)
     except (OracleError, OSError) as error:
@@ -50,7 +47,7 @@ def inspect(inspection: Inspection) -> Finding:
 
 
 def bag_is_complete(run: RunDirectory) -> Finding:
-    """Read every message of the bag, or of what was kept of it, and compare with the manifest.
+    """Read every message of the bag, whole or trimmed, and compare it with the manifest.
 
     A whole bag has to have the content hash of the manifest. Of a trimmed one, the manifest knows
     the hashes of its files.
@@ -85,7 +82,7 @@ def bag_is_complete(run: RunDirectory) -> Finding:
 
 
 def every_interval_has_a_graph(run: RunDirectory) -> Finding:
-    """Count the graphs: one each 10 s of the recording, and one for a rest of 5 s or more."""
+    """Compare the graphs on disk with the intervals of the recording."""
     intervals = interval_count(run.manifest().recording_s)
     expected = {f"{number * INTERVAL_S:06d}" for number in range(intervals)}
     recorded = {path.stem for path in run.graphs.glob("*.gexf") if path.stem.isdecimal()}
@@ -106,12 +103,12 @@ def graphs_of_a_pair_are_equal(control: RunDirectory, attacked: RunDirectory) ->
 
 
 def run_features_are_finite(run: RunDirectory) -> Finding:
-    """Look for features of the run that are no finite number and have no reason for it."""
+    """Find features of the run that are neither finite nor explained."""
     return _finite(run.feature_table("run"))
 
 
 def window_features_are_finite(run: RunDirectory) -> Finding:
-    """Look for features of its windows that are no finite number and have no reason for it."""
+    """Find features of its windows that are neither finite nor explained."""
     return _finite(run.feature_table("window"))
 
 

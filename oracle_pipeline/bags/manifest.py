@@ -65,7 +65,7 @@ CHANGE_BIN_S = 5.0  # length of the bins in which changes are counted [s]
 
 
 class Change(NamedTuple):
-    """What the mode's node changed in one bin of time, as it logs it itself."""
+    """What the mode's node changed in one bin of time, from its own log."""
 
     start_s: float  # a multiple of `CHANGE_BIN_S`
     messages: int  # changed, dropped, delayed or made up
@@ -103,7 +103,7 @@ class Measured:
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class Manifest:
-    """One run, as ``manifest.json`` tells it."""
+    """One run, as in ``manifest.json``."""
 
     mode: str
     label: Label

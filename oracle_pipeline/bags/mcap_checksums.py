@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import BinaryIO
 from zlib import crc32
 
-from rosbags.rosbag2 import ReaderError
+from oracle_pipeline.bags.errors import BagError
 
 _MAGIC_SIZE = 8
 _HEAD_SIZE = struct.calcsize("<BQ")  # of any record: opcode, length of the rest
@@ -44,14 +44,14 @@ def check_summary(file: BinaryIO) -> None:
 
     Raises
     ------
-    ReaderError
+    BagError
         The summary is not what was written.
     """
     if file.seek(0, 2) > _FOOTER.size + _MAGIC_SIZE:
         footer_start, summary_start, checksum = _footer(file)
         end = footer_start + _FOOTER.size - _CHECKSUM.size
         if checksum and _checksum(file, summary_start, end) != checksum:
-            raise ReaderError("The MCAP summary or its checksum was changed after it was written.")
+            raise BagError("its summary or the checksum of that was changed after it was written")
     file.seek(0)
 
 

@@ -42,12 +42,12 @@ def retain(run: RunDirectory, kept: Kept, wanted: Wanted) -> Manifest:
     kept
         What stays.
     wanted
-        Says which topics stay in a trimmed bag, however much they weigh.
+        Returns the topics that stay in a trimmed bag, whatever their size.
 
     Returns
     -------
     Manifest
-        Of the run as it is now; ``measured`` tells what was freed.
+        Of the run as it is now, with the freed bytes in ``measured``.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Where a run lives, and how it gets there whole.
+"""The directory of one run, and how it gets there in one piece.
 
 ``<root>/runs/<mode>/run003`` holds ``manifest.json``, ``bag/`` and ``graphs/``. A run is written in
 a scratch directory beside its place (``.run003.<token>``), which its writer keeps locked, and
@@ -108,7 +108,7 @@ class RunDirectory:
         return feature_table(self.root, table, self.mode, self.run_id)
 
     def is_complete(self) -> bool:
-        """Tell whether the run is there."""
+        """Return whether the run is there."""
         return self.manifest_path.is_file()
 
     def manifest(self) -> Manifest:

@@ -79,7 +79,7 @@ def _neighbours_together(X: Floats) -> Indices:
 
 
 def _features_first(X: Floats) -> Floats:
-    """Return the features by rows, those first that tell most rows apart, and zeros to a 4th."""
+    """Return the features by rows, largest variance first, padded with zeros to four."""
     order = np.argsort(-X.var(axis=0), kind="stable")
     return np.ascontiguousarray(np.pad(X.T[order], ((0, -X.shape[1] % 4), (0, 0))))
 

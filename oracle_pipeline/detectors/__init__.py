@@ -1,4 +1,4 @@
-"""The detector panel: from scaled features of right runs to a score of any one run.
+"""The detector panel: from scaled features of normal runs to a score of any one run.
 
 Detectors are scikit-learn estimators; a verdict with a known false-alarm rate is made of their
 scores in ``oracle_pipeline.evaluation.conformal``.

@@ -1,4 +1,4 @@
-"""Which features of a run are unlike those of right runs, and by how much."""
+"""Which features of a run are unlike those of normal runs, and by how much."""
 
 from typing import NamedTuple
 
@@ -10,17 +10,17 @@ from oracle_pipeline.datasets import field_metadata
 
 
 class Deviation(NamedTuple):
-    """One feature of a run beside the right runs; value and median in `unit`."""
+    """One feature of a run beside the normal runs; value and median in `unit`."""
 
     feature: str
     z: float  # robust, in the scaler's scales
     value: float
-    median: float  # of the right runs
+    median: float  # of the normal runs
     unit: str
 
 
 def explain(pipeline: Pipeline, row: pd.DataFrame) -> list[Deviation]:
-    """Rank the features of one run by their distance from the median of right runs.
+    """Rank the features of one run by their distance from the median of normal runs.
 
     Each feature is looked at alone, whatever the detector; a run can be odd by a combination of
     which no part is.

@@ -68,7 +68,7 @@ def comparisons(df: pd.DataFrame) -> list[ComparedRuns]:
 
     All modes; each attack against its control, and against its shadow, which does the same work and
     publishes the original; the fake object against a real one; the hard negatives together and
-    each. The last have no attacked run: they tell false alarms only.
+    each. The last have no attacked run and measure false alarms only.
     """
     modes = set(df["mode"])
     attacked = sorted(set(df.loc[df["label"] == "malicious", "mode"]))
@@ -139,10 +139,10 @@ def _at_rate(
 
 
 def _note(scored: NDArray[np.bool_], calibration: int, runs: DistinctRuns) -> str:
-    """Say what of a row is missing, and why."""
+    """Return a note on what is missing in a row, and why."""
     if not scored.any():
         return (
-            "no run could be scored: it takes features with values and three blocks of right runs"
+            "no run could be scored: it needs features with values and normal runs of three blocks"
         )
     remarks = [
         f"no {name} runs"

@@ -12,9 +12,9 @@ def feature_sets(df: pd.DataFrame) -> dict[str, list[str]]:
     """Return the sets of columns that are judged, by name.
 
     ``all`` is the oracle's own: every family but the thesis's, without shortcuts. Then each family
-    alone; ``generic``, what any bag gives; ``without redundancy``, what is left if no second sensor
-    sees the same; and ``shortcuts``, which tell a run by who was there. Features without any finite
-    value are in none.
+    alone; ``generic``, what any bag gives; ``without redundancy``, for robots without redundant
+    sensors; and ``shortcuts``, which identify a run by its nodes and topics. Features without any
+    finite value are in none.
     """
     fields = field_metadata(df)
     has_value = np.isfinite(df[feature_columns(df)].to_numpy(dtype=np.float64)).any(axis=0)

@@ -28,9 +28,9 @@ class MeasuredRuns:
     Attributes
     ----------
     features : DataFrame
-        A row a run.
+        One row for each run.
     windows : DataFrame
-        A row a window, by start.
+        One row for each window, by start.
     run : ndarray of shape (n_windows,)
         Row of `features` that each window belongs to.
     """
@@ -98,7 +98,7 @@ class JudgedRuns(MeasuredRuns):
     Attributes
     ----------
     truth : DataFrame
-        A row a run (`truth.truth_table`).
+        One row for each run (`truth.truth_table`).
     """
 
     truth: pd.DataFrame
@@ -133,7 +133,7 @@ class JudgedRuns(MeasuredRuns):
     def attacked_windows(self) -> NDArray[np.bool_]:
         """Return the windows of attacked runs in which something was changed, (n_windows,).
 
-        A run that does not tell what it changed counts as changed from its onset on.
+        A run without a record of changes counts as changed from its onset on.
         """
         attacked = self.malicious[self.run] & (self.end_s > self.onset_s[self.run])
         for row in np.flatnonzero(self.malicious):
@@ -151,7 +151,7 @@ def _require_runs(features: pd.DataFrame, table: pd.DataFrame, name: str) -> Non
     if absent:
         raise EvaluationError(
             f"{len(absent)} runs, {absent[0]} the first, are not in the {name} table; "
-            "make the tables of the same runs again."
+            "materialize all tables again from the same runs."
         )
 
 

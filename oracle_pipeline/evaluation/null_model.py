@@ -1,4 +1,4 @@
-"""What the thesis's method says of runs whose labels mean nothing.
+"""The thesis's method on runs whose labels are meaningless.
 
 The durations of the thesis's runs are not published. These have what navigation gives: most runs
 alike, and a few that are many times longer, as after recoveries or at a timeout. No number of a run

@@ -1,4 +1,4 @@
-"""Whether what aircraft report of themselves by ADS-B is true, as far as others can tell.
+"""Whether ADS-B reports are consistent with radar and with each other.
 
 Reports are held against the secondary radar's replies of the same address, and against each
 other: who moves as it says moves on a line of its own reports. Each topic of reports is judged by
@@ -99,7 +99,7 @@ class ReportedFlight:
 
 @dataclass(frozen=True, slots=True)
 class _Reports:
-    """What reports of a recording say of each other."""
+    """How consistent the reports of a recording are with each other."""
 
     velocity: dict[str, Series]  # residuals, by topic and aircraft [m/s]
     intervals: dict[str, Series]  # between reports, by topic and aircraft [s]
@@ -182,7 +182,7 @@ def find_antenna(replies: Sequence[tuple[Floats, Replies]]) -> Site:
 
 
 def prepare_reports(window: Window) -> _Reports:
-    """Return what each aircraft's reports say of each other."""
+    """Return how consistent each aircraft's reports are with each other."""
     velocity, intervals, begun, ended = {}, {}, {}, {}
     for topic, series in window.topics["reports"].items():
         aircraft = flights(series)

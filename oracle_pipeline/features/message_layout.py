@@ -45,7 +45,7 @@ class _Repeated(NamedTuple):
     """The same fields again and again."""
 
     fields: "tuple[_Field, ...]"
-    times: int | None  # None: the message says how often
+    times: int | None  # None: given in the message
 
 
 _Field: TypeAlias = _Numbers | _Text | _Repeated
@@ -58,7 +58,7 @@ class MessageLayout:
     """
 
     def __init__(self, bag: BagReader, topic: str) -> None:
-        self._is_cdr = bag.serialization == "cdr"
+        self._is_cdr = bag.topics[topic].encoding != "ros1"
         self._has_header = False
         self._before: list[_Field] = []
         self._element: np.dtype[Any] | None = None

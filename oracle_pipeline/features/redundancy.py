@@ -3,7 +3,7 @@
 Every scanner is held against every other one, as the robot moved between their scans and as
 ``/tf_static`` mounts them. A thing that stands there is seen by all of them; a return through
 which another scanner looks is seen by nobody else, or that other one is blind to it. Both are the
-same contradiction, told from one side or the other, so the largest over the ordered pairs covers
+same contradiction, seen from one side or the other, so the largest over the ordered pairs covers
 both. No topic is trusted, and none is named.
 """
 

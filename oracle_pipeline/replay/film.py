@@ -235,7 +235,7 @@ class _Words:
         self.moving: list[Artist] = [self._clock, self._news]
 
     def show(self, moment: Moment) -> None:
-        """Tell of a moment."""
+        """Update the film to one moment."""
         scene = self._scene
         goal, reached = scene.goal_at(moment.time_s), int(scene.reached(moment.time_s).sum())
         news = [f"to goal {goal + 1} of {len(scene.goals)}"] if goal is not None else []

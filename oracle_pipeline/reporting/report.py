@@ -1,4 +1,4 @@
-"""What every report gives: tables, pictures and a few plain facts, kept together in one folder."""
+"""A report: tables, pictures and a few facts, stored together in one folder."""
 
 import json
 from collections.abc import Mapping
@@ -67,9 +67,11 @@ class Report:
             content = (directory / SUMMARY).read_bytes()
             summary = json.loads(content.decode())
         except (FileNotFoundError, ValueError) as error:
-            raise ReportError(f"{directory} holds no report ({error}); make it again.") from error
+            raise ReportError(
+                f"{directory} holds no report ({error}); materialize it again."
+            ) from error
         if seals.check(content) == "wrong":
-            raise ReportError(f"{directory / SUMMARY} is damaged; make the report again.")
+            raise ReportError(f"{directory / SUMMARY} is damaged; materialize the report again.")
         summary.pop(_SEAL, None)  # a report of an older release has none
         figures = {
             png.stem: png.read_bytes() for png in sorted((directory / FIGURES).glob("*.png"))

@@ -150,7 +150,8 @@ def side_by_side_table(
     Returns
     -------
     DataFrame
-        A row a printed result. ``thesis_*`` is what the thesis prints, or what follows from it.
+        One row for each printed result. ``thesis_*`` is what the thesis prints, or what follows
+        from it.
         ``reproduced_recall``, ``_fpr`` and ``_auc`` are the same by the thesis's variant: of the
         best cluster, chosen with labels. ``corrected_tpr`` and ``_fpr`` are of the verdict without
         labels and ``corrected_auc`` of the HAC height, by the corrected variant.
@@ -235,13 +236,14 @@ def _renamed(table: pd.DataFrame, prefix: str, **estimates: str) -> pd.DataFrame
 
 
 def null_model_table(repetitions: int, seed: int) -> pd.DataFrame:
-    """Tabulate what the thesis's method says of labels without meaning.
+    """Tabulate the results of the thesis's method on meaningless labels.
 
     Returns
     -------
     DataFrame
-        A row a share of very long runs, ``p_long``. Of the best cluster ``recall``, ``fpr`` and
-        ``auc``: the median of the repetitions and, ``_low`` and ``_high``, where 95% of them lie.
+        One row for each share of very long runs, ``p_long``. Of the best cluster ``recall``,
+        ``fpr`` and ``auc``: the median of the repetitions and, ``_low`` and ``_high``, where 95%
+        of them lie.
         ``reaches_headline`` is the share with the recall that the thesis reports, or more.
     """
     table = []

@@ -16,6 +16,7 @@ from typing import Any
 
 from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.bags.integrity import hashes_of_files, require_undamaged
+from oracle_pipeline.bags.layout import GRID_INDEX
 from oracle_pipeline.bags.manifest import Manifest, Measured
 from oracle_pipeline.bags.run_directory import (
     BAG_FOLDER,
@@ -31,8 +32,6 @@ from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.offline import Summary, mutate_bag
 from sim.software import software
 from sim.testbed import Mode
-
-INDEX_FILE = "grid.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +143,7 @@ def write_index(root: Path, mode: Mode, mutants: Sequence[Mutant]) -> Path:
             changed = sum(change.messages for change in directory.manifest().changes)
             rows.append(_row(directory, mutant, changed))
     root.mkdir(parents=True, exist_ok=True)
-    path = root / INDEX_FILE
+    path = root / GRID_INDEX
     path.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
     return path
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.campaigns import Campaign, CampaignError, Options
+from sim.campaigns import Campaign, Options, RecipeError
 from sim.middleware.geometry import Pose2D
 from sim.nav2.costmap import LETHAL, Costmap2D
 from sim.nav2.costmap_layers import GLOBAL_COST_SCALING, InflationLayer, static_costs
@@ -169,11 +169,11 @@ def draw(
 
     Raises
     ------
-    CampaignError
+    RecipeError
         If the mode is an attack and its node is to be absent.
     """
     if campaign.options.wiring == "absent" and mode.label == "malicious":
-        raise CampaignError(f"{mode.id} without its node is no attack; take a passthrough mode.")
+        raise RecipeError(f"{mode.id} without its node is no attack; take a passthrough mode.")
     block = draw_block(campaign.seed, run, campaign.goals_per_run)
     return TurtleBot3Recipe(
         mode=mode.id,

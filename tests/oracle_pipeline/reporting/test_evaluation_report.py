@@ -6,13 +6,13 @@ import pandas as pd
 import pytest
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.evaluation import campaign_evaluation as evaluation
 from oracle_pipeline.evaluation import integrity, metrics
-from oracle_pipeline.evaluation import oracle_evaluation as evaluation
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.reporting.evaluation_report import evaluation_report, in_words
 from oracle_pipeline.reporting.report import Report
 from tests.oracle_pipeline.datasets.synthetic import CONTROLS, MODES, campaign, run_features
-from tests.oracle_pipeline.evaluation.test_kill_matrix import grid_of
+from tests.oracle_pipeline.evaluation.test_kill_rates import grid_of
 
 
 def oracle_evaluation(*tables, **options):
@@ -166,7 +166,7 @@ def test_no_flipped_bit_of_a_report_gives_another_one(name, tmp_path):
 @pytest.mark.parametrize(
     ("area", "words"),
     [
-        (Estimate(0.5, 0.3, 0.7), "cannot be told apart"),
+        (Estimate(0.5, 0.3, 0.7), "cannot be distinguished"),
         (Estimate(0.2, 0.1, 0.3), "below chance"),
         (Estimate(0.8, 0.6, 0.9), "not reliably"),
         (Estimate(0.99, 0.9, 1.0), "clearly"),

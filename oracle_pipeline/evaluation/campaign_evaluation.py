@@ -42,7 +42,7 @@ from oracle_pipeline.evaluation.held_out import (
     window_scores,
 )
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns, MeasuredRuns
-from oracle_pipeline.evaluation.kill_matrix import kill_matrix
+from oracle_pipeline.evaluation.kill_rates import kill_matrix
 from oracle_pipeline.evaluation.splits import (
     BLOCK,
     HARMLESS,
@@ -63,7 +63,7 @@ Row = dict[str, float | int | str]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Evaluation:
+class CampaignEvaluation:
     """What was measured of one campaign."""
 
     campaign: JudgedRuns
@@ -87,7 +87,7 @@ def evaluate(
     grid: MeasuredRuns | None = None,
     seed: int = SEED,
     progress: Progress = lambda _: None,
-) -> Evaluation:
+) -> CampaignEvaluation:
     """Judge the detector panel on held-out blocks, and the headline's scorer in every way.
 
     Parameters
@@ -101,7 +101,7 @@ def evaluate(
     graph_differences : sequence of str, optional
         Between graphs of pairs that should be equal; None if they were not compared.
     grid : MeasuredRuns, optional
-        Attacked runs at several magnitudes (`kill_matrix.kill_matrix`).
+        Attacked runs at several magnitudes (`kill_rates.kill_matrix`).
     seed : int
         Of splits, detectors and resamples.
     progress : callable
@@ -123,7 +123,7 @@ def evaluate(
     if grid is not None:
         progress("kill matrix")
         kills = kill_matrix(steps.campaign, grid, seed)
-    return Evaluation(
+    return CampaignEvaluation(
         campaign=steps.campaign,
         left_out=len(features) - len(steps.campaign.features),
         seed=seed,

@@ -4,7 +4,7 @@ import pytest
 
 from oracle_pipeline.evaluation.comparisons import HEADLINE
 from oracle_pipeline.evaluation.judged_runs import EvaluationError, MeasuredRuns
-from oracle_pipeline.evaluation.kill_matrix import kill_matrix, minimum_detectable, mutation_scores
+from oracle_pipeline.evaluation.kill_rates import kill_matrix, minimum_detectable, mutation_scores
 from tests.oracle_pipeline.datasets.synthetic import ATTACKED, MODES, campaign
 
 

@@ -30,10 +30,10 @@ def kill_matrix(
 ) -> pd.DataFrame:
     """Return how many runs of each magnitude each oracle kills.
 
-    Oracles are the scorers of the evaluation, and the headline's once more where nobody told it
-    what is harmless (``split``): an attack that is weaker than what was declared harmless is right
-    by that declaration. They are fitted on and calibrated with right runs of the campaign's blocks
-    that the grid does not use: a grid made offline mutates runs of the campaign itself.
+    Oracles are the scorers of the evaluation, and the headline's once more without hard negatives
+    in its training (``split``): an attack that is weaker than a harmless change is normal for an
+    oracle that was fitted on such changes. They are fitted and calibrated with normal runs of the
+    campaign's blocks that the grid does not use: a grid made offline mutates the campaign's runs.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def kill_matrix(
     CampaignError
         The grid lacks a column, or the campaign has no features.
     ConformalError
-        Too few right runs are left to calibrate with.
+        Too few normal runs are left to calibrate with.
     """
     sets = feature_sets(campaign.features)
     if not sets.get("all"):
@@ -82,7 +82,7 @@ def kill_matrix(
             columns, detector = sets[scorer.features], detectors[scorer.detector]
             scores = held_out(runs, columns, detector, folds, scorer.level)
         except DetectorError:
-            continue  # its row in the evaluation's table says why
+            continue  # its row in the evaluation's table gives the reason
         verdicts = grid.features[list(REQUIRED)].assign(killed=scores.p[mutants] <= rate)
         tables.append(_counted(verdicts).assign(**scorer._asdict(), split=split))
     columns = [*ORACLE, *OPERATOR, "value", "mutants", "equivalent", "killed"]
