@@ -55,6 +55,17 @@ class MeasuredRuns:
         of_runs = of_runs.sort_values(["run_id", "window_start_s"], ignore_index=True)
         return cls(runs, of_runs, number.loc[of_runs["run_id"]].to_numpy(dtype=np.intp))
 
+    def where(self, chosen: NDArray[np.bool_]) -> "MeasuredRuns":
+        """Return the runs of a mask of shape (n_runs,), with their windows."""
+        kept = chosen[self.run]
+        number = np.cumsum(chosen) - 1
+        features, windows = self.features[chosen], self.windows[kept]
+        return MeasuredRuns(
+            features.reset_index(drop=True),
+            windows.reset_index(drop=True),
+            number[self.run[kept]].astype(np.intp),
+        )
+
     def followed_by(self, others: "MeasuredRuns") -> "MeasuredRuns":
         """Return these runs and then others, with the columns of these."""
         return MeasuredRuns(
