@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
-from oracle_pipeline.evaluation.campaign import Runs
 from oracle_pipeline.evaluation.conformal import ConformalError
-from oracle_pipeline.reference.scorer import Design, RunScorer
+from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
+from oracle_pipeline.scoring.run_scorer import Design, RunScorer
 
 FOLDS = 10
 MIN_BLOCKS = 3  # two to fit on, one to hold out
@@ -62,12 +62,12 @@ class CrossConformalScorer:
         self.design = design
         self.folds = folds
 
-    def fit(self, runs: Runs, rng: np.random.Generator) -> Self:
+    def fit(self, runs: MeasuredRuns, rng: np.random.Generator) -> Self:
         """Learn from normal runs.
 
         Parameters
         ----------
-        runs : Runs
+        runs : MeasuredRuns
             Normal ones only.
         rng : Generator
             Deals the blocks into folds.
@@ -98,7 +98,7 @@ class CrossConformalScorer:
         self.held_out_ = self._combined(by_level)
         return self
 
-    def scores(self, runs: Runs) -> NDArray[np.float64]:
+    def scores(self, runs: MeasuredRuns) -> NDArray[np.float64]:
         """Return each run's score by each fold's scorer, shape (n_folds, n_runs).
 
         The unit is the spread of held-out normal runs; 0 is their median. Higher is more anomalous.

@@ -3,10 +3,10 @@ import pytest
 
 from oracle_pipeline.datasets import feature_columns, feature_floors
 from oracle_pipeline.detectors import panel
-from oracle_pipeline.evaluation.campaign import Runs
 from oracle_pipeline.evaluation.conformal import ConformalError
-from oracle_pipeline.reference.cross_conformal import CrossConformalScorer, dealt
-from oracle_pipeline.reference.scorer import Design
+from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
+from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer, dealt
+from oracle_pipeline.scoring.run_scorer import Design
 from tests.oracle_pipeline.datasets.synthetic import campaign
 
 NORMAL = {"lidar_passthrough": "normal"}
@@ -15,7 +15,7 @@ ATTACKED = {"fake_object": "malicious"}
 
 def runs(number, seed, modes=NORMAL, effect=0.0):
     features, windows, _ = campaign(number, effect, seed, modes)
-    return Runs.ordered(features, windows)
+    return MeasuredRuns.ordered(features, windows)
 
 
 def design(of, detector="mahalanobis"):
@@ -87,7 +87,7 @@ def test_a_block_has_one_vote_however_many_runs_it_has(normal, scorer):
 
 def test_the_order_of_the_recordings_does_not_matter(normal, scorer):
     backwards = normal.features.iloc[::-1], normal.windows.iloc[::-1]
-    other = learned(Runs.ordered(*backwards))
+    other = learned(MeasuredRuns.ordered(*backwards))
     attacked = runs(5, seed=1, modes=ATTACKED, effect=3.0)
     np.testing.assert_array_equal(other.scores(attacked), scorer.scores(attacked))
 

@@ -1,7 +1,7 @@
 """How unusual a run is: by its features, and by those of its most unusual windows.
 
 Two levels, two scores. How they become one number and a p-value is in
-``oracle_pipeline.reference.cross_conformal``.
+``oracle_pipeline.scoring.cross_conformal``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 
 from oracle_pipeline.detectors import Detector, pipeline
-from oracle_pipeline.evaluation.campaign import Runs
+from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
 
 LEVELS = ("run", "windows")
 TOP_WINDOWS = 3  # the mean score of so many windows stands for the run
@@ -60,7 +60,7 @@ class RunScorer:
     def __init__(self, design: Design) -> None:
         self.design = design
 
-    def fit(self, runs: Runs) -> Self:
+    def fit(self, runs: MeasuredRuns) -> Self:
         """Learn what normal runs look like.
 
         Raises
@@ -80,7 +80,7 @@ class RunScorer:
                 self.models_[level] = model.fit(table[list(columns)])
         return self
 
-    def score(self, runs: Runs) -> NDArray[np.float64]:
+    def score(self, runs: MeasuredRuns) -> NDArray[np.float64]:
         """Return the scores of each run, shape (n_runs, n_levels)."""
         scores = []
         for level, model in self.models_.items():
@@ -90,7 +90,7 @@ class RunScorer:
                 scores.append(top_windows(self.score_windows(runs), runs, self.windows_counted_))
         return np.column_stack(scores)
 
-    def score_windows(self, runs: Runs) -> NDArray[np.float64]:
+    def score_windows(self, runs: MeasuredRuns) -> NDArray[np.float64]:
         """Return the score of each window, shape (n_windows,)."""
         columns = list(self.design.window_features)
         return np.asarray(
@@ -99,14 +99,14 @@ class RunScorer:
 
 
 def top_windows(
-    scores: NDArray[np.float64], runs: Runs, windows_counted: int
+    scores: NDArray[np.float64], runs: MeasuredRuns, windows_counted: int
 ) -> NDArray[np.float64]:
     """Return the mean of the highest window scores of each run, shape (n_runs,).
 
     Parameters
     ----------
     scores : ndarray of shape (n_windows,)
-    runs : Runs
+    runs : MeasuredRuns
         Whose windows these are.
     windows_counted : int
         Later windows of a run are left out.

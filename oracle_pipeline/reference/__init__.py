@@ -1,1 +1,0 @@
-"""The one scorer: learned from normal recordings, calibrated on the same ones, kept in a card."""
