@@ -193,7 +193,8 @@ def _scorer(facts: Mapping[str, Any], models: list[dict[str, Any]]) -> CrossConf
         of_fold.windows_counted_ = counted
         of_fold.models_ = {
             state["level"]: _restored(state, design["floors"])
-            for state in models if state["fold"] == fold
+            for state in models
+            if state["fold"] == fold
         }
         scorer.scorers_.append(of_fold)
     return scorer

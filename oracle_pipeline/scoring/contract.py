@@ -199,7 +199,7 @@ def _graph_elements(run: OpenedRun) -> frozenset[str]:
     """Return nodes and edges; process suffixes count as the same name."""
     graph = compose(interval.graph for interval in run.intervals)
     name = {vertex: _PROCESS_SUFFIX.sub("*", vertex) for vertex in graph}
-    nodes = {name[vertex] for vertex, kind in graph.nodes(data="kind") if kind == "node"}
+    nodes = {name[vertex] for vertex, data in graph.nodes(data=True) if data["kind"] == "node"}
     return frozenset(
         nodes | {f"{name[source]} -> {name[target]}" for source, target in graph.edges}
     )
