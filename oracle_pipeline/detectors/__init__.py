@@ -1,6 +1,6 @@
 """The detector panel: from scaled features of normal runs to a score of any one run.
 
-Detectors are scikit-learn estimators. ``oracle_pipeline.evaluation.conformal`` turns their scores
+Detectors are scikit-learn estimators. ``oracle_pipeline.scoring.conformal`` turns their scores
 into verdicts with a known false-alarm rate.
 """
 

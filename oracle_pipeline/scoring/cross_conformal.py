@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
-from oracle_pipeline.evaluation.conformal import ConformalError
-from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
+from oracle_pipeline.scoring.conformal import ConformalError
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.run_scorer import Design, RunScorer
 
 FOLDS = 10

@@ -14,7 +14,7 @@ from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 
 from oracle_pipeline.detectors import Detector, pipeline
-from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 LEVELS = ("run", "windows")
 TOP_WINDOWS = 3  # the mean score of so many windows stands for the run

@@ -3,9 +3,9 @@ import pytest
 
 from oracle_pipeline.datasets import feature_columns, feature_floors
 from oracle_pipeline.detectors import panel
-from oracle_pipeline.evaluation.conformal import ConformalError
-from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
+from oracle_pipeline.scoring.conformal import ConformalError
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer, dealt
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.run_scorer import Design
 from tests.oracle_pipeline.datasets.synthetic import campaign
 
