@@ -4,9 +4,9 @@ import hashlib
 
 import numpy as np
 import pytest
-from test_import_rule import ROOT, imports, within
 
 from bench import yardstick
+from tests.test_import_rule import ROOT, imports, within
 
 SHA256 = "10c5e86d1c68ad8b54da0ff8c60f99186390648418da127081db27cb5660e9ee"
 
