@@ -27,13 +27,14 @@ remember_profiles()
 
 # The newest that Humble's `ros2 bag` opens; 9 turns the QoS profiles into a list it cannot parse.
 _METADATA_VERSION: Literal[8] = 8
+_BATCH_BYTES = 2**18  # of messages are packed, stored and hashed at a time
 _NO_HASH = f"RIHS01_{'0' * 64}"  # rosbags insists on one; ROS compares it only where both have one
 
 
 class _Topic:
     """A topic on its way into the bag; ``connection`` is set from its first message on."""
 
-    __slots__ = ("connection", "count", "definition", "msgtype", "prefix", "qos")
+    __slots__ = ("channel", "connection", "count", "definition", "msgtype", "prefix", "qos")
 
     def __init__(self, name: str, msgtype: str, qos: list[Qos], definition: TypeDefinition) -> None:
         self.msgtype = msgtype
@@ -41,6 +42,7 @@ class _Topic:
         self.definition = definition
         self.prefix = ContentHash.prefix(name, msgtype)
         self.connection: Connection | None = None
+        self.channel = 0  # identifier of the connection
         self.count = 0
 
 
@@ -65,7 +67,8 @@ class BagWriter:
     Raises
     ------
     BagError
-        If the path exists, a topic is unknown or has two types, or the disk is full.
+        If the path exists, a topic is unknown or has two types, or the disk is full: that shows
+        with a later message, or at the end, since messages are stored in batches.
 
     Examples
     --------
@@ -79,6 +82,8 @@ class BagWriter:
         self.message_bytes = 0
         self._hash = ContentHash()
         self._topics: dict[str, _Topic] = {}
+        self._pending: list[tuple[_Topic, int, bytes]] = []  # written, but not yet handed on
+        self._pending_bytes = 0
         # rosbags names the file after the folder, rosbag2 adds "_0": so it is written as
         # "<name>_0" and the folder is renamed at the end.
         self._unfinished = path.with_name(f"{path.name}_0")
@@ -109,6 +114,7 @@ class BagWriter:
     @property
     def content_hash(self) -> str:
         """SHA-256 over (topic, type, stamp, payload) of the messages, in recorded order."""
+        self._flush()
         return self._hash.hexdigest()
 
     def add_topic(
@@ -156,18 +162,30 @@ class BagWriter:
         data : bytes
             CDR bytes, encapsulation header included.
         """
-        try:
-            entry = self._topics[topic]
-        except KeyError:
-            raise BagError(f"{topic} is unknown to {self.path}; call add_topic first.") from None
-        try:
-            connection = entry.connection or self._connect(topic, entry)
-            self._writer.write(connection, stamp_ns, data)
-        except (OSError, sqlite3.Error, WriterError) as error:
-            raise self._error(error) from error
-        self._hash.add(entry.prefix, stamp_ns, data)
+        entry = self._topics.get(topic)
+        if entry is None:
+            raise BagError(f"{topic} is unknown to {self.path}; call add_topic first.")
+        if entry.connection is None:
+            self._flush()
+            with self._errors():
+                self._connect(topic, entry)
+        self._pending.append((entry, stamp_ns, data))
         entry.count += 1
         self.message_bytes += len(data)
+        self._pending_bytes += len(data)
+        if self._pending_bytes > _BATCH_BYTES:
+            self._flush()
+
+    def _flush(self) -> None:
+        """Hand what was written so far to the storage and to the hash."""
+        if not self._pending:
+            return
+        entries, stamps, payloads = zip(*self._pending, strict=True)
+        self._pending.clear()
+        self._pending_bytes = 0
+        with self._errors():
+            self._writer.write_many([entry.channel for entry in entries], stamps, payloads)
+        self._hash.add_many([entry.prefix for entry in entries], stamps, payloads)
 
     def __enter__(self) -> Self:
         return self
@@ -182,6 +200,7 @@ class BagWriter:
             self._discard()
             return
         try:
+            self._flush()
             with self._errors():
                 for name, topic in self._topics.items():
                     if topic.connection is None:
@@ -192,7 +211,7 @@ class BagWriter:
             self._discard()
             raise
 
-    def _connect(self, name: str, topic: _Topic) -> Connection:
+    def _connect(self, name: str, topic: _Topic) -> None:
         topic.connection = self._writer.add_connection(
             name,
             topic.msgtype,
@@ -200,7 +219,7 @@ class BagWriter:
             rihs01=topic.definition.type_hash or _NO_HASH,
             offered_qos_profiles=topic.qos,
         )
-        return topic.connection
+        topic.channel = topic.connection.id
 
     def _discard(self) -> None:
         # Closing flushes: on a full disk it fails as the write did, and that error is on its way.

@@ -78,8 +78,20 @@ def test_a_record_packed_in_one_go_is_the_one_that_rosbags_writes(tmp_path):
             channels = [_channel(writer, topic) for topic in ("/clock", "/late")]
             for i in range(2000):  # more than a chunk
                 writer.write(channels[i % 2], 10**9 - i, bytes(i % 1500))
-        files.append((tmp_path / name / "bag" / "bag.mcap").read_bytes())
+        files.append(without_checksums(tmp_path / name / "bag" / "bag.mcap"))
     assert files[0] == files[1]
+
+
+def without_checksums(path):
+    """Return the bytes of an MCAP file with zeros where its checksums are: rosbags writes none."""
+    content, at = bytearray(path.read_bytes()), 8
+    while at < len(content) - 8:
+        end = at + 9 + int.from_bytes(content[at + 1 : at + 9], "little")
+        checksums = {0x06: at + 9 + 24, 0x0F: end - 4, 0x02: end - 4}  # chunk, data end, footer
+        if (checksum := checksums.get(content[at])) is not None:
+            content[checksum : checksum + 4] = bytes(4)
+        at = end
+    return bytes(content)
 
 
 def _channel(writer, topic):
