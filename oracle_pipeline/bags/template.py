@@ -57,18 +57,23 @@ class Template:
         self._row = np.frombuffer(data, np.uint8)
         self._buffer = bytearray(data)
         self._packers = [
-            (struct.Struct(f"<{math.prod(shape)}{np.dtype(kind).char}").pack_into, _HEADER + offset)
+            (
+                struct.Struct(f"<{math.prod(shape)}{np.dtype(kind).char}").pack_into,
+                _HEADER + offset,
+                bool(shape),
+            )
             for (kind, shape), offset in numbers.values()
         ]
 
     def data(self, *values: float | Sequence[float]) -> bytes:
         """Return one message: a value a field, or its row of numbers."""
-        for (pack_into, offset), value in zip(self._packers, values, strict=True):
-            if isinstance(value, Sequence):
-                pack_into(self._buffer, offset, *value)
+        buffer = self._buffer
+        for (pack_into, offset, is_row), value in zip(self._packers, values, strict=True):
+            if is_row:
+                pack_into(buffer, offset, *value)  # type: ignore[misc]  # it is a sequence
             else:
-                pack_into(self._buffer, offset, value)
-        return bytes(self._buffer)
+                pack_into(buffer, offset, value)
+        return bytes(buffer)
 
     def rows(self, count: int) -> NDArray[np.void]:
         """Return ``count`` copies, as a structured array with a column a field, to write to."""

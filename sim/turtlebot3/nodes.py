@@ -25,8 +25,9 @@ from sim.middleware.tf import TransformBroadcaster, planar_transform, transforms
 from sim.turtlebot3 import frames
 from sim.turtlebot3.camera import add_depth_camera
 from sim.turtlebot3.map import OdometrySource
+from sim.turtlebot3.mjcf import WHEEL_RADIUS_M, WHEEL_SEPARATION_M
 from sim.turtlebot3.wheel_odometry import WheelOdometry
-from sim.turtlebot3.world import WHEEL_RADIUS_M, WHEEL_SEPARATION_M, ImuSamples, World
+from sim.turtlebot3.world import ImuSamples, World
 
 _Clock = message_class("rosgraph_msgs/msg/Clock")
 _Imu = message_class("sensor_msgs/msg/Imu")

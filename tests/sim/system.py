@@ -16,8 +16,9 @@ from sim.middleware.geometry import Pose2D
 from sim.nav2.bringup import bring_up
 from sim.recording import DEBUG_TOPICS, Recorder
 from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
+from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.nodes import LidarNoise, add_robot
-from sim.turtlebot3.world import World, WorldParameters
+from sim.turtlebot3.world import World
 from tests.sim import humble
 
 DOC = Path(__file__).parents[2] / "docs" / "testbed.md"
