@@ -21,8 +21,9 @@ from sim.atc.recipes import AtcCampaign, AtcRecipe, atc_recipe_for
 from sim.middleware.geometry import Pose2D
 from sim.modes import Conditions, Mode, modes
 from sim.nav2.costmap import LETHAL, Costmap2D
-from sim.nav2.costmap_layers import GLOBAL_COST_SCALING, InflationLayer, static_costs
+from sim.nav2.costmap_layers import static_costs
 from sim.nav2.footprint import INSCRIBED_RADIUS
+from sim.nav2.inflation import GLOBAL_COST_SCALING, InflationLayer
 from sim.nav2.navfn import plan
 from sim.seeds import generator, node_generator, sequence
 from sim.turtlebot3.arena import RING, clearance

@@ -29,15 +29,13 @@ from sim.nav2.costmap import (
     occupancy_grid,
 )
 from sim.nav2.costmap_layers import (
-    COST_SCALING,
-    GLOBAL_COST_SCALING,
-    InflationLayer,
     Observation,
     ObstacleLayer,
     shift,
     static_costs,
 )
 from sim.nav2.footprint import FOOTPRINT, INSCRIBED_RADIUS, polygon_message
+from sim.nav2.inflation import COST_SCALING, GLOBAL_COST_SCALING, InflationLayer
 from sim.nav2.laser import scan_points
 from sim.nav2.lifecycle import LifecycleNode
 
