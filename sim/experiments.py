@@ -38,8 +38,9 @@ from sim.software import software
 from sim.turtlebot3.arena import Cylinder
 from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
 from sim.turtlebot3.mjcf import WorldParameters
-from sim.turtlebot3.nodes import LidarNoise, add_robot
+from sim.turtlebot3.nodes import add_robot
 from sim.turtlebot3.odometer import Odometer
+from sim.turtlebot3.sensors import LidarNoise
 from sim.turtlebot3.world import World
 
 BRING_UP_NS = 20 * SECOND  # Nav2 must be active by then

@@ -4,9 +4,10 @@ A sensor sends the same frame, covariances and field names two hundred times a s
 message is serialised once and numpy writes the numbers over it, for many messages at a time.
 """
 
+import functools
 import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 """The fields of a header's stamp, which differs in every message."""
 
 _NUMPY_NAMES = {"byte": "int8", "char": "uint8", "octet": "uint8"}  # others are numpy's own
+_ARRAY = 64  # numbers from which on numpy writes a row sooner than struct
 _HEADER = 4  # bytes of CDR's encapsulation; alignment counts from behind them
 
 
@@ -56,24 +58,29 @@ class Template:
         )
         self._row = np.frombuffer(data, np.uint8)
         self._buffer = bytearray(data)
-        self._packers = [
-            (
-                struct.Struct(f"<{math.prod(shape)}{np.dtype(kind).char}").pack_into,
-                _HEADER + offset,
-                bool(shape),
-            )
+        self._fill = [
+            self._filler(np.dtype(kind), shape, _HEADER + offset)
             for (kind, shape), offset in numbers.values()
         ]
 
-    def data(self, *values: float | Sequence[float]) -> bytes:
+    def _filler(
+        self, kind: np.dtype[Any], shape: tuple[int, ...], offset: int
+    ) -> Callable[[Any], None]:
+        """Return what writes a value of a field into the buffer."""
+        buffer, count = self._buffer, math.prod(shape)
+        if count > _ARRAY:
+            numpy_view = np.frombuffer(buffer, kind, count, offset)
+            return functools.partial(numpy_view.__setitem__, slice(None))
+        pack = struct.Struct(f"<{count}{kind.char}").pack_into
+        if shape:
+            return lambda row: pack(buffer, offset, *row)
+        return functools.partial(pack, buffer, offset)
+
+    def data(self, *values: Any) -> bytes:
         """Return one message: a value a field, or its row of numbers."""
-        buffer = self._buffer
-        for (pack_into, offset, is_row), value in zip(self._packers, values, strict=True):
-            if is_row:
-                pack_into(buffer, offset, *value)  # type: ignore[misc]  # it is a sequence
-            else:
-                pack_into(buffer, offset, value)
-        return bytes(buffer)
+        for fill, value in zip(self._fill, values, strict=True):
+            fill(value)
+        return bytes(self._buffer)
 
     def rows(self, count: int) -> NDArray[np.void]:
         """Return ``count`` copies, as a structured array with a column a field, to write to."""
