@@ -69,8 +69,8 @@ class Template:
         """Return what writes a value of a field into the buffer."""
         buffer, count = self._buffer, math.prod(shape)
         if count > _ARRAY:
-            numpy_view = np.frombuffer(buffer, kind, count, offset)
-            return functools.partial(numpy_view.__setitem__, slice(None))
+            numbers = np.frombuffer(buffer, kind, count, offset)
+            return lambda row: numbers.__setitem__(slice(None), np.ravel(row))
         pack = struct.Struct(f"<{count}{kind.char}").pack_into
         if shape:
             return lambda row: pack(buffer, offset, *row)
