@@ -85,11 +85,11 @@ class Recorder(Node):
         latched = all(qos.is_latched(profile) for profile in offered)
         requested = qos.profile(10, reliable=reliable, latched=latched)
 
-        executor, clock, append = self.domain.executor, self._receive_clock, self._writer.write
+        executor, clock, store = self.domain.executor, self._receive_clock, self._writer.write
 
         def write(data: bytes) -> None:
             now_ns = executor.now_ns
-            append(topic, now_ns if clock is None else clock.stamp_ns(now_ns), data)
+            store(topic, now_ns if clock is None else clock.stamp_ns(now_ns), data)
 
         self.create_subscription(msgtype, topic, write, requested, raw=True)
 

@@ -6,6 +6,7 @@ profiles, and errors that name the bag. Nothing depends on the clock: equal call
 
 import shutil
 import sqlite3
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -59,11 +60,6 @@ class BagWriter:
         MCAP is compressed by chunk with zstd. SQLite is not compressed: rosbag2 can only compress
         the whole file or each blob, and then no plain SQLite reader opens it.
 
-    Attributes
-    ----------
-    message_bytes : int
-        Payload bytes written so far, before compression.
-
     Raises
     ------
     BagError
@@ -79,11 +75,10 @@ class BagWriter:
 
     def __init__(self, path: Path, storage: Literal["mcap", "sqlite3"] = "mcap") -> None:
         self.path = path
-        self.message_bytes = 0
         self._hash = ContentHash()
         self._topics: dict[str, _Topic] = {}
         self._pending: list[tuple[_Topic, int, bytes]] = []  # written, but not yet handed on
-        self._pending_bytes = 0
+        self._pending_bytes = self._stored_bytes = 0
         # rosbags names the file after the folder, rosbag2 adds "_0": so it is written as
         # "<name>_0" and the folder is renamed at the end.
         self._unfinished = path.with_name(f"{path.name}_0")
@@ -100,13 +95,20 @@ class BagWriter:
             self._writer.open()
 
     @property
+    def message_bytes(self) -> int:
+        """Payload bytes written so far, before compression."""
+        return self._stored_bytes + self._pending_bytes
+
+    @property
     def counts(self) -> dict[str, int]:
         """Messages written so far, by topic; topics without any included."""
+        self._flush()
         return {name: topic.count for name, topic in self._topics.items()}
 
     @property
     def topics(self) -> dict[str, TopicCount]:
         """What the bag holds of each topic so far, for the manifest."""
+        self._flush()
         return {
             name: TopicCount(topic.msgtype, topic.count) for name, topic in self._topics.items()
         }
@@ -163,18 +165,23 @@ class BagWriter:
             CDR bytes, encapsulation header included.
         """
         entry = self._topics.get(topic)
-        if entry is None:
-            raise BagError(f"{topic} is unknown to {self.path}; call add_topic first.")
-        if entry.connection is None:
-            self._flush()
-            with self._errors():
-                self._connect(topic, entry)
+        if entry is None or entry.connection is None:
+            entry = self._begin(topic)
         self._pending.append((entry, stamp_ns, data))
-        entry.count += 1
-        self.message_bytes += len(data)
         self._pending_bytes += len(data)
         if self._pending_bytes > _BATCH_BYTES:
             self._flush()
+
+    def _begin(self, topic: str) -> _Topic:
+        """Make a topic ready for its first message."""
+        try:
+            entry = self._topics[topic]
+        except KeyError:
+            raise BagError(f"{topic} is unknown to {self.path}; call add_topic first.") from None
+        self._flush()
+        with self._errors():
+            self._connect(topic, entry)
+        return entry
 
     def _flush(self) -> None:
         """Hand what was written so far to the storage and to the hash."""
@@ -182,7 +189,10 @@ class BagWriter:
             return
         entries, stamps, payloads = zip(*self._pending, strict=True)
         self._pending.clear()
+        self._stored_bytes += self._pending_bytes
         self._pending_bytes = 0
+        for entry, count in Counter(entries).items():
+            entry.count += count
         with self._errors():
             self._writer.write_many([entry.channel for entry in entries], stamps, payloads)
         self._hash.add_many([entry.prefix for entry in entries], stamps, payloads)

@@ -97,11 +97,13 @@ class Publisher:
 
         ``data`` are its CDR bytes, if the caller has them cheaper than by serialising.
         """
+        self.messages += 1
         if self._recorders:
             if data is None:
                 data = serialize(message, self.msgtype)
-            self._record(data)
-        self.messages += 1
+            self.message_bytes += len(data)
+            for record in self._recorders:
+                record(data)
         if self.retained is not None:
             self.retained.append(Sample(self.msgtype, message, data))
         now_ns, call_at = self.executor.now_ns, self.executor.call_at
@@ -110,16 +112,13 @@ class Publisher:
 
     def publish_serialized(self, data: bytes) -> None:
         """Send CDR bytes as they are; they become a message if somebody listens."""
-        if self._recorders:
-            self._record(data)
         self.messages += 1
+        if self._recorders:
+            self.message_bytes += len(data)
+            for record in self._recorders:
+                record(data)
         if self._listeners or self.retained is not None:
             self._hand_on(Sample(self.msgtype, data=data))
-
-    def _record(self, data: bytes) -> None:
-        self.message_bytes += len(data)
-        for record in self._recorders:
-            record(data)
 
     def _hand_on(self, sample: Sample) -> None:
         if self.retained is not None:

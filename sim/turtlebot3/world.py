@@ -5,6 +5,7 @@ rates belong to the sensors' nodes. Frames: the world's, and the robot's ``base_
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -15,12 +16,12 @@ from numpy.typing import NDArray
 from sim.middleware.geometry import Pose2D, quaternion_yaw, wrap_angle
 from sim.turtlebot3.arena import BLOCKS, CYLINDERS, RING
 from sim.turtlebot3.clear_space import ClearSpace
-from sim.turtlebot3.mjcf import STEP_NS, WorldParameters, mjcf, pieces
+from sim.turtlebot3.mjcf import STATIC, STEP_NS, WorldParameters, mjcf, pieces
+from sim.turtlebot3.rays import Piece, Rays
 
 _EPISODE_GAP_NS = 1_000_000_000  # a robot that grinds along a wall bounces off and on
 
-# By geom group. LiDAR rays are horizontal; a camera sees the floor too.
-_SEEN_BY_LIDARS = np.array([1, 0, 0, 0, 0, 0], np.uint8)
+# By geom group: a camera sees the floor too.
 _SEEN_BY_CAMERAS = np.array([1, 0, 1, 0, 0, 0], np.uint8)
 
 # A state is time, positions (robot: x, y, z, quaternion w, x, y, z; wheels) and their speeds.
@@ -89,6 +90,8 @@ class World:
         self._rollout = Rollout(nthread=0)
         self._command = np.zeros(self._model.nu)
         self._now_ns = 0
+        self._pose_ns = self._state_ns = -1  # when the two below were of now
+        self._pose, self._numbers = start, list[float]()
         # What is known of the steps from ``_first`` on, up to before ``_unknown_ns``.
         self._first = 0
         self._unknown_ns = STEP_NS
@@ -99,6 +102,7 @@ class World:
         self._pieces = [*pieces(parameters)]
         self._last_touch_ns: dict[str, int] = {}
         self.touches: list[Touch] = []
+        self._rays = Rays(self._seen_by_lidars())
         # The last row is the sky: a ray that hits nothing reports geom -1.
         self._colours = np.vstack([self._model.geom_rgba[:, :3], _SKY_RGB])
 
@@ -132,26 +136,41 @@ class World:
     @property
     def pose(self) -> Pose2D:
         """Ground truth of ``base_footprint`` in the world."""
-        state = self._states[self._row]
-        x, y, _ = state[_POSITION].tolist()
-        w, qx, qy, qz = state[_QUATERNION].tolist()
-        vx, vy, _ = state[_VELOCITY].tolist()
-        yaw = wrap_angle(quaternion_yaw(qx, qy, qz, w) + self._ahead_s * float(state[_TURNING]))
-        return Pose2D(x + self._ahead_s * vx, y + self._ahead_s * vy, yaw)
+        if self._pose_ns != self._now_ns:
+            self._pose_ns, self._pose = self._now_ns, self._carried_on(self._state())
+        return self._pose
+
+    def _carried_on(self, state: list[float]) -> Pose2D:
+        """Return the pose of now: that of the last step, carried on with its speeds."""
+        ahead_s = self._ahead_s
+        x, y, _ = state[_POSITION]
+        w, qx, qy, qz = state[_QUATERNION]
+        vx, vy, _ = state[_VELOCITY]
+        yaw = wrap_angle(quaternion_yaw(qx, qy, qz, w) + ahead_s * state[_TURNING])
+        return Pose2D(x + ahead_s * vx, y + ahead_s * vy, yaw)
 
     @property
     def twist(self) -> tuple[float, float]:
         """Ground truth of the forward [m/s] and the turning speed [rad/s]."""
-        state = self._states[self._row]
-        vx, vy, _ = state[_VELOCITY].tolist()
+        state = self._state()
+        vx, vy, _ = state[_VELOCITY]
         yaw = self.pose.yaw
-        return vx * math.cos(yaw) + vy * math.sin(yaw), float(state[_TURNING])
+        return vx * math.cos(yaw) + vy * math.sin(yaw), state[_TURNING]
 
     def wheel_states(self) -> tuple[list[float], list[float]]:
         """Return angles [rad] and speeds [rad/s] of the left and the right wheel."""
-        state = self._states[self._row]
-        angles = state[_WHEEL_ANGLES] + self._ahead_s * state[_WHEEL_SPEEDS]
-        return angles.tolist(), state[_WHEEL_SPEEDS].tolist()
+        state, ahead_s = self._state(), self._ahead_s
+        speeds = state[_WHEEL_SPEEDS]
+        return [
+            angle + ahead_s * speed
+            for angle, speed in zip(state[_WHEEL_ANGLES], speeds, strict=True)
+        ], speeds
+
+    def _state(self) -> list[float]:
+        """Return the last step's state; several sensors look at the same one."""
+        if self._state_ns != self._now_ns:
+            self._state_ns, self._numbers = self._now_ns, self._states[self._row].tolist()
+        return self._numbers
 
     def imu(self, until_ns: int) -> ImuSamples:
         """Return what an inertial unit measures after now, up to ``until_ns``."""
@@ -188,12 +207,9 @@ class World:
             ``range_max``.
         """
         sensor = self.pose.compose(mount)
-        directions = np.zeros((len(bearings), 3))
-        directions[:, 0] = np.cos(bearings + sensor.yaw)
-        directions[:, 1] = np.sin(bearings + sensor.yaw)
-        origin = np.array([sensor.x, sensor.y, height])
-        distances, _ = self._cast(origin, directions, _SEEN_BY_LIDARS, range_max)
-        return distances
+        angles = bearings + sensor.yaw
+        origin = (sensor.x, sensor.y, height)
+        return self._rays.distances(origin, np.cos(angles), np.sin(angles), range_max)
 
     def look(
         self, mount: Pose2D, height: float, directions: NDArray[np.float64], range_max: float
@@ -215,34 +231,26 @@ class World:
         turned[:, 2] = directions[:, 2]
         origin = np.array([camera.x, camera.y, height])
         normals = np.zeros_like(directions)
-        distances, geoms = self._cast(origin, turned, _SEEN_BY_CAMERAS, range_max, normals)
-        light = _AMBIENT + (1.0 - _AMBIENT) * np.maximum(normals @ _SUN, 0.0)
-        light[geoms < 0] = 1.0
-        colours = 255.0 * light[:, None] * self._colours[geoms]
-        return View(distances, np.rint(colours).astype(np.uint8))
-
-    def _cast(
-        self,
-        origin: NDArray[np.float64],
-        directions: NDArray[np.float64],
-        groups: NDArray[np.uint8],
-        range_max: float,
-        normals: NDArray[np.float64] | None = None,
-    ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-        """Return how far each ray goes (``inf`` beyond ``range_max``) and which geom it hits.
-
-        The geom is -1 where there is none; ``normals``, if given, is filled with the surfaces'.
-        """
         rays = len(directions)
         distances, geoms = np.empty(rays), np.empty(rays, np.int32)
         mujoco.mj_multiRay(
-            self._model, self._data, origin, directions.ravel(), groups, 1, -1, geoms, distances,
-            None if normals is None else normals.reshape(-1), rays, range_max,
+            self._model, self._data, origin, turned.ravel(), _SEEN_BY_CAMERAS, 1, -1, geoms,
+            distances, normals.reshape(-1), rays, range_max,
         )  # fmt: skip
         missed = (distances < 0.0) | (distances > range_max)
         distances[missed] = np.inf
-        geoms[missed] = -1
-        return distances, geoms
+        geoms[missed] = -1  # no geom
+        light = _AMBIENT + (1.0 - _AMBIENT) * np.maximum(normals @ _SUN, 0.0)
+        light[missed] = 1.0
+        colours = 255.0 * light[:, None] * self._colours[geoms]
+        return View(distances, np.rint(colours).astype(np.uint8))
+
+    def _seen_by_lidars(self) -> Iterator[Piece]:
+        """Yield the geoms of the pieces of the world; none of them moves."""
+        model, data = self._model, self._data
+        for geom in np.flatnonzero(model.geom_group == STATIC).tolist():
+            is_box = bool(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX)
+            yield Piece(data.geom_xpos[geom], data.geom_xmat[geom], model.geom_size[geom], is_box)
 
     @property
     def _row(self) -> int:
