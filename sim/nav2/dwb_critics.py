@@ -15,6 +15,7 @@ from sim.nav2.paths import Poses
 
 INSCRIBED = 253  # from this cost on the robot's centre must not be in a cell; 255 is unknown
 UNKNOWN = 255
+_BORDER = 1e-6  # this close to the edge of a cell, the sums of a rollout decide [cells]
 
 
 class CostGrid(NamedTuple):
@@ -124,12 +125,22 @@ def map_cells(
     They are goal align, path align (0 where it is off), path dist and goal dist; all are -1 if
     the rollout, or the point in front of the robot, ends outside the costmap.
     """
-    column, row = cell(grid, end[0], end[1])
-    ahead_column, ahead_row = cell(
-        grid,
-        end[0] + parameters.forward_point_distance * math.cos(end[2]),
-        end[1] + parameters.forward_point_distance * math.sin(end[2]),
-    )
+    return _cells_at(grid, critics, end[0], end[1], *nose(parameters, end[2]))
+
+
+@jit
+def nose(parameters: Parameters, yaw: float) -> tuple[float, float]:
+    """Return where the point in front of the robot is, from the robot [m]."""
+    distance = parameters.forward_point_distance
+    return distance * math.cos(yaw), distance * math.sin(yaw)
+
+
+@jit
+def _cells_at(
+    grid: CostGrid, critics: Critics, x: float, y: float, nose_x: float, nose_y: float
+) -> tuple[int, int, int, int]:
+    column, row = cell(grid, x, y)
+    ahead_column, ahead_row = cell(grid, x + nose_x, y + nose_y)
     if column < 0 or ahead_column < 0:
         return -1, -1, -1, -1
     goal_align = abs(ahead_column - critics.nose_x) + abs(ahead_row - critics.nose_y)
@@ -140,11 +151,9 @@ def map_cells(
 
 
 @jit
-def map_score(
-    parameters: Parameters, grid: CostGrid, critics: Critics, end: NDArray[np.float64]
-) -> float:
-    """Return the weighted sum of those four critics; infinite outside the costmap."""
-    goal_align, path_align, path_dist, goal_dist = map_cells(parameters, grid, critics, end)
+def map_score(parameters: Parameters, grid: CostGrid, cells: tuple[int, int, int, int]) -> float:
+    """Return the weighted sum of what ``map_cells`` returned; infinite outside the costmap."""
+    goal_align, path_align, path_dist, goal_dist = cells
     if goal_align < 0:
         return math.inf
     total = parameters.goal_align_scale * goal_align + parameters.goal_dist_scale * goal_dist
@@ -154,15 +163,20 @@ def map_score(
 
 
 @jit
-def rotate_to_goal(
-    parameters: Parameters, critics: Critics, v: float, end: NDArray[np.float64]
-) -> float:
+def rotate_to_goal(parameters: Parameters, critics: Critics, v: float, yaw: float) -> float:
     """Return what the critic near the goal says: slow down, then face the goal's yaw."""
     if not (critics.slowing or critics.rotating):
         return 0.0
-    off = float((critics.goal_yaw - end[2] + math.pi) % (2.0 * math.pi) - math.pi)
+    off = float((critics.goal_yaw - yaw + math.pi) % (2.0 * math.pi) - math.pi)
     slow = parameters.slowing_factor * v * v if critics.slowing else 0.0
     return slow + abs(off)
+
+
+@jit
+def _is_at_border(along: float) -> bool:
+    """Tell whether rounding could put a point into another cell; ``along`` is in cells."""
+    inside = along - math.floor(along)
+    return inside < _BORDER or inside > 1.0 - _BORDER
 
 
 @jit
@@ -173,17 +187,22 @@ def search(
     velocity: tuple[float, float],
     critics: Critics,
 ) -> tuple[float, float]:
-    """Return the legal twist with the lowest score, the first of equals; NaN if there is none."""
+    """Return the legal twist with the lowest score, the first of equals; NaN if there is none.
+
+    Most critics ask only for the cell in which a rollout ends. That does not take its steps, and
+    only a trajectory that could win is rolled out.
+    """
     best, best_v, best_w = math.inf, math.nan, math.nan
     if critics.goal_x < 0:
         return best_v, best_w
     forward, turning = twists(parameters, velocity)
     longest = step_count(parameters, (parameters.max_vel_x, parameters.max_vel_theta))
     rollout = np.empty((longest + 2, 3))
-    # By turning speed: in how many steps its headings are known, and they.
+    # By turning speed: in how many steps its way is known, that way, and at its end the yaw and
+    # where the nose is.
     known = np.zeros(len(turning), np.int64)
-    cosines, sines = np.empty((len(turning), longest)), np.empty((len(turning), longest))
-    end, yaws = np.empty(3), np.empty(len(turning))
+    ways = np.empty((len(turning), longest + 1, 2))
+    ends = np.empty((len(turning), 3))
     for v in forward:
         if critics.rotating and v > 0.0:
             break
@@ -196,13 +215,21 @@ def search(
             count = step_count(parameters, (v, w))
             if known[j] != count:
                 known[j] = count
-                yaws[j] = headings(parameters, pose[2], velocity[1], w, count, cosines[j], sines[j])
-            end[0], end[1] = place(
-                parameters, pose[0], pose[1], velocity[0], v, count, cosines[j], sines[j]
-            )
-            end[2] = yaws[j]
-            total = map_score(parameters, grid, critics, end)
-            total += parameters.rotate_to_goal_scale * rotate_to_goal(parameters, critics, v, end)
+                yaw = headings(parameters, pose[2], velocity[1], w, count, ways[j])
+                ends[j, 0] = yaw
+                ends[j, 1], ends[j, 2] = nose(parameters, yaw)
+            yaw, nose_x, nose_y = ends[j]
+            x, y = place(parameters, pose[0], pose[1], velocity[0], v, count, ways[j])
+            if (
+                _is_at_border((x - grid.origin_x) / grid.resolution)
+                or _is_at_border((y - grid.origin_y) / grid.resolution)
+                or _is_at_border((x + nose_x - grid.origin_x) / grid.resolution)
+                or _is_at_border((y + nose_y - grid.origin_y) / grid.resolution)
+            ):
+                x, y, _ = rollout[roll(parameters, pose, velocity, (v, w), rollout) - 1]
+            cells = _cells_at(grid, critics, x, y, nose_x, nose_y)
+            total = map_score(parameters, grid, cells)
+            total += parameters.rotate_to_goal_scale * rotate_to_goal(parameters, critics, v, yaw)
             if total >= best:  # the obstacle critic can only add to it
                 continue
             length = roll(parameters, pose, velocity, (v, w), rollout)

@@ -183,8 +183,9 @@ def _score(
     parameters, grid, critics = scoring.parameters, scoring.grid, scoring.critics
     v, w = twist
     cost = obstacle_cost(grid, rollout)
-    rotate = rotate_to_goal(parameters, critics, v, rollout[-1])
-    align_goal, align_path, path, goal = map_cells(parameters, grid, critics, rollout[-1])
+    rotate = rotate_to_goal(parameters, critics, v, rollout[-1, 2])
+    cells = map_cells(parameters, grid, critics, rollout[-1])
+    align_goal, align_path, path, goal = cells
     too_fast = (critics.rotating and v > 0.0) or (
         critics.slowing and v * v >= critics.speed_squared
     )
@@ -198,7 +199,7 @@ def _score(
         (False, float(goal)),
     )
     # As the planner sums it up, so that rounding cannot make another trajectory the best.
-    total = map_score(parameters, grid, critics, rollout[-1])
+    total = map_score(parameters, grid, cells)
     total += parameters.rotate_to_goal_scale * rotate
     total += parameters.base_obstacle_scale * cost
     so_far = 0.0

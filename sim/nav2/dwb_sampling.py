@@ -152,12 +152,11 @@ def headings(
     turning: float,
     target: float,
     count: int,
-    cosines: NDArray[np.float64],
-    sines: NDArray[np.float64],
+    way: NDArray[np.float64],
 ) -> float:
-    """Return the yaw at the end of a rollout, and fill in where each of its steps points.
+    """Return the yaw at the end of a rollout, and fill in where its steps lead.
 
-    They are those of ``roll``; in as many steps, every forward speed has the same.
+    The directions are those of ``roll``; in as many steps, every forward speed has the same.
 
     Parameters
     ----------
@@ -169,14 +168,16 @@ def headings(
         Turning speed that is rolled out [rad/s].
     count
         Steps.
-    cosines, sines
-        Shape (at least ``count``,); gets the direction of each step.
+    way
+        Shape (more than ``count``, 2); gets the sums of the unit vectors along the first steps:
+        row i is where i steps of length one lead.
     """
     w, dt = turning, parameters.sim_time / count
     heading_x, heading_y = math.cos(yaw), math.sin(yaw)
     turn_x, turn_y, turned = 1.0, 0.0, 0.0
+    way[0, 0] = way[0, 1] = 0.0
     for i in range(count):
-        cosines[i], sines[i] = heading_x, heading_y
+        way[i + 1, 0], way[i + 1, 1] = way[i, 0] + heading_x, way[i, 1] + heading_y
         w = approach(w, target, parameters.acc_lim_theta * dt, parameters.decel_lim_theta * dt)
         yaw += w * dt
         if w != turned:  # after speeding up it stays, and so does the rotation of a step
@@ -196,10 +197,11 @@ def place(
     forward: float,
     target: float,
     count: int,
-    cosines: NDArray[np.float64],
-    sines: NDArray[np.float64],
+    way: NDArray[np.float64],
 ) -> tuple[float, float]:
-    """Return where a rollout ends that points where ``headings`` says [m].
+    """Return where a rollout ends, up to the rounding of its sum [m].
+
+    From when it has its forward speed on, that is the speed times the way.
 
     Parameters
     ----------
@@ -209,13 +211,17 @@ def place(
         Of the robot [m], [m/s].
     target
         Forward speed that is rolled out [m/s].
-    cosines, sines
-        The direction of each step.
+    way
+        What ``headings`` filled in.
     """
     v, dt = forward, parameters.sim_time / count
     rise, fall = parameters.acc_lim_x * dt, parameters.decel_lim_x * dt
-    for i in range(count):
+    i = 0
+    while i < count and v != target:
         v = approach(v, target, rise, fall)
-        x += v * cosines[i] * dt
-        y += v * sines[i] * dt
+        x += v * (way[i + 1, 0] - way[i, 0]) * dt
+        y += v * (way[i + 1, 1] - way[i, 1]) * dt
+        i += 1
+    x += v * (way[count, 0] - way[i, 0]) * dt
+    y += v * (way[count, 1] - way[i, 1]) * dt
     return x, y
