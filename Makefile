@@ -3,8 +3,9 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-PWD := $(CURDIR)
 include .env
+ORACLE_DAGSTER_HOME := $(CURDIR)/.dagster_home
+DAGSTER_HOME := $(ORACLE_DAGSTER_HOME)
 export
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
@@ -12,19 +13,30 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 FIRST := lidar_passthrough|run000
 LAST := delayed_fakeobject|run002
 
-.PHONY: help setup run campaign ui test test-browser lint types bench soak constraints clean
+# Pins without the address of any registry.
+COMPILE := pip-compile --quiet --strip-extras --no-header --no-annotate \
+	--no-emit-index-url --no-emit-trusted-host --no-emit-find-links
+
+.PHONY: help setup setup-dev run campaign ui test test-quick test-browser lint types architecture docs bench soak \
+	constraints requirements image sbom clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*## ' Makefile | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
 
-setup: $(VENV)/.ready ## Make .venv with the pinned versions
+setup: $(VENV)/.ready ## Make .venv with what running needs, in pinned versions
+
+setup-dev: $(VENV)/.ready-dev ## Add what tests, types and benchmarks need
 
 $(VENV)/.ready: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "This needs Python 3.11 or newer; say which with: make setup PYTHON=python3.12"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dask,dev,postgres,s3]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+	@touch $@
+
+$(VENV)/.ready-dev: $(VENV)/.ready
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dask,dev,docs,postgres,s3]'
 	@touch $@
 
 run: setup ## Simulate the small campaign, analyse it, and say where the report is
@@ -38,31 +50,53 @@ campaign: setup ## Simulate 60 blocks of every mode and hard negative, and evalu
 		--partition-range 'lidar_passthrough|run000...benign_slow|run059'
 
 ui: setup ## Open the pipeline in the browser, on 127.0.0.1
-	dagster dev -w workspace.yaml -h 127.0.0.1
+	oracle-ui -w workspace.yaml
 
-test: setup lint types ## Check style and types, then run every test that needs only Python and PyPI
+test: setup-dev lint types ## Check style and types, then run every test that needs only Python and PyPI
 	pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-test-browser: setup ## Look at the report in a headless Chromium, which has to be installed
+test-browser: setup-dev ## Look at the report in a headless Chromium, which has to be installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
 	pytest tests/browser
 
-lint: setup
+lint: setup-dev ## Check style and the direction of imports
 	ruff check .
 	ruff format --check .
+	lint-imports --no-logo
 
-types: setup
+types: setup-dev ## Check types, strictly
 	mypy
 
-constraints: setup ## Pin the newest versions that fit pyproject.toml
-	pip-compile --quiet --upgrade --all-extras --strip-extras --no-header --no-annotate \
-		--no-emit-index-url --no-emit-trusted-host --no-emit-find-links --output-file constraints.txt pyproject.toml
+docs: export NO_MKDOCS_2_WARNING = 1
+docs: setup-dev ## Check words, spelling and links of the docs, and build their site into site/
+	codespell docs *.md mkdocs.yml
+	pytest -q tests/docs/test_words.py tests/docs/test_reference.py
+	mkdocs build --quiet --clean
+	@echo "Site: $(CURDIR)/site/index.html (search needs a server: mkdocs serve)"
 
-bench: setup ## Measure speed, size and memory, as ratios of one run
+constraints: setup-dev ## Pin the newest versions that fit pyproject.toml
+	$(COMPILE) --upgrade --all-extras --output-file constraints.txt pyproject.toml
+
+requirements: setup-dev ## Write deploy/requirements.txt: what the image holds, with the hash of every file
+	$(COMPILE) --constraint constraints.txt --generate-hashes --allow-unsafe --build-deps-for wheel \
+		--extra dask --extra postgres --extra s3 --output-file deploy/requirements.txt pyproject.toml
+
+image: requirements ## Build the image of deploy/ from files whose hashes are known
+	docker build $(if $(BASE),--build-arg BASE=$(BASE)) -f deploy/Containerfile -t ros2-behaviour-oracle .
+
+sbom: requirements ## Write dist/sbom.cdx.json: what the image is made of, as CycloneDX
+	mkdir -p dist
+	cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible \
+		--output-format JSON --output-file dist/sbom.cdx.json deploy/requirements.txt
+
+bench: setup-dev ## Measure speed, size and memory, as ratios of one run
 	python -m bench
 
-soak: setup ## Kill a campaign 50 times, and keep 600 runs within 2 GB; hours
+soak: setup-dev ## Kill everything at random moments, fill the disk, flip bits, keep 600 runs within 2 GB; hours
 	python -m soak.faults
+	python -m soak.aggregates
+	python -m soak.full_disk
+	python -m soak.flips
 	python -m soak.budget
 
 clean: ## Remove the environment and all caches; recorded data stay

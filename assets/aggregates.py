@@ -1,35 +1,36 @@
-"""What the assets over all runs share: how one is declared, what it reads and where it keeps."""
+"""What the assets over all runs share: their declaration, their inputs and their results."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import dagster as dg
 from pydantic import Field
 
 from assets import presentation
-from assets.common import OWNERS, SINGLE_RUN
+from assets.asset_defaults import OWNERS, SINGLE_RUN
 from assets.worker.versions import analysis_code
+from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.remote import published
 from resources.store import RunStore
 from sim.modes import modes
+from sim.testbeds import TESTBEDS, which_testbed
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from oracle_pipeline.reporting.result import Report
+    from oracle_pipeline.reporting.report import Report
 
+AUTO = "auto"
 DATASET, WINDOWS, TRUTH = "features", "windows", "truth"  # tables over all runs
-
-TestbedChoice = Literal["auto", "turtlebot3", "atc"]
 
 
 class TestbedConfig(dg.Config):
-    """Which runs are looked at: those of two testbeds have nothing in common to compare."""
+    """Which testbed to analyse: runs of two testbeds have no features in common."""
 
-    testbed: TestbedChoice = Field(
-        default="auto",
-        description="Runs of this testbed; by default the TurtleBot3's, or the air traffic's "
-        "while there are no others.",
+    testbed: str = Field(
+        default=AUTO,
+        description=f"Testbed whose runs are analysed: {', '.join(TESTBEDS)}; {AUTO}: the first of "
+        "these with recorded runs.",
     )
 
 
@@ -40,32 +41,49 @@ def aggregate(
     freshness_policy: dg.FreshnessPolicy | None = None,
 ) -> Callable[[Callable[..., Any]], dg.AssetsDefinition]:
     """Decorate an asset over all runs."""
-    return dg.asset(
-        deps=deps,
-        group_name=group,
-        kinds=set(kinds),
-        owners=OWNERS,
-        code_version=analysis_code(),
-        backfill_policy=SINGLE_RUN,
-        freshness_policy=freshness_policy,
-    )
+
+    def decorate(function: Callable[..., Any]) -> dg.AssetsDefinition:
+        return dg.asset(
+            deps=deps,
+            group_name=group,
+            kinds=set(kinds),
+            owners=OWNERS,
+            code_version=analysis_code(function.__module__),
+            backfill_policy=SINGLE_RUN,
+            freshness_policy=freshness_policy,
+        )(function)
+
+    return decorate
 
 
-def run_table(store: RunStore, testbed: TestbedChoice) -> "pd.DataFrame":
-    """Return the features of the runs of one testbed, families that none of them has left out."""
+def testbed_of(mode: str) -> str:
+    """Return the name of the testbed that a mode runs on."""
+    return which_testbed(modes()[mode].scenario)
+
+
+def run_table(store: RunStore, testbed: str) -> "pd.DataFrame":
+    """Return the run features of one testbed, without families that have no value there.
+
+    Raises
+    ------
+    OracleError
+        If there is no such testbed.
+    """
     from oracle_pipeline.datasets import read_table, without_empty_families
 
     place = store.dataset(DATASET)
-    there = read_table(place, columns=["mode"])["mode"].unique()
-    of = {mode: modes()[mode].testbed for mode in there}
-    if testbed == "auto":
-        testbed = "turtlebot3" if "turtlebot3" in of.values() else "atc"
-    chosen = [mode for mode in there if of[mode] == testbed]
+    recorded = read_table(place, columns=["mode"])["mode"].unique()
+    of = {mode: testbed_of(mode) for mode in recorded}
+    if testbed == AUTO:
+        testbed = next(name for name in TESTBEDS if name in of.values())
+    elif testbed not in TESTBEDS:
+        raise OracleError(f"There is no testbed {testbed!r}; there are {', '.join(TESTBEDS)}.")
+    chosen = [mode for mode in recorded if of[mode] == testbed]
     return without_empty_families(read_table(place, rows=("mode", chosen)))
 
 
 def windows_of(store: RunStore, df: "pd.DataFrame") -> "pd.DataFrame":
-    """Return the windows of the runs in a table, a row a window."""
+    """Return the window features of the runs in a table, one row for each window."""
     from oracle_pipeline.datasets import read_table
 
     return read_table(store.dataset(WINDOWS), rows=("run_id", df["run_id"]))
@@ -74,7 +92,7 @@ def windows_of(store: RunStore, df: "pd.DataFrame") -> "pd.DataFrame":
 def keep(result: "Report", store: RunStore, name: str) -> dg.MaterializeResult[None]:
     """Save a report where `oracle_report` finds it, and show it."""
     from oracle_pipeline.datasets import content_hash
-    from oracle_pipeline.reporting.result import SUMMARY
+    from oracle_pipeline.reporting.report import SUMMARY
 
     place = store.results(name)
     with published(place, last=SUMMARY) as folder:

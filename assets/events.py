@@ -1,26 +1,24 @@
-"""One event a run, from steps that take many runs.
+"""One event for each run, from steps that process many runs.
 
 Dagster 1.13 has no public way to give each partition of a range its own data version, or its own
-check result. Steps here yield the events of every partition themselves and then hand Dagster an
-output without one. The two private names that this takes stand in this module only.
+check result. Steps yield the events of every partition themselves and then return an output without
+one (``assets.dagster_internals``).
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import dagster as dg
-from dagster._core.definitions.asset_checks.asset_check_evaluation import (
-    AssetCheckEvaluationTargetMaterializationData,
-)
-from dagster._core.definitions.source_asset import SYSTEM_METADATA_KEY_SOURCE_ASSET_OBSERVATION
+
+from assets.dagster_internals import checked_materialization
 
 Figures = Mapping[str, int | float | str | dg.MetadataValue]
 
-_AT_ONCE = 1000  # partitions a query asks for; SQLite takes some thousands
+_AT_ONCE = 1000  # partitions in one query; SQLite allows some thousands
 
 
 class Materialized(NamedTuple):
-    """One partition of an asset, as it is now."""
+    """The current state of one partition of an asset."""
 
     spec: dg.AssetSpec
     data_version: str
@@ -31,11 +29,11 @@ class Materialized(NamedTuple):
 def materializations(
     instance: dg.DagsterInstance, key: dg.MultiPartitionKey, assets: Iterable[Materialized]
 ) -> Iterator[dg.AssetMaterialization]:
-    """Yield the events that turn one partition of some assets green, upstream before downstream.
+    """Yield the materializations of one partition of some assets, upstream before downstream.
 
-    Their tags are those that Dagster itself would give them: from them the UI knows which
-    partitions are stale, because of other code or of newer data upstream. They name the event
-    upstream, so each one has to be stored before the next is asked for.
+    Their tags are those that Dagster itself would set. From them the UI derives which partitions
+    are stale because code or upstream data have changed. A tag names the upstream event, so the
+    caller must store each event before it takes the next.
     """
     upstream: dict[dg.AssetKey, dg.EventLogRecord | None] = {}
     for spec, data_version, code_version, metadata in assets:
@@ -47,8 +45,8 @@ def materializations(
             if asset not in upstream:
                 upstream[asset] = latest_materialization(instance, asset, key)
             name, latest = asset.to_user_string(), upstream[asset]
-            seen = latest.asset_materialization if latest else None
-            versions = (seen.tags if seen else None) or {}
+            upstream_event = latest.asset_materialization if latest else None
+            versions = (upstream_event.tags if upstream_event else None) or {}
             version = versions.get("dagster/data_version", "INITIAL")
             tags[f"dagster/input_data_version/{name}"] = version
             tags[f"dagster/input_event_pointer/{name}"] = (
@@ -62,7 +60,7 @@ def materializations(
 def latest_materialization(
     instance: dg.DagsterInstance, asset: dg.AssetKey, key: str
 ) -> dg.EventLogRecord | None:
-    """Return the newest materialization of one partition, if there is one."""
+    """Return the newest materialization of one partition, or None."""
     wanted = dg.AssetRecordsFilter(asset_key=asset, asset_partitions=[key])
     return next(iter(instance.fetch_materializations(wanted, limit=1).records), None)
 
@@ -101,20 +99,5 @@ def check_evaluation(
         passed=passed,
         description=description,
         metadata=metadata,
-        target_materialization_data=AssetCheckEvaluationTargetMaterializationData(
-            storage_id=target.storage_id,
-            run_id=target.run_id,
-            timestamp=target.timestamp,
-        )
-        if target
-        else None,
-    )
-
-
-def no_further_event(output_name: str) -> dg.Output[None]:
-    """Return the output that lets what is downstream start, without an event of its own."""
-    return dg.Output(
-        None,
-        output_name=output_name,
-        metadata={SYSTEM_METADATA_KEY_SOURCE_ASSET_OBSERVATION: True},
+        target_materialization_data=checked_materialization(target) if target else None,
     )

@@ -1,4 +1,4 @@
-"""What the Dagster UI shows of a table, a picture and a report.
+"""Dagster metadata for tables, pictures and reports, as the UI shows them.
 
 Metadata take plain Python values only: no NumPy scalars, no NaN.
 """
@@ -13,7 +13,7 @@ import dagster as dg
 if TYPE_CHECKING:
     import pandas as pd
 
-    from oracle_pipeline.reporting.result import Report
+    from oracle_pipeline.reporting.report import Report
 
 MAX_PNG_BYTES = 100_000  # pictures live in the event log, which every page load reads
 MAX_ROWS = 40
@@ -46,7 +46,7 @@ def _cell(row: "pd.Series", name: str) -> str:
 
     value = row[name]
     if f"{name}_low" in row.index:
-        return str(Estimate(value, row[f"{name}_low"], row[f"{name}_high"]))
+        return str(Estimate.of_row(row, name))
     if isinstance(value, float):
         return "" if math.isnan(value) else f"{value:.4g}"
     return str(value)
@@ -72,7 +72,7 @@ def _meaning(field: Mapping[str, str]) -> str | None:
 
 
 def facts(summary: Mapping[str, float | int | str | bytes]) -> Metadata:
-    """Return plain facts and pictures; a number stays one, so that it is plotted over time."""
+    """Return facts and pictures as metadata; numbers stay numbers, so that the UI plots them."""
     return {
         name: png(value) if isinstance(value, bytes)
         else dg.MetadataValue.text(value) if isinstance(value, str)

@@ -1,8 +1,8 @@
-"""Dagster's records of old runs: forgotten, but for those that something still points at.
+"""Deletes Dagster's records of old runs that no partition needs any more.
 
-Dagster deletes old ticks by itself (``retention`` in dagster.yaml), and runs never. With a run it
-deletes the materializations that it made: a partition whose newest one is gone would turn grey.
-What is below the root of the store, recordings and reports, is never touched here.
+Dagster deletes old ticks by itself (``retention`` in dagster.yaml), but never runs. Deleting a run
+deletes its materializations, too, so a run is kept while it holds the newest materialization or
+check of any partition. Recordings and reports below the root of the store are never touched.
 """
 
 from collections.abc import Collection
@@ -11,7 +11,6 @@ from itertools import islice
 from pathlib import Path
 
 import dagster as dg
-from dagster._core.storage.event_log import SqliteEventLogStorage
 from pydantic import Field
 
 _ENDED = (dg.DagsterRunStatus.SUCCESS, dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.CANCELED)
@@ -19,9 +18,9 @@ _BATCH = 500  # events read at a time
 
 
 class RetentionConfig(dg.Config):
-    """What is old."""
+    """How old a run must be to be deleted."""
 
-    days: int = Field(default=30, ge=0, description="Runs that ended longer ago are forgotten.")
+    days: int = Field(default=30, ge=0, description="Delete runs that ended longer ago [days].")
 
 
 @dg.op
@@ -42,9 +41,9 @@ def forget_runs(context: dg.OpExecutionContext, config: RetentionConfig) -> None
     )
 
 
-@dg.job(description="Forget Dagster runs that ended long ago; never recordings or reports.")
+@dg.job(description="Delete records of old Dagster runs; never recordings or reports.")
 def forget_old_runs() -> None:
-    """Delete what Dagster remembers of old runs."""
+    """Delete old Dagster runs."""
     forget_runs()
 
 
@@ -53,12 +52,12 @@ weekly = dg.ScheduleDefinition(
     job=forget_old_runs,
     cron_schedule="0 6 * * 0",
     default_status=dg.DefaultScheduleStatus.STOPPED,
-    description="Every Sunday: forget Dagster runs that ended long ago.",
+    description="Every Sunday: delete records of old Dagster runs.",
 )
 
 
 def _checks_of(instance: dg.DagsterInstance, runs: Collection[str]) -> set[dg.AssetCheckKey]:
-    """Return the checks that runs were to make."""
+    """Return the checks that were planned in runs."""
     planned = dg.DagsterEventType.ASSET_CHECK_EVALUATION_PLANNED
     return {
         event.get_dagster_event().asset_check_planned_data.asset_check_key
@@ -88,8 +87,9 @@ def _runs_in_use(instance: dg.DagsterInstance, checks: Collection[dg.AssetCheckK
 def _forget(instance: dg.DagsterInstance, run: str) -> None:
     instance.delete_run(run)
     instance.compute_log_manager.delete_logs(prefix=[run])
-    events = instance.event_log_storage
-    if isinstance(events, SqliteEventLogStorage):  # a file a run; its rows are deleted, it is not
-        file = Path(events.path_for_shard(run))
+    # On SQLite each run has a database file of its own. Dagster empties it but leaves the file.
+    path_of_run = getattr(instance.event_log_storage, "path_for_shard", None)
+    if path_of_run is not None:
+        file = Path(path_of_run(run))
         for part in file.parent.glob(f"{file.name}*"):
             part.unlink(missing_ok=True)

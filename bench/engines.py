@@ -21,8 +21,8 @@ from bench import yardstick
 from bench.figures import Row, median, spread
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.cluster import DaskExecutor
+from sim.campaigns import Campaign
 from sim.fan_out import process_pool
-from sim.recipes import Campaign
 
 MODE = "lidar_passthrough_odom"
 GOALS = 1

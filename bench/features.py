@@ -16,10 +16,10 @@ from rosbags.rosbag2 import Reader
 from bench.figures import Row, median, spread
 from oracle_pipeline import features
 from oracle_pipeline.bags.run_directory import RunDirectory
-from oracle_pipeline.features.layout import Layout
-from oracle_pipeline.runs import open_run
-from sim.experiments import record_run
-from sim.recipes import Campaign, recipe_for
+from oracle_pipeline.features.message_layout import MessageLayout
+from oracle_pipeline.opened_run import open_run
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for, record_run
 
 P = ParamSpec("P")
 
@@ -76,7 +76,7 @@ def _decoded_topics(path: Path, manager: features.FeatureManager) -> frozenset[s
         return frozenset(
             name
             for name, topic in run.bag.topics.items()
-            if any(request.matches(topic, Layout(run.bag, name)) for request in requests)
+            if any(request.matches(topic, MessageLayout(run.bag, name)) for request in requests)
         )
 
 

@@ -17,14 +17,15 @@ from bench.figures import Row, median
 from oracle_pipeline.bags.manifest import GoalResult, Manifest
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.run_directory import RunDirectory
+from sim.campaigns import Campaign, Options, Wiring
 from sim.commands.progress import RunProgress
-from sim.experiments import record_run
+from sim.experiments import recipe_for, record_run
 from sim.fan_out import fan_out, process_pool
 from sim.middleware.geometry import Pose2D, quaternion_yaw
 from sim.middleware.stamps import stamp_ns
 from sim.nav2.navfn import plan
 from sim.pairs import task_effect
-from sim.recipes import Campaign, Options, Wiring, path_length, planning_grid, recipe_for
+from sim.turtlebot3.drawing import path_length, planning_grid
 from sim.turtlebot3.map import WORLD_IN_MAP
 
 BLOCKS, ATTACKED_BLOCKS = 100, 30
@@ -127,9 +128,9 @@ def _amcl_errors_m(directory: RunDirectory) -> list[float]:
             else:
                 believed.append((time_ns, x, y))
     errors = []
-    known, there = np.array(times), np.array(truth)
+    times_ns, positions = np.array(times), np.array(truth)
     for time_ns, x, y in believed:
-        if known[0] <= time_ns <= known[-1]:
-            where = [np.interp(time_ns, known, there[:, axis]) for axis in (0, 1)]
+        if times_ns[0] <= time_ns <= times_ns[-1]:
+            where = [np.interp(time_ns, times_ns, positions[:, axis]) for axis in (0, 1)]
             errors.append(float(np.hypot(x - where[0], y - where[1])))
     return errors

@@ -16,14 +16,15 @@ import numpy as np
 from bench.figures import Row, median, spread
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
-from sim.experiments import record_run
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for, record_run
+from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.execution import execute
 from sim.fuzzing.fields import zero
-from sim.fuzzing.mutation import Program
-from sim.fuzzing.program import compile_scenario
-from sim.fuzzing.scenario import builtin_scenarios
+from sim.fuzzing.program import Program
 from sim.middleware.executor import SECOND
 from sim.middleware.stamps import header
-from sim.recipes import Campaign, recipe_for
+from sim.scenarios import builtin_scenarios
 
 MESSAGES, ROUNDS = 200, 15
 RAYS = 360
@@ -52,13 +53,13 @@ def _message_us(program: Program) -> float:
     messages = list(_messages(program))
     rounds = []
     for _ in range(ROUNDS):
-        mutation = program.start(1)
+        execution = execute(program, 1)
         for name, source in program.sources.items():
-            mutation.on_source(name, zero(source.type), 0)
+            execution.on_source(name, zero(source.type), 0)
         taken = []
         for number, message in enumerate(messages):
             started = time.perf_counter_ns()
-            mutation.on_message(message, number * PERIOD_NS, 100.0 + number * PERIOD_NS / SECOND)
+            execution.on_message(message, number * PERIOD_NS, 100.0 + number * PERIOD_NS / SECOND)
             taken.append(time.perf_counter_ns() - started)
         rounds.append(taken)
     return float(np.min(rounds, axis=0).mean()) / 1e3

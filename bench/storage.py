@@ -13,8 +13,8 @@ from bench.figures import Row, median, spread
 from oracle_pipeline.bags.manifest import KEPT, Kept
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.storage.stock import take_stock
+from sim.campaigns import Campaign
 from sim.fan_out import fan_out, process_pool
-from sim.recipes import Campaign
 
 MODES = ("lidar_passthrough", "fake_object", "delayed_fakeobject")
 MANY = (100, 1000)

@@ -22,10 +22,12 @@ from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.writer import BagWriter
 from sim import experiments
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for
 from sim.middleware.domain import Subscription
 from sim.middleware.executor import Executor
 from sim.middleware.node import Node, Timer
-from sim.recipes import Campaign, recipe_for
+from sim.turtlebot3 import run as turtlebot3_run
 from sim.turtlebot3.world import World
 
 ROUNDS = 5
@@ -126,7 +128,7 @@ def _shares(root: Path, block: int) -> Iterator[Row]:
         def call_at(self, time_ns: int, callback: Callable[..., None], *arguments: Any) -> None:
             super().call_at(time_ns, shares.call, _owner(callback), callback, *arguments)
 
-    patches: list[tuple[Any, str, Any]] = [(experiments, "Executor", Counting)]
+    patches: list[tuple[Any, str, Any]] = [(turtlebot3_run, "Executor", Counting)]
     for owner, name, method in (
         (World, "physics and rays", "advance_to"),
         (World, "physics and rays", "imu"),

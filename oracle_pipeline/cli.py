@@ -1,12 +1,13 @@
 """``oracle``: the analysis from the command line, without Dagster.
 
-Exit codes: 0 done, 2 could not be done, whatever the reason. ``oracle score`` adds 1: anomalous.
+Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomalous.
 """
 
 import json
 import traceback
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 import pandas as pd
@@ -14,7 +15,10 @@ import pandas as pd
 from oracle_pipeline import features as feature_extraction
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import MISSING, WHERE, field_metadata, replacing, write_table
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.replay.command import replay
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
 class _Failure(click.ClickException):
@@ -24,7 +28,7 @@ class _Failure(click.ClickException):
 
 
 class _Group(click.Group):
-    """Ends every failure with exit code 2; a defect of ours shows its traceback."""
+    """Ends every failure with exit code 2; a bug of ours prints its traceback."""
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
@@ -35,12 +39,28 @@ class _Group(click.Group):
             raise
         except Exception as error:
             traceback.print_exc()
-            raise _Failure("This is a defect; please report it with the lines above.") from error
+            raise _Failure("This is a bug; please report it with the lines above.") from error
 
 
 @click.group(cls=_Group)
 def main() -> None:
-    """Tell right behaviour of a ROS 2 system from wrong, from its recordings."""
+    """Tell normal from anomalous behaviour of a ROS 2 system, using only recordings."""
+
+
+main.add_command(replay)
+
+
+def _format_option(*formats: str, text: str) -> Callable[[_Command], _Command]:
+    """Return the option that chooses among output formats, the first by default."""
+    return click.option(
+        "--format", "file_format", type=click.Choice(formats), default=formats[0],
+        show_default=True, help=text,
+    )  # fmt: skip
+
+
+def _output_option(name: str, text: str) -> Callable[[_Command], _Command]:
+    """Return an option that names a file to write."""
+    return click.option(name, type=click.Path(path_type=Path, dir_okay=False), help=text)
 
 
 _plugins = click.option(
@@ -55,14 +75,10 @@ _plugins = click.option(
     "--table", type=click.Choice(["run", "window"]), default="run", show_default=True,
     help="One row for the recording, or one for each window of 10 s (every 5 s).",
 )  # fmt: skip
-@click.option(
-    "--format", "file_format", type=click.Choice(["json", "parquet"]), default="json",
-    show_default=True, help="JSON for reading and jq; Parquet for pandas, units in its schema.",
-)  # fmt: skip
-@click.option(
-    "--output", type=click.Path(path_type=Path, dir_okay=False),
-    help="File to write; Parquet needs one.  [default: standard output]",
-)  # fmt: skip
+@_format_option(
+    "json", "parquet", text="JSON for reading and jq; Parquet for pandas, units in its schema."
+)
+@_output_option("--output", "File to write; Parquet needs one.  [default: standard output]")
 @_plugins
 def features(
     run_or_bag: Path, table: str, file_format: str, output: Path | None, plugins: Path | None
@@ -70,8 +86,8 @@ def features(
     """Compute the features of one recording.
 
     RUN_OR_BAG is a run directory, the folder of a rosbag2 (SQLite or MCAP, split or compressed), a
-    single .mcap or .db3 file, or a ROS 1 .bag file. No ROS is needed. A feature that this recording
-    does not give is null, and "missing" says why.
+    single .mcap or .db3 file, or a ROS 1 .bag file. No ROS is needed. A feature that cannot be
+    computed from this recording is null, and "missing" holds the reason.
 
     \b
     Examples:
@@ -110,22 +126,16 @@ def _json(table: pd.DataFrame) -> str:
                 type=click.Path(path_type=Path))  # fmt: skip
 @click.option(
     "--reference", required=True, type=click.Path(path_type=Path),
-    help="Right runs to compare with: a table of run features, a root with features/ or runs/, "
+    help="Normal runs to compare with: a table of run features, a root with features/ or runs/, "
     "or any folder of run directories or bags. Attacked runs in it are left out.",
 )  # fmt: skip
 @click.option(
     "--far", default=0.05, show_default=True,
     type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
-    help="False-alarm rate: the share of right runs that may be called anomalous.",
+    help="False-alarm rate: the share of normal runs that may be called anomalous.",
 )  # fmt: skip
-@click.option(
-    "--format", "file_format", type=click.Choice(["text", "json"]), default="text",
-    show_default=True, help="Text for reading; one JSON object for programs.",
-)  # fmt: skip
-@click.option(
-    "--junit", type=click.Path(path_type=Path, dir_okay=False),
-    help="File to write the verdicts to as JUnit XML as well, for a CI system.",
-)  # fmt: skip
+@_format_option("text", "json", text="Text for reading; one JSON object for programs.")
+@_output_option("--junit", "File for the verdicts as JUnit XML, for a CI system.")
 @_plugins
 @click.pass_context
 def score(
@@ -137,14 +147,14 @@ def score(
     junit: Path | None,
     plugins: Path | None,
 ) -> None:
-    """Judge recordings by the right runs of a reference.
+    """Judge recordings by comparison with the normal runs of a reference.
 
-    Exit code 0: all are like them; 1: one is anomalous; 2: one could not be judged, or none.
+    Exit code 0: all are normal; 1: at least one is anomalous; 2: at least one could not be judged.
 
-    RUN_OR_BAG is what `oracle features` takes; several are judged as one suite. Half of the
-    reference runs teach a detector what is usual, the other half calibrate it: the p-value is the
-    share of them that are at least as odd, and a run is anomalous if that is at most --far. With
-    fewer than 19 calibration runs for 5%, or 99 for 1%, nothing is judged.
+    RUN_OR_BAG is as for `oracle features`; several recordings are judged as one suite. Half of
+    the reference runs fit a detector and the other half calibrate it. The p-value is the share of
+    calibration runs that score at least as high, and a recording is anomalous if its p-value is at
+    most --far. A rate of 5% needs 19 calibration runs, 1% needs 99; with fewer, nothing is judged.
 
     \b
     Examples:
@@ -153,15 +163,16 @@ def score(
         oracle score my_robot_bag/ --reference data --format json \\
             | jq '.recordings[0].evidence[0]'
     """  # noqa: D301 -- click reads the control character
-    from oracle_pipeline import scoring
-    from oracle_pipeline.reporting import verdicts
+    from oracle_pipeline.scoring import judging, output
+    from oracle_pipeline.scoring.junit import as_junit
+    from oracle_pipeline.scoring.reference import read_reference
 
     manager = feature_extraction.build_manager(plugins)
-    known = scoring.read_reference(reference, manager)
-    judged = scoring.score(recordings, known, manager, far)
-    show = verdicts.as_json if file_format == "json" else verdicts.as_text
-    click.echo(show(judged, far, known.notes))
+    normal = read_reference(reference, manager)
+    verdicts = judging.score(recordings, normal, manager, far)
+    show = output.as_json if file_format == "json" else output.as_text
+    click.echo(show(verdicts, far, normal.notes))
     if junit is not None:
         with replacing(junit) as sink:
-            sink.write(verdicts.as_junit(judged))
-    ctx.exit(verdicts.exit_code(judged))
+            sink.write(as_junit(verdicts))
+    ctx.exit(output.exit_code(verdicts))

@@ -1,4 +1,4 @@
-"""The roof: all assets, checks, resources, jobs, schedules and sensors in one ``Definitions``.
+"""All assets, checks, resources, jobs, schedules and sensors in one ``Definitions``.
 
 Nobody imports this module but Dagster and tests. ``build_defs`` takes other resources in place of
 the default ones, so that a test or a script swaps a part without patching anything.
@@ -9,27 +9,30 @@ import warnings
 
 import dagster as dg
 
-# Backfill policies, partition mappings and partitioned checks are what this pipeline stands on;
-# Dagster calls them beta or preview, and would say so at each load. Before our own assets load.
+# This pipeline needs backfill policies, partition mappings and partitioned checks. Dagster calls
+# them beta or preview and would warn at each load. This must stand before our own assets.
 warnings.filterwarnings("ignore", category=dg.BetaWarning)
 warnings.filterwarnings("ignore", category=dg.PreviewWarning)
 
 from assets import (  # noqa: E402
     automation,
-    checks,
-    datasets,
-    evaluation,
     evaluation_checks,
-    reports,
+    experiment_runs,
+    feature_dataset,
+    oracle_evaluation,
+    oracle_report,
+    run_checks,
     run_retention,
-    runs,
     scenario_changes,
+    thesis_method,
 )
 from resources.budget import StorageBudget  # noqa: E402
 from resources.campaign import CampaignSettings  # noqa: E402
+from resources.executor import in_process_executor  # noqa: E402
 from resources.fleet import Fleet  # noqa: E402
+from resources.no_values import NoValues  # noqa: E402
 from resources.store import RunStore  # noqa: E402
-from sim.recipes import Campaign  # noqa: E402
+from sim.campaigns import Campaign  # noqa: E402
 
 
 def build_defs(**overrides: object) -> dg.Definitions:
@@ -38,7 +41,7 @@ def build_defs(**overrides: object) -> dg.Definitions:
     Parameters
     ----------
     **overrides
-        Resources by name: ``store``, ``fleet``, ``campaign``, ``budget``.
+        Resources by name: ``store``, ``fleet``, ``campaign``, ``budget``, ``io_manager``.
 
     Raises
     ------
@@ -46,27 +49,26 @@ def build_defs(**overrides: object) -> dg.Definitions:
         If there is no such resource.
     """
     resources: dict[str, object] = {
-        "store": RunStore(root=dg.EnvVar("ORACLE_HOME"))
-        if "ORACLE_HOME" in os.environ
-        else RunStore(),
-        "fleet": Fleet(address=dg.EnvVar("ORACLE_DASK"))
-        if "ORACLE_DASK" in os.environ
-        else Fleet(),
+        "store": RunStore(root=os.environ.get("ORACLE_HOME") or "data"),
+        "fleet": Fleet(address=os.environ.get("ORACLE_DASK", "")),
         "campaign": CampaignSettings(goals_per_run=Campaign.from_environment().goals_per_run),
         "budget": StorageBudget(limit=dg.EnvVar("ORACLE_STORAGE_BUDGET"))
         if "ORACLE_STORAGE_BUDGET" in os.environ
         else StorageBudget(),
+        "io_manager": NoValues(),
     }
     if unknown := overrides.keys() - resources.keys():
         raise TypeError(f"No resource is called {sorted(unknown)}; there are {sorted(resources)}.")
     return dg.Definitions(
-        assets=dg.load_assets_from_modules([runs, datasets, evaluation, reports]),
-        asset_checks=[checks.checks_of_runs, evaluation_checks.checks_of_evaluation],
+        assets=dg.load_assets_from_modules(
+            [experiment_runs, feature_dataset, oracle_evaluation, thesis_method, oracle_report]
+        ),
+        asset_checks=[run_checks.checks_of_runs, evaluation_checks.checks_of_evaluation],
         jobs=[automation.everything, run_retention.forget_old_runs],
         schedules=[automation.nightly, run_retention.weekly],
         sensors=[scenario_changes.changed_scenarios],
         resources=resources | overrides,
-        executor=dg.in_process_executor,  # the assets fan out themselves
+        executor=in_process_executor,  # the assets fan out themselves
     )
 
 

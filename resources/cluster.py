@@ -1,7 +1,7 @@
 """A Dask cluster as an executor of ``concurrent.futures``. No Dagster here; needs the extra `dask`.
 
-The cluster is somebody else's: it is started and stopped elsewhere (docs/scaling.md). A job is
-a function that workers import and one argument, so a worker needs this package and no Dagster.
+You start and stop the cluster yourself (docs/how-to/scaling.md). A job is a function that workers
+import and one argument, so a worker needs this package and no Dagster.
 """
 
 import concurrent.futures

@@ -24,11 +24,9 @@ class Fleet(dg.ConfigurableResource[None]):
         ge=1,
         description="Runs that are worked on at a time on this machine; a cluster has its own.",
     )
-    address: str = Field(
-        default="",
-        description="Scheduler of a Dask cluster to work on, such as `tcp://host:8786`; "
-        "empty: this machine.",
-    )
+    # Scheduler of a Dask cluster, such as `tcp://host:8786`; empty: this machine. It is no part of
+    # a run's config: whoever starts a run must not choose whom this process connects to.
+    address: dg.ResourceDependency[str] = ""
 
     def outcomes(self, function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[Outcome[J, R]]:
         """Yield what became of every job, as they finish; one that fails fails alone.

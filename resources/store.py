@@ -5,19 +5,18 @@ from pathlib import Path
 from typing import cast
 
 import dagster as dg
-from pydantic import Field
 
+from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
 
 
 class RunStore(dg.ConfigurableResource[None]):
     """The folder below which everything is kept."""
 
-    root: str = Field(
-        default="data",
-        description="Folder for runs, features, datasets and the report, made if it is not there; "
-        "or one in an object store, such as `s3://bucket/prefix`.",
-    )
+    # Folder for runs, features, datasets and the report, made if it is not there; or one in an
+    # object store, such as `s3://bucket/prefix`. No part of a run's config: whoever starts a run
+    # must not choose where this process writes.
+    root: dg.ResourceDependency[str] = "data"
 
     @property
     def is_local(self) -> bool:
@@ -69,13 +68,17 @@ class RunStore(dg.ConfigurableResource[None]):
 
     def dataset(self, name: str) -> Path:
         """Return the place of a table over many runs."""
-        return self.path / "datasets" / f"{name}.parquet"
+        return layout.dataset(self.path, name)
 
     def results(self, name: str) -> Path:
         """Return the folder of one report's table, pictures and facts."""
-        return self.path / "report" / "parts" / name
+        return layout.report_part(self.path, name)
+
+    def grid_indices(self) -> list[Path]:
+        """Return the index of each grid that was recorded below the root."""
+        return layout.grid_indices(self.path)
 
     @property
     def report(self) -> Path:
         """The report: one HTML file."""
-        return self.path / "report" / "index.html"
+        return layout.report_page(self.path)

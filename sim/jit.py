@@ -1,17 +1,13 @@
 """The one way hot loops are compiled: numba, cached on disk, IEEE arithmetic (no fastmath)."""
 
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import Any, cast
 
 import numba
 
-P = ParamSpec("P")
-R = TypeVar("R")
+from oracle_pipeline.bags.jit import jit
 
-
-def jit(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile ``function`` on first call and keep the machine code for the next process."""
-    return cast(Callable[P, R], numba.njit(cache=True)(function))
+__all__ = ["elementwise", "jit"]
 
 
 def elementwise(function: Callable[..., float]) -> Callable[..., Any]:

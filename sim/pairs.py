@@ -5,8 +5,8 @@ from typing import Any
 
 from oracle_pipeline.bags.errors import ManifestError, RunDirectoryError
 from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bags.run_directory import RunDirectory
-from sim.modes import PAIRS
 
 CONTROL = "lidar_passthrough_odom"  # of attacks that have no pair of their own
 LONGER = 1.15  # a way this much longer than the control's is an effect

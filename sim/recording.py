@@ -12,6 +12,7 @@ import networkx as nx
 import numpy as np
 
 from oracle_pipeline.bags.graph_files import Kind, RosGraph, vertex_id, write_gexf, write_graphml
+from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.bags.writer import BagWriter
 from sim.middleware import qos
@@ -19,8 +20,8 @@ from sim.middleware.domain import Domain, Offer, Publisher, Subscription, is_hid
 from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.node import Node
 
-INTERVAL_NS = 10 * SECOND
-SHORTEST_INTERVAL_NS = 5 * SECOND  # a last, partial interval shorter than this is dropped
+INTERVAL_NS = INTERVAL_S * SECOND
+SHORTEST_INTERVAL_NS = MIN_INTERVAL_S * SECOND
 DEBUG_TOPICS = ("/evaluation", "/marker")  # of the controller: 20 MB a second while it drives
 _DISCOVERY_NS = 100 * MILLISECOND  # rosbag2 looks for new topics this often
 

@@ -15,7 +15,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from assets.worker.feature_tables import TABLES, feature_table
+from oracle_pipeline.bags.layout import TABLES, report_page
 from oracle_pipeline.bags.run_directory import find_runs
 from resources.storage.stock import parse_budget, take_stock
 
@@ -83,7 +83,7 @@ def campaign(
 
 
 def main() -> None:
-    """Run the campaign and say what was found."""
+    """Run the campaign and print the faults."""
     parser = argparse.ArgumentParser(prog="python -m soak.budget", description=main.__doc__)
     parser.add_argument("--runs", type=int, default=100, help="of each of the six modes")
     parser.add_argument("--goals", type=int, default=1)
@@ -122,8 +122,8 @@ def _what_is_missing(root: Path, expected: int) -> list[str]:
         intervals = sum(file.stem.isdecimal() for file in run.graphs.glob("*.gexf"))
         if intervals != int((run.manifest().recording_s + 5.0) // 10.0):
             wrong.append(f"{run.key} lacks graphs")
-        wrong += [f"{run.key} lacks {t}" for t in TABLES if not feature_table(run, t).is_file()]
-    if not (root / "report" / "index.html").is_file():
+        wrong += [f"{run.key} lacks {t}" for t in TABLES if not run.feature_table(t).is_file()]
+    if not report_page(root).is_file():
         wrong.append("there is no report")
     return wrong
 

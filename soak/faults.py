@@ -19,15 +19,15 @@ from typing import Any
 
 import numpy as np
 
-from assets.worker.feature_tables import TABLES, feature_table
 from assets.worker.run import OF_A_RUN, RunJob, process_run
+from oracle_pipeline.bags.layout import TABLES
 from oracle_pipeline.bags.manifest import Kept
 from oracle_pipeline.bags.reader import content_hash
 from oracle_pipeline.bags.run_directory import RunDirectory, bytes_on_disk, find_runs
 from oracle_pipeline.datasets import content_hash as table_hash
 from oracle_pipeline.datasets import read_table
+from sim.campaigns import Campaign
 from sim.fan_out import fan_out, process_pool
-from sim.recipes import Campaign
 
 RUNS: tuple[tuple[str, int, Kept], ...] = (
     ("atc_ghost_static", 0, "trimmed"),
@@ -92,7 +92,7 @@ def _workers(caller: int) -> list[int]:
 
 
 def wait_until_gone(campaign: "subprocess.Popen[bytes]") -> bool:
-    """Tell whether all processes of a campaign end in time."""
+    """Return whether all processes of a campaign end in time."""
     deadline = time.monotonic() + LONGEST_S
     while time.monotonic() < deadline:
         try:
@@ -118,7 +118,7 @@ def _known(run: RunDirectory) -> dict[str, Any]:
     document = asdict(run.manifest())
     kept = document.pop("measured")["kept"]
     graphs = {file.name: file.read_bytes() for file in sorted(run.graphs.iterdir())}
-    features = {table: table_hash(read_table(feature_table(run, table))) for table in TABLES}
+    features = {table: table_hash(read_table(run.feature_table(table))) for table in TABLES}
     return {"kept": kept, "graphs": graphs, "features": features, **document}
 
 
@@ -161,11 +161,15 @@ def disturbed(root: Path, kills: int, seed: int) -> Iterator[list[str]]:
         yield wrong
     run_campaign(str(root))
     made = made_in(root)
-    yield [f"{key} was finished and made again" for key, s in first_made.items() if made[key] != s]
+    yield [
+        f"{key} was finished and then simulated again"
+        for key, s in first_made.items()
+        if made[key] != s
+    ]
 
 
 def main() -> None:
-    """Kill a campaign many times and say whether it ended as if nothing had been."""
+    """Kill a campaign many times and check that its result is that of an undisturbed one."""
     parser = argparse.ArgumentParser(prog="python -m soak.faults", description=main.__doc__)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
@@ -174,9 +178,11 @@ def main() -> None:
         quiet, other = Path(folder, "quiet"), Path(folder, "disturbed")
         run_campaign(str(quiet))
         wrong: list[str] = []
-        for number, found in enumerate(disturbed(other, arguments.kills, arguments.seed), start=1):
-            print(f"{number}: {'; '.join(found) or 'nothing wrong'}", flush=True)
-            wrong += found
+        for number, wrong_now in enumerate(
+            disturbed(other, arguments.kills, arguments.seed), start=1
+        ):
+            print(f"{number}: {'; '.join(wrong_now) or 'nothing wrong'}", flush=True)
+            wrong += wrong_now
         if state(other) != state(quiet):
             wrong.append("the runs are not those of an undisturbed campaign")
         wrong += [f"{name} was left behind" for name in leftovers(other)]

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from oracle_pipeline.cli import main as oracle
-from sim.commands.main import main as oracle_sim
+from resources.cli import main as oracle_sim
 
 REPOSITORY = Path(__file__).parent.parent
 BIN = Path(sys.executable).parent
@@ -65,7 +65,7 @@ def test_features_of_a_run_directory_and_of_its_bag_alone(place):
 
 def test_a_run_is_replayed_beside_its_manifest(place):
     run = place / "data/runs/fake_object/run003"
-    command(place, "oracle-sim", "replay", str(run))
+    command(place, "oracle", "replay", str(run))
     assert (run / "replay.gif").read_bytes().startswith(b"GIF89a")
     assert (run / "picture.png").read_bytes().startswith(b"\x89PNG")
 

@@ -1,16 +1,17 @@
-"""The feature tables of one run, extracted once: again only for another run, code or content.
+"""The feature tables of one run: extracted again only if run, code or tables have changed.
 
-Beside a run's table stands a small JSON file with hashes of what it was made from and of what was
-written then. No Dagster here, workers import this; and it is light until something is extracted.
+A small JSON file beside the tables holds hashes of their inputs and of their content. Heavy imports
+are inside the functions, so that verifying a run is quick.
 """
 
 import hashlib
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from assets.worker.versions import feature_code
+from oracle_pipeline.bags.layout import TABLES
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.remote import fetched, is_local
 from oracle_pipeline.bags.run_directory import RunDirectory
@@ -18,30 +19,22 @@ from oracle_pipeline.bags.run_directory import RunDirectory
 if TYPE_CHECKING:
     from oracle_pipeline.bags.reader import BagReader
 
-Table = Literal["run", "window"]
-TABLES: tuple[Table, ...] = ("run", "window")
-
-
-def feature_table(run: RunDirectory, table: Table) -> Path:
-    """Return the place of the features of a run, or of its windows."""
-    return run.root / "features" / table / run.mode / f"{run.run_id}.parquet"
-
 
 def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bool:
-    """Extract the features of a complete run unless its tables are right; tell whether it did.
+    """Extract the features of a complete run unless its tables are current; return whether it did.
 
     Parameters
     ----------
     run, manifest
-        The run and what is known of it.
+        The run and its manifest.
     refresh
         Extract in any case.
     """
     from oracle_pipeline.datasets import replacing
     from oracle_pipeline.features import build_manager, extract, write
-    from oracle_pipeline.runs import open_run
+    from oracle_pipeline.opened_run import open_run
 
-    if not refresh and tables_are_right(run, manifest):
+    if not refresh and tables_are_current(run, manifest):
         return False
     _tidy(run)
     with fetched(run.path) as folder, open_run(folder) as opened:
@@ -53,22 +46,22 @@ def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bo
 
 
 def require_tables(run: RunDirectory) -> bool:
-    """Extract the features of a complete run unless its tables are right; tell whether it did."""
+    """Do `ensure_tables` for a complete run, without refresh."""
     return ensure_tables(run, run.manifest(), refresh=False)
 
 
-def tables_are_right(run: RunDirectory, manifest: Manifest) -> bool:
-    """Tell whether a run's tables are what extracting them now would give."""
+def tables_are_current(run: RunDirectory, manifest: Manifest) -> bool:
+    """Return whether extracting the features of a run now would give the same tables."""
     return _read(_record(run)) == {"inputs": _inputs(manifest), "tables": _hashes(run)}
 
 
 def topics_of_features(bag: "BagReader") -> set[str]:
     """Return the topics of a bag whose messages a plugin wants decoded."""
     from oracle_pipeline.features import build_manager
-    from oracle_pipeline.features.layout import Layout
+    from oracle_pipeline.features.message_layout import MessageLayout
 
     requests = [r for plugin in build_manager().plugins for r in plugin.topics.values()]
-    layouts = {name: Layout(bag, name) for name in bag.topics}
+    layouts = {name: MessageLayout(bag, name) for name in bag.topics}
     return {
         name
         for name, topic in bag.topics.items()
@@ -77,26 +70,26 @@ def topics_of_features(bag: "BagReader") -> set[str]:
 
 
 def _tidy(run: RunDirectory) -> None:
-    """Remove half-written tables that a dead worker left; nobody else works on the run now."""
+    """Remove half-written tables of a killed worker; the caller holds the run."""
     if is_local(run.root):
         for table in TABLES:
-            for leftover in feature_table(run, table).parent.glob(f".{run.run_id}.*"):
+            for leftover in run.feature_table(table).parent.glob(f".{run.run_id}.*"):
                 leftover.unlink(missing_ok=True)
 
 
 def _record(run: RunDirectory) -> Path:
-    return feature_table(run, "run").with_suffix(".json")
+    return run.feature_table("run").with_suffix(".json")
 
 
 def _inputs(manifest: Manifest) -> str:
-    """Hash what features are a function of: our code, and the run, but for what was found of it."""
-    found = {"measured": None, "task_effect": None}
-    sources = {**asdict(manifest), **found, "code": feature_code()}
+    """Return a hash of what features depend on: the code, and the run without what was measured."""
+    not_inputs = {"measured": None, "task_effect": None}
+    sources = {**asdict(manifest), **not_inputs, "code": feature_code()}
     return hashlib.sha256(json.dumps(sources, sort_keys=True).encode()).hexdigest()
 
 
 def _hashes(run: RunDirectory) -> dict[str, str]:
-    places = {table: feature_table(run, table) for table in TABLES}
+    places = {table: run.feature_table(table) for table in TABLES}
     return {
         table: hashlib.sha256(place.read_bytes()).hexdigest()
         for table, place in places.items()

@@ -1,11 +1,10 @@
 """One run, from its recipe to its features, in a worker process.
 
-No Dagster here: a fresh interpreter imports this module before it can start. What is there
-already and still right is left as it is and called verified; refreshed, it is made again in another
-place, and put into its own unless nothing explains that it is another run. What the storage plan
-does not keep is given up once all is made from it, and made again when features need it. A run that
-belongs into an object store is made on this machine's disk and published there, features first, its
-manifest last.
+A run that exists and matches its recipe is left alone and reported as ``verified``. With
+``refresh`` it is simulated again in a separate directory and replaces the former run, unless the
+messages differ although code, libraries, CPU and recipe are the same. What the storage plan does
+not keep is dropped once features are extracted, and re-simulated when features need it. A run for
+an object store is made on the local disk and published from there: features first, manifest last.
 """
 
 import contextlib
@@ -18,28 +17,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from assets.worker.feature_tables import (
-    Table,
-    ensure_tables,
-    feature_table,
-    tables_are_right,
-    topics_of_features,
-)
+from assets.worker.feature_tables import ensure_tables, tables_are_current, topics_of_features
 from assets.worker.reproduction import Reproduction, judge, made_aside, place_aside
 from assets.worker.versions import feature_code
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.graph_files import read_gexf
+from oracle_pipeline.bags.integrity import require_undamaged
+from oracle_pipeline.bags.layout import FEATURES, Table
 from oracle_pipeline.bags.manifest import KEPT, Kept, Manifest
 from oracle_pipeline.bags.remote import is_local, publish
 from oracle_pipeline.bags.retention import retain
-from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RunDirectory
+from oracle_pipeline.bags.run_directory import GRAPHS_FOLDER, MANIFEST_FILE, RunDirectory
 from oracle_pipeline.datasets import MISSING, content_hash, feature_columns, read_table
-from sim.experiments import can_be_made_again, record_run, remake_run
+from sim.campaigns import Campaign
+from sim.experiments import can_be_made_again, recipe_for, record_run, remake_run
 from sim.pairs import judge_pair
-from sim.recipes import Campaign, recipe_for
 
-RECORDED = ("experiment_runs", "bags", "interval_graphs")  # made together, by the simulation
-# Made together, from the recording.
+RECORDED = ("experiment_runs", "bags", "interval_graphs")  # by the simulation, in one step
+# From the recording, in one step.
 TABLES: dict[str, Table] = {"window_features": "window", "run_features": "run"}
 OF_A_RUN = frozenset({*RECORDED, *TABLES})  # every asset of a run
 
@@ -49,13 +44,13 @@ Status = Literal["made", "remade", "verified"]
 
 @dataclass(frozen=True, slots=True)
 class RunJob:
-    """What is wanted of one run."""
+    """The work that is requested for one run."""
 
     directory: RunDirectory
     campaign: Campaign
     wanted: frozenset[str]  # assets
-    refresh: bool  # make again what is there already
-    keep: Kept = "full"  # what stays of the bag in the end
+    refresh: bool  # re-simulate a complete run
+    keep: Kept = "full"  # how much of the bag is kept in the end
 
     def __str__(self) -> str:
         """Return the run's partition key."""
@@ -63,8 +58,8 @@ class RunJob:
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
-    """One asset of one run, as it is now."""
+class AssetOfRun:
+    """The current state of one asset of one run."""
 
     path: str  # below the root
     code: str  # version of the code that made it
@@ -74,39 +69,39 @@ class Made:
 
 @dataclass(frozen=True, slots=True)
 class RunReport:
-    """What became of one run."""
+    """The result of the work on one run."""
 
-    simulated_s: float  # of simulated time; 0 if the run was there already
-    assets: dict[str, Made]  # those that were wanted
+    simulated_s: float  # simulated time; 0 if the run was complete
+    assets: dict[str, AssetOfRun]  # those requested
     kept: Kept
     freed_bytes: int
-    reproduction: Reproduction | None = None  # if it was there and was made again
+    reproduction: Reproduction | None = None  # if it was complete and was re-simulated
 
 
 def process_run(job: RunJob) -> RunReport:
-    """Make what is wanted of a run, and what that needs.
+    """Make the requested assets of a run and what they need.
 
     Raises
     ------
     OracleError
-        If the run cannot be recorded, or what was recorded cannot be read.
+        If the run cannot be recorded, or its recording cannot be read.
     """
     with job.directory.held():
         to_be_recorded = not job.wanted.isdisjoint(RECORDED)
         if to_be_recorded and job.refresh and (former := _readable_manifest(job.directory)):
             return _make_again(job, former)
         if not job.directory.is_complete() or (to_be_recorded and job.refresh):
-            with _made_here(job.directory) as here:
-                there = replace(job, directory=here)
-                _record(there)
-                return _finish(there, "made")
+            with _made_here(job.directory) as local:
+                local_job = replace(job, directory=local)
+                _record(local_job)
+                return _finish(local_job, "made")
         if to_be_recorded:
             _record(job)
         former = job.directory.manifest()
         if _lacks_its_bag(job, former):
-            with _made_here(job.directory) as here:
-                remake_run(former, here)
-                return _finish(replace(job, directory=here), "remade")
+            with _made_here(job.directory) as local:
+                remake_run(former, local)
+                return _finish(replace(job, directory=local), "remade")
         return _finish(job, "verified")
 
 
@@ -118,12 +113,12 @@ def _readable_manifest(run: RunDirectory) -> Manifest | None:
 
 
 def _make_again(job: RunJob, former: Manifest) -> RunReport:
-    """Make a run that is there aside; it takes its place unless it is another for no reason."""
+    """Re-simulate a complete run; it is replaced unless the messages differ without a reason."""
     run = job.directory
     with made_aside(run) as aside:
         _record(replace(job, directory=aside))
-        found = judge(run, former, aside)
-        if found.verdict == "unexplained":
+        reproduction = judge(run, former, aside)
+        if reproduction.comparison == "unexplained":
             if not is_local(run.root):
                 publish(aside.path, place_aside(run).path, MANIFEST_FILE)
             report = _finish(replace(job, refresh=False), "verified")
@@ -134,49 +129,49 @@ def _make_again(job: RunJob, former: Manifest) -> RunReport:
         else:
             report = _finish(replace(job, directory=aside), "made")
             _put_in_place(aside, run)
-    return replace(report, reproduction=found)
+    return replace(report, reproduction=reproduction)
 
 
 def _record(job: RunJob) -> None:
-    """Record the run, or verify it if it is there."""
+    """Record the run, or verify it if it is complete."""
     recipe = recipe_for(job.directory.mode, job.directory.run, job.campaign)
     record_run(recipe, job.directory, refresh=job.refresh)
 
 
 def _lacks_its_bag(job: RunJob, manifest: Manifest) -> bool:
-    """Tell whether features have to be extracted from a bag that is not whole any more."""
+    """Return whether features must be extracted but the bag was trimmed or dropped."""
     if manifest.measured.kept == "full" or job.wanted.isdisjoint(TABLES):
         return False
-    return job.refresh or not tables_are_right(job.directory, manifest)
+    return job.refresh or not tables_are_current(job.directory, manifest)
 
 
 @contextlib.contextmanager
 def _made_here(run: RunDirectory) -> Iterator[RunDirectory]:
-    """Give a place on this machine to make a run in: its own, or one that is published after it."""
+    """Yield a place on this machine to make a run: its own, or one that is published afterwards."""
     if is_local(run.root):
         yield run
         return
     with tempfile.TemporaryDirectory(prefix="oracle-") as root:
-        here = replace(run, root=Path(root))
+        local = replace(run, root=Path(root))
         try:
-            yield here
-        finally:  # a whole run is kept, whatever became of its features
-            if here.is_complete():
-                _put_in_place(here, run)
+            yield local
+        finally:  # a complete run is kept even if its features failed
+            if local.is_complete():
+                _put_in_place(local, run)
 
 
-def _put_in_place(here: RunDirectory, run: RunDirectory) -> None:
-    """Publish a run that was made on this machine, and judge it beside its pair's other one."""
-    for file in (here.root / "features").rglob("*"):
+def _put_in_place(local: RunDirectory, run: RunDirectory) -> None:
+    """Publish a run that was made on this machine, and compare it with its pair."""
+    for file in (local.root / FEATURES).rglob("*"):
         if file.is_file():
-            (run.root / file.relative_to(here.root).as_posix()).write_bytes(file.read_bytes())
-    publish(here.path, run.path, MANIFEST_FILE)
+            (run.root / file.relative_to(local.root).as_posix()).write_bytes(file.read_bytes())
+    publish(local.path, run.path, MANIFEST_FILE)
     judge_pair(run)
 
 
 def _finish(job: RunJob, status: Status) -> RunReport:
-    """Extract the features of a run that is there, give up what is not kept, describe the rest."""
-    made: dict[str, Made] = {}
+    """Extract the features of a complete run, drop what is not kept, and describe the result."""
+    made: dict[str, AssetOfRun] = {}
     manifest = job.directory.manifest()
     picture = _picture(job.directory) if "experiment_runs" in job.wanted else ""
     if not job.wanted.isdisjoint(TABLES):
@@ -196,17 +191,19 @@ def _finish(job: RunJob, status: Status) -> RunReport:
 
 
 def _retain(job: RunJob, manifest: Manifest) -> Manifest:
-    """Give up what is not kept, once all is there that is made from the whole bag."""
+    """Drop what is not kept, once everything is made that needs the whole bag."""
     run = job.directory
     if manifest.measured.kept == "full":
         ensure_tables(run, manifest, refresh=False)
         _picture(run)
     retain(run, job.keep, topics_of_features)
-    judge_pair(run)  # somebody may have, while the run was put back
+    judge_pair(run)  # another worker may have replaced the other run meanwhile
     return run.manifest()
 
 
-def _recording(directory: RunDirectory, manifest: Manifest, status: Status) -> dict[str, Made]:
+def _recording(
+    directory: RunDirectory, manifest: Manifest, status: Status
+) -> dict[str, AssetOfRun]:
     measured = manifest.measured
     run: Figures = {
         "status": status,
@@ -232,6 +229,7 @@ def _recording(directory: RunDirectory, manifest: Manifest, status: Status) -> d
         "freed_bytes": measured.freed_bytes,
         "content_hash": manifest.content_hash,
     }
+    require_undamaged(directory.path, manifest, GRAPHS_FOLDER)
     graph = read_gexf(directory.graphs / "run.gexf")
     files = sorted(directory.graphs.iterdir())
     kinds = [vertex["kind"] for _, vertex in graph.nodes(data=True)]
@@ -246,7 +244,7 @@ def _recording(directory: RunDirectory, manifest: Manifest, status: Status) -> d
     }
     described = ((directory.path, run), (directory.bag, bag), (directory.graphs, graphs))
     return {
-        asset: Made(
+        asset: AssetOfRun(
             path.relative_to(directory.root).as_posix(),
             manifest.software.code,
             str(figures["content_hash"]),
@@ -257,7 +255,7 @@ def _recording(directory: RunDirectory, manifest: Manifest, status: Status) -> d
 
 
 def _picture(directory: RunDirectory) -> bytes | str:
-    """Return the run from above, or why it could not be drawn: a run is not lost for a picture."""
+    """Return a picture of the run from above, or why there is none: that must not fail the run."""
     from oracle_pipeline.replay.picture import kept_picture
 
     try:
@@ -266,13 +264,13 @@ def _picture(directory: RunDirectory) -> bytes | str:
         return f"not drawn: {error}"
 
 
-def _features(job: RunJob, manifest: Manifest) -> dict[str, Made]:
+def _features(job: RunJob, manifest: Manifest) -> dict[str, AssetOfRun]:
     started = time.perf_counter()
     extracted = ensure_tables(job.directory, manifest, refresh=job.refresh)
     wall_s = time.perf_counter() - started
     made = {}
     for asset, table in TABLES.items():
-        place = feature_table(job.directory, table)
+        place = job.directory.feature_table(table)
         df = read_table(place)
         reasons = [json.loads(row) for row in df[MISSING]]
         absent = sorted({name for row in reasons for name in row})
@@ -288,5 +286,5 @@ def _features(job: RunJob, manifest: Manifest) -> dict[str, Made]:
             "content_hash": version,
         }
         path = place.relative_to(job.directory.root).as_posix()
-        made[asset] = Made(path, feature_code(), version, figures)
+        made[asset] = AssetOfRun(path, feature_code(), version, figures)
     return made

@@ -6,30 +6,43 @@ A changed hash makes an asset stale in the UI and its files be made again.
 import functools
 import os
 from importlib.metadata import entry_points
-from importlib.resources import files
 from pathlib import Path
 
-from sim.software import source_digest
+from oracle_pipeline.bags.sources import ROOT, code_hash
 
 _PLUGIN_FOLDER, _PLUGIN_GROUP = "ORACLE_PLUGINS", "oracle_pipeline"
-_FEATURE_PARTS = ("bags", "graphs", "features")
+_ANALYSIS = "oracle_pipeline"
+_EXTRACTED_BY = ("oracle_pipeline.opened_run", "oracle_pipeline.features")
+_READ_BY = "assets.aggregates"  # what all assets over all runs share
 
 
 @functools.cache
-def analysis_code() -> str:
-    """Return the version of everything that turns feature tables into reports."""
-    return source_digest([files("oracle_pipeline")])
+def analysis_code(module: str, root: Path = ROOT) -> str:
+    """Return the version of what turns feature tables into the results of a module of assets.
+
+    Parameters
+    ----------
+    module
+        That defines the assets.
+    root
+        The folder of our packages.
+    """
+    return code_hash([module, _READ_BY], within=[_ANALYSIS], root=root)
 
 
 @functools.cache
-def feature_code() -> str:
-    """Return the version of everything that turns a run into features, plugins included."""
-    package = files("oracle_pipeline")  # naming a part of it would import all that it needs
-    folders = [package / part for part in _FEATURE_PARTS]
-    if folder := os.environ.get(_PLUGIN_FOLDER):
-        folders.append(Path(folder))
+def feature_code(root: Path = ROOT) -> str:
+    """Return the version of everything that turns a run into features, plugins included.
+
+    Parameters
+    ----------
+    root
+        The folder of our packages.
+    """
+    folder = os.environ.get(_PLUGIN_FOLDER)
     plugins = [
         f"{plugin.name} {plugin.value} {plugin.dist.version if plugin.dist else ''}"
         for plugin in sorted(entry_points(group=_PLUGIN_GROUP))
     ]
-    return source_digest(folders, *plugins)
+    folders = [Path(folder)] if folder else []
+    return code_hash(_EXTRACTED_BY, *plugins, folders=folders, root=root)

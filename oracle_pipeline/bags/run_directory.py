@@ -1,4 +1,4 @@
-"""Where a run lives, and how it gets there whole.
+"""The directory of one run, and how it gets there in one piece.
 
 ``<root>/runs/<mode>/run003`` holds ``manifest.json``, ``bag/`` and ``graphs/``. A run is written in
 a scratch directory beside its place (``.run003.<token>``), which its writer keeps locked, and
@@ -18,7 +18,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.layout import RUNS, Table, feature_table, run_folder
 from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.protocol import run_key
 from oracle_pipeline.bags.remote import is_local
 from oracle_pipeline.bags.scratch import beside, lock, remove_left, scratch_beside, sync, sync_tree
 
@@ -65,7 +67,7 @@ class RunDirectory:
         """Return the run directory at a path, ``<root>/runs/<mode>/run003``."""
         place = path.resolve()
         match = _RUN.fullmatch(place.name)
-        if match is None or len(place.parts) < 4 or place.parts[-3] != "runs":
+        if match is None or len(place.parts) < 4 or place.parts[-3] != RUNS:
             raise RunDirectoryError(
                 f"{path} is not the place of a run; name one such as data/runs/fake_object/run003."
             )
@@ -79,12 +81,12 @@ class RunDirectory:
     @property
     def key(self) -> str:
         """``fake_object|run003``, the run's partition key."""
-        return f"{self.mode}|{self.run_id}"
+        return run_key(self.mode, self.run)
 
     @property
     def path(self) -> Path:
         """The run's own directory."""
-        return self.root / "runs" / self.mode / self.run_id
+        return run_folder(self.root, self.mode, self.run_id)
 
     @property
     def manifest_path(self) -> Path:
@@ -101,8 +103,12 @@ class RunDirectory:
         """Folder of its graphs: one a 10 s interval, ``run.gexf`` and ``run.graphml``."""
         return self.path / GRAPHS_FOLDER
 
+    def feature_table(self, table: Table) -> Path:
+        """Return the place of the features of the run, or of its windows."""
+        return feature_table(self.root, table, self.mode, self.run_id)
+
     def is_complete(self) -> bool:
-        """Tell whether the run is there."""
+        """Return whether the run is there."""
         return self.manifest_path.is_file()
 
     def manifest(self) -> Manifest:
@@ -136,9 +142,10 @@ class RunDirectory:
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Work on this run alone: whoever else wants to waits; what dead workers left is removed.
+        """Hold this run, so that other workers wait; leftovers of killed workers are removed.
 
-        In an object store nobody waits; there, who is last to publish a run has made the same one.
+        In an object store there is no lock. Two workers may then publish the same run, with equal
+        messages.
         """
         if not is_local(self.path):
             yield
@@ -195,7 +202,7 @@ class RunDirectory:
         self._put_in_place(made.path)
 
     def _tidy(self) -> None:
-        """Remove what dead writers left; the parent is locked."""
+        """Remove leftovers of killed writers; the caller holds the parent."""
         remove_left(self.path, self._salvage)
         for leftover in self.path.glob(f".{MANIFEST_FILE}.*"):
             leftover.unlink(missing_ok=True)
@@ -248,7 +255,7 @@ def find_runs(root: Path) -> list[RunDirectory]:
     """Return the complete runs below ``root``, sorted by mode and number."""
     return sorted(
         directory
-        for path in root.glob("runs/*/run*")
+        for path in root.glob(f"{RUNS}/*/run*")
         if _MODE.fullmatch(path.parent.name) and (match := _RUN.fullmatch(path.name))
         if (directory := RunDirectory(root, path.parent.name, int(match[1]))).is_complete()
     )

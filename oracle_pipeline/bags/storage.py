@@ -1,251 +1,153 @@
-"""rosbags' reader and writer of rosbag2, with the loops over messages of an MCAP file made short.
+"""rosbags' writer of rosbag2, with what is done once a message or a topic made short.
 
-A run has a hundred thousand small messages, and it is read for its features, its picture and its
-check: what is done once a message decides what writing and reading a bag cost. What is done once
-a file, a topic or a chunk is left to rosbags.
+A run has a hundred thousand small messages and sixty topics with a handful of QoS profiles: packing
+messages in batches (``batch_storage``), and printing each profile once, decide what writing a bag
+costs. These two modules use what rosbags does not document, so its version is limited in
+``pyproject.toml``.
 """
 
-import struct
-import zlib
+import functools
+import io
 from collections import Counter
-from collections.abc import Collection, Generator, Iterator, Sequence
-from io import BytesIO
-from operator import itemgetter
-from pathlib import Path
+from collections.abc import Sequence
+from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-from rosbags.interfaces import Connection
-from rosbags.rosbag2 import CompressionMode, ReaderError, StoragePlugin, WriterError
-from rosbags.rosbag2 import Reader as RosbagsReader
-from rosbags.rosbag2 import Writer as RosbagsWriter
-from rosbags.rosbag2.reader import DirectoryReader
-from rosbags.rosbag2.storage_mcap import (
-    ChunkInfo,
-    McapReader,
-    McapWriter,
-    PendingChunk,
-    decompress,
+from rosbags.interfaces import (
+    Connection,
+    ConnectionExtRosbag2,
+    MessageDefinition,
+    MessageDefinitionFormat,
+    Qos,
 )
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
+from rosbags.rosbag2 import StoragePlugin, WriterError
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.rosbag2.metadata import dump_qos_v8
+from ruamel.yaml import YAML
 
-# The head of a message: opcode, length of the rest; channel, sequence, log and publish time.
-_MESSAGE, _HEAD = 0x05, struct.Struct("<BQHIQQ")
-_HEADS = np.dtype(
-    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"),
-     ("log", "<u8"), ("publish", "<u8")]
-)  # fmt: skip
-_LENGTH_FIRST = struct.Struct("<BQ")  # of any record: opcode, length of the rest
-_FIELDS_SIZE = _HEAD.size - _LENGTH_FIRST.size
-# Opcode, length; first and last stamp, size, checksum.
-_CHUNK, _CHUNK_HEAD = 0x06, struct.Struct("<BQQQQI")
-_INDEX, _INDEX_HEAD = 0x07, struct.Struct("<BQHI")  # opcode, length; channel, size of its entries
+from oracle_pipeline.bags.batch_storage import BatchMcapWriter, BatchSqlite3Writer
 
-_Integers = NDArray[np.integer]
+# The newest that Humble's `ros2 bag` opens; 9 turns the QoS profiles into a list it cannot parse.
+METADATA_VERSION: Literal[8] = 8
 
-
-class _McapWriter(McapWriter):
-    """Messages are packed in batches, and the index of a chunk is made when it ends."""
-
-    _CHUNK_SIZE = 2**20
-
-    def __init__(self, path: Path, compression: CompressionMode) -> None:
-        super().__init__(path, compression)
-        self._index: list[tuple[_Integers, _Integers, _Integers]] = []  # of the open chunk
-
-    def write_many(
-        self, channels: Sequence[int], stamps: Sequence[int], payloads: Sequence[bytes]
-    ) -> None:
-        """Append messages; a chunk ends behind the message that makes it too large."""
-        count = len(payloads)
-        sizes = np.fromiter(map(len, payloads), np.int64, count)
-        heads = np.zeros(count, _HEADS)
-        heads["opcode"], heads["length"] = _MESSAGE, _FIELDS_SIZE + sizes
-        heads["channel"], heads["log"], heads["publish"] = channels, stamps, stamps
-        parts = interleaved(heads.tobytes(), payloads)
-        ends = np.cumsum(_HEAD.size + sizes)
-        for channel, number in Counter(channels).items():
-            self.channel_stats[channel] += number
-        begin = 0
-        while begin < count:
-            # Where message 0 of the batch would begin in the open chunk.
-            origin = self.chunk.bio.tell() - (int(ends[begin - 1]) if begin else 0)
-            end = int(np.searchsorted(ends, self._CHUNK_SIZE - origin, side="right")) + 1
-            some = slice(begin, min(end, count))
-            self.chunk.bio.write(b"".join(parts[2 * some.start : 2 * some.stop]))
-            self._note(heads["channel"][some], heads["log"][some],
-                       origin + ends[some] - _HEAD.size - sizes[some])  # fmt: skip
-            if end <= count:
-                self.close_chunk()
-            begin = end
-
-    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Append one message."""
-        self.write_many([connection.id], [timestamp], [bytes(data)])
-
-    def _note(self, channels: _Integers, stamps: _Integers, offsets: _Integers) -> None:
-        """Remember where in the open chunk messages are."""
-        first, last = int(stamps.min()), int(stamps.max())
-        for times in (self, self.chunk):
-            times.message_start_time = min(first, times.message_start_time)
-            times.message_end_time = max(last, times.message_end_time)
-        self._index.append((channels, stamps, offsets))
-
-    def close_chunk(self) -> None:
-        """Write the open chunk with its checksum, and behind it the index of its messages."""
-        chunk, records = self.chunk, self.chunk.bio.getbuffer()
-        packed, size = self.compressor(bytes(records)), len(records)
-        start = self.bio.tell()
-        name = _sized(self.compression.encode())
-        span = (chunk.message_start_time, chunk.message_end_time)
-        self.bio.write(
-            _CHUNK_HEAD.pack(
-                _CHUNK, _CHUNK_HEAD.size - _LENGTH_FIRST.size + len(name) + 8 + len(packed),
-                *span, size, zlib.crc32(records),
-            )
-        )  # fmt: skip
-        self.bio.write(name + struct.pack("<Q", len(packed)))
-        self.bio.write(packed)
-        end = self.bio.tell()
-        offsets = []
-        for channel, entries in self._entries():
-            offsets.append((channel, self.bio.tell()))
-            self.bio.write(_INDEX_HEAD.pack(_INDEX, 6 + len(entries), channel, len(entries)))
-            self.bio.write(entries)
-        index = b"".join(struct.pack("<HQ", *offset) for offset in offsets)
-        summary = struct.pack("<QQQQI", *span, start, end - start, len(index)) + index
-        summary += struct.pack("<Q", self.bio.tell() - end) + name
-        summary += struct.pack("<QQ", len(packed), size)
-        record = BytesIO()
-        record.write(summary)  # rosbags asks where its end is
-        self.chunks.append(record)
-        self._index.clear()
-        self.chunk = PendingChunk(2**63 - 1, 0, BytesIO(), {})
-
-    def _entries(self) -> Iterator[tuple[int, bytes]]:
-        """Yield stamps and offsets of each channel's messages, channels by their first message."""
-        if not self._index:
-            return
-        channels, stamps, offsets = map(np.concatenate, zip(*self._index, strict=True))
-        entries = np.column_stack([stamps, offsets]).astype("<u8")
-        names, first = np.unique(channels, return_index=True)
-        for channel in names[np.argsort(first)].tolist():
-            yield channel, entries[channels == channel].tobytes()
-
-
-class _Sqlite3Writer(Sqlite3Writer):
-    """Messages are inserted in batches."""
-
-    def write_many(
-        self, channels: Sequence[int], stamps: Sequence[int], payloads: Sequence[bytes]
-    ) -> None:
-        """Append messages."""
-        self.cursor.executemany(
-            "INSERT INTO messages (topic_id, timestamp, data) VALUES(?, ?, ?)",
-            zip(channels, stamps, payloads, strict=True),
-        )
-
-
-def interleaved(heads: bytes, payloads: Sequence[bytes]) -> list[bytes]:
-    """Return each payload behind its head; all heads are of one size."""
-    size = len(heads) // max(len(payloads), 1)
-    parts = [b""] * (2 * len(payloads))
-    parts[0::2] = [heads[at : at + size] for at in range(0, len(heads), size)]
-    parts[1::2] = payloads
-    return parts
-
-
-def _sized(text: bytes) -> bytes:
-    """Return a string as MCAP has it: its length before it."""
-    return struct.pack("<I", len(text)) + text
+_IDL = "=" * 80 + "\nIDL: "
 
 
 class Writer(RosbagsWriter):
-    """It takes messages in batches too."""
+    """Writes what rosbags writes, for connections that were added here.
+
+    Messages are compressed by chunk or not at all.
+    """
 
     STORAGE_PLUGINS = {  # noqa: RUF012
-        StoragePlugin.MCAP: _McapWriter,
-        StoragePlugin.SQLITE3: _Sqlite3Writer,
+        StoragePlugin.MCAP: BatchMcapWriter,
+        StoragePlugin.SQLITE3: BatchSqlite3Writer,
     }
+
+    def open(self) -> None:
+        """Open for writing."""
+        super().open()
+        self._profiles: dict[int, str] = {}  # QoS as text, by connection
+
+    def add_topic(
+        self, topic: str, msgtype: str, definition: str, type_hash: str, qos: Sequence[Qos]
+    ) -> Connection:
+        """Add a topic, in CDR."""
+        storage = self._open_storage()
+        form = (
+            MessageDefinitionFormat.IDL
+            if definition.startswith(_IDL)
+            else MessageDefinitionFormat.MSG
+        )
+        connection = Connection(
+            len(self.connections) + 1, topic, msgtype, MessageDefinition(form, definition),
+            type_hash, 0, ConnectionExtRosbag2("cdr", list(qos)), self,
+        )  # fmt: skip
+        if msgtype not in self.added_types:
+            storage.add_msgtype(connection)
+            self.added_types.add(msgtype)
+        self._profiles[connection.id] = _dumped(tuple(qos))
+        storage.add_connection(connection, self._profiles[connection.id])
+        self.connections.append(connection)
+        self.counts[connection.id] = 0
+        return connection
 
     def write_many(
         self, channels: Sequence[int], stamps: Sequence[int], payloads: Sequence[bytes]
     ) -> None:
         """Append messages: the identifiers of their connections, their stamps [ns], their bytes."""
-        if self.storage is None:
-            raise WriterError("the bag is not open")
-        if not payloads:
-            return
-        self.storage.write_many(channels, stamps, payloads)
+        self._open_storage().write_many(channels, stamps, payloads)
         for channel, number in Counter(channels).items():
             self.counts[channel] += number
         self.min_timestamp = min(self.min_timestamp, *stamps)
         self.max_timestamp = max(self.max_timestamp, *stamps)
 
+    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
+        """Append one message; many at a time are cheaper."""
+        self.write_many([connection.id], [timestamp], [bytes(data)])
 
-class _McapReader(McapReader):
-    """Chunks that follow one another in time, as a recorder writes them, are read in turn."""
+    def close(self) -> None:
+        """Write what is behind the messages, and ``metadata.yaml``."""
+        storage = self._open_storage()
+        information = self._information(storage.path.name)
+        storage.close(METADATA_VERSION, _yaml(information).strip())
+        self.storage = None
+        unfinished = self.metapath.with_suffix(".yaml.tmp")
+        unfinished.write_text(_yaml({"rosbag2_bagfile_information": information}), "utf8")
+        unfinished.replace(self.metapath)
 
-    def messages(
-        self,
-        connections: Collection[Connection],
-        start: int | None = None,
-        stop: int | None = None,
-    ) -> Generator[tuple[Connection, int, bytes], None, None]:
-        """Yield the messages of some connections in time order."""
-        if start is not None or stop is not None or not self._is_in_order():
-            yield from super().messages(connections, start, stop)
-            return
-        wanted = {connection.id: connection for connection in connections}
-        for chunk in self.chunks:
-            if not wanted.keys().isdisjoint(chunk.channel_count):
-                found = list(_messages(self._records(chunk), wanted))
-                yield from sorted(found, key=itemgetter(1))
+    def _open_storage(self) -> Any:
+        if self.storage is None:
+            raise WriterError("the bag is not open")
+        return self.storage
 
-    def _is_in_order(self) -> bool:
-        """Tell whether there are chunks, and each begins where the one before it has ended."""
-        ends = [chunk.message_end_time for chunk in self.chunks]
-        begins = [chunk.message_start_time for chunk in self.chunks[1:]]
-        return bool(ends) and all(end <= begin for end, begin in zip(ends, begins, strict=False))
-
-    def _records(self, chunk: ChunkInfo) -> bytes:
-        """Return the records of a chunk."""
-        if self.bio is None:
-            raise ReaderError("the bag is not open")
-        self.bio.seek(chunk.chunk_start_offset)
-        *_, checksum = _CHUNK_HEAD.unpack(self.bio.read(_CHUNK_HEAD.size))
-        # Then name of the compression and length of what is compressed, each with its own length.
-        self.bio.seek(4 + len(chunk.compression) + 8, 1)
-        packed = self.bio.read(chunk.compressed_size)
-        return decompress(packed, chunk.compression, chunk.uncompressed_size, checksum)
-
-
-def _messages(
-    records: bytes, wanted: dict[int, Connection]
-) -> Iterator[tuple[Connection, int, bytes]]:
-    at, end = 0, len(records)
-    unpack, get = _HEAD.unpack_from, wanted.get
-    while at < end:
-        if records[at] == _MESSAGE:
-            _, size, channel, _, stamp, _ = unpack(records, at)
-            begin, at = at + _HEAD.size, at + _LENGTH_FIRST.size + size
-            if (connection := get(channel)) is not None:
-                yield connection, stamp, records[begin:at]
-        else:
-            at += _LENGTH_FIRST.size + _LENGTH_FIRST.unpack_from(records, at)[1]
-    if at != end:
-        raise ReaderError(f"a record ends {at - end} bytes beyond its chunk")
-
-
-class _DirectoryReader(DirectoryReader):
-    STORAGE_PLUGINS = {**DirectoryReader.STORAGE_PLUGINS, "mcap": _McapReader}  # noqa: RUF012
+    def _information(self, file: str) -> dict[str, Any]:
+        start = {"nanoseconds_since_epoch": self.min_timestamp}
+        duration = {"nanoseconds": max(0, self.max_timestamp - self.min_timestamp)}
+        count = sum(self.counts.values())
+        return {
+            "version": METADATA_VERSION,
+            "storage_identifier": self.storage_plugin.name.lower(),
+            "relative_file_paths": [file],
+            "duration": duration,
+            "starting_time": start,
+            "message_count": count,
+            "topics_with_message_count": [
+                {
+                    "topic_metadata": {
+                        "name": connection.topic,
+                        "type": connection.msgtype,
+                        "serialization_format": "cdr",
+                        "offered_qos_profiles": self._profiles[connection.id],
+                        "type_description_hash": connection.digest,
+                    },
+                    "message_count": self.counts[connection.id],
+                }
+                for connection in self.connections
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "files": [
+                {
+                    "path": file,
+                    "starting_time": dict(start),
+                    "duration": dict(duration),
+                    "message_count": count,
+                }
+            ],
+            "custom_data": None,
+            "ros_distro": "rosbags",
+        }
 
 
-class Reader(RosbagsReader):
-    """Reads what rosbags reads."""
+@functools.lru_cache(maxsize=1024)
+def _dumped(profiles: tuple[Qos, ...]) -> str:
+    return str(dump_qos_v8(list(profiles)))
 
-    STORAGE_PLUGINS = {  # noqa: RUF012
-        **RosbagsReader.STORAGE_PLUGINS,
-        "dir": _DirectoryReader,
-        ".mcap": _McapReader,
-    }
+
+def _yaml(value: dict[str, Any]) -> str:
+    """Return a document as rosbags prints it."""
+    printer = YAML(typ="safe")
+    printer.default_flow_style = False
+    sink = io.StringIO()
+    printer.dump(value, sink)
+    return sink.getvalue()

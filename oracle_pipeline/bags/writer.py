@@ -20,14 +20,9 @@ from oracle_pipeline.bags import types
 from oracle_pipeline.bags.content import ContentHash
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.manifest import TopicCount
-from oracle_pipeline.bags.qos_profiles import remember_profiles
-from oracle_pipeline.bags.storage import Writer
+from oracle_pipeline.bags.storage import METADATA_VERSION, Writer
 from oracle_pipeline.bags.types import TypeDefinition
 
-remember_profiles()
-
-# The newest that Humble's `ros2 bag` opens; 9 turns the QoS profiles into a list it cannot parse.
-_METADATA_VERSION: Literal[8] = 8
 _BATCH_BYTES = 2**18  # of messages are packed, stored and hashed at a time
 _NO_HASH = f"RIHS01_{'0' * 64}"  # rosbags insists on one; ROS compares it only where both have one
 
@@ -87,7 +82,7 @@ class BagWriter:
         with self._errors():
             self._writer = Writer(
                 self._unfinished,
-                version=_METADATA_VERSION,
+                version=METADATA_VERSION,
                 storage_plugin=StoragePlugin[storage.upper()],
             )
             if storage == "mcap":
@@ -222,12 +217,12 @@ class BagWriter:
             raise
 
     def _connect(self, name: str, topic: _Topic) -> None:
-        topic.connection = self._writer.add_connection(
+        topic.connection = self._writer.add_topic(
             name,
             topic.msgtype,
-            msgdef=topic.definition.text,
-            rihs01=topic.definition.type_hash or _NO_HASH,
-            offered_qos_profiles=topic.qos,
+            topic.definition.text,
+            topic.definition.type_hash or _NO_HASH,
+            topic.qos,
         )
         topic.channel = topic.connection.id
 

@@ -14,7 +14,7 @@ from sklearn.base import BaseEstimator, TransformerMixin
 MAD_TO_DEVIATION = 1.4826  # of a normal distribution
 SPREAD_FLOOR = 0.1  # floor where no resolution is declared, in standard deviations of the column
 ROUNDING_FLOOR = 1e-9  # floor for every column, as a share of its largest magnitude
-CLIP = 50.0  # no single feature may say more than this many scales
+CLIP = 50.0  # limit of a single feature's influence [scales]
 
 
 class FlooredRobustScaler(TransformerMixin, BaseEstimator):  # type: ignore[misc]  # untyped base
@@ -53,10 +53,10 @@ class FlooredRobustScaler(TransformerMixin, BaseEstimator):  # type: ignore[misc
 
     def fit(self, X: pd.DataFrame, y: None = None) -> Self:  # noqa: ARG002  # scikit-learn passes it
         """Learn centre and scale from the rows of `X`, shape (n_runs, n_features)."""
-        known = _finite(X).notna().mean()
-        self.kept_ = list(known.index[known > 0.0])
-        self.dropped_ = list(known.index[known == 0.0])
-        self.indicated_ = list(known.index[(known > 0.0) & (known < 1.0)])
+        share_finite = _finite(X).notna().mean()
+        self.kept_ = list(share_finite.index[share_finite > 0.0])
+        self.dropped_ = list(share_finite.index[share_finite == 0.0])
+        self.indicated_ = list(share_finite.index[(share_finite > 0.0) & (share_finite < 1.0)])
 
         values = _finite(X[self.kept_])
         center = values.median()

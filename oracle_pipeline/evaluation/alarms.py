@@ -1,6 +1,6 @@
-"""What the oracle says while a run goes on: alarms a window, how soon they come, how often in vain.
+"""Alarms during a run: one verdict per window, time to detect, and false alarms per hour.
 
-A window's p-value is its rank among the *oddest* windows of calibration runs: anywhere in a right
+A window's p-value is its rank among the *oddest* windows of calibration runs: anywhere in a normal
 run, ``p <= alpha`` is reached with a probability of about alpha.
 """
 
@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.datasets import DistinctRuns
-from oracle_pipeline.evaluation.campaign import Campaign
+from oracle_pipeline.evaluation.comparisons import RATES, ComparedRuns
 from oracle_pipeline.evaluation.conformal import p_values
+from oracle_pipeline.evaluation.held_out import common_length
+from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import auc, events_per_hour, quantile, share
-from oracle_pipeline.evaluation.protocol import RATES, Scope
-from oracle_pipeline.evaluation.scoring import common_length
 from oracle_pipeline.evaluation.splits import Fold
 
 
 def window_p(
-    scores: NDArray[np.float64], campaign: Campaign, folds: Sequence[Fold]
+    scores: NDArray[np.float64], campaign: JudgedRuns, folds: Sequence[Fold]
 ) -> NDArray[np.float64]:
     """Return the p-value of each window of tested runs, shape (n_windows,).
 
@@ -38,12 +38,12 @@ def window_p(
         oddest = np.full(len(counts), -np.inf)
         np.maximum.at(oddest, campaign.run[common], scores[number, common])
         tested = fold.test[campaign.run] & np.isfinite(scores[number])
-        known = oddest[fold.calibrate]
-        p[tested] = p_values(known[np.isfinite(known)], scores[number, tested])
+        calibration = oddest[fold.calibrate]
+        p[tested] = p_values(calibration[np.isfinite(calibration)], scores[number, tested])
     return p
 
 
-def times_to_detect(alarm: NDArray[np.bool_], campaign: Campaign) -> NDArray[np.float64]:
+def times_to_detect(alarm: NDArray[np.bool_], campaign: JudgedRuns) -> NDArray[np.float64]:
     """Return seconds from the onset to the end of the first window with an alarm, (n_runs,).
 
     Windows that ended before the onset do not count. Infinite for an attack that is missed; NaN for
@@ -57,7 +57,7 @@ def times_to_detect(alarm: NDArray[np.bool_], campaign: Campaign) -> NDArray[np.
     return first
 
 
-def alarms_raised(alarm: NDArray[np.bool_], campaign: Campaign) -> NDArray[np.int64]:
+def alarms_raised(alarm: NDArray[np.bool_], campaign: JudgedRuns) -> NDArray[np.int64]:
     """Return how often an alarm begins in each run, shape (n_runs,); neighbours are one alarm."""
     goes_on = np.append(False, alarm[:-1] & (campaign.run[1:] == campaign.run[:-1]))
     begun = campaign.run[alarm & ~goes_on]
@@ -67,13 +67,13 @@ def alarms_raised(alarm: NDArray[np.bool_], campaign: Campaign) -> NDArray[np.in
 def judge_alarms(
     score: NDArray[np.float64],
     p: NDArray[np.float64],
-    campaign: Campaign,
-    scope: Scope,
+    campaign: JudgedRuns,
+    scope: ComparedRuns,
     rng: np.random.Generator,
 ) -> dict[str, float | int | str]:
     """Return the figures of windows and alarms in one scope as table columns, an estimate as three.
 
-    The AUC is of windows in which something was changed against windows of right runs; those of
+    The AUC is of windows in which something was changed against windows of normal runs; those of
     attacked runs in which nothing was changed are left out, for what went before may still show.
 
     Parameters
@@ -85,10 +85,10 @@ def judge_alarms(
     rng : Generator
         Draws the resamples behind the intervals.
     """
-    known, ranked = np.isfinite(score), np.isfinite(p)
+    scored, ranked = np.isfinite(score), np.isfinite(p)
     tested = np.isin(np.arange(len(campaign.features)), campaign.run[ranked])
     attacked, malicious = campaign.attacked_windows(), campaign.malicious
-    compared = scope.runs[campaign.run] & known & (attacked | ~malicious[campaign.run])
+    compared = scope.runs[campaign.run] & scored & (attacked | ~malicious[campaign.run])
     first = np.flatnonzero(compared)
     windows = DistinctRuns(
         first,
@@ -97,16 +97,18 @@ def judge_alarms(
         campaign.block[campaign.run[first]],
     )
     alarm = ranked & (p <= RATES[0])
-    hit, right = scope.runs & malicious & tested, scope.runs & ~malicious & tested
-    late, raised = times_to_detect(alarm, campaign)[hit], alarms_raised(alarm, campaign)[right]
+    hit, normal = scope.runs & malicious & tested, scope.runs & ~malicious & tested
+    late, raised = times_to_detect(alarm, campaign)[hit], alarms_raised(alarm, campaign)[normal]
     lengths, block = campaign.truth["recording_s"].to_numpy(dtype=np.float64), campaign.block
     return {
         "attacked_windows": int(windows.malicious.sum()),
-        "right_windows": int((~windows.malicious).sum()),
+        "normal_windows": int((~windows.malicious).sum()),
         **auc(score[first], windows, rng).columns("auc"),
         "attacked_runs": int(hit.sum()),
         **share(np.isinf(late), block[hit], rng).columns("missed"),
         **quantile(late, block[hit], 0.5, rng).columns("time_to_detect_median_s"),
         **quantile(late, block[hit], 0.9, rng).columns("time_to_detect_90_s"),
-        **events_per_hour(raised, lengths[right], block[right], rng).columns("false_alarms_per_h"),
+        **events_per_hour(raised, lengths[normal], block[normal], rng).columns(
+            "false_alarms_per_h"
+        ),
     }

@@ -1,12 +1,14 @@
 """A measured figure that cannot be printed without its interval, and how intervals are made."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import beta, norm
 
-LEVEL = 0.95  # of every interval in this package that does not say otherwise
+LEVEL = 0.95  # of every interval in this package unless stated otherwise
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +30,13 @@ class Estimate:
     high: float
 
     def covers(self, value: float) -> bool:
-        """Tell whether the interval holds `value`; nothing covers nothing."""
+        """Return whether the interval contains `value`; an empty estimate contains nothing."""
         return self.low <= value <= self.high
+
+    @classmethod
+    def of_row(cls, row: pd.Series, name: str) -> Self:
+        """Return the estimate whose three numbers `columns` put into a table row."""
+        return cls(*(float(row[f"{name}{end}"]) for end in ("", "_low", "_high")))
 
     def columns(self, name: str) -> dict[str, float]:
         """Return the three numbers as table columns ``name``, ``name_low`` and ``name_high``."""

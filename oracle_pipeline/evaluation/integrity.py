@@ -1,7 +1,7 @@
-"""What has to be right before a figure is believed: each check with its figure and a sentence.
+"""Integrity checks of the evaluation itself: each with its figure and a sentence.
 
-A check is green, red, or unsupported: the campaign is too small or lacks the runs for it. Only if
-all are green is the headline said.
+A check is green, red, or unsupported: the campaign is too small or lacks the runs for it. The
+headline is withheld unless all are green.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,21 +14,24 @@ import pandas as pd
 from numpy.typing import NDArray
 from sklearn.metrics import roc_auc_score
 
-from oracle_pipeline.datasets import PAIRS, DistinctRuns, field_metadata, is_hard_negative
+from oracle_pipeline.bags.protocol import PAIRS
+from oracle_pipeline.datasets import DistinctRuns, field_metadata, is_hard_negative
 from oracle_pipeline.detectors import Detector, upper_bounds
-from oracle_pipeline.evaluation.campaign import LEFT_OUT, Campaign, feature_sets
+from oracle_pipeline.evaluation.audit import blocks_needed, exact_pairs, told_in_pair
+from oracle_pipeline.evaluation.comparisons import RATES, runs_of
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
-from oracle_pipeline.evaluation.metrics import auc, share
-from oracle_pipeline.evaluation.protocol import RATES, runs_of
-from oracle_pipeline.evaluation.scoring import (
-    HeldOut,
+from oracle_pipeline.evaluation.feature_sets import LEFT_OUT, feature_sets
+from oracle_pipeline.evaluation.held_out import (
+    HeldOutScores,
     fold_scores,
     of_tested,
     supervised_scores,
 )
+from oracle_pipeline.evaluation.judged_runs import JudgedRuns
+from oracle_pipeline.evaluation.metrics import auc, share
 from oracle_pipeline.evaluation.splits import Fold
 
-Status = Literal["green", "red", "unsupported"]
+CheckStatus = Literal["green", "red", "unsupported"]
 
 SAME = 0.999  # level at which equal things may not look different
 MARGIN = 0.1  # by which the label has to be more predictable than the session
@@ -38,11 +41,11 @@ FALSE_ALARMS = 0.10  # at most, on hard negatives
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class IntegrityCheck:
     """One integrity check's result."""
 
     name: str
-    status: Status
+    status: CheckStatus
     figure: Estimate
     sentence: str
 
@@ -52,15 +55,17 @@ class Check:
         return {k: named[k] for k in ("name", "status", "sentence")} | self.figure.columns("figure")
 
 
-def _found(name: str, *, passed: bool, figure: Estimate, sentence: str) -> Check:
-    return Check(name, "green" if passed else "red", figure, sentence)
+def _found(name: str, *, passed: bool, figure: Estimate, sentence: str) -> IntegrityCheck:
+    return IntegrityCheck(name, "green" if passed else "red", figure, sentence)
 
 
-def _unsupported(name: str, why: str) -> Check:
-    return Check(name, "unsupported", NOTHING, why)
+def _unsupported(name: str, why: str) -> IntegrityCheck:
+    return IntegrityCheck(name, "unsupported", NOTHING, why)
 
 
-def same_between_sessions(scores: HeldOut, campaign: Campaign, rng: np.random.Generator) -> Check:
+def same_between_sessions(
+    scores: HeldOutScores, campaign: JudgedRuns, rng: np.random.Generator
+) -> IntegrityCheck:
     """A/A: runs of one control mode in two sessions, on disjoint blocks, score alike.
 
     The figure is the AUC that is furthest from 0.5, with its 99.9% interval.
@@ -90,7 +95,7 @@ def same_between_sessions(scores: HeldOut, campaign: Campaign, rng: np.random.Ge
     )
 
 
-def equal_graphs(differences: Sequence[str] | None) -> Check:
+def equal_graphs(differences: Sequence[str] | None) -> IntegrityCheck:
     """Pairs that are declared to have equal graphs do.
 
     Parameters
@@ -101,19 +106,19 @@ def equal_graphs(differences: Sequence[str] | None) -> Check:
     name = "graphs_of_pairs_are_equal"
     if differences is None:
         return _unsupported(name, "The graphs of pairs were not compared; run the graph check.")
-    found = Estimate(*[float(len(differences))] * 3)
-    said = "; ".join(differences[:3]) or "vertices, types and edges agree in every interval"
-    return _found(name, passed=not differences, figure=found, sentence=f"{said}.")
+    count = Estimate(*[float(len(differences))] * 3)
+    named = "; ".join(differences[:3]) or "vertices, types and edges agree in every interval"
+    return _found(name, passed=not differences, figure=count, sentence=f"{named}.")
 
 
 def label_above_session(
-    campaign: Campaign, columns: Sequence[str], folds: Sequence[Fold], seed: int
-) -> Check:
+    campaign: JudgedRuns, columns: Sequence[str], folds: Sequence[Fold], seed: int
+) -> IntegrityCheck:
     """One classifier on the same features finds the attack more easily than the session.
 
     The figure is the AUC of predicting the session, macro-averaged, on blocks it was not shown.
     """
-    name, df = "label_is_told_before_session", campaign.features
+    name, df = "label_is_predicted_better_than_session", campaign.features
     classifier = upper_bounds(seed)["random_forest"].set_params(n_estimators=TREES)
     label = supervised_scores(df, columns, classifier, folds)
     sessions = np.unique(df["session"])
@@ -126,7 +131,7 @@ def label_above_session(
         return _unsupported(name, "It takes two sessions, both classes and three blocks of each.")
     of_session = float(np.mean(areas))
     passed = of_session <= of_label - MARGIN
-    meaning = "" if passed else " Verdicts need not hold in a session without right runs."
+    meaning = "" if passed else " Verdicts need not hold in a session without normal runs."
     return _found(
         name,
         passed=passed,
@@ -137,19 +142,19 @@ def label_above_session(
 
 
 def _area(score: NDArray[np.float64], target: NDArray[np.bool_]) -> float:
-    known = np.isfinite(score)
-    if len(np.unique(target[known])) < 2:
+    scored = np.isfinite(score)
+    if len(np.unique(target[scored])) < 2:
         return np.nan
-    return float(roc_auc_score(target[known], score[known]))
+    return float(roc_auc_score(target[scored], score[scored]))
 
 
 def shuffled_labels(
-    campaign: Campaign,
+    campaign: JudgedRuns,
     columns: Sequence[str],
     detector: Detector,
     make_folds: Callable[[pd.DataFrame, int], list[Fold]],
     rng: np.random.Generator,
-) -> Check:
+) -> IntegrityCheck:
     """Labels that are permuted within blocks are not predicted: no way leads from label to score.
 
     Everything is fitted anew for each permutation, on one fold in turn.
@@ -171,23 +176,25 @@ def shuffled_labels(
             fold = folds[number % len(folds)]
             score = of_tested(fold_scores(shuffled, columns, detector, [fold]), [fold])
             areas.append(_area(score, (shuffled["label"] == "malicious").to_numpy()))
-    known = np.array(areas)[np.isfinite(areas)]
-    if len(known) < SHUFFLES // 2:
+    finite = np.array(areas)[np.isfinite(areas)]
+    if len(finite) < SHUFFLES // 2:
         return _unsupported(name, "It takes both classes in at least three blocks.")
-    error = 1.96 * float(known.std(ddof=1)) / np.sqrt(len(known))
-    mean = float(known.mean())
+    error = 1.96 * float(finite.std(ddof=1)) / np.sqrt(len(finite))
+    mean = float(finite.mean())
     low, high = SHUFFLED
     return _found(
         name,
         passed=low <= mean <= high,
         figure=Estimate(mean, mean - error, mean + error),
-        sentence=f"Mean AUC of {len(known)} permutations {mean:.3f}; it belongs in "
+        sentence=f"Mean AUC of {len(finite)} permutations {mean:.3f}; it belongs in "
         f"[{low}, {high}].",
     )
 
 
-def hard_negatives(scores: HeldOut, campaign: Campaign, rng: np.random.Generator) -> Check:
-    """Right runs with a harmless change are seldom called anomalous."""
+def hard_negatives(
+    scores: HeldOutScores, campaign: JudgedRuns, rng: np.random.Generator
+) -> IntegrityCheck:
+    """Hard negatives, normal runs with a harmless change, are seldom called anomalous."""
     name = "hard_negatives_pass"
     judged = is_hard_negative(campaign.features) & np.isfinite(scores.p)
     if not judged.any():
@@ -202,10 +209,38 @@ def hard_negatives(scores: HeldOut, campaign: Campaign, rng: np.random.Generator
     )
 
 
+def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> IntegrityCheck:
+    """No feature behind the headline tells a shadow control from the passthrough beside it.
+
+    The figure is how many do.
+    """
+    name, df = "nothing_is_told_where_nothing_was_altered", campaign.features
+    pairs, needed = exact_pairs(df), blocks_needed(len(columns))
+    blocks = [
+        len(set(df.loc[df["mode"] == one, "block"]) & set(df.loc[df["mode"] == other, "block"]))
+        for one, other in pairs
+    ]
+    if min(blocks, default=0) < needed:
+        return _unsupported(
+            name,
+            f"It takes a passthrough and its shadow in {needed} blocks; record *_shadow modes.",
+        )
+    tells = [tell for pair in pairs for tell in told_in_pair(df, columns, pair)]
+    named = ", ".join(f"{tell.feature} ({tell.between})" for tell in tells[:3])
+    said = f"{len(tells)} of {len(columns)} features tell them apart"
+    return _found(
+        name,
+        passed=not tells,
+        figure=Estimate(*[float(len(tells))] * 3),
+        sentence=f"In {len(pairs)} pairs of a passthrough and its shadow {said}"
+        f"{f': {named}' if tells else ''}.",
+    )
+
+
 def shortcuts_apart(
     features: pd.DataFrame, columns: Sequence[str], of_shortcuts: Estimate
-) -> Check:
-    """No feature behind the headline tells a run by who was there or how it was recorded.
+) -> IntegrityCheck:
+    """No headline feature identifies a run by its nodes or by how it was recorded.
 
     Parameters
     ----------
@@ -221,18 +256,18 @@ def shortcuts_apart(
         return _unsupported(
             name, f"{undeclared[0]} and {len(undeclared) - 1} more do not declare what they are."
         )
-    told = feature_sets(features).get("shortcuts", [])
-    mixed = [c for c in columns if c in told or c.split(".", 1)[0] in LEFT_OUT]
-    said = f"{len(told)} shortcut features are reported apart (AUC {of_shortcuts})"
+    shortcuts = feature_sets(features).get("shortcuts", [])
+    mixed = [c for c in columns if c in shortcuts or c.split(".", 1)[0] in LEFT_OUT]
+    summary = f"{len(shortcuts)} shortcut features are reported apart (AUC {of_shortcuts})"
     return _found(
         name,
         passed=not mixed,
         figure=of_shortcuts,
-        sentence=f"The headline uses {', '.join(mixed)}." if mixed else f"{said}.",
+        sentence=f"The headline uses {', '.join(mixed)}." if mixed else f"{summary}.",
     )
 
 
-def banner(checks: Sequence[Check]) -> str:
+def banner(checks: Sequence[IntegrityCheck]) -> str:
     """Return what stands beside a figure that is not to be believed yet; empty if it is."""
     return " ".join(
         f"{check.name} is {check.status}: {check.sentence}"

@@ -223,11 +223,11 @@ def auc(
         for that many distinct runs: a few blocks that happen to be separated show no doubt when
         resampled. Nothing if a class is missing.
     """
-    known, score = _scored(score, runs)
-    n_malicious = int(known.malicious.sum())
-    if n_malicious in (0, len(known)):
+    scored, score = _scored(score, runs)
+    n_malicious = int(scored.malicious.sum())
+    if n_malicious in (0, len(scored)):
         return NOTHING
-    positive, negative = _by_score(score, known)
+    positive, negative = _by_score(score, scored)
     # Wins of the malicious rows of one block over the other rows of another: an AUC of any
     # weighting of blocks is a ratio of quadratic forms.
     wins = positive @ (np.cumsum(negative, axis=1) - negative / 2.0).T
@@ -235,7 +235,7 @@ def auc(
     pairs = (draws @ positive.sum(axis=1)) * (draws @ negative.sum(axis=1))
     values = np.full(len(pairs), np.nan)
     np.divide(np.einsum("ri,ri->r", draws @ wins, draws), pairs, out=values, where=pairs > 0)
-    bound = newcombe_auc(float(values[0]), n_malicious, len(known) - n_malicious, level)
+    bound = newcombe_auc(float(values[0]), n_malicious, len(scored) - n_malicious, level)
     return _wider(bound, values[1:], level)
 
 
@@ -244,20 +244,20 @@ def average_precision(
 ) -> Estimate:
     """Return the mean precision over the malicious rows, read from the highest score down.
 
-    A score that tells nothing reaches the prevalence, which therefore has to stand beside it.
+    A random score reaches the prevalence, which therefore has to be shown beside it.
     Parameters are those of `auc`; the interval is of percentiles over resampled blocks alone.
     """
-    known, score = _scored(score, runs)
-    if known.malicious.all() or not known.malicious.any():
+    scored, score = _scored(score, runs)
+    if scored.malicious.all() or not scored.malicious.any():
         return NOTHING
-    positive, negative = (part[:, ::-1] for part in _by_score(score, known))
+    positive, negative = (part[:, ::-1] for part in _by_score(score, scored))
     draws = np.vstack([np.ones(len(positive)), _resampled(len(positive), rng)])
-    found = draws @ positive
-    true, false = np.cumsum(found, axis=1), np.cumsum(draws @ negative, axis=1)
+    positive_of_draw = draws @ positive
+    true, false = np.cumsum(positive_of_draw, axis=1), np.cumsum(draws @ negative, axis=1)
     precision = np.divide(true, true + false, out=np.zeros_like(true), where=true > 0)
     total = true[:, -1]
     values = np.full(len(total), np.nan)
-    np.divide((precision * found).sum(axis=1), total, out=values, where=total > 0)
+    np.divide((precision * positive_of_draw).sum(axis=1), total, out=values, where=total > 0)
     value = float(values[0])
     return _wider(Estimate(value, value, value), values[1:], LEVEL)
 
@@ -275,7 +275,7 @@ class RocCurve:
 def roc_curve(score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Generator) -> RocCurve:
     """Return the ROC curve of a score on a regular grid of false-positive rates.
 
-    Parameters are those of `auc`. The band is that of resampled blocks and tells nothing of blocks
+    Parameters are those of `auc`. The band comes from resampled blocks and does not cover blocks
     that were not recorded.
 
     Raises
@@ -283,11 +283,11 @@ def roc_curve(score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Gen
     MetricError
         A class is missing.
     """
-    known, score = _scored(score, runs)
-    if known.malicious.all() or not known.malicious.any():
+    scored, score = _scored(score, runs)
+    if scored.malicious.all() or not scored.malicious.any():
         raise MetricError("A ROC curve needs runs of both classes; record both.")
     # From the highest score down; the curve joins the points of distinct scores.
-    positive, negative = (part[:, ::-1] for part in _by_score(score, known))
+    positive, negative = (part[:, ::-1] for part in _by_score(score, scored))
     draws = np.vstack([np.ones(len(positive)), _resampled(len(positive), rng)])
     grid = np.linspace(0.0, 1.0, 101)
     curves = []
@@ -302,8 +302,8 @@ def roc_curve(score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Gen
 def _scored(
     score: NDArray[np.float64], runs: DistinctRuns
 ) -> tuple[DistinctRuns, NDArray[np.float64]]:
-    known = ~np.isnan(score)
-    return only(runs, known), score[known]
+    finite = ~np.isnan(score)
+    return only(runs, finite), score[finite]
 
 
 def _resampled(blocks: int, rng: np.random.Generator) -> NDArray[np.float64]:

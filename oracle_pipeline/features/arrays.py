@@ -1,6 +1,6 @@
-"""What one array of numbers says by itself, whatever it means; many arrays at a time.
+"""Statistics of arrays of numbers, whatever they mean; many arrays at a time.
 
-``generic`` reduces this to windows and topics, ``pairs`` compares topics by it.
+``generic`` reduces them to windows and topics; ``topic_pairs`` compares topics by them.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ def array_of(record: RawRecord) -> Floats | None:
     return array[first : first + _LONGEST].astype(np.float64)
 
 
-#: What plugins ask for that look into arrays: ten a second of each topic that has them.
+#: Request of plugins that look into arrays: ten messages per second of each topic with arrays.
 ARRAYS = Request(
     array_of, dtype=object, optional=True, raw=True, every_s=_EVERY_S, needs_array=True
 )
@@ -54,17 +54,17 @@ def statistics(arrays: Floats) -> Floats:
     the smallest, the share of distinct ones and the correlation with their next; the roughness.
     """
     finite = np.isfinite(arrays)
-    known = np.where(finite, arrays, np.nan)
+    numbers = np.where(finite, arrays, np.nan)
     count = finite.sum(axis=1)
-    ordered = np.sort(known, axis=1)  # NaN last
+    ordered = np.sort(numbers, axis=1)  # NaN last
     largest = ordered[np.arange(len(arrays)), np.maximum(count, 1) - 1]
-    at_limit = (known == ordered[:, :1]) | (known == largest[:, np.newaxis])
+    at_limit = (numbers == ordered[:, :1]) | (numbers == largest[:, np.newaxis])
     distinct = (np.diff(ordered, axis=1) > 0.0).sum(axis=1) + 1
     columns = (
         1.0 - count / arrays.shape[1],
         _over(at_limit.sum(axis=1), count),
         _over(distinct, count),
-        _autocorrelation(known, count),
+        _autocorrelation(numbers, count),
         roughness(arrays),
     )
     return np.stack(columns, axis=1)
@@ -75,9 +75,9 @@ def roughness(arrays: Floats) -> Floats:
 
     Zeros have none, nor has what is beside something that is not finite; NaN if nothing has.
     """
-    known = np.where(np.isfinite(arrays), arrays, np.nan)
-    size = np.abs(known[:, 1:-1])
-    bend = np.abs(known[:, :-2] - 2.0 * known[:, 1:-1] + known[:, 2:])
+    numbers = np.where(np.isfinite(arrays), arrays, np.nan)
+    size = np.abs(numbers[:, 1:-1])
+    bend = np.abs(numbers[:, :-2] - 2.0 * numbers[:, 1:-1] + numbers[:, 2:])
     return row_medians(_over(bend, size))
 
 
@@ -93,12 +93,14 @@ def standard_ranks(arrays: Floats) -> Floats:
     return ranks
 
 
-def _autocorrelation(known: Floats, count: NDArray[np.int64]) -> Floats:
-    mean = _over(np.nansum(known, axis=1), count)
-    apart = known - mean[:, np.newaxis]
-    here, there = apart[:, :-1], apart[:, 1:]
-    power = np.where(np.isnan(here * there), 0.0, here**2 + there**2).sum(axis=1) / 2.0
-    return _over(np.nansum(here * there, axis=1), power)
+def _autocorrelation(numbers: Floats, count: NDArray[np.int64]) -> Floats:
+    mean = _over(np.nansum(numbers, axis=1), count)
+    apart = numbers - mean[:, np.newaxis]
+    current, following = apart[:, :-1], apart[:, 1:]
+    power = (
+        np.where(np.isnan(current * following), 0.0, current**2 + following**2).sum(axis=1) / 2.0
+    )
+    return _over(np.nansum(current * following, axis=1), power)
 
 
 def _over(values: NDArray[Any], others: NDArray[Any]) -> Floats:

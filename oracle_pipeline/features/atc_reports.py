@@ -1,9 +1,9 @@
-"""Whether what aircraft report of themselves by ADS-B is true, as far as others can tell.
+"""Whether ADS-B reports are consistent with radar and with each other.
 
-Reports are held against the secondary radar's replies of the same address, and against each
-other: who moves as it says moves on a line of its own reports. Each topic of reports is judged by
-itself, each aircraft too; a column has the worst of them. Where the antenna stands is nowhere
-recorded: it is where most reports and replies together put it, which a few liars cannot move.
+Reports are compared with the secondary radar's replies of the same address, and with each other: an
+aircraft's positions must follow from its reported velocity. Each topic of reports and each aircraft
+is judged by itself; a column has the worst of them. The place of the antenna is not recorded: it is
+estimated from most reports and replies together, so that a few false ones cannot move it.
 """
 
 import math
@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.features.geodesy import Site, cartesian
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -27,6 +26,7 @@ from oracle_pipeline.features.plugin import (
 )
 from oracle_pipeline.features.reduction import largest, mean, quantile, within
 from oracle_pipeline.features.scan_geometry import Floats, Points, stamp_s
+from oracle_pipeline.features.wgs84 import Site, cartesian
 
 RADAR_FEATURES = (
     Feature(
@@ -71,7 +71,7 @@ _ALOFT_M = 600.0
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class ReportedFlight:
     """The reports of one address on one topic, in the order of their stamps."""
 
     times_s: Floats  # recorded at
@@ -99,7 +99,7 @@ class Flight:
 
 @dataclass(frozen=True, slots=True)
 class _Reports:
-    """What reports of a recording say of each other."""
+    """How consistent the reports of a recording are with each other."""
 
     velocity: dict[str, Series]  # residuals, by topic and aircraft [m/s]
     intervals: dict[str, Series]  # between reports, by topic and aircraft [s]
@@ -135,22 +135,24 @@ def prepare_radar(window: Window) -> dict[str, tuple[Series, Series]] | Missing:
         return Missing("no aircraft both reports and replies")
     compared = [(where, *flight.at(reply.stamps_s), reply) for where, flight, reply in pairs]
     antenna = find_antenna([(position, reply) for _, position, _, reply in compared])
-    found = {}
+    residuals = {}
     for where, position, altitude_m, reply in compared:
         place, up_m = antenna.seen(position)
-        found[where] = (
+        residuals[where] = (
             Series(reply.times_s, np.abs(place - reply.plots(up_m))),
             Series(reply.times_s, np.abs(altitude_m - reply.altitude_m)),
         )
-    return found
+    return residuals
 
 
 def compute_radar(window: Window) -> Values:
     """Reduce to the window."""
-    found: dict[str, tuple[Series, Series]] = window.prepared
+    residuals: dict[str, tuple[Series, Series]] = window.prepared
     none = "no aircraft both reported and replied in this window"
     return {
-        name: largest({w: quantile(both[column], window, 0.5) for w, both in found.items()}, none)
+        name: largest(
+            {w: quantile(both[column], window, 0.5) for w, both in residuals.items()}, none
+        )
         for column, name in enumerate(("position_residual", "altitude_residual"))
     }
 
@@ -180,7 +182,7 @@ def find_antenna(replies: Sequence[tuple[Floats, Replies]]) -> Site:
 
 
 def prepare_reports(window: Window) -> _Reports:
-    """Return what each aircraft's reports say of each other."""
+    """Return how consistent each aircraft's reports are with each other."""
     velocity, intervals, begun, ended = {}, {}, {}, {}
     for topic, series in window.topics["reports"].items():
         aircraft = flights(series)
@@ -216,7 +218,7 @@ def compute_reports(window: Window) -> Values:
     }
 
 
-def velocity_residual(flight: Flight) -> Series:
+def velocity_residual(flight: ReportedFlight) -> Series:
     """Return how far the reported velocity is from that of the reported positions [m/s]."""
     earlier_s = flight.stamps_s - _LAG_S
     before, _ = flight.at(earlier_s)
@@ -225,7 +227,7 @@ def velocity_residual(flight: Flight) -> Series:
     return Series(flight.times_s, np.abs(-place / _LAG_S - reported / 2.0))
 
 
-def sudden(aircraft: Sequence[Flight], times_s: Floats) -> tuple[Floats, Floats]:
+def sudden(aircraft: Sequence[ReportedFlight], times_s: Floats) -> tuple[Floats, Floats]:
     """Return when aircraft came into the middle of the air space, and went, out of nowhere [s].
 
     Parameters
@@ -243,7 +245,7 @@ def sudden(aircraft: Sequence[Flight], times_s: Floats) -> tuple[Floats, Floats]
     radius_m = np.quantile(np.abs(centre.seen(cartesian(latitude, longitude, 0.0))[0]), 0.99)
     lowest_m = np.quantile(altitude_m, 0.01)
 
-    def in_the_middle(flight: Flight, end: int) -> bool:
+    def in_the_middle(flight: ReportedFlight, end: int) -> bool:
         position = cartesian(flight.latitude[[end]], flight.longitude[[end]], 0.0)
         away_m = abs(centre.seen(position)[0][0])
         return bool(away_m < _MIDDLE * radius_m and flight.altitude_m[end] > lowest_m + _ALOFT_M)
@@ -254,17 +256,19 @@ def sudden(aircraft: Sequence[Flight], times_s: Floats) -> tuple[Floats, Floats]
     return np.sort(np.array(begun, dtype=float)), np.sort(np.array(ended, dtype=float))
 
 
-def flights(series: Series) -> dict[str, Flight]:
+def flights(series: Series) -> dict[str, ReportedFlight]:
     """Sort the reports of a topic by address; what no aircraft can be is left out."""
     addresses, *columns = zip(*series.values, strict=True)
     table = np.array([series.times_s, *columns])
     of_aircraft = np.isfinite(table).all(axis=0) & (np.abs(table[2]) <= 90.0)
-    found = {}
+    by_address = {}
     for address, rows in _by_address(addresses, table[1], of_aircraft):
         times_s, stamps_s, latitude, longitude, altitude_m, speed, course_deg = table[:, rows]
         velocity = speed * np.exp(1j * np.radians(course_deg))
-        found[address] = Flight(times_s, stamps_s, latitude, longitude, altitude_m, velocity)
-    return found
+        by_address[address] = ReportedFlight(
+            times_s, stamps_s, latitude, longitude, altitude_m, velocity
+        )
+    return by_address
 
 
 def keep_report(message: Any) -> tuple[Any, ...]:
@@ -302,15 +306,15 @@ def register_features() -> list[FeaturePlugin]:
 
 def _replies(topics: Mapping[str, Series]) -> dict[str, Replies]:
     """Sort the replies of all topics by address; an address on two topics has the last one's."""
-    found = {}
+    by_address = {}
     for series in topics.values():
         addresses, *columns = zip(*series.values, strict=True)
         table = np.array([series.times_s, *columns])
         for address, rows in _by_address(addresses, table[1], np.isfinite(table).all(axis=0)):
             times_s, stamps_s, slant_m, azimuth_deg, altitude_m = table[:, rows]
             azimuth = np.exp(1j * np.radians(azimuth_deg))
-            found[address] = Replies(times_s, stamps_s, slant_m, azimuth, altitude_m)
-    return found
+            by_address[address] = Replies(times_s, stamps_s, slant_m, azimuth, altitude_m)
+    return by_address
 
 
 def _by_address(

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from oracle_pipeline.features.geodesy import Site, cartesian
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -24,6 +23,7 @@ from oracle_pipeline.features.plugin import (
 )
 from oracle_pipeline.features.reduction import largest, mean, quantile
 from oracle_pipeline.features.scan_geometry import Bools, Floats
+from oracle_pipeline.features.wgs84 import Site, cartesian
 
 TRACK_FEATURES = (
     Feature("adsb_only", "1", 0.01, "share of the tracks that no radar sees, mean", "domain"),
@@ -148,7 +148,7 @@ def longest_s(times_s: Floats, identifiers: Sequence[Floats], flags: Sequence[Bo
 
 
 def keep_advisory(message: Any) -> tuple[float, float]:
-    """Tell whether an ``Advisory`` is one of traffic, and whether it is a resolution."""
+    """Return whether an ``Advisory`` is one of traffic, and whether it is a resolution."""
     return float(message.level == _TRAFFIC), float(message.level == _RESOLUTION)
 
 

@@ -1,7 +1,7 @@
 """From a run to its two feature tables: one row for the run, one row for each window.
 
 A plugin that raises costs its own columns, with the reason in the column ``missing``; never the
-run. What the manifest says becomes key columns; no plugin sees it.
+run. Fields of the manifest become key columns; no plugin sees them.
 """
 
 import json
@@ -23,11 +23,11 @@ from oracle_pipeline.datasets import (
     KEYS,
     MISSING,
     WHERE,
-    WINDOW_S,
     WINDOW_START,
     Fields,
     write_table,
 )
+from oracle_pipeline.features.kept_messages import KeptMessages, Span
 from oracle_pipeline.features.manager import FeatureManager
 from oracle_pipeline.features.plugin import (
     Feature,
@@ -37,15 +37,10 @@ from oracle_pipeline.features.plugin import (
     Values,
     Window,
 )
-from oracle_pipeline.features.recording import Recording, Span
 from oracle_pipeline.features.thesis import MessageTable, ThesisPlugin
 from oracle_pipeline.graphs.intervals import graph_between
-from oracle_pipeline.runs import Run
-
-_SECOND_NS = 1_000_000_000
-_WINDOW_NS = round(WINDOW_S * _SECOND_NS)
-_HOP_NS = 5 * _SECOND_NS  # windows at multiples of 10 s match a graph file
-_SHORTEST_WINDOW_NS = 5 * _SECOND_NS  # of one that the end of the recording cuts off
+from oracle_pipeline.opened_run import OpenedRun
+from oracle_pipeline.windows import windows_ns
 
 _log = logging.getLogger(__name__)
 
@@ -54,7 +49,7 @@ class FeatureTables(NamedTuple):
     """The features of one recording; what each column means is in ``attrs["fields"]``."""
 
     run: pd.DataFrame  # one row
-    windows: pd.DataFrame  # one row a window, by start
+    windows: pd.DataFrame  # one row for each window, by start
 
 
 @dataclass(slots=True)
@@ -81,7 +76,7 @@ class _Row:
         self.missing[column] = reason
 
 
-def extract(run: Run, manager: FeatureManager) -> FeatureTables:
+def extract(run: OpenedRun, manager: FeatureManager) -> FeatureTables:
     """Compute all features of a recording.
 
     Parameters
@@ -100,7 +95,7 @@ def extract(run: Run, manager: FeatureManager) -> FeatureTables:
     whole = Span(0, run.bag.end_ns - run.bag.start_ns + 1)
     with closing(MessageTable(run.bag)) as messages:
         every_message = messages.add if manager.thesis else None
-        recording = Recording.read(run.bag, manager.plugins, every_message)
+        recording = KeptMessages.read(run.bag, manager.plugins, every_message)
         extraction = _Extraction(run, manager, recording, whole)
         of_run = extraction.row(whole)
         fields = _fields(manager.features())
@@ -120,10 +115,7 @@ def extract(run: Run, manager: FeatureManager) -> FeatureTables:
 
 def window_spans(whole: Span) -> list[Span]:
     """Return the windows of a recording: 10 s, each 5 s; cut off by the end, at least 5 s."""
-    return [
-        Span(start_ns, min(start_ns + _WINDOW_NS, whole.end_ns))
-        for start_ns in range(0, whole.end_ns - _SHORTEST_WINDOW_NS, _HOP_NS)
-    ]
+    return [Span(start_ns, end_ns) for start_ns, end_ns in windows_ns(whole.end_ns)]
 
 
 def write(tables: FeatureTables, directory: RunDirectory) -> tuple[Path, Path]:
@@ -134,10 +126,7 @@ def write(tables: FeatureTables, directory: RunDirectory) -> tuple[Path, Path]:
     tuple of Path
         Of the table of the run, and of that of its windows.
     """
-    root = directory.root / "features"
-    of_run, of_windows = (
-        root / table / directory.mode / f"{directory.run_id}.parquet" for table in ("run", "window")
-    )
+    of_run, of_windows = directory.feature_table("run"), directory.feature_table("window")
     write_table(tables.windows, of_windows)
     write_table(tables.run, of_run)
     return of_run, of_windows
@@ -147,7 +136,7 @@ class _Extraction:
     """Calls the plugins on spans of one recording."""
 
     def __init__(
-        self, run: Run, manager: FeatureManager, recording: Recording, whole: Span
+        self, run: OpenedRun, manager: FeatureManager, recording: KeptMessages, whole: Span
     ) -> None:
         self._run = run
         self._plugins = manager.plugins
@@ -233,13 +222,12 @@ class _Extraction:
         return Missing(f"{type(error).__name__}: {error}")
 
 
-def _keys(run: Run) -> dict[str, Any]:
+def _keys(run: OpenedRun) -> dict[str, Any]:
     manifest = run.manifest
     if manifest is None:
         values: tuple[Any, ...] = (run.path.resolve().name, "foreign", "unknown", -1, -1)
     else:
-        key = f"{manifest.mode}|run{manifest.run:03d}"
-        values = (key, manifest.mode, manifest.label, manifest.block, manifest.session)
+        values = (manifest.key, manifest.mode, manifest.label, manifest.block, manifest.session)
     return dict(zip(KEYS, values, strict=True))
 
 
@@ -262,7 +250,7 @@ def _table(
 
 
 def _fields(features: Mapping[str, Feature]) -> dict[str, dict[str, str]]:
-    """Return what the Parquet schema says of each column."""
+    """Return the metadata of each column for the Parquet schema."""
     return {
         column: {
             "unit": feature.unit,

@@ -219,11 +219,11 @@ def _medians(
 def _over_topics(
     name: str, by_topic: Mapping[str, float], reason: str
 ) -> dict[str, float | Located | Missing]:
-    known = {topic: value for topic, value in by_topic.items() if not np.isnan(value)}
-    if not known:
+    values = {topic: value for topic, value in by_topic.items() if not np.isnan(value)}
+    if not values:
         return dict.fromkeys((f"{name}_{each}" for each in _OVER_TOPICS), Missing(reason))
     return {
-        f"{name}_max": largest(known, reason),
-        f"{name}_min": smallest(known, reason),
-        f"{name}_mean": float(np.mean(list(known.values()))),
+        f"{name}_max": largest(values, reason),
+        f"{name}_min": smallest(values, reason),
+        f"{name}_mean": float(np.mean(list(values.values()))),
     }

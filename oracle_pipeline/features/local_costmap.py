@@ -1,4 +1,4 @@
-"""How fast obstacles come and go in the local costmap.
+"""How fast obstacles appear and disappear in the local costmap.
 
 It rolls along with the robot, so two grids are compared where they overlap.
 """
@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from oracle_pipeline.features.map_consistency import Grid, keep_grid
+from oracle_pipeline.features.map_consistency import MapGrid, keep_grid
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -35,7 +35,7 @@ FEATURES = (
 _LETHAL = 100
 
 
-def changes(before: Grid, now: Grid) -> tuple[int, int]:
+def changes(before: MapGrid, now: MapGrid) -> tuple[int, int]:
     """Count the cells that became lethal, and those that are it no more, where both grids are."""
     offset = complex(before.pose.inverse().apply(now.pose.shift) / before.resolution)
     rows = _shared(round(offset.imag), len(before.cells), len(now.cells))
@@ -48,7 +48,7 @@ def changes(before: Grid, now: Grid) -> tuple[int, int]:
 
 
 def prepare(window: Window) -> tuple[Series, Series] | Missing:
-    """Return the changes a second from one grid to the next: to lethal, and from it."""
+    """Return the changes per second from one grid to the next: to lethal, and from it."""
     times_s, grids = window.topics["grids"][TOPIC]
     if len(times_s) < 2:
         return Missing(f"fewer than two messages on {TOPIC}")

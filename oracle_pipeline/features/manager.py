@@ -1,6 +1,6 @@
 """Finds the feature plugins: built in, of other distributions, and of a folder.
 
-``build_manager`` makes one, so a test or a worker has its own. A file of the folder may hold both
+Every test and worker builds its own with ``build_manager``. A file of the folder may hold both
 forms: a ``register_features`` hook, and classes in the thesis's form.
 """
 
@@ -23,18 +23,23 @@ from oracle_pipeline.features import (
     atc_tracks,
     generic,
     goals,
-    laser,
+    kinematics,
+    laser_ranges,
     local_costmap,
     localisation,
     map_consistency,
+    message_traffic,
     navigation,
     odometry,
-    pairs,
+    permanence,
     redundancy,
     scan,
+    scan_noise,
+    stamps,
     structural,
     thesis_features,
-    traffic,
+    topic_pairs,
+    transforms,
     velocity,
 )
 from oracle_pipeline.features.plugin import PROJECT, Feature, FeaturePlugin, Hooks, PluginError
@@ -46,14 +51,19 @@ FOLDER_VARIABLE = "ORACLE_PLUGINS"
 _BUILT_IN = (
     structural,
     odometry,
-    laser,
+    laser_ranges,
     goals,
     thesis_features,
-    traffic,
+    message_traffic,
     generic,
-    pairs,
+    topic_pairs,
     redundancy,
     scan,
+    scan_noise,
+    permanence,
+    kinematics,
+    transforms,
+    stamps,
     map_consistency,
     navigation,
     velocity,

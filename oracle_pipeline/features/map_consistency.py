@@ -1,9 +1,9 @@
-"""Whether what the laser scanners saw is what the map says, from where the robot thought it was.
+"""Whether laser scans agree with the map, seen from the estimated pose of the robot.
 
-The map is one more scanner: rays are cast through it from each scan's pose, and the two are held
-against each other as in ``redundancy``. A return in front of the map's is an obstacle that the
-map does not have, real or fake: the map cannot tell. One behind it went through a wall. Cells
-that the map does not know say nothing.
+The map is one more scanner: rays are cast through it from each scan's pose, and the two are
+compared as in ``redundancy``. A return in front of the map's is an obstacle that the
+map does not have, real or fake. One behind it went through a wall. Unknown cells of the map are
+ignored.
 """
 
 import math
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -28,20 +29,19 @@ from oracle_pipeline.features.reduction import largest, quantile, row_medians, w
 from oracle_pipeline.features.scan_geometry import (
     CELL_M,
     CLOSER_M,
-    SCENE_TOPICS,
+    SETUP_TOPICS,
     Bools,
     Floats,
     Hits,
     Ints,
     Planar,
     Points,
-    Scene,
+    ScannerSetup,
     agreement,
     pose_of,
-    scene,
+    scanner_setup,
     stamp_s,
 )
-from oracle_pipeline.jit import jit
 
 MAP_TOPIC = "/map"
 POSE_TOPIC = "/amcl_pose"
@@ -87,7 +87,7 @@ class Map:
     solid: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, grid: "Grid") -> "Map":
+    def of(cls, grid: "MapGrid") -> "Map":
         """Prepare a grid; beyond its border is as unknown as unknown cells are."""
         cells = np.pad(grid.cells, 1, constant_values=-1)
         solid = cells >= _OCCUPIED
@@ -133,7 +133,7 @@ def _march(start: Points, step: Points, clearance: NDArray[np.float32], solid: B
     return reached
 
 
-class Grid(NamedTuple):
+class MapGrid(NamedTuple):
     """What is kept of a ``nav_msgs/msg/OccupancyGrid``."""
 
     pose: Planar  # of the outer corner of cell (0, 0)
@@ -155,25 +155,25 @@ def prepare(window: Window) -> dict[str, _Consistency] | Missing:
     """Hold every scanner against the map, over the whole recording."""
     grids = window.topics["map"].get(MAP_TOPIC)
     poses = window.topics["poses"].get(POSE_TOPIC)
-    told = scene(window.topics)
+    setup = scanner_setup(window.topics)
     if grids is None or poses is None:
         return Missing(f"no message on {MAP_TOPIC if grids is None else POSE_TOPIC}")
-    if told.motion is None:
+    if setup.motion is None:
         return Missing("no odometry")
     world = Map.of(grids.values[-1])
-    correction = _Correction(poses, told)
-    return {topic: _held_against(world, correction, told, topic) for topic in told.mounts}
+    correction = _Correction(poses, setup)
+    return {topic: _held_against(world, correction, setup, topic) for topic in setup.mounts}
 
 
 def compute(window: Window) -> Values:
     """Reduce to the window."""
     residual, unexpected, persistence, through = {}, {}, {}, {}
     consistency: dict[str, _Consistency] = window.prepared
-    for topic, found in consistency.items():
-        residual[topic] = quantile(found.residual, window, 0.5)
-        unexpected[topic] = quantile(found.unexpected, window, 0.95)
-        persistence[topic] = found.hits.persistence(within(found.residual.times_s, window))
-        through[topic] = quantile(found.looked_through, window, 0.95)
+    for topic, each in consistency.items():
+        residual[topic] = quantile(each.residual, window, 0.5)
+        unexpected[topic] = quantile(each.unexpected, window, 0.95)
+        persistence[topic] = each.hits.persistence(within(each.residual.times_s, window))
+        through[topic] = quantile(each.looked_through, window, 0.95)
     reason = "no level scanner looked where the map knows something"
     return {
         "residual": largest(residual, reason),
@@ -183,23 +183,23 @@ def compute(window: Window) -> Values:
     }
 
 
-def keep_grid(message: Any) -> Grid:
+def keep_grid(message: Any) -> MapGrid:
     """Keep the cells of a grid and where they are."""
     info = message.info
     x, y, yaw = pose_of(info.origin)
     pose = Planar(np.asarray(complex(x, y)), np.asarray(np.exp(1j * yaw)))
     cells = np.asarray(message.data, dtype=np.int8).reshape(info.height, info.width)
-    return Grid(pose, float(info.resolution), cells)
+    return MapGrid(pose, float(info.resolution), cells)
 
 
 class _Correction:
     """Where the odometry frame is in the map, as localisation has it; between poses, in between."""
 
-    def __init__(self, poses: Series, told: Scene) -> None:
-        assert told.motion is not None  # noqa: S101 -- checked before
+    def __init__(self, poses: Series, setup: ScannerSetup) -> None:
+        assert setup.motion is not None  # noqa: S101 -- checked before
         stamps_s, x, y, yaw = np.array(sorted(poses.values.tolist())).T
         believed = Planar(x + 1j * y, np.exp(1j * yaw))
-        pose = believed.compose(told.motion.base(stamps_s).inverse())
+        pose = believed.compose(setup.motion.base(stamps_s).inverse())
         self._stamps_s = stamps_s
         self._columns = pose.shift.real, pose.shift.imag, np.unwrap(np.angle(pose.turn))
 
@@ -217,7 +217,7 @@ def keep_believed(message: Any) -> tuple[float, float, float, float]:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of scans and map."""
-    topics = SCENE_TOPICS | {
+    topics = SETUP_TOPICS | {
         "map": Request(
             keep_grid, MAP_TOPIC, "nav_msgs/msg/OccupancyGrid", dtype=object, optional=True
         ),
@@ -226,10 +226,14 @@ def register_features() -> list[FeaturePlugin]:
     return [FeaturePlugin("map_consistency", "map", FEATURES, compute, topics, prepare=prepare)]
 
 
-def _held_against(world: Map, correction: _Correction, told: Scene, topic: str) -> _Consistency:
-    scans = told.scanners[topic]
+def _held_against(
+    world: Map, correction: _Correction, setup: ScannerSetup, topic: str
+) -> _Consistency:
+    scans = setup.scanners[topic]
     scans = scans.rows(_spaced(scans.stamps_s))
-    placed = correction.at(scans.stamps_s).compose(told.placed(told.mounts[topic], scans.stamps_s))
+    placed = correction.at(scans.stamps_s).compose(
+        setup.placed(setup.mounts[topic], scans.stamps_s)
+    )
     columns = placed.columns()
     rays = np.exp(1j * scans.bearings())
     directions = columns.turn * (rays.conj() if placed.flipped else rays)

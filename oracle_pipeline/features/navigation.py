@@ -1,7 +1,7 @@
-"""How Nav2 fared on the way to its goals: recoveries, plans, detours, standing still.
+"""Nav2 on the way to its goals: recoveries, plans, detours, standing still.
 
-From the behaviour tree's log, the plans and odometry. How long the goals took and whether they
-were reached stands in ``goals``, whose reading of the log and of the action's status this uses.
+From the behaviour tree's log, the plans and odometry. Duration and outcome of the goals are in
+``goals``, whose reading of the log and of the action's status this module uses.
 """
 
 import math
@@ -176,7 +176,7 @@ def goal_at(accepted: Sequence[Goal], times_s: Floats) -> Ints:
 
 
 def stalls(accepted: Sequence[Goal], driven: Series) -> Series:
-    """Tell, step by step, whether the robot had come nowhere since it had the same goal.
+    """Return, step by step, whether the robot made no progress towards its goal.
 
     Values are 1 or 0, at steps that lie under way to one goal for `_STALLED_S` already.
     """
@@ -184,8 +184,8 @@ def stalls(accepted: Sequence[Goal], driven: Series) -> Series:
     goal = goal_at(accepted, steps_s)
     under_way = (goal >= 0) & (goal == goal_at(accepted, steps_s - _STALLED_S))
     steps_s = steps_s[under_way]
-    here, before = _places(driven, steps_s), _places(driven, steps_s - _STALLED_S)
-    return Series(steps_s, (np.abs(here - before) < _STALLED_M).astype(np.float64))
+    now, before = _places(driven, steps_s), _places(driven, steps_s - _STALLED_S)
+    return Series(steps_s, (np.abs(now - before) < _STALLED_M).astype(np.float64))
 
 
 def longest(flags: NDArray[np.bool_]) -> int:
@@ -197,7 +197,7 @@ def longest(flags: NDArray[np.bool_]) -> int:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of navigation."""
-    told = {
+    goal_topics = {
         "status": Request(goals.keep_status, STATUS_TOPIC, dtype=object, optional=True),
         "log": Request(goals.keep_log, LOG_TOPIC, dtype=object, optional=True),
     }
@@ -210,19 +210,19 @@ def register_features() -> list[FeaturePlugin]:
     return [
         FeaturePlugin("recoveries", "navigation", RECOVERY_FEATURES, compute_recoveries, begun),
         FeaturePlugin(
-            "plans", "navigation", PLAN_FEATURES, compute_plans, told | {"plan": plan},
+            "plans", "navigation", PLAN_FEATURES, compute_plans, goal_topics | {"plan": plan},
             prepare=prepare_plans,
         ),
         FeaturePlugin(
-            "drive", "navigation", DRIVE_FEATURES, compute_drive, told | driven,
+            "drive", "navigation", DRIVE_FEATURES, compute_drive, goal_topics | driven,
             prepare=prepare_drive,
         ),
     ]  # fmt: skip
 
 
 def _accepted(window: Window) -> list[Goal] | Missing:
-    """Return the goals of a recording; there is nothing to tell without one."""
-    return goals.goals_told(window) or Missing("no goal was accepted")
+    """Return the accepted goals of a recording; missing without one."""
+    return goals.goals_so_far(window) or Missing("no goal was accepted")
 
 
 def _efficiency(accepted: Sequence[Goal], plans: Series | None, driven: Series) -> float | Missing:

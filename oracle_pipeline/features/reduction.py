@@ -1,4 +1,4 @@
-"""From numbers a message to one a window, and from one a topic to the largest and its place.
+"""From numbers per message to one per window, and from one per topic to the largest of all.
 
 What a plugin's ``prepare`` computes is kept as `Series` over the whole recording, so that a
 window is a slice of it.
@@ -51,8 +51,8 @@ def largest(by_place: Mapping[str, float], reason: str) -> Located | Missing:
 
 def smallest(by_place: Mapping[str, float], reason: str) -> Located | Missing:
     """Return the smallest number and where it is; NaN counts as none, and none is missing."""
-    found = largest({place: -value for place, value in by_place.items()}, reason)
-    return Located(-found.value, found.where) if isinstance(found, Located) else found
+    negated = largest({place: -value for place, value in by_place.items()}, reason)
+    return Located(-negated.value, negated.where) if isinstance(negated, Located) else negated
 
 
 def row_medians(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,9 +1,9 @@
 """Whether sensors that see the same scene agree about it: laser scanners, and ranges ahead.
 
-Every scanner is held against every other one, as the robot moved between their scans and as
-``/tf_static`` mounts them. A thing that stands there is seen by all of them; a return through
-which another scanner looks is seen by nobody else, or that other one is blind to it. Both are the
-same contradiction, told from one side or the other, so the largest over the ordered pairs covers
+Every scanner is compared with every other one, given their mounts in ``/tf_static`` and the motion
+of the robot between their scans. A real object is seen by all of them. If another scanner measures
+through a return, the return is false or the other scanner is blind to it. Both are the same
+contradiction, seen from one side or the other, so the largest over the ordered pairs covers
 both. No topic is trusted, and none is named.
 """
 
@@ -27,16 +27,16 @@ from oracle_pipeline.features.reduction import largest, mean, quantile, row_medi
 from oracle_pipeline.features.scan_geometry import (
     CELL_M,
     CLOSER_M,
-    SCENE_TOPICS,
+    SETUP_TOPICS,
     Floats,
     Hits,
     Ints,
-    Mount,
-    Scene,
+    ScannerSetup,
+    SensorMount,
     agreement,
     frame,
     nearest,
-    scene,
+    scanner_setup,
     stamp_s,
 )
 
@@ -84,13 +84,13 @@ class _Comparison:
 
 def prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
     """Hold every scanner against every other one, over the whole recording."""
-    told = scene(window.topics)
-    if len(told.scanners) < 2:
+    setup = scanner_setup(window.topics)
+    if len(setup.scanners) < 2:
         return Missing("fewer than two laser scanners are recorded")
     return {
-        f"{suspect} against {other}": _held_against(told, suspect, other)
-        for suspect, other in permutations(told.mounts, 2)
-        if told.mounts[suspect].root == told.mounts[other].root
+        f"{suspect} against {other}": _held_against(setup, suspect, other)
+        for suspect, other in permutations(setup.mounts, 2)
+        if setup.mounts[suspect].root == setup.mounts[other].root
     } or Missing("/tf_static joins no two level laser scanners")
 
 
@@ -114,13 +114,13 @@ def compute_scanners(window: Window) -> Values:
 
 def prepare_ranges(window: Window) -> dict[str, Series] | Missing:
     """Return how far each range is beyond the nearest return in its cone [m], by pair of topics."""
-    told = scene(window.topics)
+    setup = scanner_setup(window.topics)
     ranges = window.topics["ranges"]
-    mounts = {topic: told.frames.mount(series.values[0][1]) for topic, series in ranges.items()}
+    mounts = {topic: setup.frames.mount(series.values[0][1]) for topic, series in ranges.items()}
     return {
-        f"{topic} against {scanner}": _beyond(told, ranges[topic], mount, scanner)
-        for (topic, mount), scanner in product(mounts.items(), told.mounts)
-        if mount.pose is not None and mount.root == told.mounts[scanner].root
+        f"{topic} against {scanner}": _beyond(setup, ranges[topic], mount, scanner)
+        for (topic, mount), scanner in product(mounts.items(), setup.mounts)
+        if mount.pose is not None and mount.root == setup.mounts[scanner].root
     } or Missing("/tf_static joins no level range sensor and laser scanner")
 
 
@@ -154,54 +154,54 @@ def register_features() -> list[FeaturePlugin]:
     ranges = {"ranges": Request(keep_range, msgtype="sensor_msgs/msg/Range", dtype=object)}
     return [
         FeaturePlugin(
-            "redundant_scanners", "redundancy", SCANNER_FEATURES, compute_scanners, SCENE_TOPICS,
+            "redundant_scanners", "redundancy", SCANNER_FEATURES, compute_scanners, SETUP_TOPICS,
             prepare=prepare_scanners,
         ),
         FeaturePlugin(
             "redundant_ranges", "redundancy", RANGE_FEATURES, compute_ranges,
-            SCENE_TOPICS | ranges, prepare=prepare_ranges,
+            SETUP_TOPICS | ranges, prepare=prepare_ranges,
         ),
     ]  # fmt: skip
 
 
-def _held_against(told: Scene, suspect: str, other: str) -> _Comparison:
-    scans, reference = told.scanners[suspect], told.scanners[other]
-    here, there = _simultaneous(scans.stamps_s, reference.stamps_s)
-    scans, reference = scans.rows(here), reference.rows(there)
+def _held_against(setup: ScannerSetup, suspect: str, other: str) -> _Comparison:
+    scans, reference = setup.scanners[suspect], setup.scanners[other]
+    rows, reference_rows = _simultaneous(scans.stamps_s, reference.stamps_s)
+    scans, reference = scans.rows(rows), reference.rows(reference_rows)
     points = scans.points()
-    placed = told.placed(told.mounts[suspect], scans.stamps_s)
-    reference_placed = told.placed(told.mounts[other], reference.stamps_s)
-    seen = reference_placed.inverse().compose(placed).columns().apply(points)
-    found = agreement(seen, reference)
+    placed = setup.placed(setup.mounts[suspect], scans.stamps_s)
+    reference_placed = setup.placed(setup.mounts[other], reference.stamps_s)
+    in_reference = reference_placed.inverse().compose(placed).columns().apply(points)
+    agreed = agreement(in_reference, reference)
     hits = None
-    if told.motion is not None:
-        hits = Hits.of(placed.columns().apply(points), found.contradicted)
+    if setup.motion is not None:
+        hits = Hits.of(placed.columns().apply(points), agreed.contradicted)
     return _Comparison(
-        Series(scans.times_s, row_medians(found.residual)),
-        Series(scans.times_s, found.contradicted_share()),
+        Series(scans.times_s, row_medians(agreed.residual)),
+        Series(scans.times_s, agreed.contradicted_share()),
         hits,
     )
 
 
-def _beyond(told: Scene, ranges: Series, mount: Mount, scanner: str) -> Series:
+def _beyond(setup: ScannerSetup, ranges: Series, mount: SensorMount, scanner: str) -> Series:
     stamps_s, _, *columns = (np.array(column) for column in zip(*ranges.values, strict=True))
-    scans = told.scanners[scanner]
-    here, there = _simultaneous(stamps_s, scans.stamps_s)
-    scans = scans.rows(there)
-    view, low, high, measured = (column[here] for column in columns)
-    sensor = told.placed(mount, stamps_s[here])
-    placed = told.placed(told.mounts[scanner], scans.stamps_s)
+    scans = setup.scanners[scanner]
+    rows, scan_rows = _simultaneous(stamps_s, scans.stamps_s)
+    scans = scans.rows(scan_rows)
+    view, low, high, measured = (column[rows] for column in columns)
+    sensor = setup.placed(mount, stamps_s[rows])
+    placed = setup.placed(setup.mounts[scanner], scans.stamps_s)
     points = sensor.inverse().compose(placed).columns().apply(scans.points())
     in_cone = np.abs(np.angle(points)) <= view[:, np.newaxis] / 2.0
     closest = np.where(in_cone, np.abs(points), np.inf).min(axis=1)
     closest = np.where(np.isinf(closest), np.nan, np.clip(closest, low, high))
     measured = np.where(measured < low, np.nan, np.minimum(measured, high))
-    return Series(ranges.times_s[here], measured - closest)
+    return Series(ranges.times_s[rows], measured - closest)
 
 
 def _simultaneous(stamps_s: Floats, others_s: Floats) -> tuple[Ints, Ints]:
     """Return the indices of the stamps that have another one near, and of that one."""
     order = np.argsort(others_s, kind="stable")
-    there = order[nearest(others_s[order], stamps_s)]
-    here = np.flatnonzero(np.abs(others_s[there] - stamps_s) <= _SIMULTANEOUS_S)
-    return here, there[here]
+    nearest_other = order[nearest(others_s[order], stamps_s)]
+    close = np.flatnonzero(np.abs(others_s[nearest_other] - stamps_s) <= _SIMULTANEOUS_S)
+    return close, nearest_other[close]

@@ -1,4 +1,4 @@
-"""What a laser scanner's own scans say of its noise: along a scan, and from one to the next.
+"""The noise of a laser scanner: along a scan, and from one scan to the next.
 
 These need no second sensor. Surfaces are smooth and stand still; noise that an attack adds to
 each ray is neither. An object that is put into the scans is both, so it is not seen here.
@@ -20,12 +20,12 @@ from oracle_pipeline.features.plugin import (
 from oracle_pipeline.features.reduction import largest, quantile, row_medians
 from oracle_pipeline.features.scan_geometry import (
     CLOSER_M,
-    SCENE_TOPICS,
+    SETUP_TOPICS,
     Floats,
+    ScannerSetup,
     Scans,
-    Scene,
     agreement,
-    scene,
+    scanner_setup,
 )
 
 FEATURES = (
@@ -59,9 +59,9 @@ class _Scanner:
 
 
 def prepare(window: Window) -> dict[str, _Scanner]:
-    """Compute what each scan of the recording says."""
-    told = scene(window.topics)
-    return {topic: _scanner(told, topic, scans) for topic, scans in told.scanners.items()}
+    """Compute the figures of each scan of the recording."""
+    setup = scanner_setup(window.topics)
+    return {topic: _scanner(setup, topic, scans) for topic, scans in setup.scanners.items()}
 
 
 def compute(window: Window) -> Values:
@@ -87,10 +87,10 @@ def whiteness(signed: Floats) -> Floats:
     """
     kept = np.where(np.abs(signed) < CLOSER_M, signed, np.nan)
     kept = kept - row_medians(kept)[:, np.newaxis]
-    here, there = kept[:, :-1], kept[:, 1:]
-    both = ~np.isnan(here * there)
-    product = np.where(both, here * there, 0.0).sum(axis=1)
-    power = np.where(both, here**2 + there**2, 0.0).sum(axis=1) / 2.0
+    current, following = kept[:, :-1], kept[:, 1:]
+    both = ~np.isnan(current * following)
+    product = np.where(both, current * following, 0.0).sum(axis=1)
+    power = np.where(both, current**2 + following**2, 0.0).sum(axis=1) / 2.0
     correlation = np.full(len(signed), np.nan)
     np.divide(product, power, out=correlation, where=power > 0.0)
     return 1.0 - correlation
@@ -99,21 +99,21 @@ def whiteness(signed: Floats) -> Floats:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of single laser scanners."""
-    return [FeaturePlugin("scan", "scan", FEATURES, compute, SCENE_TOPICS, prepare=prepare)]
+    return [FeaturePlugin("scan", "scan", FEATURES, compute, SETUP_TOPICS, prepare=prepare)]
 
 
-def _scanner(told: Scene, topic: str, scans: Scans) -> _Scanner:
+def _scanner(setup: ScannerSetup, topic: str, scans: Scans) -> _Scanner:
     rough = Series(scans.times_s, roughness(scans.ranges))
-    mount = told.mounts.get(topic)
-    if told.motion is None or mount is None:
+    mount = setup.mounts.get(topic)
+    if setup.motion is None or mount is None:
         return _Scanner(rough, None, None)
     after = np.flatnonzero(np.abs(np.diff(scans.stamps_s)) <= _LONGEST_GAP_S) + 1
     now, before = scans.rows(after), scans.rows(after - 1)
-    placed, placed_before = (told.placed(mount, each.stamps_s) for each in (now, before))
-    seen = placed_before.inverse().compose(placed).columns().apply(now.points())
-    found = agreement(seen, before)
+    placed, placed_before = (setup.placed(mount, each.stamps_s) for each in (now, before))
+    in_scan_before = placed_before.inverse().compose(placed).columns().apply(now.points())
+    agreed = agreement(in_scan_before, before)
     return _Scanner(
         rough,
-        Series(now.times_s, row_medians(found.residual)),
-        Series(now.times_s, whiteness(found.signed)),
+        Series(now.times_s, row_medians(agreed.residual)),
+        Series(now.times_s, whiteness(agreed.signed)),
     )

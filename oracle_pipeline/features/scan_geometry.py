@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.plugin import Request, Series
-from oracle_pipeline.jit import jit
 
 Floats: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
@@ -146,7 +146,7 @@ def agreement(points: Points, reference: Scans) -> Agreement:
     """Compare points with scans.
 
     A point is contradicted if every ray of the reference within two bearings of it goes on for
-    `CLOSER_M` behind it. What stands before a point hides it, and says nothing.
+    `CLOSER_M` behind it. A closer return hides a point and does not count.
 
     Parameters
     ----------
@@ -173,20 +173,20 @@ def _agree(
                 continue
             bearing = math.atan2(points[i, j].imag, points[i, j].real)
             own = round((bearing - angle_min[i]) / angle_increment[i])
-            apart, free, known = math.inf, range_max, True
+            apart, free, all_valid = math.inf, range_max, True
             for neighbour in range(own - _NEIGHBOURS, own + _NEIGHBOURS + 1):
                 ray = neighbour % circle
-                seen = ranges[i, ray] if ray < ranges.shape[1] else math.nan
-                if math.isnan(seen):
-                    known = False
+                measured = ranges[i, ray] if ray < ranges.shape[1] else math.nan
+                if math.isnan(measured):
+                    all_valid = False
                     continue
-                apart, free = min(apart, abs(distance - seen)), min(free, seen)
-                if neighbour == own and seen < math.inf:
-                    signed[i, j] = distance - seen
+                apart, free = min(apart, abs(distance - measured)), min(free, measured)
+                if neighbour == own and measured < math.inf:
+                    signed[i, j] = distance - measured
             if apart < math.inf:
                 residual[i, j] = apart
-            compared[i, j] = known
-            contradicted[i, j] = known and distance + CLOSER_M < free
+            compared[i, j] = all_valid
+            contradicted[i, j] = all_valid and distance + CLOSER_M < free
     return residual, signed, contradicted, compared
 
 
@@ -215,7 +215,7 @@ class Hits:
         return float(counts.max() / (scans.stop - scans.start))
 
 
-class Mount(NamedTuple):
+class SensorMount(NamedTuple):
     """Where a sensor is on the robot; without a pose if its plane is tilted."""
 
     root: str  # of the tree of frames
@@ -233,7 +233,7 @@ class Frames:
             for parent, child, matrix in transforms
         }
 
-    def mount(self, frame: str) -> Mount:
+    def mount(self, frame: str) -> SensorMount:
         """Return the root that a frame hangs on, and its pose there."""
         pose = np.eye(4)
         for _ in self._joints:  # a loop in a broken tree ends too
@@ -244,11 +244,11 @@ class Frames:
         block = pose[:2, :2]
         determinant = float(np.linalg.det(block))
         if abs(determinant) < _TILTED:
-            return Mount(frame, None)
+            return SensorMount(frame, None)
         shift, turn = (
             np.array(complex(*column), dtype=np.complex128) for column in (pose[:2, 3], block[:, 0])
         )
-        return Mount(frame, Planar(shift, turn, flipped=determinant < 0.0))
+        return SensorMount(frame, Planar(shift, turn, flipped=determinant < 0.0))
 
 
 class Motion:
@@ -263,11 +263,11 @@ class Motion:
         self._base = frames.mount(children[0])
 
     def base(self, stamps_s: Floats) -> Planar:
-        """Return the poses of odometry's child frame, one a stamp."""
+        """Return the poses of odometry's child frame, one for each stamp."""
         x, y, yaw = (np.interp(stamps_s, self._stamps_s, column) for column in self._columns)
         return Planar(x + 1j * y, np.exp(1j * yaw))
 
-    def at(self, mount: Mount, stamps_s: Floats) -> Planar:
+    def at(self, mount: SensorMount, stamps_s: Floats) -> Planar:
         """Return the poses of a sensor, one a stamp."""
         base = self.base(stamps_s)
         if self._base.root == mount.root and self._base.pose is not None:
@@ -276,15 +276,17 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class ScannerSetup:
     """The scanners of a robot, how they are mounted on it, and how it moved."""
 
     scanners: Mapping[str, Scans]  # by topic
-    mounts: Mapping[str, Mount]  # by topic; scanners that are tilted or turn no ray are left out
+    mounts: Mapping[
+        str, SensorMount
+    ]  # by topic; scanners that are tilted or turn no ray are left out
     frames: Frames
     motion: Motion | None
 
-    def placed(self, mount: Mount, stamps_s: Floats) -> Planar:
+    def placed(self, mount: SensorMount, stamps_s: Floats) -> Planar:
         """Return where a sensor was: in the odometry frame, or on the robot if that is missing."""
         if self.motion is not None:
             return self.motion.at(mount, stamps_s)
@@ -293,14 +295,14 @@ class Scene:
         return on_robot if mount.pose is None else on_robot.compose(mount.pose)
 
 
-def scene(topics: Mapping[str, Mapping[str, Series]]) -> Scene:
-    """Return what the messages on `SCENE_TOPICS` tell."""
+def scanner_setup(topics: Mapping[str, Mapping[str, Series]]) -> ScannerSetup:
+    """Return the setup from the messages on `SETUP_TOPICS`."""
     frames = Frames(topics["frames"])
     scanners = {topic: Scans.of(series) for topic, series in topics["scans"].items()}
     mounts = {topic: frames.mount(scans.frame) for topic, scans in scanners.items()}
     odometry = topics["odometry"]
     moved = main_odometry(odometry) if odometry else None
-    return Scene(
+    return ScannerSetup(
         scanners,
         {
             topic: mount
@@ -365,7 +367,7 @@ def _matrix(transform: Any) -> Floats:
 
 
 SCANS = Request(keep_scan, msgtype="sensor_msgs/msg/LaserScan", dtype=object)
-SCENE_TOPICS = {
+SETUP_TOPICS = {
     "scans": SCANS,
     "odometry": Request(
         keep_odometry, msgtype="nav_msgs/msg/Odometry", dtype=object, optional=True

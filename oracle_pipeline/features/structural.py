@@ -1,8 +1,8 @@
 """Features of the ROS graph's shape: the thesis's seven, as their names promise, and companions.
 
-The thesis's code computes other things than its text says; its numbers and ours stand side by side
-in docs/features.md. ``structural.*`` is of the system view, without observers; ``structural_raw.*``
-of everything, which tells also how a run was watched and is therefore marked as a shortcut.
+The thesis's code differs from its text; docs/reference/features.md shows its numbers beside ours.
+``structural.*`` describes the system view, without observers. ``structural_raw.*`` describes all
+nodes, so it also shows how a run was observed; its features are therefore marked as shortcuts.
 """
 
 import functools

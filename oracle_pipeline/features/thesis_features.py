@@ -1,9 +1,9 @@
 """The ten numbers that the thesis's code computes of a run, for its variant of the method.
 
 They are not what their names promise: corrected features are in ``structural``, ``odometry``,
-``laser`` and ``goals``; docs/thesis.md tells the two apart. Two plugins, as there: what goes wrong
-with the messages costs all three contextual features, never the structural ones. A number that
-comes out as NaN becomes 0, as there. Plugins in the thesis's *form* are in ``thesis``.
+``laser_ranges`` and ``goals``; docs/explanation/thesis.md lists the differences. As in the thesis's
+code, there are two plugins: an error in the messages loses all three contextual features, never the
+structural ones, and a NaN becomes 0. Plugins in the thesis's *form* are in ``thesis``.
 """
 
 import math

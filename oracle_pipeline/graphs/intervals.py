@@ -1,4 +1,4 @@
-"""The graphs of a run, one each 10 s of the recording, and their composition."""
+"""The graphs of a run, one for each interval, and their composition."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -9,8 +9,7 @@ import networkx as nx
 
 from oracle_pipeline.bags.errors import GraphError
 from oracle_pipeline.bags.graph_files import RosGraph, read_gexf
-
-INTERVAL_S = 10.0  # from one graph to the next
+from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S
 
 _FILE = re.compile(r"(\d{6,})\.gexf")
 
@@ -34,13 +33,19 @@ def read_intervals(folder: Path) -> tuple[Interval, ...]:
     """
     files = folder.glob("*.gexf")
     starts = {int(match[1]): path for path in files if (match := _FILE.fullmatch(path.name))}
-    expected = [int(number * INTERVAL_S) for number in range(len(starts))]
+    expected = [number * INTERVAL_S for number in range(len(starts))]
     if not folder.is_dir() or sorted(starts) != expected:
         raise GraphError(
-            f"{folder} should hold one graph each {INTERVAL_S:.0f} s from 000000.gexf on, but has "
+            f"{folder} should hold one graph each {INTERVAL_S} s from 000000.gexf on, but has "
             f"those at {sorted(starts)} s; record the run again."
         )
     return tuple(Interval(float(start), read_gexf(starts[start])) for start in expected)
+
+
+def interval_count(recording_s: float) -> int:
+    """Return how many intervals a recording has: whole ones, and a last one of 5 s or more."""
+    whole, rest_s = divmod(recording_s, INTERVAL_S)
+    return int(whole) + (rest_s >= MIN_INTERVAL_S)
 
 
 def compose(graphs: Iterable[RosGraph]) -> RosGraph:

@@ -1,14 +1,12 @@
-"""``oracle-sim replay``: a run as a film and as a picture.
+"""``oracle replay``: a run as a film and as a picture.
 
-``oracle-sim`` finds the command by its entry point. What draws is imported when it is called, so
-that the help of every command comes at once.
+Drawing code is imported when needed, so that the help of all commands stays fast.
 """
 
 from pathlib import Path
 
 import click
 
-from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE
 
 FASTEST_HZ = 50.0  # browsers slow a film down that asks for more
@@ -40,9 +38,9 @@ def replay(run_or_bag: Path, places: tuple[Path, ...], frames: float, speed: flo
 
     \b
     Examples:
-        oracle-sim replay data/runs/fake_object/run000
-        oracle-sim replay data/runs/fake_object/run000 -o attack.webp --speed 20
-        oracle-sim replay my_robot_bag/ -o robot.gif -o robot.png
+        oracle replay data/runs/fake_object/run000
+        oracle replay data/runs/fake_object/run000 -o attack.webp --speed 20
+        oracle replay my_robot_bag/ -o robot.gif -o robot.png
     """  # noqa: D301 -- click reads the control character
     places = places or _beside(run_or_bag)
     for place in places:
@@ -55,14 +53,11 @@ def replay(run_or_bag: Path, places: tuple[Path, ...], frames: float, speed: flo
             f"{frames:g} frames at {speed:g} times the speed are {frames * speed:g} a second; "
             f"browsers show {FASTEST_HZ:g}. Lower --speed or --frames."
         )
-    try:
-        _draw(run_or_bag, places, frames, speed)
-    except (OracleError, OSError) as error:
-        raise click.ClickException(str(error)) from error
+    _draw(run_or_bag, places, frames, speed)
 
 
 def _beside(run_or_bag: Path) -> tuple[Path, ...]:
-    """Return where a film and a picture go if nothing is said."""
+    """Return the default places of a film and a picture."""
     from oracle_pipeline.replay.picture import FILM, PICTURE
 
     if (run_or_bag / MANIFEST_FILE).is_file():
@@ -73,10 +68,10 @@ def _beside(run_or_bag: Path) -> tuple[Path, ...]:
 
 def _draw(run_or_bag: Path, places: tuple[Path, ...], frames: float, speed: float) -> None:
     from oracle_pipeline.datasets import replacing
+    from oracle_pipeline.opened_run import open_run
     from oracle_pipeline.replay.film import save_film
     from oracle_pipeline.replay.scene import top_down
     from oracle_pipeline.replay.story import run_scene
-    from oracle_pipeline.runs import open_run
 
     with open_run(run_or_bag) as run:
         scene = run_scene(run, frames)

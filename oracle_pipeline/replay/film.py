@@ -1,6 +1,6 @@
 """A run as a film from above: the moments of a scene, one after the other.
 
-What never moves is drawn once; a frame is a copy of that with the moving parts drawn over it.
+Static parts are drawn once; a frame is a copy of them with the moving parts drawn over it.
 """
 
 from pathlib import Path
@@ -24,7 +24,7 @@ from oracle_pipeline.replay.scene import (
     NOT_REACHED,
     REACHED,
     Moment,
-    Scene,
+    ReplayScene,
     draw_grid,
     draw_ground,
     lay_grid,
@@ -58,7 +58,7 @@ _COSTS[99:101, 3] = 0.45, 1.0
 COST_COLORS = ListedColormap(_COSTS)
 
 
-def save_film(scene: Scene, path: Path, speed: float) -> None:
+def save_film(scene: ReplayScene, path: Path, speed: float) -> None:
     """Write a scene as an animated GIF or WebP, by the suffix of the path.
 
     A progress bar shows on standard error, if that is a terminal.
@@ -85,7 +85,7 @@ def save_film(scene: Scene, path: Path, speed: float) -> None:
         )  # fmt: skip
 
 
-def _palette(film: "_Film", scene: Scene) -> Image.Image:
+def _palette(film: "_Film", scene: ReplayScene) -> Image.Image:
     """Return the inks and what else is frequent in some frames: few, and exact but for edges."""
     some = scene.moments[:: max(1, len(scene.moments) // PALETTE_FRAMES)]
     sheet = Image.fromarray(np.concatenate([film.frame(moment) for moment in some]) & SIX_BITS)
@@ -107,7 +107,7 @@ def _indexed(frame: NDArray[np.uint8], palette: Image.Image) -> Image.Image:
 class _Film:
     """A figure whose moving parts are drawn anew over its still ones."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: ReplayScene) -> None:
         (left, low), (right, high) = scene.corners()
         world_in = WIDTH_IN * float(np.clip((high - low) / (right - left), FLATTEST, TALLEST))
         height_in = HEAD_IN + world_in + FOOT_IN
@@ -147,7 +147,7 @@ class _Film:
 class _World:
     """Map and goals, and what the robot does, sees, plans and takes for an obstacle."""
 
-    def __init__(self, axes: Axes, scene: Scene) -> None:
+    def __init__(self, axes: Axes, scene: ReplayScene) -> None:
         self._scene = scene
         axes.set_axis_off()
         draw_ground(axes, scene)
@@ -199,7 +199,7 @@ class _World:
 class _Timeline:
     """How far the film is, when there was an attack, and when goals ended."""
 
-    def __init__(self, axes: Axes, scene: Scene) -> None:
+    def __init__(self, axes: Axes, scene: ReplayScene) -> None:
         axes.set(xlim=(0.0, scene.duration_s), ylim=(0.0, 1.0), yticks=[])
         axes.set_facecolor(to_rgba(INK, 0.2))
         axes.spines[:].set_visible(False)
@@ -225,7 +225,7 @@ class _Timeline:
 class _Words:
     """Which run this is, how late it is, and how the robot fares."""
 
-    def __init__(self, figure: Figure, scene: Scene) -> None:
+    def __init__(self, figure: Figure, scene: ReplayScene) -> None:
         self._scene = scene
         height_in = figure.get_size_inches()[1]
         first, second = 1.0 - 0.12 / height_in, 1.0 - 0.38 / height_in
@@ -235,7 +235,7 @@ class _Words:
         self.moving: list[Artist] = [self._clock, self._news]
 
     def show(self, moment: Moment) -> None:
-        """Tell of a moment."""
+        """Update the film to one moment."""
         scene = self._scene
         goal, reached = scene.goal_at(moment.time_s), int(scene.reached(moment.time_s).sum())
         news = [f"to goal {goal + 1} of {len(scene.goals)}"] if goal is not None else []
@@ -250,19 +250,19 @@ def _line(axes: Axes, style: str, color: str, **options: Any) -> Line2D:
     return line
 
 
-def _legend(scene: Scene) -> list[Artist]:
+def _legend(scene: ReplayScene) -> list[Artist]:
     """Return a sample of each thing that is seen in the film."""
-    seen = scene.moments
+    moments = scene.moments
 
     def dots(color: str, label: str) -> Line2D:
         return Line2D([], [], ls="", marker="o", ms=4, mew=0, color=color, label=label)
 
     samples: list[tuple[bool, Artist]] = [
-        (any(len(m.scan) for m in seen), dots(SEEN, "scan")),
-        (any(len(m.attacked) for m in seen), dots(ATTACK, "attacked scan")),
-        (any(m.disc for m in seen), Patch(label="fake object", **FAKE_OBJECT)),
-        (any(m.costmap for m in seen), Patch(color=to_rgba(COST, 0.5), lw=0, label="costmap")),
-        (any(len(m.plan) for m in seen), Line2D([], [], color=AMBER, label="plan")),
+        (any(len(m.scan) for m in moments), dots(SEEN, "scan")),
+        (any(len(m.attacked) for m in moments), dots(ATTACK, "attacked scan")),
+        (any(m.disc for m in moments), Patch(label="fake object", **FAKE_OBJECT)),
+        (any(m.costmap for m in moments), Patch(color=to_rgba(COST, 0.5), lw=0, label="costmap")),
+        (any(len(m.plan) for m in moments), Line2D([], [], color=AMBER, label="plan")),
         (True, Line2D([], [], color=DRIVEN, label="driven")),
         (len(scene.goals) > 0, Line2D([], [], label="goal", **{**REACHED, "ms": 8})),
     ]

@@ -7,12 +7,12 @@ from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.remote import fetched
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, MANIFEST_FILE
 from oracle_pipeline.datasets import replacing
+from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.replay.radar import has_tracks, plan_view, radar_display
 from oracle_pipeline.replay.scene import top_down
 from oracle_pipeline.replay.story import run_scene
-from oracle_pipeline.runs import Run
 
-# Beside a run's manifest; a run that is made again starts without them.
+# Beside a run's manifest; a re-simulated run starts without them.
 FILM, PICTURE = "replay.gif", "picture.png"
 
 
@@ -30,7 +30,7 @@ def kept_picture(path: Path) -> bytes:
     manifest = Manifest.load(path / MANIFEST_FILE)
     with (
         fetched(path / BAG_FOLDER) as bag,
-        Run(path, BagReader(bag), manifest, ()) as run,  # graphs are not in it
+        OpenedRun(path, BagReader(bag), manifest, ()) as run,  # graphs are not in it
     ):
         png = plan_view(radar_display(run)) if has_tracks(run) else top_down(run_scene(run))
     with replacing(place) as sink:

@@ -19,19 +19,19 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from oracle_pipeline.features.atc_reports import (
-    Flight,
     Replies,
+    ReportedFlight,
     find_antenna,
     flights,
     keep_reply,
     keep_report,
 )
-from oracle_pipeline.features.geodesy import Site, cartesian
 from oracle_pipeline.features.plugin import Series
+from oracle_pipeline.features.wgs84 import Site, cartesian
+from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.replay.scene import compact
 from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, drawing
-from oracle_pipeline.reporting.result import ReportError
-from oracle_pipeline.runs import Run
+from oracle_pipeline.reporting.report import ReportError
 
 TRACKS, REPORT = "atc_msgs/msg/TrackArray", "atc_msgs/msg/AdsbReport"
 ECHO, REPLY = "atc_msgs/msg/RadarPlot", "atc_msgs/msg/SecondaryReply"
@@ -71,12 +71,12 @@ class Display:
     plots: NDArray[np.complex128]  # (m,), the same of both radars
 
 
-def has_tracks(run: Run) -> bool:
-    """Tell whether a recording is of air traffic."""
+def has_tracks(run: OpenedRun) -> bool:
+    """Return whether a recording is of air traffic."""
     return TRACKS in {topic.msgtype for topic in run.bag.topics.values()}
 
 
-def radar_display(run: Run) -> Display:
+def radar_display(run: OpenedRun) -> Display:
     """Read what the screen shows when a quarter of a recording is over.
 
     Raises
@@ -87,18 +87,18 @@ def radar_display(run: Run) -> Display:
         The bag cannot be read.
     """
     instant_s = INSTANT * run.duration_s
-    heard = _heard(run, instant_s)
-    if not heard[TRACKS] or not heard[TRACKS][-1].tracks:
+    messages = _heard(run, instant_s)
+    if not messages[TRACKS] or not messages[TRACKS][-1].tracks:
         raise ReportError(f"{run.path} cannot be drawn: there is no track a quarter through it.")
-    antenna = _antenna(heard)
-    reports = [(m.latitude, m.longitude, m.altitude_m) for m in heard[REPORT]]
-    plots = [_plot(m, getattr(m, "altitude_m", 0.0)) for m in (*heard[ECHO], *heard[REPLY])]
+    antenna = _antenna(messages)
+    reports = [(m.latitude, m.longitude, m.altitude_m) for m in messages[REPORT]]
+    plots = [_plot(m, getattr(m, "altitude_m", 0.0)) for m in (*messages[ECHO], *messages[REPLY])]
     name = run.path.resolve().name
     if run.manifest is not None:
-        name = f"{run.manifest.mode}|run{run.manifest.run:03d}"
+        name = run.manifest.key
     return Display(
         f"{name}, {instant_s:.0f} s",
-        _tracks(heard[TRACKS], antenna),
+        _tracks(messages[TRACKS], antenna),
         _places(reports, antenna),
         np.array(plots, dtype=np.complex128),
     )
@@ -133,7 +133,7 @@ def plan_view(display: Display) -> bytes:
     return compact(png)
 
 
-def _heard(run: Run, instant_s: float) -> Mapping[str, list[Any]]:
+def _heard(run: OpenedRun, instant_s: float) -> Mapping[str, list[Any]]:
     """Return the messages of the history, by type."""
     types = {name: topic.msgtype for name, topic in run.bag.topics.items()}
     wanted = {name for name, of in types.items() if of in (TRACKS, REPORT, ECHO, REPLY)}
@@ -145,13 +145,13 @@ def _heard(run: Run, instant_s: float) -> Mapping[str, list[Any]]:
     return heard
 
 
-def _antenna(heard: Mapping[str, Sequence[Any]]) -> Site:
+def _antenna(messages: Mapping[str, Sequence[Any]]) -> Site:
     """Return where the radar stands or, where nobody answers it, the middle of the tracks."""
     replies = defaultdict(list)
-    for address, *reply in map(keep_reply, heard[REPLY]):
+    for address, *reply in map(keep_reply, messages[REPLY]):
         replies[address].append(reply)
     pairs = []
-    for address, flight in _flights(heard[REPORT]).items():
+    for address, flight in _flights(messages[REPORT]).items():
         if address in replies:
             stamps_s, slant_m, azimuth_deg, altitude_m = np.array(replies[address]).T
             azimuth = np.exp(1j * np.radians(azimuth_deg))
@@ -159,12 +159,12 @@ def _antenna(heard: Mapping[str, Sequence[Any]]) -> Site:
             pairs.append((flight.at(stamps_s)[0], of_radar))
     if pairs:
         return find_antenna(pairs)
-    newest = heard[TRACKS][-1].tracks
+    newest = messages[TRACKS][-1].tracks
     middle = np.median([(track.latitude, track.longitude) for track in newest], axis=0)
     return Site(*middle.tolist())
 
 
-def _flights(reports: Sequence[Any]) -> dict[str, Flight]:
+def _flights(reports: Sequence[Any]) -> dict[str, ReportedFlight]:
     if not reports:
         return {}
     rows = np.array([keep_report(report) for report in reports], dtype=object)
@@ -173,15 +173,15 @@ def _flights(reports: Sequence[Any]) -> dict[str, Flight]:
 
 def _tracks(arrays: Sequence[Any], antenna: Site) -> list[Track]:
     """Return the tracks of the newest array, with where they were in those before."""
-    told = defaultdict(list)
+    positions = defaultdict(list)
     for array in arrays:
         for track in array.tracks:
-            told[track.track_id].append((track.latitude, track.longitude, track.altitude_m))
+            positions[track.track_id].append((track.latitude, track.longitude, track.altitude_m))
     return [
         Track(
             _label(track),
             _seen_by(track.sources),
-            _places(told[track.track_id], antenna),
+            _places(positions[track.track_id], antenna),
             _ahead(track),
         )
         for track in arrays[-1].tracks

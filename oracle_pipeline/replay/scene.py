@@ -1,4 +1,4 @@
-"""A run seen from above: what there is to draw of it, and the still picture.
+"""A run seen from above: the content of a drawing, and the still picture.
 
 ``oracle_pipeline.replay.film`` draws the same scene as a film.
 """
@@ -36,7 +36,7 @@ LABEL_AWAY = 9.0  # number of a goal from its middle [points]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Grid:
+class DrawnGrid:
     """An occupancy grid somewhere in the scene's frame."""
 
     cells: NDArray[np.int8]  # (rows, columns), row 0 at the lowest y; 0 free to 100, -1 unknown
@@ -64,18 +64,18 @@ class Moment:
     scan: NDArray[np.float64]  # (m, 2)
     attacked: NDArray[np.float64]  # (m, 2), points of the attacked scan
     plan: NDArray[np.float64]  # (p, 2)
-    costmap: Grid | None
+    costmap: DrawnGrid | None
     disc: tuple[float, float, float] | None  # x, y, radius of an object that is not there
     recoveries: int  # until now
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Scene:
+class ReplayScene:
     """What happened in one run; metres and radians in one frame, seconds since its start."""
 
     title: str
     frame: str  # map (REP 105), or odom where that is all that is known
-    map: Grid | None
+    map: DrawnGrid | None
     path: NDArray[np.float64]  # (n, 2), where the robot went
     start: tuple[float, float]
     duration_s: float
@@ -88,7 +88,7 @@ class Scene:
     moments: tuple[Moment, ...] = ()  # in time order; empty where only a picture is wanted
 
     def reached(self, time_s: float = np.inf) -> NDArray[np.bool_]:
-        """Tell of each goal whether it was reached by then, shape (k,)."""
+        """Return whether each goal was reached by a time, shape (k,)."""
         reached = np.zeros(len(self.goals), dtype=np.bool_)
         for number, goal in enumerate(self.results):
             ended_s = np.inf if goal.ended_s is None else goal.ended_s
@@ -108,16 +108,16 @@ class Scene:
 
     def corners(self) -> NDArray[np.float64]:
         """Return lower left and upper right corner of what there is to see, shape (2, 2)."""
-        seen = [self.path, self.goals[:, :2], np.array([self.start])]
+        extents = [self.path, self.goals[:, :2], np.array([self.start])]
         if self.map is not None:
-            seen.append(self.map.known())
+            extents.append(self.map.known())
         else:
-            seen.append(self.surroundings())
-        points = np.concatenate(seen)
+            extents.append(self.surroundings())
+        points = np.concatenate(extents)
         return np.stack([points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M])
 
 
-def top_down(scene: Scene) -> bytes:
+def top_down(scene: ReplayScene) -> bytes:
     """Draw a scene as PNG, in the inks of ``oracle_pipeline.reporting.figures``.
 
     The picture is cut to the part of the map that is known and to where the robot went.
@@ -143,7 +143,7 @@ def top_down(scene: Scene) -> bytes:
     return compact(png)
 
 
-def draw_ground(axes: Axes, scene: Scene) -> None:
+def draw_ground(axes: Axes, scene: ReplayScene) -> None:
     """Draw what never moves, the map and the numbers of the goals, and set what part is seen."""
     if scene.map is not None:
         draw_grid(axes, scene.map, MAP_COLORS)
@@ -159,7 +159,7 @@ def draw_ground(axes: Axes, scene: Scene) -> None:
     axes.set(xlim=(left, right), ylim=(low, high), aspect="equal")
 
 
-def draw_grid(axes: Axes, grid: Grid, colors: ListedColormap) -> AxesImage:
+def draw_grid(axes: Axes, grid: DrawnGrid, colors: ListedColormap) -> AxesImage:
     """Draw a grid where it lies, a colour for each value of its bytes."""
     image = AxesImage(axes, cmap=colors, interpolation="nearest", origin="lower")
     image.set_clim(0, 255)
@@ -169,7 +169,7 @@ def draw_grid(axes: Axes, grid: Grid, colors: ListedColormap) -> AxesImage:
     return image
 
 
-def lay_grid(image: AxesImage, grid: Grid) -> None:
+def lay_grid(image: AxesImage, grid: DrawnGrid) -> None:
     """Put another grid into an image."""
     rows, columns = grid.cells.shape
     image.set_data(grid.cells.view(np.uint8))

@@ -1,7 +1,7 @@
-"""From an opened run to its scene, told by the run's own bag and manifest in one pass.
+"""From an opened run to its scene, in one pass over its bag and manifest.
 
-The way driven is where transforms and odometry put the robot's base, in the frame from which all
-others hang: map, or odom where nothing localized the robot. Everything is planar, so a point is a
+The driven path is that of the robot's base, from transforms and odometry, in the root frame: map,
+or odom if nothing localized the robot. Everything is planar, so a point is a
 complex number [m] and a rotation a complex factor. Drawing is in
 ``oracle_pipeline.replay.scene``.
 """
@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.replay.scene import Grid, Moment, Scene
-from oracle_pipeline.reporting.result import ReportError
-from oracle_pipeline.runs import Run
+from oracle_pipeline.opened_run import OpenedRun
+from oracle_pipeline.replay.scene import DrawnGrid, Moment, ReplayScene
+from oracle_pipeline.reporting.report import ReportError
 
 MAP, ODOMETRY, TF, TF_STATIC = "/map", "/odom", "/tf", "/tf_static"
 SCAN, ATTACKED = "/scan", "/scan_fakeobject"
@@ -30,8 +30,8 @@ _Placed = tuple[complex, complex]  # where something is, and how it is turned
 _NO_POINTS: _Points = np.zeros(0, dtype=np.complex128)
 
 
-def run_scene(run: Run, moments_per_s: float | None = None) -> Scene:
-    """Read what there is to draw of a run, or of a bag that somebody else recorded.
+def run_scene(run: OpenedRun, moments_per_s: float | None = None) -> ReplayScene:
+    """Read the scene of a run, or of a foreign bag.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def run_scene(run: Run, moments_per_s: float | None = None) -> Scene:
     Raises
     ------
     ReportError
-        The bag does not tell where the robot was, or not on the map that it holds.
+        The bag lacks the robot's pose, or its pose on the recorded map.
     BagError
         The bag cannot be read.
     """
@@ -54,13 +54,13 @@ def run_scene(run: Run, moments_per_s: float | None = None) -> Scene:
 
 
 class _Story:
-    """What the messages of a run tell, heard in the order in which they were recorded.
+    """The state of a run, updated by its messages in the order of recording.
 
     Of the attacked scans that from nearest to the fake object is kept or, where there is none, the
     one nearest to halfway through the recording.
     """
 
-    def __init__(self, run: Run, moments_per_s: float | None) -> None:
+    def __init__(self, run: OpenedRun, moments_per_s: float | None) -> None:
         self._run = run
         attacked = run.manifest if run.manifest and run.manifest.label == "malicious" else None
         self._attack = attacked.attack if attacked else {}
@@ -104,13 +104,13 @@ class _Story:
             self._next_ns += self._step_ns
         self._hearers[topic](message)
 
-    def scene(self) -> Scene:
+    def scene(self) -> ReplayScene:
         """Return all that was heard; errors are those of `run_scene`."""
         run, manifest = self._run, self._run.manifest
         if not self._way:
             raise ReportError(
                 f"{run.path} cannot be drawn: its bag has neither {ODOMETRY} nor a transform to "
-                f"{' or '.join(BASES)}, so nothing tells where the robot was."
+                f"{' or '.join(BASES)}, so the robot's pose is unknown."
             )
         ground = None if self._map is None else self._grid(self._map)
         if self._map is not None and ground is None:
@@ -121,7 +121,7 @@ class _Story:
         if self._step_ns:
             self._remember(run.duration_s)
         path = _xy(np.array(self._way))
-        scene = Scene(
+        scene = ReplayScene(
             title=run.path.resolve().name,
             frame=self._root,
             map=ground,
@@ -134,7 +134,7 @@ class _Story:
             return scene
         return replace(
             scene,
-            title=f"{manifest.mode}|run{manifest.run:03d}, {manifest.outcome}",
+            title=f"{manifest.key}, {manifest.outcome}",
             start=(manifest.start.x, manifest.start.y),
             goals=np.array([(g.x, g.y, g.yaw) for g in manifest.goals]).reshape(-1, 3),
             results=manifest.goal_results,
@@ -144,12 +144,12 @@ class _Story:
         )
 
     def _begin_in(self, root: str) -> None:
-        """Begin to tell in a frame, and forget what was told in another."""
+        """Start in a frame, and drop what was placed in another."""
         self._root = root
         self._way: list[complex] = []
         self._robot: _Placed = (0j, 1 + 0j)
         self._scan = self._attacked = self._plan = _NO_POINTS
-        self._costmap: Grid | None = None
+        self._costmap: DrawnGrid | None = None
         self._moments: list[Moment] = []
         self._closest = np.inf
         self._closest_scan: _Points | None = None
@@ -196,7 +196,7 @@ class _Story:
     def _drive(self, base: str) -> None:
         """Note where the robot's base is now."""
         root, robot = self._frames.from_root(base)
-        if not root or root in BASES:  # nothing says where the robot is
+        if not root or root in BASES:  # the robot's pose is unknown
             return
         if root != self._root:
             self._begin_in(root)
@@ -219,14 +219,14 @@ class _Story:
         bearings = scan.angle_min + scan.angle_increment * hit
         return np.asarray(sensor[0] + sensor[1] * ranges[hit] * np.exp(1j * bearings))
 
-    def _grid(self, message: Any) -> Grid | None:
+    def _grid(self, message: Any) -> DrawnGrid | None:
         """Return an occupancy grid where it lies in the scene."""
         placed = self._placed(message.header.frame_id)
         if placed is None:
             return None
         info = message.info
         corner, turn = _pose(info.origin.position, info.origin.orientation)
-        return Grid(
+        return DrawnGrid(
             np.asarray(message.data, dtype=np.int8).reshape(info.height, info.width),
             info.resolution,
             _x_y_yaw((placed[0] + placed[1] * corner, placed[1] * turn)),

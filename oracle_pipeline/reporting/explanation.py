@@ -1,8 +1,7 @@
-"""One run of each attack explained: what was said of it, what gave it away, and how it looks.
+"""One run of each attack explained: its verdict, the evidence, and a picture.
 
-Beside its picture stands that of the run that differs from it by the attack alone. How far a
-feature is out is found in ``oracle_pipeline.scoring``; how a run is drawn, in
-``oracle_pipeline.replay.picture``.
+Beside it is the picture of the run that differs only by the attack. Evidence comes from
+``oracle_pipeline.scoring.evidence``, pictures from ``oracle_pipeline.replay.picture``.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -12,19 +11,20 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.datasets import PAIRS, is_malicious
-from oracle_pipeline.evaluation.protocol import RATES, SHADOW
+from oracle_pipeline.bags.protocol import PAIRS
+from oracle_pipeline.datasets import is_hard_negative, is_malicious
+from oracle_pipeline.evaluation.comparisons import RATES, SHADOW
 from oracle_pipeline.features import FeatureTables
-from oracle_pipeline.scoring import Evidence, evidence
+from oracle_pipeline.scoring.evidence import evidence
+from oracle_pipeline.scoring.verdict import Evidence
 
 SHOWN = 3  # attacks
 CONTROLS = {attacked: control for control, attacked in PAIRS}
-AIR_TRAFFIC, ITS_CONTROL = "atc_", "atc_normal"  # modes of the second testbed
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Explanation:
-    """One attacked run; the notes say what of it is missing."""
+    """One attacked run; the notes name what is missing."""
 
     run_id: str
     verdict: str
@@ -54,8 +54,8 @@ def explanations(
         From a run to its picture, PNG; an `OracleError` becomes a note.
     """
     attacked = judged[is_malicious(judged)]
-    there = sorted(set(attacked["mode"]))
-    modes = [mode for mode in dict.fromkeys([*CONTROLS, *there]) if mode in there]
+    attacked_modes = sorted(set(attacked["mode"]))
+    modes = [mode for mode in dict.fromkeys([*CONTROLS, *attacked_modes]) if mode in attacked_modes]
     return [
         _explanation(_typical(attacked[attacked["mode"] == mode]), df, windows, draw)
         for mode in modes[:SHOWN]
@@ -74,14 +74,14 @@ def _explanation(
 ) -> Explanation:
     run, notes = str(chosen["run_id"]), []
     row = df[df["run_id"] == run]
-    found: tuple[Evidence, ...] = ()
+    farthest: tuple[Evidence, ...] = ()
     try:
-        found = evidence(FeatureTables(row, windows[windows["run_id"] == run]), df)
+        farthest = evidence(FeatureTables(row, windows[windows["run_id"] == run]), df)
     except OracleError as error:
         notes.append(str(error))
     pictures, undrawn = drawn([run, *counterpart(run, df)], draw)
     verdict = _verdict(float(chosen["p"]))
-    return Explanation(run, verdict, found, pictures, (*notes, *undrawn))
+    return Explanation(run, verdict, farthest, pictures, (*notes, *undrawn))
 
 
 def drawn(runs: Iterable[str], draw: Callable[[str], bytes]) -> tuple[dict[str, bytes], list[str]]:
@@ -98,18 +98,25 @@ def drawn(runs: Iterable[str], draw: Callable[[str], bytes]) -> tuple[dict[str, 
 def counterpart(run: str, df: pd.DataFrame) -> list[str]:
     """Return the run of the same block without the attack, if there is one.
 
-    That is the attack's control; of other attacks the shadow, or air traffic as it is.
+    That is the attack's control; of other attacks the shadow, or else the block's first normal run
+    that is no hard negative.
+
+    Parameters
+    ----------
+    run : str
+        An attacked run.
+    df : DataFrame
+        ``run_id``, ``mode`` and ``label`` of the runs of one testbed, sorted by run.
     """
     mode, number = run.split("|")
-    likely = [CONTROLS.get(mode, f"{mode}{SHADOW}")]
-    if mode.startswith(AIR_TRAFFIC):
-        likely.append(ITS_CONTROL)
-    there = set(df["run_id"])
-    return [other for control in likely if (other := f"{control}|{number}") in there][:1]
+    control = f"{CONTROLS.get(mode, f'{mode}{SHADOW}')}|{number}"
+    normal = df.loc[(df["label"] == "normal") & ~is_hard_negative(df), "run_id"]
+    of_block = [other for other in normal if other.endswith(f"|{number}")]
+    return [other for other in (control, *of_block) if other in set(df["run_id"])][:1]
 
 
 def _verdict(p: float) -> str:
     if np.isnan(p):
-        return f"Not judged: there are too few right runs for a verdict at {RATES[0]:.0%}."
+        return f"Not judged: there are too few normal runs for a verdict at {RATES[0]:.0%}."
     called = "Called" if p <= RATES[0] else "Not called"
     return f"{called} anomalous at a false-alarm rate of {RATES[0]:.0%}: p = {p:.3g}."

@@ -10,7 +10,7 @@ reads a clock, a file or a user's Matplotlib settings: the same numbers give the
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import BytesIO
-from typing import Any, NamedTuple
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.cluster.hierarchy import leaves_list
 
 from oracle_pipeline.clustering.tree import Tree
+from oracle_pipeline.evaluation.curves import Curve
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.metrics import RocCurve
 from oracle_pipeline.evaluation.splits import HARMLESS
@@ -139,15 +140,6 @@ def roc_curves(curves: Mapping[str, tuple[RocCurve, Estimate]]) -> bytes:
     return png.getvalue()
 
 
-class Curve(NamedTuple):
-    """A line with a band around it, if it has one; arrays of shape (n,)."""
-
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    low: NDArray[np.float64] | None = None
-    high: NDArray[np.float64] | None = None
-
-
 def curves(named: Mapping[str, Curve], x: str, y: str, *, log: bool = False) -> bytes:
     """Draw shares over something else.
 
@@ -186,7 +178,7 @@ def kill_heat_map(kills: pd.DataFrame) -> bytes:
     Parameters
     ----------
     kills : DataFrame
-        Rows of one scenario and parameter of ``oracle_pipeline.evaluation.grid.kill_matrix``.
+        Rows of one scenario and parameter of `kill_rates.kill_matrix`.
     """
     names = [oracle_name(row) for _, row in kills.iterrows()]
     oracles, values = list(dict.fromkeys(names)), sorted(set(kills["value"]))

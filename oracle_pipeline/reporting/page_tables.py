@@ -9,24 +9,24 @@ from typing import NamedTuple
 
 import pandas as pd
 
-from oracle_pipeline.evaluation.protocol import ALL_MODES, HARD_NEGATIVES, HEADLINE
+from oracle_pipeline.evaluation.comparisons import ALL_MODES, HARD_NEGATIVES, HEADLINE
+from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.splits import BLOCK
 from oracle_pipeline.reporting.explanation import Explanation
-from oracle_pipeline.reporting.result import Report
-from oracle_pipeline.reporting.thesis_tables import estimate
-from oracle_pipeline.reporting.verdicts import HEADINGS, cells
+from oracle_pipeline.reporting.report import Report
+from oracle_pipeline.scoring.output import HEADINGS, cells
 
 NO_FIGURE = "n/a"
 
 
-class Cell(NamedTuple):
-    """One cell of a table: what it says and, smaller, its interval."""
+class PageCell(NamedTuple):
+    """One cell of a table: its text and, smaller, its interval."""
 
     text: str
     interval: str = ""
 
 
-class Column(NamedTuple):
+class PageColumn(NamedTuple):
     """One column of a table, below a group heading."""
 
     title: str
@@ -35,147 +35,147 @@ class Column(NamedTuple):
     spec: str = ""  # format of its numbers; by default two digits with an interval, else three
 
 
-class Grid(NamedTuple):
+class PageTable(NamedTuple):
     """A table ready for the page."""
 
     title: str
     groups: Sequence[tuple[str, int]]  # heading, columns below it
-    columns: Sequence[Column]
-    rows: Sequence[Sequence[Cell]]
+    columns: Sequence[PageColumn]
+    rows: Sequence[Sequence[PageCell]]
     notes: Sequence[str] = ()  # the column of notes holds their numbers
 
 
 THESIS = "The thesis"
-_NOTE = Column("note", "note")
+_NOTE = PageColumn("note", "note")
 _COUNTS = (
-    Column("attacked runs", "malicious"),
-    Column("right runs", "right"),
-    Column("blocks", "blocks"),
+    PageColumn("attacked runs", "malicious"),
+    PageColumn("normal runs", "normal"),
+    PageColumn("blocks", "blocks"),
 )
-_HELD_OUT = Column("held out by", "split")
+_HELD_OUT = PageColumn("held out by", "split")
 _AT_5, _AT_1 = "at a false-alarm rate of 5%", "at 1%"
 _VERDICTS = (
-    Column("comparison", "scope"),
+    PageColumn("comparison", "scope"),
     _HELD_OUT,
     *_COUNTS,
-    Column("AUC", "auc"),
-    Column("detection rate", "detection_rate_5", _AT_5),
-    Column("realised false alarms", "false_alarm_rate_5", _AT_5),
-    Column("lower bound, one-sided", "false_alarm_rate_5_bound", _AT_5),
-    Column("detection rate", "detection_rate_1", _AT_1),
-    Column("realised false alarms", "false_alarm_rate_1", _AT_1),
-    Column("blocks lacking", "blocks_lacking_1", _AT_1),
+    PageColumn("AUC", "auc"),
+    PageColumn("detection rate", "detection_rate_5", _AT_5),
+    PageColumn("realised false alarms", "false_alarm_rate_5", _AT_5),
+    PageColumn("lower bound, one-sided", "false_alarm_rate_5_bound", _AT_5),
+    PageColumn("detection rate", "detection_rate_1", _AT_1),
+    PageColumn("realised false alarms", "false_alarm_rate_1", _AT_1),
+    PageColumn("blocks lacking", "blocks_lacking_1", _AT_1),
     _NOTE,
 )
 _ALARMS = (
-    Column("comparison", "scope"),
-    Column("attacked runs", "attacked_runs"),
-    Column("AUC of windows", "auc"),
-    Column("missed", "missed"),
-    Column("median", "time_to_detect_median_s", "time to detect [s]", ".1f"),
-    Column("90th percentile", "time_to_detect_90_s", "time to detect [s]", ".1f"),
-    Column("false alarms an hour", "false_alarms_per_h"),
+    PageColumn("comparison", "scope"),
+    PageColumn("attacked runs", "attacked_runs"),
+    PageColumn("AUC of windows", "auc"),
+    PageColumn("missed", "missed"),
+    PageColumn("median", "time_to_detect_median_s", "time to detect [s]", ".1f"),
+    PageColumn("90th percentile", "time_to_detect_90_s", "time to detect [s]", ".1f"),
+    PageColumn("false alarms an hour", "false_alarms_per_h"),
 )
 _SCORER = (
-    Column("detector", "detector"),
-    Column("features", "features"),
-    Column("level", "level"),
+    PageColumn("detector", "detector"),
+    PageColumn("features", "features"),
+    PageColumn("level", "level"),
     _HELD_OUT,
 )
 _OVER_ALL = (
-    Column("AUC", "auc"),
-    Column("average precision", "average_precision"),
-    Column("detection rate", "detection_rate_5", _AT_5),
-    Column("realised false alarms", "false_alarm_rate_5", _AT_5),
-    Column("MCC", "mcc_5", _AT_5),
+    PageColumn("AUC", "auc"),
+    PageColumn("average precision", "average_precision"),
+    PageColumn("detection rate", "detection_rate_5", _AT_5),
+    PageColumn("realised false alarms", "false_alarm_rate_5", _AT_5),
+    PageColumn("MCC", "mcc_5", _AT_5),
     _NOTE,
 )
 _SMALL_CLUSTERS = (
-    Column("linkage", "linkage"),
-    Column("clusters over runs", "kappa", spec="g"),
-    Column("clusters", "clusters"),
-    Column("attacked of the runs in small clusters", "failure_share"),
-    Column("attacked runs found", "found"),
-    Column("runs inspected", "inspected"),
-    Column("found in a quarter of the runs", "found_in_budget"),
-    Column("ARI", "ari", spec="z.2f"),
+    PageColumn("linkage", "linkage"),
+    PageColumn("clusters over runs", "kappa", spec="g"),
+    PageColumn("clusters", "clusters"),
+    PageColumn("attacked of the runs in small clusters", "failure_share"),
+    PageColumn("attacked runs found", "found"),
+    PageColumn("runs inspected", "inspected"),
+    PageColumn("found in a quarter of the runs", "found_in_budget"),
+    PageColumn("ARI", "ari", spec="z.2f"),
     _NOTE,
 )
-_OPERATOR = (Column("scenario", "scenario"), Column("parameter", "parameter"))
+_OPERATOR = (PageColumn("scenario", "scenario"), PageColumn("parameter", "parameter"))
 _MUTATION_SCORES = (
     *_SCORER,
-    Column("mutants", "mutants"),
-    Column("killed", "killed"),
-    Column("mutation score", "mutation_score"),
+    PageColumn("mutants", "mutants"),
+    PageColumn("killed", "killed"),
+    PageColumn("mutation score", "mutation_score"),
 )
-_MAGNITUDES = (*_SCORER, *_OPERATOR, Column("smallest detected", "magnitude", spec=".3g"))
+_MAGNITUDES = (*_SCORER, *_OPERATOR, PageColumn("smallest detected", "magnitude", spec=".3g"))
 _KILLS = (
     *_OPERATOR,
     _HELD_OUT,
-    Column("magnitude", "value", spec="g"),
-    Column("mutants", "mutants"),
-    Column("equivalent", "equivalent"),
-    Column("killed", "killed"),
-    Column("kill rate", "kill_rate"),
+    PageColumn("magnitude", "value", spec="g"),
+    PageColumn("mutants", "mutants"),
+    PageColumn("equivalent", "equivalent"),
+    PageColumn("killed", "killed"),
+    PageColumn("kill rate", "kill_rate"),
 )
 
 _REPRODUCED, _CORRECTED = "its method on our runs", "the method corrected, on our runs"
 _SIDE_BY_SIDE = (
-    Column("source", "thesis_source"),
-    Column("experiment", "experiment"),
-    Column("recall", "thesis_recall", THESIS),
-    Column("FPR", "thesis_fpr", THESIS),
-    Column("hard AUC", "thesis_auc", THESIS),
-    Column("MCC", "thesis_mcc", THESIS, "z.2f"),
-    Column("runs", "thesis_runs", THESIS),
-    Column("recall", "reproduced_recall", _REPRODUCED),
-    Column("FPR", "reproduced_fpr", _REPRODUCED),
-    Column("hard AUC", "reproduced_auc", _REPRODUCED),
-    Column("MCC", "reproduced_mcc", _REPRODUCED, "z.2f"),
-    Column("runs", "reproduced_runs", _REPRODUCED),
-    Column("TPR", "corrected_tpr", _CORRECTED),
-    Column("FPR", "corrected_fpr", _CORRECTED),
-    Column("AUC of the height", "corrected_auc", _CORRECTED),
-    Column("MCC", "corrected_mcc", _CORRECTED, "z.2f"),
+    PageColumn("source", "thesis_source"),
+    PageColumn("experiment", "experiment"),
+    PageColumn("recall", "thesis_recall", THESIS),
+    PageColumn("FPR", "thesis_fpr", THESIS),
+    PageColumn("hard AUC", "thesis_auc", THESIS),
+    PageColumn("MCC", "thesis_mcc", THESIS, "z.2f"),
+    PageColumn("runs", "thesis_runs", THESIS),
+    PageColumn("recall", "reproduced_recall", _REPRODUCED),
+    PageColumn("FPR", "reproduced_fpr", _REPRODUCED),
+    PageColumn("hard AUC", "reproduced_auc", _REPRODUCED),
+    PageColumn("MCC", "reproduced_mcc", _REPRODUCED, "z.2f"),
+    PageColumn("runs", "reproduced_runs", _REPRODUCED),
+    PageColumn("TPR", "corrected_tpr", _CORRECTED),
+    PageColumn("FPR", "corrected_fpr", _CORRECTED),
+    PageColumn("AUC of the height", "corrected_auc", _CORRECTED),
+    PageColumn("MCC", "corrected_mcc", _CORRECTED, "z.2f"),
     _NOTE,
 )
 _NULL_MODEL = (
-    Column("share of very long runs", "p_long", spec=".0%"),
-    Column("recall", "recall"),
-    Column("FPR", "fpr"),
-    Column("hard AUC", "auc"),
-    Column("experiments that reach the thesis's recall", "reaches_headline", spec=".0%"),
+    PageColumn("share of very long runs", "p_long", spec=".0%"),
+    PageColumn("recall", "recall"),
+    PageColumn("FPR", "fpr"),
+    PageColumn("hard AUC", "auc"),
+    PageColumn("experiments that reach the thesis's recall", "reaches_headline", spec=".0%"),
 )
 _HEIGHT, _VERDICT, _BEST = "AUC", "Verdict without labels", "The thesis's reading of our runs"
 _MEASURES = (
-    Column("recall", "recall_best_cluster", _BEST),
-    Column("FPR", "fpr_best_cluster", _BEST),
-    Column("hard AUC", "balanced_accuracy_best_cluster", _BEST),
-    Column("recall", "thesis_recall", THESIS),
-    Column("FPR", "thesis_fpr", THESIS),
-    Column("hard AUC", "thesis_auc", THESIS),
-    Column("TPR", "tpr", _VERDICT),
-    Column("FPR", "fpr", _VERDICT),
-    Column("balanced accuracy", "balanced_accuracy", _VERDICT),
-    Column("MCC", "mcc", _VERDICT, "z.2f"),
-    Column("HAC height", "auc", _HEIGHT),
+    PageColumn("recall", "recall_best_cluster", _BEST),
+    PageColumn("FPR", "fpr_best_cluster", _BEST),
+    PageColumn("hard AUC", "balanced_accuracy_best_cluster", _BEST),
+    PageColumn("recall", "thesis_recall", THESIS),
+    PageColumn("FPR", "thesis_fpr", THESIS),
+    PageColumn("hard AUC", "thesis_auc", THESIS),
+    PageColumn("TPR", "tpr", _VERDICT),
+    PageColumn("FPR", "fpr", _VERDICT),
+    PageColumn("balanced accuracy", "balanced_accuracy", _VERDICT),
+    PageColumn("MCC", "mcc", _VERDICT, "z.2f"),
+    PageColumn("HAC height", "auc", _HEIGHT),
     _NOTE,
 )
 _GRID_SEARCH = (
-    Column("linkage", "linkage"),
-    Column("criterion", "criterion"),
-    Column("t", "t", spec="g"),
+    PageColumn("linkage", "linkage"),
+    PageColumn("criterion", "criterion"),
+    PageColumn("t", "t", spec="g"),
 )
-_RATES = (Column("malicious rows", "malicious_rate", spec=".0%"),)
-_PAIRS = (Column("runs", "scope"), Column("features", "features"))
+_RATES = (PageColumn("malicious rows", "malicious_rate", spec=".0%"),)
+_PAIRS = (PageColumn("runs", "scope"), PageColumn("features", "features"))
 
 
-def of_evaluation(evaluation: Report) -> dict[str, Grid]:
+def of_evaluation(evaluation: Report) -> dict[str, PageTable]:
     """Return the tables of `oracle_evaluation` by name; of a grid only if one was run."""
     table, more = evaluation.table, evaluation.tables
     headline = _of_headline(table)
     against = [scope for scope in headline["scope"] if "/" in scope]
-    areas = [Column(scope, scope) for scope in against]
+    areas = [PageColumn(scope, scope) for scope in against]
     if "kills" in more:  # its picture has the other oracles'
         more = {**more, "kills": more["kills"][_is_headline(more["kills"])]}
     grids = {
@@ -199,7 +199,7 @@ def of_evaluation(evaluation: Report) -> dict[str, Grid]:
 
 def of_thesis(
     *, grid_search: Report, rates: Report, pairs: Report, side_by_side: Report, null_model: Report
-) -> dict[str, Grid]:
+) -> dict[str, PageTable]:
     """Return the tables that follow the thesis's method, by name."""
     return {
         "side_by_side": grid(
@@ -212,19 +212,21 @@ def of_thesis(
     }
 
 
-def of_explanation(explanation: Explanation) -> Grid:
-    """Return what gave a run away, a feature a row."""
-    columns = [Column(heading, heading) for heading in HEADINGS]
-    rows = [[Cell(text) for text in cells(each)] for each in explanation.evidence]
-    return Grid(f"What is unusual in {explanation.run_id}", [("", len(columns))], columns, rows)
+def of_explanation(explanation: Explanation) -> PageTable:
+    """Return what gave a run away, one feature in each row."""
+    columns = [PageColumn(heading, heading) for heading in HEADINGS]
+    rows = [[PageCell(text) for text in cells(each)] for each in explanation.evidence]
+    return PageTable(
+        f"What is unusual in {explanation.run_id}", [("", len(columns))], columns, rows
+    )
 
 
-def of_any(title: str, table: pd.DataFrame) -> Grid:
+def of_any(title: str, table: pd.DataFrame) -> PageTable:
     """Return a table with all of its columns under their own names."""
-    return grid(title, table, [Column(str(n).replace("_", " "), str(n)) for n in table.columns])
+    return grid(title, table, [PageColumn(str(n).replace("_", " "), str(n)) for n in table.columns])
 
 
-def grid(title: str, table: pd.DataFrame, columns: Iterable[Column]) -> Grid:
+def grid(title: str, table: pd.DataFrame, columns: Iterable[PageColumn]) -> PageTable:
     """Return those columns that a table has; notes and figures that are all empty are left out."""
     shown = [column for column in columns if _says_anything(table, column.name)]
     groups = [(name, len(list(members))) for name, members in groupby(shown, lambda c: c.group)]
@@ -234,21 +236,21 @@ def grid(title: str, table: pd.DataFrame, columns: Iterable[Column]) -> Grid:
         number = {note: str(n) for n, note in enumerate(notes, start=1)}
         table = table.assign(**{_NOTE.name: table[_NOTE.name].map(number).fillna("")})
     rows = [[_cell(row, column) for column in shown] for _, row in table.iterrows()]
-    return Grid(title, groups, shown, rows, list(number))
+    return PageTable(title, groups, shown, rows, list(number))
 
 
 def _says_anything(table: pd.DataFrame, name: str) -> bool:
     return name in table.columns and bool((table[name].notna() & (table[name] != "")).any())
 
 
-def _cell(row: pd.Series, column: Column) -> Cell:
+def _cell(row: pd.Series, column: PageColumn) -> PageCell:
     value = row[column.name]
     if f"{column.name}_low" in row.index:
-        text, _, interval = f"{estimate(row, column.name):{column.spec}}".partition(" ")
-        return Cell(text, interval)
+        text, _, interval = f"{Estimate.of_row(row, column.name):{column.spec}}".partition(" ")
+        return PageCell(text, interval)
     if not isinstance(value, float):
-        return Cell(str(value))
-    return Cell(NO_FIGURE if pd.isna(value) else f"{value:{column.spec or '.3f'}}")
+        return PageCell(str(value))
+    return PageCell(NO_FIGURE if pd.isna(value) else f"{value:{column.spec or '.3f'}}")
 
 
 def _of_headline(table: pd.DataFrame) -> pd.DataFrame:
@@ -262,7 +264,7 @@ def _is_headline(table: pd.DataFrame) -> pd.Series:
 
 
 def _areas(table: pd.DataFrame, scopes: Sequence[str]) -> pd.DataFrame:
-    """Return a row a scorer, with its AUC in each scope under the scope's name."""
+    """Return one row for each scorer, with its AUC in each scope under the scope's name."""
     key = [column.name for column in _SCORER]
     joined = table[key].drop_duplicates().set_index(key)
     for scope in scopes:

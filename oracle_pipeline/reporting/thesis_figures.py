@@ -1,4 +1,4 @@
-"""What the thesis reports, as printed, so that it can stand beside what we measure.
+"""The figures that the thesis prints, for comparison with ours.
 
 "A testing framework for evaluating behavioural correctness in robotic systems using clustering as
 an oracle": 15 runs of six modes, agglomerative clustering of bootstrapped rows. Its "accuracy" is
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oracle_pipeline.evaluation.clustering import in_words
+from oracle_pipeline.evaluation.clustering_result import in_words
 from oracle_pipeline.evaluation.metrics import Confusion, decode_thesis_row
 
 RUNS = 15  # of each of the six modes, half of which are attacked

@@ -1,38 +1,37 @@
-"""One function a report: from feature tables to a `Report` of table, pictures and facts.
+"""Reports on the thesis's method: from feature tables to a `Report` of tables, pictures and facts.
 
-The first four follow the thesis's method, which draws copies of runs before it clusters them, in
-the variant asked for; `side_by_side` has both variants and what the thesis prints, and `null_model`
-what its method makes of labels without meaning. Our own evaluation is in ``evaluation`` beside this
-module, tables are made in ``tables``, pictures in ``figures``.
+The first four follow the thesis's method in one variant, which draws copies of runs before it
+clusters them. `side_by_side` compares both variants with the printed results, and `null_model`
+applies the method to meaningless labels. Tables are made in ``thesis_tables``, pictures in
+``figures``; our own evaluation is in ``evaluation_report``.
 """
 
 import numpy as np
 import pandas as pd
 
+from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.clustering.scores import hac_height
 from oracle_pipeline.clustering.tree import LINKAGES, ClusteringError
 from oracle_pipeline.datasets import (
-    PAIRS,
     DatasetError,
     content_hash,
     distinct_runs,
     is_malicious,
     lacking,
 )
-from oracle_pipeline.evaluation.clustering import grow_over_runs
+from oracle_pipeline.evaluation.clustering_result import grow_over_runs
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.metrics import RocCurve, auc, roc_curve
 from oracle_pipeline.evaluation.variants import VARIANTS, Variant, VariantName
 from oracle_pipeline.reporting import figures, thesis_tables
-from oracle_pipeline.reporting.result import Report, facts
+from oracle_pipeline.reporting.report import Report, facts
 from oracle_pipeline.reporting.thesis_figures import FAMILIES
-from oracle_pipeline.reporting.thesis_tables import estimate
 
 ROWS, MALICIOUS_RATE, SEED = 1000, 0.3, 50  # the thesis's bootstrap
 
 THESIS_WARNING = (
     "Copies of the same runs are clustered, and labels choose the cluster that they then measure: "
-    "recall and AUC of the best cluster do not say how well attacks are detected."
+    "recall and AUC of the best cluster do not measure how well attacks are detected."
 )
 
 
@@ -46,7 +45,7 @@ def bootstrapped_dataset(
     """Draw rows with replacement; the report's table holds them.
 
     Parameters and errors are those of `oracle_pipeline.datasets.bootstrap`; but of a campaign that
-    has only one class so far, all rows are drawn from that one, and the summary says so. The
+    has only one class so far, all rows are drawn from that one, with a note in the summary. The
     thesis's variant leaves out runs that lack one of its ten features, and names them.
     """
     by = VARIANTS[variant]
@@ -74,7 +73,7 @@ def bootstrapped_dataset(
 
 
 def _drawn_by(variant: Variant) -> dict[str, float | int | str]:
-    """Return for a summary which variant made a report, and what it cannot say."""
+    """Return for a summary the variant of a report, and its warning."""
     warning = {"warning": THESIS_WARNING} if variant.name == "thesis" else {}
     return {"variant": str(variant.name), **warning}
 
@@ -102,7 +101,7 @@ def clustering_grid_search(
         try:
             tree = grow_over_runs(rows, by.columns(rows, "all"), method, by)
         except ClusteringError:
-            continue  # its rows in the table say why
+            continue  # its rows in the table give the reason
         pictures[f"dendrogram_{method}"] = figures.dendrogram(tree, _labels(rows))
         if not lacking(rows):
             height = hac_height(tree)
@@ -126,8 +125,8 @@ def _thesis_choice(table: pd.DataFrame) -> dict[str, float | int | str]:
     picked = f"{chosen['linkage']}, {chosen['criterion']} {chosen['t']:g}"
     return {
         "thesis_rule_picks": picked,
-        **facts("recall_best_cluster", estimate(chosen, "recall_best_cluster")),
-        **facts("fpr_best_cluster", estimate(chosen, "fpr_best_cluster")),
+        **facts("recall_best_cluster", Estimate.of_row(chosen, "recall_best_cluster")),
+        **facts("fpr_best_cluster", Estimate.of_row(chosen, "fpr_best_cluster")),
     }
 
 
@@ -150,7 +149,7 @@ def malicious_rate_report(
     for _, row in table.iterrows():
         for name, figure in (("recall", "recall"), ("false alarms", "fpr")):
             line = f"{row['malicious_rate']:.0%} malicious, {name}"
-            ours[line] = estimate(row, f"{figure}_best_cluster")
+            ours[line] = Estimate.of_row(row, f"{figure}_best_cluster")
             thesis[line] = row[f"thesis_{figure}"]
     picture = figures.intervals(ours, thesis, "share of rows in the best cluster", chance=None)
     summary: dict[str, float | int | str] = {"rows": n, "seed": seed, "note": lacking(df)}
@@ -173,7 +172,8 @@ def pairwise_report(
     parts = [thesis_tables.family_table(df, *settings), thesis_tables.pairwise_table(df, *settings)]
     table = pd.concat(parts, ignore_index=True)
     ours = {
-        _line(row): estimate(row, "balanced_accuracy_best_cluster") for _, row in table.iterrows()
+        _line(row): Estimate.of_row(row, "balanced_accuracy_best_cluster")
+        for _, row in table.iterrows()
     }
     thesis = {_line(row): row["thesis_auc"] for _, row in table.iterrows()}
     picture = figures.intervals(ours, thesis, "AUC of the best cluster's hard verdict")
@@ -202,7 +202,7 @@ def _pair_dendrograms(
             rows = variant.draw(variant.whole_runs(pair), n, malicious_rate, seed)
             tree = grow_over_runs(rows, variant.columns(rows, "all"), "ward", variant)
         except (ClusteringError, DatasetError):
-            continue  # its row in the table says why
+            continue  # its row in the table gives the reason
         pictures[f"dendrogram_{attacked}"] = figures.dendrogram(tree, _labels(rows))
     return pictures
 
@@ -218,7 +218,7 @@ def side_by_side(
     rng = np.random.default_rng(seed)
     table = thesis_tables.side_by_side_table(df, n, malicious_rate, seed, rng)
     names = table["thesis_source"] + ": " + table["experiment"]
-    areas = [estimate(row, "reproduced_auc") for _, row in table.iterrows()]
+    areas = [Estimate.of_row(row, "reproduced_auc") for _, row in table.iterrows()]
     ours = dict(zip(names, areas, strict=True))
     thesis = dict(zip(names, table["thesis_auc"], strict=True))
     picture = figures.intervals(ours, thesis, "AUC of the best cluster's hard verdict")
@@ -233,7 +233,7 @@ def side_by_side(
 
 
 def null_model(repetitions: int = 50, seed: int = SEED) -> Report:
-    """Say what the thesis's method makes of runs that do not depend on their labels.
+    """Apply the thesis's method to runs whose features do not depend on their labels.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def null_model(repetitions: int = 50, seed: int = SEED) -> Report:
     """
     table = thesis_tables.null_model_table(repetitions, seed)
     usual = table[table["p_long"] == thesis_tables.P_LONG].iloc[0]
-    recall, area = estimate(usual, "recall"), estimate(usual, "auc")
+    recall, area = Estimate.of_row(usual, "recall"), Estimate.of_row(usual, "auc")
     return Report(
         table,
         {},
@@ -259,7 +259,7 @@ def null_model(repetitions: int = 50, seed: int = SEED) -> Report:
 
 
 def null_headline(recall: Estimate, area: Estimate) -> str:
-    """Say whether the thesis's headline could come of a method that found nothing.
+    """Return whether the thesis's headline can be distinguished from chance.
 
     Examples
     --------

@@ -2,19 +2,20 @@
 
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 import click
 
+from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
+from sim.campaigns import DEFAULT_SEED, Campaign, OdometrySource, Options, Wiring
 from sim.commands.progress import RunProgress
 from sim.fan_out import fan_out, process_pool
-from sim.recipes import DEFAULT_SEED, Campaign, Options, Wiring
-from sim.turtlebot3.map import OdometrySource
 
 J = TypeVar("J")
 Command = Callable[..., None]
@@ -67,6 +68,15 @@ _CAMPAIGN_OPTIONS = (
         help="Bag stamps are the recorder's wall clock, as without --use-sim-time.",
     ),
 )  # fmt: skip
+
+
+@contextmanager
+def errors_told() -> Iterator[None]:
+    """Show an error of ours as a command shows it: in one line, with exit code 1."""
+    try:
+        yield
+    except (OracleError, OSError) as error:
+        raise click.ClickException(str(error)) from error
 
 
 def home() -> Path:

@@ -1,114 +1,43 @@
-"""``oracle-sim``: record experiment runs without Dagster."""
+"""``oracle-sim``: the group of all commands that make or look at runs."""
 
-import functools
-from importlib.metadata import entry_points
-from pathlib import Path
-from typing import Any, cast
+import pkgutil
+from typing import Any
 
 import click
 
-from oracle_pipeline.bags.manifest import Manifest
-from oracle_pipeline.bags.run_directory import RunDirectory
-from sim.commands.batch import (
-    allow_actuation_option,
-    campaign,
-    campaign_options,
-    home,
-    make_runs,
-    refresh_option,
-    workers_option,
-)
-from sim.commands.scenarios import fuzz, grid_, mutate, scenarios
-from sim.experiments import record_run
-from sim.fuzzing.scenario import ScenarioError
-from sim.modes import Mode, broken_scenarios, find_mode, modes
-from sim.recipes import Campaign, recipe_for
 
-COMMANDS = "oracle_sim.commands"  # entry points of commands that come from elsewhere
+class _LazyGroup(click.Group):
+    """Commands whose modules are imported when they are asked for, so that each starts at once.
 
+    Attributes
+    ----------
+    places : dict of str to str
+        Where each command is, by its name: ``module:attribute``.
+    """
 
-class _Group(click.Group):
-    """Commands of this module, and those of other packages, loaded when they are asked for."""
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        self.places: dict[str, str] = {}
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return sorted({*super().list_commands(ctx), *entry_points(group=COMMANDS).names})
+        return sorted({*super().list_commands(ctx), *self.places})
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if (ours := super().get_command(ctx, cmd_name)) is not None:
-            return ours
-        for found in entry_points(group=COMMANDS, name=cmd_name):
-            return cast(click.Command, found.load())
-        return None
+        if cmd_name not in self.places:
+            return super().get_command(ctx, cmd_name)
+        command: click.Command = pkgutil.resolve_name(self.places[cmd_name])
+        return command
 
 
-@click.group(cls=_Group)
+@click.group(cls=_LazyGroup)
 def main() -> None:
-    """Record robot experiments in the simulated TurtleBot3 testbed, as rosbag2; look at them."""
+    """Record robot experiments in the simulated testbeds, as rosbag2, and look at them."""
 
 
-for command in (mutate, scenarios, fuzz, grid_):
-    main.add_command(command)
-
-
-@main.command()
-@click.option("-m", "--mode", type=click.Choice(list(modes())), help="Which experiment.")
-@click.option(
-    "--scenario", metavar="FILE",
-    help="An experiment of your own: a scenario file (FILE#NAME if it holds several), or a "
-    "built-in scenario that is no mode, by its name.",
-)  # fmt: skip
-@allow_actuation_option
-@click.option(
-    "-n", "--number", default=1, show_default=True, type=click.IntRange(min=1),
-    help="How many runs: run000, run001, ...",
-)  # fmt: skip
-@click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False),
-    default=home,
-    help="Root of the run directories.  [default: $ORACLE_HOME or ./data]",
-)  # fmt: skip
-@campaign_options
-@workers_option
-@refresh_option
-def record(
-    mode: str | None,
-    scenario: str | None,
-    allow_actuation: bool,
-    number: int,
-    out: Path,
-    workers: int,
-    refresh: bool,
-    **options: Any,
-) -> None:
-    """Record N runs of one mode, or of a scenario that is none.
-
-    Run i of every mode has the same start, goals and nuisance (block i), so runs compare across
-    modes. What is recorded already is left as it is; an interrupted call is completed by the
-    next one.
-
-    \b
-    Example:
-        oracle-sim record -m fake_object -n 3 --out data
-        oracle-sim record --scenario sensor_freeze
-        oracle features 'data/runs/fake_object/run000'
-    """  # noqa: D301 -- click reads the control character
-    for broken in broken_scenarios():
-        click.echo(f"Left out: {broken}", err=True)
-    experiment = _experiment(mode, scenario, allow_actuation=allow_actuation)
-    job = functools.partial(_record, experiment, campaign(options), out, refresh)
-    make_runs(job, range(number), functools.partial(RunDirectory, out, experiment.id), workers)
-
-
-def _experiment(mode: str | None, scenario: str | None, *, allow_actuation: bool) -> Mode:
-    if (mode is None) == (scenario is None):
-        raise click.UsageError("Say what to record: either --mode or --scenario.")
-    try:
-        return find_mode(mode or scenario or "", allow_actuation=allow_actuation)
-    except ScenarioError as error:
-        raise click.BadParameter(str(error), param_hint="--scenario") from error
-
-
-def _record(mode: Mode, settings: Campaign, out: Path, refresh: bool, run: int) -> Manifest:
-    return record_run(
-        recipe_for(mode, run, settings), RunDirectory(out, mode.id, run), refresh=refresh
-    )
+main.places |= {
+    "fuzz": "sim.commands.fuzz:fuzz",
+    "grid": "sim.commands.grid:grid",
+    "mutate": "sim.commands.mutate:mutate",
+    "record": "sim.commands.record:record",
+    "scenario": "sim.commands.scenario:scenario",
+}

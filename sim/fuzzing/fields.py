@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.types import message_class
-from sim.fuzzing.values import Array, Boolean, Message, Number, Text, Type
+from sim.fuzzing.value_types import Array, Boolean, Message, Number, Text, Type
 from sim.jit import jit
 
 Overflow = Literal["wrap", "clip", "error"]

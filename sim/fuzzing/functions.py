@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.fuzzing.values import (
+from sim.fuzzing.value_types import (
     BOOLEAN,
     FLOAT,
     INTEGER,

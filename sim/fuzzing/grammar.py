@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 from oracle_pipeline.bags.errors import OracleError
 from sim.fuzzing.functions import BUILTINS
-from sim.fuzzing.values import MAX_TEXT
+from sim.fuzzing.value_types import MAX_TEXT
 
 FUNCTIONS = "fn"  # the functions of a scenario are called as fn.<name>(...)
 MAX_LENGTH = 1000  # characters of one expression

@@ -1,6 +1,6 @@
 """The node that a scenario is: it stands between the topic that it hears and the one it speaks on.
 
-What is published instead is worked out in ``sim.fuzzing.mutation``, for this node and for a
+What is published instead is worked out in ``sim.fuzzing.execution``, for this node and for a
 recorded bag alike. What it changed it tells on the hidden ground-truth topic.
 """
 
@@ -10,7 +10,9 @@ from typing import Any
 
 from oracle_pipeline.bags.manifest import Change
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE
-from sim.fuzzing.mutation import Mutation, Program, Result, in_bins
+from sim.fuzzing.execution import Execution, Result
+from sim.fuzzing.ground_truth import in_bins
+from sim.fuzzing.program import Program
 from sim.fuzzing.scenario import Key
 from sim.middleware import qos
 from sim.middleware.domain import Domain
@@ -18,7 +20,7 @@ from sim.middleware.executor import SECOND
 from sim.middleware.node import Node
 
 
-class MutationNode(Node):
+class ScenarioNode(Node):
     """Run a scenario.
 
     It hears what was published ``latency_ns`` ago and publishes that much later than its scenario
@@ -30,7 +32,7 @@ class MutationNode(Node):
         Where the node lives; what it hears is there already.
     name
         The same for every scenario of a testbed, so that no graph tells them apart.
-    mutation
+    execution
         One run of a program.
     latency_ns
         From the publication of a message to the answer.
@@ -42,12 +44,12 @@ class MutationNode(Node):
     """
 
     def __init__(
-        self, domain: Domain, name: str, mutation: Mutation, *, latency_ns: int = 0
+        self, domain: Domain, name: str, execution: Execution, *, latency_ns: int = 0
     ) -> None:
-        program = mutation.program
+        program = execution.program
         _check_topics(domain, program)
         super().__init__(domain, name, latency_ns=latency_ns)
-        self._mutation = mutation
+        self._execution = execution
         self._onset_ns: int | None = None
         self._changes: list[tuple[int, float]] = []  # when, and how much at most
         self._output = self.create_publisher(program.type.name, program.output_topic)
@@ -62,7 +64,7 @@ class MutationNode(Node):
     def begin(self, onset_ns: int) -> None:
         """Let the scenario act from ``onset_ns`` on; until then every message is handed on."""
         self._onset_ns = onset_ns
-        period_ns = self._mutation.timer_period_ns
+        period_ns = self._execution.timer_period_ns
         if period_ns is not None:
             first_ns = onset_ns + period_ns + self.latency_ns
             self.create_timer(period_ns, self._on_timer, phase_ns=first_ns - self.now_ns)
@@ -84,13 +86,13 @@ class MutationNode(Node):
         return (self._heard_ns - self._onset_ns) / SECOND
 
     def _on_source(self, source: str, message: Any) -> None:
-        self._mutation.on_source(source, message, self._heard_ns)
+        self._execution.on_source(source, message, self._heard_ns)
 
     def _on_message(self, message: Any) -> None:
-        self._publish(self._mutation.on_message(message, self._heard_ns, self._t_s))
+        self._publish(self._execution.on_message(message, self._heard_ns, self._t_s))
 
     def _on_timer(self) -> None:
-        self._publish(self._mutation.on_timer(self._heard_ns, self._t_s))
+        self._publish(self._execution.on_timer(self._heard_ns, self._t_s))
 
     def _publish(self, result: Result) -> None:
         for due_ns, message in result.outputs:

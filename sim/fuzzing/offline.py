@@ -22,7 +22,9 @@ from oracle_pipeline.bags.types import (
     serialize,
 )
 from oracle_pipeline.bags.writer import BagWriter
-from sim.fuzzing.mutation import PASSTHROUGH, Mutation, Program, Result, in_bins
+from sim.fuzzing.execution import PASSTHROUGH, Execution, Result, execute
+from sim.fuzzing.ground_truth import in_bins
+from sim.fuzzing.program import Program
 from sim.middleware import qos
 from sim.middleware.executor import SECOND
 
@@ -88,12 +90,12 @@ def mutate_bag(
     ScenarioError
         If a parameter cannot have its value.
     """
-    mutation = program.start(run_seed, parameters)
+    execution = execute(program, run_seed, parameters)
     with BagReader(bag_in) as reader:
         _check_topics(reader, program)
         onset_ns = _onset_ns(reader, program, at_s)
         with BagWriter(bag_out, _storage(bag_in)) as writer:
-            run = _Run(reader, writer, mutation, onset_ns)
+            run = _Run(reader, writer, execution, onset_ns)
             for message in track(reader.messages(), reader.message_count):
                 run.take(message)
             run.finish()
@@ -112,12 +114,12 @@ class _Run:
     """One bag on its way into another, in time order."""
 
     def __init__(
-        self, reader: BagReader, writer: BagWriter, mutation: Mutation, onset_ns: int
+        self, reader: BagReader, writer: BagWriter, execution: Execution, onset_ns: int
     ) -> None:
         self._reader = reader
         self._writer = writer
-        self._mutation = mutation
-        self._program = program = mutation.program
+        self._execution = execution
+        self._program = program = execution.program
         self._onset_ns = onset_ns
         self._due: list[tuple[int, int, str, bytes]] = []  # what is still to be written
         self._order = itertools.count()
@@ -125,7 +127,7 @@ class _Run:
         self._source_names: dict[str, list[str]] = {}
         for name, source in program.sources.items():
             self._source_names.setdefault(source.topic, []).append(name)
-        period_ns = mutation.timer_period_ns
+        period_ns = execution.timer_period_ns
         self._beats = itertools.count(onset_ns + period_ns, period_ns) if period_ns else None
         self._beat_ns = next(self._beats) if self._beats else None
         self.heard = 0
@@ -146,11 +148,11 @@ class _Run:
         if raw.stamp_ns < self._onset_ns and self._program.activation.before == "absent":
             return
         for name in self._source_names.get(raw.topic, ()):
-            self._mutation.on_source(name, self._decode(raw), raw.stamp_ns)
+            self._execution.on_source(name, self._decode(raw), raw.stamp_ns)
         if raw.topic == self._program.input_topic:
             self.heard += 1
             message = self._decode(raw)
-            result = self._mutation.on_message(message, raw.stamp_ns, self._t_s(raw.stamp_ns))
+            result = self._execution.on_message(message, raw.stamp_ns, self._t_s(raw.stamp_ns))
             self._publish(result, raw.stamp_ns, message, raw.data)
             self._write_due(raw.stamp_ns)
 
@@ -162,7 +164,7 @@ class _Run:
         """Let the timer beat, and write what is due, up to a time."""
         while self._beats is not None and self._beat_ns is not None and self._beat_ns <= now_ns:
             self._write_due(self._beat_ns)
-            result = self._mutation.on_timer(self._beat_ns, self._t_s(self._beat_ns))
+            result = self._execution.on_timer(self._beat_ns, self._t_s(self._beat_ns))
             self._publish(result, self._beat_ns)
             self._beat_ns = next(self._beats)
         self._write_due(now_ns)

@@ -88,6 +88,17 @@ class Scenario:
         """SHA-256 of the document, whatever its layout."""
         return hashlib.sha256(json.dumps(self.document, sort_keys=True).encode()).hexdigest()
 
+    @property
+    def drawn(self) -> Mapping[str, str]:
+        """Parameters whose value comes from the block: name -> what of the block."""
+        parameters = self.document.get("parameters", {})
+        return {name: spec["drawn"] for name, spec in parameters.items() if "drawn" in spec}
+
+    @property
+    def has_object(self) -> bool:
+        """Whether it shows the robot the block's object that is not there."""
+        return "object_x" in self.drawn.values()
+
     def as_shadow(self) -> "Scenario":
         """Return its control: the same node doing the same work, publishing the original."""
         changes = {
@@ -143,17 +154,6 @@ def parse_scenarios(data: bytes, file: str) -> list[Scenario]:
     if not scenarios:
         raise ScenarioError(f"{file}:1: expected a scenario, found an empty file.")
     return list(scenarios.values())
-
-
-@functools.cache
-def builtin_scenarios() -> Mapping[str, Scenario]:
-    """Return the scenarios that come with the testbed, by name, in the order of their files."""
-    folder = files(__package__).joinpath("scenarios")
-    return {
-        scenario.id: scenario
-        for file in sorted(folder.iterdir(), key=lambda file: file.name)
-        for scenario in load_scenarios(file)
-    }
 
 
 @functools.cache

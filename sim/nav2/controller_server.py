@@ -183,7 +183,7 @@ class ControllerServer(LifecycleNode):
         self._stamp_ns = stamp_ns(path.header.stamp)
         path_before, self._path = self._path, path_poses(path)
         # Nav2 forgets with every path, once a second, that the robot was near the goal; see
-        # docs/navigation.md for what comes of it.
+        # docs/explanation/navigation.md for what comes of it.
         same_goal = np.array_equal(path_before[-1:], self._path[-1:])
         if not same_goal:
             self._goal_checker = GoalChecker()

@@ -18,7 +18,7 @@ _EPSILON = 1e-5
 class Parameters(NamedTuple):
     """The Waffle's values in ``nav2_params.yaml``; names as there.
 
-    Only ``sim_time`` is ours (there: 1.7 s); why is in docs/navigation.md.
+    Only ``sim_time`` is ours (there: 1.7 s); why is in docs/explanation/navigation.md.
     """
 
     max_vel_x: float = 0.26  # [m/s]; the robot never drives backwards

@@ -2,7 +2,7 @@
 
 As ``nav2_rotation_shim_controller`` on Humble, around DWB. Without it DWB swings out while it
 turns, and a robot that swings out between the pillars of this world ends beside one, where the
-collision monitor's stop zone holds it. Why, and what it changes: docs/navigation.md.
+collision monitor's stop zone holds it. Why, and what it changes: docs/explanation/navigation.md.
 """
 
 import math

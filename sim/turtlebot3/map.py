@@ -1,21 +1,19 @@
 """The map that Nav2 ships for this world, as an occupancy grid, and what lies where in it.
 
 The original was made by SLAM: walls are one or two cells thick, what no ray reached is unknown,
-and the whole is turned and shifted a little against the world. Figures: docs/world.md.
+and the whole is turned and shifted a little against the world. Figures: docs/explanation/world.md.
 """
 
 import functools
 import math
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.campaigns import OdometrySource
 from sim.middleware.geometry import Pose2D
 from sim.nav2.map_server import OccupancyMap
 from sim.turtlebot3.arena import clearance
-
-OdometrySource = Literal["world", "encoder"]  # gazebo_ros_diff_drive's two
 
 RESOLUTION_M = 0.05
 CELLS = 384  # a side

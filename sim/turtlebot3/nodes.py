@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.campaigns import OdometrySource
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND
 from sim.middleware.geometry import Pose2D
@@ -15,7 +16,6 @@ from sim.turtlebot3 import frames
 from sim.turtlebot3.camera import add_depth_camera
 from sim.turtlebot3.clock import Gazebo
 from sim.turtlebot3.drive import DiffDrivePlugin, JointStatePlugin
-from sim.turtlebot3.map import OdometrySource
 from sim.turtlebot3.robot_state import RobotStatePublisher
 from sim.turtlebot3.sensors import ImuPlugin, LaserPlugin, LidarNoise, RangePlugin, Ranges
 from sim.turtlebot3.wheel_odometry import WheelOdometry

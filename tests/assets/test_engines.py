@@ -1,6 +1,5 @@
 """A Dask cluster, a store on S3, an instance on PostgreSQL: the same runs and tables as here."""
 
-import json
 import os
 import shutil
 from collections.abc import Iterator
@@ -11,16 +10,16 @@ from unittest import mock
 import dagster as dg
 import pytest
 
-from assets.runs import REPRODUCIBLE
-from assets.worker.feature_tables import feature_table
+from assets.experiment_runs import REPRODUCIBLE
 from assets.worker.reproduction import place_aside
 from oracle_pipeline.bags.run_directory import bytes_on_disk
 from oracle_pipeline.datasets import content_hash, feature_dataset, read_table
-from oracle_pipeline.reporting.result import Report
+from oracle_pipeline.reporting.report import Report
 from resources.fleet import Fleet
 from resources.store import RunStore
 from tests.assets.laboratory import KEY, PARTNER, PER_RUN, Laboratory
-from tests.assets.test_checks import ASSET_OF, evaluations
+from tests.assets.test_run_checks import ASSET_OF, evaluations
+from tests.manifests import rewrite
 from tests.servers import ROOT, dask_cluster, postgres_server, s3_server
 
 STORE = RunStore(root="s3://oracle/campaign")
@@ -85,7 +84,7 @@ def test_tables_and_reports_in_a_bucket_are_those_of_a_folder(
     shared: SharedLaboratory, campaign: Laboratory
 ) -> None:
     runs = [campaign.store.run(key) for key in (PARTNER, KEY)]
-    joined = feature_dataset([read_table(feature_table(run, "run")) for run in runs])
+    joined = feature_dataset([read_table(run.feature_table("run")) for run in runs])
     assert content_hash(read_table(STORE.dataset("features"))) == content_hash(joined)
     place = shared.figures("feature_dataset")["path"]
     assert place == f"{STORE.root}/datasets/features.parquet"
@@ -118,7 +117,7 @@ def test_what_is_complete_is_verified_and_left_alone(shared: SharedLaboratory) -
 
 
 def test_features_alone_are_extracted_from_the_bag_in_the_bucket(shared: SharedLaboratory) -> None:
-    place = feature_table(STORE.run(KEY), "run")
+    place = STORE.run(KEY).feature_table("run")
     version = content_hash(read_table(place))
     place.unlink()
     assert shared.materialize(["run_features"], KEY).success
@@ -157,10 +156,9 @@ def test_a_run_that_comes_out_otherwise_for_no_reason_is_put_beside_the_one_in_t
     shared: SharedLaboratory,
 ) -> None:
     run = STORE.run(KEY)
-    document = json.loads(run.manifest_path.read_text(encoding="utf-8"))
-    version = document["content_hash"]
-    document["content_hash"] = "0" * 64  # as if this very software had recorded other messages
-    run.manifest_path.write_text(json.dumps(document), encoding="utf-8")
+    version = run.manifest().content_hash
+    # As if this very software had recorded other messages.
+    rewrite(run, lambda document: document.update(content_hash="0" * 64))
     before = {name: of for name, of in shared.objects().items() if "/runs/" in name}
 
     outcome = shared.materialize(PER_RUN, KEY, config={"runs": {"refresh": True}})

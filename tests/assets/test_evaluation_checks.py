@@ -6,7 +6,7 @@ import dagster as dg
 import pandas as pd
 
 from assets.evaluation_checks import CHECKS, EVALUATION, checks_of_evaluation
-from oracle_pipeline.reporting.result import Report
+from oracle_pipeline.reporting.report import Report
 from resources.store import RunStore
 
 STATUS = {

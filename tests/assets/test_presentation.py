@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from assets import presentation
-from oracle_pipeline.reporting.result import Report
+from oracle_pipeline.reporting.report import Report
 
 TABLE = pd.DataFrame(
     {

@@ -9,13 +9,12 @@ from typing import Any
 
 import pytest
 import uvicorn
-from dagster._core.workspace.context import WorkspaceProcessContext
-from dagster._core.workspace.load_target import WorkspaceFileTarget
 from dagster_webserver.webserver import DagsterWebserver
 
-from assets.checks import CHECKS
 from assets.evaluation_checks import CHECKS as OF_EVALUATION
-from assets.runs import REPRODUCIBLE
+from assets.experiment_runs import REPRODUCIBLE
+from assets.run_checks import CHECKS
+from tests.assets.dagster_internals import WorkspaceFileTarget, WorkspaceProcessContext
 from tests.assets.laboratory import ATTACKED, CONTROL, EVERYTHING, KEY, PER_RUN, ROOT, Laboratory
 
 Query = Callable[[str], Any]

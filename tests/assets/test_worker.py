@@ -8,7 +8,7 @@ from assets.worker.inspections import Inspection, inspect
 from assets.worker.run import OF_A_RUN, RECORDED, TABLES, RunJob, process_run
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.datasets import feature_dataset, read_table
-from sim.recipes import Campaign
+from sim.campaigns import Campaign
 
 HALF_A_MINUTE = Campaign(timeout_s=30.0)
 

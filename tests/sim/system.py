@@ -6,23 +6,24 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.experiments import NODE
-from sim.fuzzing.node import MutationNode
-from sim.fuzzing.program import compile_scenario
-from sim.fuzzing.scenario import builtin_scenarios
+from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.execution import execute
+from sim.fuzzing.node import ScenarioNode
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.middleware.geometry import Pose2D
 from sim.nav2.bringup import bring_up
 from sim.recording import DEBUG_TOPICS, Recorder
+from sim.scenarios import builtin_scenarios
 from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
 from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.nodes import add_robot
+from sim.turtlebot3.run import NODE
 from sim.turtlebot3.sensors import LidarNoise
 from sim.turtlebot3.world import World
 from tests.sim import humble
 
-DOC = Path(__file__).parents[2] / "docs" / "testbed.md"
+DOC = Path(__file__).parents[2] / "docs" / "explanation" / "testbed.md"
 RUN = 7
 START = Pose2D(-2.0, -0.5)  # in the world
 BRING_UP_NS = 10 * SECOND
@@ -78,7 +79,7 @@ class System:
     def complete(self, bag):
         """Add what a run adds to an active Nav2: the mode's node and the recorder."""
         passthrough = compile_scenario(builtin_scenarios()["lidar_passthrough_odom"])
-        MutationNode(self.domain, NODE, passthrough.start(0), latency_ns=LATENCY_NS)
+        ScenarioNode(self.domain, NODE, execute(passthrough, 0), latency_ns=LATENCY_NS)
         Recorder(self.domain, bag, leave_out=DEBUG_TOPICS)
 
     def run(self, seconds):

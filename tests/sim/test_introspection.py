@@ -1,5 +1,5 @@
 """The graph of a run against the graph of the real system: `tests.sim.humble` and the
-differences that docs/testbed.md states, nothing else."""
+differences that docs/explanation/testbed.md states, nothing else."""
 
 import re
 from collections import Counter
@@ -11,10 +11,10 @@ from oracle_pipeline.bags.graph_files import read_gexf, vertex_id
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE
 from oracle_pipeline.bags.writer import BagWriter
-from sim.experiments import record_run
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for, record_run
 from sim.middleware.domain import is_hidden
 from sim.middleware.qos import is_latched, is_reliable
-from sim.recipes import Campaign, recipe_for
 from tests.sim import humble
 from tests.sim.system import ADDED_NODES, LESS, MORE, NODES, RUN, System
 

@@ -6,10 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.fuzzing.program import compile_scenario
-from sim.fuzzing.scenario import ScenarioError, builtin_scenarios
-from sim.modes import FOLDER, PAIRS, Conditions, broken_scenarios, find_mode, modes
-from sim.recipes import Campaign, recipe_for
+from oracle_pipeline.bags.protocol import PAIRS
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for
+from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.scenario import ScenarioError
+from sim.modes import FOLDER, broken_scenarios, find_mode, modes
+from sim.scenarios import builtin_scenarios
+from sim.testbeds import which_testbed
 from tests.sim.fuzzing.workbench import INCREMENT, only, scan
 
 SIX = [
@@ -37,7 +41,7 @@ def folder(tmp_path, monkeypatch):
 def test_the_six_come_first_then_the_others_of_their_testbed_then_air_traffic():
     names = list(modes())
     assert names[:6] == SIX
-    benches = [mode.testbed for mode in modes().values()]
+    benches = [which_testbed(mode.scenario) for mode in modes().values()]
     assert benches == sorted(benches, reverse=True)
     assert names[benches.index("atc")] == "atc_normal"
 
@@ -67,12 +71,13 @@ def test_every_attack_has_a_shadow_that_differs_in_what_it_publishes_only(name):
 
 @pytest.mark.parametrize("name", modes())
 def test_every_mode_compiles_and_stands_between_the_topics_of_its_testbed(name):
-    program = compile_scenario(modes()[name].scenario)
+    scenario = modes()[name].scenario
+    program = compile_scenario(scenario)
     ends = {
         "turtlebot3": ("/scan_tom", "/scan_fakeobject"),
         "atc": ("/adsb", "/adsb_fuzzed"),
     }
-    assert (program.input_topic, program.output_topic) == ends[modes()[name].testbed]
+    assert (program.input_topic, program.output_topic) == ends[which_testbed(scenario)]
 
 
 @pytest.mark.parametrize("pair", PAIRS)
@@ -85,9 +90,9 @@ def test_the_nodes_of_a_pair_hear_the_same_topics_and_appear_alike(pair):
 def test_hard_negatives_are_normal_and_two_of_them_change_the_testbed():
     hard = {name: mode for name, mode in modes().items() if name.startswith("benign_")}
     assert {mode.label for mode in hard.values()} == {"normal"}
-    assert {name: m.conditions for name, m in hard.items() if m.conditions != Conditions()} == {
-        "benign_obstacle": Conditions(obstacle=True),
-        "benign_slow": Conditions(speed=0.6),
+    assert {name: mode.conditions for name, mode in hard.items() if mode.conditions} == {
+        "benign_obstacle": {"obstacle": True},
+        "benign_slow": {"speed": 0.6},
     }
 
 
@@ -133,7 +138,7 @@ def test_a_scenario_that_is_no_mode_is_found_by_name_by_file_and_by_its_place_in
     assert find_mode(f"{file}#two").id == "two"
     assert find_mode("sensor_freeze").id == "sensor_freeze"
     assert "sensor_freeze" not in modes()
-    assert find_mode("benign_slow").conditions == Conditions(speed=0.6)
+    assert find_mode("benign_slow").conditions == {"speed": 0.6}
 
 
 @pytest.mark.parametrize(
@@ -157,9 +162,9 @@ def test_a_parameter_drawn_from_what_the_other_testbed_has_is_refused(tmp_path):
         recipe_for(find_mode(str(file)), 0, Campaign())
 
 
-# docs/scenarios.md
+# docs/reference/modes.md
 
-PAGE = Path(__file__).parents[2] / "docs" / "scenarios.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "modes.md"
 
 
 def test_the_page_lists_every_mode_in_order_with_its_label():

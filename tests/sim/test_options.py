@@ -8,9 +8,10 @@ import pytest
 from oracle_pipeline.bags.graph_files import read_gexf
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.run_directory import RunDirectory
-from sim.experiments import record_run
-from sim.recipes import Campaign, Options, Recipe, RecipeError, recipe_for
+from sim.campaigns import Campaign, Options, RecipeError
+from sim.experiments import recipe_for, record_run
 from sim.recording import DEBUG_TOPICS, ReceiveClock
+from sim.turtlebot3.recipes import TurtleBot3Recipe
 
 CAMPAIGN = Campaign(goals_per_run=1)
 MONITOR, RELAY = "node:/collision_monitor", "node:/lidar_passthrough"
@@ -106,5 +107,5 @@ def test_with_wheel_odometry_the_robot_starts_at_zero_and_finds_its_goal(record)
 
 def test_a_recipe_with_options_survives_its_manifest(record):
     directory = record(timeout_s=6.0, wiring="replace", receive_stamps=True)
-    recipe = Recipe.from_dict(directory.manifest().recipe)
+    recipe = TurtleBot3Recipe.from_dict(directory.manifest().recipe)
     assert recipe.options == Options(wiring="replace", receive_stamps=True)

@@ -5,8 +5,8 @@ import dataclasses
 import pytest
 
 from oracle_pipeline.bags.manifest import GoalResult, Manifest, Measured, Pose, Software
+from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bags.run_directory import RunDirectory
-from sim.modes import PAIRS
 from sim.pairs import judge_pair, task_effect
 
 SUCCEEDED = GoalResult(2.0, 20.0, "succeeded", 4.0, 0)

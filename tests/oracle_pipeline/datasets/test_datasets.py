@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oracle_pipeline.datasets import (
-    PAIRS,
     DatasetError,
     bootstrap,
     content_hash,
@@ -20,7 +19,6 @@ from oracle_pipeline.datasets import (
     replacing,
     write_table,
 )
-from sim import modes
 from tests.oracle_pipeline.datasets.synthetic import FIELDS, run_features
 
 CAMPAIGN = run_features(runs=3)
@@ -195,7 +193,3 @@ def test_a_bootstrap_without_a_class_says_which(wanted, rate, said):
 def test_a_class_that_is_not_drawn_from_may_be_missing():
     normal = CAMPAIGN[CAMPAIGN["label"] == "normal"]
     assert np.unique(bootstrap(normal, 10, 0.0, seed=0)["label"]) == ["normal"]
-
-
-def test_pairs_are_those_of_the_experiments():
-    assert modes.PAIRS == PAIRS

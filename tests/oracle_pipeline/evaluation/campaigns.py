@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from oracle_pipeline.evaluation.campaign import Campaign
+from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from tests.oracle_pipeline.datasets.synthetic import MODES, campaign
 
 
@@ -36,8 +36,8 @@ def by_hand(*runs):
             "changes": [changes for *_, changes in runs],
         }
     )
-    return Campaign.of(features, windows, truth)
+    return JudgedRuns.of(features, windows, truth)
 
 
 def synthetic(runs=9, effect=0.0, seed=0, **more):
-    return Campaign.of(*campaign(runs, effect, seed, **more))
+    return JudgedRuns.of(*campaign(runs, effect, seed, **more))

@@ -7,7 +7,7 @@ from oracle_pipeline.evaluation.alarms import (
     times_to_detect,
     window_p,
 )
-from oracle_pipeline.evaluation.protocol import Scope
+from oracle_pipeline.evaluation.comparisons import ComparedRuns
 from oracle_pipeline.evaluation.splits import Fold
 from tests.oracle_pipeline.evaluation.campaigns import by_hand
 
@@ -47,9 +47,9 @@ def test_a_window_is_ranked_among_the_oddest_windows_of_calibration_runs():
 def test_the_figures_of_alarms_by_hand():
     p = np.where(alarms(3, 15, 17), 0.01, 0.5)
     score = np.where(JUDGED.attacked_windows(), 1.0, 0.0)
-    everything = Scope("all modes", np.ones(3, dtype=bool))
+    everything = ComparedRuns("all modes", np.ones(3, dtype=bool))
     row = judge_alarms(score, p, JUDGED, everything, np.random.default_rng(0))
-    assert (row["attacked_windows"], row["right_windows"], row["auc"]) == (10, 7, 1.0)
+    assert (row["attacked_windows"], row["normal_windows"], row["auc"]) == (10, 7, 1.0)
     assert (row["attacked_runs"], row["missed"]) == (2, 0.5)
     assert (row["time_to_detect_median_s"], row["time_to_detect_90_s"]) == (8.0, np.inf)
     assert row["false_alarms_per_h"] == pytest.approx(2 * 3600 / 40)

@@ -6,9 +6,9 @@ import pytest
 
 from oracle_pipeline.detectors import panel
 from oracle_pipeline.evaluation import integrity
-from oracle_pipeline.evaluation.campaign import Campaign
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
-from oracle_pipeline.evaluation.scoring import HeldOut
+from oracle_pipeline.evaluation.held_out import HeldOutScores
+from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.splits import block_folds
 from tests.oracle_pipeline.datasets.synthetic import ATTACKED, campaign
 from tests.oracle_pipeline.evaluation.campaigns import synthetic
@@ -21,7 +21,7 @@ def rng():
 
 
 def scores_of(campaign, score):
-    return HeldOut(np.asarray(score, dtype=float), np.asarray(score, dtype=float), 100)
+    return HeldOutScores(np.asarray(score, dtype=float), np.asarray(score, dtype=float), 100)
 
 
 def test_sessions_that_score_apart_are_red_and_one_session_is_unsupported():
@@ -49,12 +49,12 @@ def test_graphs_are_equal_or_say_where_they_differ(differences, status):
 def test_a_session_that_is_told_as_easily_as_the_label_is_red(monkeypatch):
     monkeypatch.setattr(integrity, "TREES", 15)
     features, windows, truth = campaign(9, effect=12.0)
-    judged = Campaign.of(features, windows, truth)
+    judged = JudgedRuns.of(features, windows, truth)
     folds = block_folds(judged.features, 0)
     check = integrity.label_above_session(judged, COLUMNS, folds, 0)
     assert (check.status, check.figure.value < 0.75) == ("green", True)
     marked = features.assign(**{"structural.density": features["session"] + 0.0})
-    confounded = Campaign.of(marked, windows, truth)
+    confounded = JudgedRuns.of(marked, windows, truth)
     columns = [*COLUMNS, "structural.density"]
     check = integrity.label_above_session(confounded, columns, folds, 0)
     assert (check.status, check.figure.value > 0.95) == ("red", True)
@@ -69,7 +69,7 @@ def test_shuffled_labels_are_chance_unless_a_label_leaks(monkeypatch):
     assert check.figure.low <= 0.5 <= check.figure.high
 
     def leaky(df, seed):
-        """Folds whose training runs are those tested: only right ones are fitted on."""
+        """Folds whose training runs are those tested: only normal ones are fitted on."""
         right = (df["label"] != "malicious").to_numpy()
         whole = np.ones(len(df), dtype=bool)
         return [replace(f, fit=right, calibrate=right, test=whole) for f in block_folds(df, seed)]

@@ -7,7 +7,7 @@ from sklearn.metrics import roc_auc_score
 
 from oracle_pipeline.clustering.tree import CRITERIA, LINKAGES
 from oracle_pipeline.datasets import DatasetError, feature_columns
-from oracle_pipeline.evaluation.clustering import cluster_and_judge
+from oracle_pipeline.evaluation.clustering_result import cluster_and_judge
 from oracle_pipeline.evaluation.variants import CORRECTED, THESIS
 from tests.oracle_pipeline.datasets.synthetic import run_features
 from tests.oracle_pipeline.evaluation.thesis_runs import thesis_runs

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from oracle_pipeline.bags.types import message_class
 from oracle_pipeline.features import atc_reports, atc_tracks
-from oracle_pipeline.features.geodesy import Site, cartesian
+from oracle_pipeline.features.wgs84 import Site, cartesian
 from tests.oracle_pipeline.features.scenery import extract, header
 
 ANTENNA = Site(44.2253, -76.5967)

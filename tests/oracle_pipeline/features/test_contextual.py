@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline import features
-from oracle_pipeline.features import laser, odometry
+from oracle_pipeline.features import laser_ranges, odometry
 from oracle_pipeline.features.goals import goals_of_log
 from oracle_pipeline.features.plugin import Series, Window
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.opened_run import open_run
 
 MANAGER = features.build_manager()
 
@@ -66,8 +66,8 @@ def test_odometry_is_read_from_the_quaternion(messages):
 
 @given(st.lists(st.floats(0.25, 3.25, width=32), min_size=1), st.integers(0, 5), st.integers(0, 5))
 def test_rays_without_a_range_are_counted_and_change_nothing_else(messages, valid, infs, nans):
-    whole = laser.keep(messages.scan(0, valid))
-    variance, non_finite = laser.keep(
+    whole = laser_ranges.keep(messages.scan(0, valid))
+    variance, non_finite = laser_ranges.keep(
         messages.scan(0, [*valid, *[np.inf] * infs, *[np.nan] * nans, 9.0, 0.01])
     )
     assert variance == pytest.approx(whole[0])

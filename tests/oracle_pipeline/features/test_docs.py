@@ -1,4 +1,4 @@
-"""Keeps docs/features.md true; run as a script, it writes the table of features there again."""
+"""Keeps docs/reference/features.md true; run as a script, it writes its table of features."""
 
 import re
 from pathlib import Path
@@ -8,9 +8,9 @@ import pytest
 
 from oracle_pipeline import features
 from oracle_pipeline.features.manager import FeatureManager
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.opened_run import open_run
 
-PAGE = Path(__file__).parents[3] / "docs" / "features.md"
+PAGE = Path(__file__).parents[3] / "docs" / "reference" / "features.md"
 BEGIN, END = "<!-- features: begin -->\n", "<!-- features: end -->\n"
 
 

@@ -17,7 +17,7 @@ from oracle_pipeline.features import (
     velocity,
 )
 from oracle_pipeline.features.manager import FeatureManager
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.opened_run import open_run
 
 MODULES = (
     redundancy, scan, map_consistency, navigation, velocity, localisation, local_costmap,

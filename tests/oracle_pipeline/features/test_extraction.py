@@ -11,7 +11,7 @@ from oracle_pipeline import features
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.datasets import KEYS, feature_columns, feature_dataset, read_table
 from oracle_pipeline.features.extraction import Span, window_spans
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.opened_run import open_run
 
 MANAGER = features.build_manager()
 SECOND = 1_000_000_000

@@ -5,10 +5,10 @@ import pandas as pd
 import pytest
 
 from oracle_pipeline import features
-from oracle_pipeline.features import FeatureManager, generic, pairs
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.features import FeatureManager, generic, topic_pairs
+from oracle_pipeline.opened_run import open_run
 
-MANAGER = FeatureManager((*generic.register_features(), *pairs.register_features()))
+MANAGER = FeatureManager((*generic.register_features(), *topic_pairs.register_features()))
 
 
 def extract(path) -> dict[str, object]:

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.features import map_consistency
-from oracle_pipeline.features.map_consistency import Grid, Map
+from oracle_pipeline.features.map_consistency import Map, MapGrid
 from oracle_pipeline.features.scan_geometry import Planar
 from tests.oracle_pipeline.features.scenery import (
     Scanner,
@@ -43,7 +43,7 @@ def world(half_m: float = 2.0, yaw: float = 0.0) -> Map:
     cells = room(half_m).astype(np.int8)
     turn = np.exp(1j * yaw)
     return Map.of(
-        Grid(Planar(np.asarray(turn * corner(cells)), np.asarray(turn)), RESOLUTION, cells)
+        MapGrid(Planar(np.asarray(turn * corner(cells)), np.asarray(turn)), RESOLUTION, cells)
     )
 
 
@@ -74,7 +74,7 @@ def test_rays_into_the_unknown_say_nothing():
     cells = room(2.0).astype(np.int8)
     cells[len(cells) // 2 - 5 : len(cells) // 2 + 5, -11] = 0  # a door; unknown behind it
     pose = Planar(np.asarray(corner(cells)), np.asarray(1.0 + 0j))
-    reached = Map.of(Grid(pose, RESOLUTION, cells)).cast(np.zeros((1, 1)), np.array([[1.0, 1j]]))
+    reached = Map.of(MapGrid(pose, RESOLUTION, cells)).cast(np.zeros((1, 1)), np.array([[1.0, 1j]]))
     assert np.isnan(reached[0, 0])
     assert reached[0, 1] == pytest.approx(2.0, abs=0.02)
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from oracle_pipeline.bags.types import message_class
 from oracle_pipeline.features import local_costmap, localisation, navigation, velocity
 from oracle_pipeline.features.goals import Goal
-from oracle_pipeline.features.map_consistency import Grid
+from oracle_pipeline.features.map_consistency import MapGrid
 from oracle_pipeline.features.plugin import Series, Window
 from oracle_pipeline.features.reduction import largest, mean, quantile, within
 from oracle_pipeline.features.scan_geometry import Planar
@@ -178,7 +178,7 @@ def test_localisation_is_held_against_odometry(extracted):
 
 def grid(cells, corner=0j):
     pose = Planar(np.asarray(corner), np.asarray(1.0 + 0j))
-    return Grid(pose, 0.5, np.asarray(cells, dtype=np.int8))
+    return MapGrid(pose, 0.5, np.asarray(cells, dtype=np.int8))
 
 
 def test_costmaps_are_compared_where_they_overlap():

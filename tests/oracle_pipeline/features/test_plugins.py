@@ -16,7 +16,7 @@ from oracle_pipeline.features import (
     Missing,
     Request,
 )
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.opened_run import open_run
 
 PLUGIN = """
     from oracle_pipeline.features import Feature, FeaturePlugin, Request, hookimpl

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from oracle_pipeline import features
 from oracle_pipeline.features import FeatureManager, structural
 from oracle_pipeline.features.structural import FEATURES, graph_shape
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.opened_run import open_run
 
 
 def vector_graph() -> nx.DiGraph:

@@ -5,7 +5,7 @@ import pytest
 
 from oracle_pipeline import features
 from oracle_pipeline.features.thesis_features import VECTOR
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.opened_run import open_run
 
 # Plugins as people who know the thesis write them: its imports, its bag schema, nothing of ours.
 STRUCTURE = """

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from oracle_pipeline import features
 from oracle_pipeline.features import FeatureManager, thesis_features
 from oracle_pipeline.features.thesis_features import VECTOR, graph_numbers
-from oracle_pipeline.runs import open_run
+from oracle_pipeline.opened_run import open_run
 
 PLUGINS = tuple(thesis_features.register_features())
 

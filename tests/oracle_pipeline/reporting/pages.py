@@ -9,11 +9,12 @@ import pytest
 from PIL import Image
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.evaluation import grid, integrity, metrics
-from oracle_pipeline.reporting import evaluation, html, thesis_reports
+from oracle_pipeline.evaluation import campaign_evaluation, integrity, kill_rates, metrics
+from oracle_pipeline.reporting import html, thesis_reports
+from oracle_pipeline.reporting.evaluation_report import evaluation_report
 from oracle_pipeline.reporting.explanation import explanations
 from tests.oracle_pipeline.datasets.synthetic import campaign
-from tests.oracle_pipeline.evaluation.test_grid import grid_of
+from tests.oracle_pipeline.evaluation.test_kill_rates import grid_of
 
 ROWS = 60
 QUICK = ("mahalanobis", "max_z")
@@ -24,12 +25,16 @@ UNDRAWN = "lidar_passthrough|run003"
 @contextmanager
 def quickly():
     """Two detectors, small forests, few resamples: what is slow has tests of its own."""
-    panel, bounds, bound = evaluation.panel, evaluation.upper_bounds, evaluation.UPPER_BOUND
+    panel, bounds, bound = (
+        campaign_evaluation.panel,
+        campaign_evaluation.upper_bounds,
+        campaign_evaluation.UPPER_BOUND,
+    )
     with pytest.MonkeyPatch.context() as patch:
-        for module in (evaluation, grid):
+        for module in (campaign_evaluation, kill_rates):
             patch.setattr(module, "panel", lambda seed: {name: panel(seed)[name] for name in QUICK})
         small = {bound: bounds(0)[bound].set_params(n_estimators=5)}
-        patch.setattr(evaluation, "upper_bounds", lambda _: small)
+        patch.setattr(campaign_evaluation, "upper_bounds", lambda _: small)
         patch.setattr(metrics, "RESAMPLES", 100)
         patch.setattr(integrity, "TREES", 5)
         patch.setattr(integrity, "SHUFFLES", 40)
@@ -49,9 +54,10 @@ def page_of(df, windows, truth, *, mutants=None, differences=None, **more):
     """Return the page of a campaign; `more` is said in its provenance or passed on."""
     passed_on = {name: more.pop(name) for name in ("radar", "storage") if name in more}
     with quickly():
-        judged = evaluation.oracle_evaluation(
+        evaluation = campaign_evaluation.evaluate(
             df, windows, truth, graph_differences=differences, grid=mutants
         )
+        judged = evaluation_report(evaluation)
         drawn = thesis_reports.bootstrapped_dataset(df, ROWS)
         return html.render(
             df,

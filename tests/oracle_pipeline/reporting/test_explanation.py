@@ -6,7 +6,8 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import feature_columns
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.reporting.explanation import counterpart, explanations
-from oracle_pipeline.scoring import ScoringError, evidence
+from oracle_pipeline.scoring.evidence import evidence
+from oracle_pipeline.scoring.verdict import ScoringError
 from tests.oracle_pipeline.datasets.synthetic import ATTACKED, DELAY_S, campaign
 
 RUNS = 6
@@ -53,27 +54,28 @@ def test_what_gave_a_run_away_is_what_the_attack_changed(tables):
     assert delayed.window_start_s + 10.0 > DELAY_S
 
 
-def test_the_usual_range_is_that_of_right_runs_of_other_blocks(tables):
+def test_the_usual_range_is_that_of_normal_runs_of_other_blocks(tables):
     df, windows = tables
     run = "random_noise|run002"
     of_run = FeatureTables(df[df["run_id"] == run], windows[windows["run_id"] == run])
     found = {each.feature: each for each in evidence(of_run, df)}
     right = df[(df["label"] != "malicious") & (df["block"] != 2)]
-    assert set(found) == set(feature_columns(df))
+    assert set(ATTACKED) <= set(found) <= set(feature_columns(df))
     for name, each in found.items():
         low, high = np.percentile(right[name], [5, 95])
         assert (each.usual_low, each.usual_high) == pytest.approx((low, high))
+        assert not low <= each.value <= high
 
 
-def test_without_a_right_run_of_another_block_there_is_no_evidence_and_a_reason(tables):
+def test_without_a_normal_run_of_another_block_there_is_no_evidence_and_a_reason(tables):
     df, windows = tables
     alone = df[df["block"] == 0]
     row = alone[alone["mode"] == "fake_object"]
-    with pytest.raises(ScoringError, match="no right run of another block"):
+    with pytest.raises(ScoringError, match="no normal run of another block"):
         evidence(FeatureTables(row, windows[windows["run_id"] == "fake_object|run000"]), alone)
     for each in explanations(alone, windows, judged(alone), draw):
         assert each.evidence == ()
-        assert "no right run of another block" in each.notes[0]
+        assert "no normal run of another block" in each.notes[0]
 
 
 def test_beside_a_run_is_its_control_of_the_same_block(tables):
@@ -82,11 +84,23 @@ def test_beside_a_run_is_its_control_of_the_same_block(tables):
     assert found.pictures["fake_object|run002"] == b"fake_object|run002"
 
 
-def test_the_counterpart_of_other_attacks_is_the_shadow_or_plain_air_traffic():
-    df = pd.DataFrame({"run_id": ["held_shadow|run001", "atc_normal|run001", "atc_x_shadow|run0"]})
+def test_the_counterpart_of_other_attacks_is_the_shadow_or_the_first_normal_run_of_the_block():
+    rows = [
+        ("benign_slow", "normal", 1),
+        ("held_shadow", "control", 1),
+        ("quiet_sky", "normal", 2),
+        ("quiet_sky", "normal", 1),
+        ("still_sky", "normal", 1),
+        ("ghost_shadow", "control", 2),
+        ("benign_slow", "normal", 3),
+    ]
+    df = pd.DataFrame(
+        {"run_id": f"{mode}|run{run:03d}", "mode": mode, "label": label}
+        for mode, label, run in rows
+    )
     assert counterpart("held|run001", df) == ["held_shadow|run001"]
-    assert counterpart("atc_x|run001", df) == ["atc_normal|run001"]
-    assert counterpart("held|run002", df) == []
+    assert counterpart("ghost|run001", df) == ["quiet_sky|run001"]
+    assert counterpart("held|run003", df) == []
 
 
 def test_a_picture_that_cannot_be_drawn_is_a_note(tables):

@@ -8,7 +8,7 @@ from oracle_pipeline.bags.manifest import GoalResult
 from oracle_pipeline.clustering.tree import LINKAGES, grow_tree
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
 from oracle_pipeline.evaluation.metrics import RocCurve
-from oracle_pipeline.replay.scene import Grid, Scene, top_down
+from oracle_pipeline.replay.scene import DrawnGrid, ReplayScene, top_down
 from oracle_pipeline.reporting import figures
 from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, SERIES
 
@@ -38,10 +38,10 @@ KILLS = pd.DataFrame(
         "kill_rate": [0.2, 1.0, np.nan, 0.9],
     }
 )
-SCENE = Scene(
+SCENE = ReplayScene(
     title="fake_object|run003",
     frame="map",
-    map=Grid(np.array([[-1, 0, 100], [0, 0, 100]], dtype=np.int8), 0.5, (-1.0, -2.0, 0.1)),
+    map=DrawnGrid(np.array([[-1, 0, 100], [0, 0, 100]], dtype=np.int8), 0.5, (-1.0, -2.0, 0.1)),
     path=np.array([[0.0, 0.0], [0.5, 0.2]]),
     start=(0.0, 0.0),
     duration_s=10.0,
@@ -50,7 +50,7 @@ SCENE = Scene(
     disc=(0.2, 0.1, 0.15),
     scan=X[:, :2],
 )
-EMPTY = Scene(
+EMPTY = ReplayScene(
     title="", frame="odom", map=None, path=np.zeros((1, 2)), start=(0.0, 0.0), duration_s=0.0
 )
 PICTURES = {

@@ -5,26 +5,28 @@ from oracle_pipeline.bags.errors import OracleError
 from sim.atc import traffic
 from sim.atc.airspace import AirSpace
 from sim.atc.geodesy import AIRPORT, Place, distance
-from sim.atc.recipes import AtcCampaign, AtcRecipe, atc_recipe_for
+from sim.atc.recipes import AtcRecipe
 from sim.atc.tcas import advisories
 from sim.atc.traffic import FIXES, draw_traffic
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for
 from sim.middleware.executor import SECOND
 from sim.modes import modes
 
 BLOCKS = range(4)
-CAMPAIGN = AtcCampaign()
+CAMPAIGN = Campaign()
 NORMAL = modes()["atc_normal"]
 
 
 @pytest.fixture(scope="module")
 def recipes():
-    return [atc_recipe_for(NORMAL, block, CAMPAIGN) for block in BLOCKS]
+    return [recipe_for(NORMAL, block, CAMPAIGN) for block in BLOCKS]
 
 
 def test_the_same_seed_draws_the_same_recipe_and_blocks_differ(recipes):
-    assert atc_recipe_for(NORMAL, 1, CAMPAIGN) == recipes[1]
+    assert recipe_for(NORMAL, 1, CAMPAIGN) == recipes[1]
     assert len({recipe.flights for recipe in recipes}) == len(recipes)
-    assert atc_recipe_for(NORMAL, 1, AtcCampaign(seed=7)).flights != recipes[1].flights
+    assert recipe_for(NORMAL, 1, Campaign(seed=7)).flights != recipes[1].flights
 
 
 def test_a_recipe_comes_back_from_json(recipes):
@@ -33,7 +35,7 @@ def test_a_recipe_comes_back_from_json(recipes):
 
 
 def test_modes_of_a_block_have_the_same_flights_session_and_noise(recipes):
-    other = atc_recipe_for(modes()["atc_deadzone"], 2, CAMPAIGN)
+    other = recipe_for(modes()["atc_deadzone"], 2, CAMPAIGN)
     assert (other.flights, other.session) == (recipes[2].flights, recipes[2].session)
     draws = [r.generator("/primary_radar").random(4) for r in (other, recipes[2])]
     np.testing.assert_array_equal(*draws)

@@ -1,43 +1,11 @@
-"""A real run, recorded once: the whole of its bag, and as much of it as scenarios deal with."""
+"""What tests of the language share."""
 
-import shutil
-
+import numpy as np
 import pytest
 
-from oracle_pipeline.bags.reader import BagReader
-from oracle_pipeline.bags.run_directory import BAG_FOLDER, RunDirectory
-from oracle_pipeline.bags.writer import BagWriter
-from sim.experiments import record_run
-from sim.recipes import Campaign, recipe_for
 
-
-@pytest.fixture(scope="session")
-def recorded(tmp_path_factory):
-    """The bag of a real run: one goal, every scan handed on."""
-    mode = "lidar_passthrough_odom"
-    directory = RunDirectory(tmp_path_factory.mktemp("campaign"), mode, 0)
-    manifest = record_run(recipe_for(mode, 0, Campaign(goals_per_run=1)), directory)
-    return directory.bag, manifest
-
-
-@pytest.fixture(scope="session")
-def run_bag(recorded, tmp_path_factory):
-    """As much of it as a scenario hears and says, and what tells of goals."""
-    bag, manifest = recorded
-    topics = ["/scan_tom", "/odom", "/scan_fakeobject", "/behavior_tree_log", "/clock"]
-    path = tmp_path_factory.mktemp("trimmed") / "bag"
-    with BagReader(bag) as reader, BagWriter(path) as writer:
-        for topic in topics:
-            writer.add_topic(topic, reader.topics[topic].msgtype, reader.topics[topic].qos)
-        for message in reader.messages(topics):
-            writer.write(*message)
-    return path, manifest
-
-
-@pytest.fixture(scope="session")
-def controls(recorded, run_bag, tmp_path_factory):
-    """The folder of a mode's runs; run000 has the smaller bag, so that mutants are made fast."""
-    folder = tmp_path_factory.mktemp("data") / "runs" / "lidar_passthrough_odom"
-    shutil.copytree(recorded[0].parent, folder / "run000", ignore=lambda *_: [BAG_FOLDER])
-    shutil.copytree(run_bag[0], folder / "run000" / BAG_FOLDER)
-    return folder
+@pytest.fixture(scope="module")
+def quiet():
+    """As expressions are run: NaN and infinities are values like others."""
+    with np.errstate(all="ignore"):
+        yield

@@ -22,7 +22,7 @@ from sim.fuzzing.functions import (
     ray_circle,
     ray_segment,
 )
-from sim.fuzzing.values import Number
+from sim.fuzzing.value_types import Number
 from sim.middleware.geometry import yaw_quaternion
 
 bearings = st.floats(-10.0, 10.0)

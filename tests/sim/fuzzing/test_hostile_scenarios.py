@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.fuzzing.program import compile_scenario
+from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.scenario import ScenarioError, load_scenarios
 
 CORPUS = sorted(Path(__file__).parent.joinpath("hostile").glob("*.yaml"))

@@ -4,7 +4,8 @@ import pytest
 
 from oracle_pipeline.bags.manifest import Change
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE
-from sim.fuzzing.node import MutationNode
+from sim.fuzzing.execution import execute
+from sim.fuzzing.node import ScenarioNode
 from sim.fuzzing.scenario import ScenarioError
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
@@ -23,8 +24,8 @@ class Bench:
         others = Node(self.domain, "/others")
         outlets = {program.input_topic: program.type.name, "/odom": ODOMETRY}
         self.speak = {t: others.create_publisher(kind, t).publish for t, kind in outlets.items()}
-        self.node = MutationNode(
-            self.domain, "/mutant", program.start(1, parameters), latency_ns=LATENCY_NS
+        self.node = ScenarioNode(
+            self.domain, "/mutant", execute(program, 1, parameters), latency_ns=LATENCY_NS
         )
         self.heard, self.truth = [], []
         hear = others.create_subscription
@@ -105,7 +106,7 @@ def test_a_scenario_that_hears_what_nobody_says_is_refused_and_told_what_there_i
     domain = Domain(Executor())
     Node(domain, "/lidar").create_publisher(SCAN, "/scan")
     with pytest.raises(ScenarioError, match=r"main.input: .* is there \(/scan\), found /scan_tom"):
-        MutationNode(domain, "/mutant", builtin("random_noise").start(1))
+        ScenarioNode(domain, "/mutant", execute(builtin("random_noise"), 1))
 
 
 def test_a_scenario_may_not_speak_on_a_topic_of_another_type():
@@ -113,4 +114,4 @@ def test_a_scenario_may_not_speak_on_a_topic_of_another_type():
     Node(domain, "/lidar").create_publisher(SCAN, "/scan_tom")
     Node(domain, "/other").create_publisher(ODOMETRY, "/scan_fakeobject")
     with pytest.raises(ScenarioError, match=r"main.output: expected a topic that is no nav_msgs"):
-        MutationNode(domain, "/mutant", builtin("random_noise").start(1))
+        ScenarioNode(domain, "/mutant", execute(builtin("random_noise"), 1))

@@ -10,16 +10,17 @@ from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.reader import BagReader, read_ground_truth
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, serialize
 from oracle_pipeline.bags.writer import BagWriter
-from sim.fuzzing.mutation import PASSTHROUGH
-from sim.fuzzing.node import MutationNode
+from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.execution import PASSTHROUGH, execute
+from sim.fuzzing.node import ScenarioNode
 from sim.fuzzing.offline import mutate_bag
-from sim.fuzzing.program import compile_scenario
-from sim.fuzzing.scenario import builtin_scenarios, parse_scenarios
+from sim.fuzzing.scenario import parse_scenarios
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import Executor
 from sim.middleware.node import Node
 from sim.recording import Recorder
+from sim.scenarios import builtin_scenarios
 from tests.sim.fuzzing.workbench import BUILTINS, builtin, examples, odometry, scans
 
 LATENCY_NS = 3_000_000
@@ -117,7 +118,7 @@ def record_online(program, path, storage="mcap"):
     onset_ns = BEGIN_NS + round(ONSET_S * 1e9)
 
     def start_node():
-        node = MutationNode(domain, "/mutant", program.start(1), latency_ns=LATENCY_NS)
+        node = ScenarioNode(domain, "/mutant", execute(program, 1), latency_ns=LATENCY_NS)
         node.begin(onset_ns)
 
     with BagWriter(path, storage) as writer:

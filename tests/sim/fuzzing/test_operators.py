@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as hnp
 
 from sim.fuzzing.fields import converter, difference, replaced, zero
 from sim.fuzzing.random import Draws
-from sim.fuzzing.values import Array, Number, Text, message_type
+from sim.fuzzing.value_types import Array, Number, Text, message_type
 from tests.sim.fuzzing.workbench import data, doing, only, ranges, results, scan, stamp
 
 IMAGE = "sensor_msgs/msg/Image"

@@ -6,14 +6,8 @@ import pytest
 import yaml
 
 from sim.fuzzing.operators import OPERATORS
-from sim.fuzzing.scenario import (
-    MAX_BYTES,
-    ScenarioError,
-    builtin_scenarios,
-    load_scenarios,
-    parse_scenarios,
-    schema,
-)
+from sim.fuzzing.scenario import MAX_BYTES, ScenarioError, load_scenarios, parse_scenarios, schema
+from sim.scenarios import builtin_scenarios
 
 GOOD = """\
 schema: mutant/v1

@@ -8,12 +8,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from oracle_pipeline.bags.types import message_class, serialize
+from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.execution import execute
 from sim.fuzzing.fields import zero
-from sim.fuzzing.program import compile_scenario
-from sim.fuzzing.scenario import builtin_scenarios, parse_scenarios
-from sim.fuzzing.values import message_type
+from sim.fuzzing.scenario import parse_scenarios
+from sim.fuzzing.value_types import message_type
 from sim.middleware.geometry import yaw_quaternion
 from sim.middleware.stamps import header
+from sim.scenarios import builtin_scenarios
 
 SCAN = "sensor_msgs/msg/LaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -92,17 +94,17 @@ def builtin(name):
 
 def start(compiled, seed=1, **parameters):
     """Begin a run in which every source has spoken."""
-    mutation = compiled.start(seed, parameters)
+    execution = execute(compiled, seed, parameters)
     for name, source in compiled.sources.items():
-        mutation.on_source(name, zero(source.type), stamp(0))
-    return mutation
+        execution.on_source(name, zero(source.type), stamp(0))
+    return execution
 
 
 def results(compiled, messages, seed=1, **parameters):
     """Return what becomes of messages that come one a period, from the onset on."""
-    mutation = start(compiled, seed, **parameters)
+    execution = start(compiled, seed, **parameters)
     return [
-        mutation.on_message(message, stamp(number), number * PERIOD_NS / 1e9)
+        execution.on_message(message, stamp(number), number * PERIOD_NS / 1e9)
         for number, message in enumerate(messages)
     ]
 

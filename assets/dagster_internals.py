@@ -1,0 +1,37 @@
+"""All private names of Dagster that we use; no other module imports from ``dagster._``.
+
+Both are needed because one step handles many partitions, for which Dagster 1.13 has no public way.
+Tests in ``tests/assets`` fail if a Dagster release changes what they do.
+"""
+
+import dagster as dg
+from dagster._core.definitions.asset_checks.asset_check_evaluation import (
+    AssetCheckEvaluationTargetMaterializationData,
+)
+from dagster._core.definitions.source_asset import SYSTEM_METADATA_KEY_SOURCE_ASSET_OBSERVATION
+
+
+def checked_materialization(
+    record: dg.EventLogRecord,
+) -> AssetCheckEvaluationTargetMaterializationData:
+    """Return the reference that ties a check's result to the materialization it looked at.
+
+    Dagster sets it by itself only for a step of one partition. Without it, the UI cannot tell
+    whether the newest materialization of a partition has been checked.
+    """
+    return AssetCheckEvaluationTargetMaterializationData(
+        storage_id=record.storage_id, run_id=record.run_id, timestamp=record.timestamp
+    )
+
+
+def output_without_event(output_name: str) -> dg.Output[None]:
+    """Return an output that lets downstream steps start but records no materialization.
+
+    The step has recorded one for each partition already. An output that is simply left out
+    (``skippable=True``) would make Dagster skip the downstream steps.
+    """
+    return dg.Output(
+        None,
+        output_name=output_name,
+        metadata={SYSTEM_METADATA_KEY_SOURCE_ASSET_OBSERVATION: True},
+    )

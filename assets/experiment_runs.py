@@ -1,0 +1,294 @@
+"""The five assets of every run, from recipe to features, as one step.
+
+A worker processes one run completely before it takes the next: the bag is read right after it was
+recorded and can be dropped then, and any range of partitions is one Dagster run. Reasons and
+costs: docs/explanation/dagster.md.
+"""
+
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import dagster as dg
+from pydantic import Field
+
+from assets import presentation
+from assets.asset_defaults import OWNERS, SINGLE_RUN
+from assets.dagster_internals import output_without_event
+from assets.events import (
+    Materialized,
+    check_evaluation,
+    latest_materialization,
+    materializations,
+)
+from assets.partitions import RUNS
+from assets.worker.versions import feature_code
+from resources import terminal
+from resources.budget import StorageBudget
+from resources.campaign import CampaignSettings
+from resources.fleet import Fleet
+from resources.store import RunStore
+from sim.commands.progress import RunProgress
+from sim.modes import broken_scenarios
+from sim.software import software
+
+if TYPE_CHECKING:
+    from assets.worker.reproduction import Reproduction
+    from assets.worker.run import RunJob, RunReport
+    from sim.experiments import Comparison
+    from sim.fan_out import Outcome
+
+EXPERIMENT_RUNS = dg.AssetSpec(
+    "experiment_runs",
+    group_name="simulation",
+    kinds={"mujoco", "ros2"},
+    owners=OWNERS,
+    code_version=software().code,
+    description="""A patrol of the robot in MuJoCo, or air traffic, normal or attacked.
+
+Run *i* of every mode of a testbed has the same start, goals or flights, and nuisance (block *i*).
+`<root>/runs/<mode>/run003/manifest.json` holds recipe, outcome, onset, changes made by the attack,
+contacts and hashes. The same recipe gives the same messages, byte for byte. A picture of the run is
+in the metadata and in `picture.png`; `oracle replay` makes a film.""",
+)
+BAGS = dg.AssetSpec(
+    "bags",
+    deps=[EXPERIMENT_RUNS],
+    group_name="recording",
+    kinds={"ros2", "mcap"},
+    owners=OWNERS,
+    code_version=software().code,
+    description="""The run as a rosbag2, as `ros2 bag record -a` would record it.
+
+MCAP or sqlite3, compressed with zstd, in `<root>/runs/<mode>/run003/bag`. Its data version is a
+hash over topics, types, stamps and payloads, the same on every machine.""",
+)
+INTERVAL_GRAPHS = dg.AssetSpec(
+    "interval_graphs",
+    deps=[BAGS],
+    group_name="recording",
+    kinds={"networkx", "gexf"},
+    owners=OWNERS,
+    code_version=software().code,
+    description="""The ROS graph of every 10 s of the recording, and of the whole run.
+
+GEXF files in `<root>/runs/<mode>/run003/graphs`, for Gephi and NetworkX. Vertices are ROS nodes and
+topics; each publisher and subscription is an edge with its messages and bytes in the interval.
+`full.gexf` is the whole run with services and actions.""",
+)
+WINDOW_FEATURES = dg.AssetSpec(
+    "window_features",
+    deps=[BAGS, INTERVAL_GRAPHS],
+    group_name="features",
+    kinds={"pandas", "parquet"},
+    owners=OWNERS,
+    code_version=feature_code(),
+    description="""The features of each window of 10 s, every 5 s, from all plugins.
+
+One row for each window, by its start `window_start_s` in the recording; units in the schema. A
+feature that cannot be computed for a window is empty, with the reason in column `missing`.""",
+)
+RUN_FEATURES = dg.AssetSpec(
+    "run_features",
+    deps=[BAGS, INTERVAL_GRAPHS],
+    group_name="features",
+    kinds={"pandas", "parquet"},
+    owners=OWNERS,
+    code_version=feature_code(),
+    description="""The features of the whole run, from all plugins, in one row.
+
+Columns are named `<family>.<feature>`, units in the schema. Features never see label, mode,
+onset, recipe or ground truth.""",
+)
+_DESCRIPTIONS: Mapping["Comparison", str] = {
+    "same messages": "Re-simulated: the messages are the same.",
+    "other software": "Replaced: the code, a library or the CPU has changed.",
+    "other recipe": "Replaced: the recipe has changed.",
+    "unexplained": "Re-simulation gave different messages although code, libraries, CPU and "
+    "recipe are the same. Both runs are kept; the former one stays in use.",
+}
+SHOWN = 20  # failed runs named in a failure's text; its metadata name all
+SPECS = (EXPERIMENT_RUNS, BAGS, INTERVAL_GRAPHS, WINDOW_FEATURES, RUN_FEATURES)
+REPRODUCIBLE = dg.AssetCheckSpec(
+    "run_is_reproducible",
+    asset=EXPERIMENT_RUNS.key,
+    partitions_def=RUNS,
+    description="Re-simulated with `refresh: true`, a run has the same messages unless its "
+    "software or recipe has changed. A run that is only verified gives no result.",
+)
+
+
+class RunConfig(dg.Config):
+    """Whether complete runs are verified or re-simulated."""
+
+    refresh: bool = Field(
+        default=False,
+        description="Re-simulate complete runs and compare them with the former ones; by "
+        "default, a complete run is only verified.",
+    )
+
+
+@dg.multi_asset(
+    name="runs",
+    specs=SPECS,
+    check_specs=[REPRODUCIBLE],
+    partitions_def=RUNS,
+    can_subset=True,
+    backfill_policy=SINGLE_RUN,
+)
+def recorded_runs(
+    context: dg.AssetExecutionContext,
+    config: RunConfig,
+    store: RunStore,
+    fleet: Fleet,
+    campaign: CampaignSettings,
+    budget: StorageBudget,
+) -> Iterator[dg.AssetMaterialization | dg.AssetCheckEvaluation | dg.Output[None]]:
+    """Process every run of the partitions from recipe to features, block by block."""
+    for broken in broken_scenarios():
+        context.log.warning(f"Left out: {broken}")
+    specs = [spec for spec in SPECS if spec.key in context.selected_asset_keys]
+    is_compared = REPRODUCIBLE.key in context.selected_asset_check_keys
+    keys = {str(key): key for key in context.partition_keys}
+    jobs = [_job(key, specs, store, campaign, refresh=config.refresh) for key in keys]
+    jobs.sort(key=lambda job: job.directory.run)  # so that paired modes finish together
+    store.require_writable()
+
+    failed: dict[str, str] = {}
+    simulated = 0
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(contextlib.redirect_stderr(terminal.stderr()))
+        progress = stack.enter_context(RunProgress(len(jobs)))
+        if config.refresh or not all(job.directory.is_complete() for job in jobs):
+            stack.enter_context(budget.alone(store))
+        for outcome in _outcomes(jobs, store, fleet, budget):
+            key = outcome.job.directory.key
+            if outcome.result is None:
+                failed[key] = outcome.error or "no reason was given"
+                continue
+            if not outcome.job.wanted:  # a finished run that had to make room
+                context.log_event(_shrunk(key, outcome.result))
+                continue
+            assets_of_run = _materialized(specs, store, outcome.result)
+            yield from materializations(context.instance, keys[key], assets_of_run)
+            if is_compared and (reproduction := outcome.result.reproduction):
+                yield _reproducible(context, store, key, reproduction)
+            progress.done(outcome.result.simulated_s)
+            simulated += outcome.result.simulated_s > 0.0
+    verified = len(jobs) - simulated - len(failed)
+    context.log.info(f"Runs: {simulated} simulated, {verified} verified, {len(failed)} failed.")
+    if failed:
+        raise _failure(failed, len(jobs))
+    for spec in specs:
+        yield output_without_event(spec.key.to_python_identifier())
+    if is_compared:
+        yield dg.Output(None, output_name=REPRODUCIBLE.get_python_identifier())
+
+
+def _outcomes(
+    jobs: Sequence["RunJob"], store: RunStore, fleet: Fleet, budget: StorageBudget
+) -> Iterator["Outcome[RunJob, RunReport]"]:
+    """Process the jobs block by block; the storage plan is updated as sizes become known.
+
+    Finished runs that have to give up storage for others are processed first.
+    """
+    from assets.worker.run import RunJob, process_run
+
+    log = dg.get_dagster_logger("oracle")
+    waiting = list(jobs)
+    while waiting:
+        plan = budget.plan(
+            store,
+            [job.directory for job in waiting],
+            workers=fleet.workers,
+            goals=waiting[0].campaign.goals_per_run,
+        )
+        if plan is None:
+            yield from fleet.outcomes(process_run, waiting)
+            return
+        log.info(f"Storage: {plan}.")
+        blocks = sorted({job.directory.run for job in waiting})[: plan.blocks_ahead]
+        now = [job for job in waiting if job.directory.run in blocks]
+        waiting = waiting[len(now) :]
+        making_room = [
+            RunJob(run, jobs[0].campaign, frozenset(), refresh=False, keep=plan.kept[run.run])
+            for run in plan.shrink
+        ]
+        planned = [replace(job, keep=plan.kept[job.directory.run]) for job in now]
+        yield from fleet.outcomes(process_run, [*making_room, *planned])
+
+
+def _materialized(
+    specs: Sequence[dg.AssetSpec], store: RunStore, report: "RunReport"
+) -> Iterator[Materialized]:
+    """Yield the current state of the assets of a run."""
+    for spec in specs:
+        made = report.assets[spec.key.to_user_string()]
+        path = dg.MetadataValue.path(str(store.path / made.path))
+        figures = {**presentation.facts(made.figures), "path": path}
+        yield Materialized(spec, made.version, made.code, figures)
+
+
+def _shrunk(key: str, report: "RunReport") -> dg.AssetObservation:
+    return dg.AssetObservation(
+        "bags", partition=key, metadata={"kept": report.kept, "freed_bytes": report.freed_bytes}
+    )
+
+
+def _reproducible(
+    context: dg.AssetExecutionContext, store: RunStore, key: str, reproduction: "Reproduction"
+) -> dg.AssetCheckEvaluation:
+    from assets.worker.reproduction import place_aside
+
+    facts: dict[str, dg.MetadataValue] = {
+        "former_hash": dg.MetadataValue.text(reproduction.former_hash),
+        "new_hash": dg.MetadataValue.text(reproduction.new_hash),
+    }
+    if reproduction.comparison == "unexplained":
+        run = store.run(key)
+        facts |= {
+            "former_path": dg.MetadataValue.path(str(run.path)),
+            "new_path": dg.MetadataValue.path(str(place_aside(run).path)),
+            "first_difference": dg.MetadataValue.text(reproduction.first_difference),
+        }
+    return check_evaluation(
+        REPRODUCIBLE,
+        key,
+        latest_materialization(context.instance, REPRODUCIBLE.asset_key, key),
+        passed=reproduction.comparison != "unexplained",
+        description=_DESCRIPTIONS[reproduction.comparison],
+        metadata=facts,
+    )
+
+
+def _job(
+    key: str,
+    specs: Sequence[dg.AssetSpec],
+    store: RunStore,
+    campaign: CampaignSettings,
+    *,
+    refresh: bool,
+) -> "RunJob":
+    from assets.worker.run import RunJob
+
+    return RunJob(
+        directory=store.run(key),
+        campaign=campaign.campaign(),
+        wanted=frozenset(spec.key.to_user_string() for spec in specs),
+        refresh=refresh,
+    )
+
+
+def _failure(failed: dict[str, str], runs: int) -> dg.Failure:
+    """Return a failure that names the failed runs, the reasons and the remedy."""
+    reasons = [f"{key}: {error.strip().splitlines()[-1]}" for key, error in sorted(failed.items())]
+    kept = "; the finished ones are kept" if len(failed) < runs else ""
+    return dg.Failure(
+        f"{len(failed)} of {runs} runs failed{kept}. Remove the cause and materialize the same "
+        "partitions again: finished runs are only verified. To re-simulate a damaged run, "
+        "materialize it with `refresh: true` in the config of `runs`.\n"
+        + "\n".join(reasons[:SHOWN]),
+        metadata={"failed": dg.MetadataValue.json(failed)},
+        allow_retries=False,
+    )

@@ -1,0 +1,65 @@
+"""The tables over all runs that are on disk, of the modes and runs that are partitions."""
+
+import dagster as dg
+
+from assets import presentation
+from assets.aggregates import DATASET, TRUTH, WINDOWS, aggregate
+from assets.partitions import RUNS
+from oracle_pipeline.bags.manifest import Manifest
+from resources.failures import clear_failures
+from resources.store import RunStore
+
+FEATURES_OF_RUNS = [
+    dg.AssetDep(table, partition_mapping=dg.AllPartitionMapping())
+    for table in ("run_features", "window_features")
+]
+
+
+@aggregate("datasets", "pandas", "parquet", deps=FEATURES_OF_RUNS)
+def feature_dataset(store: RunStore) -> dg.MaterializeResult[None]:
+    """All runs as one table: one row for each run, one column for each feature.
+
+    Joins the feature tables that are on disk and refuses tables with different columns or units.
+    Runs of a delayed mode that ended before its node started are left out. Written to
+    `<root>/datasets/features.parquet`, which `oracle score --reference` takes. Beside it,
+    `windows.parquet` has one row for each window, and `truth.parquet` holds the ground truth of
+    each run, which only the evaluation reads.
+    """
+    from oracle_pipeline import datasets
+    from oracle_pipeline.evaluation.truth import truth_table
+
+    runs = [store.run(key) for key in RUNS.get_partition_keys()]
+    extracted = [run for run in runs if run.feature_table("run").is_file()]
+    with clear_failures():
+        manifests = {run.key: run.manifest() for run in extracted if run.is_complete()}
+        too_short = sorted(key for key, manifest in manifests.items() if not _acted(manifest))
+        joined = [run for run in extracted if run.key not in too_short]
+        df = datasets.feature_dataset(
+            datasets.read_table(run.feature_table("run")) for run in joined
+        )
+        windows = datasets.window_dataset(
+            datasets.read_table(run.feature_table("window")) for run in joined
+        )
+        datasets.write_table(df, store.dataset(DATASET))
+        datasets.write_table(windows, store.dataset(WINDOWS))
+        datasets.write_table(truth_table(manifests.values()), store.dataset(TRUTH))
+    runs_of_mode = df.groupby("mode", sort=False).size()
+    return dg.MaterializeResult(
+        data_version=dg.DataVersion(datasets.content_hash(df)),
+        metadata={
+            "runs": len(df),
+            "windows": len(windows),
+            "left_out": ", ".join(too_short),
+            "malicious_runs": int(datasets.is_malicious(df).sum()),
+            "features": len(datasets.feature_columns(df)),
+            "runs_of_mode": {str(mode): int(runs) for mode, runs in runs_of_mode.items()},
+            "path": dg.MetadataValue.path(str(store.dataset(DATASET))),
+            "dagster/row_count": len(df),
+            "dagster/column_schema": presentation.columns(df),
+        },
+    )
+
+
+def _acted(manifest: Manifest) -> bool:
+    """Return whether the node of the mode ever started."""
+    return manifest.onset_s is not None

@@ -1,0 +1,103 @@
+"""Our own evaluation of the oracle, over distinct runs and held-out blocks."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import dagster as dg
+
+from assets.aggregates import (
+    TRUTH,
+    TestbedConfig,
+    aggregate,
+    keep,
+    run_table,
+    windows_of,
+)
+from assets.feature_dataset import feature_dataset
+from assets.run_checks import PAIR_CHECK, complete_pairs
+from oracle_pipeline.bags.run_directory import RunDirectory
+from resources.failures import clear_failures
+from resources.fleet import Fleet
+from resources.store import RunStore
+
+if TYPE_CHECKING:
+    from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
+
+
+@aggregate("oracle", "scikitlearn", deps=[feature_dataset])
+def oracle_evaluation(
+    context: dg.AssetExecutionContext, config: TestbedConfig, store: RunStore, fleet: Fleet
+) -> dg.MaterializeResult[None]:
+    """How well the oracle separates attacked from normal runs, on held-out blocks.
+
+    The detector panel on every set of features, with intervals: AUC, detection rate at a calibrated
+    false-alarm rate, the realised false-alarm rate, time to detect. The headline is withheld unless
+    all integrity checks are green. Grids below `<root>/grids`, recorded with `oracle-sim grid`,
+    add the kill matrix.
+    """
+    from oracle_pipeline.datasets import read_table
+    from oracle_pipeline.evaluation.campaign_evaluation import evaluate
+    from oracle_pipeline.reporting.evaluation_report import evaluation_report
+
+    with clear_failures():
+        df = run_table(store, config.testbed)
+        evaluation = evaluate(
+            df,
+            windows_of(store, df),
+            read_table(store.dataset(TRUTH)),
+            graph_differences=_graph_differences(store, fleet, set(df["run_id"])),
+            grid=_mutants(store, fleet),
+            progress=context.log.info,
+        )
+        return keep(evaluation_report(evaluation), store, "oracle_evaluation")
+
+
+def _graph_differences(store: RunStore, fleet: Fleet, runs: set[str]) -> list[str] | None:
+    """Return how the graphs of complete pairs differ; None if there is no complete pair."""
+    from assets.worker.inspections import Inspection, inspect
+
+    inspections = [Inspection(PAIR_CHECK, pair) for pair in complete_pairs(map(store.run, runs))]
+    if not inspections:
+        return None
+    return [
+        f"{outcome.job.runs[1].key}: {wrong}"
+        for outcome in fleet.outcomes(inspect, inspections)
+        for wrong in (outcome.result.wrong if outcome.result else [str(outcome.error)])
+    ]
+
+
+def _mutants(store: RunStore, fleet: Fleet) -> "MeasuredRuns | None":
+    """Return features and windows of the runs of all grids, with what was changed in each run."""
+    import pandas as pd
+
+    from oracle_pipeline.datasets import feature_dataset as joined
+    from oracle_pipeline.datasets import read_table, window_dataset
+    from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
+
+    runs_of_grids, windows_of_grids = [], []
+    for index in store.grid_indices():
+        with index.open("rb") as source:
+            mutants = pd.read_json(source)
+        runs = [RunDirectory.of_key(index.parent, key) for key in mutants["run_id"]]
+        _require_features(runs, fleet)
+        df = joined(read_table(run.feature_table("run")) for run in runs)
+        changes = mutants[["run_id", "scenario", "parameter", "value", "changed_messages"]]
+        df = df.merge(changes, on="run_id", validate="one_to_one")
+        windows = window_dataset(read_table(run.feature_table("window")) for run in runs)
+        grid = f"{index.parent.name}/"  # two grids may have runs of one name
+        runs_of_grids.append(df.assign(run_id=grid + df["run_id"]))
+        windows_of_grids.append(windows.assign(run_id=grid + windows["run_id"]))
+    if not runs_of_grids:
+        return None
+    return MeasuredRuns.ordered(
+        pd.concat(runs_of_grids, ignore_index=True), pd.concat(windows_of_grids, ignore_index=True)
+    )
+
+
+def _require_features(runs: Sequence[RunDirectory], fleet: Fleet) -> None:
+    """Extract the features of runs that have none."""
+    from assets.worker.feature_tables import require_tables
+
+    for outcome in fleet.outcomes(require_tables, runs):
+        if outcome.error is not None:
+            raise dg.Failure(f"{outcome.job.path}: {outcome.error}", allow_retries=False)

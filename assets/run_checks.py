@@ -1,0 +1,109 @@
+"""Checks of every run, made whenever the run is materialized.
+
+One step makes all selected checks with the fleet and gives every run a result of its own. A failed
+check is an error to look into, but blocks no asset.
+"""
+
+from collections.abc import Iterable, Iterator
+
+import dagster as dg
+
+from assets.events import check_evaluation, latest_materializations
+from assets.partitions import RUNS
+from oracle_pipeline.bags.protocol import PAIRS
+from oracle_pipeline.bags.run_directory import RunDirectory
+from resources.fleet import Fleet
+from resources.store import RunStore
+
+SHOWN = 10  # faults named in the description of a result
+
+PAIR_CHECK = "graphs_of_a_pair_are_equal"
+CHECKS = (
+    dg.AssetCheckSpec(
+        "bag_is_complete",
+        asset="bags",
+        partitions_def=RUNS,
+        description="Every message that the manifest counts can be read from the bag, and the "
+        "hashes of messages and files are those of the manifest.",
+    ),
+    dg.AssetCheckSpec(
+        "every_interval_has_a_graph",
+        asset="interval_graphs",
+        partitions_def=RUNS,
+        description="Every 10 s of the recording, and a rest of 5 s or more, has a graph, and "
+        "every graph is as it was recorded.",
+    ),
+    dg.AssetCheckSpec(
+        PAIR_CHECK,
+        asset="interval_graphs",
+        partitions_def=RUNS,
+        description="An attacked run and its control have equal vertices, types and edges in every "
+        "interval that both have. There is no result until both are recorded.",
+    ),
+    dg.AssetCheckSpec(
+        "window_features_are_finite",
+        asset="window_features",
+        partitions_def=RUNS,
+        description="Every feature of every window is a finite number, or empty with a reason.",
+    ),
+    dg.AssetCheckSpec(
+        "run_features_are_finite",
+        asset="run_features",
+        partitions_def=RUNS,
+        description="Every feature of the run is a finite number, or empty with a reason.",
+    ),
+)
+
+
+@dg.multi_asset_check(name="checks_of_runs", specs=CHECKS, can_subset=True)
+def checks_of_runs(
+    context: dg.AssetCheckExecutionContext, store: RunStore, fleet: Fleet
+) -> Iterator[dg.AssetCheckEvaluation | dg.Output[None]]:
+    """Inspect the runs of the partitions."""
+    from assets.worker.inspections import Finding, Inspection, inspect
+
+    specs = {spec.name: spec for spec in CHECKS if spec.key in context.selected_asset_check_keys}
+    runs = {key: store.run(key) for key in context.op_execution_context.partition_keys}
+    inspections = [
+        Inspection(name, subject)
+        for name in specs
+        for subject in (
+            complete_pairs(runs.values())
+            if name == PAIR_CHECK
+            else [(run,) for run in runs.values()]
+        )
+    ]
+    targets = {
+        asset: latest_materializations(context.instance, asset, list(runs))
+        for asset in {spec.asset_key for spec in specs.values()}
+    }
+    for outcome in fleet.outcomes(inspect, inspections):
+        finding = outcome.result or Finding([outcome.error or "the inspection ended early"], {})
+        for run in outcome.job.runs:
+            if run.key in runs:
+                spec = specs[outcome.job.name]
+                yield check_evaluation(
+                    spec,
+                    run.key,
+                    targets[spec.asset_key].get(run.key),
+                    passed=not finding.wrong,
+                    description="; ".join(finding.wrong[:SHOWN]) or None,
+                    metadata={**finding.figures, "wrong": len(finding.wrong)},
+                )
+    for spec in specs.values():
+        yield dg.Output(None, output_name=spec.get_python_identifier())
+
+
+def complete_pairs(runs: Iterable[RunDirectory]) -> list[tuple[RunDirectory, RunDirectory]]:
+    """Return control and attacked run of every complete pair with one of its two among the runs."""
+    ours = set(runs)
+    pairs = [
+        (RunDirectory(root, control, number), RunDirectory(root, attacked, number))
+        for root, number in sorted({(run.root, run.run) for run in ours})
+        for control, attacked in PAIRS
+    ]
+    return [
+        pair
+        for pair in pairs
+        if not ours.isdisjoint(pair) and all(run.is_complete() for run in pair)
+    ]

@@ -1,0 +1,138 @@
+"""The thesis's method over all runs: draw rows with replacement, cluster them, measure.
+
+Thin shells: ``oracle_pipeline.reporting.thesis_reports`` does the work. It is imported inside the
+functions, so that the code location loads without pandas and scikit-learn.
+"""
+
+from typing import TYPE_CHECKING, Literal
+
+import dagster as dg
+from pydantic import Field
+
+from assets.aggregates import (
+    TestbedConfig,
+    aggregate,
+    keep,
+    run_table,
+    testbed_of,
+)
+from assets.feature_dataset import feature_dataset
+from resources.failures import clear_failures
+from resources.store import RunStore
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from oracle_pipeline.evaluation.variants import VariantName
+    from oracle_pipeline.reporting.report import Report
+
+ROWS = "bootstrapped_dataset"
+
+
+class BootstrapConfig(TestbedConfig):
+    """How rows are drawn, here and in the reports downstream; the defaults are the thesis's."""
+
+    rows: int = Field(default=1000, ge=1, description="Rows to draw, with replacement.")
+    malicious_rate: float = Field(
+        default=0.3, ge=0.0, le=1.0, description="Share of the rows drawn from attacked runs."
+    )
+    seed: int = Field(default=50, ge=0, description="Of the generator that draws.")
+    variant: Literal["corrected", "thesis"] = Field(
+        default="corrected",
+        description="`corrected`: cluster scaled features, computed as their names say. `thesis`: "
+        "cluster the thesis's ten numbers, computed and unscaled as in its code.",
+    )
+
+
+@aggregate("datasets", "pandas", "parquet", deps=[feature_dataset])
+def bootstrapped_dataset(config: BootstrapConfig, store: RunStore) -> dg.MaterializeResult[None]:
+    """Rows drawn from the runs with replacement, a fixed share of them attacked.
+
+    The thesis's dataset. Copies add no information: every figure computed from it counts distinct
+    runs.
+    """
+    from oracle_pipeline.reporting import thesis_reports
+
+    with clear_failures():
+        result = thesis_reports.bootstrapped_dataset(
+            _experiments(run_table(store, config.testbed)),
+            config.rows,
+            config.malicious_rate,
+            config.seed,
+            config.variant,
+        )
+        return keep(result, store, ROWS)
+
+
+@aggregate("thesis_method", "scipy", "scikitlearn", deps=[bootstrapped_dataset])
+def clustering_grid_search(store: RunStore) -> dg.MaterializeResult[None]:
+    """Four linkages, two criteria, two thresholds, side by side with the thesis's table 5.1.
+
+    `pdist`, `linkage`, `fcluster` on scaled features; in the thesis's variant on its unscaled ones,
+    at its own threshold. For each: confusion matrix, TPR, FPR, balanced accuracy, MCC and the AUC
+    of the continuous HAC height, with intervals.
+    """
+    from oracle_pipeline.reporting import thesis_reports
+    from oracle_pipeline.reporting.report import Report
+
+    with clear_failures():
+        dataset = Report.load(store.results(ROWS))
+        result = thesis_reports.clustering_grid_search(dataset.table, variant=_variant(dataset))
+        return keep(result, store, "clustering_grid_search")
+
+
+@aggregate("thesis_method", "scipy", "scikitlearn", deps=[feature_dataset, bootstrapped_dataset])
+def malicious_rate_report(store: RunStore) -> dg.MaterializeResult[None]:
+    """Clustering at five shares of attacked rows, beside the thesis's table 6.1.
+
+    Each share is drawn from the runs as `bootstrapped_dataset` was: as many rows, same seed, same
+    variant of the method.
+    """
+    from oracle_pipeline.reporting import thesis_reports
+
+    with clear_failures():
+        rows, _, seed, variant = how_rows_were_drawn(store)
+        result = thesis_reports.malicious_rate_report(runs_drawn_from(store), rows, seed, variant)
+        return keep(result, store, "malicious_rate_report")
+
+
+@aggregate("thesis_method", "scipy", "scikitlearn", deps=[feature_dataset, bootstrapped_dataset])
+def pairwise_report(store: RunStore) -> dg.MaterializeResult[None]:
+    """Each attacked mode against its control, by feature family, beside the thesis's table 6.2.
+
+    Each pair is drawn as `bootstrapped_dataset` was: as many rows, same share, same seed, same
+    variant of the method.
+    """
+    from oracle_pipeline.reporting import thesis_reports
+
+    with clear_failures():
+        result = thesis_reports.pairwise_report(runs_drawn_from(store), *how_rows_were_drawn(store))
+        return keep(result, store, "pairwise_report")
+
+
+def runs_drawn_from(store: RunStore) -> "pd.DataFrame":
+    """Return the runs that the rows of `bootstrapped_dataset` were drawn from."""
+    from oracle_pipeline.reporting.report import Report
+
+    rows = Report.load(store.results(ROWS)).table
+    return _experiments(run_table(store, testbed_of(rows["mode"].iloc[0])))
+
+
+def _experiments(df: "pd.DataFrame") -> "pd.DataFrame":
+    """Leave out shadow controls and hard negatives, which the thesis does not have."""
+    from oracle_pipeline.datasets import is_hard_negative
+
+    return df[(df["label"] != "control") & ~is_hard_negative(df)]
+
+
+def how_rows_were_drawn(store: RunStore) -> "tuple[int, float, int, VariantName]":
+    """Return rows, malicious rate, seed and variant of `bootstrapped_dataset`."""
+    from oracle_pipeline.reporting.report import Report
+
+    dataset = Report.load(store.results(ROWS))
+    rows, rate, seed = (dataset.summary[name] for name in ("rows", "malicious_rate", "seed"))
+    return int(rows), float(rate), int(seed), _variant(dataset)
+
+
+def _variant(dataset: "Report") -> "VariantName":
+    return "thesis" if dataset.summary["variant"] == "thesis" else "corrected"

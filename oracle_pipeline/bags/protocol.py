@@ -1,0 +1,19 @@
+"""What the recorder and the analysis agree on: names, pairs and lengths of the experiments."""
+
+PAIRS: tuple[tuple[str, str], ...] = (
+    ("lidar_passthrough", "random_noise"),
+    ("lidar_passthrough_odom", "fake_object"),
+    ("delayed_passthrough", "delayed_fakeobject"),
+)
+"""Modes whose graphs are equal by construction: the control, and the attack."""
+
+INTERVAL_S = 10
+"""Length of the intervals of which graphs are taken, from the start of the recording [s]."""
+
+MIN_INTERVAL_S = 5
+"""A last, partial interval shorter than this is dropped [s]."""
+
+
+def run_key(mode: str, run: int) -> str:
+    """Return the name of a run below a root, its partition key: ``fake_object|run003``."""
+    return f"{mode}|run{run:03d}"

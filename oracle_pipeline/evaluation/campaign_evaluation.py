@@ -1,0 +1,245 @@
+"""The whole evaluation of a campaign: each run once, every score held out, checks before figures.
+
+The steps are in the other modules of this package; this one runs them for every scorer.
+The protocol and what each figure means: docs/explanation/evaluation.md.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oracle_pipeline.clustering.tree import ClusteringError
+from oracle_pipeline.datasets import is_hard_negative
+from oracle_pipeline.detectors import DetectorError, panel, upper_bounds
+from oracle_pipeline.evaluation import integrity
+from oracle_pipeline.evaluation.alarms import judge_alarms, window_p
+from oracle_pipeline.evaluation.comparisons import (
+    ALL_MODES,
+    HEADLINE,
+    RATES,
+    ComparedRuns,
+    Scorer,
+    comparisons,
+    judge,
+    scorers,
+    unjudged,
+)
+from oracle_pipeline.evaluation.conformal import runs_needed
+from oracle_pipeline.evaluation.curves import HeadlineCurves, headline_curves
+from oracle_pipeline.evaluation.effort import small_clusters_table
+from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
+from oracle_pipeline.evaluation.feature_sets import feature_sets
+from oracle_pipeline.evaluation.held_out import (
+    HeldOutScores,
+    calibration_runs,
+    held_out,
+    of_tested,
+    standardised,
+    supervised_scores,
+    window_scores,
+)
+from oracle_pipeline.evaluation.judged_runs import JudgedRuns, MeasuredRuns
+from oracle_pipeline.evaluation.kill_rates import kill_matrix
+from oracle_pipeline.evaluation.splits import (
+    BLOCK,
+    HARMLESS,
+    SESSION,
+    Fold,
+    block_folds,
+    session_folds,
+    tested_in,
+    untaught,
+)
+
+SEED = 50
+BLOCKS_OF_SESSION = (2, 4, 8)  # blocks of the tested session that may train
+UPPER_BOUND = "random_forest"  # boosted trees take minutes and bound nothing else
+
+Progress = Callable[[str], None]
+Row = dict[str, float | int | str]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CampaignEvaluation:
+    """What was measured of one campaign."""
+
+    campaign: JudgedRuns
+    left_out: int  # attacked runs that ended before their attack
+    seed: int  # of splits, detectors and resamples
+    headline: HeldOutScores  # of the headline's scorer
+    table: pd.DataFrame  # a row for each scorer, split and comparison, the headline first
+    checks: list[integrity.IntegrityCheck]
+    alarms: pd.DataFrame  # of the headline's detector, window by window
+    small_clusters: pd.DataFrame
+    curves: HeadlineCurves | None  # None while only one class of runs has scores
+    kills: pd.DataFrame | None  # None without a grid
+
+
+def evaluate(
+    features: pd.DataFrame,
+    windows: pd.DataFrame,
+    truth: pd.DataFrame,
+    *,
+    graph_differences: Sequence[str] | None = None,
+    grid: MeasuredRuns | None = None,
+    seed: int = SEED,
+    progress: Progress = lambda _: None,
+) -> CampaignEvaluation:
+    """Judge the detector panel on held-out blocks, and the headline's scorer in every way.
+
+    Parameters
+    ----------
+    features : DataFrame
+        Distinct runs, a row each.
+    windows : DataFrame
+        Their windows, a row each.
+    truth : DataFrame
+        What happened in each (`truth.truth_table`).
+    graph_differences : sequence of str, optional
+        Between graphs of pairs that should be equal; None if they were not compared.
+    grid : MeasuredRuns, optional
+        Attacked runs at several magnitudes (`kill_rates.kill_matrix`).
+    seed : int
+        Of splits, detectors and resamples.
+    progress : callable
+        Called with one line before each step.
+
+    Raises
+    ------
+    EvaluationError
+        The tables do not fit together.
+    """
+    steps = _Steps(JudgedRuns.of(features, windows, truth), seed, progress)
+    headline = steps.score(HEADLINE, steps.folds)
+    table = steps.table(headline)
+    checks = steps.checks(headline, table, graph_differences)
+    alarms, small_clusters = steps.alarms(), steps.small_clusters()
+    progress("curves")
+    curves = headline_curves(headline, steps.campaign, steps.compared, steps.rng)
+    kills = None
+    if grid is not None:
+        progress("kill matrix")
+        kills = kill_matrix(steps.campaign, grid, seed)
+    return CampaignEvaluation(
+        campaign=steps.campaign,
+        left_out=len(features) - len(steps.campaign.features),
+        seed=seed,
+        headline=headline,
+        table=table,
+        checks=checks,
+        alarms=alarms,
+        small_clusters=small_clusters,
+        curves=curves,
+        kills=kills,
+    )
+
+
+class _Steps:
+    """The steps for one campaign and one seed."""
+
+    def __init__(self, campaign: JudgedRuns, seed: int, progress: Progress) -> None:
+        self.campaign = campaign
+        self.progress = progress
+        self.seed = seed
+        self.rng = np.random.default_rng(seed)
+        self.detectors = panel(seed)
+        self.sets = feature_sets(campaign.features)
+        self.compared = comparisons(campaign.features)
+        self.folds = block_folds(campaign.features, seed)
+
+    def score(self, scorer: Scorer, folds: Sequence[Fold]) -> HeldOutScores:
+        self.progress(f"{scorer.detector}, {scorer.features}, {scorer.level}")
+        detector, columns = self.detectors[scorer.detector], self.sets.get(scorer.features, [])
+        return held_out(self.campaign, columns, detector, folds, scorer.level)
+
+    def table(self, headline: HeldOutScores) -> pd.DataFrame:
+        """Judge every scorer in every comparison, the headline first."""
+        rows = self._rows(HEADLINE, BLOCK, headline)
+        for scorer in scorers(self.detectors, self.sets):
+            if scorer != HEADLINE:
+                rows += self._scored(scorer, BLOCK, self.folds)
+        df = self.campaign.features
+        rows += self._scored(HEADLINE, SESSION, session_folds(df, self.seed))
+        for blocks in BLOCKS_OF_SESSION:
+            if folds := session_folds(df, self.seed, blocks):
+                rows += self._scored(HEADLINE, f"{SESSION} but {blocks} blocks", folds)
+        if is_hard_negative(df).any():
+            rows += self._scored(HEADLINE, HARMLESS, untaught(df, self.folds))
+        self.progress(f"{UPPER_BOUND}, with labels")
+        classifier, columns = upper_bounds(self.seed)[UPPER_BOUND], self.sets.get("all", [])
+        probability = supervised_scores(df, columns, classifier, self.folds)
+        scores = HeldOutScores(probability, np.full_like(probability, np.nan), 0)
+        rows += self._rows(Scorer(f"{UPPER_BOUND} (sees labels)", "all", "run"), BLOCK, scores)
+        return pd.DataFrame(rows)
+
+    def _scored(self, scorer: Scorer, split: str, folds: Sequence[Fold]) -> list[Row]:
+        try:
+            return self._rows(scorer, split, self.score(scorer, folds), tested_in(folds))
+        except DetectorError as error:
+            all_modes = self.compared[0]
+            row = unjudged(self.campaign, all_modes, str(error))
+            return [{**scorer._asdict(), "split": split, "scope": all_modes.name, **row}]
+
+    def _rows(
+        self,
+        scorer: Scorer,
+        split: str,
+        scores: HeldOutScores,
+        tested: NDArray[np.bool_] | None = None,
+    ) -> list[Row]:
+        """Judge a scorer in every comparison; if a split tests only some runs, on those."""
+        compared = self.compared
+        if tested is not None:
+            compared = [ComparedRuns(each.name, each.runs & tested) for each in compared]
+        place = {**scorer._asdict(), "split": split}
+        return [
+            {**place, "scope": each.name, **judge(scores, self.campaign, each, self.rng)}
+            for each in compared
+        ]
+
+    def alarms(self) -> pd.DataFrame:
+        """Judge the headline's detector window by window."""
+        self.progress("alarms")
+        columns, detector = self.sets.get(HEADLINE.features, []), self.detectors[HEADLINE.detector]
+        raw = window_scores(self.campaign, columns, detector, self.folds)
+        of_windows = [fold.of(self.campaign.run) for fold in self.folds]
+        score = of_tested(standardised(raw, of_windows), of_windows)
+        p = window_p(raw, self.campaign, self.folds)
+        if calibration_runs(self.folds) < runs_needed(RATES[0]):
+            p[:] = np.nan
+        return pd.DataFrame(
+            {"scope": each.name, **judge_alarms(score, p, self.campaign, each, self.rng)}
+            for each in self.compared
+        )
+
+    def small_clusters(self) -> pd.DataFrame:
+        """Judge the small-cluster protocol, all runs at once."""
+        self.progress("small clusters")
+        columns = self.sets.get(HEADLINE.features, [])
+        try:
+            return small_clusters_table(self.campaign.features, columns, self.rng)
+        except ClusteringError as error:
+            return pd.DataFrame([{"note": str(error)}])
+
+    def checks(
+        self, headline: HeldOutScores, table: pd.DataFrame, differences: Sequence[str] | None
+    ) -> list[integrity.IntegrityCheck]:
+        """Return all integrity checks of the headline."""
+        self.progress("integrity checks")
+        campaign, columns = self.campaign, self.sets.get(HEADLINE.features, [])
+        detector = self.detectors[HEADLINE.detector]
+        rng = np.random.default_rng([self.seed, 1])  # a further scorer above changes no check
+        of_shortcuts = table[(table["features"] == "shortcuts") & (table["scope"] == ALL_MODES)]
+        area = Estimate.of_row(of_shortcuts.iloc[0], "auc") if len(of_shortcuts) else NOTHING
+        return [
+            integrity.same_between_sessions(headline, campaign, rng),
+            integrity.equal_graphs(differences),
+            integrity.label_above_session(campaign, columns, self.folds, self.seed),
+            integrity.shuffled_labels(campaign, columns, detector, block_folds, rng),
+            integrity.hard_negatives(headline, campaign, rng),
+            integrity.shortcuts_apart(campaign.features, columns, area),
+            integrity.unaltered_runs_alike(campaign, columns),
+        ]

@@ -1,0 +1,177 @@
+"""How well one clustering separates attacked from normal runs, by our reading and the thesis's."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import pdist
+
+from oracle_pipeline.clustering.scores import hac_height, outside_largest
+from oracle_pipeline.clustering.tree import ClusteringError, Criterion, Linkage, Tree, grow_tree
+from oracle_pipeline.datasets import DistinctRuns, distinct_runs, lacking
+from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
+from oracle_pipeline.evaluation.metrics import (
+    Confusion,
+    auc,
+    confusion,
+    false_positive_rate,
+    true_positive_rate,
+)
+from oracle_pipeline.evaluation.variants import CORRECTED, Variant
+
+
+@dataclass(frozen=True, slots=True)
+class ClusteringResult:
+    """The result of one clustering; where it failed, estimates are empty and `note` has the reason.
+
+    The verdict without labels: every run outside the largest cluster is anomalous. The thesis's
+    reading: the cluster that holds most of the malicious rows, chosen with the labels, is the
+    malicious one; its recall is what the thesis calls accuracy, its balanced accuracy the AUC.
+    """
+
+    rows: int = 0  # clustered, copies included
+    runs: int = 0  # distinct
+    clusters: int = 0
+    tp: int = 0  # rows, by the verdict without labels
+    fp: int = 0
+    fn: int = 0
+    tn: int = 0
+    tpr: Estimate = NOTHING
+    fpr: Estimate = NOTHING
+    balanced_accuracy: Estimate = NOTHING
+    mcc: float = np.nan
+    auc: Estimate = NOTHING  # of the HAC height, all rows being the reference
+    recall_best_cluster: Estimate = NOTHING
+    fpr_best_cluster: Estimate = NOTHING
+    balanced_accuracy_best_cluster: Estimate = NOTHING
+    mcc_best_cluster: float = np.nan  # of distinct runs, as decoded from the thesis
+    runs_best_cluster: str = ""  # distinct ones in it, in words
+    note: str = ""
+
+    def columns(self) -> dict[str, float | int | str]:
+        """Return the result as table columns, an estimate as three."""
+        row: dict[str, float | int | str] = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            row |= value.columns(field.name) if isinstance(value, Estimate) else {field.name: value}
+        return row
+
+
+def in_words(counts: Confusion) -> str:
+    """Return in words how many runs of each class are called anomalous.
+
+    Examples
+    --------
+    >>> in_words(Confusion(tp=43, fp=42, fn=2, tn=3))
+    '43/45 malicious, 42/45 others'
+    """
+    malicious, others = counts.tp + counts.fn, counts.fp + counts.tn
+    return f"{counts.tp}/{malicious} malicious, {counts.fp}/{others} others"
+
+
+def in_best_cluster(
+    clusters: NDArray[np.int32], runs: DistinctRuns, inspected: int | None = None
+) -> NDArray[np.bool_]:
+    """Return which runs are in the cluster with most of the malicious rows (the first, if tied).
+
+    This looks at the labels that it is then measured against: it reads a result as the thesis does
+    and is no verdict.
+
+    Parameters
+    ----------
+    clusters : ndarray of shape (n_runs,)
+        Numbered from 1.
+    runs : DistinctRuns
+    inspected : int, optional
+        Consider clusters up to this number only. If none of them holds a malicious row, no run is
+        in the best cluster.
+    """
+    held = np.bincount(clusters, weights=runs.copies * runs.malicious)
+    considered = held if inspected is None else held[: inspected + 1]
+    return np.asarray(clusters == np.argmax(considered), dtype=np.bool_)
+
+
+def grow_over_runs(
+    rows: pd.DataFrame, columns: Sequence[str], method: Linkage, variant: Variant = CORRECTED
+) -> Tree:
+    """Agglomerate rows; the tree's leaves are their distinct runs, in the order of `distinct_runs`.
+
+    Raises
+    ------
+    ClusteringError
+        Fewer than two distinct runs, or no feature with a finite value.
+    """
+    runs = distinct_runs(rows)
+    return grow_tree(variant.matrix(rows, columns)[runs.first], method, runs.copies)
+
+
+def _numbered_by_rows(X: NDArray[np.float64], method: Linkage, t: float) -> NDArray[np.int32]:
+    """Cut the tree of all rows, copies included, at a distance, and return the cluster of each row.
+
+    The clusters are those of the distinct runs, but which of them are the first depends on the
+    order of the rows, and on how SciPy arranges a tree of them.
+    """
+    return fcluster(linkage(pdist(X), method), t, criterion="distance").astype(np.int32)
+
+
+def cluster_and_judge(
+    rows: pd.DataFrame,
+    columns: Sequence[str],
+    rng: np.random.Generator,
+    method: Linkage = "ward",
+    criterion: Criterion = "maxclust",
+    t: float = 2.0,
+    variant: Variant = CORRECTED,
+) -> ClusteringResult:
+    """Cluster and measure; rows that cannot be clustered give a result with the reason.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Copies of runs allowed.
+    columns : sequence of str
+        Features to use.
+    rng : Generator
+        Draws the resamples behind the intervals.
+    method, criterion, t
+        How the tree is grown and cut.
+    variant : Variant
+        What of the rows is clustered, and how the best cluster is looked for.
+    """
+    runs = distinct_runs(rows)
+    try:
+        tree = grow_over_runs(rows, columns, method, variant)
+    except ClusteringError as error:
+        return ClusteringResult(rows=len(rows), runs=len(runs), note=str(error))
+    clusters = tree.cut(criterion, t)
+    flagged = outside_largest(clusters, runs.copies)
+    if variant.first_clusters_only and criterion == "distance":
+        numbered = _numbered_by_rows(variant.matrix(rows, columns), method, t)[runs.first]
+        best = in_best_cluster(numbered, runs, inspected=int(t))
+    else:
+        best = in_best_cluster(clusters, runs)
+    counts = confusion(flagged, runs)
+    counts_best = confusion(best, replace(runs, copies=np.ones_like(runs.copies)))
+    return ClusteringResult(
+        rows=len(rows),
+        runs=len(runs),
+        clusters=len(np.unique(clusters)),
+        tp=counts.tp,
+        fp=counts.fp,
+        fn=counts.fn,
+        tn=counts.tn,
+        tpr=true_positive_rate(flagged, runs),
+        fpr=false_positive_rate(flagged, runs),
+        balanced_accuracy=auc(flagged.astype(np.float64), runs, rng),
+        mcc=counts.mcc,
+        auc=auc(hac_height(tree), runs, rng),
+        recall_best_cluster=true_positive_rate(best, runs),
+        fpr_best_cluster=false_positive_rate(best, runs),
+        balanced_accuracy_best_cluster=auc(best.astype(np.float64), runs, rng),
+        mcc_best_cluster=counts_best.mcc,
+        runs_best_cluster=in_words(counts_best),
+        note=lacking(rows),
+    )

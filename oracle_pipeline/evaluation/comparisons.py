@@ -1,0 +1,162 @@
+"""Which runs are compared, by which scorer, and the figures of one comparison.
+
+The protocol is fixed before the final data are recorded: the panel, the sets of features and the
+one scorer whose figure is the headline. The reasons: docs/explanation/evaluation.md.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.protocol import PAIRS
+from oracle_pipeline.datasets import HARD_NEGATIVE, DistinctRuns
+from oracle_pipeline.detectors import DEFAULT_DETECTOR
+from oracle_pipeline.evaluation.conformal import runs_needed
+from oracle_pipeline.evaluation.held_out import HeldOutScores, Level
+from oracle_pipeline.evaluation.judged_runs import JudgedRuns
+from oracle_pipeline.evaluation.metrics import auc, average_precision, matthews, only, share
+
+RATES = (0.05, 0.01)  # false-alarm rates a verdict is asked to keep; the first is the usual one
+BLOCKS_NEEDED = {0.01: 250}  # two in five calibrate, so that even one mode alone gives 99 runs
+ONE_SIDED = 0.90  # level of a two-sided interval whose lower end is the one-sided 95% bound
+
+ALL_MODES = "all modes"
+HARD_NEGATIVES = "hard negatives"
+SHADOW = "_shadow"  # ends the names of label controls
+OBSTACLE = ("benign_obstacle", "fake_object")  # the same place, there and not there
+
+
+class Scorer(NamedTuple):
+    """A detector on a set of features of the run, of its windows, or of both."""
+
+    detector: str
+    features: str
+    level: Level
+
+
+HEADLINE = Scorer(DEFAULT_DETECTOR, "all", "both")
+
+
+def scorers(detectors: Iterable[str], sets: Iterable[str]) -> list[Scorer]:
+    """Return all that are judged, the headline first.
+
+    Its detector at every level and on every set of features, and every other detector.
+    """
+    named = [
+        HEADLINE,
+        *(Scorer(HEADLINE.detector, HEADLINE.features, level) for level in ("run", "windows")),
+        *(Scorer(detector, HEADLINE.features, "run") for detector in detectors),
+        *(Scorer(HEADLINE.detector, features, HEADLINE.level) for features in sets),
+    ]
+    return list(dict.fromkeys(named))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ComparedRuns:
+    """Runs that are judged together; the mask is of shape (n_runs,)."""
+
+    name: str
+    runs: NDArray[np.bool_]
+
+
+def comparisons(df: pd.DataFrame) -> list[ComparedRuns]:
+    """Return the comparisons that the modes of a table allow, named ``control / attacked``.
+
+    All modes; each attack against its control, and against its shadow, which does the same work and
+    publishes the original; the fake object against a real one; the hard negatives together and
+    each. The last have no attacked run and measure false alarms only.
+    """
+    modes = set(df["mode"])
+    attacked = sorted(set(df.loc[df["label"] == "malicious", "mode"]))
+    couples = [*PAIRS, *((f"{mode}{SHADOW}", mode) for mode in attacked), OBSTACLE]
+    benign = sorted(mode for mode in modes if mode.startswith(HARD_NEGATIVE))
+    named = {
+        ALL_MODES: sorted(modes),
+        **{" / ".join(couple): couple for couple in couples if modes.issuperset(couple)},
+        **({HARD_NEGATIVES: benign} if benign else {}),
+        **{mode: [mode] for mode in benign},
+    }
+    return [ComparedRuns(name, np.asarray(df["mode"].isin(of))) for name, of in named.items()]
+
+
+def runs_of(campaign: JudgedRuns, members: NDArray[np.bool_]) -> DistinctRuns:
+    """Return the runs of a scope as metrics take them."""
+    first = np.flatnonzero(members)
+    return DistinctRuns(
+        first, np.ones(len(first), dtype=np.int64), campaign.malicious[first], campaign.block[first]
+    )
+
+
+def judge(
+    scores: HeldOutScores, campaign: JudgedRuns, scope: ComparedRuns, rng: np.random.Generator
+) -> dict[str, float | int | str]:
+    """Return the figures of one comparison as table columns, an estimate as three.
+
+    Besides areas: at each nominal false-alarm rate the detection rate, the realised rate and the
+    one-sided 95% lower bound of that, Matthews' correlation and balanced accuracy; nothing at a
+    rate that the campaign is too small for.
+    """
+    runs = runs_of(campaign, scope.runs)
+    score, p = scores.score[runs.first], scores.p[runs.first]
+    row: dict[str, float | int | str] = {
+        "malicious": int(runs.malicious.sum()),
+        "normal": int((~runs.malicious).sum()),
+        "blocks": len(np.unique(runs.block)),
+        "prevalence": float(runs.malicious.mean()),
+        **auc(score, runs, rng).columns("auc"),
+        **average_precision(score, runs, rng).columns("average_precision"),
+    }
+    blocks = len(np.unique(campaign.block))
+    for rate in RATES:
+        lacking = max(0, BLOCKS_NEEDED.get(rate, 0) - blocks)
+        supported = lacking == 0 and scores.calibration >= runs_needed(rate)
+        row |= _at_rate(p if supported else np.full_like(p, np.nan), runs, rate, rng)
+        if rate in BLOCKS_NEEDED:
+            row[f"blocks_lacking_{100 * rate:g}"] = lacking
+    return row | {"note": _note(np.isfinite(score), scores.calibration, runs)}
+
+
+def _at_rate(
+    p: NDArray[np.float64], runs: DistinctRuns, rate: float, rng: np.random.Generator
+) -> dict[str, float | int | str]:
+    """Return the figures of the verdict ``p <= rate``; nothing where `p` is NaN."""
+    with_p = np.isfinite(p)
+    judged, flagged = only(runs, with_p), p[with_p] <= rate
+    normal, flag = ~judged.malicious, flagged.astype(np.float64)
+    block = judged.block
+    name = f"{100 * rate:g}"
+    return {
+        **share(flagged[~normal], block[~normal], rng).columns(f"detection_rate_{name}"),
+        **share(flagged[normal], block[normal], rng).columns(f"false_alarm_rate_{name}"),
+        f"false_alarm_rate_{name}_bound": share(flagged[normal], block[normal], rng, ONE_SIDED).low,
+        **matthews(flagged, judged, rng).columns(f"mcc_{name}"),
+        **auc(flag, judged, rng).columns(f"balanced_accuracy_{name}"),
+    }
+
+
+def _note(scored: NDArray[np.bool_], calibration: int, runs: DistinctRuns) -> str:
+    """Return a note on what is missing in a row, and why."""
+    if not scored.any():
+        return (
+            "no run could be scored: it needs features with values and normal runs of three blocks"
+        )
+    remarks = [
+        f"no {name} runs"
+        for name, of in (("malicious", runs.malicious), ("normal", ~runs.malicious))
+        if not of.any()
+    ]
+    needed = runs_needed(RATES[0])
+    if calibration < needed:
+        remarks.append(f"{calibration} runs to calibrate with, {RATES[0]:.0%} takes {needed}")
+    return "; ".join(remarks)
+
+
+def unjudged(campaign: JudgedRuns, scope: ComparedRuns, note: str) -> dict[str, float | int | str]:
+    """Return the row of a comparison that could not be made."""
+    nowhere = np.full(len(campaign.features), np.nan)
+    row = judge(HeldOutScores(nowhere, nowhere, 0), campaign, scope, np.random.default_rng(0))
+    return row | {"note": note}

@@ -1,0 +1,208 @@
+"""Scores of runs by detectors that never saw their block, made comparable by calibration.
+
+A detector is fitted anew in every fold (`splits`) and scores that fold's calibration and test rows.
+Higher scores are more anomalous everywhere here. Scores of one fold are an array row, NaN for runs
+that neither calibrate nor are tested in it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from sklearn.base import clone
+
+from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
+from oracle_pipeline.datasets import feature_columns, feature_floors, is_malicious
+from oracle_pipeline.detectors import Detector, pipeline
+from oracle_pipeline.evaluation.conformal import p_values
+from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
+from oracle_pipeline.evaluation.splits import Fold
+
+Level = Literal["run", "windows", "both"]
+TOP_WINDOWS = 3  # whose mean speaks for the run
+COMMON = 0.9  # share of the fitted runs that are as long as what is looked at of each run
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class HeldOutScores:
+    """Scores of runs by detectors that never saw their block; arrays of shape (n_runs,)."""
+
+    score: NDArray[np.float64]  # deviations of the calibration scores from their median
+    p: NDArray[np.float64]  # conformal; NaN where there is none
+    calibration: int  # runs behind the least of the p-values
+
+
+def held_out(
+    runs: MeasuredRuns,
+    columns: Sequence[str],
+    detector: Detector,
+    folds: Sequence[Fold],
+    level: Level = "run",
+) -> HeldOutScores:
+    """Score every run by a detector fitted on normal runs of other blocks.
+
+    Parameters
+    ----------
+    runs : Runs
+    columns : sequence of str
+        Features to use; per window those of them that windows have.
+    detector : Detector
+        Unfitted; it is cloned.
+    folds : sequence of Fold
+        Over the runs.
+    level : {"run", "windows", "both"}
+        From the features of the run, from those of its oddest windows (`top_windows`), or whichever
+        of the two is further from what its calibration runs show.
+
+    Raises
+    ------
+    DetectorError
+        The detector cannot be fitted on so many runs or features.
+    """
+    scores = []
+    if level in ("run", "both"):
+        scores.append(fold_scores(runs.features, columns, detector, folds))
+    if level in ("windows", "both"):
+        of_windows = window_scores(runs, columns, detector, folds)
+        scores.append(top_windows(of_windows, runs, folds))
+    furthest = np.max([standardised(part, folds) for part in scores], axis=0)
+    p = conformal(furthest, folds)
+    return HeldOutScores(of_tested(furthest, folds), p, calibration_runs(folds))
+
+
+def calibration_runs(folds: Sequence[Fold]) -> int:
+    """Return how many runs calibrate the fold that has the fewest."""
+    return min((int(fold.calibrate.sum()) for fold in folds), default=0)
+
+
+def fold_scores(
+    table: pd.DataFrame, columns: Sequence[str], detector: Detector, folds: Sequence[Fold]
+) -> NDArray[np.float64]:
+    """Fit and score in every fold; shape (n_folds, n_rows).
+
+    A fold with less than two rows to fit on, or without a finite value in them, is left NaN.
+    """
+    X, floors = table[list(columns)], feature_floors(table)
+    scores = np.full((len(folds), len(table)), np.nan)
+    for number, fold in enumerate(folds):
+        if fold.fit.sum() > 1 and np.isfinite(X[fold.fit].to_numpy()).any():
+            model = pipeline(clone(detector), floors).fit(X[fold.fit])
+            scored = fold.calibrate | fold.test
+            scores[number, scored] = -model.score_samples(X[scored])
+    return scores
+
+
+def window_scores(
+    runs: MeasuredRuns, columns: Sequence[str], detector: Detector, folds: Sequence[Fold]
+) -> NDArray[np.float64]:
+    """Score windows by a detector fitted on windows of normal runs; (n_folds, n_windows)."""
+    present = set(feature_columns(runs.windows))
+    windowed = [column for column in columns if column in present]
+    of_windows = [fold.of(runs.run) for fold in folds]
+    return fold_scores(runs.windows, windowed, detector, of_windows)
+
+
+def top_windows(
+    scores: NDArray[np.float64], runs: MeasuredRuns, folds: Sequence[Fold]
+) -> NDArray[np.float64]:
+    """Return the mean score of each run's three oddest windows, shape (n_folds, n_runs).
+
+    The longer a run, the odder its oddest windows, and attacked runs are longer. So windows count
+    only up to the length that nine tenths of the fitted runs reach.
+    """
+    counts, place = runs.counts, runs.place
+    top = np.full((len(folds), len(counts)), np.nan)
+    for number, fold in enumerate(folds):
+        laid_out = np.full((len(counts), int(counts.max(initial=1))), -np.inf)
+        laid_out[runs.run, place] = scores[number]
+        considered = laid_out[:, : common_length(counts[fold.fit])]
+        best = -np.sort(-considered, axis=1)[:, :TOP_WINDOWS]
+        finite = np.isfinite(best)
+        total = np.where(finite, best, 0.0).sum(axis=1)
+        np.divide(total, finite.sum(axis=1), out=top[number], where=finite.any(axis=1))
+    return top
+
+
+def common_length(windows: NDArray[np.intp]) -> int:
+    """Return how many windows nine tenths of the runs have at least."""
+    shorter = int(round(1.0 - COMMON, 9) * len(windows))
+    return max(1, int(np.sort(windows)[shorter]))
+
+
+def standardised(scores: NDArray[np.float64], folds: Sequence[Fold]) -> NDArray[np.float64]:
+    """Bring the folds to one scale: median and MAD of their calibration scores.
+
+    Within a fold this keeps the order; where the MAD is 0, only the median is taken off.
+    """
+    scaled = np.empty_like(scores)
+    for number, fold in enumerate(folds):
+        calibration = _finite(scores[number, fold.calibrate])
+        if not len(calibration):
+            scaled[number] = np.nan
+            continue
+        centre = np.median(calibration)
+        spread = MAD_TO_DEVIATION * np.median(np.abs(calibration - centre))
+        scaled[number] = (scores[number] - centre) / (spread if spread > 0.0 else 1.0)
+    return scaled
+
+
+def of_tested(scores: NDArray[np.float64], folds: Sequence[Fold]) -> NDArray[np.float64]:
+    """Return each row's score in the fold that tests it; NaN if none does."""
+    tested = np.full(scores.shape[1:], np.nan)
+    for number, fold in enumerate(folds):
+        tested[fold.test] = scores[number, fold.test]
+    return tested
+
+
+def conformal(scores: NDArray[np.float64], folds: Sequence[Fold]) -> NDArray[np.float64]:
+    """Return each run's p-value among the calibration runs of the fold that tests it."""
+    p = np.full(scores.shape[1:], np.nan)
+    for number, fold in enumerate(folds):
+        tested = fold.test & np.isfinite(scores[number])
+        calibration = _finite(scores[number, fold.calibrate])
+        p[tested] = p_values(calibration, scores[number, tested])
+    return p
+
+
+def _finite(scores: NDArray[np.float64]) -> NDArray[np.float64]:
+    return scores[np.isfinite(scores)]
+
+
+def supervised_scores(
+    features: pd.DataFrame,
+    columns: Sequence[str],
+    classifier: Any,
+    folds: Sequence[Fold],
+    target: NDArray[np.bool_] | None = None,
+) -> NDArray[np.float64]:
+    """Return the scores of a classifier that was trained with the labels of other blocks.
+
+    Not an oracle: an upper bound of what these features can achieve.
+
+    Parameters
+    ----------
+    features : DataFrame
+        One row for each run.
+    columns : sequence of str
+    classifier : scikit-learn classifier
+        Unfitted.
+    folds : sequence of Fold
+    target : ndarray of bool, shape (n_runs,), optional
+        What to predict; by default that a run was attacked.
+
+    Returns
+    -------
+    ndarray of shape (n_runs,)
+        Probability; NaN where the training rows are of one kind.
+    """
+    target = is_malicious(features) if target is None else target
+    X, floors = features[list(columns)], feature_floors(features)
+    scores = np.full(len(features), np.nan)
+    for fold in folds:
+        if np.unique(target[fold.train]).size == 2 and np.isfinite(X[fold.train].to_numpy()).any():
+            model = pipeline(clone(classifier), floors).fit(X[fold.train], target[fold.train])
+            scores[fold.test] = model.predict_proba(X[fold.test])[:, 1]
+    return scores

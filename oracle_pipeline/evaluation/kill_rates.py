@@ -1,0 +1,161 @@
+"""How weak an attack the oracle still sees: kill matrix, mutation score, detectable magnitude.
+
+A grid of attacked runs, one operator of the scenario language at several magnitudes, is scored by
+an oracle that was fitted on the campaign. A run that is called anomalous is a killed mutant; one in
+which no message was changed is equivalent to the original and is left out. ``oracle-sim grid``
+records the grid.
+"""
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oracle_pipeline.datasets import is_hard_negative
+from oracle_pipeline.detectors import DetectorError, panel
+from oracle_pipeline.evaluation.comparisons import HEADLINE, RATES, Scorer, scorers
+from oracle_pipeline.evaluation.conformal import check_support, runs_needed
+from oracle_pipeline.evaluation.estimate import NOTHING, Estimate, clopper_pearson
+from oracle_pipeline.evaluation.feature_sets import feature_sets
+from oracle_pipeline.evaluation.held_out import calibration_runs, held_out
+from oracle_pipeline.evaluation.judged_runs import EvaluationError, MeasuredRuns
+from oracle_pipeline.evaluation.splits import BLOCK, HARMLESS, Fold, fit_and_calibrate, untaught
+
+ORACLE, OPERATOR = [*Scorer._fields, "split"], ["scenario", "parameter"]
+REQUIRED = ("scenario", "parameter", "value", "changed_messages")
+DETECTABLE = 0.9  # detection rate that a detectable magnitude reaches
+
+
+def kill_matrix(
+    campaign: MeasuredRuns, grid: MeasuredRuns, seed: int, rate: float = RATES[0]
+) -> pd.DataFrame:
+    """Return how many runs of each magnitude each oracle kills.
+
+    Oracles are the scorers of the evaluation, and the headline's once more without hard negatives
+    in its training (``split``): an attack that is weaker than a harmless change is normal for an
+    oracle that was fitted on such changes. They are fitted and calibrated with normal runs of the
+    campaign's blocks that the grid does not use: a grid made offline mutates the campaign's runs.
+
+    Parameters
+    ----------
+    campaign : Runs
+    grid : Runs
+        The grid's runs with the same features and the columns ``scenario``, ``parameter``,
+        ``value`` (magnitude, growing with strength) and ``changed_messages``.
+    seed : int
+        Of the split and of detectors that draw.
+    rate : float
+        False-alarm rate of the verdicts.
+
+    Returns
+    -------
+    DataFrame
+        A row for each oracle, scenario, parameter and value, with ``mutants``, ``equivalent``,
+        ``killed`` and the estimate ``kill_rate`` among those that are not equivalent.
+
+    Raises
+    ------
+    CampaignError
+        The grid lacks a column, or the campaign has no features.
+    ConformalError
+        Too few normal runs are left to calibrate with.
+    """
+    sets = feature_sets(campaign.features)
+    if not sets.get("all"):
+        raise EvaluationError("No feature of the campaign has a finite value; extract them again.")
+    absent = [c for c in (*REQUIRED, *sets["all"]) if c not in grid.features.columns]
+    if absent:
+        raise EvaluationError(
+            f"The grid lacks the columns {', '.join(absent[:5])}; take it from the index that "
+            "`oracle-sim grid` writes and extract its features with the campaign's plugins."
+        )
+    runs, detectors = campaign.followed_by(grid), panel(seed)
+    mutants = np.arange(len(runs.features)) >= len(campaign.features)
+    fold = _fold(runs, mutants, seed)
+    oracles = [(scorer, BLOCK, [fold]) for scorer in scorers(detectors, sets)]
+    check_support(calibration_runs([fold]), rate)
+    plain = untaught(runs.features, [fold])
+    if is_hard_negative(campaign.features).any() and calibration_runs(plain) >= runs_needed(rate):
+        oracles.append((HEADLINE, HARMLESS, plain))
+    tables = []
+    for scorer, split, folds in oracles:
+        try:
+            columns, detector = sets[scorer.features], detectors[scorer.detector]
+            scores = held_out(runs, columns, detector, folds, scorer.level)
+        except DetectorError:
+            continue  # its row in the evaluation's table gives the reason
+        verdicts = grid.features[list(REQUIRED)].assign(killed=scores.p[mutants] <= rate)
+        tables.append(_counted(verdicts).assign(**scorer._asdict(), split=split))
+    columns = [*ORACLE, *OPERATOR, "value", "mutants", "equivalent", "killed"]
+    kills = pd.concat(tables, ignore_index=True)
+    return kills[[*columns, "kill_rate", "kill_rate_low", "kill_rate_high"]]
+
+
+def _fold(runs: MeasuredRuns, mutants: NDArray[np.bool_], seed: int) -> Fold:
+    """Return the round in which the mutants are tested, by nobody who saw their blocks."""
+    train = ~np.isin(runs.block, runs.block[mutants])
+    fit, calibrate = fit_and_calibrate(runs.features, train, np.random.default_rng(seed))
+    return Fold(fit, calibrate, mutants, train)
+
+
+def _counted(verdicts: pd.DataFrame) -> pd.DataFrame:
+    rows = []
+    for place, runs in verdicts.groupby([*OPERATOR, "value"], sort=True):
+        mutants = runs[runs["changed_messages"] > 0]
+        killed = int(mutants["killed"].sum())
+        rate = killed / len(mutants) if len(mutants) else np.nan
+        rows.append(
+            {
+                **dict(zip([*OPERATOR, "value"], place, strict=True)),
+                "mutants": len(runs),
+                "equivalent": len(runs) - len(mutants),
+                "killed": killed,
+                **clopper_pearson(rate, len(mutants)).columns("kill_rate"),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def mutation_scores(kills: pd.DataFrame) -> pd.DataFrame:
+    """Return for each oracle the share of mutants that it kills, equivalent ones left out.
+
+    Parameters
+    ----------
+    kills : DataFrame
+        As of `kill_matrix`.
+    """
+    rows = []
+    for oracle, of in kills.groupby(ORACLE, sort=False):
+        mutants, killed = int((of["mutants"] - of["equivalent"]).sum()), int(of["killed"].sum())
+        score = clopper_pearson(killed / mutants, mutants) if mutants else NOTHING
+        place = dict(zip(ORACLE, oracle, strict=True))
+        rows.append(
+            place | {"mutants": mutants, "killed": killed} | score.columns("mutation_score")
+        )
+    return pd.DataFrame(rows)
+
+
+def minimum_detectable(kills: pd.DataFrame) -> pd.DataFrame:
+    """Return for each oracle and operator the smallest magnitude that is detected reliably.
+
+    That is the smallest of the grid from which on, at every larger one too, at least 0.9 of the
+    mutants are killed; NaN if the largest is not. Between it and the next smaller one of the grid
+    (``magnitude_low``; 0 below the first) lies the true one.
+
+    Parameters
+    ----------
+    kills : DataFrame
+        As of `kill_matrix`.
+    """
+    rows = []
+    for place, of in kills.groupby([*ORACLE, *OPERATOR], sort=False):
+        counted = of[of["mutants"] > of["equivalent"]].sort_values("value")
+        values = [0.0, *counted["value"]]
+        missed = np.flatnonzero(counted["kill_rate"].to_numpy() < DETECTABLE)
+        first = int(missed[-1]) + 2 if len(missed) else 1
+        magnitude = NOTHING
+        if first < len(values):
+            magnitude = Estimate(values[first], values[first - 1], values[first])
+        rows.append(
+            dict(zip([*ORACLE, *OPERATOR], place, strict=True)) | magnitude.columns("magnitude")
+        )
+    return pd.DataFrame(rows)

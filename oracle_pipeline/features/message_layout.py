@@ -1,0 +1,167 @@
+"""Header stamp and array of a message, read from its bytes without decoding the rest.
+
+This runs for every topic of every bag, so it has to be cheap: an array is one ``numpy.frombuffer``
+behind a few skipped fields. Only sequences of floating-point numbers count: whole numbers are
+mostly codes (cells of a grid, pixels, identifiers).
+"""
+
+import struct
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
+
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.reader import BagReader
+
+_HEADER = "std_msgs/msg/Header"
+_ENCAPSULATION = 4  # bytes before a message in CDR, from which it aligns
+_LITTLE_ENDIAN = 1  # bit of the second of them
+
+_SIZES = {
+    "bool": 1, "byte": 1, "char": 1, "int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4,
+    "uint32": 4, "int64": 8, "uint64": 8, "float32": 4, "float64": 8,
+}  # fmt: skip
+
+
+_FLOATS = tuple((Nodetype.BASE, (name, 0)) for name in ("float32", "float64"))
+_BIG_STAMP, _LITTLE_STAMP = struct.Struct(">iI"), struct.Struct("<iI")
+
+
+class _Numbers(NamedTuple):
+    """Numbers of one size, one after the other."""
+
+    size: int
+    times: int
+
+
+class _Text(NamedTuple):
+    """A string."""
+
+
+class _Repeated(NamedTuple):
+    """The same fields again and again."""
+
+    fields: "tuple[_Field, ...]"
+    times: int | None  # None: given in the message
+
+
+_Field: TypeAlias = _Numbers | _Text | _Repeated
+
+
+class MessageLayout:
+    """Where the messages of one topic have their header stamp and their first array.
+
+    A type whose definition nobody knows has neither.
+    """
+
+    def __init__(self, bag: BagReader, topic: str) -> None:
+        self._is_cdr = bag.topics[topic].encoding != "ros1"
+        self._has_header = False
+        self._before: list[_Field] = []
+        self._element: np.dtype[Any] | None = None
+        msgtype = bag.topics[topic].msgtype
+        try:
+            store = bag.typestore(msgtype)
+            fields = store.fielddefs[msgtype][1]
+            self._has_header = bool(fields) and fields[0][1] == (Nodetype.NAME, _HEADER)
+            self._element = self._seek(store, msgtype)
+        except (BagError, KeyError):
+            return
+
+    @property
+    def has_array(self) -> bool:
+        """Whether the type has a sequence of floating-point numbers."""
+        return self._element is not None
+
+    def header_stamp_ns(self, data: bytes) -> int | None:
+        """Return the stamp in the header of a message [ns]; None if it has no header."""
+        if not self._has_header or len(data) < 12:
+            return None
+        stamp = _BIG_STAMP if self._is_cdr and not data[1] & _LITTLE_ENDIAN else _LITTLE_STAMP
+        sec, nanosec = stamp.unpack_from(data, 4)  # behind the encapsulation or ROS 1's number
+        return int(sec) * 1_000_000_000 + int(nanosec)
+
+    def array(self, data: bytes) -> NDArray[np.floating[Any]] | None:
+        """Return the array of a message; None if its type has none or its bytes are broken."""
+        if self._element is None:
+            return None
+        try:
+            order = self._order(data)
+            cursor = _Cursor(data, order, is_cdr=self._is_cdr)
+            cursor.skip(self._before)
+            count = cursor.count()
+            if count:
+                cursor.align(self._element.itemsize)
+            return np.frombuffer(data, self._element.newbyteorder(order), count, cursor.position)
+        except (struct.error, ValueError, IndexError):
+            return None
+
+    def _order(self, data: bytes) -> Literal["<", ">"]:
+        return "<" if not self._is_cdr or data[1] & _LITTLE_ENDIAN else ">"
+
+    def _seek(self, store: Typestore, msgtype: Any) -> np.dtype[Any] | None:
+        """Note what stands before the first array of a type; return the type of its elements."""
+        if msgtype == _HEADER and not self._is_cdr:
+            self._before.append(_Numbers(4, 1))
+        for _, (kind, what) in store.fielddefs[msgtype][1]:
+            if kind == Nodetype.SEQUENCE and what[0] in _FLOATS:
+                return np.dtype(what[0][1][0])
+            if kind == Nodetype.NAME:
+                if (element := self._seek(store, what)) is not None:
+                    return element
+            else:
+                self._before.append(self._field(store, kind, what))
+        return None
+
+    def _field(self, store: Typestore, kind: Nodetype, what: Any) -> _Field:
+        """Return how to get past a field."""
+        if kind == Nodetype.BASE:
+            return _Text() if what[0] == "string" else _Numbers(_SIZES[what[0]], 1)
+        if kind == Nodetype.NAME:
+            fields = [self._field(store, *each) for _, each in store.fielddefs[what][1]]
+            number = [_Numbers(4, 1)] if what == _HEADER and not self._is_cdr else []
+            return _Repeated((*number, *fields), 1)
+        element, count = what
+        repeated = self._field(store, *element)
+        if kind == Nodetype.ARRAY and isinstance(repeated, _Numbers):
+            return _Numbers(repeated.size, count)
+        return _Repeated((repeated,), count if kind == Nodetype.ARRAY else None)
+
+
+class _Cursor:
+    """A place in the bytes of a message."""
+
+    def __init__(self, data: bytes, order: str, *, is_cdr: bool) -> None:
+        self.position = _ENCAPSULATION if is_cdr else 0
+        self._data = data
+        self._count = f"{order}I"
+        self._is_cdr = is_cdr
+
+    def align(self, size: int) -> None:
+        if self._is_cdr:
+            self.position += (_ENCAPSULATION - self.position) % size
+
+    def count(self) -> int:
+        """Read the length of a sequence or a string."""
+        self.align(4)
+        (count,) = struct.unpack_from(self._count, self._data, self.position)
+        self.position += 4
+        if count > len(self._data):
+            raise ValueError(f"a length of {count} in a message of {len(self._data)} bytes")
+        return int(count)
+
+    def skip(self, fields: "tuple[_Field, ...] | list[_Field]") -> None:
+        """Go past fields."""
+        for field in fields:
+            if isinstance(field, _Text):
+                length = self.count()
+                self.position += length
+            elif isinstance(field, _Numbers):
+                self.align(field.size)
+                self.position += field.size * field.times
+            else:
+                for _ in range(self.count() if field.times is None else field.times):
+                    self.skip(field.fields)

@@ -1,0 +1,188 @@
+"""How two topics of one type differ, whatever they mean: redundant sensors, a topic and its relay.
+
+Only messages with an array of floating-point numbers can be compared. An array is compared with
+the one on the other topic that was recorded closest in time, index by index. Sensors that look
+elsewhere always differ, and an attack on one changes that difference. ``redundancy`` uses the
+mounts of sensors.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations, groupby
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.features.arrays import ARRAYS, each, roughness, standard_ranks
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Missing,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.reduction import largest, mean, quantile, smallest, within
+
+FEATURES = (
+    Feature(
+        "rank_difference_max", "1", 1e-3,
+        "1 - Spearman's correlation of two arrays, mean, of the pair that differs most",
+    ),
+    Feature("rank_difference_min", "1", 1e-3, "the same, of the pair that differs least"),
+    Feature(
+        "histogram_distance", "1", 1e-3,
+        "Wasserstein-1 distance of the histograms of the numbers, over the range of the type's",
+    ),
+    Feature(
+        "roughness_ratio", "1", 0.01, "abs(ln) of the ratio of the arrays' median roughness"
+    ),
+    Feature("rate_ratio", "1", 0.01, "abs(ln) of the ratio of the numbers of messages"),
+    Feature(
+        "identity", "1", 0.01, "share of arrays that the other topic repeats bit by bit",
+        shortcut=True,
+    ),
+)  # fmt: skip
+
+_APART_S = 0.1  # from an array to the one that it is compared with
+_BINS = 128
+_LOOKED_AT = 100  # arrays of a topic, about, to find the range of its numbers
+_TAILS = (1e-3, 1.0 - 1e-3)  # quantiles that the histograms reach to
+
+
+class _Counts(NamedTuple):
+    """How often numbers came, by array and bin."""
+
+    times_s: NDArray[np.float64]  # shape (n,), of the arrays
+    before: NDArray[np.int64]  # shape (n + 1, _BINS): in each bin, in all arrays before the i-th
+
+    def shares_up_to(self, window: Window) -> NDArray[np.float64]:
+        """Return the share of a window's numbers up to each bin, shape (_BINS,); NaN if none."""
+        arrays = within(self.times_s, window)
+        counts = np.cumsum(self.before[arrays.stop] - self.before[arrays.start])
+        return counts / counts[-1] if counts[-1] else np.full(_BINS, np.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class _Prepared:
+    """All arrays reduced one by one, and each compared with its counterparts."""
+
+    pairs: dict[str, tuple[str, str]]  # topics, by the pair's name
+    rank_difference: dict[str, Series]  # by pair, as is identity
+    identity: dict[str, Series]
+    roughness: dict[str, Series]  # by topic, as are the counts
+    counts: dict[str, _Counts]
+
+
+def prepare(window: Window) -> _Prepared | Missing:
+    """Reduce the arrays of topics that have another of their type."""
+    prepared = _Prepared({}, {}, {}, {}, {})
+    for group in _groups(window):
+        low, high = _range(list(group.values()))
+        ranks = {}
+        for topic, (times_s, arrays) in group.items():
+            ranks[topic] = each(arrays, standard_ranks)
+            prepared.roughness[topic] = Series(times_s, np.array(each(arrays, roughness)))
+            prepared.counts[topic] = _counts(times_s, arrays, low, high)
+        for a, b in combinations(group, 2):
+            pair = f"{a} against {b}"
+            times_s, met = _met(group[a], group[b])
+            a_values, b_values = group[a].values, group[b].values
+            prepared.pairs[pair] = a, b
+            prepared.rank_difference[pair] = Series(
+                times_s, np.array([max(0.0, 1.0 - ranks[a][i] @ ranks[b][j]) for i, j in met])
+            )
+            prepared.identity[pair] = Series(
+                times_s,
+                np.array(
+                    [np.array_equal(a_values[i], b_values[j], equal_nan=True) for i, j in met],
+                    dtype=np.float64,
+                ),
+            )
+    return prepared if prepared.pairs else Missing("no two topics of one type have arrays")
+
+
+def compute(window: Window) -> Values:
+    """Reduce to the window, and to the pair that differs most."""
+    prepared: _Prepared = window.prepared
+    pairs = prepared.pairs.items()
+    rough = {topic: quantile(series, window, 0.5) for topic, series in prepared.roughness.items()}
+    shares = {topic: counts.shares_up_to(window) for topic, counts in prepared.counts.items()}
+    number = {topic: len(window.arrivals[topic].times_s) for topic in prepared.counts}
+    distance = {pair: float(np.abs(shares[a] - shares[b]).mean()) for pair, (a, b) in pairs}
+    difference = {p: mean(series, window) for p, series in prepared.rank_difference.items()}
+    identity = {pair: mean(series, window) for pair, series in prepared.identity.items()}
+    apart = f"no two arrays within {_APART_S} s of each other"
+    silent = "one of two topics is silent"
+    return {
+        "rank_difference_max": largest(difference, apart),
+        "rank_difference_min": smallest(difference, apart),
+        "histogram_distance": largest(distance, silent),
+        "roughness_ratio": largest(
+            {pair: _log_ratio(rough[a], rough[b]) for pair, (a, b) in pairs},
+            "one of two topics has no rough array",
+        ),
+        "rate_ratio": largest(
+            {pair: _log_ratio(number[a], number[b]) for pair, (a, b) in pairs}, silent
+        ),
+        "identity": largest(identity, apart),
+    }
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of pairs of topics."""
+    topics = {"arrays": ARRAYS}
+    return [FeaturePlugin("pairs", "pairs", FEATURES, compute, topics, prepare=prepare)]
+
+
+def _groups(window: Window) -> Iterator[dict[str, Series]]:
+    """Yield the topics with arrays, by type, where there are two or more of one."""
+    arrays = window.topics["arrays"]
+    msgtypes = {topic: window.arrivals[topic].msgtype for topic in arrays}
+    by_type = sorted(arrays, key=lambda topic: (msgtypes[topic], topic))
+    for _, topics in groupby(by_type, msgtypes.__getitem__):
+        group = {topic: arrays[topic] for topic in topics}
+        if len(group) > 1:
+            yield group
+
+
+def _range(group: list[Series]) -> tuple[float, float]:
+    """Return the range of the numbers on some topics, without what is far out."""
+    some = [array for s in group for array in s.values[:: 1 + len(s.values) // _LOOKED_AT]]
+    numbers = np.concatenate(some)
+    numbers = numbers[np.isfinite(numbers)]
+    if not numbers.size:
+        return 0.0, 1.0
+    low, high = np.quantile(numbers, _TAILS)
+    return float(low), float(high) if high > low else float(low) + 1.0
+
+
+def _counts(
+    times_s: NDArray[np.float64], arrays: NDArray[np.object_], low: float, high: float
+) -> _Counts:
+    before = np.zeros((len(arrays) + 1, _BINS), dtype=np.int64)
+    for row, array in zip(before[1:], arrays, strict=True):
+        bins = (array[np.isfinite(array)] - low) * (_BINS / (high - low))
+        row += np.bincount(np.clip(bins, 0, _BINS - 1).astype(np.int64), minlength=_BINS)
+    return _Counts(times_s, before.cumsum(axis=0))
+
+
+def _met(ours: Series, theirs: Series) -> tuple[NDArray[np.float64], list[tuple[int, int]]]:
+    """Return the times of our arrays that meet one of theirs, and the numbers of both."""
+    after = np.searchsorted(theirs.times_s, ours.times_s)
+    either = np.stack([np.maximum(after - 1, 0), np.minimum(after, len(theirs.times_s) - 1)])
+    apart_s = np.abs(theirs.times_s[either] - ours.times_s)
+    nearest = np.where(apart_s[0] <= apart_s[1], *either)
+    equally_long = np.array(
+        [a.size == b.size for a, b in zip(ours.values, theirs.values[nearest], strict=True)]
+    )
+    met = np.flatnonzero((apart_s.min(axis=0) <= _APART_S) & equally_long)
+    return ours.times_s[met], list(zip(met.tolist(), nearest[met].tolist(), strict=True))
+
+
+def _log_ratio(a: float, b: float) -> float:
+    """Return abs(ln(a / b)); NaN unless both are positive."""
+    return float(abs(np.log(a / b))) if a > 0.0 and b > 0.0 else np.nan

@@ -1,0 +1,99 @@
+"""A run directory or a foreign bag, opened and checked.
+
+A run directory has a manifest, a bag and graphs; a foreign bag has neither manifest nor
+graphs, and what needs them raises an error.
+"""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from oracle_pipeline.bags.errors import BagError, RunDirectoryError
+from oracle_pipeline.bags.integrity import require_undamaged
+from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, MANIFEST_FILE
+from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
+from oracle_pipeline.graphs.intervals import Interval, read_intervals
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedRun:
+    """One recording; a context manager that closes its bag."""
+
+    path: Path
+    bag: BagReader
+    manifest: Manifest | None  # None: a foreign bag
+    intervals: tuple[Interval, ...]  # empty: a foreign bag
+
+    @property
+    def duration_s(self) -> float:
+        """From the first message to the last [s]."""
+        return (self.bag.end_ns - self.bag.start_ns) * 1e-9
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_exception: object) -> None:
+        self.bag.close()
+
+
+def open_run(path: Path) -> OpenedRun:
+    """Open a run directory, or a foreign bag.
+
+    Parameters
+    ----------
+    path : Path
+        ``<root>/runs/<mode>/run003``, the folder of a rosbag2, a single ``.mcap`` or ``.db3``
+        file, or a ROS 1 ``.bag``.
+
+    The files of a run directory are compared with the hashes in its manifest first. A run that an
+    older release recorded has none; it is opened with a warning.
+
+    Raises
+    ------
+    OracleError
+        If it is neither, incomplete, damaged, or its bag is not the one its manifest is about.
+    """
+    if (path / MANIFEST_FILE).is_file():
+        return _open_run_directory(path)
+    if any((path / part).exists() for part in (BAG_FOLDER, GRAPHS_FOLDER)):
+        raise RunDirectoryError(
+            f"{path} looks like a run directory but has no {MANIFEST_FILE}, so the run is not "
+            f"complete; record it again, or name {path / BAG_FOLDER} to read its bag alone."
+        )
+    return OpenedRun(path, BagReader(path), None, ())
+
+
+def _open_run_directory(path: Path) -> OpenedRun:
+    manifest = Manifest.load(path / MANIFEST_FILE)
+    if not (path / BAG_FOLDER).exists():
+        raise BagError(
+            f"{path} has no bag, perhaps to save space; `oracle-sim remake {path}` re-simulates it."
+        )
+    if manifest.measured.files:
+        require_undamaged(path, manifest)
+    else:
+        _log.warning(
+            "%s was recorded by an older release and has no hashes: damage to its files may go "
+            "unnoticed. `oracle-sim remake %s` makes it again, with hashes.",
+            path,
+            path,
+        )
+    intervals = read_intervals(path / GRAPHS_FOLDER)
+    bag = BagReader(path / BAG_FOLDER)
+    claimed = {name: topic.messages for name, topic in manifest.topics.items()}
+    claimed.pop(GROUND_TRUTH_TOPIC, None)
+    held = {name: topic.count for name, topic in bag.topics.items()}
+    if held != claimed:
+        bag.close()
+        differing = sorted(n for n in held | claimed if held.get(n) != claimed.get(n))
+        raise BagError(
+            f"{bag.path} is not the whole bag that {path / MANIFEST_FILE} is about: the numbers of "
+            f"messages on {', '.join(differing)} differ. If it was trimmed to save space, "
+            f"`oracle-sim remake {path}` makes it whole."
+        )
+    return OpenedRun(path, bag, manifest, intervals)

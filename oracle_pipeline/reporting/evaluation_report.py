@@ -1,0 +1,125 @@
+"""The oracle's evaluation as a `Report`: its tables, pictures, and the headline in words.
+
+Everything shown is measured in ``oracle_pipeline.evaluation.campaign_evaluation``.
+"""
+
+import numpy as np
+import pandas as pd
+
+from oracle_pipeline.datasets import content_hash
+from oracle_pipeline.evaluation import integrity
+from oracle_pipeline.evaluation.campaign_evaluation import CampaignEvaluation
+from oracle_pipeline.evaluation.comparisons import HEADLINE
+from oracle_pipeline.evaluation.curves import Curve, HeadlineCurves
+from oracle_pipeline.evaluation.estimate import Estimate
+from oracle_pipeline.evaluation.kill_rates import minimum_detectable, mutation_scores
+from oracle_pipeline.reporting import figures
+from oracle_pipeline.reporting.report import Report, facts
+
+
+def evaluation_report(evaluation: CampaignEvaluation) -> Report:
+    """Return the report on an evaluation.
+
+    The table has a row for each scorer, split and comparison, the headline first; the tables
+    ``alarms``, ``small_clusters``, ``checks``, ``runs`` and, with a grid, ``kills``,
+    ``mutation_scores`` and ``minimum_detectable`` the rest.
+    """
+    return Report(
+        evaluation.table, _pictures(evaluation), _summary(evaluation), _tables(evaluation)
+    )
+
+
+def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
+    headline, kills = evaluation.headline, evaluation.kills
+    runs = evaluation.campaign.features[["run_id", "mode", "label", "block", "session"]]
+    tables = {
+        "alarms": evaluation.alarms,
+        "small_clusters": evaluation.small_clusters,
+        "checks": pd.DataFrame([check.columns() for check in evaluation.checks]),
+        "runs": runs.assign(score=headline.score, p=headline.p),
+    }
+    if kills is not None:
+        tables |= {
+            "kills": kills,
+            "mutation_scores": mutation_scores(kills),
+            "minimum_detectable": minimum_detectable(kills),
+        }
+    return tables
+
+
+def _summary(evaluation: CampaignEvaluation) -> dict[str, float | int | str]:
+    campaign, first_row = evaluation.campaign, evaluation.table.iloc[0]
+    area = Estimate.of_row(first_row, "auc")
+    doubts = integrity.banner(evaluation.checks)
+    return {
+        "headline": f"Withheld. {doubts}" if doubts else in_words(area),
+        "banner": doubts,
+        "scorer": f"{HEADLINE.detector} on {HEADLINE.features} features, level {HEADLINE.level}",
+        "malicious_runs": int(campaign.malicious.sum()),
+        "normal_runs": int((~campaign.malicious).sum()),
+        "blocks": len(np.unique(campaign.block)),
+        "left_out": evaluation.left_out,
+        "seed": evaluation.seed,
+        "content_hash": content_hash(campaign.features),
+        **facts("auc", area),
+        **facts("detection_rate_5", Estimate.of_row(first_row, "detection_rate_5")),
+        **facts("false_alarm_rate_5", Estimate.of_row(first_row, "false_alarm_rate_5")),
+    }
+
+
+def in_words(area: Estimate) -> str:
+    """Return the claim that an AUC with its interval supports.
+
+    Examples
+    --------
+    >>> in_words(Estimate(0.55, 0.41, 0.68))
+    'Attacked and normal runs cannot be distinguished: AUC 0.55 [0.41, 0.68] contains 0.5 (chance).'
+    """
+    if np.isnan(area.value):
+        return "Nothing could be measured; the notes give the reasons."
+    if area.covers(0.5):
+        return (
+            f"Attacked and normal runs cannot be distinguished: AUC {area} contains 0.5 (chance)."
+        )
+    if area.high < 0.5:
+        return f"Attacked runs look more usual than normal ones: AUC {area}, below chance."
+    if area.low < 0.85:
+        return f"Attacked runs stand out, but not reliably: AUC {area}, above chance."
+    return f"Attacked runs stand out clearly: AUC {area}."
+
+
+def _pictures(evaluation: CampaignEvaluation) -> dict[str, bytes]:
+    pictures = _headline_pictures(evaluation.curves) if evaluation.curves else {}
+    return pictures | (_kill_pictures(evaluation.kills) if evaluation.kills is not None else {})
+
+
+def _headline_pictures(curves: HeadlineCurves) -> dict[str, bytes]:
+    """Draw ROC curves, detection over false alarms, and effort."""
+    return {
+        "roc": figures.roc_curves(curves.roc),
+        "detection": figures.curves(
+            curves.detection, "nominal false-alarm rate", "share called anomalous", log=True
+        ),
+        "effort": figures.curves(
+            {"by score": Curve(*curves.effort)},
+            "share of runs inspected",
+            "share of attacks found",
+        ),
+    }
+
+
+def _kill_pictures(kills: pd.DataFrame) -> dict[str, bytes]:
+    """Draw a heat map and the headline detector's curves for each operator of the grid."""
+    pictures = {}
+    for (scenario, parameter), of in kills.groupby(["scenario", "parameter"], sort=False):
+        pictures[f"kills_{scenario}_{parameter}"] = figures.kill_heat_map(of)
+        shown = of[(of["detector"] == HEADLINE.detector) & (of["level"] == HEADLINE.level)]
+        measures = ["value", "kill_rate", "kill_rate_low", "kill_rate_high"]
+        lines = {
+            figures.oracle_name(line.iloc[0]): Curve(*line[measures].to_numpy().T)
+            for _, line in shown.groupby(["features", "split"], sort=False)
+        }
+        pictures[f"magnitude_{scenario}_{parameter}"] = figures.curves(
+            lines, f"{parameter} of {scenario}", "detection rate", log=True
+        )
+    return pictures

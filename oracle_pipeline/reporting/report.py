@@ -1,0 +1,88 @@
+"""A report: tables, pictures and a few facts, stored together in one folder."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from oracle_pipeline.bags import seals
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.scratch import lock, scratch_beside
+from oracle_pipeline.datasets import read_table, write_table
+from oracle_pipeline.evaluation.estimate import Estimate
+
+TABLE, TABLES, FIGURES, SUMMARY = "table.parquet", "tables", "figures", "summary.json"
+_SEAL = "seal"  # a key of the summary's file
+
+
+class ReportError(OracleError):
+    """A stored report cannot be read."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Report:
+    """One report's outcome."""
+
+    table: pd.DataFrame
+    figures: Mapping[str, bytes]  # PNG by name
+    summary: Mapping[str, float | int | str]  # JSON values only, no NaN
+    tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)  # further ones, by name
+
+    def save(self, directory: Path) -> None:
+        """Write the report to a folder of its own, in place of what was there.
+
+        It is written beside its place and renamed into it, so that no reader sees half of it.
+        """
+        with scratch_beside(directory, Path.mkdir) as scratch:
+            new, old = scratch / "new", scratch / "old"
+            (new / FIGURES).mkdir(parents=True)
+            write_table(self.table, new / TABLE)
+            for name, table in self.tables.items():
+                write_table(table, new / TABLES / f"{name}.parquet")
+            for name, png in self.figures.items():
+                (new / FIGURES / f"{name}.png").write_bytes(png)
+            document = {**self.summary, _SEAL: seals.BLANK}
+            text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+            summary = bytearray(text.encode())
+            seals.seal(summary)
+            (new / SUMMARY).write_bytes(summary)
+            with lock(directory.parent):  # against somebody who makes the same report
+                if directory.exists():
+                    directory.rename(old)
+                new.rename(directory)
+
+    @classmethod
+    def load(cls, directory: Path) -> "Report":
+        """Read a report back.
+
+        Raises
+        ------
+        ReportError
+            The folder does not hold a whole report, or its summary was changed.
+        """
+        try:
+            content = (directory / SUMMARY).read_bytes()
+            summary = json.loads(content.decode())
+        except (FileNotFoundError, ValueError) as error:
+            raise ReportError(
+                f"{directory} holds no report ({error}); materialize it again."
+            ) from error
+        if seals.check(content) == "wrong":
+            raise ReportError(f"{directory / SUMMARY} is damaged; materialize the report again.")
+        summary.pop(_SEAL, None)  # a report of an older release has none
+        figures = {
+            png.stem: png.read_bytes() for png in sorted((directory / FIGURES).glob("*.png"))
+        }
+        tables = {
+            path.stem: read_table(path) for path in sorted((directory / TABLES).glob("*.parquet"))
+        }
+        return cls(read_table(directory / TABLE), figures, summary, tables)
+
+
+def facts(name: str, estimate: Estimate) -> dict[str, float | str]:
+    """Return an estimate for a summary: its text, and its three numbers if it has them."""
+    numbers = {} if np.isnan(estimate.value) else estimate.columns(name)
+    return {f"{name}_text": str(estimate), **numbers}

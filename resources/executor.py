@@ -1,0 +1,42 @@
+"""The executor of all jobs: Dagster's own in one process, which is taken note of."""
+
+from collections.abc import Iterator
+
+import dagster as dg
+from dagster._core.execution.context.system import PlanOrchestrationContext
+from dagster._core.execution.plan.plan import ExecutionPlan
+from dagster._core.execution.retries import RetryMode
+
+from resources.run_processes import fail_lost_runs, hold
+
+
+class _KnownProcess(dg.Executor):
+    """Execute all steps in this process, so that a run whose process was killed is noticed."""
+
+    def __init__(self, steps: dg.Executor) -> None:
+        self._steps = steps
+
+    @property
+    def retries(self) -> RetryMode:
+        return self._steps.retries
+
+    def execute(
+        self, plan_context: PlanOrchestrationContext, execution_plan: ExecutionPlan
+    ) -> Iterator[dg.DagsterEvent]:
+        hold(plan_context.instance, plan_context.run_id)
+        fail_lost_runs(plan_context.instance)
+        yield from self._steps.execute(plan_context, execution_plan)
+
+
+@dg.executor(name="in_process")
+def in_process_executor(context: dg.InitExecutorContext) -> dg.Executor:
+    """Execute a run in one process: assets fan out themselves."""
+    settings = dg.InitExecutorContext(
+        job=context.job,
+        executor_def=dg.in_process_executor,
+        executor_config={"retries": {"enabled": {}}},
+        instance=context.instance,
+    )
+    create = dg.in_process_executor.executor_creation_fn
+    assert create is not None  # noqa: S101 -- an executor that Dagster ships
+    return _KnownProcess(create(settings))

@@ -1,0 +1,148 @@
+"""What the web server refuses, so that no page of another origin can drive it.
+
+Dagster's web server has no login, and takes GraphQL by GET and as plain text. A browser sends both
+for any page that its user visits, and a name that is rebound to 127.0.0.1 makes such a page look
+like one of ours. So a request has to name a host of ours, come from a page of ours, or from no
+page, and change things as a JSON POST only. A browser asks before it sends that to another origin.
+
+References: Fetch Standard (CORS-safelisted requests, ``Sec-Fetch-*``), RFC 6454 (origins).
+"""
+
+import logging
+import re
+from collections.abc import Collection
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+VARIABLE = "ORACLE_UI_ORIGINS"
+_LOOPBACK = {"127.0.0.1", "localhost", "[::1]"}
+_HOST = re.compile(r"([a-z0-9._-]+|\[[0-9a-f:.]+\])(?::[0-9]{1,5})?")
+_POLICY_VIOLATION = 1008  # RFC 6455
+_log = logging.getLogger("dagster.ui")
+
+
+class OriginError(ValueError):
+    """An entry of the allow list is no origin."""
+
+
+def parse_origins(text: str) -> list[str]:
+    """Return the origins of an allow list: what a browser shows of an address, before the path.
+
+    Parameters
+    ----------
+    text
+        Origins that a comma or a space divides, such as ``https://oracle.example.org:8443``.
+
+    Raises
+    ------
+    OriginError
+        One of them has another form.
+    """
+    return [_normal(entry) for entry in re.split(r"[\s,]+", text) if entry]
+
+
+def _normal(origin: str) -> str:
+    parts = urlsplit(origin.lower())
+    bare = f"{parts.scheme}://{parts.netloc}"
+    if parts.scheme not in {"http", "https"} or not _HOST.fullmatch(parts.netloc) \
+            or origin.lower().rstrip("/") != bare:  # fmt: skip
+        raise OriginError(
+            f"{origin!r} in {VARIABLE} is no origin. Write scheme, name and port as the browser "
+            "shows them, such as https://oracle.example.org or http://10.0.0.5:3000."
+        )
+    default = {"http": ":80", "https": ":443"}[parts.scheme]
+    return bare.removesuffix(default)
+
+
+class Guard:
+    """Hand on the requests of our own pages and of programs, and refuse the others.
+
+    Parameters
+    ----------
+    app
+        The web server's application.
+    origins
+        Where people open the UI, besides loopback addresses: see `parse_origins`.
+    """
+
+    def __init__(self, app: ASGIApp, origins: Collection[str] = ()) -> None:
+        self._app = app
+        self._origins = frozenset(origins)
+        self._hosts = frozenset(urlsplit(origin).netloc for origin in origins)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request, or refuse it with the reason."""
+        if scope["type"] == "lifespan":
+            return await self._app(scope, receive, send)
+        refusal = self._refusal(scope, Headers(scope=scope))
+        if refusal is None:
+            return await self._app(scope, receive, _not_in_foreign_frames(send))
+        status, reason = refusal
+        _log.warning("Refused %r: %s", scope["path"], reason)
+        if scope["type"] == "websocket":
+            closing = {"type": "websocket.close", "code": _POLICY_VIOLATION, "reason": "refused"}
+            return await send(closing)
+        return await PlainTextResponse(reason + "\n", status)(scope, receive, send)
+
+    def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, str] | None:
+        """Return status and reason of a refusal, None if there is none."""
+        for name in ("host", "origin", "content-type"):
+            if len(headers.getlist(name)) > 1:
+                return 400, f"There is more than one header {name!r}."
+        host, origin = headers.get("host", "").lower(), headers.get("origin")
+        if not (_is_loopback(host) or host in self._hosts):
+            return 403, f"The host {host!r} is not one of this server. {_advice()}"
+        if origin is not None and not self._is_ours(origin.lower(), host):
+            return 403, f"The origin {origin!r} is not one of this server. {_advice()}"
+        if scope["type"] == "websocket":
+            return None
+        method = scope["method"]
+        if origin is None and _is_sent_by_another_site(method, headers):
+            return 403, f"The page of another site asks. {_advice()}"
+        if method in {"GET", "HEAD"}:
+            asks_graphql = scope["path"].rstrip("/").endswith("/graphql")
+            if asks_graphql and "text/html" not in headers.get("accept", ""):
+                return 405, "GraphQL is taken as a POST of JSON only."
+            return None
+        if method != "POST":
+            return 405, f"The method {method} is not taken."
+        media_type = headers.get("content-type", "").partition(";")[0].strip().lower()
+        if media_type != "application/json":
+            return 415, "A POST is taken as application/json only."
+        return None
+
+    def _is_ours(self, origin: str, host: str) -> bool:
+        return origin in self._origins or (_is_loopback(host) and origin == f"http://{host}")
+
+
+def _is_loopback(host: str) -> bool:
+    """Tell whether a header names this machine itself, at any port: it may be a tunnel's."""
+    return bool(_HOST.fullmatch(host)) and re.sub(r":[0-9]+$", "", host) in _LOOPBACK
+
+
+def _is_sent_by_another_site(method: str, headers: Headers) -> bool:
+    """Tell whether a page of another site asks, unless it is a link that somebody follows."""
+    if headers.get("sec-fetch-site", "none") in {"none", "same-origin"}:
+        return False
+    follows = headers.get("sec-fetch-mode"), headers.get("sec-fetch-dest")
+    return not (method == "GET" and follows == ("navigate", "document"))
+
+
+def _not_in_foreign_frames(send: Send) -> Send:
+    """Forbid pages of other origins to show ours in a frame, where clicks could be stolen."""
+
+    async def framed(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            headers.append("Content-Security-Policy", "frame-ancestors 'self'")
+            headers["X-Frame-Options"] = "SAMEORIGIN"
+        await send(message)
+
+    return framed
+
+
+def _advice() -> str:
+    return f"Behind a proxy, {VARIABLE} names where people open the UI (docs/security.md)."

@@ -1,0 +1,157 @@
+"""``oracle-ui``: the pipeline in the browser, behind the guard, with Dagster's daemon beside it.
+
+Does what ``dagster dev`` does, whose web server cannot be put behind anything: one code server for
+each code location, which web server and daemon share. The web server runs in this process.
+"""
+
+import contextlib
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import uvicorn
+import yaml
+from dagster import DagsterInstance
+from dagster._cli.proxy_server_manager import ProxyServerManager
+from dagster._cli.utils import get_instance_for_cli
+from dagster._core.workspace.context import WorkspaceProcessContext
+from dagster._core.workspace.load_target import WorkspaceFileTarget
+from dagster._utils.log import configure_loggers
+from dagster_webserver.app import create_app_from_workspace_process_context
+from dagster_webserver.version import __version__
+
+from resources.run_processes import fail_lost_runs
+from resources.ui.guard import VARIABLE, Guard, OriginError, parse_origins
+
+PORT = 3000  # Dagster's own default
+DAEMON_ENDS_S = 60
+CONNECTIONS_END_S = 5
+_PROJECT = Path(__file__).parent.parent.parent
+_log = logging.getLogger("dagster.ui")
+
+
+@click.command()
+@click.option(
+    "-w", "--workspace", type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="Which code locations to serve.  [default: workspace.yaml here, or that of the project]",
+)  # fmt: skip
+@click.option("-h", "--host", default="127.0.0.1", show_default=True, help="Address to listen at.")
+@click.option(
+    "-p", "--port", type=click.IntRange(1, 65535),
+    help=f"Port to listen at.  [default: {PORT}, or a free one if that is taken]",
+)  # fmt: skip
+@click.option(
+    "--webserver-only", is_flag=True,
+    help="Start no daemon and no code server: they run elsewhere, as in deploy/.",
+)  # fmt: skip
+def main(workspace: Path | None, host: str, port: int | None, webserver_only: bool) -> None:
+    """Open the pipeline in the browser; Control-C ends it.
+
+    Only this machine reaches it, and only its own pages can change anything. To let others in, put
+    a proxy with a login in front, and name its address in ORACLE_UI_ORIGINS: docs/security.md.
+
+    \b
+    Examples:
+        oracle-ui
+        oracle-ui -p 8080
+    """  # noqa: D301 -- click reads the control character
+    for number in (signal.SIGINT, signal.SIGTERM):  # a shell may have had us ignore them
+        signal.signal(number, signal.default_int_handler)
+    workspace = (workspace or _default_workspace()).absolute()
+    configure_loggers()
+    with contextlib.suppress(KeyboardInterrupt), contextlib.ExitStack() as stack:
+        stack.enter_context(contextlib.chdir(workspace.parent))  # `.env` and `data` are there
+        os.environ["ORACLE_DAGSTER_HOME"] = str(workspace.parent / ".dagster_home")
+        instance = stack.enter_context(get_instance_for_cli())
+        for run in fail_lost_runs(instance):
+            _log.warning("The process of run %s is gone; it is marked as failed.", run)
+        if not webserver_only:
+            workspace = stack.enter_context(_shared_code_servers(instance, workspace))
+        server = stack.enter_context(_web_server(instance, workspace))
+        if not webserver_only:
+            stack.enter_context(_daemon(workspace, server))
+        with _listener(host, port) as listener:
+            _log.info("The UI is at http://%s:%s", *listener.getsockname()[:2])
+            server.run([listener])
+            # Without a signal, which would have ended this block, it is the daemon that ended.
+            raise click.ClickException("Dagster's daemon has ended; the reason is above.")
+
+
+def _default_workspace() -> Path:
+    """Return the workspace of this folder, or of the project that this module belongs to."""
+    for place in (Path("workspace.yaml"), _PROJECT / "workspace.yaml"):
+        if place.is_file():
+            return place
+    raise click.UsageError("There is no workspace.yaml here; name one with -w.")
+
+
+@contextlib.contextmanager
+def _shared_code_servers(instance: DagsterInstance, workspace: Path) -> Iterator[Path]:
+    """Start a code server for each location; yield a workspace that names the servers."""
+    target = WorkspaceFileTarget(paths=[str(workspace)])
+    with (
+        ProxyServerManager(instance, target, "WARNING") as servers,
+        tempfile.TemporaryDirectory(prefix="oracle-ui-") as folder,
+    ):
+        shared = Path(folder, "workspace.yaml")
+        shared.write_text(yaml.safe_dump({"load_from": list(servers.get_code_server_specs())}))
+        yield shared
+
+
+@contextlib.contextmanager
+def _web_server(instance: DagsterInstance, workspace: Path) -> Iterator[uvicorn.Server]:
+    """Yield Dagster's web server, behind the guard."""
+    try:
+        origins = parse_origins(os.environ.get(VARIABLE, ""))
+    except OriginError as error:
+        raise click.UsageError(str(error)) from error
+    target = WorkspaceFileTarget(paths=[str(workspace)])
+    with WorkspaceProcessContext(instance, target, version=__version__) as context:
+        app = Guard(create_app_from_workspace_process_context(context), origins)
+        yield uvicorn.Server(
+            uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=CONNECTIONS_END_S)
+        )
+
+
+@contextlib.contextmanager
+def _daemon(workspace: Path, server: uvicorn.Server) -> Iterator[None]:
+    """Run Dagster's daemon; should it end by itself, the web server ends too."""
+    command = [sys.executable, "-m", "dagster._daemon", "run", "-w", str(workspace)]
+    # A session of its own: Control-C reaches this process alone, which ends the others in order.
+    daemon = subprocess.Popen(command, start_new_session=True)
+
+    def end_with_it() -> None:
+        daemon.wait()
+        server.should_exit = True
+
+    threading.Thread(target=end_with_it, daemon=True).start()
+    try:
+        yield
+    finally:
+        daemon.terminate()
+        try:
+            daemon.wait(DAEMON_ENDS_S)
+        except subprocess.TimeoutExpired:
+            daemon.kill()
+
+
+def _listener(host: str, port: int | None) -> socket.socket:
+    """Return a socket that listens: at the port, else at Dagster's own, else at a free one."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    for wanted in [port] if port else [PORT, 0]:
+        try:
+            return socket.create_server((host, wanted), family=family, backlog=2048)
+        except OSError as error:
+            refused = error
+            _log.warning("Port %s of %s cannot be had: %s", wanted, host, error.strerror)
+    raise click.ClickException(
+        f"Nothing can listen at {host}: {refused.strerror}. Name another with -h or -p."
+    )

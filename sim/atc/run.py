@@ -1,0 +1,154 @@
+"""One air traffic run: flights, sensors, fusion and display, from start to run directory.
+
+The system runs for a while until its tracks stand, then the recorder starts; the run ends after
+the recipe's duration.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+from oracle_pipeline.bags import manifest as schema
+from oracle_pipeline.bags.integrity import hashes_of_files
+from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, bytes_on_disk
+from oracle_pipeline.bags.writer import BagWriter
+from sim.atc.airspace import AirSpace
+from sim.atc.conflict_detection import ConflictDetection
+from sim.atc.display import ControllerDisplay
+from sim.atc.fusion import Fusion
+from sim.atc.recipes import SETTLING_S, AtcRecipe
+from sim.atc.sensors import (
+    PRIMARY,
+    SECONDARY,
+    AdsbReceiver,
+    AirspaceClock,
+    PrimaryRadar,
+    SecondaryRadar,
+    Transponder,
+)
+from sim.fuzzing.compilation import compile_document
+from sim.fuzzing.execution import execute
+from sim.fuzzing.node import ScenarioNode
+from sim.middleware.domain import Domain
+from sim.middleware.executor import MILLISECOND, SECOND, Executor
+from sim.recording import GraphRecorder, Recorder
+
+NODE = "/adsb_relay"  # the mode's node, whatever it does
+
+
+class AtcRun:
+    """The testbed, and the one run that is made in it.
+
+    Parameters
+    ----------
+    recipe
+        What to make.
+    folder
+        Existing and empty; gets ``bag`` and ``graphs``.
+
+    Attributes
+    ----------
+    domain : Domain
+        The system's graph.
+    """
+
+    def __init__(self, recipe: AtcRecipe, folder: Path) -> None:
+        self._recipe = recipe
+        self._program = compile_document(recipe.mode, recipe.scenario)
+        activation = self._program.activation
+        if activation.after == "goal_accepted":
+            raise self._program.scenario.error(
+                ("activation", "onset", "after"), "expected start: air traffic has no goals"
+            )
+        self._start_ns = round(SETTLING_S * SECOND)  # of the recording
+        self._onset_ns = self._start_ns + round(activation.seconds * SECOND)
+        self._node: ScenarioNode | None = None
+        self._folder = folder
+        self._air = AirSpace(recipe.flights, recipe.session.wind)
+        self._executor = Executor(on_advance=self._air.advance_to)
+        self.domain = Domain(self._executor)
+        self._latency_ns = round(recipe.session.latency_ms * MILLISECOND)
+        self._add_sensors()
+        if activation.before == "forward":
+            self._start_node()
+        else:
+            self._executor.call_at(self._onset_ns, self._start_node)
+        Fusion(self.domain, latency_ns=self._latency_ns)
+        ConflictDetection(self.domain, latency_ns=self._latency_ns)
+        ControllerDisplay(self.domain, latency_ns=self._latency_ns)
+
+    def _start_node(self) -> None:
+        """Put the mode's node into the graph."""
+        execution = execute(self._program, self._recipe.attack_seed(), self._recipe.parameters)
+        self._node = ScenarioNode(self.domain, NODE, execution, latency_ns=self._latency_ns)
+        self._node.begin(self._onset_ns)
+
+    def _add_sensors(self) -> None:
+        recipe, domain, air = self._recipe, self.domain, self._air
+        session = recipe.session
+        bias = {
+            "range_bias_m": session.range_bias_m,
+            "azimuth_bias_deg": session.azimuth_bias_deg,
+        }
+        who = [Transponder(f.icao24, f.callsign, f.squawk) for f in recipe.flights]
+        AirspaceClock(domain)
+        AdsbReceiver(domain, who, air.state, recipe.generator("/adsb_receiver"))
+        PrimaryRadar(
+            domain,
+            air.in_the_air,
+            replace(PRIMARY, **bias),
+            recipe.generator("/primary_radar"),
+        )
+        SecondaryRadar(
+            domain,
+            who,
+            air.in_the_air,
+            replace(SECONDARY, **bias),
+            recipe.generator("/secondary_radar"),
+        )
+
+    def go(self) -> None:
+        """Let the tracks settle, then record."""
+        executor = self._executor
+        executor.run_until(self._start_ns)
+        graphs = self._folder / GRAPHS_FOLDER
+        graphs.mkdir()
+        with BagWriter(self._folder / BAG_FOLDER, self._recipe.storage) as self._bag:
+            Recorder(self.domain, self._bag)
+            graph = GraphRecorder(self.domain, graphs)
+            executor.run_until(self._start_ns + round(self._recipe.duration_s * SECOND))
+            graph.finish()
+
+    def manifest(self, wall_s: float, software: schema.Software) -> Manifest:
+        """Return what the finished run was."""
+        recipe, scenario = self._recipe, self._program.scenario
+        onset_s = (self._onset_ns - self._start_ns) / SECOND
+        return Manifest(
+            mode=recipe.mode,
+            label=scenario.label,
+            run=recipe.run,
+            block=recipe.block,
+            session=recipe.session.index,
+            seed=recipe.seed,
+            start=schema.Pose(0.0, 0.0, 0.0),
+            goals=(),
+            goal_results=(),
+            outcome="succeeded",
+            onset_s=onset_s if onset_s <= recipe.duration_s else None,
+            attack=recipe.parameters,
+            scenario=scenario.id,
+            scenario_hash=scenario.digest,
+            task_effect=None,  # there is no task that could come out otherwise
+            changes=() if self._node is None else self._node.changes(self._start_ns),
+            recording_s=recipe.duration_s,
+            contacts=(),
+            topics=self._bag.topics,
+            content_hash=self._bag.content_hash,
+            recipe=recipe.to_dict(),
+            software=software,
+            measured=schema.Measured(
+                wall_s=wall_s,
+                bytes=bytes_on_disk(self._folder),
+                files=hashes_of_files(self._folder),
+            ),
+        )

@@ -1,0 +1,178 @@
+"""Grids of mutants: one scenario at several magnitudes, over several blocks, and their index.
+
+A mutant is a run directory. It is recorded, or made from the bag of a run of its block in which
+the scenario's node handed everything on: then it tells what the topics would have shown, not what
+the robot would have done.
+"""
+
+import dataclasses
+import json
+import shutil
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.integrity import hashes_of_files, require_undamaged
+from oracle_pipeline.bags.layout import GRID_INDEX
+from oracle_pipeline.bags.manifest import Manifest, Measured
+from oracle_pipeline.bags.run_directory import (
+    BAG_FOLDER,
+    GRAPHS_FOLDER,
+    MANIFEST_FILE,
+    RunDirectory,
+    bytes_on_disk,
+)
+from sim.campaigns import Campaign
+from sim.commands.parameter_values import Sweep
+from sim.experiments import recipe_for, recipe_of, record_run
+from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.offline import Summary, mutate_bag
+from sim.software import software
+from sim.testbed import Mode
+
+
+@dataclass(frozen=True, slots=True)
+class Mutant:
+    """One run of a kill matrix."""
+
+    run: int
+    block: int
+    parameter: str
+    value: float
+
+    @property
+    def given(self) -> Mapping[str, float]:
+        """The parameters that are not left to the block or the scenario."""
+        return {self.parameter: self.value}
+
+
+def mutants(sweeps: Sequence[Sweep], blocks: int) -> list[Mutant]:
+    """Return every value of every sweep in every block.
+
+    Runs are numbered block by block, so a grid of more blocks begins with that of fewer.
+    """
+    points = [(sweep.parameter, value) for sweep in sweeps for value in sweep.values]
+    return [
+        Mutant(block * len(points) + place, block, *point)
+        for block in range(blocks)
+        for place, point in enumerate(points)
+    ]
+
+
+def record_mutant(
+    mode: Mode, campaign: Campaign, root: Path, refresh: bool, mutant: Mutant
+) -> Manifest:
+    """Record a mutant in closed loop; raises as ``record_run`` does."""
+    recipe = recipe_for(mode, mutant.block, campaign, mutant.given)
+    return record_run(
+        dataclasses.replace(recipe, run=mutant.run),
+        RunDirectory(root, mode.id, mutant.run),
+        refresh=refresh,
+    )
+
+
+def derive_mutant(
+    mode: Mode, controls: Path, root: Path, refresh: bool, mutant: Mutant
+) -> Manifest:
+    """Make a mutant from the run of its block below ``controls``.
+
+    Raises
+    ------
+    RunDirectoryError
+        If the place holds another mutant.
+    OracleError
+        If the run is not there, does not have what the scenario hears, or cannot be mutated.
+    """
+    control = controls / f"run{mutant.block:03d}"
+    original = Manifest.load(control / MANIFEST_FILE)
+    require_undamaged(control, original)
+    recipe = recipe_for(mode, original.block, recipe_of(original).campaign(), mutant.given)
+    recipe = dataclasses.replace(recipe, run=mutant.run)
+    document = {**recipe.to_dict(), "mutant_of": original.content_hash}
+    directory = RunDirectory(root, mode.id, mutant.run)
+    if directory.is_complete() and not refresh:
+        found = directory.manifest()
+        if found.recipe != document:
+            raise RunDirectoryError(
+                f"{directory.path} is another mutant; refresh it, or choose another root."
+            )
+        return found
+    program = compile_scenario(mode.scenario, allow_actuation=True)
+    started = time.perf_counter()  # only for ``measured``
+    with directory.staged() as folder:
+        summary = mutate_bag(
+            control / BAG_FOLDER,
+            folder / BAG_FOLDER,
+            program,
+            recipe.attack_seed(),
+            parameters=recipe.parameters,
+        )
+        shutil.copytree(control / GRAPHS_FOLDER, folder / GRAPHS_FOLDER)
+        manifest = dataclasses.replace(
+            _mutated(original, mode, summary),
+            run=mutant.run,
+            attack={"frame": "odom", **recipe.parameters}
+            if mode.scenario.has_object
+            else dict(recipe.parameters),
+            recipe=document,
+            measured=Measured(
+                time.perf_counter() - started, bytes_on_disk(folder), files=hashes_of_files(folder)
+            ),
+        )
+        manifest.save(folder / MANIFEST_FILE)
+    return manifest
+
+
+def write_index(root: Path, mode: Mode, mutants: Sequence[Mutant]) -> Path:
+    """Write which mutant is what, as far as they are there.
+
+    Returns
+    -------
+    Path
+        ``grid.json``: a list of records with ``run_id``, ``scenario``, ``parameter``, ``value``,
+        ``block``, ``path`` (from the index), ``changed_messages`` and ``equivalent`` (nothing was
+        changed).
+    """
+    rows = []
+    for mutant in mutants:
+        directory = RunDirectory(root, mode.id, mutant.run)
+        if directory.is_complete():
+            changed = sum(change.messages for change in directory.manifest().changes)
+            rows.append(_row(directory, mutant, changed))
+    root.mkdir(parents=True, exist_ok=True)
+    path = root / GRID_INDEX
+    path.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
+    return path
+
+
+def _row(directory: RunDirectory, mutant: Mutant, changed: int) -> dict[str, Any]:
+    return {
+        "run_id": directory.key,
+        "scenario": directory.mode,
+        "parameter": mutant.parameter,
+        "value": mutant.value,
+        "block": mutant.block,
+        "path": str(directory.path.relative_to(directory.root)),
+        "changed_messages": changed,
+        "equivalent": changed == 0,
+    }
+
+
+def _mutated(original: Manifest, mode: Mode, summary: Summary) -> Manifest:
+    """Return what the manifest of a mutant says otherwise than that of the run it is made of."""
+    return dataclasses.replace(
+        original,
+        mode=mode.id,
+        label=mode.label,
+        scenario=mode.id,
+        scenario_hash=mode.scenario.digest,
+        onset_s=summary.onset_s,
+        task_effect=None,
+        changes=summary.changes,
+        topics=summary.topics,
+        content_hash=summary.content_hash,
+        software=software(),
+    )

@@ -1,0 +1,147 @@
+"""Values of a scenario's parameters: as typed, drawn at random, or along a sweep."""
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from oracle_pipeline.bags.errors import OracleError
+from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.program import Parameter, Program
+from sim.fuzzing.value_types import Boolean, Number
+from sim.testbed import Mode
+
+MAX_VALUES = 1000  # of a sweep
+
+_NUMBER = r"[-+]?[0-9.]+(?:e[-+]?[0-9]+)?"
+_SWEEP = re.compile(rf"(\w+)=({_NUMBER}):({_NUMBER}):([0-9]+)(:log)?", re.IGNORECASE)
+_WORDS = {"true": True, "false": False}
+
+
+class ParameterError(OracleError):
+    """Values of parameters are described in a way that cannot be understood."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """The values that one parameter takes, while the others keep theirs."""
+
+    parameter: str
+    values: tuple[float, ...]
+
+
+def typed(program: Program, words: Iterable[str]) -> dict[str, Any]:
+    """Return values that were typed as ``name=value``; whether they fit, ``Program.start`` sees.
+
+    Raises
+    ------
+    ParameterError
+        If there is no ``=``.
+    """
+    values: dict[str, Any] = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not equals:
+            raise ParameterError(f"expected name=value, found {word!r}.")
+        parameter = program.parameters.get(name)
+        values[name] = text if parameter is None else _typed(parameter, text)
+    return values
+
+
+def _typed(parameter: Parameter, text: str) -> Any:
+    """Return a text as what the parameter's type makes of it, or else as it is."""
+    match parameter.type:
+        case Boolean():
+            return _WORDS.get(text, text)
+        case Number() as kind:
+            try:
+                return int(text) if kind.is_integer else float(text)
+            except ValueError:
+                return text
+    return text
+
+
+def draw(mode: Mode, rng: np.random.Generator) -> dict[str, Any]:
+    """Draw a value for every number that has bounds, uniformly; whole ones with both ends.
+
+    What the block draws, and what has no bounds, keeps its value.
+
+    Raises
+    ------
+    ParameterError
+        If there is nothing to draw.
+    """
+    program = compile_scenario(mode.scenario, allow_actuation=True)
+    drawn: dict[str, Any] = {}
+    for name, parameter in program.parameters.items():
+        low, high = parameter.low, parameter.high
+        if name in mode.scenario.drawn or low is None or high is None:
+            continue
+        match parameter.type:
+            case Number(is_integer=True):
+                ends = math.ceil(low), math.floor(high)
+                drawn[name] = int(rng.integers(*ends, endpoint=True))
+            case Number():
+                drawn[name] = float(rng.uniform(low, high))
+    if not drawn:
+        raise ParameterError(
+            f"{mode.scenario.file}: {mode.id} has no parameter to draw: give numbers a min and a "
+            "max, and leave drawn out."
+        )
+    return drawn
+
+
+def sweep(mode: Mode, text: str) -> Sweep:
+    """Return the sweep that ``name=low:high:count`` or ``name=low:high:count:log`` describes.
+
+    Values have six significant digits, so that they read well in an index.
+
+    Raises
+    ------
+    ParameterError
+        If the text is something else, or a value is none that the parameter may have.
+    """
+    match = _SWEEP.fullmatch(text)
+    if match is None:
+        raise ParameterError(
+            f"expected name=low:high:count, with :log behind it for equal ratios, found {text!r}."
+        )
+    name, low, high, count = match[1], float(match[2]), float(match[3]), int(match[4])
+    program = compile_scenario(mode.scenario, allow_actuation=True)
+    parameter = program.parameters.get(name)
+    if parameter is None:
+        known = ", ".join(program.parameters) or "none"
+        raise ParameterError(f"{mode.id} has no parameter {name}; it has {known}.")
+    if not isinstance(parameter.type, Number):
+        raise ParameterError(f"{name} is a {parameter.type}; only numbers have sweeps.")
+    if not 1 <= count <= MAX_VALUES:
+        raise ParameterError(f"{name}: expected 1 to {MAX_VALUES} values, found {count}.")
+    if match[5] and not (low > 0.0 and high > 0.0):
+        raise ParameterError(f"{name}: equal ratios need ends above 0, found {low:g} to {high:g}.")
+    space = np.geomspace if match[5] else np.linspace
+    rounded = [float(f"{value:.6g}") for value in space(low, high, count)]
+    values = [round(value) if parameter.type.is_integer else value for value in rounded]
+    try:
+        return Sweep(name, tuple(dict.fromkeys(map(parameter.checked, values))))
+    except ValueError as error:
+        raise ParameterError(f"{name}: {error}.") from error
+
+
+def ranges(document: Mapping[str, Any]) -> dict[str, str]:
+    """Return what each parameter of a scenario may be, in words: ``0.1 (0 to 1 m)``."""
+    return {name: _range(spec) for name, spec in document.get("parameters", {}).items()}
+
+
+def _range(spec: Mapping[str, Any]) -> str:
+    low, high, unit = spec.get("min"), spec.get("max"), spec.get("unit", "")
+    bounds = {
+        (True, True): f"{low} to {high}",
+        (True, False): f"from {low}",
+        (False, True): f"to {high}",
+    }.get((low is not None, high is not None), "")
+    within = " ".join(filter(None, [bounds, unit]))
+    drawn = ", the block's unless given" if "drawn" in spec else ""
+    return f"{spec['default']}{f' ({within})' if within else ''}{drawn}"

@@ -1,0 +1,88 @@
+"""``oracle-sim record``: runs of one mode."""
+
+import functools
+from pathlib import Path
+from typing import Any
+
+import click
+
+from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.run_directory import RunDirectory
+from sim.campaigns import Campaign
+from sim.commands.batch import (
+    allow_actuation_option,
+    campaign,
+    campaign_options,
+    home,
+    make_runs,
+    refresh_option,
+    workers_option,
+)
+from sim.experiments import recipe_for, record_run
+from sim.fuzzing.scenario import ScenarioError
+from sim.modes import broken_scenarios, find_mode, modes
+from sim.testbed import Mode
+
+
+@click.command()
+@click.option("-m", "--mode", type=click.Choice(list(modes())), help="Which experiment.")
+@click.option(
+    "--scenario", metavar="FILE",
+    help="An experiment of your own: a scenario file (FILE#NAME if it holds several), or a "
+    "built-in scenario that is no mode, by its name.",
+)  # fmt: skip
+@allow_actuation_option
+@click.option(
+    "-n", "--number", default=1, show_default=True, type=click.IntRange(min=1),
+    help="How many runs: run000, run001, ...",
+)  # fmt: skip
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False),
+    default=home,
+    help="Root of the run directories.  [default: $ORACLE_HOME or ./data]",
+)  # fmt: skip
+@campaign_options
+@workers_option
+@refresh_option
+def record(
+    mode: str | None,
+    scenario: str | None,
+    allow_actuation: bool,
+    number: int,
+    out: Path,
+    workers: int,
+    refresh: bool,
+    **options: Any,
+) -> None:
+    """Record N runs of one mode, or of a scenario that is none.
+
+    Run i of every mode has the same start, goals and nuisance (block i), so runs compare across
+    modes. What is recorded already is left as it is; an interrupted call is completed by the
+    next one.
+
+    \b
+    Example:
+        oracle-sim record -m fake_object -n 3 --out data
+        oracle-sim record --scenario sensor_freeze
+        oracle features 'data/runs/fake_object/run000'
+    """  # noqa: D301 -- click reads the control character
+    for broken in broken_scenarios():
+        click.echo(f"Left out: {broken}", err=True)
+    experiment = _experiment(mode, scenario, allow_actuation=allow_actuation)
+    job = functools.partial(_record, experiment, campaign(options), out, refresh)
+    make_runs(job, range(number), functools.partial(RunDirectory, out, experiment.id), workers)
+
+
+def _experiment(mode: str | None, scenario: str | None, *, allow_actuation: bool) -> Mode:
+    if (mode is None) == (scenario is None):
+        raise click.UsageError("Say what to record: either --mode or --scenario.")
+    try:
+        return find_mode(mode or scenario or "", allow_actuation=allow_actuation)
+    except ScenarioError as error:
+        raise click.BadParameter(str(error), param_hint="--scenario") from error
+
+
+def _record(mode: Mode, settings: Campaign, out: Path, refresh: bool, run: int) -> Manifest:
+    return record_run(
+        recipe_for(mode, run, settings), RunDirectory(out, mode.id, run), refresh=refresh
+    )

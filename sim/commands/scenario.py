@@ -1,0 +1,136 @@
+"""``oracle-sim scenario``: scenario files checked, listed and shown."""
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import yaml
+
+from sim.commands.batch import (
+    allow_actuation_option,
+    errors_told,
+)
+from sim.commands.parameter_values import ranges
+from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.scenario import Scenario, ScenarioError, load_scenarios
+from sim.modes import broken_scenarios, find_mode, modes
+from sim.scenarios import builtin_scenarios
+
+
+@click.group("scenario")
+def scenario() -> None:
+    """Check, list and show scenarios: what is done to the messages of a topic.
+
+    \b
+    Example:
+        oracle-sim scenario list
+        oracle-sim scenario show random_noise > my_attack.yaml
+        oracle-sim scenario check my_attack.yaml
+    """  # noqa: D301 -- click reads the control character
+
+
+@scenario.command()
+@click.argument(
+    "files", nargs=-1, required=True, metavar="FILE...", type=click.Path(path_type=Path)
+)
+@allow_actuation_option
+def check(files: tuple[Path, ...], allow_actuation: bool) -> None:
+    """Check scenario files: syntax, names, types, and how much they compute.
+
+    Tells file, line, key and what was expected there, and exits with 1 if anything is wrong.
+
+    \b
+    Example:
+        oracle-sim scenario check my_scenarios/*.yaml
+    """  # noqa: D301 -- click reads the control character
+    failed = False
+    for file in files:
+        for found in _checked(file, allow_actuation=allow_actuation):
+            failed |= isinstance(found, ScenarioError)
+            click.echo(found, err=isinstance(found, ScenarioError))
+    if failed:
+        sys.exit(1)
+
+
+def _checked(file: Path, *, allow_actuation: bool) -> Iterator[str | ScenarioError]:
+    """Yield a line about each scenario of a file, or what is wrong with it."""
+    try:
+        found = load_scenarios(file)
+    except ScenarioError as error:
+        yield error
+        return
+    for each in found:
+        try:
+            program = compile_scenario(each, allow_actuation=allow_actuation)
+        except ScenarioError as error:
+            yield error
+        else:
+            yield f"{file}: {each.id} is right; it computes {program.cost} numbers a message"
+
+
+@scenario.command("list")
+@click.option(
+    "--format", "form", default="table", show_default=True, type=click.Choice(["table", "json"]),
+    help="For people or for programs.",
+)  # fmt: skip
+def list_(form: str) -> None:
+    """List the built-in scenarios, and those of the folder ORACLE_SCENARIOS.
+
+    \b
+    Example:
+        oracle-sim scenario list --format json
+    """  # noqa: D301 -- click reads the control character
+    for broken in broken_scenarios():
+        click.echo(f"Left out: {broken}", err=True)
+    rows = [_described(scenario) for scenario in _known().values()]
+    if form == "json":
+        click.echo(json.dumps(rows, indent=2))
+        return
+    for row in rows:
+        click.echo(f"{row['id']:<28}{row['label']:<10} {row['title']}")
+        click.echo(f"    {row['input']} -> {row['output']}  {row['type']}")
+        for name, what in row["parameters"].items():
+            click.echo(f"    {name} = {what}")
+
+
+def _known() -> dict[str, Scenario]:
+    """Return all scenarios that have a name; shadows go by that of their attack."""
+    own = {mode.id: mode.scenario for mode in modes().values()}
+    shadows = {scenario.as_shadow().id for scenario in builtin_scenarios().values()}
+    return {
+        **builtin_scenarios(),
+        **{name: scenario for name, scenario in own.items() if name not in shadows},
+    }
+
+
+def _described(scenario: Scenario) -> dict[str, Any]:
+    main = scenario.document["main"]
+    return {
+        "id": scenario.id,
+        "title": scenario.title,
+        "label": scenario.label,
+        "type": main["type"],
+        "input": main["input"],
+        "output": main["output"],
+        "parameters": ranges(scenario.document),
+        "is_mode": scenario.id in modes(),
+    }
+
+
+@scenario.command()
+@click.argument("name", metavar="SCENARIO")
+def show(name: str) -> None:
+    """Print a scenario, as a file to begin one's own with.
+
+    \b
+    Example:
+        oracle-sim scenario show random_noise > my_scenario.yaml
+    """  # noqa: D301 -- click reads the control character
+    with errors_told():
+        found = find_mode(name, allow_actuation=True).scenario
+    click.echo(
+        yaml.safe_dump(found.document, sort_keys=False, width=100, allow_unicode=True), nl=False
+    )

@@ -1,0 +1,293 @@
+"""Scenarios compiled: what a file says, checked against the types of the messages."""
+
+import dataclasses
+import itertools
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
+from sim.fuzzing.compile_context import CompileContext
+from sim.fuzzing.fields import as_sent
+from sim.fuzzing.grammar import ExpressionError
+from sim.fuzzing.operators import ON_TIMER, compile_operators
+from sim.fuzzing.output_operators import Playback
+from sim.fuzzing.program import Action, Activation, Parameter, Program, Source
+from sim.fuzzing.scenario import Key, Scenario
+from sim.fuzzing.scopes import Function, Scope
+from sim.fuzzing.step import ACTIVATION
+from sim.fuzzing.value_types import (
+    BOOLEAN,
+    FLOAT,
+    INTEGER,
+    MAX_TEXT,
+    Array,
+    Boolean,
+    Message,
+    Number,
+    Record,
+    Table,
+    Text,
+    Type,
+    message_type,
+)
+from sim.middleware.executor import SECOND
+
+MAX_COST = 2**24  # elements that a scenario may compute for one message
+LONGEST = 4096  # elements of an array, where the scenario sets no limit
+OUTPUTS = 64  # messages published for one that came, where the scenario sets no limit
+
+_ACTUATORS = re.compile(
+    r"/([^/]+/)*(cmd_vel[^/]*|joint_trajectory|mavros/setpoint_[^/]+/.+|fmu/in/.+)"
+)
+_SCALARS: Mapping[str, Type] = {"float": FLOAT, "int": INTEGER, "bool": BOOLEAN}
+
+
+def compile_scenario(scenario: Scenario, *, allow_actuation: bool = False) -> Program:
+    """Check a scenario against the types of its messages, and compile it.
+
+    Parameters
+    ----------
+    scenario
+        What ``load_scenarios`` returned.
+    allow_actuation
+        Whether it may publish commands to motors.
+
+    Raises
+    ------
+    ScenarioError
+        Naming file, line, key and what was expected there.
+    """
+    document = scenario.document
+    main = document["main"]
+    _check_topics(scenario, allow_actuation=allow_actuation)
+    kind = _message_type(scenario, main["type"], ("main", "type"))
+    limits = document.get("limits", {})
+    parameters = _parameters(scenario)
+    constants = _constants(scenario)
+    state_types, state, lifetimes_ns = _state(scenario)
+    given: dict[str, Type] = {
+        "p": Record("p", {name: parameter.type for name, parameter in parameters.items()}),
+        "c": Record("c", {name: type_ for name, (type_, _) in constants.items()}),
+    }
+    context = CompileContext(
+        scenario,
+        _scope(scenario, given),
+        kind,
+        kind,
+        Record("state", state_types),
+        limits.get("array", LONGEST),
+        itertools.count(ACTIVATION + 1),
+    )
+    sources = _sources(scenario, context)
+    kept: dict[str, Type] = {
+        **given,
+        "state": context.state,
+        "src": Record("src", {name: source.value for name, source in sources.items()}),
+        "t": FLOAT,
+        "now": FLOAT,
+    }
+    on_timer = _rescoped(context, kept)
+    on_message = _rescoped(context, {"msg": kind, **kept})
+    transform = document.get("transform", {})
+    always = None
+    if transform.get("always"):
+        do = compile_operators(transform["always"], ("transform", "always"), on_message)
+        always = Action("always", None, (), do)
+    actions = tuple(
+        _action(action, ("transform", "actions", place), on_message)
+        for place, action in enumerate(transform.get("actions", []))
+    )
+    timer, period = None, None
+    if "timer" in transform:
+        key = ("transform", "timer")
+        spec = transform["timer"]
+        period = context.term(spec["period_s"], (*key, "period_s"), Number)
+        do = compile_operators(spec["do"], (*key, "do"), on_timer, ON_TIMER)
+        timer = Action(spec.get("name", "timer"), None, (), do)
+    magnitude = None
+    if "ground_truth" in document:
+        text = document["ground_truth"]["magnitude"]
+        scope = on_timer if timer else on_message
+        magnitude = scope.term(text, ("ground_truth", "magnitude"), Number)
+    parts = [part for part in (always, *actions, timer) if part is not None]
+    cost = sum(part.cost for part in parts)
+    if cost > MAX_COST:
+        raise scenario.error(
+            ("transform",),
+            f"expected at most {MAX_COST} elements computed for a message, found up to {cost} "
+            f"with arrays of {context.longest}; set a smaller limits.array, or do less",
+        )
+    operators = [operator for part in parts for operator in part.do]
+    return Program(
+        scenario=scenario,
+        type=kind,
+        as_sent=as_sent(kind),
+        input_topic=main["input"],
+        output_topic=main["output"],
+        sources=sources,
+        parameters=parameters,
+        activation=_activation(document.get("activation", {})),
+        cost=cost,
+        constants={name: value for name, (_, value) in constants.items()},
+        state=state,
+        lifetimes_ns=lifetimes_ns,
+        always=always,
+        actions=actions,
+        first_match_only=transform.get("match", "first") == "first",
+        period=period,
+        timer=timer,
+        magnitude=magnitude,
+        outputs=limits.get("outputs", OUTPUTS),
+        memory=max((o.messages for o in operators if isinstance(o, Playback)), default=0),
+    )
+
+
+def _check_topics(scenario: Scenario, *, allow_actuation: bool) -> None:
+    main = scenario.document["main"]
+    output, key = main["output"], ("main", "output")
+    heard = [main["input"], *(s["topic"] for s in scenario.document.get("sources", {}).values())]
+    if output in heard:
+        raise scenario.error(
+            key, f"expected a topic that the scenario does not hear, found {output}"
+        )
+    if GROUND_TRUTH_TOPIC in (output, *heard):
+        raise scenario.error(("main",), f"expected no use of {GROUND_TRUTH_TOPIC}")
+    if _ACTUATORS.fullmatch(output) and not allow_actuation:
+        raise scenario.error(
+            key, f"expected a topic that moves nothing, found {output}; allow actuation if you must"
+        )
+
+
+def _message_type(scenario: Scenario, name: str, key: Key) -> Message:
+    try:
+        return message_type(name)
+    except BagError as error:
+        raise scenario.error(key, str(error).removesuffix(".")) from error
+
+
+def _scope(scenario: Scenario, names: Mapping[str, Type]) -> Scope:
+    functions = {}
+    key: Key = ("functions",)
+    try:
+        for name, function in scenario.document.get("functions", {}).items():
+            key = ("functions", name)
+            functions[name] = Function(tuple(function["params"]), str(function["expr"]))
+        key = ("functions",)
+        return Scope(names, functions)
+    except ExpressionError as error:
+        raise scenario.error(key, str(error).removesuffix(".")) from error
+
+
+def _rescoped(context: CompileContext, names: Mapping[str, Type]) -> CompileContext:
+    return dataclasses.replace(context, scope=dataclasses.replace(context.scope, names=names))
+
+
+def _action(spec: Mapping[str, Any], key: Key, context: CompileContext) -> Action:
+    when = None
+    if "when" in spec:
+        when = context.term(spec["when"], (*key, "when"), Boolean)
+    inner, let = context.let(spec, key)
+    return Action(spec["name"], when, let, compile_operators(spec["do"], (*key, "do"), inner))
+
+
+def _activation(spec: Mapping[str, Any]) -> Activation:
+    rest = {key: value for key, value in spec.items() if key != "onset"}
+    return Activation(**spec.get("onset", {}), **rest)
+
+
+def _scalar(spec: Mapping[str, Any]) -> Type:
+    return _SCALARS.get(spec["type"]) or Text(spec.get("max_len", MAX_TEXT))
+
+
+def _parameters(scenario: Scenario) -> dict[str, Parameter]:
+    parameters = {}
+    for name, spec in scenario.document.get("parameters", {}).items():
+        key = ("parameters", name)
+        parameter = Parameter(
+            name, _scalar(spec), spec["default"], spec.get("min"), spec.get("max")
+        )
+        try:
+            default = parameter.checked(spec["default"])
+        except ValueError as error:
+            raise scenario.error((*key, "default"), str(error)) from error
+        parameters[name] = dataclasses.replace(parameter, default=default)
+    return parameters
+
+
+def _constants(scenario: Scenario) -> dict[str, tuple[Type, Any]]:
+    constants: dict[str, tuple[Type, Any]] = {}
+    for name, value in scenario.document.get("constants", {}).items():
+        match value:
+            case bool():
+                constants[name] = BOOLEAN, value
+            case int():
+                constants[name] = INTEGER, value
+            case float():
+                constants[name] = FLOAT, value
+            case str():
+                constants[name] = Text(len(value)), value
+            case [*_] if all(isinstance(pair, list) for pair in value):
+                corners = Array(Array(FLOAT, 2, fixed=True), len(value), fixed=True)
+                constants[name] = corners, np.array(value, np.float64)
+            case _ if any(isinstance(number, list) for number in value):
+                raise scenario.error(("constants", name), "expected all numbers or all pairs")
+            case _:
+                numbers = Array(FLOAT, len(value), fixed=True)
+                constants[name] = numbers, np.array(value, np.float64)
+    return constants
+
+
+def _state(scenario: Scenario) -> tuple[dict[str, Type], dict[str, Any], dict[str, int]]:
+    """Return the types of what is kept, what it begins with, and how long rows of tables live."""
+    types: dict[str, Type] = {}
+    values: dict[str, Any] = {}
+    lifetimes_ns = {}
+    for name, spec in scenario.document.get("state", {}).items():
+        if spec["type"] == "map":
+            columns = {column: _scalar({"type": kind}) for column, kind in spec["value"].items()}
+            types[name], values[name] = Table(Record(name, columns), spec["max_size"]), {}
+            if "ttl_s" in spec:
+                lifetimes_ns[name] = round(spec["ttl_s"] * SECOND)
+            continue
+        types[name] = _scalar(spec)
+        try:
+            values[name] = Parameter(name, types[name], None, None, None).checked(spec["default"])
+        except ValueError as error:
+            raise scenario.error(("state", name, "default"), str(error)) from error
+    return types, values, lifetimes_ns
+
+
+def _sources(scenario: Scenario, context: CompileContext) -> dict[str, Source]:
+    sources = {}
+    for name, spec in scenario.document.get("sources", {}).items():
+        key = ("sources", name)
+        kind = _message_type(scenario, spec["type"], (*key, "type"))
+        names = {"msg": kind, **context.scope.names, "now": FLOAT}
+        _, let = _rescoped(context, names).let(spec, key)
+        age = spec.get("max_age")
+        sources[name] = Source(
+            spec["topic"],
+            kind,
+            as_sent(kind),
+            let,
+            Record(name, {key: term.type for key, term in let}) if let else kind,
+            None if age is None else round(age * SECOND),
+            spec.get("on_missing", "forward"),
+        )
+    return sources
+
+
+def compile_document(mode: str, document: Mapping[str, Any]) -> Program:
+    """Compile the scenario in a recipe; whether it may move something was asked before.
+
+    Raises
+    ------
+    ScenarioError
+        If this release's language is no longer that of the recipe.
+    """
+    scenario = Scenario(f"recipe of {mode}", document, {(): 1})
+    return compile_scenario(scenario, allow_actuation=True)

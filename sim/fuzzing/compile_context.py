@@ -1,0 +1,208 @@
+"""What operators are compiled against: scope, message types, and the fields that they change.
+
+Everything is checked here against the types of the messages, and errors name the place in the file.
+"""
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from sim.fuzzing.expressions import compile_expression
+from sim.fuzzing.fields import Convert, Field, RefusedMessage, converter, difference
+from sim.fuzzing.grammar import ExpressionError
+from sim.fuzzing.scenario import Key, Scenario, ScenarioError
+from sim.fuzzing.scopes import Scope
+from sim.fuzzing.step import Step, Term
+from sim.fuzzing.value_types import INTEGER, Array, Boolean, Message, Number, Record, Text, Type
+
+Spec = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class CompileContext:
+    """What operators are compiled against.
+
+    Parameters
+    ----------
+    scenario
+        For the places of errors.
+    scope
+        What expressions may name.
+    root
+        What paths of fields begin at.
+    output
+        The type that is emitted.
+    state
+        What is kept from message to message.
+    longest
+        Elements that an array may have.
+    numbers
+        Of the operations, in the order of the document.
+    """
+
+    scenario: Scenario
+    scope: Scope
+    root: Message
+    output: Message
+    state: Record
+    longest: int
+    numbers: Iterator[int]
+
+    def term(
+        self, text: str | float, key: Key, expected: type | None = None, *, elements: int = 1
+    ) -> Term:
+        """Compile an expression; numbers and booleans stand for themselves."""
+        try:
+            expression = compile_expression(
+                text if isinstance(text, str) else repr(text), self.scope, elements=elements
+            )
+        except ExpressionError as error:
+            raise self.error(key, error) from error
+        if expected is not None and not isinstance(expression.type, expected):
+            what = expected.__name__.lower()
+            raise self.scenario.error(key, f"expected a {what}, found a {expression.type}")
+        return Term(expression, next(self.numbers))
+
+    def error(self, key: Key, error: ExpressionError) -> ScenarioError:
+        """Return what is wrong with an expression, with its place in the file."""
+        return self.scenario.error(key, str(error).removesuffix("."))
+
+    def let(
+        self, spec: Spec, key: Key, *, elements: int = 1
+    ) -> tuple["CompileContext", tuple[tuple[str, Term], ...]]:
+        """Compile ``let``: each of its names is known to those below it and to the rest."""
+        context, terms = self, []
+        for name, text in spec.get("let", {}).items():
+            place = (*key, "let", name)
+            term = context.term(text, place, elements=elements)
+            is_vector = term.expression.vector
+            context = context.with_local(place, name, term.type, is_vector=is_vector)
+            terms.append((name, term))
+        return context, tuple(terms)
+
+    def loop(self, spec: Spec, key: Key, element: Type) -> tuple["CompileContext", tuple[str, ...]]:
+        """Compile ``as``: names of an element and of its index."""
+        names = tuple(spec["as"])
+        context = self
+        for name, kind in zip(names, (element, INTEGER), strict=False):
+            is_vector = isinstance(element, Number | Boolean)
+            context = context.with_local((*key, "as"), name, kind, is_vector=is_vector)
+        return context, names
+
+    def with_local(self, key: Key, name: str, kind: Type, *, is_vector: bool) -> "CompileContext":
+        """Return a context whose expressions may name something more."""
+        if name in self.scope.locals:
+            raise self.scenario.error(key, f"expected a new name, {name} is taken")
+        vectors = (*self.scope.vectors, name) if is_vector else self.scope.vectors
+        try:
+            scope = dataclasses.replace(
+                self.scope, locals={**self.scope.locals, name: kind}, vectors=vectors
+            )
+        except ExpressionError as error:
+            raise self.error(key, error) from error
+        return dataclasses.replace(self, scope=scope)
+
+    def field(self, spec: Spec, key: Key) -> Field:
+        """Return the field that a specification names."""
+        return self.field_at(spec["field"], (*key, "field"), self.root)
+
+    def field_at(self, path: str, key: Key, root: Message) -> Field:
+        """Return the field at a path."""
+        try:
+            return Field.of(root, path)
+        except LookupError as error:
+            raise self.scenario.error(key, str(error.args[0])) from error
+
+    def check_fits(self, value: Term, field: Field, key: Key) -> None:
+        """Refuse a value that cannot be stored in a field."""
+        if not fits(value.type, field.type):
+            raise self.scenario.error(
+                key, f"expected a {field.type} for {field.path}, found a {value.type}"
+            )
+
+    def width(self, kind: Type) -> int:
+        """Return how many elements a value may have."""
+        return min(kind.bound or self.longest, self.longest) if isinstance(kind, Array) else 1
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """The field that an operator changes."""
+
+    field: Field
+    longest: int
+    convert: Convert
+    keep: bool  # leave what is not finite as it is
+
+    @classmethod
+    def of(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
+        """Return the target of a specification."""
+        field = context.field(spec, key)
+        convert = converter(field.type, spec.get("on_overflow", "wrap"))
+        return cls(field, context.longest, convert, spec.get("nonfinite", "keep") == "keep")
+
+    @classmethod
+    def of_numbers(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
+        """Return the target of a specification that only numbers can meet."""
+        target = cls.of(spec, key, context)
+        if not isinstance(target.element, Number):
+            raise context.scenario.error(
+                (*key, "field"),
+                f"expected a number or an array of numbers, {target.field.path} is a "
+                f"{target.field.type}",
+            )
+        return target
+
+    @property
+    def element(self) -> Type:
+        """The type of the field, or that of its elements."""
+        kind = self.field.type
+        return kind.element if isinstance(kind, Array) else kind
+
+    def old(self, step: Step) -> Any:
+        """Return what stood there when the action began."""
+        value = self.field.read(step.original)
+        if isinstance(self.field.type, Array) and len(value) > self.longest:
+            raise RefusedMessage(
+                f"{self.field.path} has {len(value)} elements, limits.array is {self.longest}"
+            )
+        return value
+
+    def numbers(self, step: Step) -> tuple[Any, Any]:
+        """Return what stood there, as it was and, if numbers, such as can be reckoned with."""
+        old = self.old(step)
+        if isinstance(old, np.ndarray) and old.dtype.kind != "b":
+            return old, old.astype(np.int64 if old.dtype.kind in "iu" else np.float64)
+        return old, old
+
+    def change(self, step: Step, old: Any, new: Any) -> None:
+        """Put something else there: a value, or a whole array for an array."""
+        new = self.convert(new, old)
+        step.message = self.field.replaced(step.message, new)
+        step.note(*difference(self.field.path, old, new))
+
+    def change_numbers(self, step: Step, old: Any, new: Any) -> None:
+        """Put other numbers there, where the old ones are to be changed."""
+        if self.keep and isinstance(old, np.ndarray):
+            new = np.where(np.isfinite(old), new, old)
+        elif self.keep and not math.isfinite(old):
+            new = old
+        self.change(step, old, new)
+
+
+def fits(value: Type, target: Type) -> bool:
+    """Tell whether a value of one type can be stored as another."""
+    match value, target:
+        case (Number(), Number()) | (Boolean(), Boolean()) | (Text(), Text()):
+            return True
+        case Array(), Array():
+            roomy = target.bound is None or (value.bound or math.inf) <= target.bound
+            exact = value.fixed and value.bound == target.bound
+            return fits(value.element, target.element) and (exact if target.fixed else roomy)
+        case Number() | Boolean(), Array():
+            return fits(value, target.element)
+    return isinstance(value, Message) and value == target

@@ -1,0 +1,315 @@
+"""A scenario at work: what becomes of each message.
+
+A ``Program`` is fixed; an ``Execution`` remembers. The same execution makes the same outputs in the
+simulator and over a recorded bag: a message's draws go by the stamp in its header (by its number
+where it has none), never by what came before, and times are those at which messages were
+published, which is what a recorder notes.
+"""
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sim.fuzzing.fields import RefusedMessage
+from sim.fuzzing.ground_truth import GroundTruth
+from sim.fuzzing.program import Program
+from sim.fuzzing.random import Draws
+from sim.fuzzing.state_operators import STORED_NS
+from sim.fuzzing.step import ACTIVATION, Step
+from sim.middleware.executor import SECOND
+from sim.middleware.stamps import header as make_header
+from sim.middleware.stamps import stamp_ns as nanoseconds
+
+PASSTHROUGH = "passthrough"  # the operation of what is handed on unchanged
+
+_PERIODS_S = (0.001, 3600.0)  # of a timer
+
+_QUIETLY = np.errstate(all="ignore")  # NaN and infinities are values like others
+
+
+class Output(NamedTuple):
+    """A message to publish."""
+
+    due_ns: int
+    message: Any
+
+
+class Result(NamedTuple):
+    """What becomes of a message."""
+
+    outputs: list[Output]
+    truth: GroundTruth | None  # None: a timer had nothing to do
+
+
+def execute(
+    program: Program, run_seed: int, parameters: Mapping[str, Any] | None = None
+) -> "Execution":
+    """Begin to execute a program.
+
+    Parameters
+    ----------
+    program
+        What is executed.
+    run_seed
+        With the scenario's own seed, the key of all draws.
+    parameters
+        Values that are to be others than the defaults.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such parameter, or it cannot have that value.
+    """
+    values = {name: parameter.default for name, parameter in program.parameters.items()}
+    for name, value in (parameters or {}).items():
+        if name not in values:
+            known = ", ".join(values) or "none"
+            raise program.scenario.error(("parameters",), f"expected one of {known}, found {name}")
+        try:
+            values[name] = program.parameters[name].checked(value)
+        except ValueError as error:
+            raise program.scenario.error(("parameters", name), str(error)) from error
+    return Execution(program, Draws(run_seed, program.scenario.seed), values)
+
+
+class Execution:
+    """One run of a program, begun by ``execute``: all that it remembers from message to message.
+
+    Parameters
+    ----------
+    program
+        What is executed.
+    draws
+        Its randomness.
+    parameters
+        A checked value for each of them.
+
+    Attributes
+    ----------
+    timer_period_ns : int or None
+        How often ``on_timer`` is due, first one period after the onset.
+    """
+
+    def __init__(self, program: Program, draws: Draws, parameters: Mapping[str, Any]) -> None:
+        self.program = program
+        self._draws = draws
+        self._known = {"p": dict(parameters), "c": program.constants}
+        self._state = {
+            name: dict(value) if isinstance(value, dict) else value
+            for name, value in program.state.items()
+        }
+        self._sources = {name: source.value.missing for name, source in program.sources.items()}
+        self._source_ns: dict[str, int] = {}
+        self._recent: deque[Any] = deque(maxlen=program.memory + 1)
+        self._memory: dict[int, Any] = {}
+        self._heard = 0
+        self._published = 0
+        self._frame_id = ""
+        self._has_header = program.has_header
+        self.timer_period_ns = self._period_ns()
+
+    @_QUIETLY
+    def on_source(self, name: str, message: Any, stamp_ns: int) -> None:
+        """Hear a message of one of the sources.
+
+        Parameters
+        ----------
+        name
+            Of the source.
+        message
+            As a message object; it is kept and not written to.
+        stamp_ns
+            When it was published.
+        """
+        source = self.program.sources[name]
+        message = source.as_sent(message)
+        self._source_ns[name] = stamp_ns
+        if not source.let:
+            self._sources[name] = message
+            return
+        step = self._step(stamp_ns, stamp_ns, {"msg": message})
+        for key, term in source.let:
+            step.env[key] = term(step)
+        self._sources[name] = {key: step.env[key] for key, _ in source.let}
+
+    @_QUIETLY
+    def on_message(self, message: Any, stamp_ns: int, t_s: float) -> Result:
+        """Return what becomes of a message of the main topic.
+
+        Parameters
+        ----------
+        message
+            As a message object; it is not written to.
+        stamp_ns
+            When it was published. A node that hears it later publishes the outputs that much later.
+        t_s
+            From the onset to ``stamp_ns``; negative before.
+
+        Returns
+        -------
+        Result
+            Messages with the time at which each is due, ``stamp_ns`` unless delayed; what is not
+            changed is the very object that came.
+        """
+        truth_ns = stamp_ns
+        header = None
+        index = self._heard
+        if self._has_header:
+            header = message.header
+            self._frame_id = header.frame_id
+            if stamp := nanoseconds(header.stamp):
+                truth_ns = index = stamp
+        sent = self.program.as_sent(message)
+        self._recent.append(sent)
+        step = self._step(
+            stamp_ns, index, {"msg": sent, "state": self._state, "src": self._sources, "t": t_s}
+        )
+        step.header = header
+        step.message = sent
+        self._heard += 1
+        operation = PASSTHROUGH
+        reason = self._reason_to_pass(step, t_s)
+        if reason is None:
+            try:
+                operation = self._transform(step)
+            except RefusedMessage as refused:
+                reason = str(refused)
+        if reason is None and self.program.scenario.control != "shadow":
+            if step.message is sent:  # it keeps its identity and its bytes
+                step.message = message
+            outputs = self._outputs(step)
+        else:
+            outputs = [Output(stamp_ns, message)]
+        if reason is not None:
+            step.magnitude, step.notes = 0.0, [reason]
+        return Result(outputs, self._truth(step, truth_ns, operation, outputs))
+
+    @_QUIETLY
+    def on_timer(self, now_ns: int, t_s: float) -> Result:
+        """Return what the timer publishes.
+
+        Parameters
+        ----------
+        now_ns
+            When it is due.
+        t_s
+            From the onset to ``now_ns``.
+        """
+        timer, control = self.program.timer, self.program.scenario.control
+        is_active = control != "passthrough" and self.program.activation.includes(t_s)
+        if timer is None or not is_active or self._missing_source(now_ns):
+            return Result([], None)
+        step = self._step(now_ns, now_ns, {"state": self._state, "src": self._sources, "t": t_s})
+        if self._has_header:
+            step.header = make_header(now_ns, self._frame_id)
+        self._forget(now_ns)
+        step.dropped = True  # there is no message to hand on
+        timer(step)
+        if not step.emitted:
+            return Result([], None)
+        outputs = [] if control == "shadow" else self._outputs(step)
+        return Result(outputs, self._truth(step, now_ns, timer.name, outputs))
+
+    def _step(self, stamp_ns: int, index: int, names: dict[str, Any]) -> Step:
+        return Step(
+            stamp_ns=stamp_ns,
+            heard=self._heard,
+            index=index,
+            draws=self._draws,
+            env={**self._known, **names, "now": stamp_ns / SECOND},
+            header=None,
+            recent=self._recent,
+            memory=self._memory,
+        )
+
+    @_QUIETLY
+    def _period_ns(self) -> int | None:
+        program = self.program
+        if program.period is None:
+            return None
+        period_s: float = program.period(self._step(0, 0, {}))
+        low, high = _PERIODS_S
+        if not low <= period_s <= high:
+            raise program.scenario.error(
+                ("transform", "timer", "period_s"), f"expected {low} to {high} s, found {period_s}"
+            )
+        return round(period_s * SECOND)
+
+    def _reason_to_pass(self, step: Step, t_s: float) -> str | None:
+        """Return why a message is handed on as it is, or None."""
+        program = self.program
+        if program.scenario.control == "passthrough":
+            return "unchanged"
+        if not program.activation.includes(t_s):
+            return "not active"
+        share = program.activation.probability
+        if share < 1.0 and step.generator(ACTIVATION).random() >= share:
+            return "spared"
+        return None
+
+    def _missing_source(self, stamp_ns: int) -> tuple[str, str] | None:
+        """Return what is not known of a source, and what is to be done then."""
+        for name, source in self.program.sources.items():
+            heard_ns = self._source_ns.get(name)
+            if heard_ns is None:
+                return f"no {name} yet", source.on_missing
+            if source.max_age_ns is not None and stamp_ns - heard_ns > source.max_age_ns:
+                return f"{name} is {(stamp_ns - heard_ns) / SECOND:.3g} s old", source.on_missing
+        return None
+
+    def _transform(self, step: Step) -> str:
+        """Do all that applies; return the names of it."""
+        program = self.program
+        if missing := self._missing_source(step.stamp_ns):
+            text, on_missing = missing
+            if on_missing == "forward":
+                raise RefusedMessage(text)
+            step.dropped = True
+            step.note(1.0, f"dropped: {text}")
+            return "drop"
+        self._forget(step.stamp_ns)
+        applied = []
+        if program.always is not None:
+            program.always(step)
+            applied.append(program.always.name)
+        for action in program.actions:
+            if action(step):
+                applied.append(action.name)
+                if program.first_match_only:
+                    break
+        return "+".join(applied) or PASSTHROUGH
+
+    def _forget(self, now_ns: int) -> None:
+        """Remove the rows of tables that are too old; the oldest stand first."""
+        for name, lifetime_ns in self.program.lifetimes_ns.items():
+            rows = self._state[name]
+            while rows:
+                oldest = next(iter(rows))
+                if now_ns - rows[oldest][STORED_NS] <= lifetime_ns:
+                    break
+                del rows[oldest]
+
+    def _outputs(self, step: Step) -> list[Output]:
+        outputs = []
+        if not step.dropped:
+            for copy in range(step.copies):
+                later_s = step.delay_s + copy * step.spacing_s
+                outputs.append(Output(step.stamp_ns + round(later_s * SECOND), step.message))
+        outputs += [Output(step.stamp_ns, message) for message in step.emitted]
+        return outputs[: self.program.outputs]
+
+    def _truth(
+        self, step: Step, stamp_ns: int, operation: str, outputs: list[Output]
+    ) -> GroundTruth:
+        program = self.program
+        magnitude, detail = step.magnitude, "; ".join(step.notes) or "unchanged"
+        if operation != PASSTHROUGH and step.notes:
+            if program.scenario.control == "shadow":
+                magnitude, detail = 0.0, f"withheld: {detail}"
+            elif program.magnitude is not None:
+                magnitude = float(program.magnitude(step))
+        index = self._published
+        self._published += len(outputs)
+        return GroundTruth(stamp_ns, program.output_topic, index, operation, magnitude, detail)

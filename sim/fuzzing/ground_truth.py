@@ -1,0 +1,62 @@
+"""What a scenario says that it did: a message for each it heard, and a summary in the manifest."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from oracle_pipeline.bags.manifest import Change
+from oracle_pipeline.bags.types import GROUND_TRUTH_TYPE, message_class
+from sim.middleware.executor import SECOND
+from sim.middleware.stamps import time_message
+
+_BIN_NS = 5 * SECOND  # of the account of what was changed
+
+_GroundTruth = message_class(GROUND_TRUTH_TYPE)
+
+
+@dataclass(frozen=True, slots=True)
+class GroundTruth:
+    """What was done to one message, or by a timer."""
+
+    stamp_ns: int  # of the message's header, else when it was published
+    topic: str
+    index: int  # how many messages had been published on the topic before
+    operation: str
+    magnitude: float  # the largest change, in the operation's own unit; 0 for nothing
+    detail: str
+
+    def message(self) -> Any:
+        """Return ``oracle_msgs/msg/GroundTruth``."""
+        return _GroundTruth(
+            time_message(self.stamp_ns),
+            self.topic,
+            self.index,
+            self.operation,
+            self.magnitude,
+            self.detail,
+        )
+
+
+def in_bins(changes: Iterable[tuple[int, float]], start_ns: int) -> tuple[Change, ...]:
+    """Return what was changed, in bins of five seconds from the start of the recording.
+
+    Parameters
+    ----------
+    changes
+        When [ns], in order, and the magnitude; what came before the start is left out.
+    start_ns
+        Of the recording.
+    """
+    bins: dict[int, list[float]] = {}
+    for time_ns, magnitude in changes:
+        if time_ns >= start_ns:
+            bins.setdefault((time_ns - start_ns) // _BIN_NS, []).append(magnitude)
+    return tuple(
+        Change(number * _BIN_NS / SECOND, len(found), _finite(max(found)))
+        for number, found in bins.items()
+    )
+
+
+def _finite(magnitude: float) -> float | None:
+    return magnitude if math.isfinite(magnitude) else None

@@ -1,0 +1,165 @@
+"""Operators that decide what is published, when and how often."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Self
+
+from sim.fuzzing.compile_context import CompileContext, Spec
+from sim.fuzzing.fields import Convert, Field, converter, with_fields, zero
+from sim.fuzzing.scenario import Key
+from sim.fuzzing.step import Step, Term
+from sim.fuzzing.value_types import Message, Number
+
+MAX_OUTPUTS = 1000  # for one message
+
+_MAX_DELAY_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Drop:
+    """Hand nothing on."""
+
+    cost: int = 1
+
+    @classmethod
+    def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:  # noqa: ARG003
+        """Check and compile."""
+        return cls()
+
+    def __call__(self, step: Step) -> None:
+        """Do it."""
+        step.dropped = True
+        step.note(1.0, "dropped")
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """Hand on later, by a minute at most."""
+
+    seconds: Term
+
+    @classmethod
+    def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
+        """Check and compile."""
+        return cls(context.term(spec["seconds"], (*key, "seconds"), Number))
+
+    @property
+    def cost(self) -> int:
+        """Elements that it computes, at most."""
+        return self.seconds.cost
+
+    def __call__(self, step: Step) -> None:
+        """Do it."""
+        step.delay_s = _clamped(self.seconds(step), 0.0, _MAX_DELAY_S)
+        step.note(step.delay_s, f"delayed by {step.delay_s:.6g} s")
+
+
+@dataclass(frozen=True, slots=True)
+class Duplicate:
+    """Hand on several times, ``spacing_s`` apart."""
+
+    copies: Term
+    spacing_s: Term
+
+    @classmethod
+    def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
+        """Check and compile."""
+        return cls(
+            context.term(spec["copies"], (*key, "copies"), Number),
+            context.term(spec.get("spacing_s", 0.0), (*key, "spacing_s"), Number),
+        )
+
+    @property
+    def cost(self) -> int:
+        """Elements that it computes, at most."""
+        return self.copies.cost + self.spacing_s.cost
+
+    def __call__(self, step: Step) -> None:
+        """Do it."""
+        step.copies = int(_clamped(self.copies(step), 1.0, MAX_OUTPUTS))
+        step.spacing_s = _clamped(self.spacing_s(step), 0.0, _MAX_DELAY_S)
+        step.note(float(step.copies), f"{step.copies} copies")
+
+
+class _Held(NamedTuple):
+    """What is played back, and since when."""
+
+    messages: Sequence[Any]
+    oldest: int  # how many messages came before the first of them
+    first: int  # and before the one at which it began
+    last: int  # and before the latest
+
+
+@dataclass(frozen=True, slots=True)
+class Playback:
+    """Hand on messages of before, over and over, under the headers of those that come.
+
+    They are the last ``messages`` from before it began, or without any the one at which it began.
+    It begins anew after a message to which it did not apply.
+    """
+
+    messages: int
+    number: int
+    cost: int = 1
+
+    @classmethod
+    def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:  # noqa: ARG003
+        """Check and compile."""
+        return cls(spec.get("messages", 0), next(context.numbers))
+
+    def __call__(self, step: Step) -> None:
+        """Do it."""
+        held = step.memory.get(self.number)
+        if held is None or held.last != step.heard - 1:
+            before = list(step.recent)[-1 - self.messages : -1]
+            oldest = step.heard - len(before)
+            held = _Held(before or [step.message], oldest, step.heard, step.heard)
+        step.memory[self.number] = held._replace(last=step.heard)
+        place = (step.heard - held.first) % len(held.messages)
+        ago = step.heard - held.oldest - place
+        step.message = restamped(held.messages[place], step.header)
+        step.note(float(ago), f"as {ago} messages before")
+
+
+@dataclass(frozen=True, slots=True)
+class Emit:
+    """Publish one message more: a copy of the one that came, or a new one."""
+
+    is_copy: bool
+    output: Message
+    fields: tuple[tuple[Field, Convert, Term], ...]
+    cost: int
+
+    @classmethod
+    def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
+        """Check and compile."""
+        is_copy = "copy" in spec
+        if is_copy and "msg" not in context.scope.names:
+            raise context.scenario.error((*key, "copy"), "expected no copy: a timer has no message")
+        fields = []
+        for path, text in spec["fields"].items():
+            place = (*key, "fields", path)
+            field = context.field_at(path, place, context.output)
+            value = context.term(text, place)
+            context.check_fits(value, field, place)
+            fields.append((field, converter(field.type), value))
+        cost = 1 + sum(value.cost + context.width(field.type) for field, _, value in fields)
+        return cls(is_copy, context.output, tuple(fields), cost)
+
+    def __call__(self, step: Step) -> None:
+        """Do it."""
+        message = step.original if self.is_copy else restamped(zero(self.output), step.header)
+        for place, convert, value in self.fields:
+            message = place.replaced(message, convert(value(step), place.read(message)))
+        step.emitted.append(message)
+        step.note(1.0, "1 emitted")
+
+
+def restamped(message: Any, header: Any) -> Any:
+    """Return the message under another header, if its type has one."""
+    return message if header is None else with_fields(message, {"header": header})
+
+
+def _clamped(value: float, low: float, high: float) -> float:
+    """Return a number within limits; the lower one for NaN."""
+    return min(max(low, value), high)

@@ -1,0 +1,91 @@
+"""What an expression may name: the values it sees, and the functions of its scenario."""
+
+import ast
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
+
+from sim.fuzzing.functions import BUILTINS, CONSTANTS
+from sim.fuzzing.grammar import (
+    FUNCTIONS,
+    ExpressionError,
+    called_function,
+    check_names,
+    error_at,
+    parse,
+)
+from sim.fuzzing.value_types import Boolean, Number, Type
+
+DRAWS = "rng"  # where an environment keeps the generators of the random built-ins
+
+_RESERVED = frozenset({DRAWS, FUNCTIONS, *BUILTINS, *CONSTANTS})
+
+
+@dataclass(frozen=True, slots=True)
+class Function:
+    """A function of the scenario: one expression over its parameters, pure, typed by each call.
+
+    Raises
+    ------
+    ExpressionError
+        If the text is no expression of the language, draws, or a parameter has a bad name.
+    """
+
+    params: tuple[str, ...]
+    text: str
+
+    def __post_init__(self) -> None:
+        check_names(self.params, _RESERVED)
+        for node in ast.walk(parse(self.text)):
+            match node:
+                case ast.Call(ast.Name(name)) if BUILTINS[name].draws:
+                    raise error_at(
+                        self.text,
+                        node,
+                        f"a function cannot draw; hand it what {name} draws as an argument",
+                    )
+
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """What an expression may name.
+
+    Parameters
+    ----------
+    names
+        What everything sees, functions too: ``msg``, ``p``, ``c``, ``state``, ``src``, ``t`` ...
+    functions
+        What may be called as ``fn.<name>(...)``.
+    locals
+        What only the expression itself sees: loop variables and ``let``.
+    vectors
+        Those of the locals (numbers or booleans) that hold one value per element, as arrays.
+
+    Raises
+    ------
+    ExpressionError
+        If a name is reserved, private or given twice, or if functions call each other in a ring.
+    """
+
+    names: Mapping[str, Type]
+    functions: Mapping[str, Function] = field(default_factory=dict)
+    locals: Mapping[str, Type] = field(default_factory=dict)
+    vectors: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_names([*self.names, *self.locals], _RESERVED)
+        check_names(self.functions)
+        for name in self.vectors:
+            if not isinstance(self.locals.get(name), Number | Boolean):
+                raise ExpressionError(f"{name!r} is no local number or boolean to hold a vector.")
+        calls = {
+            name: filter(None, map(called_function, ast.walk(parse(function.text))))
+            for name, function in self.functions.items()
+        }
+        try:
+            TopologicalSorter(calls).prepare()
+        except CycleError as error:
+            ring = " calls ".join(f"fn.{name}" for name in error.args[1])
+            raise ExpressionError(
+                f"Functions cannot call themselves, but {ring}; write the expression out."
+            ) from None

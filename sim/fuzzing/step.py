@@ -1,0 +1,85 @@
+"""A message on its way through a scenario, and what is worked out and done for it."""
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from sim.fuzzing.expressions import Expression
+from sim.fuzzing.random import Draws
+from sim.fuzzing.scopes import DRAWS
+from sim.fuzzing.value_types import Type
+
+ACTIVATION = 0  # the operation whose draw decides whether a message is touched
+
+_BRANCH = 1 << 32  # the operations of one round of a loop, apart from those of the next
+
+
+@dataclass(slots=True)
+class Step:
+    """One message, or one beat of a timer, on its way through a scenario."""
+
+    stamp_ns: int  # when it was published
+    heard: int  # how many messages came before
+    index: int  # what its draws go by
+    draws: Draws
+    env: dict[str, Any]  # the values of names
+    header: Any  # for messages that are made; None if the type has none
+    recent: Sequence[Any]  # what came last, this message included
+    memory: dict[int, Any]  # of operators, from message to message
+    original: Any = None  # the message, or element, as the action found it
+    message: Any = None  # as far as it is changed
+    dropped: bool = False
+    delay_s: float = 0.0
+    copies: int = 1
+    spacing_s: float = 0.0
+    emitted: list[Any] = field(default_factory=list)
+    magnitude: float = 0.0
+    notes: list[str] = field(default_factory=list)
+    branch: int = 0
+
+    def generator(self, operation: int, place: int = 0) -> np.random.Generator:
+        """Return the generator of one draw."""
+        return self.draws.generator(self.index, operation + self.branch * _BRANCH, place)
+
+    def note(self, magnitude: float, text: str) -> None:
+        """Keep what was done, for the ground truth."""
+        self.magnitude = max(self.magnitude, magnitude)
+        self.notes.append(text)
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """An expression in its place, with draws of its own."""
+
+    expression: Expression
+    number: int
+
+    @property
+    def type(self) -> Type:
+        """Of the value."""
+        return self.expression.type
+
+    @property
+    def cost(self) -> int:
+        """Elements that one evaluation computes."""
+        return self.expression.cost
+
+    def __call__(self, step: Step) -> Any:
+        """Return the value for a message."""
+        if DRAWS in self.expression.names:
+            step.env[DRAWS] = functools.partial(step.generator, self.number)
+        return self.expression(step.env)
+
+
+class Operator(Protocol):
+    """What is done to a message."""
+
+    @property
+    def cost(self) -> int:
+        """Elements that it computes for one message, at most."""
+
+    def __call__(self, step: Step) -> None:
+        """Do it."""

@@ -1,0 +1,139 @@
+"""What a testbed is, and the experiments that are made in one.
+
+Each has a folder of its own with a module ``testbed``; all of them stand in ``sim.testbeds``.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, Self
+
+import numpy as np
+
+from oracle_pipeline.bags.manifest import Label, Manifest, Software
+from sim.campaigns import Campaign
+from sim.fuzzing.scenario import Scenario
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """One experiment."""
+
+    scenario: Scenario
+    conditions: Mapping[str, Any] = field(default_factory=dict)  # otherwise in its testbed
+
+    @property
+    def id(self) -> str:
+        """Name of the mode: the scenario's."""
+        return self.scenario.id
+
+    @property
+    def label(self) -> Label:
+        """How its runs are labelled."""
+        return self.scenario.label
+
+    @property
+    def title(self) -> str:
+        """What it does, in a line."""
+        return self.scenario.title
+
+    def parameters(self, block: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return a value for every parameter: that given, else the block's, else the default.
+
+        Parameters
+        ----------
+        block
+            What the block has drawn.
+        given
+            Values by name of parameter; whether they fit is seen when the scenario is run.
+
+        Raises
+        ------
+        ScenarioError
+            If a parameter asks for what a block of this testbed has not.
+        """
+        defaults = {
+            name: spec["default"]
+            for name, spec in self.scenario.document.get("parameters", {}).items()
+        }
+        for name, what in self.scenario.drawn.items():
+            if what not in block:
+                raise self.scenario.error(
+                    ("parameters", name, "drawn"),
+                    f"expected what a block of this testbed has, {', '.join(block)}, found {what}",
+                )
+        of_block = {name: block[what] for name, what in self.scenario.drawn.items()}
+        return {**defaults, **of_block, **given}
+
+
+class Recipe(Protocol):
+    """All that a run is a function of; a frozen dataclass of numbers, texts and others like it."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """A value for each parameter of the scenario."""
+
+    def generator(self, node: str) -> np.random.Generator:
+        """Return the randomness of one node; the same in every mode of the block."""
+
+    def attack_seed(self) -> int:
+        """Return the key of the attack's own, counter-based randomness."""
+
+    def campaign(self) -> Campaign:
+        """Return the campaign that the run is of, as far as its block's draws depend on it."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the recipe as JSON knows it."""
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> Self:
+        """Return the recipe that ``to_dict`` gave."""
+
+
+class TestbedRun(Protocol):
+    """A testbed that has come up, and the one run that is made in it."""
+
+    def go(self) -> None:
+        """Make the run; write bag and graphs."""
+
+    def manifest(self, wall_s: float, software: Software) -> Manifest:
+        """Return what the finished run was."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Testbed:
+    """Where runs are made.
+
+    Parameters
+    ----------
+    experiments
+        Built-in scenarios that are modes, in the order in which they are shown. The shadow controls
+        of the attacks among them follow.
+    hard_negatives
+        Built-in scenarios that are normal and look odd, with what is otherwise in the testbed.
+    messages
+        Packages whose messages only this testbed has. A scenario that hears one of them is run
+        here, every other in the first testbed.
+    recipe
+        Class of the recipes.
+    draw
+        Draws the recipe of a mode's run of a campaign, given values for parameters.
+    bring_up
+        Brings the system up to make one run, which is written into an existing and empty folder.
+    made_by
+        The module that ``bring_up`` gets the run from: with what it imports, a run's software.
+    """
+
+    experiments: tuple[str, ...]
+    hard_negatives: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    messages: frozenset[str] = frozenset()
+    recipe: type[Recipe]
+    draw: Callable[[Mode, int, Campaign, Mapping[str, Any]], Recipe]
+    bring_up: Callable[[Any, Path], TestbedRun]
+    made_by: str
+
+    def made(self, recipe: Mapping[str, Any]) -> bool:
+        """Tell whether a recorded recipe is one of this testbed's, by its keys."""
+        return recipe.keys() == {item.name for item in fields(self.recipe)}

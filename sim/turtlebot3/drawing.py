@@ -1,0 +1,202 @@
+"""What is drawn for a run on the TurtleBot3 testbed, from the campaign's seed.
+
+Run i of every mode belongs to block i: same start, goals, fake object and nuisance, so that a mode
+and its control differ in the mode only. Three sessions take turns; a session is a day in the
+laboratory, with its own LiDAR bias, floor and processor load.
+"""
+
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.campaigns import Campaign, Options, RecipeError
+from sim.middleware.geometry import Pose2D
+from sim.nav2.costmap import LETHAL, Costmap2D
+from sim.nav2.costmap_layers import static_costs
+from sim.nav2.footprint import INSCRIBED_RADIUS
+from sim.nav2.inflation import GLOBAL_COST_SCALING, InflationLayer
+from sim.nav2.navfn import plan
+from sim.seeds import generator
+from sim.testbed import Mode
+from sim.turtlebot3.arena import RING, clearance
+from sim.turtlebot3.map import RESOLUTION_M, WORLD_IN_MAP, odom_in_map, turtlebot3_world_map
+from sim.turtlebot3.recipes import (
+    BLOCK,
+    SESSION,
+    Conditions,
+    FakeObject,
+    Session,
+    TurtleBot3Recipe,
+)
+
+SESSIONS = 3
+
+MIN_CLEARANCE_M = 0.55  # of start and goals from every obstacle; see docs/explanation/navigation.md
+MIN_LEG_M = 1.5  # straight distance from one goal to the next
+FAKE_OBJECT_CLEARANCE_M = 0.6  # of the fake object from start and goals
+MIN_DETOUR = 1.35  # the way around the fake object over the way that it lies across
+_OBJECT_DRAWS = 100
+_FIRST_LATE_LEG = 2  # a delayed attack begins on the second or third leg
+
+
+def draw_session(seed: int, index: int) -> Session:
+    """Draw the conditions of a session."""
+    rng = generator(seed, SESSION, index)
+    return Session(
+        index=index,
+        lidar_bias_m=rng.uniform(-0.01, 0.01),
+        lidar_noise_m=rng.uniform(0.008, 0.015),
+        friction=rng.uniform(0.8, 1.2),
+        mass=rng.uniform(0.9, 1.1),
+        latency_ms=rng.uniform(1.0, 8.0),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """What the runs of one block share, in the map frame."""
+
+    start: Pose2D
+    goals: tuple[Pose2D, ...]
+    fake_object: FakeObject
+
+
+@functools.cache  # all modes of a block share it
+def draw_block(seed: int, block: int, goals: int) -> Block:
+    """Draw a patrol that can be driven, and a fake object across it.
+
+    Start and goals keep ``MIN_CLEARANCE_M`` from every obstacle, lie ``MIN_LEG_M`` apart, and the
+    planner finds a path between them.
+    """
+    rng = generator(seed, BLOCK, block)
+    grid = planning_grid()
+    stops = [_draw_free_pose(rng)]
+    legs: list[NDArray[np.float64]] = []
+    while len(legs) < goals:
+        stop = _draw_free_pose(rng)
+        if stop.distance_to(stops[-1]) < MIN_LEG_M:
+            continue
+        path = plan(grid, (stops[-1].x, stops[-1].y), (stop.x, stop.y))
+        if path is not None:
+            stops.append(stop)
+            legs.append(path)
+    return Block(stops[0], tuple(stops[1:]), _draw_fake_object(rng, legs, stops))
+
+
+def _draw_free_pose(rng: np.random.Generator) -> Pose2D:
+    """Draw a pose in the map frame that keeps clear of everything."""
+    while True:
+        x, y = rng.uniform(-RING.circumradius, RING.circumradius, 2).tolist()
+        if clearance(np.array([[x, y]]))[0] >= MIN_CLEARANCE_M:
+            return WORLD_IN_MAP.compose(Pose2D(x, y, rng.uniform(-math.pi, math.pi)))
+
+
+def _draw_fake_object(
+    rng: np.random.Generator, legs: list[NDArray[np.float64]], stops: list[Pose2D]
+) -> FakeObject:
+    """Draw a cylinder across the path of a late leg, where the way around it is a detour.
+
+    It keeps clear of where the robot must start and stop. Where no draw is a detour, the one with
+    the longest way around is taken.
+    """
+    avoid = np.array([(stop.x, stop.y) for stop in stops])
+    first = min(_FIRST_LATE_LEG, len(legs) - 1)
+    drawn: list[tuple[float, FakeObject]] = []  # how long the way around it is, and the object
+    while len(drawn) < _OBJECT_DRAWS and (not drawn or drawn[-1][0] < MIN_DETOUR):
+        index = int(rng.integers(first, len(legs)))
+        leg = legs[index]
+        middle = leg[int(0.3 * len(leg)) : int(0.7 * len(leg)) + 1]
+        x, y = (middle[rng.integers(len(middle))] + rng.normal(0.0, 0.05, 2)).tolist()
+        there = FakeObject(x, y, radius=rng.uniform(0.15, 0.25))
+        is_clear = np.hypot(*(avoid - (x, y)).T).min() >= FAKE_OBJECT_CLEARANCE_M
+        detour = _detour(leg, stops[index], stops[index + 1], there) if is_clear else 0.0
+        drawn.append((detour, there))
+    _, chosen = max(drawn, key=lambda draw: draw[0])
+    return chosen
+
+
+def _detour(leg: NDArray[np.float64], begin: Pose2D, end: Pose2D, obstacle: FakeObject) -> float:
+    """Return how many times as long as a leg the way around an obstacle is; 0 if there is none."""
+    around = plan(planning_grid(obstacle), (begin.x, begin.y), (end.x, end.y))
+    return 0.0 if around is None else path_length(around) / path_length(leg)
+
+
+def path_length(path: NDArray[np.float64]) -> float:
+    """Return the length of a path of shape (n, 2) [m]."""
+    return float(np.hypot(*np.diff(path, axis=0).T).sum())
+
+
+_INFLATION = InflationLayer(RESOLUTION_M, INSCRIBED_RADIUS, GLOBAL_COST_SCALING)
+
+
+@functools.cache
+def _empty_world() -> Costmap2D:
+    world = turtlebot3_world_map()
+    costs = static_costs(world.data)
+    _INFLATION.add_to(costs)
+    return Costmap2D(costs, world.resolution, *world.origin, "map")
+
+
+def planning_grid(obstacle: FakeObject | None = None) -> Costmap2D:
+    """Return the global costmap of the world, empty or with an obstacle in it."""
+    empty = _empty_world()
+    grid = replace(empty, costs=empty.costs.copy())
+    if obstacle is not None:
+        rows, columns = (np.arange(cells) + 0.5 for cells in grid.costs.shape)
+        x = grid.origin_x + grid.resolution * columns - obstacle.x
+        y = grid.origin_y + grid.resolution * rows - obstacle.y
+        inside = x**2 + y[:, None] ** 2 <= obstacle.radius**2
+        grid.costs[inside] = LETHAL
+        _INFLATION.add_to(grid.costs, inside)
+    return grid
+
+
+def draw(
+    mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any]
+) -> TurtleBot3Recipe:
+    """Return the recipe of one run of a campaign.
+
+    Parameters
+    ----------
+    mode, run, campaign
+        Which run, of what.
+    parameters
+        Values of the scenario's parameters, in place of what the block has drawn or the default.
+
+    Raises
+    ------
+    RecipeError
+        If the mode is an attack and its node is to be absent.
+    """
+    if campaign.options.wiring == "absent" and mode.label == "malicious":
+        raise RecipeError(f"{mode.id} without its node is no attack; take a passthrough mode.")
+    block = draw_block(campaign.seed, run, campaign.goals_per_run)
+    return TurtleBot3Recipe(
+        mode=mode.id,
+        scenario=mode.scenario.document,
+        parameters=mode.parameters(_drawn(block, campaign.options), parameters),
+        conditions=Conditions(**mode.conditions),
+        run=run,
+        block=run,
+        seed=campaign.seed,
+        session=draw_session(campaign.seed, run % SESSIONS),
+        start=block.start,
+        goals=block.goals,
+        fake_object=block.fake_object,
+        storage=campaign.storage,
+        timeout_s=campaign.timeout_s,
+        options=campaign.options,
+    )
+
+
+def _drawn(block: Block, options: Options) -> dict[str, float]:
+    """Return what scenarios may ask of a block; a node knows the odometry frame only."""
+    there = block.fake_object
+    odom = odom_in_map(options.odometry_source, block.start)
+    seen = odom.inverse().compose(Pose2D(there.x, there.y))
+    return {"object_x": seen.x, "object_y": seen.y, "object_radius": there.radius}

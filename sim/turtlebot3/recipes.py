@@ -1,0 +1,96 @@
+"""What a run on the TurtleBot3 testbed is made from: all that it is a function of."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from sim.campaigns import Campaign, Options, Storage
+from sim.middleware.geometry import Pose2D
+from sim.seeds import node_generator, sequence
+
+# Branches of the seed: what is drawn on one does not move what is drawn on another.
+SESSION, BLOCK, NODE, ATTACK = range(4)
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What is otherwise in the testbed; a scenario can change messages only."""
+
+    obstacle: bool = False  # a real cylinder, on no map, where the block's fake object would be
+    speed: float = 1.0  # share of its maximal speed that the robot may drive and turn at
+
+
+@dataclass(frozen=True, slots=True)
+class FakeObject:
+    """A cylinder that is not there."""
+
+    x: float  # [m]
+    y: float  # [m]
+    radius: float  # [m]
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """What stays the same for a day and differs from the next."""
+
+    index: int
+    lidar_bias_m: float
+    lidar_noise_m: float  # standard deviation
+    friction: float  # of the floor, relative to the robot's model
+    mass: float  # of the robot, relative to its model
+    latency_ms: float  # of every node that processes messages
+
+
+@dataclass(frozen=True, slots=True)
+class TurtleBot3Recipe:
+    """All that a run is a function of; poses and the fake object are in the map frame."""
+
+    mode: str
+    scenario: Mapping[str, Any]  # the document
+    parameters: Mapping[str, Any]  # a value for each of the scenario's
+    conditions: Conditions
+    run: int
+    block: int
+    seed: int
+    session: Session
+    start: Pose2D
+    goals: tuple[Pose2D, ...]
+    fake_object: FakeObject
+    storage: Storage
+    timeout_s: float
+    options: Options
+
+    def generator(self, node: str) -> np.random.Generator:
+        """Return the randomness of one node; the same in every mode of the block."""
+        return node_generator(self.seed, NODE, self.block, node)
+
+    def attack_seed(self) -> int:
+        """Return the key of the attack's own, counter-based randomness."""
+        return int(sequence(self.seed, ATTACK, self.block).generate_state(1, np.uint64)[0])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the recipe as JSON knows it."""
+        return {**asdict(self), "goals": [asdict(goal) for goal in self.goals]}
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> Self:
+        """Return the recipe that ``to_dict`` gave."""
+        return cls(
+            **{
+                **document,
+                "conditions": Conditions(**document["conditions"]),
+                "session": Session(**document["session"]),
+                "start": Pose2D(**document["start"]),
+                "goals": tuple(Pose2D(**goal) for goal in document["goals"]),
+                "fake_object": FakeObject(**document["fake_object"]),
+                "options": Options(**document["options"]),
+            }
+        )
+
+    def campaign(self) -> Campaign:
+        """Return the campaign that the run is of, as far as its block's draws depend on it."""
+        return Campaign(
+            self.seed, len(self.goals), self.storage, self.timeout_s, options=self.options
+        )

@@ -1,0 +1,253 @@
+"""One run on the TurtleBot3 testbed: robot, Nav2 and recorder, from start to run directory.
+
+The robot comes up, is told where it is, and once Nav2 is active the recorder starts; the client
+then sends the patrol's goals. The run ends a moment after the last goal's result, after an abort,
+or when time is up. World, nodes and loop meet here and nowhere else.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from oracle_pipeline.bags import manifest as schema
+from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.integrity import hashes_of_files
+from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, bytes_on_disk
+from oracle_pipeline.bags.writer import BagWriter
+from sim.fuzzing.compilation import compile_document
+from sim.fuzzing.execution import execute
+from sim.fuzzing.node import ScenarioNode
+from sim.middleware.domain import Domain
+from sim.middleware.executor import MILLISECOND, SECOND, Executor
+from sim.middleware.geometry import Pose2D
+from sim.nav2.basic_navigator import GoalResult
+from sim.nav2.bringup import bring_up
+from sim.nav2.collision_monitor import SOURCES
+from sim.recording import DEBUG_TOPICS, GraphRecorder, ReceiveClock, Recorder
+from sim.turtlebot3.arena import Cylinder
+from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
+from sim.turtlebot3.mjcf import WorldParameters
+from sim.turtlebot3.nodes import add_robot
+from sim.turtlebot3.odometer import Odometer
+from sim.turtlebot3.recipes import TurtleBot3Recipe
+from sim.turtlebot3.sensors import LidarNoise
+from sim.turtlebot3.world import World
+
+BRING_UP_NS = 20 * SECOND  # Nav2 must be active by then
+BEFORE_RECORDING_NS = 1 * SECOND  # from an active Nav2 to the recorder's start
+BEFORE_FIRST_GOAL_NS = 2 * SECOND  # from the recorder's start to the first goal
+AFTER_LAST_GOAL_NS = 2 * SECOND
+
+NODE = "/lidar_passthrough"  # the mode's node, whatever it does
+
+
+class BringUpError(RunDirectoryError):
+    """Nav2 did not become active."""
+
+
+class TurtleBot3Run:
+    """A testbed that has come up, and the one run that is made in it.
+
+    Parameters
+    ----------
+    recipe
+        What to make.
+    folder
+        Existing and empty; gets ``bag`` and ``graphs``.
+    """
+
+    def __init__(self, recipe: TurtleBot3Recipe, folder: Path) -> None:
+        self._recipe = recipe
+        self._program = compile_document(recipe.mode, recipe.scenario)
+        self._folder = folder
+        session, options = recipe.session, recipe.options
+        self._latency_ns = round(session.latency_ms * MILLISECOND)
+        self._world = World(_world_parameters(recipe))
+        self._executor = Executor(on_advance=self._world.advance_to)
+        self._domain = Domain(self._executor)
+        noise = LidarNoise(session.lidar_noise_m, session.lidar_bias_m)
+        add_robot(
+            self._domain,
+            self._world,
+            noise,
+            recipe.generator,
+            odometry_source=options.odometry_source,
+            cameras=options.cameras,
+        )
+        self._nav2 = bring_up(
+            self._domain,
+            turtlebot3_world_map(),
+            generator=recipe.generator,
+            latency_ns=self._latency_ns,
+            run=recipe.run,
+            monitored=[
+                source
+                for source in SOURCES
+                if not (options.wiring == "replace" and source.topic == self._program.input_topic)
+            ],
+            speed=recipe.conditions.speed,
+        )
+        self._odometer = Odometer(self._executor, lambda: self._world.pose)
+        self._patrol_over = False
+        self._start_ns = 0  # of the recording
+        self._end_ns = 0
+        self._node: ScenarioNode | None = None
+        self._onset_ns: int | None = None
+
+    def go(self) -> None:
+        """Bring Nav2 up, record the patrol, write bag and graphs."""
+        navigator = self._nav2.navigator
+        navigator.set_initial_pose(self._recipe.start)
+        self._executor.run_until(BRING_UP_NS, stop=lambda: self._nav2.is_active)
+        if not self._nav2.is_active:
+            raise BringUpError(f"Nav2 was not active after {BRING_UP_NS // SECOND} s; see /rosout.")
+        activation = self._program.activation
+        if activation.before == "forward":
+            self._start_node()
+        self._executor.run_until(self._executor.now_ns + BEFORE_RECORDING_NS)
+        self._start_ns = self._executor.now_ns
+        if activation.after == "start":
+            self._set_onset(self._start_ns)
+        graphs = self._folder / GRAPHS_FOLDER
+        graphs.mkdir()
+        with BagWriter(self._folder / BAG_FOLDER, self._recipe.storage) as self._bag:
+            options = self._recipe.options
+            Recorder(
+                self._domain,
+                self._bag,
+                leave_out=() if options.debug_topics else DEBUG_TOPICS,
+                hidden_topics=options.hidden_topics,
+                receive_clock=self._receive_clock() if options.receive_stamps else None,
+            )
+            graph = GraphRecorder(self._domain, graphs)
+            self._executor.run_until(self._start_ns + BEFORE_FIRST_GOAL_NS)
+            navigator.follow(self._recipe.goals, self._on_patrol_over, self._on_goal_accepted)
+            timeout_ns = self._start_ns + round(self._recipe.timeout_s * SECOND)
+            self._executor.run_until(timeout_ns, stop=lambda: self._patrol_over)
+            if self._patrol_over:
+                self._executor.run_until(self._executor.now_ns + AFTER_LAST_GOAL_NS)
+            self._end_ns = self._executor.now_ns
+            graph.finish()
+
+    def manifest(self, wall_s: float, software: schema.Software) -> Manifest:
+        """Return what the finished run was."""
+        recipe, scenario = self._recipe, self._program.scenario
+        results = tuple(
+            map(self._goal_result, self._nav2.navigator.results, self._odometer.distances())
+        )
+        # The worst of the goals': one that was never reached counts for those never sent.
+        worst: schema.Outcome = next(
+            (result.outcome for result in results if result.outcome != "succeeded"), "succeeded"
+        )
+        return Manifest(
+            mode=recipe.mode,
+            label=scenario.label,
+            run=recipe.run,
+            block=recipe.block,
+            session=recipe.session.index,
+            seed=recipe.seed,
+            start=_pose(recipe.start),
+            goals=tuple(map(_pose, recipe.goals)),
+            goal_results=results,
+            outcome=worst,
+            onset_s=self._onset_s(),
+            attack=self._attack(),
+            scenario=scenario.id,
+            scenario_hash=scenario.digest,
+            task_effect=None,  # until the run and its control are both there
+            changes=() if self._node is None else self._node.changes(self._start_ns),
+            recording_s=self._seconds(self._end_ns),
+            contacts=tuple(
+                schema.Contact(self._seconds(touch.stamp_ns), touch.piece)
+                for touch in self._world.touches
+            ),
+            topics=self._bag.topics,
+            content_hash=self._bag.content_hash,
+            recipe=recipe.to_dict(),
+            software=software,
+            measured=schema.Measured(
+                wall_s=wall_s,
+                bytes=bytes_on_disk(self._folder),
+                files=hashes_of_files(self._folder),
+            ),
+        )
+
+    def _onset_s(self) -> float | None:
+        """Return when the node was there and its scenario began to act; None if it never did."""
+        if self._node is None or self._onset_ns is None or self._onset_ns > self._end_ns:
+            return None
+        return self._seconds(self._onset_ns)
+
+    def _attack(self) -> Mapping[str, Any]:
+        """Return the scenario's parameters; those of an object are in the odometry frame."""
+        parameters = self._recipe.parameters
+        has_object = self._program.scenario.has_object
+        return {"frame": "odom", **parameters} if has_object else parameters
+
+    def _on_patrol_over(self) -> None:
+        self._patrol_over = True
+
+    def _on_goal_accepted(self, _result: GoalResult) -> None:
+        self._odometer.mark()
+        first = len(self._nav2.navigator.results) == 1
+        if first and self._program.activation.after == "goal_accepted":
+            self._set_onset(self._executor.now_ns)
+
+    def _set_onset(self, after_ns: int) -> None:
+        """Let the scenario act so long after ``after_ns`` as it says."""
+        activation = self._program.activation
+        self._onset_ns = after_ns + round(activation.seconds * SECOND)
+        if activation.before == "absent":
+            self._executor.call_at(self._onset_ns, self._start_node)
+        elif self._node is not None:
+            self._node.begin(self._onset_ns)
+
+    def _start_node(self) -> None:
+        """Put the mode's node into the graph."""
+        recipe = self._recipe
+        if recipe.options.wiring == "absent":
+            return
+        execution = execute(self._program, recipe.attack_seed(), recipe.parameters)
+        self._node = ScenarioNode(self._domain, NODE, execution, latency_ns=self._latency_ns)
+        if self._onset_ns is not None:
+            self._node.begin(self._onset_ns)
+
+    def _receive_clock(self) -> ReceiveClock:
+        rng = self._recipe.generator("/rosbag2_recorder")
+        return ReceiveClock(self._executor.now_ns, rng)
+
+    def _goal_result(self, result: GoalResult, driven_m: float) -> schema.GoalResult:
+        ended_s = None if result.ended_ns is None else self._seconds(result.ended_ns)
+        outcome: schema.Outcome = "timeout"  # the run ended before the goal did
+        if result.outcome is not None:
+            outcome = "succeeded" if result.outcome == "succeeded" else "aborted"
+        return schema.GoalResult(
+            self._seconds(result.accepted_ns),
+            ended_s,
+            outcome,
+            driven_m,
+            result.number_of_recoveries,
+        )
+
+    def _seconds(self, time_ns: int) -> float:
+        """Return a time in seconds of the recording; what was before it began is at 0."""
+        return max(time_ns - self._start_ns, 0) / SECOND
+
+
+def _world_parameters(recipe: TurtleBot3Recipe) -> WorldParameters:
+    """Return what the physics needs to know of a run, in the world frame."""
+    to_world = WORLD_IN_MAP.inverse()
+    obstacles = []
+    if recipe.conditions.obstacle:
+        drawn = recipe.fake_object
+        there = to_world.compose(Pose2D(drawn.x, drawn.y))
+        obstacles = [Cylinder("obstacle", there.x, there.y, drawn.radius)]
+    session = recipe.session
+    return WorldParameters(
+        to_world.compose(recipe.start), session.friction, session.mass, obstacles
+    )
+
+
+def _pose(pose: Pose2D) -> schema.Pose:
+    return schema.Pose(pose.x, pose.y, pose.yaw)

@@ -1,0 +1,152 @@
+"""A run that is simulated again: what the check says of it, and which run stays in use."""
+
+import dataclasses
+import json
+import shutil
+from typing import Any
+
+import dagster as dg
+
+from assets.automation import refreshed_runs
+from assets.experiment_runs import REPRODUCIBLE
+from assets.worker.reproduction import judge, place_aside
+from oracle_pipeline.bags.reader import BagReader
+from tests.assets.laboratory import KEYS, PER_RUN, Laboratory
+from tests.manifests import rewrite
+
+BOTH = KEYS[2:]  # runs of the attacked mode
+
+
+def ask(laboratory: Laboratory, request: dg.RunRequest) -> dg.ExecuteInProcessResult:
+    """Do what the daemon does with a request, without the assets over all runs."""
+    return (
+        laboratory.defs()
+        .resolve_job_def("everything")
+        .execute_in_process(
+            instance=laboratory.instance,
+            tags=dict(request.tags),
+            run_config=dict(request.run_config),
+            asset_selection=[dg.AssetKey(asset) for asset in PER_RUN],
+        )
+    )
+
+
+def results(outcome: dg.ExecuteInProcessResult) -> dict[str | None, dg.AssetCheckEvaluation]:
+    """The results of the check in one Dagster run, by partition."""
+    return {
+        evaluation.partition: evaluation
+        for evaluation in outcome.get_asset_check_evaluations()
+        if evaluation.check_name == REPRODUCIBLE.name
+    }
+
+
+def recorded(laboratory: Laboratory) -> dict[str, tuple[int, int]]:
+    """The files of the runs that are in use."""
+    return {path: as_of for path, as_of in laboratory.files().items() if path.startswith("runs/")}
+
+
+def test_a_run_that_comes_out_as_it_was_passes_and_one_that_is_verified_gives_no_result(
+    copy_of_campaign: Laboratory,
+) -> None:
+    run = copy_of_campaign.store.run(BOTH[0])
+    before, hash_before = copy_of_campaign.files(), run.manifest().content_hash
+    found = results(ask(copy_of_campaign, refreshed_runs(run.key, run.key)))
+    assert found.keys() == {run.key}
+    result = found[run.key]
+    assert result.passed
+    assert result.metadata["former_hash"].value == result.metadata["new_hash"].value == hash_before
+    assert result.target_materialization_data is not None
+    assert {copy_of_campaign.figures(asset, run.key)["status"] for asset in PER_RUN} == {"made"}
+    after = copy_of_campaign.files()
+    changed = {path for path in after if after[path] != before.get(path)}
+    assert changed == {path for path in after if f"/{run.mode}/{run.run_id}" in path}
+    assert run.manifest().content_hash == hash_before
+    assert not place_aside(run).path.exists()
+    verified = copy_of_campaign.materialize(PER_RUN, run.key)
+    assert verified.success
+    assert results(verified) == {}
+
+
+def test_other_software_or_another_recipe_explains_another_run_and_it_is_replaced(
+    copy_of_campaign: Laboratory,
+) -> None:
+    of_software, of_recipe = (copy_of_campaign.store.run(key) for key in BOTH)
+    hashes = {run.key: run.manifest().content_hash for run in (of_software, of_recipe)}
+
+    def other_software(document: dict[str, Any]) -> None:
+        document["software"]["code"] = "of last year"
+        document["content_hash"] = "0" * 64
+
+    def other_recipe(document: dict[str, Any]) -> None:  # as when a scenario file has changed
+        document["recipe"]["scenario"]["title"] = "What it was called last year"
+        document["content_hash"] = "1" * 64
+
+    rewrite(of_software, other_software)
+    rewrite(of_recipe, other_recipe)
+    found = results(ask(copy_of_campaign, refreshed_runs(*BOTH)))
+    for run, what in ((of_software, "code"), (of_recipe, "recipe")):
+        assert found[run.key].passed
+        assert what in str(found[run.key].description)
+        assert found[run.key].metadata["new_hash"].value == hashes[run.key]
+        assert run.manifest().content_hash == hashes[run.key]
+        assert not place_aside(run).path.exists()
+
+
+def test_a_difference_that_nothing_explains_fails_and_both_runs_are_kept(
+    copy_of_campaign: Laboratory,
+) -> None:
+    run, other = (copy_of_campaign.store.run(key) for key in BOTH)
+    right, wrong = run.manifest().content_hash, other.manifest().content_hash
+    own = json.loads(run.manifest_path.read_text(encoding="utf-8"))
+    shutil.rmtree(run.path)
+    shutil.copytree(other.path, run.path)
+    who = ("run", "block", "session", "recipe")
+    rewrite(run, lambda document: document.update({name: own[name] for name in who}))
+    before = recorded(copy_of_campaign)
+
+    outcome = ask(copy_of_campaign, refreshed_runs(BOTH[0], BOTH[0]))
+    assert outcome.success  # the check tells; what could be made is there
+    result = results(outcome)[run.key]
+    assert not result.passed
+    aside = place_aside(run)
+    told = {name: value.value for name, value in result.metadata.items()}
+    assert str(told.pop("first_difference")).startswith("/")
+    assert told == {
+        "former_hash": wrong,
+        "new_hash": right,
+        "former_path": str(run.path),
+        "new_path": str(aside.path),
+    }
+    assert aside.manifest().content_hash == right
+    assert recorded(copy_of_campaign) == before
+    assert len(copy_of_campaign.store.complete_runs()) == len(KEYS)
+
+    rewrite(run, lambda document: document.update(content_hash=right))  # as if it were explained
+    assert results(ask(copy_of_campaign, refreshed_runs(BOTH[0], BOTH[0])))[run.key].passed
+    assert not aside.path.exists()
+
+
+def test_the_first_message_that_differs_is_named(campaign: Laboratory) -> None:
+    one, other = (campaign.store.run(key) for key in BOTH)
+    # Two recipes that are said to be one: the first messages that differ are known by hand.
+    former = dataclasses.replace(one.manifest(), recipe=other.manifest().recipe)
+    with BagReader(one.bag) as bag, BagReader(other.bag) as second:
+        pairs = zip(bag.messages(), second.messages(), strict=False)
+        a, b = next(pair for pair in pairs if pair[0] != pair[1])
+        earlier = min(a, b, key=lambda message: message.stamp_ns)
+        seconds = (earlier.stamp_ns - bag.start_ns) / 1e9
+    found = judge(one, former, other)
+    assert found.comparison == "unexplained"
+    assert found.first_difference == f"{earlier.topic}, {seconds:.3f} s after the first message"
+
+
+def test_an_edited_manifest_and_a_dropped_bag_are_told_apart_from_other_messages(
+    campaign: Laboratory,
+) -> None:
+    run = campaign.store.run(KEYS[0])
+    manifest = run.manifest()
+    edited = dataclasses.replace(manifest, content_hash="0" * 64)
+    assert judge(run, edited, run).first_difference.startswith("none: the bags hold the same")
+    measured = dataclasses.replace(manifest.measured, kept="recipe")
+    dropped = dataclasses.replace(edited, measured=measured)
+    assert judge(run, dropped, run).first_difference.startswith("not known: the former bag")

@@ -1,0 +1,70 @@
+import numpy as np
+import pytest
+
+from oracle_pipeline.evaluation.comparisons import ComparedRuns, comparisons, judge
+from oracle_pipeline.evaluation.held_out import HeldOutScores
+from tests.oracle_pipeline.evaluation.campaigns import synthetic
+
+
+def judged(campaign, score, p, calibration=100, scope="all modes"):
+    chosen = next(s for s in comparisons(campaign.features) if s.name == scope)
+    scores = HeldOutScores(score, p, calibration)
+    return judge(scores, campaign, chosen, np.random.default_rng(0))
+
+
+def test_scopes_are_pairs_shadows_the_real_obstacle_and_hard_negatives():
+    df = synthetic(3).features
+    named = {scope.name: set(df.loc[scope.runs, "mode"]) for scope in comparisons(df)}
+    assert next(iter(named)) == "all modes"
+    assert named["lidar_passthrough / random_noise"] == {"lidar_passthrough", "random_noise"}
+    assert "random_noise_shadow / random_noise" in named
+    assert named["benign_obstacle / fake_object"] == {"benign_obstacle", "fake_object"}
+    assert named["hard negatives"] == {"benign_noise", "benign_obstacle"}
+    six = df[~df["mode"].str.contains("shadow|benign")]
+    assert len(comparisons(six)) == 4
+
+
+def test_figures_by_hand():
+    campaign = synthetic(3)
+    n = len(campaign.features)
+    score = np.where(campaign.malicious, 2.0, 1.0)
+    p = np.where(campaign.malicious, 0.01, 0.5)
+    right = np.flatnonzero(~campaign.malicious)
+    p[right[:3]] = 0.05
+    row = judged(campaign, score, p)
+    assert (row["malicious"], row["normal"], row["blocks"]) == (9, n - 9, 3)
+    assert row["prevalence"] == 9 / n
+    assert row["auc"] == row["average_precision"] == row["detection_rate_5"] == 1.0
+    assert row["false_alarm_rate_5"] == 3 / (n - 9)
+    assert row["false_alarm_rate_5_low"] <= row["false_alarm_rate_5_bound"] <= 3 / (n - 9)
+    assert row["balanced_accuracy_5"] == pytest.approx(1 - 1.5 / (n - 9))
+    assert row["note"] == ""
+
+
+def test_a_rate_that_the_campaign_cannot_support_is_not_given():
+    campaign = synthetic(3)
+    score, p = np.zeros((2, len(campaign.features)))
+    row = judged(campaign, score, p)
+    assert row["blocks_lacking_1"] == 247
+    assert np.isnan(row["detection_rate_1"])
+    few = judged(campaign, score, p, calibration=18)
+    assert np.isnan(few["detection_rate_5"])
+    assert "18 runs to calibrate with, 5% takes 19" in few["note"]
+
+
+def test_a_scope_without_attacks_gives_false_alarms_alone():
+    campaign = synthetic(3)
+    p = np.full(len(campaign.features), 0.04)
+    row = judged(campaign, np.zeros_like(p), p, scope="benign_noise")
+    assert row["false_alarm_rate_5"] == 1.0
+    assert np.isnan([row["auc"], row["detection_rate_5"], row["mcc_5"]]).all()
+    assert row["note"] == "no malicious runs"
+
+
+def test_a_row_without_scores_says_so():
+    campaign = synthetic(3)
+    nowhere = np.full(len(campaign.features), np.nan)
+    row = judged(campaign, nowhere, nowhere)
+    assert "no run could be scored" in row["note"]
+    everything = ComparedRuns("all modes", np.ones(len(nowhere), dtype=bool))
+    assert everything.runs.all()

@@ -1,0 +1,78 @@
+import numpy as np
+import pytest
+
+from oracle_pipeline.bags.manifest import Change
+from oracle_pipeline.evaluation.feature_sets import feature_sets
+from oracle_pipeline.evaluation.judged_runs import EvaluationError, JudgedRuns
+from oracle_pipeline.evaluation.truth import COLUMNS, truth_table
+from tests.oracle_pipeline.datasets.synthetic import campaign
+from tests.oracle_pipeline.evaluation.campaigns import by_hand
+from tests.oracle_pipeline.reporting.recordings import manifest
+
+
+def test_windows_know_their_run_and_when_they_end():
+    judged = by_hand(("lidar_passthrough", 1, 18.0, 0.0, "[]"), ("fake_object", 0, 21.0, 0.0, "[]"))
+    assert judged.features["mode"].tolist() == ["fake_object", "lidar_passthrough"]
+    assert judged.run.tolist() == [0, 0, 0, 0, 1, 1, 1]
+    assert judged.counts.tolist() == [4, 3]
+    assert judged.place.tolist() == [0, 1, 2, 3, 0, 1, 2]
+    assert judged.end_s.tolist() == [10.0, 15.0, 20.0, 21.0, 10.0, 15.0, 18.0]
+
+
+def test_windows_of_an_attack_are_those_that_share_time_with_a_change():
+    judged = by_hand(("fake_object", 0, 40.0, 0.0, "[[20.0, 3, 0.5]]"))
+    attacked = judged.start_s[judged.attacked_windows()]
+    assert attacked.tolist() == [15.0, 20.0]  # [10, 20) ends where the change begins
+
+
+def test_a_run_that_does_not_tell_what_it_changed_is_changed_from_its_onset_on():
+    judged = by_hand(
+        ("delayed_fakeobject", 0, 40.0, 22.0, "[]"), ("delayed_passthrough", 0, 40.0, 22.0, "[]")
+    )
+    assert judged.start_s[judged.attacked_windows()].tolist() == [15.0, 20.0, 25.0, 30.0]
+    assert (judged.run[judged.attacked_windows()] == 0).all()
+
+
+def test_an_attack_that_never_began_is_left_out_and_a_run_without_truth_is_refused():
+    judged = by_hand(
+        ("delayed_fakeobject", 0, 20.0, np.nan, "[]"), ("lidar_passthrough", 0, 20.0, 0.0, "[]")
+    )
+    assert judged.features["mode"].tolist() == ["lidar_passthrough"]
+    features, windows, truth = campaign(3)
+    with pytest.raises(EvaluationError, match=r"1 runs, fake_object\|run001 .* truth table"):
+        JudgedRuns.of(features, windows, truth[truth["run_id"] != "fake_object|run001"])
+
+
+def test_sets_of_features_keep_shortcuts_and_the_thesis_apart():
+    features, _, _ = campaign(3)
+    features = features.assign(
+        **{
+            "thesis.vector_0": 1.0, "redundancy.residual": 1.0, "pairs.rate_ratio": 1.0,
+            "generic.identity": 1.0,
+        }
+    )  # fmt: skip
+    features.attrs["fields"] = {
+        **features.attrs["fields"],
+        "redundancy.residual": {"origin": "domain", "shortcut": "false"},
+        "pairs.rate_ratio": {"origin": "domain", "shortcut": "false"},
+        "generic.identity": {"origin": "generic", "shortcut": "true"},
+    }
+    sets = feature_sets(features)
+    own = {c for c in features if c.startswith(("structural.", "contextual."))}
+    assert set(sets["all"]) == own | {"redundancy.residual", "pairs.rate_ratio"}
+    assert sets["shortcuts"] == ["generic.identity"]
+    assert set(sets["without redundancy"]) == own
+    assert sets["redundancy"] == ["redundancy.residual"]
+    assert sets["generic"] == [
+        "structural.density", "structural.entropy", "contextual.yaw_variance"
+    ]  # fmt: skip
+
+
+def test_truth_is_what_manifests_say():
+    told = manifest(changes=(Change(5.0, 2, 0.25), Change(10.0, 1, None)))
+    table = truth_table([told])
+    assert tuple(table.columns) == COLUMNS
+    row = table.iloc[0]
+    assert row["run_id"] == f"{told.mode}|run{told.run:03d}"
+    assert row["changes"] == "[[5.0, 2, 0.25], [10.0, 1, null]]"
+    assert row["recording_s"] == told.recording_s

@@ -1,0 +1,185 @@
+import functools
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.evaluation import campaign_evaluation as evaluation
+from oracle_pipeline.evaluation import integrity, metrics
+from oracle_pipeline.evaluation.estimate import Estimate
+from oracle_pipeline.reporting.evaluation_report import evaluation_report, in_words
+from oracle_pipeline.reporting.report import Report
+from tests.oracle_pipeline.datasets.synthetic import CONTROLS, MODES, campaign, run_features
+from tests.oracle_pipeline.evaluation.test_kill_rates import grid_of
+
+
+def oracle_evaluation(*tables, **options):
+    return evaluation_report(evaluation.evaluate(*tables, **options))
+
+
+QUICK = ("mahalanobis", "max_z", "elliptic_envelope")
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch):
+    """Three detectors, small forests, few resamples: each has tests of its own."""
+    panel, bounds = evaluation.panel, evaluation.upper_bounds
+    monkeypatch.setattr(
+        evaluation, "panel", lambda seed: {name: panel(seed)[name] for name in QUICK}
+    )
+    monkeypatch.setattr(
+        evaluation,
+        "upper_bounds",
+        lambda seed: {
+            n: b.set_params(n_estimators=10)
+            for n, b in bounds(seed).items()
+            if n == evaluation.UPPER_BOUND
+        },
+    )
+    monkeypatch.setattr(metrics, "RESAMPLES", 200)
+    monkeypatch.setattr(integrity, "TREES", 10)
+    monkeypatch.setattr(integrity, "SHUFFLES", 20)
+
+
+@functools.cache
+def strong():
+    heard = []
+    report = oracle_evaluation(
+        *campaign(9, effect=20.0), graph_differences=[], grid=grid_of([1.0, 40.0], 2, used=20),
+        progress=heard.append,
+    )  # fmt: skip
+    return report, heard
+
+
+def test_the_headline_stands_first_with_its_interval():
+    report, heard = strong()
+    first = report.table.iloc[0]
+    assert (first["detector"], first["level"], first["scope"]) == (
+        "mahalanobis",
+        "both",
+        "all modes",
+    )
+    assert Estimate.of_row(first, "auc").low > 0.85
+    assert report.summary["auc"] == first["auc"]
+    assert heard[0].startswith("mahalanobis")
+
+
+def test_there_is_a_row_for_every_scorer_split_and_scope():
+    table = strong()[0].table
+    assert set(table["detector"]) == {*QUICK, "random_forest (sees labels)"}
+    assert {"all", "structural", "contextual", "generic"} <= set(table["features"])
+    assert set(table["split"]) == {
+        "block", "session", "session but 2 blocks", "block and hard negatives",
+    }  # fmt: skip
+    assert set(table["level"]) == {"run", "windows", "both"}
+    assert not table.duplicated(["detector", "features", "level", "split", "scope"]).any()
+    pairs = table[table["scope"] == "random_noise_shadow / random_noise"]
+    known = pairs["split"] == "session but 2 blocks"  # of three in each session
+    assert (pairs.loc[~known, ["malicious", "normal"]] == 9).all(axis=None)
+    assert (pairs.loc[known, ["malicious", "normal"]] == 3).all(axis=None)
+
+
+def test_the_other_tables_and_pictures_are_there():
+    report, _ = strong()
+    assert set(report.tables) == {
+        "alarms", "small_clusters", "checks", "runs",
+        "kills", "mutation_scores", "minimum_detectable",
+    }  # fmt: skip
+    assert {"roc", "detection", "effort", "kills_noise_level", "magnitude_noise_level"} == set(
+        report.figures
+    )
+    assert all(png.startswith(b"\x89PNG") for png in report.figures.values())
+    assert report.tables["runs"]["p"].between(0, 1).all()
+    alarms = report.tables["alarms"].iloc[0]
+    assert alarms["time_to_detect_median_s"] <= 10.0
+
+
+def test_a_check_that_is_not_green_withholds_the_headline_but_no_table():
+    report = oracle_evaluation(*campaign(6, effect=20.0))
+    assert report.summary["headline"].startswith("Withheld. graphs_of_pairs_are_equal is unsupp")
+    assert report.summary["banner"]
+    assert np.isfinite(report.table["auc"].iloc[0])
+    checked = report.tables["checks"].set_index("name")["status"]
+    assert checked["graphs_of_pairs_are_equal"] == "unsupported"
+    assert checked["shortcuts_are_apart"] == "green"
+
+
+def test_no_attack_gives_no_finding():
+    report = oracle_evaluation(*campaign(12, seed=1), graph_differences=[])
+    first = report.table.iloc[0]
+    assert Estimate.of_row(first, "auc").covers(0.5)
+    assert first["false_alarm_rate_5_bound"] <= 0.05
+    shuffled = report.tables["checks"].set_index("name").loc["shuffled_labels_are_chance"]
+    assert shuffled["figure"] == pytest.approx(0.5, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    "cut",
+    [
+        lambda df: df[df["label"] == "normal"],
+        lambda df: df[df["block"] == 0],
+        lambda df: df.head(1),
+        lambda df: df.assign(**dict.fromkeys([c for c in df if "." in c], np.nan)),
+    ],
+    ids=["no attack", "one block", "one run", "nothing known"],
+)
+def test_every_campaign_gives_an_honest_report(cut, tmp_path):
+    features, windows, truth = campaign(3, modes=MODES | CONTROLS)
+    kept = cut(features)
+    kept.attrs["fields"] = features.attrs["fields"]
+    report = oracle_evaluation(kept, windows, truth)
+    assert report.summary["headline"].startswith("Withheld")
+    assert report.table.loc[report.table["auc"].isna(), "note"].astype(bool).all()
+    json.dumps(dict(report.summary), allow_nan=False)
+    report.save(tmp_path / "report")
+    assert set(Report.load(tmp_path / "report").tables) == set(report.tables)
+
+
+def test_further_tables_come_back_and_a_report_without_them_does_too(tmp_path):
+    plain = Report(run_features(1), {}, {"runs": 6})
+    plain.save(tmp_path / "report")
+    assert Report.load(tmp_path / "report").tables == {}
+    Report(run_features(1), {}, {}, {"more": run_features(2)}).save(tmp_path / "report")
+    back = Report.load(tmp_path / "report")
+    pd.testing.assert_frame_equal(back.tables["more"], run_features(2))
+
+
+@pytest.mark.parametrize("name", ["summary.json", "table.parquet"])
+def test_no_flipped_bit_of_a_report_gives_another_one(name, tmp_path):
+    Report(run_features(1), {}, {"headline": "Withheld", "runs": 6}).save(tmp_path / "report")
+    file = tmp_path / "report" / name
+    content = file.read_bytes()
+    for at in np.random.default_rng(15).choice(8 * len(content), 50, replace=False):
+        flipped = bytearray(content)
+        flipped[at // 8] ^= 1 << at % 8
+        file.write_bytes(flipped)
+        try:
+            back = Report.load(tmp_path / "report")
+        except OracleError:
+            continue
+        assert name == "summary.json"
+        assert back.summary == {"headline": "Withheld", "runs": 6}  # a bit of the seal's name
+
+
+@pytest.mark.parametrize(
+    ("area", "words"),
+    [
+        (Estimate(0.5, 0.3, 0.7), "cannot be distinguished"),
+        (Estimate(0.2, 0.1, 0.3), "below chance"),
+        (Estimate(0.8, 0.6, 0.9), "not reliably"),
+        (Estimate(0.99, 0.9, 1.0), "clearly"),
+        (Estimate(np.nan, np.nan, np.nan), "Nothing could be measured"),
+    ],
+)
+def test_the_headline_says_no_more_than_the_interval(area, words):
+    assert words in in_words(area)
+
+
+def test_a_campaign_of_one_control_and_one_attack_in_three_blocks_is_a_report_without_figures():
+    features, windows, truth = campaign(3, effect=20.0)
+    few = features[features["mode"].isin(["lidar_passthrough", "random_noise"])]
+    report = oracle_evaluation(few, windows, truth)
+    assert np.isnan(report.table["auc"].iloc[0])
+    assert "Withheld" in report.summary["headline"]

@@ -1,0 +1,290 @@
+"""``oracle score``: real recordings against tables of normal runs made from their features."""
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+
+from oracle_pipeline.cli import main
+from oracle_pipeline.datasets import feature_columns, feature_floors, write_table
+from oracle_pipeline.features import FeatureTables, build_manager, extract
+from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.scoring.judging import judge
+from oracle_pipeline.scoring.reference import read_reference
+from oracle_pipeline.scoring.verdict import ScoringError
+from tests.oracle_pipeline.datasets.synthetic import run_features
+from tests.oracle_pipeline.features.conftest import drive, odometry, write_bag
+
+FIRST = "contextual.total_turning"
+
+
+def oracle_score(*arguments: object, expect: int):
+    done = CliRunner().invoke(main, ["score", *map(str, arguments)])
+    assert done.exit_code == expect, done.output
+    return done
+
+
+def spinning():
+    """The same drive by a robot that turns thrice as fast in its last ten seconds."""
+    return [
+        (t, topic, odometry(t, 0.5, -0.5, 0.4 * t + 0.8 * max(0.0, t - 17.0), 0.4))
+        if topic == "/odom" else (t, topic, message)
+        for t, topic, message in drive()
+    ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory) -> dict[str, Path]:
+    root = tmp_path_factory.mktemp("bags")
+    write_bag(root / "usual", drive())
+    write_bag(root / "spinning", spinning())
+    return {name: root / name for name in ("usual", "spinning")}
+
+
+@pytest.fixture(scope="module")
+def extracted(bags) -> dict[str, FeatureTables]:
+    tables = {}
+    for name, path in bags.items():
+        with open_run(path) as run:
+            tables[name] = extract(run, build_manager())
+    return tables
+
+
+def around(row: pd.DataFrame, blocks: int = 40, runs: int = 2, seed: int = 0) -> pd.DataFrame:
+    """Return normal runs whose features scatter by their resolution around those of one run."""
+    rng = np.random.default_rng(seed)
+    columns, n = feature_columns(row), blocks * runs
+    floors = pd.Series(feature_floors(row)).reindex(columns).to_numpy()
+    values = row[columns].to_numpy() + 2.0 * floors * rng.normal(size=(n, len(columns)))
+    table = pd.DataFrame(values, columns=columns)
+    table.insert(0, "run_id", [f"patrol|run{number:03d}" for number in range(n)])
+    table.insert(1, "mode", "patrol")
+    table.insert(2, "label", "normal")
+    table.insert(3, "block", np.repeat(np.arange(blocks), runs))
+    table.insert(4, "session", table["block"] % 3)
+    table["where"] = table["missing"] = "{}"
+    table.attrs = dict(row.attrs)
+    return table
+
+
+@pytest.fixture(scope="module")
+def normal(extracted) -> pd.DataFrame:
+    return around(extracted["usual"].run)
+
+
+@pytest.fixture
+def reference(normal, tmp_path) -> Path:
+    write_table(normal, tmp_path / "features.parquet")
+    return tmp_path / "features.parquet"
+
+
+def test_a_recording_like_the_reference_passes(bags, reference):
+    done = oracle_score(bags["usual"], "--reference", reference, expect=0)
+    assert done.stdout.startswith("normal")
+    assert "40 normal runs fit it, 40 of 20 other blocks calibrate it." in done.stdout
+    assert "may reach" not in done.stdout
+
+
+def test_an_odd_recording_is_told_with_what_gave_it_away_and_when(bags, reference, extracted):
+    done = oracle_score(bags["spinning"], "--reference", reference, expect=1)
+    verdict, _, first, *_ = done.stdout.splitlines()
+    assert verdict.startswith("ANOMALOUS")
+    assert FIRST in done.stdout
+    assert f"{extracted['spinning'].run[FIRST].iloc[0]:.4g} rad" in done.stdout
+    assert "from 15 s" in done.stdout
+    assert first.startswith(("    contextual.", "    kinematics."))
+    assert "features outside their usual range" in done.stdout
+
+
+def test_json_is_one_object_with_all_that_the_verdict_rests_on(bags, reference, normal, extracted):
+    done = oracle_score(bags["spinning"], "--reference", reference, "--format", "json", expect=1)
+    document = json.loads(done.stdout)
+    (found,) = document["recordings"]
+    assert document["outcome"] == found["outcome"] == "anomalous"
+    assert document["false_alarm_rate"] == 0.05
+    assert found["p_value"] == found["suite_p_value"] == pytest.approx(1 / 41)
+    assert found["p_value_by_block"] == pytest.approx(1 / 21)
+    assert (found["fit_runs"], found["calibration_runs"]) == (40, 40)
+    z = [abs(evidence["z"]) for evidence in found["evidence"]]
+    assert z == sorted(z, reverse=True)
+    (turning,) = [e for e in found["evidence"] if e["feature"] == FIRST]
+    assert turning["value"] == extracted["spinning"].run[FIRST].iloc[0]
+    assert turning["unit"] == "rad"
+    assert [turning["usual_low"], turning["usual_high"]] == pytest.approx(
+        np.percentile(normal[FIRST], [5, 95])
+    )
+    assert turning["window_start_s"] == 15.0
+
+
+def test_too_few_runs_are_no_verdict_but_the_number_needed(bags, normal, tmp_path):
+    write_table(normal[normal["block"] < 18], tmp_path / "small.parquet")
+    arguments = (bags["spinning"], "--reference", tmp_path / "small.parquet")
+    done = oracle_score(*arguments, expect=2)
+    assert "18 calibration runs cannot support a false-alarm rate of 0.05" in done.stdout
+    assert "19 are needed" in done.stdout
+    oracle_score(*arguments, "--far", 0.06, expect=1)
+
+
+def test_few_blocks_are_said_beside_the_verdict(bags, extracted, tmp_path):
+    write_table(around(extracted["usual"].run, blocks=6, runs=10), tmp_path / "few.parquet")
+    done = oracle_score(bags["spinning"], "--reference", tmp_path / "few.parquet", expect=1)
+    assert "30 calibration runs come from 3 blocks" in done.stdout
+    assert "may reach 25% instead of 5%" in done.stdout
+
+
+def test_attacked_runs_of_the_reference_teach_nothing(normal, extracted):
+    attacked = around(extracted["spinning"].run, seed=1).assign(label="malicious")
+    attacked["run_id"] = "attack|" + attacked["run_id"]
+    mixed = pd.concat([normal, attacked], ignore_index=True)
+    mixed.attrs = normal.attrs
+    tables = extracted["spinning"]
+    assert judge("bag", tables, mixed, 0.05) == judge("bag", tables, normal, 0.05)
+
+
+def test_the_order_of_the_reference_means_nothing(normal, extracted):
+    shuffled = normal.sample(frac=1.0, random_state=1)
+    tables = extracted["usual"]
+    one, other = (judge("bag", tables, each, 0.05) for each in (normal, shuffled))
+    assert one.p_value == other.p_value
+    assert one.score == pytest.approx(other.score)
+
+
+def test_a_run_of_the_reference_is_not_compared_with_its_own_block(normal, extracted):
+    own = extracted["usual"].run
+    mixed = normal.copy()
+    mixed.loc[0, feature_columns(own)] = own[feature_columns(own)].iloc[0]
+    verdict = judge("bag", extracted["usual"], mixed, 0.05)
+    assert verdict.fit_runs + verdict.calibration_runs == len(normal) - 2
+    assert any("one of the reference runs" in note for note in verdict.notes)
+
+
+def test_normal_runs_are_called_anomalous_as_rarely_as_promised():
+    df = run_features(runs=90)
+    df = df[df["mode"] == "lidar_passthrough"].assign(where="{}")
+    reference, new = df[df["block"] < 60], df[df["block"] >= 60]
+    windows = pd.DataFrame({"window_start_s": []})
+    found = [
+        judge("run", FeatureTables(new.iloc[[row]], windows), reference, 0.1)
+        for row in range(len(new))
+    ]
+    assert sum(verdict.outcome == "anomalous" for verdict in found) / len(found) <= 0.2
+
+
+def test_neither_the_thesis_features_nor_shortcuts_judge(normal, extracted):
+    fields = {**normal.attrs["fields"], "other.who": {"unit": "1", "shortcut": "true"}}
+    told = normal.assign(**{"thesis.size_0": 1.0, "other.who": 1.0})
+    run = extracted["usual"].run.assign(**{"thesis.size_0": 9e9, "other.who": 9e9})
+    told.attrs["fields"] = run.attrs["fields"] = fields
+    verdict = judge("bag", FeatureTables(run, extracted["usual"].windows), told, 0.05)
+    assert verdict.outcome == "normal"
+    assert all(e.feature not in ("thesis.size_0", "other.who") for e in verdict.evidence)
+
+
+def test_what_the_recording_does_not_give_is_left_out_and_said(normal, extracted):
+    told = normal.assign(**{"structural.size": 5.0})
+    tables = extracted["usual"]
+    run = tables.run.assign(
+        **{"structural.size": np.nan, "missing": json.dumps({"structural.size": "no graphs"})}
+    )
+    verdict = judge("bag", FeatureTables(run, tables.windows), told, 0.05)
+    assert verdict.features == judge("bag", tables, normal, 0.05).features
+    assert any("structural.size (no graphs)" in note for note in verdict.notes)
+
+
+def test_where_a_feature_was_attained_is_told(normal, extracted):
+    run = extracted["spinning"].run.assign(where=json.dumps({FIRST: "/odom"}))
+    verdict = judge("bag", FeatureTables(run, extracted["spinning"].windows), normal, 0.05)
+    assert {e.feature: e.where for e in verdict.evidence}[FIRST] == "/odom"
+
+
+def test_units_that_differ_are_refused(normal, extracted):
+    told = normal.copy()
+    told.attrs = {"fields": {**normal.attrs["fields"], FIRST: {"unit": "deg"}}}
+    with pytest.raises(ScoringError, match="is in deg in the reference and in rad"):
+        judge("bag", extracted["usual"], told, 0.05)
+
+
+def test_a_system_without_a_common_feature_is_not_judged(normal, extracted):
+    told = normal[["run_id", "mode", "label", "block", "session"]].assign(**{"atc.tracks": 1.0})
+    with pytest.raises(ScoringError, match="none of the features"):
+        judge("bag", extracted["usual"], told, 0.05)
+
+
+def test_a_suite_is_judged_together_and_one_bad_bag_costs_only_itself(bags, reference, tmp_path):
+    report = tmp_path / "verdicts.xml"
+    suite = (bags["usual"], bags["spinning"], tmp_path / "ab\x01sent")
+    done = oracle_score(*suite, "--reference", reference, "--junit", report, expect=2)
+    assert "adjusted for a suite of 2" in done.stdout
+    assert "COULD NOT JUDGE" in done.stdout
+    root = ElementTree.parse(report).getroot()  # noqa: S314 -- our own file
+    assert dict(root.attrib) == {
+        "name": "oracle score", "tests": "3", "failures": "1", "errors": "1"
+    }  # fmt: skip
+    usual, odd, absent = root
+    assert (usual.get("name"), len(usual)) == (str(bags["usual"]), 0)
+    assert FIRST in odd.find("failure").text
+    assert "There is no bag" in absent.find("error").get("message")
+    done = oracle_score(*suite[:2], "--reference", reference, "--format", "json", expect=1)
+    p = [found["suite_p_value"] for found in json.loads(done.stdout)["recordings"]]
+    assert p[1] == pytest.approx(2 / 41)
+
+
+def test_a_folder_of_bags_is_a_reference_whose_recordings_count_as_normal(bags, tmp_path):
+    for name in "abcd":
+        write_bag(tmp_path / "good" / name, drive())
+    (tmp_path / "good" / "broken").mkdir()
+    (tmp_path / "good" / "broken" / "metadata.yaml").write_text("{}")
+    (tmp_path / "good" / "notes.txt").write_text("recorded on a Tuesday")
+    options = ("--reference", tmp_path / "good", "--far", 0.4)
+    done = oracle_score(bags["spinning"], *options, expect=1)
+    assert "4 reference recordings have no label; they are taken as normal." in done.stdout
+    assert "broken is left out of the reference" in done.stdout
+    assert "2 normal runs fit it, 2 of 2 other blocks calibrate it." in done.stdout
+
+
+def test_a_root_is_read_by_its_feature_tables(normal, bags, tmp_path):
+    for row in range(6):
+        write_table(normal.iloc[[row]], tmp_path / f"features/run/patrol/run{row:03d}.parquet")
+    read = read_reference(tmp_path, build_manager())
+    assert read.table["run_id"].tolist() == normal["run_id"].tolist()[:6]
+
+
+def test_runs_of_another_kind_of_system_are_not_compared_with(normal, extracted):
+    traffic = normal.assign(run_id="atc|" + normal["run_id"], **{"atc.tracks": 3.0})
+    driving = [c for c in feature_columns(normal) if c.startswith("contextual.")]
+    traffic[driving] = np.nan
+    mixed = pd.concat([normal, traffic], ignore_index=True)
+    mixed.attrs = normal.attrs
+    alone, among = (judge("bag", extracted["usual"], each, 0.05) for each in (normal, mixed))
+    assert among.score == alone.score
+    assert among.calibration_runs == alone.calibration_runs
+    assert any("80 normal runs of the reference are left out" in n for n in among.notes)
+
+
+def test_what_is_no_reference_is_refused_in_one_line(bags, normal, extracted, tmp_path):
+    write_table(extracted["usual"].windows, tmp_path / "windows.parquet")
+    write_table(normal[["run_id", FIRST]], tmp_path / "keyless.parquet")
+    (tmp_path / "text.parquet").write_text("no table")
+    (tmp_path / "empty").mkdir()
+    for name, text in (
+        ("windows.parquet", "no table with one row for each run"),
+        ("keyless.parquet", "no table with one row for each run"),
+        ("text.parquet", "is not a Parquet table"),
+        ("empty", "holds no recording to compare with"),
+        ("absent", "holds no recording to compare with"),
+    ):
+        done = oracle_score(bags["usual"], "--reference", tmp_path / name, expect=2)
+        assert text in done.stderr
+        assert done.stderr.count("\n") == 1
+        assert done.stdout == ""
+
+
+def test_usage_errors_and_help():
+    oracle_score("--reference", "x", expect=2)
+    oracle_score("bag", expect=2)
+    oracle_score("bag", "--reference", "x", "--far", 1.0, expect=2)
+    assert "Example" in oracle_score("--help", expect=0).output

@@ -1,0 +1,243 @@
+"""The commands of the scenario language, as they are typed."""
+
+import json
+from collections import Counter
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader
+
+from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.bags.types import TypeDefinition, serialize
+from oracle_pipeline.bags.writer import BagWriter
+from oracle_pipeline.opened_run import open_run
+from sim.commands.kill_matrix import Mutant, derive_mutant, mutants
+from sim.commands.main import main
+from sim.commands.parameter_values import Sweep
+from sim.fuzzing.scenario import parse_scenarios
+from sim.modes import FOLDER, find_mode
+from sim.scenarios import builtin_scenarios
+from tests.sim.fuzzing.workbench import BUILTINS, SCAN, scans
+
+FOREIGN = "made_up_msgs/msg/Reading"
+READINGS = [(number * 10**9 + 1, b"\0\1\0\0reading" + bytes([number])) for number in range(9)]
+OWN = """\
+schema: mutant/v1
+id: my_drift
+title: Mine
+label: malicious
+main: {type: sensor_msgs/msg/LaserScan, input: /scan_tom, output: /scan_fakeobject}
+parameters:
+  rate: {type: float, default: 0.1, min: 0.0, unit: m/s}
+transform:
+  actions:
+    - {name: drift, do: [{drift: {field: ranges, rate: p.rate}}]}
+"""
+
+
+def run(*words, expect=0):
+    done = CliRunner().invoke(main, [str(word) for word in words])
+    assert done.exit_code == expect, done.output
+    return done
+
+
+def messages(path, *topics):
+    with BagReader(path) as bag:
+        return list(bag.messages(topics or None))
+
+
+@pytest.fixture(params=["mcap", "sqlite3"])
+def foreign_bag(request, tmp_path):
+    """A bag of somebody else's robot, with messages of a type that nobody has heard of."""
+    with BagWriter(tmp_path / "foreign", request.param) as bag:
+        bag.add_topic("/scan_tom", SCAN, [])
+        bag.add_topic("/reading", FOREIGN, [], TypeDefinition("uint8[] data\n", ""))
+        bag.add_topic("/nameless", "made_up_msgs/msg/Nameless", [], TypeDefinition("", ""))
+        for (stamp_ns, data), scan in zip(READINGS, scans(len(READINGS)), strict=True):
+            bag.write("/scan_tom", stamp_ns, serialize(scan, SCAN))
+            bag.write("/reading", stamp_ns, data)
+            bag.write("/nameless", stamp_ns, data)
+    return tmp_path / "foreign"
+
+
+def test_mutate_copies_what_it_does_not_touch_even_of_types_that_nobody_knows(
+    foreign_bag, tmp_path
+):
+    out = tmp_path / "out"
+    done = run("mutate", foreign_bag, out, "random_noise", "-p", "level=0.5", "--at", 3.0)
+    told = "onset at 3.0 s, 9 messages of /scan_tom heard, 6 touched, 9 published on /scan_fakeo"
+    assert told in done.output
+    untouched = ("/reading", "/nameless", "/scan_tom")
+    assert messages(out, *untouched) == messages(foreign_bag)
+    with BagReader(foreign_bag) as before, BagReader(out) as after:
+        assert after.definition(FOREIGN).text == before.definition(FOREIGN).text == "uint8[] data\n"
+    expected = dict.fromkeys([*untouched, "/scan_fakeobject", "/_oracle/ground_truth"], 9)
+    with Reader(out) as bag:
+        assert Counter(connection.topic for connection, _, _ in bag.messages()) == expected
+    for file in out.glob("*.mcap"):
+        with file.open("rb") as stream:
+            found = [channel.topic for _, channel, _ in make_reader(stream).iter_messages()]
+        assert Counter(found) == expected
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["no_such"], "neither a scenario nor a file no_such"),
+        (["random_noise", "-p", "level=2"], "level: expected 0.0 to 1.0, found 2.0"),
+        (["odometry_spoof"], "has no topic /odom, which odometry_spoof hears"),
+        (["sensor_freeze"], "does not show when a goal was accepted"),
+        (["command_injection"], "main.output: expected a topic that moves nothing"),
+    ],
+)
+def test_mutate_says_what_is_wrong_and_writes_nothing(words, expected, foreign_bag, tmp_path):
+    done = run("mutate", foreign_bag, tmp_path / "out", *words, expect=1)
+    assert expected in done.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_mutate_takes_one_scenario_of_a_file_that_holds_several(foreign_bag, tmp_path):
+    file = tmp_path / "two.yaml"
+    file.write_text(OWN + "---\n" + OWN.replace("my_drift", "other"))
+    done = run("mutate", foreign_bag, tmp_path / "out", file, expect=1)
+    assert "holds my_drift, other" in done.output
+    run("mutate", foreign_bag, tmp_path / "out", f"{file}#other")
+
+
+def test_a_right_file_is_called_right_and_a_wrong_one_named_with_line_and_key(tmp_path):
+    right, wrong, mistyped = (tmp_path / f"{name}.yaml" for name in ("right", "wrong", "mistyped"))
+    right.write_text(OWN)
+    wrong.write_text(OWN.replace("label: malicious", "label: evil"))
+    mistyped.write_text(OWN.replace("p.rate", "p.name"))
+    assert "my_drift is right" in run("scenario", "check", right).output
+    done = run("scenario", "check", wrong, right, mistyped, tmp_path / "none.yaml", expect=1)
+    assert "my_drift is right" in done.output
+    told = done.stderr.splitlines()
+    assert len(told) == 3
+    assert told[0].startswith(f"{wrong}:4: label: expected one of malicious, normal, control")
+    assert told[1].startswith(f"{mistyped}:10: transform.actions[0].do[0].drift.rate: ")
+    assert told[2].startswith(f"Could not read {tmp_path / 'none.yaml'}")
+
+
+def test_a_scenario_that_moves_something_needs_leave(tmp_path):
+    file = tmp_path / "own.yaml"
+    file.write_text(run("scenario", "show", "command_injection").output)
+    assert "moves nothing" in run("scenario", "check", file, expect=1).output
+    run("scenario", "check", file, "--allow-actuation")
+    for words in (["fuzz", "-n", 1, "--scenario-template"], ["grid", "--over", "turn=0:1:2"]):
+        assert "moves nothing" in run(*words, file, "--out", tmp_path, expect=1).output
+
+
+@pytest.mark.parametrize("name", [*BUILTINS, "fake_object_shadow"])
+def test_what_is_shown_is_the_scenario(name):
+    (shown,) = parse_scenarios(run("scenario", "show", name).output.encode(), "shown.yaml")
+    assert shown.digest == find_mode(name, allow_actuation=True).scenario.digest
+
+
+def test_the_list_has_the_built_in_scenarios_and_ones_own(tmp_path, monkeypatch):
+    (tmp_path / "own.yaml").write_text(OWN)
+    (tmp_path / "broken.yaml").write_text("nothing")
+    monkeypatch.setenv(FOLDER, str(tmp_path))
+    done = run("scenario", "list", "--format", "json")
+    assert "broken.yaml:1" in done.stderr
+    listed = {row["id"]: row for row in json.loads(done.stdout)}
+    assert set(listed) == {*builtin_scenarios(), "my_drift"}
+    assert listed["my_drift"] == {
+        "id": "my_drift",
+        "title": "Mine",
+        "label": "malicious",
+        "type": SCAN,
+        "input": "/scan_tom",
+        "output": "/scan_fakeobject",
+        "parameters": {"rate": "0.1 (from 0.0 m/s)"},
+        "is_mode": True,
+    }
+    assert listed["random_noise"]["parameters"] == {"level": "0.1 (0.0 to 1.0)"}
+    text = run("scenario", "list").stdout
+    assert all(name in text for name in listed)
+
+
+def test_a_grid_has_every_value_in_every_block_and_grows_by_blocks():
+    sweeps = [Sweep("level", (0.1, 0.2)), Sweep("rays", (3,))]
+    cells = mutants(sweeps, 3)
+    assert [cell.run for cell in cells] == list(range(9))
+    assert cells[:6] == mutants(sweeps, 2)
+    assert {(cell.block, cell.parameter, cell.value) for cell in cells} == {
+        (block, name, value)
+        for block in range(3)
+        for name, value in (("level", 0.1), ("level", 0.2), ("rays", 3))
+    }
+
+
+def test_a_grid_is_indexed_as_far_as_there_are_runs_with_its_equivalent_mutants(controls, tmp_path):
+    words = ["random_noise", "--over", "level=0:0.1:2", "--blocks", 2, "--on", controls]
+    root = tmp_path / "grid"
+    done = run("grid", *words, "--out", root, "--workers", 1, expect=1)
+    assert "2 of 4 runs failed" in done.stderr
+    assert f"random_noise|run003: Could not read {controls / 'run001'}" in done.stderr
+    index = json.loads((root / "grid.json").read_text())
+    heard = len(messages(controls / "run000/bag", "/scan_tom"))
+    same = {"scenario": "random_noise", "parameter": "level", "block": 0}
+    assert index == [
+        {**same, "run_id": "random_noise|run000", "value": 0.0, "path": "runs/random_noise/run000",
+         "changed_messages": 0, "equivalent": True},
+        {**same, "run_id": "random_noise|run001", "value": 0.1, "path": "runs/random_noise/run001",
+         "changed_messages": heard, "equivalent": False},
+    ]  # fmt: skip
+
+
+def test_a_mutant_of_a_run_is_a_run_of_its_block(controls, tmp_path):
+    mode = find_mode("fake_object")
+    cell = Mutant(7, 0, "radius", 0.3)
+    manifest = derive_mutant(mode, controls, tmp_path, False, cell)
+    original = Manifest.load(controls / "run000" / "manifest.json")
+    with open_run(tmp_path / "runs/fake_object/run007") as opened:
+        assert opened.manifest == manifest
+        assert len(opened.intervals) > 0
+    assert (manifest.mode, manifest.label, manifest.run) == ("fake_object", "malicious", 7)
+    assert (manifest.block, manifest.session, manifest.start, manifest.goals) == (
+        original.block, original.session, original.start, original.goals,
+    )  # fmt: skip
+    assert manifest.attack["radius"] == 0.3
+    assert np.hypot(manifest.attack["x"], manifest.attack["y"]) < 10.0  # the block's
+    changed = sum(change.messages for change in manifest.changes)
+    assert 0 < changed <= len(messages(controls / "run000/bag", "/scan_tom"))
+
+
+def test_a_mutant_that_is_there_is_kept_and_another_is_not_put_in_its_place(controls, tmp_path):
+    mode = find_mode("sensor_drop")
+    cell = Mutant(0, 0, "share", 0.5)
+    made = derive_mutant(mode, controls, tmp_path, False, cell)
+    assert derive_mutant(mode, controls, tmp_path, False, cell) == made  # wall time included
+    other = Mutant(0, 0, "share", 0.6)
+    with pytest.raises(RunDirectoryError, match="is another mutant"):
+        derive_mutant(mode, controls, tmp_path, False, other)
+    assert derive_mutant(mode, controls, tmp_path, True, other).attack == {"share": 0.6}
+
+
+def test_fuzzed_runs_tell_what_was_drawn_and_are_not_made_twice(tmp_path):
+    file = tmp_path / "own.yaml"
+    file.write_text(OWN.replace("min: 0.0", "min: 0.01, max: 0.5"))
+    words = ["--scenario-template", file, "-n", 1, "--goals", 1, "--out", tmp_path, "--workers", 1]
+    run("fuzz", *words, "--seed", 5)
+    path = tmp_path / "runs/my_drift/run000/manifest.json"
+    manifest = Manifest.load(path)
+    assert 0.01 <= manifest.attack["rate"] <= 0.5
+    assert manifest.attack["rate"] != 0.1  # the default
+    assert manifest.scenario == "my_drift"
+    before = path.read_bytes()
+    run("fuzz", *words, "--seed", 5)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "words", [["mutate"], ["scenario", "check"], ["scenario", "list"], ["scenario", "show"],
+              ["fuzz"], ["grid"]],
+    ids=" ".join,
+)  # fmt: skip
+def test_every_command_teaches_with_an_example(words):
+    assert f"oracle-sim {' '.join(words)} " in run(*words, "--help").output
