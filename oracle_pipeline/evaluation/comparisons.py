@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.datasets import HARD_NEGATIVE, DistinctRuns
 from oracle_pipeline.detectors import DEFAULT_DETECTOR
-from oracle_pipeline.evaluation.conformal import runs_needed
 from oracle_pipeline.evaluation.held_out import HeldOutScores, Level
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import auc, average_precision, matthews, only, share
+from oracle_pipeline.scoring.conformal import runs_needed
 
 RATES = (0.05, 0.01)  # false-alarm rates a verdict is asked to keep; the first is the usual one
 BLOCKS_NEEDED = {0.01: 250}  # two in five calibrate, so that even one mode alone gives 99 runs

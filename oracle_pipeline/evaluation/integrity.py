@@ -20,7 +20,6 @@ from oracle_pipeline.detectors import Detector, upper_bounds
 from oracle_pipeline.evaluation.audit import blocks_needed, exact_pairs, told_in_pair
 from oracle_pipeline.evaluation.comparisons import RATES, runs_of
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
-from oracle_pipeline.evaluation.feature_sets import LEFT_OUT, feature_sets
 from oracle_pipeline.evaluation.held_out import (
     HeldOutScores,
     fold_scores,
@@ -30,6 +29,7 @@ from oracle_pipeline.evaluation.held_out import (
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import auc, share
 from oracle_pipeline.evaluation.splits import Fold
+from oracle_pipeline.scoring.feature_sets import LEFT_OUT, feature_sets
 
 CheckStatus = Literal["green", "red", "unsupported"]
 

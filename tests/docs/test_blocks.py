@@ -20,6 +20,7 @@ from oracle_pipeline.cli import main as oracle
 from oracle_pipeline.datasets import feature_columns, read_table, write_table
 from resources.cli import main as oracle_sim
 from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.execution import execute
 from sim.fuzzing.scenario import parse_scenarios
 from tests.docs.pages import DOCS, LANGUAGES, PAGES, blocks, name
 from tests.docs.shell import NOT_RUN, Shell
@@ -119,7 +120,7 @@ def check(block, shell):
         tomllib.loads(block.text)
     elif block.language == "yaml" and "schema: mutant" in block.text:
         for scenario in parse_scenarios(block.text.encode(), f"line {block.line}"):
-            compile_scenario(scenario).start(1)
+            execute(compile_scenario(scenario), seed=1)
     elif block.language == "yaml":
         assert yaml.safe_load(block.text)
     elif block.language == "python" and block.file:
