@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.terminal import progress_bar
 from oracle_pipeline.datasets import feature_floors
 from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel, pipeline
 from oracle_pipeline.evaluation.conformal import adjusted_for_suite, check_support, p_values
@@ -52,7 +52,7 @@ def score(
     """
     verdicts = [
         _score_one(path, reference, manager, far, detector)
-        for path in tqdm(recordings, unit="recording", disable=None)
+        for path in progress_bar(recordings, unit="recording")
     ]
     p = np.array([verdict.p_value for verdict in verdicts if verdict.p_value is not None])
     adjusted = iter(adjusted_for_suite(p).tolist() if len(p) else [])

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
-from tqdm import tqdm
 
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE
+from oracle_pipeline.bags.terminal import progress_bar
 from oracle_pipeline.datasets import KEYS, feature_dataset, read_table
 from oracle_pipeline.features import FeatureManager, extract
 from oracle_pipeline.opened_run import open_run
@@ -62,7 +62,7 @@ def read_reference(path: Path, manager: FeatureManager) -> Reference:
 def _extracted(folder: Path, manager: FeatureManager) -> Reference:
     """Compute the features of all recordings below a folder."""
     tables, notes, unlabelled = [], [], 0
-    for path in tqdm(list(_recordings(folder)), unit="recording", disable=None, desc="reference"):
+    for path in progress_bar(list(_recordings(folder)), unit="recording", desc="reference"):
         try:
             with open_run(path) as run:
                 table = extract(run, manager).run
