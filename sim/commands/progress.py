@@ -5,6 +5,8 @@ import time
 from types import TracebackType
 from typing import Self
 
+from tqdm import tqdm
+
 from oracle_pipeline.bags.terminal import progress_bar
 
 
@@ -18,7 +20,7 @@ class RunProgress:
     """
 
     def __init__(self, total_runs: int) -> None:
-        self._bar = progress_bar((), total=total_runs, unit="run")
+        self._bar: tqdm[None] = progress_bar((), total=total_runs, unit="run")
         self._started = time.monotonic()
         self._recorded_s = 0.0
 
