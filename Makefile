@@ -92,8 +92,11 @@ sbom: requirements ## Write dist/sbom.cdx.json: what the image is made of, as Cy
 bench: setup-dev ## Measure speed, size and memory, as ratios of one run
 	python -m bench
 
-soak: setup-dev ## Kill a campaign 50 times, and keep 600 runs within 2 GB; hours
+soak: setup-dev ## Kill everything at random moments, fill the disk, flip bits, keep 600 runs within 2 GB; hours
 	python -m soak.faults
+	python -m soak.aggregates
+	python -m soak.full_disk
+	python -m soak.flips
 	python -m soak.budget
 
 clean: ## Remove the environment and all caches; recorded data stay

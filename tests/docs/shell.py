@@ -19,7 +19,7 @@ from click.testing import CliRunner
 
 from oracle_pipeline.cli import main as oracle
 from oracle_pipeline.definitions import defs
-from sim.commands.main import main as oracle_sim
+from resources.cli import main as oracle_sim
 from sim.modes import modes
 from tests.docs.pages import REPOSITORY
 
