@@ -14,6 +14,7 @@ import pandas as pd
 
 from oracle_pipeline import features as feature_extraction
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.terminal import PlainTextGroup
 from oracle_pipeline.datasets import MISSING, WHERE, field_metadata, replacing, write_table
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.replay.command import replay
@@ -27,7 +28,7 @@ class _Failure(click.ClickException):
     exit_code = 2
 
 
-class _Group(click.Group):
+class _Group(PlainTextGroup):
     """Ends every failure with exit code 2; a bug of ours prints its traceback."""
 
     def invoke(self, ctx: click.Context) -> Any:

@@ -12,9 +12,9 @@ from typing import Protocol
 
 import numpy as np
 import pandas as pd
-from tqdm import tqdm
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.terminal import progress_bar
 from oracle_pipeline.detectors import by_family, explain
 from oracle_pipeline.features import FeatureManager, FeatureTables, extract
 from oracle_pipeline.opened_run import open_run
@@ -59,7 +59,7 @@ def score(
     """
     verdicts = [
         _score_one(path, reference, manager, far)
-        for path in tqdm(recordings, unit="recording", disable=None)
+        for path in progress_bar(recordings, unit="recording")
     ]
     return settled(verdicts, far)
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
-from tqdm import tqdm
 
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE
+from oracle_pipeline.bags.terminal import progress_bar
 from oracle_pipeline.datasets import KEYS, feature_dataset, read_table, window_dataset
 from oracle_pipeline.features import FeatureManager, extract
 from oracle_pipeline.opened_run import open_run
@@ -88,7 +88,7 @@ def _extracted(paths: Sequence[Path], manager: FeatureManager) -> Reference:
     """Compute the features of recordings, and of all recordings below folders."""
     tables, windows, observations, notes, unlabelled = [], [], [], [], 0
     recordings = [recording for path in paths for recording in _recordings(path)]
-    for path in tqdm(recordings, unit="recording", disable=None, desc="reference"):
+    for path in progress_bar(recordings, unit="recording", desc="reference"):
         try:
             with open_run(path) as run:
                 both = list(extract(run, manager))
