@@ -73,7 +73,7 @@ def test_every_failure_is_one_line_and_exit_code_2(tmp_path, make_run):
         ((tmp_path / "absent",), "There is no bag"),
         ((tmp_path,), "is not a bag"),
         ((corrupt.path,), "is damaged: bag/bag_0.mcap"),
-        ((corrupt.bag,), "Could not open the bag"),
+        ((corrupt.bag,), "no message could be read"),
         ((tmp_path, "--plugins", tmp_path / "none"), "no plugin folder"),
     ):
         done = oracle("features", *arguments)
