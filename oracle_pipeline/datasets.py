@@ -237,6 +237,13 @@ def write_table(df: pd.DataFrame, path: Path) -> None:
 
     A reader sees all of it or the old one.
     """
+    content = table_bytes(df)
+    with replacing(path) as sink:
+        sink.write(content)
+
+
+def table_bytes(df: pd.DataFrame) -> bytes:
+    """Return a table as the bytes of a sealed Parquet file, with units in the schema."""
     fields = field_metadata(df)
     table = pa.Table.from_pandas(df, preserve_index=False).replace_schema_metadata(None)
     schema = pa.schema([field.with_metadata(fields.get(field.name)) for field in table.schema])
@@ -245,8 +252,7 @@ def write_table(df: pd.DataFrame, path: Path) -> None:
     pq.write_table(sealed, whole)
     content = bytearray(whole.getbuffer())
     seals.seal(content)
-    with replacing(path) as sink:
-        sink.write(content)
+    return bytes(content)
 
 
 def read_table(
@@ -272,17 +278,31 @@ def read_table(
         The file is absent, is not Parquet, or was changed after `write_table` wrote it. A table
         that was written otherwise has no seal and is taken as it is.
     """
-    kept = None
-    if rows is not None:
-        column, values = rows
-        kept = pc.field(column).isin(pa.array(sorted(values), pa.large_string()))
     try:
         content = path.read_bytes()
     except FileNotFoundError as error:
         raise DatasetError(f"There is no table {path}; make it first.") from error
+    return parse_table(content, str(path), columns=columns, rows=rows)
+
+
+def parse_table(
+    content: bytes,
+    name: str,
+    *,
+    columns: Collection[str] | None = None,
+    rows: tuple[str, Iterable[str]] | None = None,
+) -> pd.DataFrame:
+    """Return the table that `table_bytes` made bytes of; `name` stands in errors.
+
+    As `read_table`, errors included.
+    """
+    kept = None
+    if rows is not None:
+        column, values = rows
+        kept = pc.field(column).isin(pa.array(sorted(values), pa.large_string()))
     if seals.check(content) == "wrong":
         raise DatasetError(
-            f"{path} is damaged: it is not what was written. Materialize it again. If you rewrote "
+            f"{name} is damaged: it is not what was written. Materialize it again. If you rewrote "
             f"it on purpose, write it without {_SEAL!r} in the metadata of its schema."
         )
     try:
@@ -290,7 +310,7 @@ def read_table(
         table = pq.read_table(source, columns=columns and list(columns), filters=kept)
     except (pa.ArrowException, OSError) as error:
         raise DatasetError(
-            f"{path} is not a Parquet table ({error}); materialize it again."
+            f"{name} is not a Parquet table ({error}); materialize it again."
         ) from error
     df: pd.DataFrame = table.replace_schema_metadata(None).to_pandas()
     df.attrs["fields"] = Fields(

@@ -1,6 +1,6 @@
 """A run directory or a foreign bag, opened and checked.
 
-A run directory has a manifest, a bag and graphs; somebody else's bag has neither manifest nor
+A run directory has a manifest, a bag and graphs; a foreign bag has neither manifest nor
 graphs, and what needs them raises an error.
 """
 
@@ -42,7 +42,7 @@ class OpenedRun:
 
 
 def open_run(path: Path) -> OpenedRun:
-    """Open a run directory, or a bag that somebody else recorded.
+    """Open a run directory, or a foreign bag.
 
     Parameters
     ----------

@@ -118,7 +118,7 @@ def _make_again(job: RunJob, former: Manifest) -> RunReport:
     with made_aside(run) as aside:
         _record(replace(job, directory=aside))
         reproduction = judge(run, former, aside)
-        if reproduction.verdict == "unexplained":
+        if reproduction.comparison == "unexplained":
             if not is_local(run.root):
                 publish(aside.path, place_aside(run).path, MANIFEST_FILE)
             report = _finish(replace(job, refresh=False), "verified")

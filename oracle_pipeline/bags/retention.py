@@ -1,8 +1,8 @@
-"""What is kept of a finished run: its whole bag, a trimmed one, or the recipe only.
+"""How much of a finished run is kept: its whole bag, a trimmed one, or the recipe only.
 
-A trimmed bag lacks the topics that weigh much and that nobody wants. Graphs, picture and manifest
-stay, and the content hash is that of the whole bag, which the recipe gives again. Who may drop
-what, and when, is decided elsewhere.
+A trimmed bag lacks large topics that no feature needs. Graphs, picture and manifest stay, and so
+does the content hash of the whole bag, which the recipe can re-simulate. ``resources.storage``
+decides what is dropped, and when.
 """
 
 import dataclasses
@@ -29,18 +29,18 @@ from oracle_pipeline.bags.writer import BagWriter
 
 HEAVY = 0.02  # of the bag's payload: lighter topics stay in a trimmed bag
 
-Wanted = Callable[[BagReader], Collection[str]]  # the topics of a bag that have to stay
+Wanted = Callable[[BagReader], Collection[str]]  # returns the topics of a bag that stay
 
 
 def retain(run: RunDirectory, kept: Kept, wanted: Wanted) -> Manifest:
-    """Give up what is more than ``kept`` of a complete run's bag, in one step.
+    """Reduce the bag of a complete run to ``kept``, in one step.
 
     Parameters
     ----------
     run
-        On this machine. A run that has no more than ``kept`` is left as it is.
+        On this machine. A run that keeps no more than ``kept`` is left as it is.
     kept
-        What stays.
+        How much of the bag stays.
     wanted
         Returns the topics that stay in a trimmed bag, whatever their size.
 

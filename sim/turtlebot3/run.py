@@ -27,10 +27,12 @@ from sim.nav2.collision_monitor import SOURCES
 from sim.recording import DEBUG_TOPICS, GraphRecorder, ReceiveClock, Recorder
 from sim.turtlebot3.arena import Cylinder
 from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
-from sim.turtlebot3.nodes import LidarNoise, add_robot
+from sim.turtlebot3.mjcf import WorldParameters
+from sim.turtlebot3.nodes import add_robot
 from sim.turtlebot3.odometer import Odometer
 from sim.turtlebot3.recipes import TurtleBot3Recipe
-from sim.turtlebot3.world import World, WorldParameters
+from sim.turtlebot3.sensors import LidarNoise
+from sim.turtlebot3.world import World
 
 BRING_UP_NS = 20 * SECOND  # Nav2 must be active by then
 BEFORE_RECORDING_NS = 1 * SECOND  # from an active Nav2 to the recorder's start

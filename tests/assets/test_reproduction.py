@@ -136,7 +136,7 @@ def test_the_first_message_that_differs_is_named(campaign: Laboratory) -> None:
         earlier = min(a, b, key=lambda message: message.stamp_ns)
         seconds = (earlier.stamp_ns - bag.start_ns) / 1e9
     found = judge(one, former, other)
-    assert found.verdict == "unexplained"
+    assert found.comparison == "unexplained"
     assert found.first_difference == f"{earlier.topic}, {seconds:.3f} s after the first message"
 
 

@@ -19,7 +19,7 @@ from click.testing import CliRunner
 
 from oracle_pipeline.cli import main as oracle
 from oracle_pipeline.definitions import defs
-from sim.commands.main import main as oracle_sim
+from resources.cli import main as oracle_sim
 from sim.modes import modes
 from tests.docs.pages import REPOSITORY
 
@@ -35,6 +35,7 @@ NOT_RUN = {
     "source": "activates the environment, which runs already",
     "pip": "needs a package index",
     "dask": "starts servers that do not end; tests/assets/test_engines.py starts them",
+    "oracle-ui": "starts a server that does not end; tests/resources/test_guard.py starts it",
     "pre-commit": "needs a checkout with a git directory",
 }
 

@@ -18,8 +18,9 @@ from click.testing import CliRunner
 
 from oracle_pipeline.cli import main as oracle
 from oracle_pipeline.datasets import feature_columns, read_table, write_table
-from sim.commands.main import main as oracle_sim
-from sim.fuzzing.program import compile_scenario
+from resources.cli import main as oracle_sim
+from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.execution import execute
 from sim.fuzzing.scenario import parse_scenarios
 from tests.docs.pages import DOCS, LANGUAGES, PAGES, blocks, name
 from tests.docs.shell import NOT_RUN, Shell
@@ -48,9 +49,10 @@ def reader(lab, tmp_path_factory):
         shutil.copytree(lab / f"runs/{NORMAL}/run00{number}/bag", folder / f"good_bags/{number}")
     for place in ("my_robot_bag", "tonight/first"):
         shutil.copytree(lab / f"runs/{NORMAL}/run006/bag", folder / place)
-    table = folder / "run.parquet"
-    command(oracle, "features", folder / "my_robot_bag", "--format", "parquet", "--output", table)
-    write_table(around(read_table(table)), folder / "data/datasets/features.parquet")
+    normal, attacked = (features(folder, mode) for mode in (NORMAL, ATTACKED))
+    table = pd.concat([around(normal), attacked], ignore_index=True)
+    table.attrs = dict(normal.attrs)
+    write_table(table, folder / "data/datasets/features.parquet")
     return folder
 
 
@@ -61,6 +63,12 @@ def command(group, *words):
 
 def record(root, mode, number):
     command(oracle_sim, "record", "-m", mode, "-n", number, "--goals", 1, "--out", root)
+
+
+def features(folder, mode):
+    run, table = folder / f"data/runs/{mode}/run000", folder / f"{mode}.parquet"
+    command(oracle, "features", run, "--format", "parquet", "--output", table)
+    return read_table(table)
 
 
 def around(row: pd.DataFrame) -> pd.DataFrame:
@@ -112,7 +120,7 @@ def check(block, shell):
         tomllib.loads(block.text)
     elif block.language == "yaml" and "schema: mutant" in block.text:
         for scenario in parse_scenarios(block.text.encode(), f"line {block.line}"):
-            compile_scenario(scenario).start(1)
+            execute(compile_scenario(scenario), seed=1)
     elif block.language == "yaml":
         assert yaml.safe_load(block.text)
     elif block.language == "python" and block.file:

@@ -10,7 +10,7 @@ import pytest
 
 from assets.partitions import run_count
 from oracle_pipeline.definitions import defs
-from sim.recipes import Campaign
+from sim.campaigns import Campaign
 from tests.docs.pages import DOCS, REPOSITORY
 
 SCHEMA = REPOSITORY / "oracle_pipeline" / "bags" / "manifest.schema.json"
