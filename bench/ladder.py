@@ -1,0 +1,295 @@
+"""The attacker ladder: how well attacks are told apart when the attacker holds more and more.
+
+Pairs of runs are recorded in closed loop; what an attacker could do besides is done to the right
+ones on their way to the features. A rung is a set of topics that are left in the bag. Scores are
+the evaluation's own: run and windows, fitted and calibrated on right runs of other blocks.
+``ORACLE_BENCH_RUNS`` names a folder to keep the runs in, ``ORACLE_BENCH_BLOCKS`` their number.
+"""
+
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from bench.alterations import (
+    IMU,
+    JOINTS,
+    ODOMETRY,
+    POSE,
+    SCAN,
+    TRANSFORMS,
+    Alteration,
+    blinded,
+    frozen,
+    odometry,
+    open_altered,
+    phantom,
+    ranges_by,
+    replayed,
+    simple,
+    transforms,
+    without_small_things,
+)
+from bench.figures import Row
+from oracle_pipeline import features
+from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.datasets import (
+    DistinctRuns,
+    feature_dataset,
+    is_malicious,
+    window_dataset,
+)
+from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel
+from oracle_pipeline.evaluation.held_out import held_out
+from oracle_pipeline.evaluation.metrics import auc
+from oracle_pipeline.evaluation.splits import block_folds
+from oracle_pipeline.scoring.feature_sets import feature_sets
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for, record_run
+
+CONTROL, FAKE, REAL = "lidar_passthrough_odom", "fake_object", "benign_obstacle"
+GOALS = 2
+BLOCKS = 24
+SEED = 17
+
+_ATTACKED, _SOURCE, _OTHER = "/scan_fakeobject", "/scan_tom", "/scan"
+_FIVE = 1.05  # per cent
+_NEW = ("kinematics", "transforms", "permanence", "noise", "stamps")
+
+
+@dataclass(frozen=True)
+class Rung:
+    """What an attacker leaves in the bag."""
+
+    name: str
+    left_out: tuple[str, ...]
+
+
+WHOLE = Rung("input still in the bag", ())
+GONE = Rung("input gone", (_SOURCE,))
+ALONE = Rung("one scanner only", (_SOURCE, _OTHER, "/range_ella"))
+TWO = Rung("two scanners together", (_SOURCE, "/range_ella"))
+
+
+@dataclass(frozen=True)
+class Attack:
+    """An alteration of right runs on a rung, or an attacked mode if there is none."""
+
+    name: str
+    rung: Rung
+    alteration: Alteration | None = None
+    goal: float | None = None
+
+
+def _noisy(message: object) -> object:
+    ranges = np.asarray(message.ranges, dtype=np.float64)  # type: ignore[attr-defined]
+    stamp = message.header.stamp  # type: ignore[attr-defined]
+    rng = np.random.default_rng([stamp.sec, stamp.nanosec])
+    return ranges * (1.0 + 0.02 * rng.uniform(-1.0, 1.0, len(ranges)))
+
+
+def _five(*path: str, index: int | None = None) -> "object":
+    """Return what makes a field of a message 5 % larger."""
+
+    def change(message: object) -> None:
+        *owners, last = path
+        for name in owners:
+            message = getattr(message, name)
+        value = getattr(message, last)
+        if index is None:
+            setattr(message, last, value * _FIVE)
+        else:
+            changed = np.array(value)
+            changed[index] *= _FIVE
+            setattr(message, last, changed)
+
+    return change
+
+
+def _all_five(*paths: tuple[str, ...]) -> "object":
+    changes = [_five(*path) for path in paths]
+
+    def change(message: object) -> None:
+        for each in changes:
+            each(message)  # type: ignore[operator]
+
+    return change
+
+
+def _east(*path: str, by_m: float) -> "object":
+    def change(message: object) -> None:
+        for name in path:
+            message = getattr(message, name)
+        message.x += by_m  # type: ignore[attr-defined]
+
+    return change
+
+
+_BASE, _ODOM = "base_footprint", "odom"
+_RATES = simple(_all_five(("angular_velocity", "x"), ("angular_velocity", "y"), ("angular_velocity", "z")))  # type: ignore[arg-type]  # fmt: skip
+_FORCES = simple(_all_five(*[("linear_acceleration", axis) for axis in "xyz"]))  # type: ignore[arg-type]
+_WHEELS = simple(_all_five(("position",), ("velocity",)))  # type: ignore[arg-type]
+
+ATTACKS = (
+    Attack("fake object", WHOLE, goal=0.95),
+    Attack("fake object", GONE, goal=0.95),
+    Attack("fake object", ALONE, goal=0.95),
+    Attack("fake object, noisy, exact", ALONE, phantom(1.0, 0.2, 0.01)),
+    Attack("fake object, noisy, exact", TWO, phantom(1.0, 0.2, 0.01)),
+    Attack("fake object, exact", TWO, phantom(1.0, 0.2, 0.0)),
+    Attack("scans of 5 s before", ALONE, replayed(25)),
+    Attack("scans frozen", ALONE, frozen()),
+    Attack("scans turned by 3 degrees", ALONE, ranges_by(lambda m: np.roll(m.ranges, 3))),
+    Attack("nearest small thing removed", ALONE, ranges_by(without_small_things)),
+    Attack("ranges 5 % longer", ALONE, ranges_by(lambda m: m.ranges * _FIVE)),
+    Attack("ranges 5 cm longer", ALONE, ranges_by(lambda m: m.ranges + 0.05)),
+    Attack("ranges with noise of 2 %", ALONE, ranges_by(_noisy)),
+    Attack("60 degrees ahead blinded", ALONE, ranges_by(blinded)),
+    Attack("scans held back 0.3 s", ALONE, Alteration(late_s={SCAN: 0.3}, onset_s=15.0)),
+    Attack("scans of 0.4 s before", ALONE, replayed(2)),
+    Attack("odometry 5 %", WHOLE, Alteration({ODOMETRY: odometry(along=_FIVE, twist=_FIVE)}), 0.95),
+    Attack("odometry's turn 5 %", WHOLE, Alteration({ODOMETRY: odometry(turn=_FIVE)}), 0.95),
+    Attack("odometry's twist 5 %", WHOLE, Alteration({ODOMETRY: odometry(twist=_FIVE)}), 0.95),
+    Attack("odometry 5 cm", WHOLE, Alteration({ODOMETRY: odometry(east_m=0.05)}), 0.95),
+    Attack(
+        "odometry and tf 5 %", WHOLE,
+        Alteration({
+            ODOMETRY: odometry(along=_FIVE, twist=_FIVE), TRANSFORMS: transforms(_BASE, along=_FIVE)
+        }), 0.95,
+    ),
+    Attack(
+        "odometry and tf 5 cm, from 15 s on", WHOLE,
+        Alteration({
+            ODOMETRY: odometry(east_m=0.05), TRANSFORMS: transforms(_BASE, east_m=0.05)
+        }, onset_s=15.0), 0.95,
+    ),
+    Attack(
+        "odometry and tf slide 1 cm/s, from 15 s on", WHOLE,
+        Alteration({
+            ODOMETRY: odometry(aside_m_s=0.01), TRANSFORMS: transforms(_BASE, aside_m_s=0.01)
+        }, onset_s=15.0),
+    ),
+    Attack(
+        "odometry, tf and joints 5 %", WHOLE,
+        Alteration({
+            ODOMETRY: odometry(along=_FIVE, twist=_FIVE),
+            TRANSFORMS: transforms(_BASE, along=_FIVE), JOINTS: _WHEELS,
+        }), 0.95,
+    ),
+    Attack("tf of odometry 5 %", WHOLE, Alteration({TRANSFORMS: transforms(_BASE, along=_FIVE)}), 0.95),
+    Attack("tf of odometry 5 cm", WHOLE, Alteration({TRANSFORMS: transforms(_BASE, east_m=0.05)}), 0.95),
+    Attack("tf of localisation 5 cm", WHOLE, Alteration({TRANSFORMS: transforms(_ODOM, east_m=0.05)}), 0.95),
+    Attack("localisation 5 cm", WHOLE, Alteration({POSE: simple(_east("pose", "pose", "position", by_m=0.05))}), 0.95),  # type: ignore[arg-type]
+    Attack("gyroscope 5 %", WHOLE, Alteration({IMU: _RATES}), 0.95),
+    Attack("accelerometer 5 %", WHOLE, Alteration({IMU: _FORCES}), 0.95),
+    Attack("joints 5 %", WHOLE, Alteration({JOINTS: _WHEELS}), 0.95),
+    Attack("one joint 5 %", WHOLE, Alteration({JOINTS: simple(_five("position", index=0))}), 0.95),  # type: ignore[arg-type]
+    Attack("mount of the scanners 5 cm", WHOLE, Alteration({TRANSFORMS: transforms("base_scan", east_m=0.05)}), 0.95),
+    Attack("odometry held back 0.1 s", WHOLE, Alteration(late_s={ODOMETRY: 0.1})),
+)  # fmt: skip
+
+
+def rows() -> Iterator[Row]:
+    """Yield a figure for each attack, and for the fake object against the real one."""
+    kept = os.environ.get("ORACLE_BENCH_RUNS")
+    blocks = range(int(os.environ.get("ORACLE_BENCH_BLOCKS", BLOCKS)))
+    with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor() as pool:
+        root = Path(kept or folder)
+        list(pool.map(_record, [(root, mode, b) for mode in (CONTROL, FAKE, REAL) for b in blocks]))
+        right: dict[Rung, Tables] = {}
+        for number, attack in enumerate(ATTACKS):
+            if attack.rung not in right:
+                right[attack.rung] = Tables.of(
+                    pool.map(
+                        _right, [(root, attack.rung, m, b) for m in (CONTROL, REAL) for b in blocks]
+                    )
+                )
+            attacked = Tables.of(pool.map(_attacked, [(root, number, b) for b in blocks]))
+            yield from _figures(attack, right[attack.rung], attacked)
+
+
+@dataclass(frozen=True)
+class Tables:
+    """Features of some runs."""
+
+    runs: list[pd.DataFrame]
+    windows: list[pd.DataFrame]
+
+    @classmethod
+    def of(cls, tables: Iterator[features.FeatureTables]) -> "Tables":
+        """Collect them."""
+        found = list(tables)
+        return cls([each.run for each in found], [each.windows for each in found])
+
+
+def _record(task: tuple[Path, str, int]) -> None:
+    root, mode, block = task
+    directory = RunDirectory(root, mode, block)
+    if not directory.path.exists():
+        record_run(recipe_for(mode, block, Campaign(goals_per_run=GOALS)), directory)
+
+
+def _right(task: tuple[Path, Rung, str, int]) -> features.FeatureTables:
+    root, rung, mode, block = task
+    return _extract(root, mode, block, Alteration(), rung)
+
+
+def _attacked(task: tuple[Path, int, int]) -> features.FeatureTables:
+    root, number, block = task
+    attack = ATTACKS[number]
+    mode = FAKE if attack.alteration is None else CONTROL
+    tables = _extract(root, mode, block, attack.alteration or Alteration(), attack.rung)
+    for table in (tables.run, tables.windows):
+        table["mode"], table["label"] = "attacked", "malicious"
+        table["run_id"] = f"attacked|run{block:03d}"
+    return tables
+
+
+def _extract(
+    root: Path, mode: str, block: int, alteration: Alteration, rung: Rung
+) -> features.FeatureTables:
+    path = RunDirectory(root, mode, block).path
+    with open_altered(path, alteration, rung.left_out) as run:
+        return features.extract(run, features.build_manager())
+
+
+def _figures(attack: Attack, right: Tables, attacked: Tables) -> Iterator[Row]:
+    df = feature_dataset([*right.runs, *attacked.runs])
+    runs = MeasuredRuns.ordered(df, window_dataset([*right.windows, *attacked.windows]))
+    columns = feature_sets(runs.features)["all"]
+    before = [column for column in columns if column.partition(".")[0] not in _NEW]
+    mode = runs.features["mode"].to_numpy()
+    score, earlier = (_score(runs, chosen) for chosen in (columns, before))
+    name = f"{attack.rung.name}: {attack.name}"
+    against = {"control": (CONTROL, attack.goal)}
+    if attack.alteration is None:
+        against["real obstacle"] = (REAL, 0.90)
+    for what, (negative, goal) in against.items():
+        two = np.isin(mode, ["attacked", negative])
+        told, of_old = (_auc(each[two], runs, two) for each in (score, earlier))
+        yield Row(
+            f"{name} against {what}", told.value, "AUC", goal, False,
+            f"[{told.low:.2f}, {told.high:.2f}]; without the consistency families {of_old}",
+        )  # fmt: skip
+
+
+def _score(runs: MeasuredRuns, columns: Sequence[str]) -> np.ndarray:
+    folds = block_folds(runs.features, SEED)
+    return held_out(runs, columns, panel(SEED)[DEFAULT_DETECTOR], folds, "both").score
+
+
+def _auc(score: np.ndarray, runs: MeasuredRuns, rows_: np.ndarray) -> "object":
+    chosen = runs.features[rows_]
+    distinct = DistinctRuns(
+        np.arange(len(chosen)),
+        np.ones(len(chosen), np.int64),
+        is_malicious(chosen),
+        chosen["block"].to_numpy(),
+    )
+    return auc(score, distinct, np.random.default_rng(SEED))
