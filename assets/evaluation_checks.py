@@ -22,6 +22,8 @@ CHECKS = tuple(
         "shuffled_labels_are_chance": "Labels permuted within blocks are not predicted.",
         "hard_negatives_pass": "Harmless changes are seldom called anomalous.",
         "shortcuts_are_apart": "No feature behind the headline tells a run by who was there.",
+        "nothing_is_told_where_nothing_was_altered": "No feature behind the headline tells a "
+        "passthrough from its shadow control.",
     }.items()
 )
 
