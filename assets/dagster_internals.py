@@ -1,4 +1,4 @@
-"""Every name of Dagster's that is not public: the only module of ours that imports ``dagster._``.
+"""All private names of Dagster that we use; no other module imports from ``dagster._``.
 
 Both are needed because one step handles many partitions, for which Dagster 1.13 has no public way.
 Tests in ``tests/assets`` fail if a Dagster release changes what they do.

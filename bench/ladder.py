@@ -45,11 +45,11 @@ from oracle_pipeline.datasets import (
     window_dataset,
 )
 from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel
-from oracle_pipeline.evaluation.feature_sets import feature_sets
 from oracle_pipeline.evaluation.held_out import held_out
-from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
 from oracle_pipeline.evaluation.metrics import auc
 from oracle_pipeline.evaluation.splits import block_folds
+from oracle_pipeline.scoring.feature_sets import feature_sets
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from sim.campaigns import Campaign
 from sim.experiments import recipe_for, record_run
 

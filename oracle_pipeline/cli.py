@@ -1,6 +1,6 @@
 """``oracle``: the analysis from the command line, without Dagster.
 
-Exit codes: 0 done, 2 could not be done, whatever the reason. ``oracle score`` adds 1: anomalous.
+Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomalous.
 """
 
 import json
@@ -28,7 +28,7 @@ class _Failure(click.ClickException):
 
 
 class _Group(click.Group):
-    """Ends every failure with exit code 2; a defect of ours shows its traceback."""
+    """Ends every failure with exit code 2; a bug of ours prints its traceback."""
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
@@ -39,12 +39,12 @@ class _Group(click.Group):
             raise
         except Exception as error:
             traceback.print_exc()
-            raise _Failure("This is a defect; please report it with the lines above.") from error
+            raise _Failure("This is a bug; please report it with the lines above.") from error
 
 
 @click.group(cls=_Group)
 def main() -> None:
-    """Tell right behaviour of a ROS 2 system from wrong, from its recordings."""
+    """Tell normal from anomalous behaviour of a ROS 2 system, using only recordings."""
 
 
 main.add_command(replay)
@@ -86,8 +86,8 @@ def features(
     """Compute the features of one recording.
 
     RUN_OR_BAG is a run directory, the folder of a rosbag2 (SQLite or MCAP, split or compressed), a
-    single .mcap or .db3 file, or a ROS 1 .bag file. No ROS is needed. A feature that this recording
-    does not give is null, and "missing" says why.
+    single .mcap or .db3 file, or a ROS 1 .bag file. No ROS is needed. A feature that cannot be
+    computed from this recording is null, and "missing" holds the reason.
 
     \b
     Examples:
@@ -126,13 +126,13 @@ def _json(table: pd.DataFrame) -> str:
                 type=click.Path(path_type=Path))  # fmt: skip
 @click.option(
     "--reference", required=True, type=click.Path(path_type=Path),
-    help="Right runs to compare with: a table of run features, a root with features/ or runs/, "
+    help="Normal runs to compare with: a table of run features, a root with features/ or runs/, "
     "or any folder of run directories or bags. Attacked runs in it are left out.",
 )  # fmt: skip
 @click.option(
     "--far", default=0.05, show_default=True,
     type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
-    help="False-alarm rate: the share of right runs that may be called anomalous.",
+    help="False-alarm rate: the share of normal runs that may be called anomalous.",
 )  # fmt: skip
 @_format_option("text", "json", text="Text for reading; one JSON object for programs.")
 @_output_option("--junit", "File for the verdicts as JUnit XML, for a CI system.")
@@ -147,14 +147,14 @@ def score(
     junit: Path | None,
     plugins: Path | None,
 ) -> None:
-    """Judge recordings by the right runs of a reference.
+    """Judge recordings by comparison with the normal runs of a reference.
 
-    Exit code 0: all are like them; 1: one is anomalous; 2: one could not be judged, or none.
+    Exit code 0: all are normal; 1: at least one is anomalous; 2: at least one could not be judged.
 
-    RUN_OR_BAG is what `oracle features` takes; several are judged as one suite. Half of the
-    reference runs teach a detector what is usual, the other half calibrate it: the p-value is the
-    share of them that are at least as odd, and a run is anomalous if that is at most --far. With
-    fewer than 19 calibration runs for 5%, or 99 for 1%, nothing is judged.
+    RUN_OR_BAG is as for `oracle features`; several recordings are judged as one suite. Half of
+    the reference runs fit a detector and the other half calibrate it. The p-value is the share of
+    calibration runs that score at least as high, and a recording is anomalous if its p-value is at
+    most --far. A rate of 5% needs 19 calibration runs, 1% needs 99; with fewer, nothing is judged.
 
     \b
     Examples:

@@ -22,6 +22,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import LABELS
 from oracle_pipeline.bags.remote import is_local
@@ -29,8 +30,9 @@ from oracle_pipeline.bags.scratch import scratch_beside
 
 KEYS = ("run_id", "mode", "label", "block", "session")
 WINDOW_START = "window_start_s"  # one more key where a row is a window [s of the recording]
-WHERE = "where"  # the column that says at which topic, pair or edge a feature was attained
-MISSING = "missing"  # the column that says why a feature is NaN
+WHERE = "where"  # the column with the topic, pair or edge at which a feature was attained
+_SEAL = "oracle.seal"  # key in the metadata of a Parquet schema
+MISSING = "missing"  # the column with the reason why a feature is NaN
 
 HARD_NEGATIVE = "benign_"  # begins the names of modes that change something and harm nobody
 
@@ -88,7 +90,7 @@ def is_malicious(df: pd.DataFrame) -> NDArray[np.bool_]:
 
 
 def is_hard_negative(df: pd.DataFrame) -> NDArray[np.bool_]:
-    """Return True for the rows of right runs in which something harmless was changed."""
+    """Return True for the rows of normal runs in which something harmless was changed."""
     return np.asarray(df["mode"].str.startswith(HARD_NEGATIVE), dtype=np.bool_)
 
 
@@ -103,9 +105,9 @@ def without_empty_families(df: pd.DataFrame) -> pd.DataFrame:
 
 
 def feature_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
-    """Join the feature tables of many runs into one, a row a run, sorted by ``run_id``.
+    """Join the feature tables of many runs into one with a row for each run, by ``run_id``.
 
-    A feature that a table lacks becomes NaN if the table's ``missing`` column says why.
+    A feature that a table lacks becomes NaN if the table's ``missing`` column holds a reason.
 
     Raises
     ------
@@ -117,7 +119,7 @@ def feature_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
 
 
 def window_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
-    """Join the window tables of many runs into one, a row a window, by ``run_id`` and start.
+    """Join the window tables of many runs into one, sorted by ``run_id`` and window start.
 
     As `feature_dataset`, errors included.
     """
@@ -205,27 +207,52 @@ def _runs(table: pd.DataFrame) -> str:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Give a file to write that takes the place of `path` once it is whole and on the disk."""
+    """Give a file to write that takes the place of `path` once it is whole and on the disk.
+
+    Raises
+    ------
+    OSError
+        Naming the file, if it cannot be written; what was there stays.
+    """
     if not is_local(path):  # an object is there when all of it is
         whole = io.BytesIO()
         yield whole
         path.write_bytes(whole.getvalue())
         return
-    with scratch_beside(path, Path.touch) as scratch:
-        with scratch.open("wb") as sink:
-            yield sink
-            sink.flush()
-            os.fsync(sink.fileno())
-        scratch.replace(path)
+    try:
+        with scratch_beside(path, Path.touch) as scratch:
+            with scratch.open("wb") as sink:
+                yield sink
+                sink.flush()
+                os.fsync(sink.fileno())
+            scratch.replace(path)
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error  # as of a full disk
 
 
 def write_table(df: pd.DataFrame, path: Path) -> None:
-    """Write a table as Parquet, units in the schema; a reader sees all of it or the old one."""
+    """Write a table as Parquet, sealed, with units in the schema.
+
+    A reader sees all of it or the old one.
+    """
+    content = table_bytes(df)
+    with replacing(path) as sink:
+        sink.write(content)
+
+
+def table_bytes(df: pd.DataFrame) -> bytes:
+    """Return a table as the bytes of a sealed Parquet file, with units in the schema."""
     fields = field_metadata(df)
     table = pa.Table.from_pandas(df, preserve_index=False).replace_schema_metadata(None)
     schema = pa.schema([field.with_metadata(fields.get(field.name)) for field in table.schema])
-    with replacing(path) as sink:
-        pq.write_table(table.cast(schema), sink)
+    sealed = table.cast(schema).replace_schema_metadata({_SEAL: seals.BLANK})
+    whole = io.BytesIO()
+    pq.write_table(sealed, whole)
+    content = bytearray(whole.getbuffer())
+    seals.seal(content)
+    return bytes(content)
 
 
 def read_table(
@@ -248,19 +275,43 @@ def read_table(
     Raises
     ------
     DatasetError
-        The file is absent or is not Parquet.
+        The file is absent, is not Parquet, or was changed after `write_table` wrote it. A table
+        that was written otherwise has no seal and is taken as it is.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError as error:
+        raise DatasetError(f"There is no table {path}; make it first.") from error
+    return parse_table(content, str(path), columns=columns, rows=rows)
+
+
+def parse_table(
+    content: bytes,
+    name: str,
+    *,
+    columns: Collection[str] | None = None,
+    rows: tuple[str, Iterable[str]] | None = None,
+) -> pd.DataFrame:
+    """Return the table that `table_bytes` made bytes of; `name` stands in errors.
+
+    As `read_table`, errors included.
     """
     kept = None
     if rows is not None:
         column, values = rows
         kept = pc.field(column).isin(pa.array(sorted(values), pa.large_string()))
+    if seals.check(content) == "wrong":
+        raise DatasetError(
+            f"{name} is damaged: it is not what was written. Materialize it again. If you rewrote "
+            f"it on purpose, write it without {_SEAL!r} in the metadata of its schema."
+        )
     try:
-        with path.open("rb") as source:
-            table = pq.read_table(source, columns=columns and list(columns), filters=kept)
-    except FileNotFoundError as error:
-        raise DatasetError(f"There is no table {path}; make it first.") from error
-    except pa.ArrowInvalid as error:
-        raise DatasetError(f"{path} is not a Parquet table ({error}); make it again.") from error
+        source = pa.BufferReader(content)
+        table = pq.read_table(source, columns=columns and list(columns), filters=kept)
+    except (pa.ArrowException, OSError) as error:
+        raise DatasetError(
+            f"{name} is not a Parquet table ({error}); materialize it again."
+        ) from error
     df: pd.DataFrame = table.replace_schema_metadata(None).to_pandas()
     df.attrs["fields"] = Fields(
         {
@@ -288,13 +339,13 @@ def content_hash(df: pd.DataFrame) -> str:
 def bootstrap(df: pd.DataFrame, n: int, malicious_rate: float, seed: int) -> pd.DataFrame:
     """Draw ``n`` rows with replacement, a fixed share of them attacked.
 
-    Copies add no information: each row keeps its ``run_id``, and `distinct_runs` tells how many
+    Copies add no information: each row keeps its ``run_id``, and `distinct_runs` counts how many
     runs there really are.
 
     Parameters
     ----------
     df : DataFrame
-        A row a run.
+        One row for each run.
     n : int
         Rows to draw.
     malicious_rate : float

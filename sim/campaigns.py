@@ -13,7 +13,7 @@ OdometrySource = Literal["world", "encoder"]  # gazebo_ros_diff_drive's two
 DEFAULT_SEED = 20260101
 
 
-class CampaignError(OracleError):
+class RecipeError(OracleError):
     """A campaign was asked for something that cannot be drawn."""
 
 
@@ -50,5 +50,5 @@ class Campaign:
         """Return the default campaign, with ``ORACLE_GOALS_PER_RUN`` goals a run."""
         text = os.environ.get("ORACLE_GOALS_PER_RUN", "8")
         if not text.isdecimal() or int(text) < 1:
-            raise CampaignError(f"ORACLE_GOALS_PER_RUN is {text!r}; give a whole number from 1 on.")
+            raise RecipeError(f"ORACLE_GOALS_PER_RUN is {text!r}; give a whole number from 1 on.")
         return cls(goals_per_run=int(text))

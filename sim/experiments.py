@@ -5,9 +5,11 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.integrity import require_undamaged
 from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.remote import is_local
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RunDirectory, bytes_on_disk
-from sim.campaigns import Campaign, CampaignError
+from sim.campaigns import Campaign, RecipeError
 from sim.modes import modes
 from sim.pairs import judge_pair
 from sim.software import software
@@ -41,7 +43,7 @@ def recipe_for(
     """
     if isinstance(mode, str):
         if mode not in modes():
-            raise CampaignError(f"There is no mode {mode!r}; there are {', '.join(modes())}.")
+            raise RecipeError(f"There is no mode {mode!r}; there are {', '.join(modes())}.")
         mode = modes()[mode]
     return TESTBEDS[which_testbed(mode.scenario)].draw(mode, run, campaign, parameters or {})
 
@@ -185,4 +187,6 @@ def _verified(directory: RunDirectory, recipe: Recipe) -> Manifest:
             f"{directory.path} is damaged: its parts should have {dict(found.measured.bytes)} "
             f"bytes and have {sizes}; refresh it to make it again."
         )
+    if is_local(directory.path):  # from an object store, who uses a file compares it
+        require_undamaged(directory.path, found)
     return found

@@ -1,7 +1,7 @@
-"""What has to be right before a figure is believed: each check with its figure and a sentence.
+"""Integrity checks of the evaluation itself: each with its figure and a sentence.
 
-A check is green, red, or unsupported: the campaign is too small or lacks the runs for it. Only if
-all are green is the headline said.
+A check is green, red, or unsupported: the campaign is too small or lacks the runs for it. The
+headline is withheld unless all are green.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,7 +20,6 @@ from oracle_pipeline.detectors import Detector, upper_bounds
 from oracle_pipeline.evaluation.audit import blocks_needed, exact_pairs, told_in_pair
 from oracle_pipeline.evaluation.comparisons import RATES, runs_of
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
-from oracle_pipeline.evaluation.feature_sets import LEFT_OUT, feature_sets
 from oracle_pipeline.evaluation.held_out import (
     HeldOutScores,
     fold_scores,
@@ -30,6 +29,7 @@ from oracle_pipeline.evaluation.held_out import (
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import auc, share
 from oracle_pipeline.evaluation.splits import Fold
+from oracle_pipeline.scoring.feature_sets import LEFT_OUT, feature_sets
 
 CheckStatus = Literal["green", "red", "unsupported"]
 
@@ -118,7 +118,7 @@ def label_above_session(
 
     The figure is the AUC of predicting the session, macro-averaged, on blocks it was not shown.
     """
-    name, df = "label_is_told_before_session", campaign.features
+    name, df = "label_is_predicted_better_than_session", campaign.features
     classifier = upper_bounds(seed)["random_forest"].set_params(n_estimators=TREES)
     label = supervised_scores(df, columns, classifier, folds)
     sessions = np.unique(df["session"])
@@ -131,7 +131,7 @@ def label_above_session(
         return _unsupported(name, "It takes two sessions, both classes and three blocks of each.")
     of_session = float(np.mean(areas))
     passed = of_session <= of_label - MARGIN
-    meaning = "" if passed else " Verdicts need not hold in a session without right runs."
+    meaning = "" if passed else " Verdicts need not hold in a session without normal runs."
     return _found(
         name,
         passed=passed,
@@ -194,7 +194,7 @@ def shuffled_labels(
 def hard_negatives(
     scores: HeldOutScores, campaign: JudgedRuns, rng: np.random.Generator
 ) -> IntegrityCheck:
-    """Right runs with a harmless change are seldom called anomalous."""
+    """Hard negatives, normal runs with a harmless change, are seldom called anomalous."""
     name = "hard_negatives_pass"
     judged = is_hard_negative(campaign.features) & np.isfinite(scores.p)
     if not judged.any():
@@ -214,7 +214,7 @@ def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> Integr
 
     The figure is how many do.
     """
-    name, df = "nothing_is_told_where_nothing_was_altered", campaign.features
+    name, df = "unaltered_runs_are_alike", campaign.features
     pairs, needed = exact_pairs(df), blocks_needed(len(columns))
     blocks = [
         len(set(df.loc[df["mode"] == one, "block"]) & set(df.loc[df["mode"] == other, "block"]))
@@ -240,7 +240,7 @@ def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> Integr
 def shortcuts_apart(
     features: pd.DataFrame, columns: Sequence[str], of_shortcuts: Estimate
 ) -> IntegrityCheck:
-    """No feature behind the headline tells a run by who was there or how it was recorded.
+    """No headline feature identifies a run by its nodes or by how it was recorded.
 
     Parameters
     ----------

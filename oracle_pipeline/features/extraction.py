@@ -1,7 +1,7 @@
 """From a run to its two feature tables: one row for the run, one row for each window.
 
 A plugin that raises costs its own columns, with the reason in the column ``missing``; never the
-run. What the manifest says becomes key columns; no plugin sees it.
+run. Fields of the manifest become key columns; no plugin sees them.
 """
 
 import json
@@ -49,7 +49,7 @@ class FeatureTables(NamedTuple):
     """The features of one recording; what each column means is in ``attrs["fields"]``."""
 
     run: pd.DataFrame  # one row
-    windows: pd.DataFrame  # one row a window, by start
+    windows: pd.DataFrame  # one row for each window, by start
 
 
 @dataclass(slots=True)
@@ -250,7 +250,7 @@ def _table(
 
 
 def _fields(features: Mapping[str, Feature]) -> dict[str, dict[str, str]]:
-    """Return what the Parquet schema says of each column."""
+    """Return the metadata of each column for the Parquet schema."""
     return {
         column: {
             "unit": feature.unit,

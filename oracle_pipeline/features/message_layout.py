@@ -1,6 +1,6 @@
 """Header stamp and array of a message, read from its bytes without decoding the rest.
 
-What is asked of every topic of every bag has to be cheap: an array is one ``numpy.frombuffer``
+This runs for every topic of every bag, so it has to be cheap: an array is one ``numpy.frombuffer``
 behind a few skipped fields. Only sequences of floating-point numbers count: whole numbers are
 mostly codes (cells of a grid, pixels, identifiers).
 """
@@ -45,7 +45,7 @@ class _Repeated(NamedTuple):
     """The same fields again and again."""
 
     fields: "tuple[_Field, ...]"
-    times: int | None  # None: the message says how often
+    times: int | None  # None: given in the message
 
 
 _Field: TypeAlias = _Numbers | _Text | _Repeated
@@ -58,7 +58,7 @@ class MessageLayout:
     """
 
     def __init__(self, bag: BagReader, topic: str) -> None:
-        self._is_cdr = bag.serialization == "cdr"
+        self._is_cdr = bag.topics[topic].encoding != "ros1"
         self._has_header = False
         self._before: list[_Field] = []
         self._element: np.dtype[Any] | None = None

@@ -1,8 +1,8 @@
 """How messages flow between ROS nodes and topics, after MalChain: local, global and over time.
 
 The flow of an edge is the number of messages (or bytes) that went over it. MalChain's graphs are of
-system calls, ours of the ROS graph's intervals, without observers. An edge is the shorter the more
-goes over it; one without traffic leads nowhere.
+system calls, ours of the ROS graph's intervals, without observers. An edge is shorter the more
+traffic it has; without traffic its length is infinite.
 """
 
 from collections.abc import Mapping

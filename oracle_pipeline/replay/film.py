@@ -1,6 +1,6 @@
 """A run as a film from above: the moments of a scene, one after the other.
 
-What never moves is drawn once; a frame is a copy of that with the moving parts drawn over it.
+Static parts are drawn once; a frame is a copy of them with the moving parts drawn over it.
 """
 
 from pathlib import Path
@@ -235,7 +235,7 @@ class _Words:
         self.moving: list[Artist] = [self._clock, self._news]
 
     def show(self, moment: Moment) -> None:
-        """Tell of a moment."""
+        """Update the film to one moment."""
         scene = self._scene
         goal, reached = scene.goal_at(moment.time_s), int(scene.reached(moment.time_s).sum())
         news = [f"to goal {goal + 1} of {len(scene.goals)}"] if goal is not None else []

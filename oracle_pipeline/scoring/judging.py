@@ -1,7 +1,7 @@
 """Verdicts by conformal p-values: a detector fitted on normal runs, calibrated on others.
 
 Detectors are in ``oracle_pipeline.detectors``, p-values in
-``oracle_pipeline.evaluation.conformal``.
+``oracle_pipeline.scoring.conformal``.
 """
 
 from collections.abc import Sequence
@@ -16,10 +16,10 @@ from tqdm import tqdm
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import feature_floors
 from oracle_pipeline.detectors import DEFAULT_DETECTOR, by_family, explain, panel, pipeline
-from oracle_pipeline.evaluation.conformal import adjusted_for_suite, check_support, p_values
 from oracle_pipeline.features import FeatureManager, FeatureTables, extract
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.comparable import comparable
+from oracle_pipeline.scoring.conformal import adjusted_for_suite, check_support, p_values
 from oracle_pipeline.scoring.evidence import farthest_features
 from oracle_pipeline.scoring.reference import Reference
 from oracle_pipeline.scoring.verdict import Judgement, Verdict

@@ -1,4 +1,4 @@
-"""What is said of one recording: normal or anomalous, with the p-values and the evidence."""
+"""The verdict on one recording: normal or anomalous, with p-values and evidence."""
 
 from dataclasses import dataclass
 from typing import Literal, TypeAlias

@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.campaigns import Campaign, CampaignError, Options
+from sim.campaigns import Campaign, Options, RecipeError
 from sim.middleware.geometry import Pose2D
 from sim.nav2.costmap import LETHAL, Costmap2D
-from sim.nav2.costmap_layers import GLOBAL_COST_SCALING, InflationLayer, static_costs
+from sim.nav2.costmap_layers import static_costs
 from sim.nav2.footprint import INSCRIBED_RADIUS
+from sim.nav2.inflation import GLOBAL_COST_SCALING, InflationLayer
 from sim.nav2.navfn import plan
 from sim.seeds import generator
 from sim.testbed import Mode
@@ -169,11 +170,11 @@ def draw(
 
     Raises
     ------
-    CampaignError
+    RecipeError
         If the mode is an attack and its node is to be absent.
     """
     if campaign.options.wiring == "absent" and mode.label == "malicious":
-        raise CampaignError(f"{mode.id} without its node is no attack; take a passthrough mode.")
+        raise RecipeError(f"{mode.id} without its node is no attack; take a passthrough mode.")
     block = draw_block(campaign.seed, run, campaign.goals_per_run)
     return TurtleBot3Recipe(
         mode=mode.id,

@@ -1,7 +1,6 @@
-"""Real runs of the TurtleBot3's modes: a goal of block 0; two, so that delayed nodes appear."""
+"""A run is made whole or not at all, verified when it is there, and made again on demand."""
 
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -9,314 +8,37 @@ import sys
 import time
 from dataclasses import replace
 
-import networkx as nx
-import numpy as np
 import pytest
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.bags.graph_files import read_gexf
-from oracle_pipeline.bags.protocol import PAIRS
-from oracle_pipeline.bags.reader import BagReader, read_ground_truth
 from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
-from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
-from oracle_pipeline.graphs.differences import graph_differences
-from oracle_pipeline.graphs.intervals import read_intervals
 from sim.campaigns import Campaign
 from sim.experiments import recipe_for, record_run
-from sim.fan_out import fan_out, process_pool
-from sim.fuzzing.compilation import compile_document
-from sim.fuzzing.offline import mutate_bag
-from sim.middleware.geometry import Pose2D, quaternion_yaw
-from sim.middleware.stamps import stamp_ns
-from sim.modes import find_mode, modes
-from sim.pairs import task_effect
-from sim.testbeds import which_testbed
-from sim.turtlebot3.frames import BASE_SCAN, BASE_SCAN_TOM
-from sim.turtlebot3.recipes import TurtleBot3Recipe
 
-TURTLEBOT3 = {
-    name: mode for name, mode in modes().items() if which_testbed(mode.scenario) == "turtlebot3"
-}
-ONE_GOAL, TWO_GOALS = Campaign(goals_per_run=1), Campaign(goals_per_run=2)
+ONE_GOAL = Campaign(goals_per_run=1)
+RECIPE = recipe_for("lidar_passthrough", 0, ONE_GOAL)
 
 
-def campaign_of(mode):
-    return TWO_GOALS if mode.startswith("delayed") else ONE_GOAL
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A run of one goal."""
+    directory = RunDirectory(tmp_path_factory.mktemp("campaign"), "lidar_passthrough", 0)
+    record_run(RECIPE, directory)
+    return directory
 
 
-def recipe_of(mode):
-    return recipe_for(mode, 0, campaign_of(mode))
-
-
-def record(directory):
-    return record_run(recipe_of(directory.mode), directory)
-
-
-@pytest.fixture(scope="session")
-def runs(tmp_path_factory):
-    """The runs of block 0, by mode."""
-    root = tmp_path_factory.mktemp("campaign")
-    directories = [RunDirectory(root, mode, 0) for mode in TURTLEBOT3]
-    outcomes = list(fan_out(record, directories, lambda: process_pool(2)))
-    assert [outcome.error for outcome in outcomes] == [None] * len(TURTLEBOT3)
-    return {directory.mode: directory for directory in directories}
-
-
-def messages(directory, topic):
-    with BagReader(directory.bag) as bag:
-        return [(m.stamp_ns, m.data) for m in bag.messages([topic])]
-
-
-def recording_start_ns(directory):
-    with BagReader(directory.bag) as bag:
-        return bag.start_ns
-
-
-def test_the_robot_reaches_its_goals_and_touches_nothing(runs):
-    for mode in TURTLEBOT3.values():
-        if mode.label != "normal":
-            continue
-        manifest = runs[mode.id].manifest()
-        assert manifest.outcome == "succeeded"
-        goals = campaign_of(mode.id).goals_per_run
-        assert len(manifest.goal_results) == len(manifest.goals) == goals
-        assert manifest.contacts == ()
-
-
-def test_the_same_recipe_gives_the_same_messages_in_another_process(runs, tmp_path):
-    directory = RunDirectory(tmp_path, "fake_object", 0)
-    (again,) = fan_out(record, [directory], lambda: process_pool(1))
-    first, second = runs["fake_object"].manifest(), again.result
-    assert second.content_hash == first.content_hash
-    # Its control is not there, so nobody can say what the attack did.
-    assert replace(second, measured=first.measured, task_effect=first.task_effect) == first
-    for graph in sorted(directory.graphs.iterdir()):
-        assert graph.read_bytes() == (runs["fake_object"].graphs / graph.name).read_bytes()
-
-
-def test_the_manifest_tells_what_the_bag_holds(runs):
-    for directory in runs.values():
-        manifest = directory.manifest()
-        with BagReader(directory.bag) as bag:
-            held = {name: topic.count for name, topic in bag.topics.items()}
-            read = dict.fromkeys(held, 0)
-            for message in bag.messages():
-                read[message.topic] += 1
-        told = {name: topic.messages for name, topic in manifest.topics.items()}
-        del told[GROUND_TRUTH_TOPIC]
-        assert held == read == told
-
-
-def test_every_message_decodes_with_a_decoder_that_is_not_rosbags(runs):
-    directory = runs["random_noise"]
-    (file,) = directory.bag.glob("*.mcap")
-    decoded = {}
-    with file.open("rb") as stream:
-        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        for _, channel, _, message in reader.iter_decoded_messages():
-            assert message is not None
-            decoded[channel.topic] = decoded.get(channel.topic, 0) + 1
-    told = {name: topic.messages for name, topic in directory.manifest().topics.items()}
-    assert decoded == {name: count for name, count in told.items() if count}
-
-
-def test_hidden_topics_are_neither_in_the_bag_nor_in_a_graph(runs):
-    directory = runs["fake_object"]
-    hidden = {topic for topic in directory.manifest().topics if "/_" in topic}
-    assert hidden == {GROUND_TRUTH_TOPIC}
-    for file in directory.graphs.glob("0*.gexf"):
-        assert not [v for v in read_gexf(file) if "/_" in v]
-
-
-def test_there_is_a_graph_for_each_interval_and_its_edges_count_what_the_bag_holds(runs):
-    for directory in runs.values():
-        names = sorted(file.stem for file in directory.graphs.glob("0*.gexf"))
-        seconds = directory.manifest().recording_s
-        intervals = int(seconds // 10) + (seconds % 10 >= 5)
-        assert names == [f"{10 * i:06d}" for i in range(intervals)]
-    directory = runs["lidar_passthrough"]
-    with BagReader(directory.bag) as bag:
-        start_ns = bag.start_ns
-        stamps = np.array([m.stamp_ns - start_ns for m in bag.messages(["/odom"])])
-    graph = read_gexf(directory.graphs / "000010.gexf")
-    within = (stamps >= 10e9) & (stamps < 20e9)
-    published = graph.edges["node:/turtlebot3_diff_drive", "topic:/odom"]
-    recorded = graph.edges["topic:/odom", "node:/rosbag2_recorder"]
-    # The recording begins a moment before its first message.
-    assert published["messages"] == recorded["messages"] == pytest.approx(within.sum(), abs=1)
-    assert published["bytes"] == published["messages"] * 724
-
-
-@pytest.mark.parametrize("mode", TURTLEBOT3)
-def test_graphs_are_as_large_as_the_thesis_reports(runs, mode):
-    node = "node:/lidar_passthrough"
-    for _, graph in read_intervals(runs[mode].graphs):
-        assert len(graph) > 100
-        assert graph.number_of_edges() > 300
-        assert node in graph or mode.startswith("delayed")
-
-
-def test_the_full_view_is_the_graph_of_the_run_with_services_and_actions(runs):
-    graphs = runs["fake_object"].graphs
-    full, run = read_gexf(graphs / "full.gexf"), read_gexf(graphs / "run.gexf")
-    kinds = {vertex: data["kind"] for vertex, data in full.nodes(data=True)}
-    plain = [vertex for vertex, kind in kinds.items() if kind in ("node", "topic")]
-    assert nx.utils.graphs_equal(full.subgraph(plain), run)
-    assert list(kinds.values()).count("action") == 12
-    assert 250 < list(kinds.values()).count("service") < 300  # some 270 on Humble
-    spin = "action:/spin"
-    assert list(full.successors(spin)) == ["node:/behavior_server"]
-    assert "node:/basic_navigator" in full.predecessors(spin)
-    assert full.nodes[spin]["type"] == "nav2_msgs/action/Spin"
-
-
-@pytest.mark.parametrize("pair", PAIRS)
-def test_graphs_of_a_pair_are_equal(runs, pair):
-    control, attacked = (read_intervals(runs[mode].graphs) for mode in pair)
-    assert graph_differences(control, attacked) == []
-
-
-@pytest.mark.parametrize(("control", "attack"), PAIRS)
-def test_a_shadow_control_is_the_passthrough_message_for_message(runs, control, attack):
-    with BagReader(runs[control].bag) as right, BagReader(runs[f"{attack}_shadow"].bag) as shadow:
-        assert list(right.messages()) == list(shadow.messages())
-
-
-@pytest.mark.parametrize(("control", "attack"), PAIRS)
-def test_what_an_attack_did_to_the_task_is_told_once_its_control_is_there(runs, control, attack):
-    right, attacked = runs[control].manifest(), runs[attack].manifest()
-    assert right.task_effect is None
-    assert attacked.task_effect is task_effect(attacked, right)
-
-
-def test_a_delayed_node_appears_30_s_after_the_first_goal(runs):
-    for mode in ("delayed_passthrough", "delayed_fakeobject"):
-        directory = runs[mode]
-        manifest = directory.manifest()
-        assert manifest.onset_s == manifest.goal_results[0].accepted_s + 30.0
-        start_ns = recording_start_ns(directory)
-        first_ns, _ = messages(directory, "/scan_fakeobject")[0]
-        assert 0.0 <= (first_ns - start_ns) / 1e9 - manifest.onset_s < 0.3
-        graph = read_gexf(directory.graphs / "000020.gexf")
-        assert "node:/lidar_passthrough" not in graph
-        assert "node:/lidar_passthrough" in read_gexf(directory.graphs / "000030.gexf")
-
-
-def test_before_its_onset_an_attack_and_its_control_are_the_same_run(runs):
-    control, attacked = runs["delayed_passthrough"], runs["delayed_fakeobject"]
-    onset_ns = recording_start_ns(control) + int(control.manifest().onset_s * 1e9)
-    with BagReader(control.bag) as a, BagReader(attacked.bag) as b:
-        before = [
-            [m for m in bag.messages() if m.stamp_ns < onset_ns and m.topic != "/tf_static"]
-            for bag in (a, b)
-        ]
-    assert before[0] == before[1]
-
-
-def test_ground_truth_tells_what_was_changed_and_only_attacks_change_anything(runs):
-    touching = {"benign_median", "benign_noise", "benign_drop"}
-    for mode, directory in runs.items():
-        manifest, start_ns = directory.manifest(), recording_start_ns(directory)
-        truth = read_ground_truth(directory.bag)
-        changed = [(ns - start_ns) / 1e9 for ns, message in truth if message.magnitude > 0.0]
-        assert bool(changed) == (manifest.label == "malicious" or mode in touching)
-        # The recording begins a moment before its first message.
-        assert sum(change.messages for change in manifest.changes) == len(changed)
-        bins = {change.start_s for change in manifest.changes}
-        assert bins == {5.0 * (second // 5) for second in changed}
-
-
-@pytest.mark.parametrize("mode", ["fake_object", "random_noise", "benign_drop"])
-def test_the_recipes_scenario_over_the_bag_gives_what_the_node_published(runs, mode, tmp_path):
-    directory = runs[mode]
-    recipe = TurtleBot3Recipe.from_dict(directory.manifest().recipe)
-    program = compile_document(recipe.mode, recipe.scenario)
-    bag, mutant = directory.bag, tmp_path / "mutant"
-    mutate_bag(bag, mutant, program, recipe.attack_seed(), parameters=recipe.parameters)
-    online, offline = (by_stamp(path, program.output_topic) for path in (bag, mutant))
-    both = online.keys() & offline.keys()
-    assert len(both) > 100
-    assert {stamp: online[stamp] for stamp in both} == {stamp: offline[stamp] for stamp in both}
-    # One may have been under way at the beginning, and at the end.
-    assert len(online.keys() ^ offline.keys()) <= 2
-
-
-def by_stamp(bag, topic):
-    with BagReader(bag) as reader:
-        return {
-            stamp_ns(reader.deserialize(message).header.stamp): message.data
-            for message in reader.messages([topic])
-        }
-
-
-def test_the_manifest_holds_what_the_attack_was(runs):
-    attack = runs["delayed_fakeobject"].manifest().attack
-    assert attack.keys() == {"frame", "x", "y", "radius"}
-    assert runs["random_noise"].manifest().attack == {"level": 0.1}
-    assert runs["lidar_passthrough"].manifest().attack == {}
-    assert len({directory.manifest().scenario_hash for directory in runs.values()}) == len(runs)
-
-
-def returns_from_object(directory, topic):
-    """How far from the axis of the block's object its nearest returns are, in units of its radius.
-
-    ``/odom`` is exact: its frame is the world.
-    """
-    recipe = TurtleBot3Recipe.from_dict(directory.manifest().recipe)
-    values = recipe_of("fake_object").parameters
-    mount = {"/scan": BASE_SCAN, "/scan_fakeobject": BASE_SCAN_TOM}[topic]
-    robot, ratios = None, [np.empty(0)]
-    with BagReader(directory.bag) as bag:
-        for raw in bag.messages([topic, "/odom"]):
-            message = bag.deserialize(raw)
-            if raw.topic == "/odom":
-                position, q = message.pose.pose.position, message.pose.pose.orientation
-                robot = Pose2D(position.x, position.y, quaternion_yaw(q.x, q.y, q.z, q.w))
-            elif robot is not None:
-                sensor = robot.compose(Pose2D(*mount.xyz[:2]))
-                bearings = message.angle_min + message.angle_increment * np.arange(360)
-                ends = message.ranges[:, None] * np.column_stack(
-                    [np.cos(bearings), np.sin(bearings)]
-                )
-                away = np.hypot(*(sensor.apply(ends) - (values["x"], values["y"])).T)
-                ratios.append(away / recipe.fake_object.radius)
-    found = np.concatenate(ratios)
-    return found[found < 1.3]
-
-
-def test_a_real_obstacle_is_where_the_fake_one_would_be_and_all_lidars_see_it(runs):
-    real, obstacle = runs["benign_obstacle"], pytest.approx(1.0, abs=0.1)
-    assert np.median(returns_from_object(real, "/scan")) == obstacle
-    assert np.median(returns_from_object(real, "/scan_fakeobject")) == obstacle
-    fake = runs["fake_object"]
-    assert np.median(returns_from_object(fake, "/scan_fakeobject")) == obstacle
-    assert len(returns_from_object(fake, "/scan")) == 0
-    assert real.manifest().contacts == ()
-
-
-def test_a_slow_robot_keeps_to_its_speed_and_takes_longer(runs):
-    slow, usual = (runs[mode].manifest() for mode in ("benign_slow", "lidar_passthrough"))
-    assert slow.recording_s > 1.2 * usual.recording_s
-    with BagReader(runs["benign_slow"].bag) as bag:
-        sent = [bag.deserialize(message) for message in bag.messages(["/cmd_vel"])]
-    assert max(abs(command.linear.x) for command in sent) <= 0.6 * 0.26 + 1e-9
-    assert max(abs(command.angular.z) for command in sent) <= 0.6 + 1e-9
-
-
-def test_a_finished_run_is_verified_and_not_made_again(runs):
-    directory = runs["lidar_passthrough"]
+def test_a_finished_run_is_verified_and_not_made_again(finished):
+    directory = finished
     before = directory.manifest_path.stat().st_mtime_ns
-    assert record(directory) == directory.manifest()
+    assert record_run(RECIPE, directory) == directory.manifest()
     assert directory.manifest_path.stat().st_mtime_ns == before
 
 
 @pytest.fixture
-def copied(runs, tmp_path):
+def copied(finished, tmp_path):
     """A copy of a finished run, to be spoilt."""
     directory = RunDirectory(tmp_path, "lidar_passthrough", 0)
-    shutil.copytree(runs["lidar_passthrough"].path, directory.path)
+    shutil.copytree(finished.path, directory.path)
     return directory
 
 
@@ -332,17 +54,10 @@ def test_a_damaged_run_is_named_and_can_be_made_again(copied):
     (file,) = copied.bag.glob("*.mcap")
     file.write_bytes(file.read_bytes()[:-1000])
     with pytest.raises(OracleError, match="is damaged.*refresh it to make it again"):
-        record(copied)
-    again = record_run(recipe_of(copied.mode), copied, refresh=True)
+        record_run(RECIPE, copied)
+    again = record_run(RECIPE, copied, refresh=True)
     assert again.content_hash == copied.manifest().content_hash
-    record(copied)
-
-
-def oracle_sim(*arguments, **options):
-    return subprocess.run(
-        [sys.executable, "-c", "from sim.commands.main import main; main()", *arguments],
-        capture_output=True, text=True, check=False, **options,
-    )  # fmt: skip
+    record_run(RECIPE, copied)
 
 
 def test_a_run_that_was_killed_leaves_nothing_that_looks_finished_and_is_made_by_the_next_call(
@@ -381,96 +96,3 @@ def test_sqlite_bags_hold_the_same_messages(tmp_path):
             file.suffix for file in directory.bag.iterdir() if file.name != "metadata.yaml"
         ] == [{"mcap": ".mcap", "sqlite3": ".db3"}[storage]]
     assert made["mcap"].content_hash == made["sqlite3"].content_hash
-
-
-def test_the_command_records_says_what_it_did_and_does_it_once(tmp_path):
-    arguments = ("record", "-m", "fake_object", "-n", "1", "--goals", "1", "--out", str(tmp_path))
-    first = oracle_sim(*arguments)
-    assert first.returncode == 0, first.stderr
-    assert "run000: succeeded, 1 of 1 goals" in first.stdout
-    assert first.stderr == ""  # no progress bar where nobody looks
-    manifest = tmp_path / "runs" / "fake_object" / "run000" / "manifest.json"
-    made_ns = manifest.stat().st_mtime_ns
-    second = oracle_sim(*arguments)
-    assert second.stdout == first.stdout
-    assert manifest.stat().st_mtime_ns == made_ns
-
-
-def test_the_command_records_a_scenario_that_is_no_mode(tmp_path):
-    file = tmp_path / "own.yaml"
-    file.write_text(
-        "schema: mutant/v1\nid: blind\nlabel: malicious\n"
-        "main: {type: sensor_msgs/msg/LaserScan, input: /scan_tom, output: /scan_fakeobject}\n"
-        "transform: {actions: [{name: blind, do: [{set: {field: ranges, value: inf}}]}]}\n"
-    )
-    arguments = ("record", "--scenario", str(file), "--goals", "1", "--out", str(tmp_path))
-    first = oracle_sim(*arguments)
-    assert first.returncode == 0, first.stderr
-    manifest = RunDirectory(tmp_path, "blind", 0).manifest()
-    assert (manifest.mode, manifest.label, manifest.onset_s) == ("blind", "malicious", 0.0)
-    assert {change.largest for change in manifest.changes} == {None}  # no return has no size
-    file.write_text(file.read_text().replace("value: inf", "value: 1.0"))
-    other = oracle_sim(*arguments)
-    assert other.returncode == 1
-    assert "another recipe (it differs in scenario)" in other.stderr
-
-
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        ((), "either --mode or --scenario"),
-        (("-m", "fake_object", "--scenario", "sensor_drop"), "either --mode or --scenario"),
-        (("--scenario", "nothing.yaml"), "neither a scenario nor a file nothing.yaml"),
-        (("--scenario", "command_injection"), "allow actuation"),
-    ],
-)
-def test_what_cannot_be_recorded_is_refused_before_anything_is(tmp_path, options, told):
-    result = oracle_sim("record", *options, "--out", str(tmp_path))
-    assert result.returncode == 2
-    assert told in " ".join(result.stderr.replace("│", " ").split())
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_held_before_an_obstacle_navigation_gives_up_after_all_its_recoveries(tmp_path):
-    directory = RunDirectory(tmp_path, "held_object", 0)
-    mode = find_mode("held_object")
-    manifest = record_run(recipe_for(mode, 0, ONE_GOAL), directory)
-    (goal,) = manifest.goal_results
-    assert manifest.outcome == goal.outcome == "aborted"
-    assert 150.0 <= goal.ended_s - goal.accepted_s <= 170.0
-    assert goal.recoveries > 6
-
-
-def test_an_unknown_mode_is_refused_with_those_that_there_are(tmp_path):
-    result = oracle_sim("record", "-m", "fake", "--out", str(tmp_path))
-    assert result.returncode == 2
-    assert "'fake' is not one of 'lidar_passthrough'" in result.stderr
-
-
-def test_a_root_that_cannot_be_written_to_is_named(tmp_path):
-    occupied = tmp_path / "occupied"
-    occupied.write_text("a file")
-    result = oracle_sim(
-        "record", "-m", "fake_object", "--goals", "1", "--out", str(occupied / "below")
-    )
-    assert result.returncode == 1
-    assert str(occupied) in result.stderr
-    assert "Traceback" not in result.stderr
-
-
-def test_a_full_disk_fails_the_run_clearly_and_keeps_what_was_finished(runs, tmp_path):
-    done = RunDirectory(tmp_path, "lidar_passthrough", 0)
-    shutil.copytree(runs["lidar_passthrough"].path, done.path)
-
-    def no_file_over_a_megabyte():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
-
-    result = oracle_sim(
-        "record", "-m", "lidar_passthrough", "-n", "2", "--goals", "1", "--workers", "1",
-        "--out", str(tmp_path), preexec_fn=no_file_over_a_megabyte,
-    )  # fmt: skip
-    assert result.returncode == 1
-    assert "lidar_passthrough|run001" in result.stderr
-    assert "check free space" in result.stderr
-    assert "Traceback" not in result.stderr
-    assert [run.run for run in find_runs(tmp_path)] == [0]

@@ -8,7 +8,7 @@ import pytest
 from oracle_pipeline.bags.graph_files import read_gexf
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.run_directory import RunDirectory
-from sim.campaigns import Campaign, CampaignError, Options
+from sim.campaigns import Campaign, Options, RecipeError
 from sim.experiments import recipe_for, record_run
 from sim.recording import DEBUG_TOPICS, ReceiveClock
 from sim.turtlebot3.recipes import TurtleBot3Recipe
@@ -93,7 +93,7 @@ def test_wiring_decides_what_the_collision_monitor_hears(record):
 
 def test_an_attack_without_its_node_is_refused():
     campaign = replace(CAMPAIGN, options=Options(wiring="absent"))
-    with pytest.raises(CampaignError, match="no attack"):
+    with pytest.raises(RecipeError, match="no attack"):
         recipe_for("fake_object", 0, campaign)
 
 

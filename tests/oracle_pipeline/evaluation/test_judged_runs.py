@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 
 from oracle_pipeline.bags.manifest import Change
-from oracle_pipeline.evaluation.feature_sets import feature_sets
-from oracle_pipeline.evaluation.judged_runs import EvaluationError, JudgedRuns
+from oracle_pipeline.datasets import DatasetError
+from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.truth import COLUMNS, truth_table
+from oracle_pipeline.scoring.feature_sets import feature_sets
 from tests.oracle_pipeline.datasets.synthetic import campaign
 from tests.oracle_pipeline.evaluation.campaigns import by_hand
 from tests.oracle_pipeline.reporting.recordings import manifest
@@ -39,7 +40,7 @@ def test_an_attack_that_never_began_is_left_out_and_a_run_without_truth_is_refus
     )
     assert judged.features["mode"].tolist() == ["lidar_passthrough"]
     features, windows, truth = campaign(3)
-    with pytest.raises(EvaluationError, match=r"1 runs, fake_object\|run001 .* truth table"):
+    with pytest.raises(DatasetError, match=r"1 runs, fake_object\|run001 .* truth table"):
         JudgedRuns.of(features, windows, truth[truth["run_id"] != "fake_object|run001"])
 
 

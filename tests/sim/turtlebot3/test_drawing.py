@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from sim.atc.airspace import AirSpace
 from sim.atc.geodesy import slant_range
-from sim.campaigns import Campaign, CampaignError, Options
+from sim.campaigns import Campaign, Options, RecipeError
 from sim.experiments import recipe_for
 from sim.middleware.geometry import Pose2D
 from sim.modes import modes
@@ -133,12 +133,12 @@ def test_a_recipe_survives_json(seed, run):
 
 
 def test_an_unknown_mode_is_refused_with_those_that_there_are():
-    with pytest.raises(CampaignError, match="no mode 'fake'; there are lidar_passthrough, "):
+    with pytest.raises(RecipeError, match="no mode 'fake'; there are lidar_passthrough, "):
         recipe_for("fake", 0, Campaign())
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "many", ""])
 def test_goals_per_run_from_the_environment_must_be_a_whole_number(monkeypatch, text):
     monkeypatch.setenv("ORACLE_GOALS_PER_RUN", text)
-    with pytest.raises(CampaignError, match="ORACLE_GOALS_PER_RUN"):
+    with pytest.raises(RecipeError, match="ORACLE_GOALS_PER_RUN"):
         Campaign.from_environment()

@@ -14,7 +14,7 @@ def feature_sets(df: pd.DataFrame) -> dict[str, list[str]]:
 
     ``all`` is the oracle's own: every family but the thesis's, without shortcuts. Then each family
     alone; ``generic``, what any bag gives; ``without redundancy``, what is left if no second topic
-    tells the same; and ``shortcuts``, which tell a run by who was there. Features without any
+    tells the same; and ``shortcuts``, which identify a run by its nodes. Features without any
     finite value are in none.
     """
     fields = field_metadata(df)
