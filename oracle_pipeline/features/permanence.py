@@ -8,7 +8,6 @@ with the robot is loose. A place that the robot drives across cannot have held w
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -29,7 +28,6 @@ from oracle_pipeline.features.scan_geometry import (
     Bools,
     Floats,
     Ints,
-    Planar,
     Points,
     ScannerSetup,
     Scans,
@@ -136,7 +134,7 @@ def _seen(setup: ScannerSetup, topic: str, path: "_Path") -> Seen:
     across = path.crossed(world, scans.stamps_s)
     now, before = _apart(scans.stamps_s, _EARLIER_S)
     later, earlier = scans.rows(now), scans.rows(before)
-    moved = _taken(placed, before).inverse().compose(_taken(placed, now))
+    moved = placed.at(before).inverse().compose(placed.at(now))
     appeared = agreement(moved.columns().apply(later.points()), earlier)
     vanished = agreement(moved.inverse().columns().apply(earlier.points()), later)
     return Seen(
@@ -164,10 +162,6 @@ def _apart(stamps_s: Floats, earlier_s: float) -> tuple[Ints, Ints]:
     passed_s = stamps_s - stamps_s[before]
     now = np.flatnonzero(np.abs(passed_s - earlier_s) <= 0.5 * earlier_s)
     return now, before[now]
-
-
-def _taken(poses: Planar, index: Any) -> Planar:
-    return Planar(poses.shift[index], poses.turn[index], poses.flipped)
 
 
 @dataclass(frozen=True, slots=True)

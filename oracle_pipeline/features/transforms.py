@@ -88,8 +88,8 @@ def prepare(window: Window) -> _Prepared:
     moving = edges(window.topics["transforms"])
     odometry, jumps = {}, {}
     for topic, series in window.topics["odometry"].items():
-        stamps_s, children, *pose_columns = zip(*series.values, strict=True)
-        stamps_s, pose = np.array(stamps_s), _planar(*pose_columns)
+        stamps, children, *columns = zip(*series.values, strict=True)
+        stamps_s, pose = np.array(stamps), _planar(*columns)
         if len(stamps_s) > 2:
             jumps[topic] = _jumps(series.times_s, pose)
         for (parent, child), edge in moving.items():
