@@ -89,6 +89,9 @@ sbom: requirements ## Write dist/sbom.cdx.json: what the image is made of, as Cy
 	cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible \
 		--output-format JSON --output-file dist/sbom.cdx.json deploy/requirements.txt
 
+architecture: setup-dev ## Draw who imports whom, for docs/explanation/architecture.md
+	python docs/draw_architecture.py
+
 bench: setup-dev ## Measure speed, size and memory, as ratios of one run
 	python -m bench
 
