@@ -13,7 +13,7 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 FIRST := lidar_passthrough|run000
 LAST := delayed_fakeobject|run002
 
-.PHONY: help setup setup-dev run campaign ui test test-quick test-browser lint types architecture docs bench soak \
+.PHONY: help setup setup-dev run campaign ui test test-quick test-browser lint types architecture docs pictures bench soak \
 	constraints clean
 .DEFAULT_GOAL := help
 
@@ -69,6 +69,10 @@ docs: setup-dev ## Check words, spelling and links of the docs, and build their 
 	pytest -q tests/docs/test_words.py tests/docs/test_reference.py
 	mkdocs build --quiet --clean
 	@echo "Site: $(CURDIR)/site/index.html (search needs a server: mkdocs serve)"
+
+pictures: setup-dev ## Draw the pictures of the docs; of a campaign's report with CAMPAIGN=data/campaign
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
+	python docs/pictures.py $(CAMPAIGN)
 
 constraints: setup-dev ## Pin the newest versions that fit pyproject.toml
 	pip-compile --quiet --upgrade --all-extras --strip-extras --no-header --no-annotate \
