@@ -13,8 +13,12 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 FIRST := lidar_passthrough|run000
 LAST := delayed_fakeobject|run002
 
-.PHONY: help setup setup-dev run campaign ui test test-quick test-browser lint types architecture docs pictures bench soak \
-	constraints clean
+# Pins without the address of any registry.
+COMPILE := pip-compile --quiet --strip-extras --no-header --no-annotate \
+	--no-emit-index-url --no-emit-trusted-host --no-emit-find-links
+
+.PHONY: help setup setup-dev run campaign ui test test-quick test-browser lint types architecture docs pictures bench \
+	soak constraints requirements image sbom clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list
@@ -75,14 +79,28 @@ pictures: setup-dev ## Draw the pictures of the docs; of a campaign's report wit
 	python docs/pictures.py $(CAMPAIGN)
 
 constraints: setup-dev ## Pin the newest versions that fit pyproject.toml
-	pip-compile --quiet --upgrade --all-extras --strip-extras --no-header --no-annotate \
-		--no-emit-index-url --no-emit-trusted-host --no-emit-find-links --output-file constraints.txt pyproject.toml
+	$(COMPILE) --upgrade --all-extras --output-file constraints.txt pyproject.toml
+
+requirements: setup-dev ## Write deploy/requirements.txt: what the image holds, with the hash of every file
+	$(COMPILE) --constraint constraints.txt --generate-hashes --allow-unsafe --build-deps-for wheel \
+		--extra dask --extra postgres --extra s3 --output-file deploy/requirements.txt pyproject.toml
+
+image: requirements ## Build the image of deploy/ from files whose hashes are known
+	docker build $(if $(BASE),--build-arg BASE=$(BASE)) -f deploy/Containerfile -t ros2-behaviour-oracle .
+
+sbom: requirements ## Write dist/sbom.cdx.json: what the image is made of, as CycloneDX
+	mkdir -p dist
+	cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible \
+		--output-format JSON --output-file dist/sbom.cdx.json deploy/requirements.txt
 
 bench: setup-dev ## Measure speed, size and memory, as ratios of one run
 	python -m bench
 
-soak: setup-dev ## Kill a campaign 50 times, and keep 600 runs within 2 GB; hours
+soak: setup-dev ## Kill everything at random moments, fill the disk, flip bits, keep 600 runs within 2 GB; hours
 	python -m soak.faults
+	python -m soak.aggregates
+	python -m soak.full_disk
+	python -m soak.flips
 	python -m soak.budget
 
 clean: ## Remove the environment and all caches; recorded data stay

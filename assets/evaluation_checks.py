@@ -18,7 +18,8 @@ CHECKS = tuple(
         "sessions_score_alike": "A/A: runs of one mode in two sessions, on disjoint blocks, score "
         "alike.",
         "graphs_of_pairs_are_equal": "An attacked mode and its control show the same graphs.",
-        "label_is_predicted_better_than_session": "By features, on blocks held out.",
+        "label_is_predicted_better_than_session": "Features predict the label better "
+        "than the session.",
         "shuffled_labels_are_chance": "Labels permuted within blocks are not predicted.",
         "hard_negatives_pass": "Harmless changes are seldom called anomalous.",
         "shortcuts_are_apart": "No headline feature identifies a run by its nodes or topics.",

@@ -245,7 +245,7 @@ def _reproducible(
         "former_hash": dg.MetadataValue.text(reproduction.former_hash),
         "new_hash": dg.MetadataValue.text(reproduction.new_hash),
     }
-    if reproduction.verdict == "unexplained":
+    if reproduction.comparison == "unexplained":
         run = store.run(key)
         facts |= {
             "former_path": dg.MetadataValue.path(str(run.path)),
@@ -256,8 +256,8 @@ def _reproducible(
         REPRODUCIBLE,
         key,
         latest_materialization(context.instance, REPRODUCIBLE.asset_key, key),
-        passed=reproduction.verdict != "unexplained",
-        description=_DESCRIPTIONS[reproduction.verdict],
+        passed=reproduction.comparison != "unexplained",
+        description=_DESCRIPTIONS[reproduction.comparison],
         metadata=facts,
     )
 

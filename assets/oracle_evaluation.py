@@ -21,7 +21,7 @@ from resources.fleet import Fleet
 from resources.store import RunStore
 
 if TYPE_CHECKING:
-    from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
+    from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 
 @aggregate("oracle", "scikitlearn", deps=[feature_dataset])
@@ -72,7 +72,7 @@ def _mutants(store: RunStore, fleet: Fleet) -> "MeasuredRuns | None":
 
     from oracle_pipeline.datasets import feature_dataset as joined
     from oracle_pipeline.datasets import read_table, window_dataset
-    from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
+    from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
     runs_of_grids, windows_of_grids = [], []
     for index in store.grid_indices():

@@ -23,13 +23,15 @@ CHECKS = (
         "bag_is_complete",
         asset="bags",
         partitions_def=RUNS,
-        description="Every message that the manifest counts can be read from the bag.",
+        description="Every message that the manifest counts can be read from the bag, and the "
+        "hashes of messages and files are those of the manifest.",
     ),
     dg.AssetCheckSpec(
         "every_interval_has_a_graph",
         asset="interval_graphs",
         partitions_def=RUNS,
-        description="Every 10 s of the recording, and a rest of 5 s or more, has a graph.",
+        description="Every 10 s of the recording, and a rest of 5 s or more, has a graph, and "
+        "every graph is as it was recorded.",
     ),
     dg.AssetCheckSpec(
         PAIR_CHECK,

@@ -45,13 +45,13 @@ from oracle_pipeline.datasets import (
     window_dataset,
 )
 from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel
-from oracle_pipeline.evaluation.feature_sets import feature_sets
 from oracle_pipeline.evaluation.held_out import held_out
-from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
 from oracle_pipeline.evaluation.metrics import auc
 from oracle_pipeline.evaluation.splits import block_folds
-from sim.experiments import record_run
-from sim.recipes import Campaign, recipe_for
+from oracle_pipeline.scoring.feature_sets import feature_sets
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for, record_run
 
 CONTROL, FAKE, REAL = "lidar_passthrough_odom", "fake_object", "benign_obstacle"
 GOALS = 2

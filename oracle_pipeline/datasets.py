@@ -22,6 +22,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import LABELS
 from oracle_pipeline.bags.remote import is_local
@@ -30,6 +31,7 @@ from oracle_pipeline.bags.scratch import scratch_beside
 KEYS = ("run_id", "mode", "label", "block", "session")
 WINDOW_START = "window_start_s"  # one more key where a row is a window [s of the recording]
 WHERE = "where"  # the column with the topic, pair or edge at which a feature was attained
+_SEAL = "oracle.seal"  # key in the metadata of a Parquet schema
 MISSING = "missing"  # the column with the reason why a feature is NaN
 
 HARD_NEGATIVE = "benign_"  # begins the names of modes that change something and harm nobody
@@ -205,27 +207,52 @@ def _runs(table: pd.DataFrame) -> str:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Give a file to write that takes the place of `path` once it is whole and on the disk."""
+    """Give a file to write that takes the place of `path` once it is whole and on the disk.
+
+    Raises
+    ------
+    OSError
+        Naming the file, if it cannot be written; what was there stays.
+    """
     if not is_local(path):  # an object is there when all of it is
         whole = io.BytesIO()
         yield whole
         path.write_bytes(whole.getvalue())
         return
-    with scratch_beside(path, Path.touch) as scratch:
-        with scratch.open("wb") as sink:
-            yield sink
-            sink.flush()
-            os.fsync(sink.fileno())
-        scratch.replace(path)
+    try:
+        with scratch_beside(path, Path.touch) as scratch:
+            with scratch.open("wb") as sink:
+                yield sink
+                sink.flush()
+                os.fsync(sink.fileno())
+            scratch.replace(path)
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error  # as of a full disk
 
 
 def write_table(df: pd.DataFrame, path: Path) -> None:
-    """Write a table as Parquet, units in the schema; a reader sees all of it or the old one."""
+    """Write a table as Parquet, sealed, with units in the schema.
+
+    A reader sees all of it or the old one.
+    """
+    content = table_bytes(df)
+    with replacing(path) as sink:
+        sink.write(content)
+
+
+def table_bytes(df: pd.DataFrame) -> bytes:
+    """Return a table as the bytes of a sealed Parquet file, with units in the schema."""
     fields = field_metadata(df)
     table = pa.Table.from_pandas(df, preserve_index=False).replace_schema_metadata(None)
     schema = pa.schema([field.with_metadata(fields.get(field.name)) for field in table.schema])
-    with replacing(path) as sink:
-        pq.write_table(table.cast(schema), sink)
+    sealed = table.cast(schema).replace_schema_metadata({_SEAL: seals.BLANK})
+    whole = io.BytesIO()
+    pq.write_table(sealed, whole)
+    content = bytearray(whole.getbuffer())
+    seals.seal(content)
+    return bytes(content)
 
 
 def read_table(
@@ -248,20 +275,42 @@ def read_table(
     Raises
     ------
     DatasetError
-        The file is absent or is not Parquet.
+        The file is absent, is not Parquet, or was changed after `write_table` wrote it. A table
+        that was written otherwise has no seal and is taken as it is.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError as error:
+        raise DatasetError(f"There is no table {path}; make it first.") from error
+    return parse_table(content, str(path), columns=columns, rows=rows)
+
+
+def parse_table(
+    content: bytes,
+    name: str,
+    *,
+    columns: Collection[str] | None = None,
+    rows: tuple[str, Iterable[str]] | None = None,
+) -> pd.DataFrame:
+    """Return the table that `table_bytes` made bytes of; `name` stands in errors.
+
+    As `read_table`, errors included.
     """
     kept = None
     if rows is not None:
         column, values = rows
         kept = pc.field(column).isin(pa.array(sorted(values), pa.large_string()))
-    try:
-        with path.open("rb") as source:
-            table = pq.read_table(source, columns=columns and list(columns), filters=kept)
-    except FileNotFoundError as error:
-        raise DatasetError(f"There is no table {path}; make it first.") from error
-    except pa.ArrowInvalid as error:
+    if seals.check(content) == "wrong":
         raise DatasetError(
-            f"{path} is not a Parquet table ({error}); materialize it again."
+            f"{name} is damaged: it is not what was written. Materialize it again. If you rewrote "
+            f"it on purpose, write it without {_SEAL!r} in the metadata of its schema."
+        )
+    try:
+        source = pa.BufferReader(content)
+        table = pq.read_table(source, columns=columns and list(columns), filters=kept)
+    except (pa.ArrowException, OSError) as error:
+        raise DatasetError(
+            f"{name} is not a Parquet table ({error}); materialize it again."
         ) from error
     df: pd.DataFrame = table.replace_schema_metadata(None).to_pandas()
     df.attrs["fields"] = Fields(

@@ -1,4 +1,4 @@
-"""The windows of a recording: which spans of it get a row of features of their own.
+"""The windows of a recording: the spans of time that have a row of features each.
 
 A window is as long as an interval, so that every other window has a graph to itself.
 """

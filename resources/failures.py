@@ -10,6 +10,7 @@ from oracle_pipeline.bags.errors import OracleError
 
 _ADVICE = {
     errno.ENOSPC: "the disk is full; free some space, or point ORACLE_HOME to another disk",
+    errno.EFBIG: "a file may not grow so large; raise `ulimit -f`, or point ORACLE_HOME elsewhere",
     errno.EDQUOT: "the disk quota is used up; free some space, or point ORACLE_HOME elsewhere",
     errno.EACCES: "it may not be written; point ORACLE_HOME to a folder that is yours",
     errno.EPERM: "it may not be written; point ORACLE_HOME to a folder that is yours",

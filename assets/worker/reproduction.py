@@ -24,7 +24,7 @@ from sim.experiments import Comparison, compared
 class Reproduction:
     """The result of re-simulating a complete run."""
 
-    verdict: Comparison
+    comparison: Comparison
     former_hash: str  # of the messages
     new_hash: str
     first_difference: str = ""  # where it is unexplained
@@ -48,9 +48,9 @@ def made_aside(run: RunDirectory) -> Iterator[RunDirectory]:
 def judge(run: RunDirectory, former: Manifest, again: RunDirectory) -> Reproduction:
     """Compare a run with its re-simulation."""
     new = again.manifest()
-    verdict = compared(former, new)
-    where = _first_difference(run, former, again) if verdict == "unexplained" else ""
-    return Reproduction(verdict, former.content_hash, new.content_hash, where)
+    comparison = compared(former, new)
+    where = _first_difference(run, former, again) if comparison == "unexplained" else ""
+    return Reproduction(comparison, former.content_hash, new.content_hash, where)
 
 
 def _first_difference(run: RunDirectory, former: Manifest, again: RunDirectory) -> str:

@@ -22,11 +22,12 @@ from assets.worker.reproduction import Reproduction, judge, made_aside, place_as
 from assets.worker.versions import feature_code
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.graph_files import read_gexf
+from oracle_pipeline.bags.integrity import require_undamaged
 from oracle_pipeline.bags.layout import FEATURES, Table
 from oracle_pipeline.bags.manifest import KEPT, Kept, Manifest
 from oracle_pipeline.bags.remote import is_local, publish
 from oracle_pipeline.bags.retention import retain
-from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RunDirectory
+from oracle_pipeline.bags.run_directory import GRAPHS_FOLDER, MANIFEST_FILE, RunDirectory
 from oracle_pipeline.datasets import MISSING, content_hash, feature_columns, read_table
 from sim.campaigns import Campaign
 from sim.experiments import can_be_made_again, recipe_for, record_run, remake_run
@@ -117,7 +118,7 @@ def _make_again(job: RunJob, former: Manifest) -> RunReport:
     with made_aside(run) as aside:
         _record(replace(job, directory=aside))
         reproduction = judge(run, former, aside)
-        if reproduction.verdict == "unexplained":
+        if reproduction.comparison == "unexplained":
             if not is_local(run.root):
                 publish(aside.path, place_aside(run).path, MANIFEST_FILE)
             report = _finish(replace(job, refresh=False), "verified")
@@ -228,6 +229,7 @@ def _recording(
         "freed_bytes": measured.freed_bytes,
         "content_hash": manifest.content_hash,
     }
+    require_undamaged(directory.path, manifest, GRAPHS_FOLDER)
     graph = read_gexf(directory.graphs / "run.gexf")
     files = sorted(directory.graphs.iterdir())
     kinds = [vertex["kind"] for _, vertex in graph.nodes(data=True)]

@@ -1,5 +1,7 @@
 """The checksums (CRC-32) of an MCAP file that rosbags leaves empty: written, and compared.
 
+That of a chunk is written with it, by ``batch_storage``.
+
 MCAP has three: of the records of each chunk, of the data section, and of the summary section, which
 holds the topics, types and places of the chunks. A checksum of 0 says that there is none
 (https://mcap.dev/spec).
@@ -18,15 +20,7 @@ _FOOTER_OPCODE = 0x02
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length; starts of summary and its index; checksum
 _DATA_END = struct.Struct("<BQI")  # opcode, length; checksum of all before it
 _CHECKSUM = struct.Struct("<I")
-_IN_CHUNK = struct.calcsize("<BQQQQ")  # where a chunk's checksum is, behind its start
 _AT_ONCE = 2**20  # bytes
-
-
-def write_of_chunk(file: BinaryIO, chunk_start: int, records: bytes | memoryview) -> None:
-    """Write the checksum of the chunk that was written last; the file is at its end before it."""
-    end = file.tell()
-    _write(file, chunk_start + _IN_CHUNK, crc32(records))
-    file.seek(end)
 
 
 def write_of_sections(path: Path) -> None:

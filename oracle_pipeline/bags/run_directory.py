@@ -142,9 +142,10 @@ class RunDirectory:
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Work on this run alone: whoever else wants to waits; what dead workers left is removed.
+        """Hold this run, so that other workers wait; leftovers of killed workers are removed.
 
-        In an object store nobody waits; there, who is last to publish a run has made the same one.
+        In an object store there is no lock. Two workers may then publish the same run, with equal
+        messages.
         """
         if not is_local(self.path):
             yield
@@ -201,7 +202,7 @@ class RunDirectory:
         self._put_in_place(made.path)
 
     def _tidy(self) -> None:
-        """Remove what dead writers left; the parent is locked."""
+        """Remove leftovers of killed writers; the caller holds the parent."""
         remove_left(self.path, self._salvage)
         for leftover in self.path.glob(f".{MANIFEST_FILE}.*"):
             leftover.unlink(missing_ok=True)

@@ -1,13 +1,14 @@
 """rosbags' writer of rosbag2, with what is done once a message or a topic made short.
 
 A run has a hundred thousand small messages and sixty topics with a handful of QoS profiles: packing
-a record in one go, and printing each profile once, decide what writing a bag costs. This is the one
-module that uses what rosbags does not document, so its version is limited in ``pyproject.toml``.
+messages in batches (``batch_storage``), and printing each profile once, decide what writing a bag
+costs. These two modules use what rosbags does not document, so its version is limited in
+``pyproject.toml``.
 """
 
 import functools
 import io
-import struct
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -21,52 +22,14 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import StoragePlugin, WriterError
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.metadata import dump_qos_v8
-from rosbags.rosbag2.storage_mcap import McapWriter
 from ruamel.yaml import YAML
 
-from oracle_pipeline.bags import mcap_checksums
+from oracle_pipeline.bags.batch_storage import BatchMcapWriter, BatchSqlite3Writer
 
 # The newest that Humble's `ros2 bag` opens; 9 turns the QoS profiles into a list it cannot parse.
 METADATA_VERSION: Literal[8] = 8
 
 _IDL = "=" * 80 + "\nIDL: "
-
-# The head of a message: opcode, length of the rest; channel, sequence, log and publish time.
-_MESSAGE, _HEAD = 0x05, struct.Struct("<BQHIQQ")
-_LENGTH_FIRST = struct.Struct("<BQ")  # of any record: opcode, length of the rest
-_FIELDS_SIZE = _HEAD.size - _LENGTH_FIRST.size
-
-
-class _McapWriter(McapWriter):
-    """A message's record is packed in one go, and every checksum is written."""
-
-    _CHUNK_SIZE = 2**20
-
-    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Append one message to the open chunk."""
-        chunk, channel = self.chunk, connection.id
-        self.message_start_time = min(timestamp, self.message_start_time)
-        self.message_end_time = max(timestamp, self.message_end_time)
-        chunk.message_start_time = min(timestamp, chunk.message_start_time)
-        chunk.message_end_time = max(timestamp, chunk.message_end_time)
-        self.channel_stats[channel] += 1
-        chunk.msgs[channel].append((timestamp, chunk.bio.tell()))
-        size = _FIELDS_SIZE + len(data)
-        chunk.bio.write(_HEAD.pack(_MESSAGE, size, channel, 0, timestamp, timestamp))
-        chunk.bio.write(data)
-        if chunk.bio.tell() > self._CHUNK_SIZE:
-            self.close_chunk()
-
-    def close_chunk(self) -> None:
-        """Write the open chunk with its checksum."""
-        start, records = self.bio.tell(), self.chunk.bio
-        super().close_chunk()
-        mcap_checksums.write_of_chunk(self.bio, start, records.getbuffer())
-
-    def close(self, version: int, metadata: str) -> None:
-        """Write what is behind the chunks, and the checksums of the two sections."""
-        super().close(version, metadata)
-        mcap_checksums.write_of_sections(self.path)
 
 
 class Writer(RosbagsWriter):
@@ -75,7 +38,10 @@ class Writer(RosbagsWriter):
     Messages are compressed by chunk or not at all.
     """
 
-    STORAGE_PLUGINS = {**RosbagsWriter.STORAGE_PLUGINS, StoragePlugin.MCAP: _McapWriter}  # noqa: RUF012
+    STORAGE_PLUGINS = {  # noqa: RUF012
+        StoragePlugin.MCAP: BatchMcapWriter,
+        StoragePlugin.SQLITE3: BatchSqlite3Writer,
+    }
 
     def open(self) -> None:
         """Open for writing."""
@@ -105,12 +71,19 @@ class Writer(RosbagsWriter):
         self.counts[connection.id] = 0
         return connection
 
+    def write_many(
+        self, channels: Sequence[int], stamps: Sequence[int], payloads: Sequence[bytes]
+    ) -> None:
+        """Append messages: the identifiers of their connections, their stamps [ns], their bytes."""
+        self._open_storage().write_many(channels, stamps, payloads)
+        for channel, number in Counter(channels).items():
+            self.counts[channel] += number
+        self.min_timestamp = min(self.min_timestamp, *stamps)
+        self.max_timestamp = max(self.max_timestamp, *stamps)
+
     def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Append one message."""
-        self._open_storage().write(connection, timestamp, data)
-        self.counts[connection.id] += 1
-        self.min_timestamp = min(timestamp, self.min_timestamp)
-        self.max_timestamp = max(timestamp, self.max_timestamp)
+        """Append one message; many at a time are cheaper."""
+        self.write_many([connection.id], [timestamp], [bytes(data)])
 
     def close(self) -> None:
         """Write what is behind the messages, and ``metadata.yaml``."""

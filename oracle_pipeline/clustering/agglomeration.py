@@ -1,4 +1,4 @@
-"""Agglomeration of rows that count more than once: who joins whom, and at what height.
+"""Agglomeration of weighted rows: which clusters join, and at what height.
 
 The algorithms are those that Müllner recommends [1]_: the nearest-neighbour chain for Ward,
 complete and average linkage, a minimum spanning tree for single linkage. All are exact. A row that

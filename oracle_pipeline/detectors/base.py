@@ -1,4 +1,4 @@
-"""What every detector of the panel is: fitted on normal runs alone, and blind to its batch."""
+"""The contract of all detectors: fitted on normal runs only, scoring each run by itself."""
 
 from typing import Any, Protocol, Self
 

@@ -1,7 +1,7 @@
 """Detectors that read clusters of normal runs.
 
-Heights and sizes in a tree change with every row that is in it. So each row is scored in a tree of
-the normal runs and itself alone.
+Heights and sizes in a tree depend on all of its rows. So each row is scored in a tree of its own,
+of the normal runs and that row.
 """
 
 from collections.abc import Callable

@@ -43,7 +43,8 @@ class Mahalanobis(OwnDetector):
         shrunk = LedoitWolf(store_precision=False).fit(X)
         raised = np.maximum(0.0, 1.0 - np.diag(shrunk.covariance_))
         self.location_ = shrunk.location_
-        self.precision_ = np.linalg.inv(shrunk.covariance_ + np.diag(raised))
+        inverse = np.linalg.inv(shrunk.covariance_ + np.diag(raised))
+        self.precision_ = (inverse + inverse.T) / 2.0  # symmetric to the last bit: kept as half
 
     def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
         away = X - self.location_

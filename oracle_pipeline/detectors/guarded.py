@@ -1,4 +1,4 @@
-"""scikit-learn's own detectors where they need a guard to be used without thinking."""
+"""scikit-learn's detectors with guards against their pitfalls."""
 
 from typing import Self
 

@@ -1,7 +1,7 @@
-"""How much a person has to look at to find the attacked runs: small clusters and effort curves.
+"""How many runs a person must inspect to find the attacked ones: small clusters, effort curves.
 
-The small-cluster protocol knows no label and takes all runs at once, as a tester would who has them
-on the desk: failures are rare and unlike each other, so small clusters are inspected [1]_.
+The small-cluster protocol uses no labels and clusters all runs at once. Failures are rare and
+differ from each other, so small clusters are inspected first [1]_.
 
 References
 ----------

@@ -17,9 +17,9 @@ from sklearn.base import clone
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
 from oracle_pipeline.datasets import feature_columns, feature_floors, is_malicious
 from oracle_pipeline.detectors import Detector, pipeline
-from oracle_pipeline.evaluation.conformal import p_values
-from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
 from oracle_pipeline.evaluation.splits import Fold
+from oracle_pipeline.scoring.conformal import p_values
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 Level = Literal["run", "windows", "both"]
 TOP_WINDOWS = 3  # whose mean speaks for the run

@@ -17,9 +17,9 @@ from sklearn.metrics import roc_auc_score
 from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.datasets import DistinctRuns, field_metadata, is_hard_negative
 from oracle_pipeline.detectors import Detector, upper_bounds
+from oracle_pipeline.evaluation.audit import blocks_needed, exact_pairs, told_in_pair
 from oracle_pipeline.evaluation.comparisons import RATES, runs_of
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
-from oracle_pipeline.evaluation.feature_sets import LEFT_OUT, feature_sets
 from oracle_pipeline.evaluation.held_out import (
     HeldOutScores,
     fold_scores,
@@ -29,6 +29,7 @@ from oracle_pipeline.evaluation.held_out import (
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import auc, share
 from oracle_pipeline.evaluation.splits import Fold
+from oracle_pipeline.scoring.feature_sets import LEFT_OUT, feature_sets
 
 CheckStatus = Literal["green", "red", "unsupported"]
 
@@ -205,6 +206,34 @@ def hard_negatives(
         figure=rate,
         sentence=f"{rate} of {judged.sum()} hard negatives are called anomalous at a nominal "
         f"{RATES[0]:.0%}; at most {FALSE_ALARMS:.0%} may be.",
+    )
+
+
+def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> IntegrityCheck:
+    """No feature behind the headline tells a shadow control from the passthrough beside it.
+
+    The figure is how many do.
+    """
+    name, df = "nothing_is_told_where_nothing_was_altered", campaign.features
+    pairs, needed = exact_pairs(df), blocks_needed(len(columns))
+    blocks = [
+        len(set(df.loc[df["mode"] == one, "block"]) & set(df.loc[df["mode"] == other, "block"]))
+        for one, other in pairs
+    ]
+    if min(blocks, default=0) < needed:
+        return _unsupported(
+            name,
+            f"It takes a passthrough and its shadow in {needed} blocks; record *_shadow modes.",
+        )
+    tells = [tell for pair in pairs for tell in told_in_pair(df, columns, pair)]
+    named = ", ".join(f"{tell.feature} ({tell.between})" for tell in tells[:3])
+    said = f"{len(tells)} of {len(columns)} features tell them apart"
+    return _found(
+        name,
+        passed=not tells,
+        figure=Estimate(*[float(len(tells))] * 3),
+        sentence=f"In {len(pairs)} pairs of a passthrough and its shadow {said}"
+        f"{f': {named}' if tells else ''}.",
     )
 
 

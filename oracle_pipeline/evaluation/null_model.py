@@ -1,8 +1,8 @@
 """The thesis's method on runs whose labels are meaningless.
 
-The durations of the thesis's runs are not published. These have what navigation gives: most runs
-alike, and a few that are many times longer, as after recoveries or at a timeout. No number of a run
-depends on its label, so whatever "accuracy" comes out is that of a method which found nothing.
+The durations of the thesis's runs are not published. Here they are as in navigation: most runs are
+alike and a few many times longer, as after recoveries or at a timeout. No number of a run depends
+on its label, so any "accuracy" is that of a method that found nothing.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Which runs a detector is fitted on, calibrated with and tested on: never of one block.
+"""Which runs a detector is fitted on, calibrated with and tested on: always different blocks.
 
 Runs of a block share start, goals and nuisance seed, so whole blocks go to one side. Only normal
 runs train: those of half the training blocks fit the detector, those of the other half calibrate

@@ -1,6 +1,6 @@
-"""What really happened in each run, as a table: from manifests, never seen by any feature.
+"""The ground truth of each run, as a table: from manifests, never seen by any feature.
 
-The evaluation measures against it. Labels of runs stand in the feature tables themselves.
+The evaluation measures against it. Labels of runs are in the feature tables.
 """
 
 import json

@@ -1,6 +1,6 @@
 """Statistics of arrays of numbers, whatever they mean; many arrays at a time.
 
-``generic`` reduces this to windows and topics, ``pairs`` compares topics by it.
+``generic`` reduces them to windows and topics; ``topic_pairs`` compares topics by them.
 """
 
 from collections.abc import Callable

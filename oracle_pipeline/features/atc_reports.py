@@ -1,9 +1,9 @@
 """Whether ADS-B reports are consistent with radar and with each other.
 
-Reports are held against the secondary radar's replies of the same address, and against each
-other: who moves as it says moves on a line of its own reports. Each topic of reports is judged by
-itself, each aircraft too; a column has the worst of them. Where the antenna stands is nowhere
-recorded: it is where most reports and replies together put it, which a few liars cannot move.
+Reports are compared with the secondary radar's replies of the same address, and with each other: an
+aircraft's positions must follow from its reported velocity. Each topic of reports and each aircraft
+is judged by itself; a column has the worst of them. The place of the antenna is not recorded: it is
+estimated from most reports and replies together, so that a few false ones cannot move it.
 """
 
 import math

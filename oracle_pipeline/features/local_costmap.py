@@ -1,4 +1,4 @@
-"""How fast obstacles come and go in the local costmap.
+"""How fast obstacles appear and disappear in the local costmap.
 
 It rolls along with the robot, so two grids are compared where they overlap.
 """

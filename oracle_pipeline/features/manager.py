@@ -1,6 +1,6 @@
 """Finds the feature plugins: built in, of other distributions, and of a folder.
 
-``build_manager`` makes one, so a test or a worker has its own. A file of the folder may hold both
+Every test and worker builds its own with ``build_manager``. A file of the folder may hold both
 forms: a ``register_features`` hook, and classes in the thesis's form.
 """
 

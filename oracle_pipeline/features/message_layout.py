@@ -1,6 +1,6 @@
 """Header stamp and array of a message, read from its bytes without decoding the rest.
 
-What is asked of every topic of every bag has to be cheap: an array is one ``numpy.frombuffer``
+This runs for every topic of every bag, so it has to be cheap: an array is one ``numpy.frombuffer``
 behind a few skipped fields. Only sequences of floating-point numbers count: whole numbers are
 mostly codes (cells of a grid, pixels, identifiers).
 """

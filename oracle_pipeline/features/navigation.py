@@ -1,7 +1,7 @@
-"""How Nav2 fared on the way to its goals: recoveries, plans, detours, standing still.
+"""Nav2 on the way to its goals: recoveries, plans, detours, standing still.
 
-From the behaviour tree's log, the plans and odometry. How long the goals took and whether they
-were reached stands in ``goals``, whose reading of the log and of the action's status this uses.
+From the behaviour tree's log, the plans and odometry. Duration and outcome of the goals are in
+``goals``, whose reading of the log and of the action's status this module uses.
 """
 
 import math

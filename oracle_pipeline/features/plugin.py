@@ -1,4 +1,4 @@
-"""What a feature plugin is: named outputs, the topics it asks for, and a plain function.
+"""The plugin interface: named outputs, requested topics, and a plain function.
 
 A plugin registers through pluggy: a hook returns its description, the manager does the rest. The
 bag is read once for all plugins, so a plugin declares what to keep of each message, and its

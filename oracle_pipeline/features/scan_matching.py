@@ -67,7 +67,8 @@ def steps(scans: Scans, mount: SensorMount) -> Steps:
 def along_arc(turn: Floats) -> Points:
     """Return what makes of the chord of an arc the way along it, in the robot's own directions."""
     half = turn / 2.0
-    way: Points = np.exp(-1j * half) / np.sinc(half / np.pi)
+    with np.errstate(invalid="ignore"):  # of scans that did not match
+        way: Points = np.exp(-1j * half) / np.sinc(half / np.pi)
     return way
 
 

@@ -177,7 +177,8 @@ def _standing(setup: ScannerSetup, topic: str, scans: Scans) -> tuple[Series, Se
     turned = np.abs(np.angle(placed.turn[1:] / placed.turn[:-1]))
     near = np.abs(np.diff(scans.stamps_s)) <= _NEXT_S
     after = np.flatnonzero((moved_m < _STILL_M) & (turned < _STILL_RAD) & near) + 1
-    change = np.abs(scans.ranges[after] - scans.ranges[after - 1])
+    ranges = np.where(np.isfinite(scans.ranges), scans.ranges, np.nan)
+    change = np.abs(ranges[after] - ranges[after - 1])
     both = np.isfinite(change)
     share = np.full(len(after), np.nan)
     deviation = np.full(len(after), np.nan)

@@ -1,7 +1,8 @@
 """Velocity commands, and how much of them the collision monitor let pass.
 
 Nav2's collision monitor takes ``/cmd_vel_raw`` (Humble) or ``/cmd_vel_smoothed`` (since Iron) and
-answers each command on ``/cmd_vel``; once the robot has stood for a while it answers no more.
+answers each command on ``/cmd_vel``. After the robot has stood still for a while, it stops
+answering.
 """
 
 from typing import Any

@@ -1,6 +1,6 @@
 """``oracle replay``: a run as a film and as a picture.
 
-What draws is imported when it is called, so that the help of every command comes at once.
+Drawing code is imported when needed, so that the help of all commands stays fast.
 """
 
 from pathlib import Path

@@ -1,6 +1,6 @@
 """A run as a film from above: the moments of a scene, one after the other.
 
-What never moves is drawn once; a frame is a copy of that with the moving parts drawn over it.
+Static parts are drawn once; a frame is a copy of them with the moving parts drawn over it.
 """
 
 from pathlib import Path

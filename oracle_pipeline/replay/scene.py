@@ -1,4 +1,4 @@
-"""A run seen from above: what there is to draw of it, and the still picture.
+"""A run seen from above: the content of a drawing, and the still picture.
 
 ``oracle_pipeline.replay.film`` draws the same scene as a film.
 """

@@ -1,7 +1,7 @@
 """From an opened run to its scene, in one pass over its bag and manifest.
 
-The way driven is where transforms and odometry put the robot's base, in the frame from which all
-others hang: map, or odom where nothing localized the robot. Everything is planar, so a point is a
+The driven path is that of the robot's base, from transforms and odometry, in the root frame: map,
+or odom if nothing localized the robot. Everything is planar, so a point is a
 complex number [m] and a rotation a complex factor. Drawing is in
 ``oracle_pipeline.replay.scene``.
 """
@@ -31,7 +31,7 @@ _NO_POINTS: _Points = np.zeros(0, dtype=np.complex128)
 
 
 def run_scene(run: OpenedRun, moments_per_s: float | None = None) -> ReplayScene:
-    """Read what there is to draw of a run, or of a bag that somebody else recorded.
+    """Read the scene of a run, or of a foreign bag.
 
     Parameters
     ----------

@@ -1,8 +1,7 @@
 """One run of each attack explained: its verdict, the evidence, and a picture.
 
-Beside it is the picture of the run that differs only by the attack. How far a
-feature is out is found in ``oracle_pipeline.scoring.evidence``; how a run is drawn, in
-``oracle_pipeline.replay.picture``.
+Beside it is the picture of the run that differs only by the attack. Evidence comes from
+``oracle_pipeline.scoring.evidence``, pictures from ``oracle_pipeline.replay.picture``.
 """
 
 from collections.abc import Callable, Iterable, Mapping

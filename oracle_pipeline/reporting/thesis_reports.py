@@ -1,9 +1,9 @@
-"""One function a report: from feature tables to a `Report` of table, pictures and facts.
+"""Reports on the thesis's method: from feature tables to a `Report` of tables, pictures and facts.
 
-The first four follow the thesis's method, which draws copies of runs before it clusters them, in
-the variant asked for; `side_by_side` has both variants and what the thesis prints, and `null_model`
-what its method makes of labels without meaning. Our own evaluation is in ``evaluation`` beside this
-module, tables are made in ``tables``, pictures in ``figures``.
+The first four follow the thesis's method in one variant, which draws copies of runs before it
+clusters them. `side_by_side` compares both variants with the printed results, and `null_model`
+applies the method to meaningless labels. Tables are made in ``thesis_tables``, pictures in
+``figures``; our own evaluation is in ``evaluation_report``.
 """
 
 import numpy as np

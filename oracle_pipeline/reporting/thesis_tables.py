@@ -1,8 +1,8 @@
 """The thesis's tables made from our runs, its figures in the columns ``thesis_*``, and our own.
 
-Functions of a feature table and a generator to a DataFrame; nothing is drawn or written here. An
-estimate takes up three columns, ``auc``, ``auc_low`` and ``auc_high`` (`Estimate.of_row`).
-The thesis's tables can be made by either variant of its method, and by both side by side.
+Functions from a feature table and a generator to a DataFrame. An estimate takes three columns, for
+example ``auc``, ``auc_low`` and ``auc_high`` (`Estimate.of_row`). The thesis's tables can be made
+with either variant of its method, and with both side by side.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What of a reference one recording can be compared with: which features, and which normal runs."""
+"""The features and the normal runs of a reference that one recording can be compared with."""
 
 import json
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.datasets import MISSING, feature_columns, field_metadata, is_malicious
-from oracle_pipeline.evaluation.feature_sets import feature_sets
+from oracle_pipeline.scoring.feature_sets import feature_sets
 from oracle_pipeline.scoring.verdict import ScoringError
 
 LISTED = 5  # features or reasons that a note names

@@ -1,7 +1,7 @@
 """Verdicts by conformal p-values: a detector fitted on normal runs, calibrated on others.
 
 Detectors are in ``oracle_pipeline.detectors``, p-values in
-``oracle_pipeline.evaluation.conformal``.
+``oracle_pipeline.scoring.conformal``.
 """
 
 from collections.abc import Sequence
@@ -15,14 +15,16 @@ from tqdm import tqdm
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import feature_floors
-from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel, pipeline
-from oracle_pipeline.evaluation.conformal import adjusted_for_suite, check_support, p_values
+from oracle_pipeline.detectors import DEFAULT_DETECTOR, by_family, explain, panel, pipeline
 from oracle_pipeline.features import FeatureManager, FeatureTables, extract
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.comparable import comparable
-from oracle_pipeline.scoring.evidence import SEED, farthest_features
+from oracle_pipeline.scoring.conformal import adjusted_for_suite, check_support, p_values
+from oracle_pipeline.scoring.evidence import farthest_features
 from oracle_pipeline.scoring.reference import Reference
 from oracle_pipeline.scoring.verdict import Judgement, Verdict
+
+SEED = 0  # of detectors that draw
 
 
 def score(
@@ -112,6 +114,7 @@ def judge(
     (p_by_block,) = p_values(calibration, np.array([own_score]), calibration_blocks)
     if 1.0 / (n_blocks + 1.0) > far:
         notes.append(_note_on_blocks(len(calibration), n_blocks, far))
+    deviations = explain(normal_runs, tables.run, columns)
     return Verdict(
         recording,
         _judgement(float(p), far),
@@ -124,7 +127,8 @@ def judge(
         fit_runs=int((~calibrates).sum()),
         calibration_runs=len(calibration),
         calibration_blocks=n_blocks,
-        evidence=farthest_features(oracle, tables, normal_runs),
+        evidence=farthest_features(deviations, tables),
+        families=tuple(by_family(deviations, columns)),
         notes=tuple(notes),
     )
 

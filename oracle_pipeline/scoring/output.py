@@ -4,6 +4,7 @@ import dataclasses
 import json
 from collections.abc import Iterator, Sequence
 
+from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
 
 # The worst of a suite counts.
@@ -67,6 +68,7 @@ def paragraph(verdict: Verdict, shared: Sequence[str] = ()) -> Iterator[str]:
     )
     if anomalous:
         yield from _aligned([HEADINGS, *map(cells, verdict.evidence)])
+        yield from (f"    {_summary(family)}" for family in verdict.families)
     yield from (f"    {remark}" for remark in _remarks(verdict) if remark not in shared)
 
 
@@ -78,10 +80,23 @@ def cells(evidence: Evidence) -> tuple[str, ...]:
         evidence.feature,
         f"{evidence.value:.4g}{unit}",
         f"{evidence.usual_low:.4g} to {evidence.usual_high:.4g}",
-        f"{evidence.z:+.1f}",
+        _z(evidence.z, capped=evidence.capped),
         window,
         evidence.where or "",
     )
+
+
+def _summary(family: FamilyDeviation) -> str:
+    """Return a sentence on the features of one family."""
+    return (
+        f"{family.family}: {family.unusual} of {family.compared} features outside their usual "
+        f"range, {family.feature} farthest (z {_z(family.z, capped=family.capped)})"
+    )
+
+
+def _z(z: float, *, capped: bool) -> str:
+    """Return a robust z, and whether it is only as large as z may be."""
+    return f"{z:+.1f} (capped)" if capped else f"{z:+.1f}"
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.detectors import FamilyDeviation
 
 Judgement: TypeAlias = Literal["normal", "anomalous", "error"]
 
@@ -14,10 +15,11 @@ class ScoringError(OracleError):
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """One feature beside its usual range; where and when it was attained, if that is known."""
+    """One feature outside its usual range; where and when it was attained, if that is known."""
 
     feature: str
-    z: float  # robust, in the scaler's scales
+    z: float  # robust, in the scales of the same normal runs
+    capped: bool  # z would be larger
     value: float
     unit: str
     usual_low: float  # 5th and 95th percentile of the normal runs
@@ -41,6 +43,7 @@ class Verdict:
     fit_runs: int = 0
     calibration_runs: int = 0
     calibration_blocks: int = 0
-    evidence: tuple[Evidence, ...] = ()  # largest abs(z) first
+    evidence: tuple[Evidence, ...] = ()  # largest distance first
+    families: tuple[FamilyDeviation, ...] = ()  # of all features outside their usual range
     notes: tuple[str, ...] = ()
     error: str = ""

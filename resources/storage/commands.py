@@ -6,7 +6,8 @@ from pathlib import Path
 import click
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.bags.manifest import KEPT
+from oracle_pipeline.bags.integrity import damaged_files
+from oracle_pipeline.bags.manifest import KEPT, Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.storage.plan import megabytes
 from resources.storage.stock import (
@@ -62,10 +63,20 @@ def _show_room(stock: Stock, room: int) -> None:
         click.echo(f"room for {max(room, 0) // block} more blocks, {kept}: {megabytes(block)} each")
 
 
+def _is_whole(run: RunDirectory, manifest: Manifest) -> bool:
+    """Tell whether a run has its whole bag and its graphs, and their hashes are known and right."""
+    measured = manifest.measured
+    known = measured.kept == "full" and bool(measured.files)
+    return known and not damaged_files(run.path, manifest)
+
+
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path, file_okay=False, exists=True))
 def remake(run: Path) -> None:
     """Re-simulate the bag of RUN from its recipe, if it was dropped or trimmed to save space.
+
+    A run with damaged files is made again too, and one of an older release, which has no hashes
+    by which damage would be noticed.
 
     \b
     Example:
@@ -75,7 +86,7 @@ def remake(run: Path) -> None:
         directory = RunDirectory.at(run)
         with directory.held():
             former = directory.manifest()
-            if former.measured.kept == "full":
+            if _is_whole(directory, former):
                 click.echo(f"{run} has its whole bag.")
                 return
             manifest = remake_run(former, directory)

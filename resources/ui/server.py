@@ -55,8 +55,9 @@ _log = logging.getLogger("dagster.ui")
 def main(workspace: Path | None, host: str, port: int | None, webserver_only: bool) -> None:
     """Open the pipeline in the browser; Control-C ends it.
 
-    Only this machine reaches it, and only its own pages can change anything. To let others in, put
-    a proxy with a login in front, and name its address in ORACLE_UI_ORIGINS: docs/security.md.
+    Only this machine reaches it, and only its own pages can change anything. To let other people
+    in, put a proxy with a login in front of it, and name its address in ORACLE_UI_ORIGINS (see
+    docs/how-to/security.md).
 
     \b
     Examples:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.integrity import hashes_of_files, require_undamaged
 from oracle_pipeline.bags.layout import GRID_INDEX
 from oracle_pipeline.bags.manifest import Manifest, Measured
 from oracle_pipeline.bags.run_directory import (
@@ -87,6 +88,7 @@ def derive_mutant(
     """
     control = controls / f"run{mutant.block:03d}"
     original = Manifest.load(control / MANIFEST_FILE)
+    require_undamaged(control, original)
     recipe = recipe_for(mode, original.block, recipe_of(original).campaign(), mutant.given)
     recipe = dataclasses.replace(recipe, run=mutant.run)
     document = {**recipe.to_dict(), "mutant_of": original.content_hash}
@@ -116,7 +118,9 @@ def derive_mutant(
             if mode.scenario.has_object
             else dict(recipe.parameters),
             recipe=document,
-            measured=Measured(time.perf_counter() - started, bytes_on_disk(folder)),
+            measured=Measured(
+                time.perf_counter() - started, bytes_on_disk(folder), files=hashes_of_files(folder)
+            ),
         )
         manifest.save(folder / MANIFEST_FILE)
     return manifest

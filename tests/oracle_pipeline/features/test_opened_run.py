@@ -1,10 +1,10 @@
-import json
 import shutil
 
 import pytest
 
 from oracle_pipeline.bags.errors import BagError, GraphError, ManifestError, RunDirectoryError
 from oracle_pipeline.opened_run import open_run
+from tests.manifests import rewrite
 
 
 def test_a_run_directory_is_opened_with_all_its_parts(make_run):
@@ -68,8 +68,7 @@ def test_a_run_directory_with_a_broken_part_is_told(part, make_run):
 
 def test_a_trimmed_bag_is_not_taken_for_the_whole(make_run):
     directory = make_run()
-    document = json.loads(directory.manifest_path.read_text())
-    document["topics"]["/map"] = {"type": "nav_msgs/msg/OccupancyGrid", "messages": 1}
-    directory.manifest_path.write_text(json.dumps(document))
+    more = {"/map": {"type": "nav_msgs/msg/OccupancyGrid", "messages": 1}}
+    rewrite(directory, lambda document: document["topics"].update(more))
     with pytest.raises(BagError, match=r"messages on /map differ.*trimmed"):
         open_run(directory.path)

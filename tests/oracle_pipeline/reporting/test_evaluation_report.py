@@ -5,6 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.evaluation import campaign_evaluation as evaluation
 from oracle_pipeline.evaluation import integrity, metrics
 from oracle_pipeline.evaluation.estimate import Estimate
@@ -143,6 +144,23 @@ def test_further_tables_come_back_and_a_report_without_them_does_too(tmp_path):
     Report(run_features(1), {}, {}, {"more": run_features(2)}).save(tmp_path / "report")
     back = Report.load(tmp_path / "report")
     pd.testing.assert_frame_equal(back.tables["more"], run_features(2))
+
+
+@pytest.mark.parametrize("name", ["summary.json", "table.parquet"])
+def test_no_flipped_bit_of_a_report_gives_another_one(name, tmp_path):
+    Report(run_features(1), {}, {"headline": "Withheld", "runs": 6}).save(tmp_path / "report")
+    file = tmp_path / "report" / name
+    content = file.read_bytes()
+    for at in np.random.default_rng(15).choice(8 * len(content), 50, replace=False):
+        flipped = bytearray(content)
+        flipped[at // 8] ^= 1 << at % 8
+        file.write_bytes(flipped)
+        try:
+            back = Report.load(tmp_path / "report")
+        except OracleError:
+            continue
+        assert name == "summary.json"
+        assert back.summary == {"headline": "Withheld", "runs": 6}  # a bit of the seal's name
 
 
 @pytest.mark.parametrize(

@@ -96,7 +96,8 @@ def test_an_odd_recording_is_told_with_what_gave_it_away_and_when(bags, referenc
     assert FIRST in done.stdout
     assert f"{extracted['spinning'].run[FIRST].iloc[0]:.4g} rad" in done.stdout
     assert "from 15 s" in done.stdout
-    assert first.startswith("    contextual.")
+    assert first.startswith(("    contextual.", "    kinematics."))
+    assert "features outside their usual range" in done.stdout
 
 
 def test_json_is_one_object_with_all_that_the_verdict_rests_on(bags, reference, normal, extracted):

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from oracle_pipeline.evaluation.conformal import (
+from oracle_pipeline.scoring.conformal import (
     ConformalError,
     adjusted_for_suite,
     check_support,
