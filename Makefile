@@ -31,7 +31,7 @@ setup-dev: $(VENV)/.ready-dev ## Add what tests, types and benchmarks need
 $(VENV)/.ready: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "This needs Python 3.11 or newer; say which with: make setup PYTHON=python3.12"; exit 1; }
-	$(PYTHON) -m venv $(VENV)
+	$$($(PYTHON) scripts/choose_python.py $(if $(filter file,$(origin PYTHON)),,--only)) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
 	@touch $@
 
