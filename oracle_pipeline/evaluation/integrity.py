@@ -214,7 +214,7 @@ def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> Integr
 
     The figure is how many do.
     """
-    name, df = "nothing_is_told_where_nothing_was_altered", campaign.features
+    name, df = "unaltered_runs_are_alike", campaign.features
     pairs, needed = exact_pairs(df), blocks_needed(len(columns))
     blocks = [
         len(set(df.loc[df["mode"] == one, "block"]) & set(df.loc[df["mode"] == other, "block"]))

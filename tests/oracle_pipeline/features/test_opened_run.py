@@ -58,7 +58,7 @@ def test_a_run_directory_without_a_part_is_told(part, error, text, make_run):
         open_run(directory.path)
 
 
-@pytest.mark.parametrize("part", ["manifest.json", "graphs/000010.gexf", "bag/metadata.yaml"])
+@pytest.mark.parametrize("part", ["manifest.json", "graphs/000010.gexf", "bag/bag_0.mcap"])
 def test_a_run_directory_with_a_broken_part_is_told(part, make_run):
     directory = make_run()
     (directory.path / part).write_text("{")
