@@ -17,8 +17,8 @@ LAST := delayed_fakeobject|run002
 COMPILE := pip-compile --quiet --strip-extras --no-header --no-annotate \
 	--no-emit-index-url --no-emit-trusted-host --no-emit-find-links
 
-.PHONY: help setup setup-dev run campaign ui test test-quick test-browser lint types architecture docs bench soak \
-	constraints requirements image sbom clean
+.PHONY: help setup setup-dev run campaign ui test test-quick test-browser lint types architecture docs pictures bench \
+	soak constraints requirements image sbom clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list
@@ -73,6 +73,10 @@ docs: setup-dev ## Check words, spelling and links of the docs, and build their 
 	pytest -q tests/docs/test_words.py tests/docs/test_reference.py
 	mkdocs build --quiet --clean
 	@echo "Site: $(CURDIR)/site/index.html (search needs a server: mkdocs serve)"
+
+pictures: setup-dev ## Draw the pictures of the docs; of a campaign's report with CAMPAIGN=data/campaign
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
+	python docs/pictures.py $(CAMPAIGN)
 
 constraints: setup-dev ## Pin the newest versions that fit pyproject.toml
 	$(COMPILE) --upgrade --all-extras --output-file constraints.txt pyproject.toml
