@@ -226,7 +226,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
                 os.fsync(sink.fileno())
             scratch.replace(path)
     except OSError as error:
-        if error.filename is not None:
+        if error.filename is not None or error.errno is None:
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error  # as of a full disk
 
