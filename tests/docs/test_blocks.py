@@ -33,9 +33,9 @@ NORMAL, ATTACKED = "lidar_passthrough", "fake_object"
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
-    """Seven normal runs of one goal: the only simulation that all pages share."""
+    """Five normal runs of one goal: the only simulation that all pages share."""
     root = tmp_path_factory.mktemp("recorded") / "lab"
-    record(root, NORMAL, 7)
+    record(root, NORMAL, 5)
     return root
 
 
@@ -45,10 +45,10 @@ def reader(lab, tmp_path_factory):
     folder = tmp_path_factory.mktemp("reader")
     record(folder / "data", ATTACKED, 1)
     shutil.copytree(lab / "runs" / NORMAL / "run000", folder / f"data/runs/{NORMAL}/run000")
-    for number in range(6):
+    for number in range(4):
         shutil.copytree(lab / f"runs/{NORMAL}/run00{number}/bag", folder / f"good_bags/{number}")
     for place in ("my_robot_bag", "tonight/first"):
-        shutil.copytree(lab / f"runs/{NORMAL}/run006/bag", folder / place)
+        shutil.copytree(lab / f"runs/{NORMAL}/run004/bag", folder / place)
     normal, attacked = (features(folder, mode) for mode in (NORMAL, ATTACKED))
     table = pd.concat([around(normal), attacked], ignore_index=True)
     table.attrs = dict(normal.attrs)
