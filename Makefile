@@ -13,8 +13,12 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 FIRST := lidar_passthrough|run000
 LAST := delayed_fakeobject|run002
 
-.PHONY: help setup setup-dev run campaign ui test test-quick test-browser lint types architecture bench soak \
-	constraints clean
+# Pins without the address of any registry.
+COMPILE := pip-compile --quiet --strip-extras --no-header --no-annotate \
+	--no-emit-index-url --no-emit-trusted-host --no-emit-find-links
+
+.PHONY: help setup setup-dev run campaign ui test test-quick test-browser lint types architecture docs pictures bench \
+	soak constraints requirements image sbom clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list
@@ -27,12 +31,12 @@ setup-dev: $(VENV)/.ready-dev ## Add what tests, types and benchmarks need
 $(VENV)/.ready: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "This needs Python 3.11 or newer; say which with: make setup PYTHON=python3.12"; exit 1; }
-	$(PYTHON) -m venv $(VENV)
+	$$($(PYTHON) scripts/choose_python.py $(if $(filter file,$(origin PYTHON)),,--only)) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dask,dev,postgres,s3]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dask,dev,docs,postgres,s3]'
 	@touch $@
 
 run: setup ## Simulate the small campaign, analyse it, and say where the report is
@@ -63,15 +67,43 @@ lint: setup-dev ## Check style and the direction of imports
 types: setup-dev ## Check types, strictly
 	mypy
 
+docs: export NO_MKDOCS_2_WARNING = 1
+docs: setup-dev ## Check words, spelling and links of the docs, and build their site into site/
+	codespell docs *.md mkdocs.yml
+	pytest -q tests/docs/test_words.py tests/docs/test_reference.py
+	mkdocs build --quiet --clean
+	@echo "Site: $(CURDIR)/site/index.html (search needs a server: mkdocs serve)"
+
+pictures: setup-dev ## Draw the pictures of the docs; of a campaign's report with CAMPAIGN=data/campaign
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
+	python docs/pictures.py $(CAMPAIGN)
+
 constraints: setup-dev ## Pin the newest versions that fit pyproject.toml
-	pip-compile --quiet --upgrade --all-extras --strip-extras --no-header --no-annotate \
-		--no-emit-index-url --no-emit-trusted-host --no-emit-find-links --output-file constraints.txt pyproject.toml
+	$(COMPILE) --upgrade --all-extras --output-file constraints.txt pyproject.toml
+
+requirements: setup-dev ## Write deploy/requirements.txt: what the image holds, with the hash of every file
+	$(COMPILE) --constraint constraints.txt --generate-hashes --allow-unsafe --build-deps-for wheel \
+		--extra dask --extra postgres --extra s3 --output-file deploy/requirements.txt pyproject.toml
+
+image: requirements ## Build the image of deploy/ from files whose hashes are known
+	docker build $(if $(BASE),--build-arg BASE=$(BASE)) -f deploy/Containerfile -t ros2-behaviour-oracle .
+
+sbom: requirements ## Write dist/sbom.cdx.json: what the image is made of, as CycloneDX
+	mkdir -p dist
+	cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible \
+		--output-format JSON --output-file dist/sbom.cdx.json deploy/requirements.txt
+
+architecture: setup-dev ## Draw who imports whom, for docs/explanation/architecture.md
+	python docs/draw_architecture.py
 
 bench: setup-dev ## Measure speed, size and memory, as ratios of one run
 	python -m bench
 
-soak: setup-dev ## Kill a campaign 50 times, and keep 600 runs within 2 GB; hours
+soak: setup-dev ## Kill everything at random moments, fill the disk, flip bits, keep 600 runs within 2 GB; hours
 	python -m soak.faults
+	python -m soak.aggregates
+	python -m soak.full_disk
+	python -m soak.flips
 	python -m soak.budget
 
 clean: ## Remove the environment and all caches; recorded data stay

@@ -1,4 +1,4 @@
-"""What the assets over all runs share: how one is declared, what it reads and where it keeps."""
+"""What the assets over all runs share: their declaration, their inputs and their results."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -25,12 +25,12 @@ DATASET, WINDOWS, TRUTH = "features", "windows", "truth"  # tables over all runs
 
 
 class TestbedConfig(dg.Config):
-    """Which runs are looked at: those of two testbeds have nothing in common to compare."""
+    """Which testbed to analyse: runs of two testbeds have no features in common."""
 
     testbed: str = Field(
         default=AUTO,
-        description=f"Runs of this testbed: {', '.join(TESTBEDS)}; {AUTO}: the first of these that "
-        "has runs.",
+        description=f"Testbed whose runs are analysed: {', '.join(TESTBEDS)}; {AUTO}: the first of "
+        "these with recorded runs.",
     )
 
 
@@ -62,7 +62,7 @@ def testbed_of(mode: str) -> str:
 
 
 def run_table(store: RunStore, testbed: str) -> "pd.DataFrame":
-    """Return the features of the runs of one testbed, families that none of them has left out.
+    """Return the run features of one testbed, without families that have no value there.
 
     Raises
     ------
@@ -72,18 +72,18 @@ def run_table(store: RunStore, testbed: str) -> "pd.DataFrame":
     from oracle_pipeline.datasets import read_table, without_empty_families
 
     place = store.dataset(DATASET)
-    there = read_table(place, columns=["mode"])["mode"].unique()
-    of = {mode: testbed_of(mode) for mode in there}
+    recorded = read_table(place, columns=["mode"])["mode"].unique()
+    of = {mode: testbed_of(mode) for mode in recorded}
     if testbed == AUTO:
         testbed = next(name for name in TESTBEDS if name in of.values())
     elif testbed not in TESTBEDS:
         raise OracleError(f"There is no testbed {testbed!r}; there are {', '.join(TESTBEDS)}.")
-    chosen = [mode for mode in there if of[mode] == testbed]
+    chosen = [mode for mode in recorded if of[mode] == testbed]
     return without_empty_families(read_table(place, rows=("mode", chosen)))
 
 
 def windows_of(store: RunStore, df: "pd.DataFrame") -> "pd.DataFrame":
-    """Return the windows of the runs in a table, a row a window."""
+    """Return the window features of the runs in a table, one row for each window."""
     from oracle_pipeline.datasets import read_table
 
     return read_table(store.dataset(WINDOWS), rows=("run_id", df["run_id"]))

@@ -1,8 +1,7 @@
-"""What can start by itself: the job over all assets, and the schedule that makes runs again.
+"""The job over all assets, and the nightly schedule that re-simulates one block.
 
-Everything is off until somebody switches it on. The sensor is in ``assets.scenario_changes``, the
-job that forgets old Dagster runs in ``assets.run_retention``. How to use them:
-docs/how-to/automation.md.
+All automation is off by default. The sensor is in ``assets.scenario_changes``, the job that deletes
+old Dagster runs in ``assets.run_retention``. How to use them: docs/how-to/automation.md.
 """
 
 import dagster as dg
@@ -17,7 +16,7 @@ everything = dg.define_asset_job(
 
 
 def refreshed_runs(first: str, last: str, run_key: str | None = None) -> dg.RunRequest:
-    """Ask for a range of partitions, simulated again: one Dagster run, not one a partition."""
+    """Request one Dagster run that re-simulates a whole range of partitions."""
     return dg.RunRequest(
         run_key=run_key,
         run_config={"ops": {"runs": {"config": {"refresh": True}}}},
@@ -32,11 +31,11 @@ def refreshed_runs(first: str, last: str, run_key: str | None = None) -> dg.RunR
     job=everything,
     cron_schedule="0 2 * * *",
     default_status=dg.DefaultScheduleStatus.STOPPED,
-    description="Every night: make one run of every mode again, compare, and report anew. "
-    "Runs take turns.",
+    description="Every night: re-simulate one block (one run of every mode), compare it with "
+    "the former runs, and update the report. Blocks take turns.",
 )
 def nightly(context: dg.ScheduleEvaluationContext) -> dg.RunRequest:
-    """Ask for the block whose turn it is, in all modes."""
+    """Request the block whose turn it is, in all modes."""
     modes, runs = (
         RUNS.get_partitions_def_for_dimension(name).get_partition_keys() for name in ("mode", "run")
     )

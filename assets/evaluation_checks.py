@@ -1,6 +1,6 @@
-"""Whether the evaluation's figures may be believed: its integrity checks as asset checks.
+"""The integrity checks of the evaluation, as asset checks.
 
-The checks are made when `oracle_evaluation` is; here their stored results are shown.
+They are computed with `oracle_evaluation`; this module shows the stored results.
 """
 
 from collections.abc import Iterator
@@ -15,13 +15,16 @@ EVALUATION, TABLE = "oracle_evaluation", "checks"
 CHECKS = tuple(
     dg.AssetCheckSpec(name, asset=EVALUATION, description=description)
     for name, description in {
-        "sessions_score_alike": "A/A: runs of one mode in two sessions, on disjoint blocks, cannot "
-        "be told apart.",
+        "sessions_score_alike": "A/A: runs of one mode in two sessions, on disjoint blocks, score "
+        "alike.",
         "graphs_of_pairs_are_equal": "An attacked mode and its control show the same graphs.",
-        "label_is_told_before_session": "Features tell the label more easily than the session.",
+        "label_is_predicted_better_than_session": "Features predict the label better "
+        "than the session.",
         "shuffled_labels_are_chance": "Labels permuted within blocks are not predicted.",
         "hard_negatives_pass": "Harmless changes are seldom called anomalous.",
-        "shortcuts_are_apart": "No feature behind the headline tells a run by who was there.",
+        "shortcuts_are_apart": "No headline feature identifies a run by its nodes or topics.",
+        "unaltered_runs_are_alike": "No headline feature distinguishes a passthrough from its "
+        "shadow control.",
     }.items()
 )
 
@@ -30,7 +33,7 @@ CHECKS = tuple(
 def checks_of_evaluation(
     context: dg.AssetCheckExecutionContext, store: RunStore
 ) -> Iterator[dg.AssetCheckResult]:
-    """Show what the evaluation found of itself; a check that is unsupported is not passed."""
+    """Show the results of the integrity checks; an unsupported check does not pass."""
     from oracle_pipeline.reporting.report import Report
 
     with clear_failures():
@@ -54,7 +57,7 @@ def checks_of_evaluation(
 
 
 def _severity(status: str) -> dg.AssetCheckSeverity:
-    """Tell apart what is wrong and what is only not known."""
+    """Return a warning for a check that could not be made, an error for one that failed."""
     if status == "unsupported":
         return dg.AssetCheckSeverity.WARN
     return dg.AssetCheckSeverity.ERROR

@@ -2,7 +2,7 @@
 
 Dagster 1.13 has no public way to give each partition of a range its own data version, or its own
 check result. Steps yield the events of every partition themselves and then return an output without
-one (``assets.dagster_internals``).
+one (``resources.dagster_internals``).
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -10,15 +10,15 @@ from typing import NamedTuple
 
 import dagster as dg
 
-from assets.dagster_internals import checked_materialization
+from resources.dagster_internals import checked_materialization
 
 Figures = Mapping[str, int | float | str | dg.MetadataValue]
 
-_AT_ONCE = 1000  # partitions a query asks for; SQLite takes some thousands
+_AT_ONCE = 1000  # partitions in one query; SQLite allows some thousands
 
 
 class Materialized(NamedTuple):
-    """One partition of an asset, as it is now."""
+    """The current state of one partition of an asset."""
 
     spec: dg.AssetSpec
     data_version: str
@@ -29,11 +29,11 @@ class Materialized(NamedTuple):
 def materializations(
     instance: dg.DagsterInstance, key: dg.MultiPartitionKey, assets: Iterable[Materialized]
 ) -> Iterator[dg.AssetMaterialization]:
-    """Yield the events that turn one partition of some assets green, upstream before downstream.
+    """Yield the materializations of one partition of some assets, upstream before downstream.
 
-    Their tags are those that Dagster itself would give them: from them the UI knows which
-    partitions are stale, because of other code or of newer data upstream. They name the event
-    upstream, so each one has to be stored before the next is asked for.
+    Their tags are those that Dagster itself would set. From them the UI derives which partitions
+    are stale because code or upstream data have changed. A tag names the upstream event, so the
+    caller must store each event before it takes the next.
     """
     upstream: dict[dg.AssetKey, dg.EventLogRecord | None] = {}
     for spec, data_version, code_version, metadata in assets:
@@ -60,7 +60,7 @@ def materializations(
 def latest_materialization(
     instance: dg.DagsterInstance, asset: dg.AssetKey, key: str
 ) -> dg.EventLogRecord | None:
-    """Return the newest materialization of one partition, if there is one."""
+    """Return the newest materialization of one partition, or None."""
     wanted = dg.AssetRecordsFilter(asset_key=asset, asset_partitions=[key])
     return next(iter(instance.fetch_materializations(wanted, limit=1).records), None)
 

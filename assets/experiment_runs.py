@@ -1,8 +1,8 @@
 """The five assets of every run, from recipe to features, as one step.
 
-A worker takes one run all the way, so that its bag is read while it is there (and can be dropped
-before the next one comes), and so that a range of partitions needs one Dagster run. Why, and what
-it costs: docs/explanation/dagster.md.
+A worker processes one run completely before it takes the next: the bag is read right after it was
+recorded and can be dropped then, and any range of partitions is one Dagster run. Reasons and
+costs: docs/explanation/dagster.md.
 """
 
 import contextlib
@@ -15,7 +15,6 @@ from pydantic import Field
 
 from assets import presentation
 from assets.asset_defaults import OWNERS, SINGLE_RUN
-from assets.dagster_internals import output_without_event
 from assets.events import (
     Materialized,
     check_evaluation,
@@ -27,6 +26,7 @@ from assets.worker.versions import feature_code
 from resources import terminal
 from resources.budget import StorageBudget
 from resources.campaign import CampaignSettings
+from resources.dagster_internals import output_without_event
 from resources.fleet import Fleet
 from resources.store import RunStore
 from sim.commands.progress import RunProgress
@@ -45,12 +45,12 @@ EXPERIMENT_RUNS = dg.AssetSpec(
     kinds={"mujoco", "ros2"},
     owners=OWNERS,
     code_version=software().code,
-    description="""A patrol of the robot in MuJoCo, or of air traffic, normal or attacked.
+    description="""A patrol of the robot in MuJoCo, or air traffic, normal or attacked.
 
 Run *i* of every mode of a testbed has the same start, goals or flights, and nuisance (block *i*).
-The manifest holds recipe, outcome, onset, what was changed, contacts and hashes:
-`<root>/runs/<mode>/run003/manifest.json`. The same recipe gives the same messages, byte for byte.
-A picture of the run is in the metadata and in `picture.png`; `oracle replay` makes a film.""",
+`<root>/runs/<mode>/run003/manifest.json` holds recipe, outcome, onset, changes made by the attack,
+contacts and hashes. The same recipe gives the same messages, byte for byte. A picture of the run is
+in the metadata and in `picture.png`; `oracle replay` makes a film.""",
 )
 BAGS = dg.AssetSpec(
     "bags",
@@ -59,10 +59,10 @@ BAGS = dg.AssetSpec(
     kinds={"ros2", "mcap"},
     owners=OWNERS,
     code_version=software().code,
-    description="""The run as a rosbag2: what `ros2 bag record -a` would have taken.
+    description="""The run as a rosbag2, as `ros2 bag record -a` would record it.
 
 MCAP or sqlite3, compressed with zstd, in `<root>/runs/<mode>/run003/bag`. Its data version is a
-hash over topics, types, stamps and payloads, the same wherever the run is made.""",
+hash over topics, types, stamps and payloads, the same on every machine.""",
 )
 INTERVAL_GRAPHS = dg.AssetSpec(
     "interval_graphs",
@@ -73,8 +73,8 @@ INTERVAL_GRAPHS = dg.AssetSpec(
     code_version=software().code,
     description="""The ROS graph of every 10 s of the recording, and of the whole run.
 
-GEXF: ROS nodes and topics, an edge for each publisher and subscription with its messages and bytes
-in the interval. In `<root>/runs/<mode>/run003/graphs`; opens in Gephi and NetworkX;
+GEXF files in `<root>/runs/<mode>/run003/graphs`, for Gephi and NetworkX. Vertices are ROS nodes and
+topics; each publisher and subscription is an edge with its messages and bytes in the interval.
 `full.gexf` is the whole run with services and actions.""",
 )
 WINDOW_FEATURES = dg.AssetSpec(
@@ -84,10 +84,10 @@ WINDOW_FEATURES = dg.AssetSpec(
     kinds={"pandas", "parquet"},
     owners=OWNERS,
     code_version=feature_code(),
-    description="""What all plugins say of each window of 10 s, every 5 s.
+    description="""The features of each window of 10 s, every 5 s, from all plugins.
 
-A row a window, from `window_start_s` of the recording; units in the schema. A feature that a
-window does not give is empty, with the reason in column `missing`.""",
+One row for each window, by its start `window_start_s` in the recording; units in the schema. A
+feature that cannot be computed for a window is empty, with the reason in column `missing`.""",
 )
 RUN_FEATURES = dg.AssetSpec(
     "run_features",
@@ -96,17 +96,17 @@ RUN_FEATURES = dg.AssetSpec(
     kinds={"pandas", "parquet"},
     owners=OWNERS,
     code_version=feature_code(),
-    description="""What all plugins say of the whole run: one row.
+    description="""The features of the whole run, from all plugins, in one row.
 
 Columns are named `<family>.<feature>`, units in the schema. Features never see label, mode,
 onset, recipe or ground truth.""",
 )
-_SAID: Mapping["Comparison", str] = {
-    "same messages": "Made again, the run holds the same messages.",
-    "other software": "Replaced: the code, a library or the processor is another one.",
-    "other recipe": "Replaced: the recipe is another one.",
-    "unexplained": "The same software made other messages from the same recipe, and nothing "
-    "explains it. Both runs are kept; the former one stays in use.",
+_DESCRIPTIONS: Mapping["Comparison", str] = {
+    "same messages": "Re-simulated: the messages are the same.",
+    "other software": "Replaced: the code, a library or the CPU has changed.",
+    "other recipe": "Replaced: the recipe has changed.",
+    "unexplained": "Re-simulation gave different messages although code, libraries, CPU and "
+    "recipe are the same. Both runs are kept; the former one stays in use.",
 }
 SHOWN = 20  # failed runs named in a failure's text; its metadata name all
 SPECS = (EXPERIMENT_RUNS, BAGS, INTERVAL_GRAPHS, WINDOW_FEATURES, RUN_FEATURES)
@@ -114,18 +114,18 @@ REPRODUCIBLE = dg.AssetCheckSpec(
     "run_is_reproducible",
     asset=EXPERIMENT_RUNS.key,
     partitions_def=RUNS,
-    description="Made again (`refresh: true`), a run holds the same messages, or its software or "
-    "recipe is another one. A run that is only verified gives no result.",
+    description="Re-simulated with `refresh: true`, a run has the same messages unless its "
+    "software or recipe has changed. A run that is only verified gives no result.",
 )
 
 
 class RunConfig(dg.Config):
-    """How runs are made."""
+    """Whether complete runs are verified or re-simulated."""
 
     refresh: bool = Field(
         default=False,
-        description="Make again what is there already, and compare; otherwise a complete run is "
-        "verified only.",
+        description="Re-simulate complete runs and compare them with the former ones; by "
+        "default, a complete run is only verified.",
     )
 
 
@@ -145,7 +145,7 @@ def recorded_runs(
     campaign: CampaignSettings,
     budget: StorageBudget,
 ) -> Iterator[dg.AssetMaterialization | dg.AssetCheckEvaluation | dg.Output[None]]:
-    """Take every run of the partitions from recipe to features, block by block."""
+    """Process every run of the partitions from recipe to features, block by block."""
     for broken in broken_scenarios():
         context.log.warning(f"Left out: {broken}")
     specs = [spec for spec in SPECS if spec.key in context.selected_asset_keys]
@@ -189,9 +189,9 @@ def recorded_runs(
 def _outcomes(
     jobs: Sequence["RunJob"], store: RunStore, fleet: Fleet, budget: StorageBudget
 ) -> Iterator["Outcome[RunJob, RunReport]"]:
-    """Do the jobs, block by block; how much stays of each run is planned again as sizes get known.
+    """Process the jobs block by block; the storage plan is updated as sizes become known.
 
-    Finished runs that have to make room for others are done first.
+    Finished runs that have to give up storage for others are processed first.
     """
     from assets.worker.run import RunJob, process_run
 
@@ -222,7 +222,7 @@ def _outcomes(
 def _materialized(
     specs: Sequence[dg.AssetSpec], store: RunStore, report: "RunReport"
 ) -> Iterator[Materialized]:
-    """Yield the assets of a run as they are now."""
+    """Yield the current state of the assets of a run."""
     for spec in specs:
         made = report.assets[spec.key.to_user_string()]
         path = dg.MetadataValue.path(str(store.path / made.path))
@@ -245,7 +245,7 @@ def _reproducible(
         "former_hash": dg.MetadataValue.text(reproduction.former_hash),
         "new_hash": dg.MetadataValue.text(reproduction.new_hash),
     }
-    if reproduction.verdict == "unexplained":
+    if reproduction.comparison == "unexplained":
         run = store.run(key)
         facts |= {
             "former_path": dg.MetadataValue.path(str(run.path)),
@@ -256,8 +256,8 @@ def _reproducible(
         REPRODUCIBLE,
         key,
         latest_materialization(context.instance, REPRODUCIBLE.asset_key, key),
-        passed=reproduction.verdict != "unexplained",
-        description=_SAID[reproduction.verdict],
+        passed=reproduction.comparison != "unexplained",
+        description=_DESCRIPTIONS[reproduction.comparison],
         metadata=facts,
     )
 
@@ -281,13 +281,14 @@ def _job(
 
 
 def _failure(failed: dict[str, str], runs: int) -> dg.Failure:
-    """Name the runs that failed, why, and what to do."""
+    """Return a failure that names the failed runs, the reasons and the remedy."""
     reasons = [f"{key}: {error.strip().splitlines()[-1]}" for key, error in sorted(failed.items())]
     kept = "; the finished ones are kept" if len(failed) < runs else ""
     return dg.Failure(
-        f"{len(failed)} of {runs} runs failed{kept}. Materialize the same again when the "
-        "cause is removed: what is finished is only verified. A damaged run alone is made again "
-        "with `refresh: true` in the config of `runs`.\n" + "\n".join(reasons[:SHOWN]),
+        f"{len(failed)} of {runs} runs failed{kept}. Remove the cause and materialize the same "
+        "partitions again: finished runs are only verified. To re-simulate a damaged run, "
+        "materialize it with `refresh: true` in the config of `runs`.\n"
+        + "\n".join(reasons[:SHOWN]),
         metadata={"failed": dg.MetadataValue.json(failed)},
         allow_retries=False,
     )

@@ -1,4 +1,4 @@
-"""The tables over all runs of the campaign's partitions, however many of them are on disk."""
+"""The tables over all runs that are on disk, of the modes and runs that are partitions."""
 
 import dagster as dg
 
@@ -17,13 +17,13 @@ FEATURES_OF_RUNS = [
 
 @aggregate("datasets", "pandas", "parquet", deps=FEATURES_OF_RUNS)
 def feature_dataset(store: RunStore) -> dg.MaterializeResult[None]:
-    """All runs as one table: a row a run, a column a feature; beside it all windows.
+    """All runs as one table: one row for each run, one column for each feature.
 
-    Joins the features that are on disk for the modes and runs of the partitions, and refuses tables
-    of different columns or units. Left out are runs that were over before the node of a delayed
-    mode appeared. `oracle score --reference` takes `<root>/datasets/features.parquet`;
-    `windows.parquet` has a row a window, and `truth.parquet` what really happened in each run,
-    which only the evaluation reads.
+    Joins the feature tables that are on disk and refuses tables with different columns or units.
+    Runs of a delayed mode that ended before its node started are left out. Written to
+    `<root>/datasets/features.parquet`, which `oracle score --reference` takes. Beside it,
+    `windows.parquet` has one row for each window, and `truth.parquet` holds the ground truth of
+    each run, which only the evaluation reads.
     """
     from oracle_pipeline import datasets
     from oracle_pipeline.evaluation.truth import truth_table
@@ -61,5 +61,5 @@ def feature_dataset(store: RunStore) -> dg.MaterializeResult[None]:
 
 
 def _acted(manifest: Manifest) -> bool:
-    """Tell whether the mode's node was ever there."""
+    """Return whether the node of the mode ever started."""
     return manifest.onset_s is not None

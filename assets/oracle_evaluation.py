@@ -14,29 +14,29 @@ from assets.aggregates import (
     windows_of,
 )
 from assets.feature_dataset import feature_dataset
-from assets.run_checks import PAIR_CHECK, pairs_there
+from assets.run_checks import PAIR_CHECK, complete_pairs
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.failures import clear_failures
 from resources.fleet import Fleet
 from resources.store import RunStore
 
 if TYPE_CHECKING:
-    from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
+    from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 
 @aggregate("oracle", "scikitlearn", deps=[feature_dataset])
 def oracle_evaluation(
     context: dg.AssetExecutionContext, config: TestbedConfig, store: RunStore, fleet: Fleet
 ) -> dg.MaterializeResult[None]:
-    """How well the oracle tells attacked runs from right ones, on blocks that it never saw.
+    """How well the oracle separates attacked from normal runs, on held-out blocks.
 
     The detector panel on every set of features, with intervals: AUC, detection rate at a calibrated
-    false-alarm rate, that rate as it came out, time to detect. Integrity checks come first; while
-    one is not green the headline is withheld. Grids below `<root>/grids`, which `oracle-sim grid`
-    makes, give the kill matrix.
+    false-alarm rate, the realised false-alarm rate, time to detect. The headline is withheld unless
+    all integrity checks are green. Grids below `<root>/grids`, recorded with `oracle-sim grid`,
+    add the kill matrix.
     """
     from oracle_pipeline.datasets import read_table
-    from oracle_pipeline.evaluation.oracle_evaluation import evaluate
+    from oracle_pipeline.evaluation.campaign_evaluation import evaluate
     from oracle_pipeline.reporting.evaluation_report import evaluation_report
 
     with clear_failures():
@@ -53,10 +53,10 @@ def oracle_evaluation(
 
 
 def _graph_differences(store: RunStore, fleet: Fleet, runs: set[str]) -> list[str] | None:
-    """Compare the graphs of all pairs that are there; None if there is no pair."""
+    """Return how the graphs of complete pairs differ; None if there is no complete pair."""
     from assets.worker.inspections import Inspection, inspect
 
-    inspections = [Inspection(PAIR_CHECK, pair) for pair in pairs_there(map(store.run, runs))]
+    inspections = [Inspection(PAIR_CHECK, pair) for pair in complete_pairs(map(store.run, runs))]
     if not inspections:
         return None
     return [
@@ -67,12 +67,12 @@ def _graph_differences(store: RunStore, fleet: Fleet, runs: set[str]) -> list[st
 
 
 def _mutants(store: RunStore, fleet: Fleet) -> "MeasuredRuns | None":
-    """Return what was measured of all grids' runs, joined to what was changed in each."""
+    """Return features and windows of the runs of all grids, with what was changed in each run."""
     import pandas as pd
 
     from oracle_pipeline.datasets import feature_dataset as joined
     from oracle_pipeline.datasets import read_table, window_dataset
-    from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
+    from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
     runs_of_grids, windows_of_grids = [], []
     for index in store.grid_indices():
@@ -95,7 +95,7 @@ def _mutants(store: RunStore, fleet: Fleet) -> "MeasuredRuns | None":
 
 
 def _require_features(runs: Sequence[RunDirectory], fleet: Fleet) -> None:
-    """Extract the features of runs that have none yet."""
+    """Extract the features of runs that have none."""
     from assets.worker.feature_tables import require_tables
 
     for outcome in fleet.outcomes(require_tables, runs):

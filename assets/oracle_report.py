@@ -1,6 +1,6 @@
-"""The report for people over everything that was measured.
+"""The report on everything that was measured.
 
-A thin shell round ``oracle_pipeline.reporting.html``, which is imported inside the functions, so
+A thin shell around ``oracle_pipeline.reporting.html``, which is imported inside the functions, so
 that the code location loads without pandas and scikit-learn.
 """
 
@@ -26,7 +26,7 @@ from resources.store import RunStore
 if TYPE_CHECKING:
     import pandas as pd
 
-FRESH = dg.FreshnessPolicy.time_window(  # one night may fail; nobody looks unless it is switched on
+FRESH = dg.FreshnessPolicy.time_window(  # one night may fail; not evaluated unless switched on
     warn_window=timedelta(hours=36), fail_window=timedelta(hours=60)
 )
 GHOST = "atc_ghost_static"  # the mode of which the report shows the radar display
@@ -46,11 +46,11 @@ GHOST = "atc_ghost_static"  # the mode of which the report shows the radar displ
     freshness_policy=FRESH,
 )
 def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
-    """Report for people: one self-contained HTML file, `<root>/report/index.html`.
+    """Everything as one self-contained HTML file, `<root>/report/index.html`.
 
-    What is detected and whether that can be believed, curves, alarms, detectors and families, a run
-    of each attack explained beside its control, and the thesis's method side by side with what it
-    prints and with what it makes of labels without meaning.
+    Detection with integrity checks, curves, alarms, detectors and feature families, one run of each
+    attack explained beside its control, and the thesis's method compared with its printed results
+    and with results on meaningless labels.
     """
     from oracle_pipeline.datasets import KEYS, read_table
     from oracle_pipeline.reporting import html, thesis_reports
@@ -99,7 +99,7 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
 
 
 def _storage(store: RunStore) -> "pd.DataFrame":
-    """Return what runs take on this machine and what was kept of them, a row a mode."""
+    """Return storage used and kept on this machine, one row for each mode."""
     import pandas as pd
 
     from resources.storage.stock import storage_of_modes, take_stock
@@ -108,7 +108,7 @@ def _storage(store: RunStore) -> "pd.DataFrame":
 
 
 def _ghost_and_control(df: "pd.DataFrame") -> list[str]:
-    """Return an air traffic run with a ghost and the same run without; nothing if there is none."""
+    """Return an air traffic run with a ghost and the same run without; empty if not recorded."""
     from oracle_pipeline.reporting.explanation import counterpart
 
     sky = df[df["mode"].map(testbed_of) == testbed_of(GHOST)]

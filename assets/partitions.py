@@ -1,8 +1,8 @@
 """The one partitions definition: every run of every experiment mode.
 
-A key reads ``fake_object|run003``. Runs are static, so that a new one appears in every mode at
-once and the grid stays whole. How many there are, and the scenario files of the user's folder, are
-read when the code location loads; a broken file is named in the log, and the others are there.
+A key reads ``fake_object|run003``. Run numbers are static, so that a new one appears in every mode
+at once. Their count and the scenario files of the user's folder are read when the code location
+loads. A broken scenario file is named in the log and left out.
 """
 
 import os
@@ -15,7 +15,7 @@ from sim.modes import broken_scenarios, modes
 
 
 class ConfigurationError(OracleError):
-    """A setting of the environment makes no sense."""
+    """An environment variable has an invalid value."""
 
 
 def run_count(environment: Mapping[str, str]) -> int:
@@ -24,12 +24,12 @@ def run_count(environment: Mapping[str, str]) -> int:
     Raises
     ------
     ConfigurationError
-        If it is not a whole number from 1 on.
+        If it is not a whole number of 1 or more.
     """
     text = environment.get("ORACLE_RUNS") or "15"
     if not text.isdecimal() or int(text) < 1:
         raise ConfigurationError(
-            f"ORACLE_RUNS is {text!r}; give the runs of each mode, a whole number from 1 on."
+            f"ORACLE_RUNS is {text!r}; give the number of runs of each mode, 1 or more."
         )
     return int(text)
 

@@ -1,4 +1,4 @@
-"""What the Dagster UI shows of a table, a picture and a report.
+"""Dagster metadata for tables, pictures and reports, as the UI shows them.
 
 Metadata take plain Python values only: no NumPy scalars, no NaN.
 """
@@ -72,7 +72,7 @@ def _meaning(field: Mapping[str, str]) -> str | None:
 
 
 def facts(summary: Mapping[str, float | int | str | bytes]) -> Metadata:
-    """Return plain facts and pictures; a number stays one, so that it is plotted over time."""
+    """Return facts and pictures as metadata; numbers stay numbers, so that the UI plots them."""
     return {
         name: png(value) if isinstance(value, bytes)
         else dg.MetadataValue.text(value) if isinstance(value, str)

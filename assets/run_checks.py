@@ -1,7 +1,7 @@
-"""Facts about every run that a person would ask for, checked whenever the run is materialized.
+"""Checks of every run, made whenever the run is materialized.
 
-One step does all that are asked for, with the fleet, and gives every run a result of its own. What
-it finds is an error to look into, but no asset waits for it.
+One step makes all selected checks with the fleet and gives every run a result of its own. A failed
+check is an error to look into, but blocks no asset.
 """
 
 from collections.abc import Iterable, Iterator
@@ -15,7 +15,7 @@ from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.fleet import Fleet
 from resources.store import RunStore
 
-SHOWN = 10  # things that are wrong, named in a result's text
+SHOWN = 10  # faults named in the description of a result
 
 PAIR_CHECK = "graphs_of_a_pair_are_equal"
 CHECKS = (
@@ -23,20 +23,22 @@ CHECKS = (
         "bag_is_complete",
         asset="bags",
         partitions_def=RUNS,
-        description="Every message that the manifest counts can be read from the bag.",
+        description="Every message that the manifest counts can be read from the bag, and the "
+        "hashes of messages and files are those of the manifest.",
     ),
     dg.AssetCheckSpec(
         "every_interval_has_a_graph",
         asset="interval_graphs",
         partitions_def=RUNS,
-        description="There is a graph each 10 s of the recording, and for a rest of 5 s or more.",
+        description="Every 10 s of the recording, and a rest of 5 s or more, has a graph, and "
+        "every graph is as it was recorded.",
     ),
     dg.AssetCheckSpec(
         PAIR_CHECK,
         asset="interval_graphs",
         partitions_def=RUNS,
         description="An attacked run and its control have equal vertices, types and edges in every "
-        "interval that both have. While only one of them is there, there is no result.",
+        "interval that both have. There is no result until both are recorded.",
     ),
     dg.AssetCheckSpec(
         "window_features_are_finite",
@@ -66,7 +68,9 @@ def checks_of_runs(
         Inspection(name, subject)
         for name in specs
         for subject in (
-            pairs_there(runs.values()) if name == PAIR_CHECK else [(run,) for run in runs.values()]
+            complete_pairs(runs.values())
+            if name == PAIR_CHECK
+            else [(run,) for run in runs.values()]
         )
     ]
     targets = {
@@ -90,8 +94,8 @@ def checks_of_runs(
         yield dg.Output(None, output_name=spec.get_python_identifier())
 
 
-def pairs_there(runs: Iterable[RunDirectory]) -> list[tuple[RunDirectory, RunDirectory]]:
-    """Return control and attacked run of every pair that is there and has one among the runs."""
+def complete_pairs(runs: Iterable[RunDirectory]) -> list[tuple[RunDirectory, RunDirectory]]:
+    """Return control and attacked run of every complete pair with one of its two among the runs."""
     ours = set(runs)
     pairs = [
         (RunDirectory(root, control, number), RunDirectory(root, attacked, number))

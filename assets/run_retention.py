@@ -1,8 +1,8 @@
-"""Dagster's records of old runs: forgotten, but for those that something still points at.
+"""Deletes Dagster's records of old runs that no partition needs any more.
 
-Dagster deletes old ticks by itself (``retention`` in dagster.yaml), and runs never. With a run it
-deletes the materializations that it made: a partition whose newest one is gone would turn grey.
-What is below the root of the store, recordings and reports, is never touched here.
+Dagster deletes old ticks by itself (``retention`` in dagster.yaml), but never runs. Deleting a run
+deletes its materializations, too, so a run is kept while it holds the newest materialization or
+check of any partition. Recordings and reports below the root of the store are never touched.
 """
 
 from collections.abc import Collection
@@ -18,9 +18,9 @@ _BATCH = 500  # events read at a time
 
 
 class RetentionConfig(dg.Config):
-    """What is old."""
+    """How old a run must be to be deleted."""
 
-    days: int = Field(default=30, ge=0, description="Runs that ended longer ago are forgotten.")
+    days: int = Field(default=30, ge=0, description="Delete runs that ended longer ago [days].")
 
 
 @dg.op
@@ -41,9 +41,9 @@ def forget_runs(context: dg.OpExecutionContext, config: RetentionConfig) -> None
     )
 
 
-@dg.job(description="Forget Dagster runs that ended long ago; never recordings or reports.")
+@dg.job(description="Delete records of old Dagster runs; never recordings or reports.")
 def forget_old_runs() -> None:
-    """Delete what Dagster remembers of old runs."""
+    """Delete old Dagster runs."""
     forget_runs()
 
 
@@ -52,12 +52,12 @@ weekly = dg.ScheduleDefinition(
     job=forget_old_runs,
     cron_schedule="0 6 * * 0",
     default_status=dg.DefaultScheduleStatus.STOPPED,
-    description="Every Sunday: forget Dagster runs that ended long ago.",
+    description="Every Sunday: delete records of old Dagster runs.",
 )
 
 
 def _checks_of(instance: dg.DagsterInstance, runs: Collection[str]) -> set[dg.AssetCheckKey]:
-    """Return the checks that runs were to make."""
+    """Return the checks that were planned in runs."""
     planned = dg.DagsterEventType.ASSET_CHECK_EVALUATION_PLANNED
     return {
         event.get_dagster_event().asset_check_planned_data.asset_check_key

@@ -1,6 +1,6 @@
-"""The sensor that asks for the runs of modes whose scenario file has changed.
+"""The sensor that re-simulates the runs of modes whose scenario file has changed.
 
-Files are read anew at each tick: the modes themselves are read once, when the code location loads.
+It reads the files at every tick, whereas the modes are read once, when the code location loads.
 """
 
 import itertools
@@ -28,11 +28,11 @@ NO_CHANGE = (
     job=everything,
     minimum_interval_seconds=60,
     default_status=dg.DefaultSensorStatus.STOPPED,
-    description="When a mode's scenario file changes: make those of its runs again that are "
-    "materialized, and report anew.",
+    description="When the scenario file of a mode changes: re-simulate those of its runs that are "
+    "materialized, and update the report.",
 )
 def changed_scenarios(context: dg.SensorEvaluationContext) -> dg.SensorResult:
-    """Compare each mode's scenario with what it was at the last tick, and ask for what is stale."""
+    """Compare each mode's scenario with the last tick, and request the runs that are stale."""
     former: dict[str, str] = json.loads(context.cursor or "{}")
     now, broken = _digests()
     changed = {mode: now[mode] for mode in now if former.get(mode, now[mode]) != now[mode]}
@@ -46,7 +46,7 @@ def changed_scenarios(context: dg.SensorEvaluationContext) -> dg.SensorResult:
 
 
 def _digests() -> tuple[dict[str, str], list[str]]:
-    """Return the digest of each mode's scenario as its file is now, and what is wrong in files."""
+    """Return the digest of each mode's scenario as its file is now, and the faults in files."""
     names: defaultdict[str, list[str]] = defaultdict(list)
     for mode in modes().values():
         names[mode.scenario.file].append(mode.id)
@@ -73,19 +73,21 @@ def _scenarios(file: Path) -> dict[str, Scenario]:
 
 
 def _requests(instance: dg.DagsterInstance, changed: Mapping[str, str]) -> Iterator[dg.RunRequest]:
-    """Ask for each range of a changed mode's materialized runs, once after each change."""
+    """Request each range of a changed mode's materialized runs, once for each change."""
     if not changed:
         return
     materialized = instance.get_materialized_partitions(EXPERIMENT_RUNS.key)
     latest = instance.get_latest_materialization_event(EXPERIMENT_RUNS.key)
-    after = latest.timestamp if latest else 0.0  # a change back and forth is asked for each time
+    after = (
+        latest.timestamp if latest else 0.0
+    )  # so that a change back and forth is requested each time
     for mode, digest in changed.items():
         for first, last in _ranges(mode, materialized):
             yield refreshed_runs(first, last, run_key=f"{first}...{last} {digest} {after}")
 
 
 def _ranges(mode: str, keys: Collection[str]) -> Iterator[tuple[str, str]]:
-    """Yield first and last key of each unbroken range of a mode's runs that are among the keys."""
+    """Yield first and last key of each unbroken range of a mode's runs among the keys."""
     runs = RUNS.get_partitions_def_for_dimension("run").get_partition_keys()
     of_mode = [f"{mode}|{run}" for run in runs]
     for is_there, group in itertools.groupby(of_mode, lambda key: key in keys):

@@ -30,7 +30,7 @@ ROWS = "bootstrapped_dataset"
 
 
 class BootstrapConfig(TestbedConfig):
-    """How rows are drawn, here and in the reports made after it; sizes are the thesis's."""
+    """How rows are drawn, here and in the reports downstream; the defaults are the thesis's."""
 
     rows: int = Field(default=1000, ge=1, description="Rows to draw, with replacement.")
     malicious_rate: float = Field(
@@ -39,8 +39,8 @@ class BootstrapConfig(TestbedConfig):
     seed: int = Field(default=50, ge=0, description="Of the generator that draws.")
     variant: Literal["corrected", "thesis"] = Field(
         default="corrected",
-        description="Cluster scaled features as their names promise them, or, as the thesis's code "
-        "does, its own ten numbers without scales.",
+        description="`corrected`: cluster scaled features, computed as their names say. `thesis`: "
+        "cluster the thesis's ten numbers, computed and unscaled as in its code.",
     )
 
 
@@ -48,8 +48,8 @@ class BootstrapConfig(TestbedConfig):
 def bootstrapped_dataset(config: BootstrapConfig, store: RunStore) -> dg.MaterializeResult[None]:
     """Rows drawn from the runs with replacement, a fixed share of them attacked.
 
-    The thesis's dataset. Copies add no information: every figure made from it counts the distinct
-    runs behind them.
+    The thesis's dataset. Copies add no information: every figure computed from it counts distinct
+    runs.
     """
     from oracle_pipeline.reporting import thesis_reports
 
@@ -119,7 +119,7 @@ def runs_drawn_from(store: RunStore) -> "pd.DataFrame":
 
 
 def _experiments(df: "pd.DataFrame") -> "pd.DataFrame":
-    """Leave out what the thesis has not: shadow controls and hard negatives."""
+    """Leave out shadow controls and hard negatives, which the thesis does not have."""
     from oracle_pipeline.datasets import is_hard_negative
 
     return df[(df["label"] != "control") & ~is_hard_negative(df)]

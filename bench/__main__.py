@@ -8,6 +8,7 @@ from bench import (
     engines,
     features,
     instance,
+    ladder,
     navigation,
     scenarios,
     storage,
@@ -24,6 +25,7 @@ BENCHMARKS = {
     "storage": storage.rows,
     "campaign": campaign.rows,
     "instance": instance.rows,
+    "ladder": ladder.rows,
 }
 DEFAULT = ("testbed", "scenarios")  # speed, size and memory; the others take longer
 

@@ -25,7 +25,7 @@ from soak.budget import MODES, campaign
 CAMPAIGNS = ((20, Campaign().goals_per_run), (20, 1), (3, Campaign().goals_per_run))
 GOAL = 1.3
 MOST = 10_000  # events that Dagster hands out at a time
-TIMED = ("experiment_runs", "run_features")  # assets of a run that say how long they took
+TIMED = ("experiment_runs", "run_features")  # assets of a run that record their duration
 OF_RUNS = ("runs", "checks_of_runs")  # steps that hand the work to processes of their own
 
 

@@ -4,7 +4,7 @@ The job is the product's own: one run from recipe to features. Every measure is 
 first job to the last outcome of workers that have done such a job before, so what is compared is
 the work, not the start of processes. Rounds alternate between what is compared, so that what else
 the machine does falls on all of it. What its two cores give two processes that share nothing is
-measured beside it, with bare physics.
+measured beside it, with the yardstick.
 """
 
 import tempfile
@@ -17,8 +17,8 @@ from pathlib import Path
 from distributed import LocalCluster
 
 from assets.worker.run import OF_A_RUN, RunJob, process_run
+from bench import yardstick
 from bench.figures import Row, median, spread
-from bench.testbed import bare_physics_s
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.cluster import DaskExecutor
 from sim.campaigns import Campaign
@@ -28,7 +28,7 @@ MODE = "lidar_passthrough_odom"
 GOALS = 1
 JOBS = 16  # a round; the last one of two workers waits for half a job on average
 ROUNDS = 3
-PHYSICS_S = 100.0  # of simulated time, a job of bare physics
+PHYSICS_S = 100.0  # of simulated time, a job of the yardstick
 
 
 def rows() -> Iterator[Row]:
@@ -66,9 +66,9 @@ def _seconds(executor: Executor, root: Path, jobs: int) -> float:
 
 
 def _physics_seconds(executor: Executor) -> float:
-    """Return the time that bare physics takes [s]."""
+    """Return the time that the yardstick takes [s]."""
     started = time.perf_counter()
-    list(executor.map(bare_physics_s, [PHYSICS_S] * JOBS))
+    list(executor.map(yardstick.run, [PHYSICS_S] * JOBS))
     return time.perf_counter() - started
 
 
@@ -84,7 +84,7 @@ def _ratios(seconds: dict[str, list[float]], physics: dict[str, list[float]]) ->
     yield Row("runs a minute, one process", _a_minute(seconds["one"]), "")
     yield Row("runs a minute, two processes", _a_minute(seconds["two"]), "")
     yield Row("two processes against one", median(scaling), "x", 1.8, False, spread(scaling))
-    yield Row("  of bare physics", median(of_machine), "x", remark=spread(of_machine))
+    yield Row("  of the yardstick", median(of_machine), "x", remark=spread(of_machine))
     yield Row("Dask against the pool, time", median(against), "x", 1.1, True, spread(against))
 
 

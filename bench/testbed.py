@@ -1,7 +1,7 @@
-"""The testbed: a whole run against its bare physics, and where its time goes.
+"""The testbed: a whole run against the yardstick, and where its time goes.
 
-All on one core. A round is bare physics, then a run, one right after the other, so that what else
-the machine does falls on both.
+All on one core. A round is the yardstick, a run and the yardstick again, so that what else the
+machine does falls on both; processor time leaves out what others take of the core.
 """
 
 import functools
@@ -16,8 +16,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from bench import yardstick
 from bench.figures import Row, median, spread
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
@@ -26,14 +25,13 @@ from sim import experiments
 from sim.campaigns import Campaign
 from sim.experiments import recipe_for
 from sim.middleware.domain import Subscription
-from sim.middleware.executor import SECOND, Executor
-from sim.middleware.geometry import Pose2D
+from sim.middleware.executor import Executor
 from sim.middleware.node import Node, Timer
 from sim.turtlebot3 import run as turtlebot3_run
-from sim.turtlebot3.nodes import SCAN_ANGLE_MAX, SCAN_NS, SCAN_RANGE_MAX_M, SCAN_RAYS
-from sim.turtlebot3.world import World, WorldParameters
+from sim.turtlebot3.world import World
 
 ROUNDS = 5
+YARDSTICK_S = 100.0  # of simulated time
 _SHOWN = 25  # of the shares, the largest
 MODE = "lidar_passthrough_odom"
 COLD_START = (
@@ -49,18 +47,22 @@ def rows() -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         warm_up = _record(root, 0)  # compiles, if nobody did
-        runs, ratios = [], []
+        runs, per_second, yardsticks = [], [], []
         for block in range(ROUNDS):
-            manifest = _record(root, block, refresh=True)
-            bare_s = bare_physics_s(manifest.recording_s)
-            runs.append(manifest)
-            ratios.append(manifest.measured.wall_s / bare_s)
+            before_s = _yardstick_s()
+            started = time.process_time()
+            runs.append(_record(root, block, refresh=True))
+            processor_s = time.process_time() - started
+            per_second.append(processor_s / runs[-1].recording_s)
+            yardsticks.append((before_s + _yardstick_s()) / 2.0)
+        ratios = [run / bare for run, bare in zip(per_second, yardsticks, strict=True)]
         factors = [run.recording_s / run.measured.wall_s for run in runs]
         megabytes = [run.measured.bytes["bag"] / 1e6 / (run.recording_s / 60.0) for run in runs]
         intervals = [run.recording_s / 10.0 for run in runs]
-        yield Row("whole run over bare physics and rays", median(ratios), "x", 10, True,
-                  spread(ratios))  # fmt: skip
-        yield Row("real-time factor, one core", median(factors), "x", 30, False, spread(factors))
+        yield Row("whole run over the yardstick", median(ratios), "x", 4, True, spread(ratios))
+        yield _milliseconds("whole run, a simulated second", per_second)
+        yield _milliseconds("yardstick, a simulated second", yardsticks)
+        yield Row("real-time factor, one core", median(factors), "x", 70, False, spread(factors))
         yield Row("bag, a simulated minute", median(megabytes), "MB", 7, True, spread(megabytes))
         yield Row("intervals of 10 s a run", median(intervals), "", 12, False, spread(intervals))
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
@@ -76,16 +78,14 @@ def _record(root: Path, block: int, *, refresh: bool = False) -> Manifest:
     return experiments.record_run(recipe, RunDirectory(root, MODE, block), refresh=refresh)
 
 
-def bare_physics_s(seconds: float) -> float:
-    """Return the wall time of physics at 5 ms and of two LiDARs at 5 Hz, with nothing around."""
-    world = World(WorldParameters(Pose2D(-2.0, -0.5)))
-    bearings = np.linspace(0.0, SCAN_ANGLE_MAX, SCAN_RAYS)
-    started = time.perf_counter()
-    for scan in range(int(seconds * SECOND / SCAN_NS)):
-        world.advance_to(scan * SCAN_NS)
-        for _ in range(2):
-            world.scan(Pose2D(), 0.15, bearings, SCAN_RANGE_MAX_M)
-    return time.perf_counter() - started
+def _yardstick_s() -> float:
+    """Return the processor time of the yardstick, a simulated second."""
+    return yardstick.run(YARDSTICK_S).processor_s / YARDSTICK_S
+
+
+def _milliseconds(name: str, seconds: list[float]) -> Row:
+    values = [1e3 * value for value in seconds]
+    return Row(name, median(values), "ms", remark=spread(values))
 
 
 def _cold_start_s(out: Path) -> float:

@@ -1,1 +1,1 @@
-"""The analysis: bags and graphs in, features, datasets, clusters and reports out."""
+"""The analysis of recordings: features, datasets, clusters, verdicts and reports."""

@@ -11,7 +11,6 @@ import json
 import os
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Self
 
@@ -22,6 +21,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import LABELS
 from oracle_pipeline.bags.remote import is_local
@@ -29,8 +29,9 @@ from oracle_pipeline.bags.scratch import scratch_beside
 
 KEYS = ("run_id", "mode", "label", "block", "session")
 WINDOW_START = "window_start_s"  # one more key where a row is a window [s of the recording]
-WHERE = "where"  # the column that says at which topic, pair or edge a feature was attained
-MISSING = "missing"  # the column that says why a feature is NaN
+WHERE = "where"  # the column with the topic, pair or edge at which a feature was attained
+_SEAL = "oracle.seal"  # key in the metadata of a Parquet schema
+MISSING = "missing"  # the column with the reason why a feature is NaN
 
 HARD_NEGATIVE = "benign_"  # begins the names of modes that change something and harm nobody
 
@@ -88,7 +89,7 @@ def is_malicious(df: pd.DataFrame) -> NDArray[np.bool_]:
 
 
 def is_hard_negative(df: pd.DataFrame) -> NDArray[np.bool_]:
-    """Return True for the rows of right runs in which something harmless was changed."""
+    """Return True for the rows of normal runs in which something harmless was changed."""
     return np.asarray(df["mode"].str.startswith(HARD_NEGATIVE), dtype=np.bool_)
 
 
@@ -103,9 +104,9 @@ def without_empty_families(df: pd.DataFrame) -> pd.DataFrame:
 
 
 def feature_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
-    """Join the feature tables of many runs into one, a row a run, sorted by ``run_id``.
+    """Join the feature tables of many runs into one with a row for each run, by ``run_id``.
 
-    A feature that a table lacks becomes NaN if the table's ``missing`` column says why.
+    A feature that a table lacks becomes NaN if the table's ``missing`` column holds a reason.
 
     Raises
     ------
@@ -117,7 +118,7 @@ def feature_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
 
 
 def window_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
-    """Join the window tables of many runs into one, a row a window, by ``run_id`` and start.
+    """Join the window tables of many runs into one, sorted by ``run_id`` and window start.
 
     As `feature_dataset`, errors included.
     """
@@ -205,27 +206,52 @@ def _runs(table: pd.DataFrame) -> str:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Give a file to write that takes the place of `path` once it is whole and on the disk."""
+    """Give a file to write that takes the place of `path` once it is whole and on the disk.
+
+    Raises
+    ------
+    OSError
+        Naming the file, if it cannot be written; what was there stays.
+    """
     if not is_local(path):  # an object is there when all of it is
         whole = io.BytesIO()
         yield whole
         path.write_bytes(whole.getvalue())
         return
-    with scratch_beside(path, Path.touch) as scratch:
-        with scratch.open("wb") as sink:
-            yield sink
-            sink.flush()
-            os.fsync(sink.fileno())
-        scratch.replace(path)
+    try:
+        with scratch_beside(path, Path.touch) as scratch:
+            with scratch.open("wb") as sink:
+                yield sink
+                sink.flush()
+                os.fsync(sink.fileno())
+            scratch.replace(path)
+    except OSError as error:
+        if error.filename is not None or error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error  # as of a full disk
 
 
 def write_table(df: pd.DataFrame, path: Path) -> None:
-    """Write a table as Parquet, units in the schema; a reader sees all of it or the old one."""
+    """Write a table as Parquet, sealed, with units in the schema.
+
+    A reader sees all of it or the old one.
+    """
+    content = table_bytes(df)
+    with replacing(path) as sink:
+        sink.write(content)
+
+
+def table_bytes(df: pd.DataFrame) -> bytes:
+    """Return a table as the bytes of a sealed Parquet file, with units in the schema."""
     fields = field_metadata(df)
     table = pa.Table.from_pandas(df, preserve_index=False).replace_schema_metadata(None)
     schema = pa.schema([field.with_metadata(fields.get(field.name)) for field in table.schema])
-    with replacing(path) as sink:
-        pq.write_table(table.cast(schema), sink)
+    sealed = table.cast(schema).replace_schema_metadata({_SEAL: seals.BLANK})
+    whole = io.BytesIO()
+    pq.write_table(sealed, whole)
+    content = bytearray(whole.getbuffer())
+    seals.seal(content)
+    return bytes(content)
 
 
 def read_table(
@@ -248,19 +274,43 @@ def read_table(
     Raises
     ------
     DatasetError
-        The file is absent or is not Parquet.
+        The file is absent, is not Parquet, or was changed after `write_table` wrote it. A table
+        that was written otherwise has no seal and is taken as it is.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError as error:
+        raise DatasetError(f"There is no table {path}; make it first.") from error
+    return parse_table(content, str(path), columns=columns, rows=rows)
+
+
+def parse_table(
+    content: bytes,
+    name: str,
+    *,
+    columns: Collection[str] | None = None,
+    rows: tuple[str, Iterable[str]] | None = None,
+) -> pd.DataFrame:
+    """Return the table that `table_bytes` made bytes of; `name` stands in errors.
+
+    As `read_table`, errors included.
     """
     kept = None
     if rows is not None:
         column, values = rows
         kept = pc.field(column).isin(pa.array(sorted(values), pa.large_string()))
+    if seals.check(content) == "wrong":
+        raise DatasetError(
+            f"{name} is damaged: it is not what was written. Materialize it again. If you rewrote "
+            f"it on purpose, write it without {_SEAL!r} in the metadata of its schema."
+        )
     try:
-        with path.open("rb") as source:
-            table = pq.read_table(source, columns=columns and list(columns), filters=kept)
-    except FileNotFoundError as error:
-        raise DatasetError(f"There is no table {path}; make it first.") from error
-    except pa.ArrowInvalid as error:
-        raise DatasetError(f"{path} is not a Parquet table ({error}); make it again.") from error
+        source = pa.BufferReader(content)
+        table = pq.read_table(source, columns=columns and list(columns), filters=kept)
+    except (pa.ArrowException, OSError) as error:
+        raise DatasetError(
+            f"{name} is not a Parquet table ({error}); materialize it again."
+        ) from error
     df: pd.DataFrame = table.replace_schema_metadata(None).to_pandas()
     df.attrs["fields"] = Fields(
         {
@@ -283,88 +333,3 @@ def content_hash(df: pd.DataFrame) -> str:
         else:
             digest.update(json.dumps([str(value) for value in values]).encode())
     return digest.hexdigest()
-
-
-def bootstrap(df: pd.DataFrame, n: int, malicious_rate: float, seed: int) -> pd.DataFrame:
-    """Draw ``n`` rows with replacement, a fixed share of them attacked.
-
-    Copies add no information: each row keeps its ``run_id``, and `distinct_runs` tells how many
-    runs there really are.
-
-    Parameters
-    ----------
-    df : DataFrame
-        A row a run.
-    n : int
-        Rows to draw.
-    malicious_rate : float
-        Share of the rows that are drawn from the attacked runs, in [0, 1].
-    seed : int
-        Of the generator that draws.
-
-    Returns
-    -------
-    DataFrame of n rows
-        Sorted as `df`, copies side by side.
-
-    Raises
-    ------
-    DatasetError
-        The sizes make no sense, or a class to draw from has no run.
-    """
-    if n < 1 or not 0.0 <= malicious_rate <= 1.0:
-        raise DatasetError(
-            f"Cannot draw {n} rows with a malicious rate of {malicious_rate}; "
-            "give at least 1 row and a rate from 0 to 1."
-        )
-    malicious = is_malicious(df)
-    rng = np.random.default_rng(seed)
-    n_malicious = round(n * malicious_rate)
-    drawn = []
-    for wanted, size, name in (
-        (malicious, n_malicious, "malicious"),
-        (~malicious, n - n_malicious, "normal"),
-    ):
-        if size and not wanted.any():
-            raise DatasetError(
-                f"There is no {name} run to draw {size} rows from; record runs of a {name} mode "
-                f"or set the malicious rate to {1 if name == 'normal' else 0}."
-            )
-        if size:
-            drawn.append(rng.choice(np.flatnonzero(wanted), size))
-    return df.iloc[np.sort(np.concatenate(drawn))].reset_index(drop=True)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class DistinctRuns:
-    """The runs behind rows that may be copies; arrays of shape (n_runs,), by ``run_id``."""
-
-    first: NDArray[np.intp]  # row of the run's first copy
-    copies: NDArray[np.int64]  # rows the run takes up
-    malicious: NDArray[np.bool_]
-    block: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return len(self.first)
-
-
-def distinct_runs(df: pd.DataFrame) -> DistinctRuns:
-    """Return the distinct runs of a table and how many rows each takes up."""
-    _, first, copies = np.unique(
-        df["run_id"].to_numpy(dtype=object), return_index=True, return_counts=True
-    )
-    return DistinctRuns(
-        first=first,
-        copies=copies,
-        malicious=is_malicious(df)[first],
-        block=df["block"].to_numpy(dtype=np.int64)[first],
-    )
-
-
-def lacking(df: pd.DataFrame) -> str:
-    """Return which class of runs a table lacks for any comparison, in words; empty if neither."""
-    malicious = is_malicious(df)
-    absent = [
-        name for name, rows in (("malicious", malicious), ("normal", ~malicious)) if not rows.any()
-    ]
-    return f"no {' and no '.join(absent)} runs" if absent else ""

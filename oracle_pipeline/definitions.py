@@ -1,4 +1,4 @@
-"""The roof: all assets, checks, resources, jobs, schedules and sensors in one ``Definitions``.
+"""All assets, checks, resources, jobs, schedules and sensors in one ``Definitions``.
 
 Nobody imports this module but Dagster and tests. ``build_defs`` takes other resources in place of
 the default ones, so that a test or a script swaps a part without patching anything.
@@ -9,8 +9,8 @@ import warnings
 
 import dagster as dg
 
-# Backfill policies, partition mappings and partitioned checks are what this pipeline stands on;
-# Dagster calls them beta or preview, and would say so at each load. Before our own assets load.
+# This pipeline needs backfill policies, partition mappings and partitioned checks. Dagster calls
+# them beta or preview and would warn at each load. This must stand before our own assets.
 warnings.filterwarnings("ignore", category=dg.BetaWarning)
 warnings.filterwarnings("ignore", category=dg.PreviewWarning)
 
@@ -26,6 +26,7 @@ from assets import (  # noqa: E402
     scenario_changes,
     thesis_method,
 )
+from oracle_pipeline.bags.terminal import escape_logs  # noqa: E402
 from resources.budget import StorageBudget  # noqa: E402
 from resources.campaign import CampaignSettings  # noqa: E402
 from resources.executor import in_process_executor  # noqa: E402
@@ -72,4 +73,5 @@ def build_defs(**overrides: object) -> dg.Definitions:
     )
 
 
+escape_logs()
 defs = build_defs()

@@ -1,19 +1,23 @@
 """A run directory or a foreign bag, opened and checked.
 
-A run directory has a manifest, a bag and graphs; somebody else's bag has neither manifest nor
-graphs, and everything that needs them says so.
+A run directory has a manifest, a bag and graphs; a foreign bag has neither manifest nor
+graphs, and what needs them raises an error.
 """
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
 from oracle_pipeline.bags.errors import BagError, RunDirectoryError
+from oracle_pipeline.bags.integrity import require_undamaged
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, MANIFEST_FILE
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.graphs.intervals import Interval, read_intervals
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +42,7 @@ class OpenedRun:
 
 
 def open_run(path: Path) -> OpenedRun:
-    """Open a run directory, or a bag that somebody else recorded.
+    """Open a run directory, or a foreign bag.
 
     Parameters
     ----------
@@ -46,10 +50,13 @@ def open_run(path: Path) -> OpenedRun:
         ``<root>/runs/<mode>/run003``, the folder of a rosbag2, a single ``.mcap`` or ``.db3``
         file, or a ROS 1 ``.bag``.
 
+    The files of a run directory are compared with the hashes in its manifest first. A run that an
+    older release recorded has none; it is opened with a warning.
+
     Raises
     ------
     OracleError
-        If it is neither, incomplete, corrupt, or its bag is not the one its manifest is about.
+        If it is neither, incomplete, damaged, or its bag is not the one its manifest is about.
     """
     if (path / MANIFEST_FILE).is_file():
         return _open_run_directory(path)
@@ -65,7 +72,16 @@ def _open_run_directory(path: Path) -> OpenedRun:
     manifest = Manifest.load(path / MANIFEST_FILE)
     if not (path / BAG_FOLDER).exists():
         raise BagError(
-            f"{path} has no bag, perhaps to save space; `oracle-sim remake {path}` makes it again."
+            f"{path} has no bag, perhaps to save space; `oracle-sim remake {path}` re-simulates it."
+        )
+    if manifest.measured.files:
+        require_undamaged(path, manifest)
+    else:
+        _log.warning(
+            "%s was recorded by an older release and has no hashes: damage to its files may go "
+            "unnoticed. `oracle-sim remake %s` makes it again, with hashes.",
+            path,
+            path,
         )
     intervals = read_intervals(path / GRAPHS_FOLDER)
     bag = BagReader(path / BAG_FOLDER)

@@ -1,1 +1,1 @@
-"""Dagster resources: where runs live, how they are executed, what may be spent."""
+"""Dagster resources: where runs are stored, who executes them, how much storage they may use."""

@@ -1,4 +1,4 @@
-"""What may be spent on disk, as a Dagster resource. ``resources.storage`` does the planning."""
+"""The storage budget as a Dagster resource. ``resources.storage`` does the planning."""
 
 import contextlib
 from collections.abc import Iterator, Sequence
@@ -14,26 +14,26 @@ from resources.store import RunStore
 
 
 class StorageBudget(dg.ConfigurableResource[None]):
-    """A plan before runs are made: a full disk is met at the start and not in the middle."""
+    """Plans storage before runs start, so that a full disk is an error at the start."""
 
     limit: str = Field(
         default="",
-        description="What everything below the root may take: bytes, or such as `20GiB`; empty: "
-        "what is free, less the reserve.",
+        description="Limit for everything below the root: bytes, or for example `20GiB`. Empty: "
+        "the free space less the reserve.",
     )
     reserve_mb: int = Field(
-        default=500, ge=0, description="Space on the disk of the root that has to stay free [MB]."
+        default=500, ge=0, description="Space that stays free on the disk of the root [MB]."
     )
 
     def plan(
         self, store: RunStore, wanted: Sequence[RunDirectory], *, workers: int, goals: int
     ) -> StoragePlan | None:
-        """Plan what is kept of which runs; None in an object store, which has no end.
+        """Plan how much of each run is kept; None in an object store, which has no limit.
 
         Raises
         ------
         dagster.Failure
-            If not even graphs and features fit; it says what would.
+            If not even graphs and features fit; it names the number of blocks that would.
         """
         with clear_failures():
             budget = parse_budget(self.limit)
@@ -50,9 +50,9 @@ class StorageBudget(dg.ConfigurableResource[None]):
 
     @contextlib.contextmanager
     def alone(self, store: RunStore) -> Iterator[None]:
-        """Spend what is planned: whoever else makes runs below this root waits, or is waited for.
+        """Hold the root, so that only one materialization writes runs below it at a time.
 
-        A plan holds only as long as nobody else fills the disk after another one.
+        A plan is valid only while nobody else fills the disk. A second materialization waits.
         """
         if not store.is_local:
             yield
@@ -62,8 +62,8 @@ class StorageBudget(dg.ConfigurableResource[None]):
                 held.enter_context(lock(store.path, wait=False))
             except BlockingIOError:
                 dg.get_dagster_logger("oracle").info(
-                    f"Another materialization makes runs below {store.path}; this one goes on when "
-                    "that has ended."
+                    f"Another materialization writes runs below {store.path}; this one waits until "
+                    "it has ended."
                 )
                 held.enter_context(lock(store.path))
             yield

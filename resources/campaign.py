@@ -9,12 +9,12 @@ from sim.campaigns import DEFAULT_SEED, Campaign
 
 
 class CampaignSettings(dg.ConfigurableResource[None]):
-    """Settings of the experiment runs; another value makes other runs."""
+    """Settings of the experiment runs; other values give other runs."""
 
     seed: int = Field(
         default=DEFAULT_SEED,
         ge=0,
-        description="What all randomness comes from; the same seed gives the same messages.",
+        description="Seed of all randomness; the same seed gives the same messages.",
     )
     goals_per_run: int = Field(
         default=8, ge=1, description="Goals of the patrol of one run; 1 is the thesis's protocol."

@@ -1,4 +1,4 @@
-"""Errors that a person can act on, as the failure that Dagster shows first."""
+"""Turns errors that a user can fix into the failure that Dagster shows first."""
 
 import contextlib
 import errno
@@ -10,6 +10,7 @@ from oracle_pipeline.bags.errors import OracleError
 
 _ADVICE = {
     errno.ENOSPC: "the disk is full; free some space, or point ORACLE_HOME to another disk",
+    errno.EFBIG: "a file may not grow so large; raise `ulimit -f`, or point ORACLE_HOME elsewhere",
     errno.EDQUOT: "the disk quota is used up; free some space, or point ORACLE_HOME elsewhere",
     errno.EACCES: "it may not be written; point ORACLE_HOME to a folder that is yours",
     errno.EPERM: "it may not be written; point ORACLE_HOME to a folder that is yours",
@@ -19,9 +20,9 @@ _ADVICE = {
 
 @contextlib.contextmanager
 def clear_failures() -> Iterator[None]:
-    """Turn our own errors, and those of a disk, into a ``dagster.Failure`` that says what to do.
+    """Turn our own errors and disk errors into a ``dagster.Failure`` with the remedy.
 
-    Anything else passes: it is a defect, and its traceback is what helps then.
+    Anything else passes: it is a bug, and its traceback helps more.
     """
     try:
         yield

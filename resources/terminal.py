@@ -1,7 +1,7 @@
-"""The terminal that this process was started from.
+"""The terminal that this process was started from, for progress bars.
 
-Inside a step Dagster sends standard error to a log file, and a progress bar there would be either
-silent or noise; so the terminal is taken note of when this module is imported.
+Inside a step, Dagster redirects standard error to a log file. So the terminal is remembered when
+this module is imported.
 """
 
 import os
@@ -12,5 +12,5 @@ _TERMINAL = os.fdopen(os.dup(sys.stderr.fileno()), "w") if sys.stderr.isatty() e
 
 
 def stderr() -> TextIO:
-    """Return the terminal; what standard error is now, if there was none."""
+    """Return the terminal, or the present standard error if there is no terminal."""
     return _TERMINAL or sys.stderr

@@ -5,7 +5,9 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.integrity import require_undamaged
 from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.remote import is_local
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RunDirectory, bytes_on_disk
 from sim.campaigns import Campaign, RecipeError
 from sim.modes import modes
@@ -185,4 +187,6 @@ def _verified(directory: RunDirectory, recipe: Recipe) -> Manifest:
             f"{directory.path} is damaged: its parts should have {dict(found.measured.bytes)} "
             f"bytes and have {sizes}; refresh it to make it again."
         )
+    if is_local(directory.path):  # from an object store, who uses a file compares it
+        require_undamaged(directory.path, found)
     return found

@@ -86,11 +86,11 @@ class Recorder(Node):
         latched = all(qos.is_latched(profile) for profile in offered)
         requested = qos.profile(10, reliable=reliable, latched=latched)
 
-        executor, clock = self.domain.executor, self._receive_clock
+        executor, clock, store = self.domain.executor, self._receive_clock, self._writer.write
 
         def write(data: bytes) -> None:
             now_ns = executor.now_ns
-            self._writer.write(topic, now_ns if clock is None else clock.stamp_ns(now_ns), data)
+            store(topic, now_ns if clock is None else clock.stamp_ns(now_ns), data)
 
         self.create_subscription(msgtype, topic, write, requested, raw=True)
 

@@ -83,7 +83,7 @@ def campaign(
 
 
 def main() -> None:
-    """Run the campaign and say what was found."""
+    """Run the campaign and print the faults."""
     parser = argparse.ArgumentParser(prog="python -m soak.budget", description=main.__doc__)
     parser.add_argument("--runs", type=int, default=100, help="of each of the six modes")
     parser.add_argument("--goals", type=int, default=1)

@@ -92,7 +92,7 @@ def _workers(caller: int) -> list[int]:
 
 
 def wait_until_gone(campaign: "subprocess.Popen[bytes]") -> bool:
-    """Tell whether all processes of a campaign end in time."""
+    """Return whether all processes of a campaign end in time."""
     deadline = time.monotonic() + LONGEST_S
     while time.monotonic() < deadline:
         try:
@@ -161,11 +161,15 @@ def disturbed(root: Path, kills: int, seed: int) -> Iterator[list[str]]:
         yield wrong
     run_campaign(str(root))
     made = made_in(root)
-    yield [f"{key} was finished and made again" for key, s in first_made.items() if made[key] != s]
+    yield [
+        f"{key} was finished and then simulated again"
+        for key, s in first_made.items()
+        if made[key] != s
+    ]
 
 
 def main() -> None:
-    """Kill a campaign many times and say whether it ended as if nothing had been."""
+    """Kill a campaign many times and check that its result is that of an undisturbed one."""
     parser = argparse.ArgumentParser(prog="python -m soak.faults", description=main.__doc__)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)

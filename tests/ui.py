@@ -50,7 +50,7 @@ class WebServer:
 def web_server(folder: Path, **variables: str) -> Iterator[WebServer]:
     """Start the web server in a folder of its own."""
     home, log, port = folder / "home", folder / "log", free_port()
-    home.mkdir(parents=True)
+    home.mkdir()
     shutil.copy(ROOT / ".dagster_home" / "dagster.yaml", home)
     (folder / "nothing.py").write_text(DEFINITIONS)
     (folder / "workspace.yaml").write_text(WORKSPACE)

@@ -1,1 +1,1 @@
-"""What a worker process does for one run. No Dagster here."""
+"""The work on one run, in a worker process. Imports no Dagster."""

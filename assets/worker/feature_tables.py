@@ -1,7 +1,7 @@
-"""The feature tables of one run, extracted once: again only for another run, code or content.
+"""The feature tables of one run: extracted again only if run, code or tables have changed.
 
-Beside a run's table stands a small JSON file with hashes of what it was made from and of what was
-written then. No Dagster here, workers import this; and it is light until something is extracted.
+A small JSON file beside the tables holds hashes of their inputs and of their content. Heavy imports
+are inside the functions, so that verifying a run is quick.
 """
 
 import hashlib
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 
 def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bool:
-    """Extract the features of a complete run unless its tables are right; tell whether it did.
+    """Extract the features of a complete run unless its tables are current; return whether it did.
 
     Parameters
     ----------
     run, manifest
-        The run and what is known of it.
+        The run and its manifest.
     refresh
         Extract in any case.
     """
@@ -34,7 +34,7 @@ def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bo
     from oracle_pipeline.features import build_manager, extract, write
     from oracle_pipeline.opened_run import open_run
 
-    if not refresh and tables_are_right(run, manifest):
+    if not refresh and tables_are_current(run, manifest):
         return False
     _tidy(run)
     with fetched(run.path) as folder, open_run(folder) as opened:
@@ -46,12 +46,12 @@ def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bo
 
 
 def require_tables(run: RunDirectory) -> bool:
-    """Extract the features of a complete run unless its tables are right; tell whether it did."""
+    """Do `ensure_tables` for a complete run, without refresh."""
     return ensure_tables(run, run.manifest(), refresh=False)
 
 
-def tables_are_right(run: RunDirectory, manifest: Manifest) -> bool:
-    """Tell whether a run's tables are what extracting them now would give."""
+def tables_are_current(run: RunDirectory, manifest: Manifest) -> bool:
+    """Return whether extracting the features of a run now would give the same tables."""
     return _read(_record(run)) == {"inputs": _inputs(manifest), "tables": _hashes(run)}
 
 
@@ -70,7 +70,7 @@ def topics_of_features(bag: "BagReader") -> set[str]:
 
 
 def _tidy(run: RunDirectory) -> None:
-    """Remove half-written tables that a dead worker left; nobody else works on the run now."""
+    """Remove half-written tables of a killed worker; the caller holds the run."""
     if is_local(run.root):
         for table in TABLES:
             for leftover in run.feature_table(table).parent.glob(f".{run.run_id}.*"):
@@ -82,7 +82,7 @@ def _record(run: RunDirectory) -> Path:
 
 
 def _inputs(manifest: Manifest) -> str:
-    """Hash what features are a function of: our code, and the run, but for what was found of it."""
+    """Return a hash of what features depend on: the code, and the run without what was measured."""
     not_inputs = {"measured": None, "task_effect": None}
     sources = {**asdict(manifest), **not_inputs, "code": feature_code()}
     return hashlib.sha256(json.dumps(sources, sort_keys=True).encode()).hexdigest()

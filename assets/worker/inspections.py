@@ -1,7 +1,4 @@
-"""What the asset checks look at: functions of run directories, and what they found.
-
-No Dagster here, workers import this; ``assets.run_checks`` makes checks of them.
-"""
+"""Inspections of run directories and their findings; ``assets.run_checks`` makes checks of them."""
 
 import json
 from dataclasses import dataclass
@@ -10,10 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.integrity import damaged_files, require_undamaged
 from oracle_pipeline.bags.protocol import INTERVAL_S
-from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.bags.reader import BagReader, content_hash
 from oracle_pipeline.bags.remote import fetched
-from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, RunDirectory
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.datasets import MISSING, feature_columns, read_table
 from oracle_pipeline.graphs.differences import graph_differences
@@ -22,26 +20,26 @@ from oracle_pipeline.graphs.intervals import interval_count, read_intervals
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """One look at one run, or at the two of a pair."""
+    """One inspection of one run, or of the two runs of a pair."""
 
     name: str  # of a function in this module
     runs: tuple[RunDirectory, ...]
 
     def __str__(self) -> str:
-        """Return what is looked at, and where."""
+        """Return the name of the inspection and its runs."""
         return f"{self.name} of {' and '.join(run.key for run in self.runs)}"
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was found out."""
+    """The result of an inspection."""
 
     wrong: list[str]  # empty: passed
     figures: dict[str, int | float]
 
 
 def inspect(inspection: Inspection) -> Finding:
-    """Do an inspection; what cannot be read is wrong."""
+    """Make an inspection; a file that cannot be read is a fault."""
     try:
         return _INSPECTIONS[inspection.name](*inspection.runs)
     except (OracleError, OSError) as error:
@@ -49,50 +47,68 @@ def inspect(inspection: Inspection) -> Finding:
 
 
 def bag_is_complete(run: RunDirectory) -> Finding:
-    """Read every message of the bag, or of what was kept of it, and compare with the manifest."""
+    """Read every message of the bag, whole or trimmed, and compare it with the manifest.
+
+    A whole bag has to have the content hash of the manifest. Of a trimmed one, the manifest knows
+    the hashes of its files.
+    """
     manifest = run.manifest()
-    if manifest.measured.kept == "recipe":
+    kept = manifest.measured.kept
+    if kept == "recipe":
         return Finding([], {"messages": 0, "recorded": 0})
     recorded = {name: topic.messages for name, topic in manifest.topics.items()}
     recorded.pop(GROUND_TRUTH_TOPIC, None)
-    with fetched(run.bag) as folder, BagReader(folder) as bag:
-        if manifest.measured.kept == "trimmed":
-            recorded = {name: count for name, count in recorded.items() if name in bag.topics}
-        read = dict.fromkeys(recorded, 0)
-        for message in bag.messages():
-            read[message.topic] = read.get(message.topic, 0) + 1
+    with fetched(run.path) as folder:
+        damaged = damaged_files(folder, manifest, BAG_FOLDER)
+        with BagReader(folder / BAG_FOLDER) as bag:
+            held = {name: topic.count for name, topic in bag.topics.items()}
+        hash_read = content_hash(folder / BAG_FOLDER)  # fails unless all that is held can be read
+    if kept == "trimmed":
+        recorded = {name: count for name, count in recorded.items() if name in held}
     wrong = [
-        f"{topic}: {read[topic]} messages read, {recorded.get(topic, 0)} recorded"
-        for topic in sorted(read)
-        if read[topic] != recorded.get(topic)
+        f"{topic}: {held.get(topic, 0)} messages read, {recorded.get(topic, 0)} recorded"
+        for topic in sorted(held | recorded)
+        if held.get(topic) != recorded.get(topic)
     ]
-    return Finding(wrong, {"messages": sum(read.values()), "recorded": sum(recorded.values())})
+    wrong += [f"{file} is not what was recorded" for file in damaged]
+    if kept == "full" and hash_read != manifest.content_hash:
+        wrong.append(f"the messages' hash is {hash_read}, recorded was {manifest.content_hash}")
+    figures: dict[str, int | float] = {
+        "messages": sum(held.values()),
+        "recorded": sum(recorded.values()),
+        "hashed_files": sum(file.startswith(BAG_FOLDER) for file in manifest.measured.files),
+    }
+    return Finding(wrong, figures)
 
 
 def every_interval_has_a_graph(run: RunDirectory) -> Finding:
-    """Count the graphs: one each 10 s of the recording, and one for a rest of 5 s or more."""
+    """Compare the graphs on disk with the intervals of the recording."""
     intervals = interval_count(run.manifest().recording_s)
     expected = {f"{number * INTERVAL_S:06d}" for number in range(intervals)}
     recorded = {path.stem for path in run.graphs.glob("*.gexf") if path.stem.isdecimal()}
     wrong = [f"{start} s: no graph" for start in sorted(expected - recorded)]
     wrong += [f"{start} s: no such interval" for start in sorted(recorded - expected)]
+    damaged = damaged_files(run.path, run.manifest(), GRAPHS_FOLDER)
+    wrong += [f"{file} is not what was recorded" for file in damaged]
     return Finding(wrong, {"graphs": len(recorded), "intervals": intervals})
 
 
 def graphs_of_a_pair_are_equal(control: RunDirectory, attacked: RunDirectory) -> Finding:
     """Compare vertices, types and edges, not counts, in every interval that both runs have."""
+    for run in (control, attacked):
+        require_undamaged(run.path, run.manifest(), GRAPHS_FOLDER)
     ours, theirs = read_intervals(control.graphs), read_intervals(attacked.graphs)
     differences = graph_differences(ours, theirs)
     return Finding(list(map(str, differences)), {"intervals": min(len(ours), len(theirs))})
 
 
 def run_features_are_finite(run: RunDirectory) -> Finding:
-    """Look for features of the run that are no finite number and have no reason for it."""
+    """Find features of the run that are neither finite nor explained."""
     return _finite(run.feature_table("run"))
 
 
 def window_features_are_finite(run: RunDirectory) -> Finding:
-    """Look for features of its windows that are no finite number and have no reason for it."""
+    """Find features of its windows that are neither finite nor explained."""
     return _finite(run.feature_table("window"))
 
 

@@ -1,6 +1,6 @@
-"""A complete run beside what came out when it was made again: the same, or where it differs first.
+"""Compares a complete run with its re-simulation and finds the first message that differs.
 
-No Dagster here: workers import this. Who replaces what then is decided in ``assets.worker.run``.
+Which of the two stays in use is decided in ``assets.worker.run``.
 """
 
 import contextlib
@@ -22,22 +22,22 @@ from sim.experiments import Comparison, compared
 
 @dataclass(frozen=True, slots=True)
 class Reproduction:
-    """What making a complete run again gave."""
+    """The result of re-simulating a complete run."""
 
-    verdict: Comparison
+    comparison: Comparison
     former_hash: str  # of the messages
     new_hash: str
     first_difference: str = ""  # where it is unexplained
 
 
 def place_aside(run: RunDirectory) -> RunDirectory:
-    """Return where a run lies that was made again and may not take the former one's place."""
+    """Return the place of a re-simulated run that may not replace the former one."""
     return replace(run, root=run.root / REFRESHED)
 
 
 @contextlib.contextmanager
 def made_aside(run: RunDirectory) -> Iterator[RunDirectory]:
-    """Give a place on this machine to make a run again, away from the former one."""
+    """Yield a place on this machine to re-simulate a run, apart from the former one."""
     if is_local(run.root):
         yield place_aside(run)
         return
@@ -46,22 +46,24 @@ def made_aside(run: RunDirectory) -> Iterator[RunDirectory]:
 
 
 def judge(run: RunDirectory, former: Manifest, again: RunDirectory) -> Reproduction:
-    """Compare a run with what came out when it was made again."""
+    """Compare a run with its re-simulation."""
     new = again.manifest()
-    verdict = compared(former, new)
-    where = _first_difference(run, former, again) if verdict == "unexplained" else ""
-    return Reproduction(verdict, former.content_hash, new.content_hash, where)
+    comparison = compared(former, new)
+    where = _first_difference(run, former, again) if comparison == "unexplained" else ""
+    return Reproduction(comparison, former.content_hash, new.content_hash, where)
 
 
 def _first_difference(run: RunDirectory, former: Manifest, again: RunDirectory) -> str:
-    """Say which message is the first that is another, or why nobody can tell."""
+    """Return the first message that differs, or why it is not known."""
     if former.measured.kept != "full":
         return "not known: the former bag is not whole any more"
     try:
         with fetched(run.bag) as bag, BagReader(bag) as one, BagReader(again.bag) as other:
             for pair in zip_longest(one.messages(), other.messages()):
                 if pair[0] != pair[1]:
-                    return _told(min(filter(None, pair), key=lambda m: m.stamp_ns), one.start_ns)
+                    return _place_of(
+                        min(filter(None, pair), key=lambda m: m.stamp_ns), one.start_ns
+                    )
             if content_hash(bag) == content_hash(again.bag):
                 return "none: the bags hold the same, and the former manifest is of another bag"
     except BagError as error:
@@ -69,5 +71,5 @@ def _first_difference(run: RunDirectory, former: Manifest, again: RunDirectory) 
     return GROUND_TRUTH_TOPIC
 
 
-def _told(message: RawMessage, start_ns: int) -> str:
+def _place_of(message: RawMessage, start_ns: int) -> str:
     return f"{message.topic}, {(message.stamp_ns - start_ns) / 1e9:.3f} s after the first message"

@@ -1,11 +1,10 @@
 """One run, from its recipe to its features, in a worker process.
 
-No Dagster here: a fresh interpreter imports this module before it can start. What is there
-already and still right is left as it is and called verified; refreshed, it is made again in another
-place, and put into its own unless nothing explains that it is another run. What the storage plan
-does not keep is given up once all is made from it, and made again when features need it. A run that
-belongs into an object store is made on this machine's disk and published there, features first, its
-manifest last.
+A run that exists and matches its recipe is left alone and reported as ``verified``. With
+``refresh`` it is simulated again in a separate directory and replaces the former run, unless the
+messages differ although code, libraries, CPU and recipe are the same. What the storage plan does
+not keep is dropped once features are extracted, and re-simulated when features need it. A run for
+an object store is made on the local disk and published from there: features first, manifest last.
 """
 
 import contextlib
@@ -18,23 +17,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from assets.worker.feature_tables import ensure_tables, tables_are_right, topics_of_features
+from assets.worker.feature_tables import ensure_tables, tables_are_current, topics_of_features
 from assets.worker.reproduction import Reproduction, judge, made_aside, place_aside
 from assets.worker.versions import feature_code
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.graph_files import read_gexf
+from oracle_pipeline.bags.integrity import require_undamaged
 from oracle_pipeline.bags.layout import FEATURES, Table
 from oracle_pipeline.bags.manifest import KEPT, Kept, Manifest
 from oracle_pipeline.bags.remote import is_local, publish
 from oracle_pipeline.bags.retention import retain
-from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RunDirectory
+from oracle_pipeline.bags.run_directory import GRAPHS_FOLDER, MANIFEST_FILE, RunDirectory
 from oracle_pipeline.datasets import MISSING, content_hash, feature_columns, read_table
 from sim.campaigns import Campaign
 from sim.experiments import can_be_made_again, recipe_for, record_run, remake_run
 from sim.pairs import judge_pair
 
-RECORDED = ("experiment_runs", "bags", "interval_graphs")  # made together, by the simulation
-# Made together, from the recording.
+RECORDED = ("experiment_runs", "bags", "interval_graphs")  # by the simulation, in one step
+# From the recording, in one step.
 TABLES: dict[str, Table] = {"window_features": "window", "run_features": "run"}
 OF_A_RUN = frozenset({*RECORDED, *TABLES})  # every asset of a run
 
@@ -44,13 +44,13 @@ Status = Literal["made", "remade", "verified"]
 
 @dataclass(frozen=True, slots=True)
 class RunJob:
-    """What is wanted of one run."""
+    """The work that is requested for one run."""
 
     directory: RunDirectory
     campaign: Campaign
     wanted: frozenset[str]  # assets
-    refresh: bool  # make again what is there already
-    keep: Kept = "full"  # what stays of the bag in the end
+    refresh: bool  # re-simulate a complete run
+    keep: Kept = "full"  # how much of the bag is kept in the end
 
     def __str__(self) -> str:
         """Return the run's partition key."""
@@ -59,7 +59,7 @@ class RunJob:
 
 @dataclass(frozen=True, slots=True)
 class AssetOfRun:
-    """One asset of one run, as it is now."""
+    """The current state of one asset of one run."""
 
     path: str  # below the root
     code: str  # version of the code that made it
@@ -69,22 +69,22 @@ class AssetOfRun:
 
 @dataclass(frozen=True, slots=True)
 class RunReport:
-    """What became of one run."""
+    """The result of the work on one run."""
 
-    simulated_s: float  # of simulated time; 0 if the run was there already
-    assets: dict[str, AssetOfRun]  # those that were wanted
+    simulated_s: float  # simulated time; 0 if the run was complete
+    assets: dict[str, AssetOfRun]  # those requested
     kept: Kept
     freed_bytes: int
-    reproduction: Reproduction | None = None  # if it was there and was made again
+    reproduction: Reproduction | None = None  # if it was complete and was re-simulated
 
 
 def process_run(job: RunJob) -> RunReport:
-    """Make what is wanted of a run, and what that needs.
+    """Make the requested assets of a run and what they need.
 
     Raises
     ------
     OracleError
-        If the run cannot be recorded, or what was recorded cannot be read.
+        If the run cannot be recorded, or its recording cannot be read.
     """
     with job.directory.held():
         to_be_recorded = not job.wanted.isdisjoint(RECORDED)
@@ -113,12 +113,12 @@ def _readable_manifest(run: RunDirectory) -> Manifest | None:
 
 
 def _make_again(job: RunJob, former: Manifest) -> RunReport:
-    """Make a run that is there aside; it takes its place unless it is another for no reason."""
+    """Re-simulate a complete run; it is replaced unless the messages differ without a reason."""
     run = job.directory
     with made_aside(run) as aside:
         _record(replace(job, directory=aside))
         reproduction = judge(run, former, aside)
-        if reproduction.verdict == "unexplained":
+        if reproduction.comparison == "unexplained":
             if not is_local(run.root):
                 publish(aside.path, place_aside(run).path, MANIFEST_FILE)
             report = _finish(replace(job, refresh=False), "verified")
@@ -133,21 +133,21 @@ def _make_again(job: RunJob, former: Manifest) -> RunReport:
 
 
 def _record(job: RunJob) -> None:
-    """Record the run, or verify it if it is there."""
+    """Record the run, or verify it if it is complete."""
     recipe = recipe_for(job.directory.mode, job.directory.run, job.campaign)
     record_run(recipe, job.directory, refresh=job.refresh)
 
 
 def _lacks_its_bag(job: RunJob, manifest: Manifest) -> bool:
-    """Tell whether features have to be extracted from a bag that is not whole any more."""
+    """Return whether features must be extracted but the bag was trimmed or dropped."""
     if manifest.measured.kept == "full" or job.wanted.isdisjoint(TABLES):
         return False
-    return job.refresh or not tables_are_right(job.directory, manifest)
+    return job.refresh or not tables_are_current(job.directory, manifest)
 
 
 @contextlib.contextmanager
 def _made_here(run: RunDirectory) -> Iterator[RunDirectory]:
-    """Give a place on this machine to make a run in: its own, or one that is published after it."""
+    """Yield a place on this machine to make a run: its own, or one that is published afterwards."""
     if is_local(run.root):
         yield run
         return
@@ -155,13 +155,13 @@ def _made_here(run: RunDirectory) -> Iterator[RunDirectory]:
         local = replace(run, root=Path(root))
         try:
             yield local
-        finally:  # a whole run is kept, whatever became of its features
+        finally:  # a complete run is kept even if its features failed
             if local.is_complete():
                 _put_in_place(local, run)
 
 
 def _put_in_place(local: RunDirectory, run: RunDirectory) -> None:
-    """Publish a run that was made on this machine, and judge it beside its pair's other one."""
+    """Publish a run that was made on this machine, and compare it with its pair."""
     for file in (local.root / FEATURES).rglob("*"):
         if file.is_file():
             (run.root / file.relative_to(local.root).as_posix()).write_bytes(file.read_bytes())
@@ -170,7 +170,7 @@ def _put_in_place(local: RunDirectory, run: RunDirectory) -> None:
 
 
 def _finish(job: RunJob, status: Status) -> RunReport:
-    """Extract the features of a run that is there, give up what is not kept, describe the rest."""
+    """Extract the features of a complete run, drop what is not kept, and describe the result."""
     made: dict[str, AssetOfRun] = {}
     manifest = job.directory.manifest()
     picture = _picture(job.directory) if "experiment_runs" in job.wanted else ""
@@ -191,13 +191,13 @@ def _finish(job: RunJob, status: Status) -> RunReport:
 
 
 def _retain(job: RunJob, manifest: Manifest) -> Manifest:
-    """Give up what is not kept, once all is there that is made from the whole bag."""
+    """Drop what is not kept, once everything is made that needs the whole bag."""
     run = job.directory
     if manifest.measured.kept == "full":
         ensure_tables(run, manifest, refresh=False)
         _picture(run)
     retain(run, job.keep, topics_of_features)
-    judge_pair(run)  # somebody may have, while the run was put back
+    judge_pair(run)  # another worker may have replaced the other run meanwhile
     return run.manifest()
 
 
@@ -229,6 +229,7 @@ def _recording(
         "freed_bytes": measured.freed_bytes,
         "content_hash": manifest.content_hash,
     }
+    require_undamaged(directory.path, manifest, GRAPHS_FOLDER)
     graph = read_gexf(directory.graphs / "run.gexf")
     files = sorted(directory.graphs.iterdir())
     kinds = [vertex["kind"] for _, vertex in graph.nodes(data=True)]
@@ -254,7 +255,7 @@ def _recording(
 
 
 def _picture(directory: RunDirectory) -> bytes | str:
-    """Return the run from above, or why it could not be drawn: a run is not lost for a picture."""
+    """Return a picture of the run from above, or why there is none: that must not fail the run."""
     from oracle_pipeline.replay.picture import kept_picture
 
     try:

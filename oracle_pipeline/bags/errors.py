@@ -2,7 +2,7 @@
 
 
 class OracleError(Exception):
-    """Root of the tree; its text says what, where, and what to do next."""
+    """Root of the tree; its message states what is wrong, where, and what to do next."""
 
 
 class BagError(OracleError):
@@ -10,7 +10,7 @@ class BagError(OracleError):
 
 
 class ManifestError(OracleError):
-    """A ``manifest.json`` is missing, unreadable or not what its schema says."""
+    """A ``manifest.json`` is missing, unreadable or not valid by its schema."""
 
 
 class RunDirectoryError(OracleError):

@@ -1,7 +1,8 @@
 """The manifest of a run: what was asked for, what happened, what it was made with.
 
 ``manifest.json`` is written last, so a directory with one is complete; its JSON Schema stands
-beside this module. Positions are in the map frame [m, rad], times in seconds of the recording.
+beside this module. It has a seal (``seals``) and holds the hashes of the run's other files.
+Positions are in the map frame [m, rad], times in seconds of the recording.
 Everything but ``measured`` is a function of the recipe. Labels come from here, never from a name.
 """
 
@@ -15,12 +16,15 @@ from typing import Any, Literal, NamedTuple, Self, TypeAlias
 
 import jsonschema
 
+from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.json_schema import faults
 from oracle_pipeline.bags.protocol import run_key
 
-SCHEMA_VERSION = 3
-_WITHOUT_CHANGES = 2  # the version before; its runs did not tell what their node changed
+SCHEMA_VERSION = 4
+# What older versions did not have, and what is taken for it.
+_ADDED_SINCE: dict[int, dict[str, Any]] = {2: {"changes": []}, 3: {}}
+_SEAL = "seal"  # a key of the file; a manifest in memory has none
 
 Label: TypeAlias = Literal["malicious", "normal", "control"]
 Outcome: TypeAlias = Literal["succeeded", "aborted", "timeout"]
@@ -62,7 +66,7 @@ CHANGE_BIN_S = 5.0  # length of the bins in which changes are counted [s]
 
 
 class Change(NamedTuple):
-    """What the mode's node changed in one bin of time, as it logs it itself."""
+    """What the mode's node changed in one bin of time, from its own log."""
 
     start_s: float  # a multiple of `CHANGE_BIN_S`
     messages: int  # changed, dropped, delayed or made up
@@ -94,11 +98,13 @@ class Measured:
     bytes: Mapping[str, int]  # part of the run directory -> bytes on disk
     kept: Kept = "full"
     freed_bytes: int = 0  # of the bag, to save space
+    # SHA-256 of each file of bag and graphs, by path; empty: recorded by an older release
+    files: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class Manifest:
-    """One run, as ``manifest.json`` tells it."""
+    """One run, as in ``manifest.json``."""
 
     mode: str
     label: Label
@@ -138,12 +144,15 @@ class Manifest:
         ManifestError
             If a value is not what the schema allows; nothing is written then.
         """
+        document = {**dataclasses.asdict(self), _SEAL: seals.BLANK}
         try:
-            text = json.dumps(dataclasses.asdict(self), indent=2, allow_nan=False) + "\n"
+            text = json.dumps(document, indent=2, allow_nan=False) + "\n"
         except (TypeError, ValueError) as error:
             raise ManifestError(f"{path} cannot hold this manifest: {error}.") from error
         _validate(json.loads(text), path)
-        path.write_text(text, encoding="utf-8")
+        content = bytearray(text.encode())
+        seals.seal(content)
+        path.write_bytes(content)
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -152,18 +161,24 @@ class Manifest:
         Raises
         ------
         ManifestError
-            Naming the file and the field, if it is missing, broken, of another schema version, or
-            not what the schema says.
+            Naming the file and the field, if it is missing, broken, of another schema version, not
+            what the schema says, or was changed after it was written.
         """
         try:
-            document = json.loads(path.read_text(encoding="utf-8"))
+            content = path.read_bytes()
+            document = json.loads(content.decode())
         except (OSError, ValueError) as error:
             raise ManifestError(
                 f"Could not read {path}: {error}. Record the run again, or restore the file."
             ) from error
-        if isinstance(document, dict) and document.get("schema_version") == _WITHOUT_CHANGES:
-            document |= {"schema_version": SCHEMA_VERSION, "changes": []}
-        _validate(document, path)
+        if _is_older(document):
+            added = _ADDED_SINCE[document["schema_version"]]
+            document |= {"schema_version": SCHEMA_VERSION, **added}
+            _validate(document | {_SEAL: seals.BLANK}, path)
+        else:
+            _validate(document, path)
+            _check_seal(content, path)
+            del document[_SEAL]
         return cls(
             **{
                 **document,
@@ -185,6 +200,21 @@ def schema() -> dict[str, Any]:
     text = files(__package__).joinpath("manifest.schema.json").read_text("utf-8")
     document: dict[str, Any] = json.loads(text)
     return document
+
+
+def _is_older(document: Any) -> bool:
+    """Tell whether this is a manifest of an older version, none of which had seals."""
+    if not isinstance(document, dict) or _SEAL in document:
+        return False
+    return document.get("schema_version") in _ADDED_SINCE
+
+
+def _check_seal(content: bytes, path: Path) -> None:
+    if seals.check(content) != "right":
+        raise ManifestError(
+            f"{path} was changed after it was written: its content and its seal differ. Restore "
+            "it, or record the run again."
+        )
 
 
 def _validate(document: Any, path: Path) -> None:

@@ -1,5 +1,7 @@
 """The checksums (CRC-32) of an MCAP file that rosbags leaves empty: written, and compared.
 
+That of a chunk is written with it, by ``batch_storage``.
+
 MCAP has three: of the records of each chunk, of the data section, and of the summary section, which
 holds the topics, types and places of the chunks. A checksum of 0 says that there is none
 (https://mcap.dev/spec).
@@ -10,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO
 from zlib import crc32
 
-from rosbags.rosbag2 import ReaderError
+from oracle_pipeline.bags.errors import BagError
 
 _MAGIC_SIZE = 8
 _HEAD_SIZE = struct.calcsize("<BQ")  # of any record: opcode, length of the rest
@@ -18,15 +20,7 @@ _FOOTER_OPCODE = 0x02
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length; starts of summary and its index; checksum
 _DATA_END = struct.Struct("<BQI")  # opcode, length; checksum of all before it
 _CHECKSUM = struct.Struct("<I")
-_IN_CHUNK = struct.calcsize("<BQQQQ")  # where a chunk's checksum is, behind its start
 _AT_ONCE = 2**20  # bytes
-
-
-def write_of_chunk(file: BinaryIO, chunk_start: int, records: bytes | memoryview) -> None:
-    """Write the checksum of the chunk that was written last; the file is at its end before it."""
-    end = file.tell()
-    _write(file, chunk_start + _IN_CHUNK, crc32(records))
-    file.seek(end)
 
 
 def write_of_sections(path: Path) -> None:
@@ -44,14 +38,14 @@ def check_summary(file: BinaryIO) -> None:
 
     Raises
     ------
-    ReaderError
+    BagError
         The summary is not what was written.
     """
     if file.seek(0, 2) > _FOOTER.size + _MAGIC_SIZE:
         footer_start, summary_start, checksum = _footer(file)
         end = footer_start + _FOOTER.size - _CHECKSUM.size
         if checksum and _checksum(file, summary_start, end) != checksum:
-            raise ReaderError("The MCAP summary or its checksum was changed after it was written.")
+            raise BagError("its summary or the checksum of that was changed after it was written")
     file.seek(0)
 
 

@@ -1,44 +1,70 @@
-"""QoS profiles of a bag, parsed and printed once each.
+"""QoS profiles as a bag keeps them: YAML in a text, of numbers (Humble) or words (Jazzy and later).
 
-rosbags does it anew for every topic, with a YAML library written in Python, at 2 to 3 ms a topic
-and direction. A bag has sixty topics and a handful of distinct profiles, a run opens its bag
-several times, and it added up to a tenth of what a short run costs.
+A bag has sixty topics and a handful of distinct profiles, so each text is parsed once.
 """
 
 import functools
-from typing import Any
+from enum import Enum
+from typing import Any, TypeVar
 
-from rosbags.interfaces import Qos
-from rosbags.rosbag2 import reader, storage_mcap, storage_sqlite3, writer
-from rosbags.rosbag2.metadata import dump_qos_v8, parse_qos
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 
+from oracle_pipeline.bags import bounded_yaml
 
-def remember_profiles() -> None:
-    """Let rosbags remember the profiles that it has seen; what it reads and writes is the same."""
-    for module, name, function in (
-        (reader, "parse_qos", _parse),
-        (storage_mcap, "parse_qos", _parse),
-        (storage_sqlite3, "parse_qos", _parse),
-        (writer, "dump_qos_v8", _dump),
-    ):
-        setattr(module, name, function)
-
-
-def _parse(profiles: str | list[Any]) -> list[Qos]:
-    if isinstance(profiles, str):
-        return list(_parsed(profiles))
-    return parse_qos(profiles)
-
-
-def _dump(profiles: list[Qos]) -> str:
-    return _dumped(tuple(profiles))
+_E = TypeVar("_E", bound=Enum)
 
 
 @functools.lru_cache(maxsize=1024)
-def _parsed(profiles: str) -> tuple[Qos, ...]:
-    return tuple(parse_qos(profiles))
+def parse(profiles: str) -> tuple[Qos, ...]:
+    """Return the profiles in a text, one for each publisher.
+
+    Raises
+    ------
+    ValueError
+        If it is not a list of profiles.
+    """
+    if not profiles.strip():
+        return ()
+    listed = bounded_yaml.load(profiles)
+    if not isinstance(listed, list) or not all(isinstance(each, dict) for each in listed):
+        raise ValueError("QoS profiles are no list of profiles")
+    return tuple(_profile(each) for each in listed)
 
 
-@functools.lru_cache(maxsize=1024)
-def _dumped(profiles: tuple[Qos, ...]) -> str:
-    return dump_qos_v8(list(profiles))
+def _profile(given: dict[Any, Any]) -> Qos:
+    return Qos(
+        _member(QosHistory, given.get("history")),
+        _whole(given.get("depth")),
+        _member(QosReliability, given.get("reliability")),
+        _member(QosDurability, given.get("durability")),
+        _time(given.get("deadline")),
+        _time(given.get("lifespan")),
+        _member(QosLiveliness, given.get("liveliness")),
+        _time(given.get("liveliness_lease_duration")),
+        bool(given.get("avoid_ros_namespace_conventions")),
+    )
+
+
+def _member(kind: type[_E], value: object) -> _E:
+    """Return a policy by its number or its name; UNKNOWN if it is neither."""
+    for member in kind:
+        if value == member.value or (isinstance(value, str) and value.upper() == member.name):
+            return member
+    return kind["UNKNOWN"]
+
+
+def _time(value: object) -> QosTime:
+    if not isinstance(value, dict):
+        return QosTime(0, 0)
+    return QosTime(_whole(value.get("sec")), _whole(value.get("nsec")))
+
+
+def _whole(value: object) -> int:
+    return value if isinstance(value, int) else 0

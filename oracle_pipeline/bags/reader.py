@@ -1,41 +1,36 @@
-"""Read bags, whoever recorded them: rosbag2 (SQLite, MCAP, split, compressed) and ROS 1.
+"""Read recordings, whoever made them: rosbag2 (SQLite, MCAP, split, compressed) and ROS 1.
 
-rosbags reads the storage. Here are: one view of a topic whatever the format, errors that say what
-to do, message types from the bag itself, and the check that everything claimed was read. What a
-mode's node confesses about its attack is dropped, by topic name and by type; ``read_ground_truth``
-is the one way to see it.
+The files of a recording are believed, not its ``metadata.yaml``. Here are: one view of a topic
+whatever the format, messages in order of time or, faster, as arrays in file order, and what could
+not be read. What a mode's node confesses about its attack is dropped, by topic name and by type;
+``read_ground_truth`` is the one way to see it.
 """
 
+import itertools
+import os
 from collections import Counter
-from collections.abc import Callable, Collection, Generator, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from datetime import UTC, datetime
+from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
-import yaml
-from rosbags.interfaces import (
-    Connection,
-    ConnectionExtRosbag2,
-    MessageDefinition,
-    MessageDefinitionFormat,
-    Qos,
-)
-from rosbags.rosbag1 import Reader as Reader1
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Qos
 from rosbags.typesys.store import Typestore
 
-from oracle_pipeline.bags import types
+from oracle_pipeline.bags import qos_profiles, types
 from oracle_pipeline.bags.content import ContentHash
+from oracle_pipeline.bags.definitions import BagTypes
 from oracle_pipeline.bags.errors import BagError
-from oracle_pipeline.bags.qos_profiles import remember_profiles
-from oracle_pipeline.bags.storage import Reader as Reader2
+from oracle_pipeline.bags.limits import MOST_MESSAGES, SMALLEST_MESSAGE
+from oracle_pipeline.bags.merging import Messages, in_time_order
+from oracle_pipeline.bags.part import Batch, Channel, Part
+from oracle_pipeline.bags.parts import Parts, open_parts
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE, TypeDefinition
-
-remember_profiles()
-
-_SEPARATOR = "=" * 80 + "\n"  # between the files of a definition
 
 
 class RawMessage(NamedTuple):
@@ -52,17 +47,20 @@ class Topic:
 
     name: str
     msgtype: str  # in the ROS 2 spelling, sensor_msgs/msg/LaserScan, for ROS 1 too
-    count: int  # messages the bag claims to hold
+    count: int  # messages in the bag
     qos: tuple[Qos, ...]  # offered, one per publisher where known
+    encoding: str = "cdr"  # of its messages: cdr, ros1, or one that is not decoded here
 
 
 class BagReader:
-    """A bag opened for reading, without ground truth; a context manager.
+    """A recording opened for reading, without ground truth; a context manager.
 
     Parameters
     ----------
     path : Path
         Folder of a rosbag2, a single ``.mcap`` or ``.db3`` file, or a ROS 1 ``.bag`` file.
+    strict : bool
+        Refuse a recording of which a part is missing or cannot be read.
 
     Attributes
     ----------
@@ -73,29 +71,50 @@ class BagReader:
     message_count : int
         Messages on ``topics``.
     serialization : {"cdr", "ros1"}
-        What the bytes of a message are.
+        What the bytes of a message are, unless its topic says otherwise.
+    losses : list of str
+        What could not be read: the end of an unfinished file, a missing part.
+    notes : list of str
+        What else is to be said of the recording.
 
     Raises
     ------
     BagError
-        If it is missing, not a bag, truncated, corrupt, or of a format that rosbags cannot read.
+        If it is missing, not a bag, corrupt, of a format that is not supported or beyond a limit;
+        with ``strict``, also if it is incomplete.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, strict: bool = False) -> None:
         self.path = path
-        self._storage = _open(path)
-        self.serialization = "ros1" if isinstance(self._storage, Reader1) else "cdr"
-        connections = [c for c in self._storage.connections if not _is_ground_truth(c)]
-        self._connections = connections
-        self.topics = _topics(path, connections)
+        self._files = _open(path)
+        parts = self._files.parts
+        self.notes, self.losses = list(self._files.notes), list(self._files.losses)
+        self.losses += [_loss(part) for part in parts if part.cut]
+        if self.losses and (strict or not any(part.extent.counts.total() for part in parts)):
+            self._files.close()
+            raise BagError(
+                f"{path} is incomplete. {' '.join(self.losses)}"
+                f"{' Without --strict, what is there is read.' if strict else ''}"
+            )
+        channels = [
+            (channel, part.extent.counts[number])
+            for part in parts
+            for number, channel in part.channels.items()
+        ]
+        self.topics = self._join(channels)
         self.message_count = sum(topic.count for topic in self.topics.values())
-        empty = self._storage.message_count == 0
-        self.start_ns: int = 0 if empty else self._storage.start_time
-        self.end_ns: int = 0 if empty else self._storage.end_time - 1
-        self._types = _BagTypes(path, connections, self.serialization)
+        size = sum(part.path.stat().st_size for part in parts)
+        self._most_messages = max(MOST_MESSAGES, size // SMALLEST_MESSAGE)
+        starts = [part.extent.start_ns for part in parts if part.extent.start_ns is not None]
+        ends = [part.extent.end_ns for part in parts if part.extent.end_ns is not None]
+        self.start_ns: int = min(starts, default=0)
+        self.end_ns: int = max(ends, default=0)
+        encodings = {topic.encoding for topic in self.topics.values()}
+        self.serialization = "ros1" if encodings == {"ros1"} else "cdr"
+        self._types = BagTypes(path, [c for c, _ in channels], self._files.type_hashes)
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """Yield messages in time order (of a split bag: file by file).
+    def batches(self, topics: Collection[str] | None = None) -> Iterator[Messages]:
+        """Yield messages as arrays, in file order; stretches without any of the topics are empty.
 
         Parameters
         ----------
@@ -105,11 +124,42 @@ class BagReader:
         Raises
         ------
         BagError
-            If a message cannot be read, or, at the end, if a topic had not as many messages as
-            the bag claims.
+            If a message cannot be read, or, at the end, if a file had fewer messages than it
+            claims.
         """
-        wanted = [c for c in self._connections if topics is None or c.topic in topics]
-        return _read(self._storage, wanted, self.path)
+        numbers = {name: number for number, name in enumerate(self.topics)}
+        read = 0
+        for part in self._files.parts:
+            wanted = {
+                key: numbers[channel.topic]
+                for key, channel in part.channels.items()
+                if self._is_of_topic(channel) and (topics is None or channel.topic in topics)
+            }
+            for batch in self._read(part, wanted, is_all=topics is None):
+                read += len(batch.topics)
+                if read > self._most_messages:
+                    raise BagError(
+                        f"{self.path} holds more than {self._most_messages} messages, the limit "
+                        "for its size (MOST_MESSAGES); cut it into shorter ones."
+                    )
+                yield batch
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Yield messages in order of time.
+
+        Messages of one stamp come in file order. The parameter and the error are those of
+        ``batches``.
+        """
+        names = list(self.topics)
+        for batch, rows in in_time_order(
+            lambda: self.batches(topics), is_in_order=_is_in_order(self._files.parts)
+        ):
+            data = batch.data
+            for topic, stamp_ns, offset, size in zip(
+                batch.topics[rows].tolist(), batch.stamps_ns[rows].tolist(),
+                batch.offsets[rows].tolist(), batch.sizes[rows].tolist(), strict=True,
+            ):  # fmt: skip
+                yield RawMessage(names[topic], stamp_ns, data[offset : offset + size])
 
     def deserialize(self, message: RawMessage) -> Any:
         """Decode a message, by the definition in the bag or else by the one that we know.
@@ -119,15 +169,37 @@ class BagReader:
         BagError
             If its type is unknown, or its bytes are not of that type.
         """
-        msgtype = self.topics[message.topic].msgtype
-        decode = self._types.decoder(msgtype)
+        topic, stamp_ns, data = message
         try:
-            return decode(message.data, msgtype)
-        except Exception as error:  # whatever the generated decoder trips over
+            return self.decoder(topic)(data)
+        except BagError as error:
+            if str(self.path) in str(error):
+                raise
             raise BagError(
-                f"{self.path}: a message on {message.topic} at {message.stamp_ns} ns is not a "
-                f"{msgtype}: {error}. Leave the topic out, or record the bag again."
+                f"{self.path}: a message on {topic} at {stamp_ns} ns {error}. Leave the topic out, "
+                "or record the bag again."
             ) from error
+
+    def decoder(self, topic: str) -> Callable[[bytes], Any]:
+        """Return the function that decodes the messages of a topic.
+
+        It raises `BagError` where bytes are not of the type.
+
+        Raises
+        ------
+        BagError
+            If its type is unknown or unusable, or its encoding not supported.
+        """
+        msgtype = self.topics[topic].msgtype
+        decode = self._types.decoder(msgtype)
+
+        def decoded(data: bytes) -> Any:
+            try:
+                return decode(data, msgtype)
+            except Exception as error:  # whatever the generated decoder trips over
+                raise BagError(f"is not a {msgtype}: {error}") from error
+
+        return decoded
 
     def definition(self, msgtype: str) -> TypeDefinition:
         """Return what the bag says of a type, or else we, to copy its messages as they are."""
@@ -145,7 +217,7 @@ class BagReader:
 
     def close(self) -> None:
         """Close the files."""
-        self._storage.close()
+        self._files.close()
 
     def __enter__(self) -> Self:
         return self
@@ -158,14 +230,87 @@ class BagReader:
     ) -> None:
         self.close()
 
+    def _is_hidden(self, channel: Channel) -> bool:
+        return channel.topic == GROUND_TRUTH_TOPIC or channel.msgtype == GROUND_TRUTH_TYPE
+
+    def _is_of_topic(self, channel: Channel) -> bool:
+        """Tell whether a channel is read: not hidden, and of its topic's one type."""
+        topic = self.topics.get(channel.topic)
+        return (
+            topic is not None and topic.msgtype == channel.msgtype and not self._is_hidden(channel)
+        )
+
+    def _join(self, channels: list[tuple[Channel, int]]) -> dict[str, Topic]:
+        """Join the channels of a topic: publishers of ROS 1, parts, differing QoS profiles."""
+        counts: dict[str, Counter[str]] = {}
+        for channel, count in channels:
+            if not self._is_hidden(channel):
+                counts.setdefault(channel.topic, Counter())[channel.msgtype] += count
+        topics: dict[str, Topic] = {}
+        for name, by_type in counts.items():
+            (msgtype, count), *others = by_type.most_common()
+            self.notes += [
+                f"{name} was recorded as {msgtype} and as {other}; the {number} messages of the "
+                "latter are not used."
+                for other, number in others
+            ]
+            own = [c for c, _ in channels if (c.topic, c.msgtype) == (name, msgtype)]
+            topics[name] = Topic(name, msgtype, count, self._qos(name, own), own[0].encoding)
+        return topics
+
+    def _qos(self, name: str, channels: list[Channel]) -> tuple[Qos, ...]:
+        texts = [channel.qos for channel in channels if channel.qos]
+        texts = texts or [self._files.qos.get(name, "")]
+        try:
+            return tuple(
+                profile for text in dict.fromkeys(texts) for profile in qos_profiles.parse(text)
+            )
+        except ValueError as error:
+            self.notes.append(f"The QoS profiles of {name} cannot be read: {error}.")
+            return ()
+
+    def _read(self, part: Part, wanted: dict[int, int], *, is_all: bool) -> Iterator[Messages]:
+        """Yield what a part holds of some channels, and compare the numbers with its claims."""
+        if not wanted:
+            return
+        with _errors(self.path, part.path):
+            keys = np.array(sorted(wanted), dtype=np.int64)
+            numbers = np.array([wanted[key] for key in sorted(wanted)], dtype=np.int64)
+            read = np.zeros(len(keys), dtype=np.int64)
+            for batch in part.batches(None if is_all else wanted):
+                places = np.minimum(np.searchsorted(keys, batch.channels), len(keys) - 1)
+                rows = np.flatnonzero(keys[places] == batch.channels)
+                read += np.bincount(places[rows], minlength=len(keys))
+                rows = rows[batch.stamps_ns[rows] >= 0]  # others are beyond the year 2262
+                yield _selected(batch, numbers[places], rows)
+        if not part.claims:
+            return
+        for key, count in zip(keys.tolist(), read.tolist(), strict=True):
+            if count < part.extent.counts[key]:
+                raise BagError(
+                    f"{part.path}: {part.channels[key].topic} should have "
+                    f"{part.extent.counts[key]} messages, but {count} were read. The file is "
+                    "damaged; copy it again, or see what `mcap recover` saves."
+                )
+
+
+class _OpenReader(BagReader):
+    """Hides nothing; and what it reads is whole."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, strict=True)
+
+    def _is_hidden(self, channel: Channel) -> bool:  # noqa: ARG002 -- none is
+        return False
+
 
 def read_ground_truth(path: Path) -> list[tuple[int, Any]]:
     """Return what the attacking node confessed: stamps [ns] and ``GroundTruth`` messages."""
-    with _opened(path) as storage:
-        connections = [c for c in storage.connections if _is_ground_truth(c)]
+    with _OpenReader(path) as bag:
+        confessing = [t.name for t in bag.topics.values() if t.msgtype == GROUND_TRUTH_TYPE]
         return [
             (message.stamp_ns, types.deserialize(message.data, GROUND_TRUTH_TYPE))
-            for message in _read(storage, connections, path)
+            for message in bag.messages(confessing)
         ]
 
 
@@ -175,197 +320,73 @@ def content_hash(path: Path) -> str:
     Messages of a bag are read in time order, so it is the writer's order if that was too.
     """
     digest = ContentHash()
-    with _opened(path) as storage:
-        prefixes = {c.topic: ContentHash.prefix(c.topic, c.msgtype) for c in storage.connections}
-        for topic, stamp_ns, data in _read(storage, storage.connections, path):
+    with _OpenReader(path) as bag:
+        prefixes = {t.name: ContentHash.prefix(t.name, t.msgtype) for t in bag.topics.values()}
+        for topic, stamp_ns, data in bag.messages():
             digest.add(prefixes[topic], stamp_ns, data)
     return digest.hexdigest()
 
 
-def _is_ground_truth(connection: Connection) -> bool:
-    return connection.topic == GROUND_TRUTH_TOPIC or connection.msgtype == GROUND_TRUTH_TYPE
+def _selected(batch: Batch, topics: NDArray[np.int64], rows: NDArray[np.int64]) -> Messages:
+    """Return some rows of a batch."""
+    data, _, stamps_ns, offsets, sizes = batch
+    return Messages(data, topics[rows], stamps_ns[rows], offsets[rows], sizes[rows])
 
 
-# Opening and reading: rosbags underneath, its many ways to fail turned into one.
+def _is_in_order(parts: list[Part]) -> bool:
+    """Tell whether no stretch of any file begins before the one before it has ended."""
+    spans = [
+        (part.extent.start_ns, part.extent.end_ns)
+        for part in parts
+        if part.extent.start_ns is not None and part.extent.end_ns is not None
+    ]
+    return all(part.extent.in_order for part in parts) and all(
+        end <= begin for (_, end), (begin, _) in itertools.pairwise(spans)
+    )
 
 
-def _open(path: Path) -> Reader1 | Reader2:
+def _loss(part: Part) -> str:
+    """Say how much of a file could be read, and up to when."""
+    read, extent = part.extent.counts.total(), part.extent
+    if extent.start_ns is None or extent.end_ns is None:
+        return f"{part.path.name} was not finished ({part.cut}): no message could be read."
+    seconds = (extent.end_ns - extent.start_ns) / 1e9
+    unread = f"; the last {part.unread} bytes could not be read" if part.unread else ""
+    return (
+        f"{part.path.name} was not finished ({part.cut}): {read} messages were read, up to "
+        f"{extent.end_ns} ns ({_utc(extent.end_ns)}), {seconds:.1f} s after the first{unread}."
+    )
+
+
+def _utc(stamp_ns: int) -> str:
     try:
-        if not path.exists():
-            raise BagError(f"There is no bag {path}; check the path.")
-        if path.is_dir():
-            _check_metadata(path)
-        reader = Reader1(path) if path.suffix == ".bag" else Reader2(path)
-        reader.open()
-    except BagError:
-        raise
-    except Exception as error:  # parsers of corrupt files raise anything
-        raise BagError(
-            f"Could not open the bag {path}: {_text(error)}. If the recording was cut off, repair "
-            "it with `ros2 bag reindex` or `mcap recover`."
-        ) from error
-    return reader
+        return f"{datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    except (OverflowError, ValueError, OSError):
+        return "beyond any calendar"
+
+
+# Opening and reading foreign files: their many ways to fail, turned into one.
+
+
+def _open(path: Path) -> Parts:
+    if not os.path.lexists(path):
+        raise BagError(f"There is no bag {path}; check the path.")
+    with _errors(path, path):
+        return open_parts(path)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Reader1 | Reader2]:
-    reader = _open(path)
+def _errors(path: Path, file: Path) -> Iterator[None]:
     try:
-        yield reader
-    finally:
-        reader.close()
-
-
-def _check_metadata(folder: Path) -> None:
-    """Refuse a folder that is no rosbag2, and one whose metadata points out of it."""
-    file = folder / "metadata.yaml"
-    if not file.is_file():
+        yield
+    except BagError as error:
+        if str(path) in str(error):
+            raise
+        raise BagError(f"{file}: {error}.") from error
+    except MemoryError as error:
+        raise BagError(f"{file} needs more memory than there is; split it.") from error
+    except Exception as error:  # parsers of corrupt files raise anything
+        reason = str(error).rstrip(".") or type(error).__name__
         raise BagError(
-            f"{folder} is not a bag: it has no metadata.yaml. Name the bag's own folder or its "
-            ".mcap or .db3 file, or make the metadata with `ros2 bag reindex`."
-        )
-    try:
-        metadata = yaml.load(file.read_text("utf-8"), Loader=yaml.CSafeLoader)
-        names = list(metadata["rosbag2_bagfile_information"]["relative_file_paths"])
-    except (OSError, ValueError, KeyError, TypeError, yaml.YAMLError) as error:
-        raise BagError(
-            f"{file} is not the metadata of a rosbag2: {_text(error)}. Make it again with "
-            "`ros2 bag reindex`."
+            f"{file} is corrupt: {reason}. Copy it again, or record it again."
         ) from error
-    for name in names:
-        inside = (folder / PurePosixPath(str(name)).name).resolve()
-        parts = PurePosixPath(str(name)).parts
-        if ".." in parts or "/" in parts or inside.parent != folder.resolve():
-            raise BagError(
-                f"{file} names {name!r}, which is outside the bag's folder; such a bag is not read."
-            )
-
-
-def _topics(path: Path, connections: list[Connection]) -> dict[str, Topic]:
-    """Join the connections of a topic: ROS 1 has one for each publisher."""
-    topics: dict[str, Topic] = {}
-    for connection in connections:
-        name = connection.topic
-        qos: tuple[Qos, ...] = ()
-        if isinstance(connection.ext, ConnectionExtRosbag2):
-            qos = tuple(connection.ext.offered_qos_profiles)
-        known = topics.get(name, Topic(name, connection.msgtype, 0, ()))
-        if known.msgtype != connection.msgtype:
-            raise BagError(
-                f"{path} holds {name} as {known.msgtype} and as {connection.msgtype}; "
-                "split it into two bags."
-            )
-        topics[name] = Topic(
-            name, known.msgtype, known.count + connection.msgcount, known.qos + qos
-        )
-    return topics
-
-
-def _read(
-    storage: Reader1 | Reader2, connections: Collection[Connection], path: Path
-) -> Iterator[RawMessage]:
-    """Yield the messages of some connections, and compare their numbers with those claimed."""
-    if not connections:  # rosbags would take that for "all"
-        return
-    claimed = Counter[str]()
-    for connection in connections:
-        claimed[connection.topic] += connection.msgcount
-    read = Counter[str]()
-    stream = _translated(storage.messages(connections), path)
-    for connection, stamp_ns, data in stream:
-        read[connection.topic] += 1
-        yield RawMessage(connection.topic, stamp_ns, data)
-    for topic, count in claimed.items():
-        if read[topic] != count:
-            raise BagError(
-                f"{path}: {topic} should have {count} messages, but {read[topic]} were read. "
-                "Perhaps metadata.yaml belongs to another recording or was edited (rosbags skips "
-                "topics whose QoS profiles differ between it and the storage): make it again with "
-                "`ros2 bag reindex`, or name the .mcap or .db3 file itself."
-            )
-
-
-def _translated(
-    stream: Iterator[tuple[Connection, int, bytes]], path: Path
-) -> Generator[tuple[Connection, int, bytes], None, None]:
-    while True:
-        try:
-            item = next(stream)
-        except StopIteration:
-            return
-        except Exception as error:  # parsers of corrupt files raise anything
-            raise BagError(
-                f"{path} is corrupt: {_text(error)}. Repair it with `ros2 bag reindex` or "
-                "`mcap recover`, or record it again."
-            ) from error
-        yield item
-
-
-def _text(error: Exception) -> str:
-    return str(error).rstrip(".") or type(error).__name__
-
-
-class _BagTypes:
-    """The message types of one bag: its own definitions first, then those that we know."""
-
-    def __init__(self, path: Path, connections: list[Connection], serialization: str) -> None:
-        self._path = path
-        self._is_ros1 = serialization == "ros1"  # headers and times differ from ROS 2's
-        self._definitions = {c.msgtype: c.msgdef for c in connections}
-        self._hashes = {c.msgtype: c.digest for c in connections}
-        self._own = get_typestore(Stores.EMPTY)
-        self._decoders: dict[str, Callable[[bytes, str], Any]] = {}
-
-    def decoder(self, msgtype: str) -> Callable[[bytes, str], Any]:
-        """Return the function that decodes a type's bytes."""
-        if msgtype not in self._decoders:
-            store = self.store(msgtype)
-            self._decoders[msgtype] = (
-                store.deserialize_ros1 if self._is_ros1 else store.deserialize_cdr
-            )
-        return self._decoders[msgtype]
-
-    def definition(self, msgtype: str) -> TypeDefinition:
-        """Return what the bag says of a type, or else we."""
-        form, text = self._definitions[msgtype]
-        if not text and msgtype in types.typestore().fielddefs:
-            return TypeDefinition(types.definition(msgtype), types.type_hash(msgtype))
-        if form is MessageDefinitionFormat.IDL and not text.startswith(_SEPARATOR):
-            text = f"{_SEPARATOR}IDL: {msgtype}\n{text}"  # without it, IDL is taken for .msg
-        return TypeDefinition(text, self._hashes[msgtype])
-
-    def store(self, msgtype: str) -> Typestore:
-        """Return the store that defines a type."""
-        definition = self._definitions[msgtype]
-        known = msgtype in types.typestore().fielddefs
-        # Real bags hold an empty text for action types, whose files rosbag2 does not find.
-        if known and definition.data in ("", types.definition(msgtype)):
-            return types.typestore()
-        if definition.data:
-            try:
-                self._own.register(_parse(definition, msgtype))
-            except Exception as error:  # a definition is a foreign text
-                raise BagError(
-                    f"{self._path} has an unusable definition of {msgtype}: {_text(error)}. "
-                    "Its messages can only be read raw."
-                ) from error
-            return self._own
-        if known:
-            return types.typestore()
-        raise BagError(
-            f"{self._path} has messages of type {msgtype} but not its definition, and it is not "
-            "among the types we know: read them raw, add the definition to "
-            "oracle_pipeline/bags/msg, or record as MCAP, which keeps definitions."
-        )
-
-
-def _parse(definition: MessageDefinition, msgtype: str) -> Any:
-    if definition.format is MessageDefinitionFormat.MSG:
-        return get_types_from_msg(definition.data, msgtype)
-    found: dict[str, Any] = {}
-    for part in definition.data.split(_SEPARATOR):
-        # rosbag2 puts "IDL: <name>" above each file of a definition; plain IDL has no such line.
-        text = part.partition("\n")[2] if part.startswith("IDL: ") else part
-        if text.strip():
-            found.update(get_types_from_idl(text))
-    return found

@@ -15,7 +15,7 @@ from typing import Any
 
 
 def is_local(place: Path) -> bool:
-    """Tell whether a place is on this machine, or mounted on it."""
+    """Return whether a place is on this machine, or mounted on it."""
     return isinstance(place, Path)  # a UPath of an object store is none, though it acts like one
 
 
@@ -43,7 +43,7 @@ def published(folder: Path, last: str) -> Iterator[Path]:
     folder
         Where it belongs; the block makes the folder that it is given.
     last
-        Name of the file that says that the folder is whole.
+        Name of the file whose presence marks the folder as complete.
     """
     if is_local(folder):
         yield folder
@@ -57,8 +57,8 @@ def published(folder: Path, last: str) -> Iterator[Path]:
 def publish(local: Path, folder: Path, last: str) -> None:
     """Put a folder of this machine in the place of one in an object store.
 
-    ``last`` is taken away before all else and put there after it, so that at no moment something
-    looks whole that is not; a copy that was broken off is made again by the next one.
+    ``last`` is removed first and written last, so that an incomplete folder never looks complete.
+    An interrupted copy is repeated by the next one.
     """
     store, prefix = _objects_of(folder)
     (folder / last).unlink(missing_ok=True)

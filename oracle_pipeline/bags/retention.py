@@ -1,20 +1,21 @@
-"""What is kept of a finished run: its whole bag, a trimmed one, or the recipe only.
+"""How much of a finished run is kept: its whole bag, a trimmed one, or the recipe only.
 
-A trimmed bag lacks the topics that weigh much and that nobody wants. Graphs, picture and manifest
-stay, and the content hash is that of the whole bag, which the recipe gives again. Who may drop
-what, and when, is decided elsewhere.
+A trimmed bag lacks large topics that no feature needs. Graphs, picture and manifest stay, and so
+does the content hash of the whole bag, which the recipe can re-simulate. ``resources.storage``
+decides what is dropped, and when.
 """
 
 import dataclasses
 import heapq
 import os
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Literal
 
 from oracle_pipeline.bags import types
 from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.integrity import hashes_of_files, require_undamaged
 from oracle_pipeline.bags.manifest import KEPT, Kept, Manifest
 from oracle_pipeline.bags.reader import BagReader, RawMessage, read_ground_truth
 from oracle_pipeline.bags.run_directory import (
@@ -28,25 +29,25 @@ from oracle_pipeline.bags.writer import BagWriter
 
 HEAVY = 0.02  # of the bag's payload: lighter topics stay in a trimmed bag
 
-Wanted = Callable[[BagReader], Collection[str]]  # the topics of a bag that have to stay
+Wanted = Callable[[BagReader], Collection[str]]  # returns the topics of a bag that stay
 
 
 def retain(run: RunDirectory, kept: Kept, wanted: Wanted) -> Manifest:
-    """Give up what is more than ``kept`` of a complete run's bag, in one step.
+    """Reduce the bag of a complete run to ``kept``, in one step.
 
     Parameters
     ----------
     run
-        On this machine. A run that has no more than ``kept`` is left as it is.
+        On this machine. A run that keeps no more than ``kept`` is left as it is.
     kept
-        What stays.
+        How much of the bag stays.
     wanted
-        Says which topics stay in a trimmed bag, however much they weigh.
+        Returns the topics that stay in a trimmed bag, whatever their size.
 
     Returns
     -------
     Manifest
-        Of the run as it is now; ``measured`` tells what was freed.
+        Of the run as it is now, with the freed bytes in ``measured``.
 
     Raises
     ------
@@ -57,6 +58,8 @@ def retain(run: RunDirectory, kept: Kept, wanted: Wanted) -> Manifest:
     measured = former.measured
     if KEPT.index(kept) <= KEPT.index(measured.kept):
         return former
+    if kept == "trimmed":
+        require_undamaged(run.path, former, BAG_FOLDER)
     with run.staged() as scratch:
         try:
             _link_all_but_the_bag(run.path, scratch)
@@ -71,11 +74,23 @@ def retain(run: RunDirectory, kept: Kept, wanted: Wanted) -> Manifest:
         now = bytes_on_disk(scratch)
         freed = measured.bytes[BAG_FOLDER] - now[BAG_FOLDER]
         measured = dataclasses.replace(
-            measured, kept=kept, bytes=now, freed_bytes=measured.freed_bytes + freed
+            measured,
+            kept=kept,
+            bytes=now,
+            freed_bytes=measured.freed_bytes + freed,
+            files=_hashes(scratch, measured.files),
         )
         manifest = dataclasses.replace(former, measured=measured)
         manifest.save(scratch / MANIFEST_FILE)
     return manifest
+
+
+def _hashes(scratch: Path, former: Mapping[str, str]) -> Mapping[str, str]:
+    """Return the hashes of the new bag, and of what stays those that are known of it."""
+    if not former:
+        return former  # recorded by an older release: what stays may be damaged
+    stays = {file: digest for file, digest in former.items() if file.split("/")[0] != BAG_FOLDER}
+    return {**hashes_of_files(scratch, BAG_FOLDER), **stays}
 
 
 def _link_all_but_the_bag(run: Path, scratch: Path) -> None:

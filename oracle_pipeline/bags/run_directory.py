@@ -1,4 +1,4 @@
-"""Where a run lives, and how it gets there whole.
+"""The directory of one run, and how it gets there in one piece.
 
 ``<root>/runs/<mode>/run003`` holds ``manifest.json``, ``bag/`` and ``graphs/``. A run is written in
 a scratch directory beside its place (``.run003.<token>``), which its writer keeps locked, and
@@ -108,7 +108,7 @@ class RunDirectory:
         return feature_table(self.root, table, self.mode, self.run_id)
 
     def is_complete(self) -> bool:
-        """Tell whether the run is there."""
+        """Return whether the run is there."""
         return self.manifest_path.is_file()
 
     def manifest(self) -> Manifest:
@@ -142,9 +142,10 @@ class RunDirectory:
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Work on this run alone: whoever else wants to waits; what dead workers left is removed.
+        """Hold this run, so that other workers wait; leftovers of killed workers are removed.
 
-        In an object store nobody waits; there, who is last to publish a run has made the same one.
+        In an object store there is no lock. Two workers may then publish the same run, with equal
+        messages.
         """
         if not is_local(self.path):
             yield
@@ -201,7 +202,7 @@ class RunDirectory:
         self._put_in_place(made.path)
 
     def _tidy(self) -> None:
-        """Remove what dead writers left; the parent is locked."""
+        """Remove leftovers of killed writers; the caller holds the parent."""
         remove_left(self.path, self._salvage)
         for leftover in self.path.glob(f".{MANIFEST_FILE}.*"):
             leftover.unlink(missing_ok=True)

@@ -1,7 +1,7 @@
-"""Scratch beside the place that it is renamed to: half of a thing is never where the whole belongs.
+"""Atomic writes: write to a locked path beside the place, then rename it.
 
-Who writes holds the scratch with a kernel's lock (``flock``), which ends with its process; what is
-not held was left by somebody who died, and is removed by whoever comes next.
+The lock is the kernel's (``flock``) and ends with its process. A scratch path without a lock was
+left by a killed process, and the next writer removes it.
 """
 
 import contextlib
@@ -19,18 +19,18 @@ def scratch_beside(
     make: Callable[[Path], object],
     salvage: Callable[[Path], object] = lambda _: None,
 ) -> Iterator[Path]:
-    """Make scratch beside a place and hold it until it is renamed, or removed after the block.
+    """Make a scratch path beside a place and hold it; it is removed after the block unless renamed.
 
-    What dead writers left there is removed first.
+    Scratch of killed writers is removed first.
 
     Parameters
     ----------
     place
-        Where it is to be renamed to; its folder is made.
+        The path to rename it to; its folder is made.
     make
         Makes the scratch: ``Path.mkdir`` or ``Path.touch``.
     salvage
-        Looks at what somebody left, before it is removed.
+        Called with the scratch of a killed writer before it is removed.
     """
     place.parent.mkdir(parents=True, exist_ok=True)
     with contextlib.ExitStack() as held:
@@ -46,12 +46,12 @@ def scratch_beside(
 
 
 def beside(place: Path) -> Path:
-    """Return a hidden name beside a place that nobody else has."""
+    """Return a unique hidden path beside a place."""
     return place.with_name(f".{place.name}.{secrets.token_hex(4)}")
 
 
 def remove_left(place: Path, salvage: Callable[[Path], object] = lambda _: None) -> None:
-    """Remove the scratch that dead writers left beside a place; its folder has to be held."""
+    """Remove the scratch of killed writers beside a place; the caller holds its folder."""
     for leftover in place.parent.glob(f".{place.name}.*"):
         # It may be held, or have been renamed just now.
         held_or_gone = contextlib.suppress(BlockingIOError, FileNotFoundError)

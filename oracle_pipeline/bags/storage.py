@@ -1,147 +1,153 @@
-"""rosbags' reader and writer of rosbag2, with the loops over messages of an MCAP file made short.
+"""rosbags' writer of rosbag2, with what is done once a message or a topic made short.
 
-A run has a hundred thousand small messages, and it is read for its features, its picture and its
-check: what is done once a message decides what writing and reading a bag cost. What is done once
-a file, a topic or a chunk is left to rosbags.
+A run has a hundred thousand small messages and sixty topics with a handful of QoS profiles: packing
+messages in batches (``batch_storage``), and printing each profile once, decide what writing a bag
+costs. These two modules use what rosbags does not document, so its version is limited in
+``pyproject.toml``.
 """
 
-import struct
-from collections.abc import Collection, Generator, Iterator
-from operator import itemgetter
+import functools
+import io
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, Literal
 
-from rosbags.interfaces import Connection
-from rosbags.rosbag2 import CompressionMode, ReaderError, StoragePlugin
-from rosbags.rosbag2 import Reader as RosbagsReader
+from rosbags.interfaces import (
+    Connection,
+    ConnectionExtRosbag2,
+    MessageDefinition,
+    MessageDefinitionFormat,
+    Qos,
+)
+from rosbags.rosbag2 import StoragePlugin, WriterError
 from rosbags.rosbag2 import Writer as RosbagsWriter
-from rosbags.rosbag2.reader import DirectoryReader
-from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, McapWriter, decompress
+from rosbags.rosbag2.metadata import dump_qos_v8
+from ruamel.yaml import YAML
 
-from oracle_pipeline.bags import mcap_checksums
+from oracle_pipeline.bags.batch_storage import BatchMcapWriter, BatchSqlite3Writer
 
-# The head of a message: opcode, length of the rest; channel, sequence, log and publish time.
-_MESSAGE, _HEAD = 0x05, struct.Struct("<BQHIQQ")
-_LENGTH_FIRST = struct.Struct("<BQ")  # of any record: opcode, length of the rest
-_FIELDS_SIZE = _HEAD.size - _LENGTH_FIRST.size
-_CHUNK_HEAD = struct.Struct("<BQQQQI")  # opcode, length; first and last stamp, size, checksum
+# The newest that Humble's `ros2 bag` opens; 9 turns the QoS profiles into a list it cannot parse.
+METADATA_VERSION: Literal[8] = 8
 
-
-class _McapWriter(McapWriter):
-    """A message's record is packed in one go, and every checksum is written."""
-
-    _CHUNK_SIZE = 2**20
-
-    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Append one message to the open chunk."""
-        chunk, channel = self.chunk, connection.id
-        self.message_start_time = min(timestamp, self.message_start_time)
-        self.message_end_time = max(timestamp, self.message_end_time)
-        chunk.message_start_time = min(timestamp, chunk.message_start_time)
-        chunk.message_end_time = max(timestamp, chunk.message_end_time)
-        self.channel_stats[channel] += 1
-        chunk.msgs[channel].append((timestamp, chunk.bio.tell()))
-        size = _FIELDS_SIZE + len(data)
-        chunk.bio.write(_HEAD.pack(_MESSAGE, size, channel, 0, timestamp, timestamp))
-        chunk.bio.write(data)
-        if chunk.bio.tell() > self._CHUNK_SIZE:
-            self.close_chunk()
-
-    def close_chunk(self) -> None:
-        """Write the open chunk with its checksum."""
-        start, records = self.bio.tell(), self.chunk.bio
-        super().close_chunk()
-        mcap_checksums.write_of_chunk(self.bio, start, records.getbuffer())
-
-    def close(self, version: int, metadata: str) -> None:
-        """Write what is behind the chunks, and the checksums of the two sections."""
-        super().close(version, metadata)
-        mcap_checksums.write_of_sections(self.path)
+_IDL = "=" * 80 + "\nIDL: "
 
 
 class Writer(RosbagsWriter):
-    """It does not look each message's connection up among all: it is one that was added here."""
+    """Writes what rosbags writes, for connections that were added here.
 
-    STORAGE_PLUGINS = {**RosbagsWriter.STORAGE_PLUGINS, StoragePlugin.MCAP: _McapWriter}  # noqa: RUF012
-
-    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Append one message."""
-        if self.storage is None or self.compression_mode is CompressionMode.MESSAGE:
-            super().write(connection, timestamp, data)  # says that it is not open, or compresses
-            return
-        self.storage.write(connection, timestamp, data)
-        self.counts[connection.id] += 1
-        self.min_timestamp = min(timestamp, self.min_timestamp)
-        self.max_timestamp = max(timestamp, self.max_timestamp)
-
-
-class _McapReader(McapReader):
-    """Chunks that follow one another in time, as a recorder writes them, are read in turn."""
-
-    def _open(self) -> None:
-        """Compare the summary with its checksum before anything of it is used."""
-        if self.bio is not None:
-            mcap_checksums.check_summary(self.bio)
-        super()._open()
-
-    def messages(
-        self,
-        connections: Collection[Connection],
-        start: int | None = None,
-        stop: int | None = None,
-    ) -> Generator[tuple[Connection, int, bytes], None, None]:
-        """Yield the messages of some connections in time order."""
-        if start is not None or stop is not None or not self._is_in_order():
-            yield from super().messages(connections, start, stop)
-            return
-        wanted = {connection.id: connection for connection in connections}
-        for chunk in self.chunks:
-            if not wanted.keys().isdisjoint(chunk.channel_count):
-                found = list(_messages(self._records(chunk), wanted))
-                yield from sorted(found, key=itemgetter(1))
-
-    def _is_in_order(self) -> bool:
-        """Tell whether there are chunks, and each begins where the one before it has ended."""
-        ends = [chunk.message_end_time for chunk in self.chunks]
-        begins = [chunk.message_start_time for chunk in self.chunks[1:]]
-        return bool(ends) and all(end <= begin for end, begin in zip(ends, begins, strict=False))
-
-    def _records(self, chunk: ChunkInfo) -> bytes:
-        """Return the records of a chunk."""
-        if self.bio is None:
-            raise ReaderError("the bag is not open")
-        self.bio.seek(chunk.chunk_start_offset)
-        *_, checksum = _CHUNK_HEAD.unpack(self.bio.read(_CHUNK_HEAD.size))
-        # Then name of the compression and length of what is compressed, each with its own length.
-        self.bio.seek(4 + len(chunk.compression) + 8, 1)
-        packed = self.bio.read(chunk.compressed_size)
-        return decompress(packed, chunk.compression, chunk.uncompressed_size, checksum)
-
-
-def _messages(
-    records: bytes, wanted: dict[int, Connection]
-) -> Iterator[tuple[Connection, int, bytes]]:
-    at, end = 0, len(records)
-    unpack, get = _HEAD.unpack_from, wanted.get
-    while at < end:
-        if records[at] == _MESSAGE:
-            _, size, channel, _, stamp, _ = unpack(records, at)
-            begin, at = at + _HEAD.size, at + _LENGTH_FIRST.size + size
-            if (connection := get(channel)) is not None:
-                yield connection, stamp, records[begin:at]
-        else:
-            at += _LENGTH_FIRST.size + _LENGTH_FIRST.unpack_from(records, at)[1]
-    if at != end:
-        raise ReaderError(f"a record ends {at - end} bytes beyond its chunk")
-
-
-class _DirectoryReader(DirectoryReader):
-    STORAGE_PLUGINS = {**DirectoryReader.STORAGE_PLUGINS, "mcap": _McapReader}  # noqa: RUF012
-
-
-class Reader(RosbagsReader):
-    """Reads what rosbags reads."""
+    Messages are compressed by chunk or not at all.
+    """
 
     STORAGE_PLUGINS = {  # noqa: RUF012
-        **RosbagsReader.STORAGE_PLUGINS,
-        "dir": _DirectoryReader,
-        ".mcap": _McapReader,
+        StoragePlugin.MCAP: BatchMcapWriter,
+        StoragePlugin.SQLITE3: BatchSqlite3Writer,
     }
+
+    def open(self) -> None:
+        """Open for writing."""
+        super().open()
+        self._profiles: dict[int, str] = {}  # QoS as text, by connection
+
+    def add_topic(
+        self, topic: str, msgtype: str, definition: str, type_hash: str, qos: Sequence[Qos]
+    ) -> Connection:
+        """Add a topic, in CDR."""
+        storage = self._open_storage()
+        form = (
+            MessageDefinitionFormat.IDL
+            if definition.startswith(_IDL)
+            else MessageDefinitionFormat.MSG
+        )
+        connection = Connection(
+            len(self.connections) + 1, topic, msgtype, MessageDefinition(form, definition),
+            type_hash, 0, ConnectionExtRosbag2("cdr", list(qos)), self,
+        )  # fmt: skip
+        if msgtype not in self.added_types:
+            storage.add_msgtype(connection)
+            self.added_types.add(msgtype)
+        self._profiles[connection.id] = _dumped(tuple(qos))
+        storage.add_connection(connection, self._profiles[connection.id])
+        self.connections.append(connection)
+        self.counts[connection.id] = 0
+        return connection
+
+    def write_many(
+        self, channels: Sequence[int], stamps: Sequence[int], payloads: Sequence[bytes]
+    ) -> None:
+        """Append messages: the identifiers of their connections, their stamps [ns], their bytes."""
+        self._open_storage().write_many(channels, stamps, payloads)
+        for channel, number in Counter(channels).items():
+            self.counts[channel] += number
+        self.min_timestamp = min(self.min_timestamp, *stamps)
+        self.max_timestamp = max(self.max_timestamp, *stamps)
+
+    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
+        """Append one message; many at a time are cheaper."""
+        self.write_many([connection.id], [timestamp], [bytes(data)])
+
+    def close(self) -> None:
+        """Write what is behind the messages, and ``metadata.yaml``."""
+        storage = self._open_storage()
+        information = self._information(storage.path.name)
+        storage.close(METADATA_VERSION, _yaml(information).strip())
+        self.storage = None
+        unfinished = self.metapath.with_suffix(".yaml.tmp")
+        unfinished.write_text(_yaml({"rosbag2_bagfile_information": information}), "utf8")
+        unfinished.replace(self.metapath)
+
+    def _open_storage(self) -> Any:
+        if self.storage is None:
+            raise WriterError("the bag is not open")
+        return self.storage
+
+    def _information(self, file: str) -> dict[str, Any]:
+        start = {"nanoseconds_since_epoch": self.min_timestamp}
+        duration = {"nanoseconds": max(0, self.max_timestamp - self.min_timestamp)}
+        count = sum(self.counts.values())
+        return {
+            "version": METADATA_VERSION,
+            "storage_identifier": self.storage_plugin.name.lower(),
+            "relative_file_paths": [file],
+            "duration": duration,
+            "starting_time": start,
+            "message_count": count,
+            "topics_with_message_count": [
+                {
+                    "topic_metadata": {
+                        "name": connection.topic,
+                        "type": connection.msgtype,
+                        "serialization_format": "cdr",
+                        "offered_qos_profiles": self._profiles[connection.id],
+                        "type_description_hash": connection.digest,
+                    },
+                    "message_count": self.counts[connection.id],
+                }
+                for connection in self.connections
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "files": [
+                {
+                    "path": file,
+                    "starting_time": dict(start),
+                    "duration": dict(duration),
+                    "message_count": count,
+                }
+            ],
+            "custom_data": None,
+            "ros_distro": "rosbags",
+        }
+
+
+@functools.lru_cache(maxsize=1024)
+def _dumped(profiles: tuple[Qos, ...]) -> str:
+    return str(dump_qos_v8(list(profiles)))
+
+
+def _yaml(value: dict[str, Any]) -> str:
+    """Return a document as rosbags prints it."""
+    printer = YAML(typ="safe")
+    printer.default_flow_style = False
+    sink = io.StringIO()
+    printer.dump(value, sink)
+    return sink.getvalue()

@@ -4,9 +4,10 @@ A sensor sends the same frame, covariances and field names two hundred times a s
 message is serialised once and numpy writes the numbers over it, for many messages at a time.
 """
 
+import functools
 import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 """The fields of a header's stamp, which differs in every message."""
 
 _NUMPY_NAMES = {"byte": "int8", "char": "uint8", "octet": "uint8"}  # others are numpy's own
+_ARRAY = 64  # numbers from which on numpy writes a row sooner than struct
 _HEADER = 4  # bytes of CDR's encapsulation; alignment counts from behind them
 
 
@@ -56,23 +58,62 @@ class Template:
         )
         self._row = np.frombuffer(data, np.uint8)
         self._buffer = bytearray(data)
-        self._packers = [
-            (struct.Struct(f"<{math.prod(shape)}{np.dtype(kind).char}").pack_into, _HEADER + offset)
-            for (kind, shape), offset in numbers.values()
-        ]
+        self._count = len(fields)
+        self._fill = [*self._fillers(list(numbers.values()))]
 
-    def data(self, *values: float | Sequence[float]) -> bytes:
+    def _fillers(
+        self, numbers: Sequence[tuple[tuple[str, tuple[int, ...]], int]]
+    ) -> Iterator[Callable[[Sequence[Any]], None]]:
+        """Yield what writes values into the buffer: numbers side by side at once, and each row."""
+        number = 0
+        while number < len(numbers):
+            (kind, shape), offset = numbers[number]
+            begin, formats, end = number, "<", offset
+            number += 1
+            if shape:
+                yield _row_filler(self._buffer, np.dtype(kind), shape, _HEADER + offset, begin)
+                continue
+            for (other, other_shape), beside in numbers[begin:]:
+                if other_shape or beside != end:
+                    break
+                formats += np.dtype(other).char
+                end = beside + np.dtype(other).itemsize
+            number = begin + len(formats) - 1
+            pack = functools.partial(
+                struct.Struct(formats).pack_into, self._buffer, _HEADER + offset
+            )
+            yield _numbers_filler(pack, begin, number)
+
+    def data(self, *values: Any) -> bytes:
         """Return one message: a value a field, or its row of numbers."""
-        for (pack_into, offset), value in zip(self._packers, values, strict=True):
-            if isinstance(value, Sequence):
-                pack_into(self._buffer, offset, *value)
-            else:
-                pack_into(self._buffer, offset, value)
+        if len(values) != self._count:
+            raise ValueError(f"expected {self._count} values, found {len(values)}")
+        for fill in self._fill:
+            fill(values)
         return bytes(self._buffer)
 
     def rows(self, count: int) -> NDArray[np.void]:
         """Return ``count`` copies, as a structured array with a column a field, to write to."""
         return np.tile(self._row, count).view(self._dtype)
+
+
+def _numbers_filler(
+    pack: Callable[..., None], begin: int, end: int
+) -> Callable[[Sequence[Any]], None]:
+    if begin == 0 and end == 2:  # a stamp, as a rule
+        return lambda values: pack(values[0], values[1])
+    return lambda values: pack(*values[begin:end])
+
+
+def _row_filler(
+    buffer: bytearray, kind: np.dtype[Any], shape: tuple[int, ...], offset: int, index: int
+) -> Callable[[Sequence[Any]], None]:
+    count = math.prod(shape)
+    if count > _ARRAY:
+        row = np.frombuffer(buffer, kind, count, offset)
+        return lambda values: row.__setitem__(slice(None), np.ravel(values[index]))
+    pack = struct.Struct(f"<{count}{kind.char}").pack_into
+    return lambda values: pack(buffer, offset, *values[index])
 
 
 class _Leaf(NamedTuple):

@@ -6,6 +6,7 @@ profiles, and errors that name the bag. Nothing depends on the clock: equal call
 
 import shutil
 import sqlite3
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -19,21 +20,17 @@ from oracle_pipeline.bags import types
 from oracle_pipeline.bags.content import ContentHash
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.manifest import TopicCount
-from oracle_pipeline.bags.qos_profiles import remember_profiles
-from oracle_pipeline.bags.storage import Writer
+from oracle_pipeline.bags.storage import METADATA_VERSION, Writer
 from oracle_pipeline.bags.types import TypeDefinition
 
-remember_profiles()
-
-# The newest that Humble's `ros2 bag` opens; 9 turns the QoS profiles into a list it cannot parse.
-_METADATA_VERSION: Literal[8] = 8
+_BATCH_BYTES = 2**18  # of messages are packed, stored and hashed at a time
 _NO_HASH = f"RIHS01_{'0' * 64}"  # rosbags insists on one; ROS compares it only where both have one
 
 
 class _Topic:
     """A topic on its way into the bag; ``connection`` is set from its first message on."""
 
-    __slots__ = ("connection", "count", "definition", "msgtype", "prefix", "qos")
+    __slots__ = ("channel", "connection", "count", "definition", "msgtype", "prefix", "qos")
 
     def __init__(self, name: str, msgtype: str, qos: list[Qos], definition: TypeDefinition) -> None:
         self.msgtype = msgtype
@@ -41,6 +38,7 @@ class _Topic:
         self.definition = definition
         self.prefix = ContentHash.prefix(name, msgtype)
         self.connection: Connection | None = None
+        self.channel = 0  # identifier of the connection
         self.count = 0
 
 
@@ -57,15 +55,11 @@ class BagWriter:
         MCAP is compressed by chunk with zstd. SQLite is not compressed: rosbag2 can only compress
         the whole file or each blob, and then no plain SQLite reader opens it.
 
-    Attributes
-    ----------
-    message_bytes : int
-        Payload bytes written so far, before compression.
-
     Raises
     ------
     BagError
-        If the path exists, a topic is unknown or has two types, or the disk is full.
+        If the path exists, a topic is unknown or has two types, or the disk is full: that shows
+        with a later message, or at the end, since messages are stored in batches.
 
     Examples
     --------
@@ -76,9 +70,10 @@ class BagWriter:
 
     def __init__(self, path: Path, storage: Literal["mcap", "sqlite3"] = "mcap") -> None:
         self.path = path
-        self.message_bytes = 0
         self._hash = ContentHash()
         self._topics: dict[str, _Topic] = {}
+        self._pending: list[tuple[_Topic, int, bytes]] = []  # written, but not yet handed on
+        self._pending_bytes = self._stored_bytes = 0
         # rosbags names the file after the folder, rosbag2 adds "_0": so it is written as
         # "<name>_0" and the folder is renamed at the end.
         self._unfinished = path.with_name(f"{path.name}_0")
@@ -87,7 +82,7 @@ class BagWriter:
         with self._errors():
             self._writer = Writer(
                 self._unfinished,
-                version=_METADATA_VERSION,
+                version=METADATA_VERSION,
                 storage_plugin=StoragePlugin[storage.upper()],
             )
             if storage == "mcap":
@@ -95,13 +90,20 @@ class BagWriter:
             self._writer.open()
 
     @property
+    def message_bytes(self) -> int:
+        """Payload bytes written so far, before compression."""
+        return self._stored_bytes + self._pending_bytes
+
+    @property
     def counts(self) -> dict[str, int]:
         """Messages written so far, by topic; topics without any included."""
+        self._flush()
         return {name: topic.count for name, topic in self._topics.items()}
 
     @property
     def topics(self) -> dict[str, TopicCount]:
         """What the bag holds of each topic so far, for the manifest."""
+        self._flush()
         return {
             name: TopicCount(topic.msgtype, topic.count) for name, topic in self._topics.items()
         }
@@ -109,6 +111,7 @@ class BagWriter:
     @property
     def content_hash(self) -> str:
         """SHA-256 over (topic, type, stamp, payload) of the messages, in recorded order."""
+        self._flush()
         return self._hash.hexdigest()
 
     def add_topic(
@@ -156,18 +159,38 @@ class BagWriter:
         data : bytes
             CDR bytes, encapsulation header included.
         """
+        entry = self._topics.get(topic)
+        if entry is None or entry.connection is None:
+            entry = self._begin(topic)
+        self._pending.append((entry, stamp_ns, data))
+        self._pending_bytes += len(data)
+        if self._pending_bytes > _BATCH_BYTES:
+            self._flush()
+
+    def _begin(self, topic: str) -> _Topic:
+        """Make a topic ready for its first message."""
         try:
             entry = self._topics[topic]
         except KeyError:
             raise BagError(f"{topic} is unknown to {self.path}; call add_topic first.") from None
-        try:
-            connection = entry.connection or self._connect(topic, entry)
-            self._writer.write(connection, stamp_ns, data)
-        except (OSError, sqlite3.Error, WriterError) as error:
-            raise self._error(error) from error
-        self._hash.add(entry.prefix, stamp_ns, data)
-        entry.count += 1
-        self.message_bytes += len(data)
+        self._flush()
+        with self._errors():
+            self._connect(topic, entry)
+        return entry
+
+    def _flush(self) -> None:
+        """Hand what was written so far to the storage and to the hash."""
+        if not self._pending:
+            return
+        entries, stamps, payloads = zip(*self._pending, strict=True)
+        self._pending.clear()
+        self._stored_bytes += self._pending_bytes
+        self._pending_bytes = 0
+        for entry, count in Counter(entries).items():
+            entry.count += count
+        with self._errors():
+            self._writer.write_many([entry.channel for entry in entries], stamps, payloads)
+        self._hash.add_many([entry.prefix for entry in entries], stamps, payloads)
 
     def __enter__(self) -> Self:
         return self
@@ -182,6 +205,7 @@ class BagWriter:
             self._discard()
             return
         try:
+            self._flush()
             with self._errors():
                 for name, topic in self._topics.items():
                     if topic.connection is None:
@@ -192,15 +216,15 @@ class BagWriter:
             self._discard()
             raise
 
-    def _connect(self, name: str, topic: _Topic) -> Connection:
-        topic.connection = self._writer.add_connection(
+    def _connect(self, name: str, topic: _Topic) -> None:
+        topic.connection = self._writer.add_topic(
             name,
             topic.msgtype,
-            msgdef=topic.definition.text,
-            rihs01=topic.definition.type_hash or _NO_HASH,
-            offered_qos_profiles=topic.qos,
+            topic.definition.text,
+            topic.definition.type_hash or _NO_HASH,
+            topic.qos,
         )
-        return topic.connection
+        topic.channel = topic.connection.id
 
     def _discard(self) -> None:
         # Closing flushes: on a full disk it fails as the write did, and that error is on its way.

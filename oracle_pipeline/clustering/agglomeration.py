@@ -1,4 +1,4 @@
-"""Agglomeration of rows that count more than once: who joins whom, and at what height.
+"""Agglomeration of weighted rows: which clusters join, and at what height.
 
 The algorithms are those that Müllner recommends [1]_: the nearest-neighbour chain for Ward,
 complete and average linkage, a minimum spanning tree for single linkage. All are exact. A row that
@@ -79,7 +79,7 @@ def _neighbours_together(X: Floats) -> Indices:
 
 
 def _features_first(X: Floats) -> Floats:
-    """Return the features by rows, those first that tell most rows apart, and zeros to a 4th."""
+    """Return the features by rows, largest variance first, padded with zeros to four."""
     order = np.argsort(-X.var(axis=0), kind="stable")
     return np.ascontiguousarray(np.pad(X.T[order], ((0, -X.shape[1] % 4), (0, 0))))
 

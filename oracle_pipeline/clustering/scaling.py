@@ -14,7 +14,7 @@ from sklearn.base import BaseEstimator, TransformerMixin
 MAD_TO_DEVIATION = 1.4826  # of a normal distribution
 SPREAD_FLOOR = 0.1  # floor where no resolution is declared, in standard deviations of the column
 ROUNDING_FLOOR = 1e-9  # floor for every column, as a share of its largest magnitude
-CLIP = 50.0  # no single feature may say more than this many scales
+CLIP = 50.0  # limit of a single feature's influence [scales]
 
 
 class FlooredRobustScaler(TransformerMixin, BaseEstimator):  # type: ignore[misc]  # untyped base

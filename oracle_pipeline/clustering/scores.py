@@ -1,4 +1,4 @@
-"""What a tree says of each run, without labels: a verdict by flat clusters, or a score.
+"""Unsupervised results of a tree for each run: a verdict by flat clusters, or a score.
 
 Higher scores are more anomalous. How good they are is measured in ``oracle_pipeline.evaluation``.
 """
@@ -14,8 +14,8 @@ def outside_largest(
 ) -> NDArray[np.bool_]:
     """Call every row outside the largest cluster anomalous, a row counting `copies` times.
 
-    The rule rests on right behaviour being the most common [1]_; between clusters of equal size the
-    first counts as the largest.
+    The rule assumes that normal behaviour is the most common [1]_. Between clusters of equal size,
+    the first counts as the largest.
 
     References
     ----------
@@ -42,8 +42,8 @@ def hac_height(tree: Tree, reference: NDArray[np.bool_] | None = None) -> NDArra
     tree : Tree
         Over n distinct rows; each counts as often as it has copies.
     reference : ndarray of bool, shape (n,), optional
-        The rows that stand for right behaviour; by default all of them, which presumes that most
-        are right.
+        The rows that stand for normal behaviour; by default all of them, which presumes that most
+        are normal.
 
     Returns
     -------
@@ -53,7 +53,7 @@ def hac_height(tree: Tree, reference: NDArray[np.bool_] | None = None) -> NDArra
     n = len(tree)
     reference = np.ones(n, dtype=np.bool_) if reference is None else reference
     if not reference.any():
-        raise ClusteringError("No row is marked as reference; mark the rows of right behaviour.")
+        raise ClusteringError("No row is marked as reference; mark the rows of normal behaviour.")
     children = tree.merges[:, :2].astype(np.intp).tolist()
     held = [*(reference * tree.copies).tolist(), *[0] * (n - 1)]
     for node, (left, right) in enumerate(children, start=n):

@@ -1,6 +1,6 @@
 """The dendrogram: grown from scaled rows, cut into flat clusters.
 
-Who joins whom is found in ``oracle_pipeline.clustering.agglomeration``. What a cut says of a run is
+The joins are computed in ``oracle_pipeline.clustering.agglomeration``; verdicts and scores of runs
 in ``oracle_pipeline.clustering.scores``.
 """
 

@@ -1,11 +1,12 @@
-"""The detector panel: from scaled features of right runs to a score of any one run.
+"""The detector panel: from scaled features of normal runs to a score of any one run.
 
-Detectors are scikit-learn estimators; a verdict with a known false-alarm rate is made of their
-scores in ``oracle_pipeline.evaluation.conformal``.
+Detectors are scikit-learn estimators. ``oracle_pipeline.scoring.conformal`` turns their scores
+into verdicts with a known false-alarm rate.
 """
 
 from oracle_pipeline.detectors.base import Detector, DetectorError
-from oracle_pipeline.detectors.explain import Deviation, explain
+from oracle_pipeline.detectors.distances import Mahalanobis
+from oracle_pipeline.detectors.explain import Deviation, FamilyDeviation, by_family, explain
 from oracle_pipeline.detectors.panel import DEFAULT_DETECTOR, panel, pipeline, upper_bounds
 
 __all__ = [
@@ -13,6 +14,9 @@ __all__ = [
     "Detector",
     "DetectorError",
     "Deviation",
+    "FamilyDeviation",
+    "Mahalanobis",
+    "by_family",
     "explain",
     "panel",
     "pipeline",

@@ -1,4 +1,4 @@
-"""What every detector of the panel is: fitted on right runs alone, and blind to its batch."""
+"""The contract of all detectors: fitted on normal runs only, scoring each run by itself."""
 
 from typing import Any, Protocol, Self
 
@@ -18,7 +18,7 @@ class Detector(Protocol):
     """What the panel's members, ours and scikit-learn's, have in common."""
 
     def fit(self, X: ArrayLike, y: None = None) -> Self:
-        """Learn what right runs look like, shape (n_runs, n_features), scaled and finite."""
+        """Learn what normal runs look like, shape (n_runs, n_features), scaled and finite."""
 
     def score_samples(self, X: ArrayLike) -> NDArray[np.float64]:
         """Return one score a row, higher is more normal; no row changes that of another."""
@@ -34,7 +34,7 @@ class OwnDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped
     """
 
     def fit(self, X: ArrayLike, y: None = None) -> Self:  # noqa: ARG002  # scikit-learn passes it
-        """Learn what right runs look like, shape (n_runs, n_features), scaled and finite."""
+        """Learn what normal runs look like, shape (n_runs, n_features), scaled and finite."""
         rows = validate_data(self, X, dtype=np.float64)
         if len(rows) < 2:
             raise DetectorError("One run shows no spread; fit a detector on at least two.")

@@ -1,7 +1,7 @@
-"""Detectors that read clusters of right runs.
+"""Detectors that read clusters of normal runs.
 
-Heights and sizes in a tree change with every row that is in it. So each row is scored in a tree of
-the right runs and itself alone.
+Heights and sizes in a tree depend on all of its rows. So each row is scored in a tree of its own,
+of the normal runs and that row.
 """
 
 from collections.abc import Callable
@@ -17,11 +17,11 @@ from oracle_pipeline.clustering.scores import hac_height, small_cluster_score
 from oracle_pipeline.clustering.tree import Linkage, Tree, grow_tree
 from oracle_pipeline.detectors.base import DetectorError, OwnDetector
 
-LARGE = 0.1  # share of the right runs that a cluster must hold to stand for a behaviour
+LARGE = 0.1  # share of the normal runs that a cluster must hold to stand for a behaviour
 
 
 class _InTree(OwnDetector):
-    """Keeps the right runs and grows a tree of them and one row, for each row."""
+    """Keeps the normal runs and grows a tree of them and one row, for each row."""
 
     linkage: Linkage
 
@@ -36,7 +36,7 @@ class _InTree(OwnDetector):
 
 
 class HacHeight(_InTree):
-    """The height at which a run joins half of the right ones (`clustering.scores.hac_height`).
+    """The height at which a run joins half of the normal ones (`clustering.scores.hac_height`).
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class SmallCluster(_InTree):
     """How small the cluster is that a run falls into [1]_.
 
     Transductive by nature: the rule speaks of the clusters of all runs at hand. Here these are the
-    right runs and the one that is scored.
+    normal runs and the one that is scored.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def _outgrown(tree: Tree, rows: float) -> float:
 
 
 class ReferenceDistance(OwnDetector):
-    """Distance to the nearest large cluster of right runs, in units of its spread.
+    """Distance to the nearest large cluster of normal runs, in units of its spread.
 
     After LDCOF [1]_: the clusters are those of Ward's method, large ones hold at least a tenth of
     the runs, spread is the mean distance of their runs from the centroid, at least 1.
@@ -110,7 +110,7 @@ class ReferenceDistance(OwnDetector):
     Parameters
     ----------
     n_clusters : int
-        Behaviours that right runs may have, at most.
+        Behaviours that normal runs may have, at most.
 
     References
     ----------
@@ -135,7 +135,7 @@ class ReferenceDistance(OwnDetector):
 
 
 class DenseRegions(OwnDetector):
-    """Distance to the nearest right run that HDBSCAN puts into a cluster.
+    """Distance to the nearest normal run that HDBSCAN puts into a cluster.
 
     Parameters
     ----------

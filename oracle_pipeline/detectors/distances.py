@@ -1,4 +1,4 @@
-"""Detectors that measure how far a run is from the right ones, feature by feature or together."""
+"""Detectors that measure how far a run is from the normal ones, feature by feature or together."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ class MaxZ(OwnDetector):
 
 
 class Mahalanobis(OwnDetector):
-    """Distance from the mean in the covariance of right runs, shrunk after Ledoit and Wolf [1]_.
+    """Distance from the mean in the covariance of normal runs, shrunk after Ledoit and Wolf [1]_.
 
     Rows are z-scores whose unit is at least the feature's resolution. No feature counts as known
     better than that: a variance below 1 is raised to 1. So a feature that never varied in training
@@ -43,7 +43,8 @@ class Mahalanobis(OwnDetector):
         shrunk = LedoitWolf(store_precision=False).fit(X)
         raised = np.maximum(0.0, 1.0 - np.diag(shrunk.covariance_))
         self.location_ = shrunk.location_
-        self.precision_ = np.linalg.inv(shrunk.covariance_ + np.diag(raised))
+        inverse = np.linalg.inv(shrunk.covariance_ + np.diag(raised))
+        self.precision_ = (inverse + inverse.T) / 2.0  # symmetric to the last bit: kept as half
 
     def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
         away = X - self.location_
@@ -52,7 +53,7 @@ class Mahalanobis(OwnDetector):
 
 
 class NearestRuns(OwnDetector):
-    """Mean Euclidean distance to the nearest right runs.
+    """Mean Euclidean distance to the nearest normal runs.
 
     Parameters
     ----------

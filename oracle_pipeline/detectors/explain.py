@@ -1,49 +1,95 @@
-"""Which features of a run are unlike those of right runs, and by how much."""
+"""Which features of a run are unlike those of normal runs, and by how much."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from sklearn.pipeline import Pipeline
 
-from oracle_pipeline.datasets import field_metadata
+from oracle_pipeline.clustering.scaling import CLIP, FlooredRobustScaler
+from oracle_pipeline.datasets import feature_floors, field_metadata
+
+USUAL = (5.0, 95.0)  # percentiles of the normal runs between which a value is usual
+LEAST_Z = 1.0  # below which a value differs by less than its scale
 
 
 class Deviation(NamedTuple):
-    """One feature of a run beside the right runs; value and median in `unit`."""
+    """One feature of a run beside the normal runs; all but `z` in `unit`."""
 
     feature: str
-    z: float  # robust, in the scaler's scales
+    z: float  # robust, in the scaler's scales, at most `CLIP` of them
+    capped: bool  # it would be larger
     value: float
-    median: float  # of the right runs
+    median: float  # of the normal runs, as are the percentiles
+    usual_low: float
+    usual_high: float
     unit: str
 
 
-def explain(pipeline: Pipeline, row: pd.DataFrame) -> list[Deviation]:
-    """Rank the features of one run by their distance from the median of right runs.
+class FamilyDeviation(NamedTuple):
+    """How many features of one family are unlike those of normal runs."""
 
-    Each feature is looked at alone, whatever the detector; a run can be odd by a combination of
-    which no part is.
+    family: str
+    unusual: int
+    compared: int
+    feature: str  # the one that is farthest out
+    z: float
+    capped: bool
+
+
+def explain(normal: pd.DataFrame, row: pd.DataFrame, columns: Sequence[str]) -> list[Deviation]:
+    """Rank the features of one run that are outside their usual range, the farthest first.
+
+    Range, median and scale are those of the same normal runs. Each feature is looked at alone,
+    whatever the detector; a run can be odd by a combination of which no part is.
 
     Parameters
     ----------
-    pipeline : Pipeline
-        Fitted, its first step a `FlooredRobustScaler`.
+    normal : DataFrame
+        Features of the runs to compare with.
     row : DataFrame of one row
         Features that are NaN are left out.
+    columns : sequence of str
+        The features to look at.
 
     Returns
     -------
     list of Deviation
-        Largest ``abs(z)`` first.
+        Largest distance first, whether it is capped or not.
     """
-    scaler = pipeline[0]
+    scaler = FlooredRobustScaler(feature_floors(normal)).fit(normal[list(columns)])
     units = {feature: field.get("unit", "") for feature, field in field_metadata(row).items()}
-    z = scaler.transform(row)[0, : len(scaler.kept_)]
-    values = row[scaler.kept_].iloc[0]
-    deviations = [
-        Deviation(feature, float(z_j), float(value), float(median), units.get(feature, ""))
-        for feature, z_j, value, median in zip(scaler.kept_, z, values, scaler.center_, strict=True)
-        if np.isfinite(value)
+    values = row[scaler.kept_].iloc[0].to_numpy(dtype=np.float64)
+    known = normal[scaler.kept_].replace([np.inf, -np.inf], np.nan)
+    low, high = np.nanpercentile(known.to_numpy(dtype=np.float64), USUAL, axis=0)
+    distance = (values - scaler.center_) / scaler.scale_
+    unusual = ((values < low) | (values > high)) & (np.abs(distance) >= LEAST_Z)
+    found = np.flatnonzero(np.isfinite(values) & unusual)
+    farthest = found[np.argsort(-np.abs(distance[found]), kind="stable")]
+    return [
+        Deviation(
+            scaler.kept_[j],
+            float(np.clip(distance[j], -CLIP, CLIP)),
+            bool(abs(distance[j]) > CLIP),
+            float(values[j]),
+            float(scaler.center_[j]),
+            float(low[j]),
+            float(high[j]),
+            units.get(scaler.kept_[j], ""),
+        )
+        for j in farthest.tolist()
     ]
-    return sorted(deviations, key=lambda deviation: -abs(deviation.z))
+
+
+def by_family(deviations: Sequence[Deviation], columns: Sequence[str]) -> list[FamilyDeviation]:
+    """Summarise ranked deviations by family, the family with the farthest feature first."""
+    families = [column.split(".", 1)[0] for column in columns]
+    found: dict[str, list[Deviation]] = {}
+    for deviation in deviations:
+        found.setdefault(deviation.feature.split(".", 1)[0], []).append(deviation)
+    return [
+        FamilyDeviation(
+            family, len(each), families.count(family), each[0].feature, each[0].z, each[0].capped
+        )
+        for family, each in found.items()
+    ]

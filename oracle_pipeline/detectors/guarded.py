@@ -1,4 +1,4 @@
-"""scikit-learn's own detectors where they need a guard to be used without thinking."""
+"""scikit-learn's detectors with guards against their pitfalls."""
 
 from typing import Self
 
@@ -55,7 +55,7 @@ class BestGaussianMixture(OwnDetector):
     Parameters
     ----------
     max_components : int
-        Behaviours that right runs may have, at most.
+        Behaviours that normal runs may have, at most.
     reg_covar : float
         Least variance; rows are z-scores, so this is in squares of their unit.
     random_state : int, optional

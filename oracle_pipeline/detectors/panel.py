@@ -1,7 +1,7 @@
-"""Which detectors are compared, in a fixed order, and how one is put behind the scaler.
+"""The detectors that are compared, in a fixed order, and the pipeline of scaler and detector.
 
-The panel is fixed in advance: choosing by result among many is how a small campaign is overfitted.
-What each member is good for, and its traps, are in docs/explanation/detectors.md.
+The panel is fixed in advance, because choosing among many by result overfits a small campaign.
+Strengths and pitfalls of each member: docs/explanation/detectors.md.
 """
 
 from collections.abc import Mapping

@@ -1,1 +1,1 @@
-"""How well verdicts and scores tell attacked runs from right ones, with intervals throughout."""
+"""How well verdicts and scores separate attacked from normal runs, always with intervals."""

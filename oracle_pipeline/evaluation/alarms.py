@@ -1,6 +1,6 @@
-"""What the oracle says while a run goes on: alarms a window, how soon they come, how often in vain.
+"""Alarms during a run: one verdict per window, time to detect, and false alarms per hour.
 
-A window's p-value is its rank among the *oddest* windows of calibration runs: anywhere in a right
+A window's p-value is its rank among the *oddest* windows of calibration runs: anywhere in a normal
 run, ``p <= alpha`` is reached with a probability of about alpha.
 """
 
@@ -9,13 +9,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.datasets import DistinctRuns
+from oracle_pipeline.bootstrap import DistinctRuns
 from oracle_pipeline.evaluation.comparisons import RATES, ComparedRuns
-from oracle_pipeline.evaluation.conformal import p_values
 from oracle_pipeline.evaluation.held_out import common_length
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import auc, events_per_hour, quantile, share
 from oracle_pipeline.evaluation.splits import Fold
+from oracle_pipeline.scoring.conformal import p_values
 
 
 def window_p(
@@ -73,7 +73,7 @@ def judge_alarms(
 ) -> dict[str, float | int | str]:
     """Return the figures of windows and alarms in one scope as table columns, an estimate as three.
 
-    The AUC is of windows in which something was changed against windows of right runs; those of
+    The AUC is of windows in which something was changed against windows of normal runs; those of
     attacked runs in which nothing was changed are left out, for what went before may still show.
 
     Parameters

@@ -1,4 +1,4 @@
-"""How well one clustering tells attacked runs from right ones, by our reading and the thesis's."""
+"""How well one clustering separates attacked from normal runs, by our reading and the thesis's."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import pdist
 
+from oracle_pipeline.bootstrap import DistinctRuns, distinct_runs, lacking
 from oracle_pipeline.clustering.scores import hac_height, outside_largest
 from oracle_pipeline.clustering.tree import ClusteringError, Criterion, Linkage, Tree, grow_tree
-from oracle_pipeline.datasets import DistinctRuns, distinct_runs, lacking
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
 from oracle_pipeline.evaluation.metrics import (
     Confusion,
@@ -25,7 +25,7 @@ from oracle_pipeline.evaluation.variants import CORRECTED, Variant
 
 @dataclass(frozen=True, slots=True)
 class ClusteringResult:
-    """One clustering judged; estimates are nothing, and `note` says why, where it could not be.
+    """The result of one clustering; where it failed, estimates are empty and `note` has the reason.
 
     The verdict without labels: every run outside the largest cluster is anomalous. The thesis's
     reading: the cluster that holds most of the malicious rows, chosen with the labels, is the
@@ -61,7 +61,7 @@ class ClusteringResult:
 
 
 def in_words(counts: Confusion) -> str:
-    """Say how many runs of each class are called anomalous.
+    """Return in words how many runs of each class are called anomalous.
 
     Examples
     --------
@@ -75,7 +75,7 @@ def in_words(counts: Confusion) -> str:
 def in_best_cluster(
     clusters: NDArray[np.int32], runs: DistinctRuns, inspected: int | None = None
 ) -> NDArray[np.bool_]:
-    """Tell which runs are in the cluster with most of the malicious rows (the first, if tied).
+    """Return which runs are in the cluster with most of the malicious rows (the first, if tied).
 
     This looks at the labels that it is then measured against: it reads a result as the thesis does
     and is no verdict.
@@ -126,7 +126,7 @@ def cluster_and_judge(
     t: float = 2.0,
     variant: Variant = CORRECTED,
 ) -> ClusteringResult:
-    """Cluster and measure; rows that cannot be clustered give a result that says why.
+    """Cluster and measure; rows that cannot be clustered give a result with the reason.
 
     Parameters
     ----------

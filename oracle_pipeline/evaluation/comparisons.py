@@ -1,7 +1,7 @@
-"""Who is judged against whom, by which scorer, and the figures of one such comparison.
+"""Which runs are compared, by which scorer, and the figures of one comparison.
 
-The protocol is fixed before the final data are there: the panel, the sets of features and the one
-scorer whose figure is the headline. Why it is this one: docs/explanation/evaluation.md.
+The protocol is fixed before the final data are recorded: the panel, the sets of features and the
+one scorer whose figure is the headline. The reasons: docs/explanation/evaluation.md.
 """
 
 from collections.abc import Iterable
@@ -13,12 +13,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.protocol import PAIRS
-from oracle_pipeline.datasets import HARD_NEGATIVE, DistinctRuns
+from oracle_pipeline.bootstrap import DistinctRuns
+from oracle_pipeline.datasets import HARD_NEGATIVE
 from oracle_pipeline.detectors import DEFAULT_DETECTOR
-from oracle_pipeline.evaluation.conformal import runs_needed
 from oracle_pipeline.evaluation.held_out import HeldOutScores, Level
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import auc, average_precision, matthews, only, share
+from oracle_pipeline.scoring.conformal import runs_needed
 
 RATES = (0.05, 0.01)  # false-alarm rates a verdict is asked to keep; the first is the usual one
 BLOCKS_NEEDED = {0.01: 250}  # two in five calibrate, so that even one mode alone gives 99 runs
@@ -68,7 +69,7 @@ def comparisons(df: pd.DataFrame) -> list[ComparedRuns]:
 
     All modes; each attack against its control, and against its shadow, which does the same work and
     publishes the original; the fake object against a real one; the hard negatives together and
-    each. The last have no attacked run: they tell false alarms only.
+    each. The last have no attacked run and measure false alarms only.
     """
     modes = set(df["mode"])
     attacked = sorted(set(df.loc[df["label"] == "malicious", "mode"]))
@@ -139,10 +140,10 @@ def _at_rate(
 
 
 def _note(scored: NDArray[np.bool_], calibration: int, runs: DistinctRuns) -> str:
-    """Say what of a row is missing, and why."""
+    """Return a note on what is missing in a row, and why."""
     if not scored.any():
         return (
-            "no run could be scored: it takes features with values and three blocks of right runs"
+            "no run could be scored: it needs features with values and normal runs of three blocks"
         )
     remarks = [
         f"no {name} runs"

@@ -1,7 +1,7 @@
-"""How much a person has to look at to find the attacked runs: small clusters and effort curves.
+"""How many runs a person must inspect to find the attacked ones: small clusters, effort curves.
 
-The small-cluster protocol knows no label and takes all runs at once, as a tester would who has them
-on the desk: failures are rare and unlike each other, so small clusters are inspected [1]_.
+The small-cluster protocol uses no labels and clusters all runs at once. Failures are rare and
+differ from each other, so small clusters are inspected first [1]_.
 
 References
 ----------
@@ -16,8 +16,9 @@ import pandas as pd
 from numpy.typing import NDArray
 from sklearn.metrics import adjusted_rand_score
 
+from oracle_pipeline.bootstrap import distinct_runs
 from oracle_pipeline.clustering.tree import Linkage, grow_tree
-from oracle_pipeline.datasets import distinct_runs, is_malicious
+from oracle_pipeline.datasets import is_malicious
 from oracle_pipeline.evaluation.metrics import share
 from oracle_pipeline.evaluation.variants import scale_rows
 
@@ -65,7 +66,7 @@ def smallness(clusters: NDArray[np.int32]) -> NDArray[np.float64]:
 
 
 def in_small_cluster(clusters: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Tell which rows are in a cluster smaller than the mean one."""
+    """Return which rows are in a cluster smaller than the mean one."""
     mean = len(clusters) / len(np.unique(clusters))
     return np.asarray(-smallness(clusters) < mean, dtype=np.bool_)
 
@@ -78,7 +79,7 @@ def small_clusters_table(
     Columns: ``failure_share`` (of the runs in small clusters, those that were attacked), ``found``
     (of the attacked runs, those in small clusters), ``inspected`` (share of runs in small
     clusters), ``found_in_budget`` (found by inspecting clusters from the smallest up, a quarter of
-    the runs at most), ``ari`` (agreement of the clusters with the kinds of behaviour: right, and
+    the runs at most), ``ari`` (agreement of the clusters with the kinds of behaviour: normal, and
     each attack).
 
     Parameters

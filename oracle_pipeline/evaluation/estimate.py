@@ -8,7 +8,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import beta, norm
 
-LEVEL = 0.95  # of every interval in this package that does not say otherwise
+LEVEL = 0.95  # of every interval in this package unless stated otherwise
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class Estimate:
     high: float
 
     def covers(self, value: float) -> bool:
-        """Tell whether the interval holds `value`; nothing covers nothing."""
+        """Return whether the interval contains `value`; an empty estimate contains nothing."""
         return self.low <= value <= self.high
 
     @classmethod

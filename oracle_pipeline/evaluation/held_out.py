@@ -17,9 +17,9 @@ from sklearn.base import clone
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
 from oracle_pipeline.datasets import feature_columns, feature_floors, is_malicious
 from oracle_pipeline.detectors import Detector, pipeline
-from oracle_pipeline.evaluation.conformal import p_values
-from oracle_pipeline.evaluation.judged_runs import MeasuredRuns
 from oracle_pipeline.evaluation.splits import Fold
+from oracle_pipeline.scoring.conformal import p_values
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 Level = Literal["run", "windows", "both"]
 TOP_WINDOWS = 3  # whose mean speaks for the run
@@ -28,7 +28,7 @@ COMMON = 0.9  # share of the fitted runs that are as long as what is looked at o
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HeldOutScores:
-    """What detectors that never saw a run's block say of it; arrays of shape (n_runs,)."""
+    """Scores of runs by detectors that never saw their block; arrays of shape (n_runs,)."""
 
     score: NDArray[np.float64]  # deviations of the calibration scores from their median
     p: NDArray[np.float64]  # conformal; NaN where there is none
@@ -42,7 +42,7 @@ def held_out(
     folds: Sequence[Fold],
     level: Level = "run",
 ) -> HeldOutScores:
-    """Score every run by a detector fitted on right runs of other blocks.
+    """Score every run by a detector fitted on normal runs of other blocks.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def fold_scores(
 def window_scores(
     runs: MeasuredRuns, columns: Sequence[str], detector: Detector, folds: Sequence[Fold]
 ) -> NDArray[np.float64]:
-    """Score windows by a detector fitted on windows of right runs; (n_folds, n_windows)."""
+    """Score windows by a detector fitted on windows of normal runs; (n_folds, n_windows)."""
     present = set(feature_columns(runs.windows))
     windowed = [column for column in columns if column in present]
     of_windows = [fold.of(runs.run) for fold in folds]
@@ -178,14 +178,14 @@ def supervised_scores(
     folds: Sequence[Fold],
     target: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float64]:
-    """Return what a classifier that was shown other blocks' answers says of each run.
+    """Return the scores of a classifier that was trained with the labels of other blocks.
 
-    No oracle: it bounds what the features hold.
+    Not an oracle: an upper bound of what these features can achieve.
 
     Parameters
     ----------
     features : DataFrame
-        A row a run.
+        One row for each run.
     columns : sequence of str
     classifier : scikit-learn classifier
         Unfitted.

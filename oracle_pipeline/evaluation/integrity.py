@@ -1,7 +1,7 @@
-"""What has to be right before a figure is believed: each check with its figure and a sentence.
+"""Integrity checks of the evaluation itself: each with its figure and a sentence.
 
-A check is green, red, or unsupported: the campaign is too small or lacks the runs for it. Only if
-all are green is the headline said.
+A check is green, red, or unsupported: the campaign is too small or lacks the runs for it. The
+headline is withheld unless all are green.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from sklearn.metrics import roc_auc_score
 
 from oracle_pipeline.bags.protocol import PAIRS
-from oracle_pipeline.datasets import DistinctRuns, field_metadata, is_hard_negative
+from oracle_pipeline.bootstrap import DistinctRuns
+from oracle_pipeline.datasets import field_metadata, is_hard_negative
 from oracle_pipeline.detectors import Detector, upper_bounds
+from oracle_pipeline.evaluation.audit import blocks_needed, exact_pairs, told_in_pair
 from oracle_pipeline.evaluation.comparisons import RATES, runs_of
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
-from oracle_pipeline.evaluation.feature_sets import LEFT_OUT, feature_sets
 from oracle_pipeline.evaluation.held_out import (
     HeldOutScores,
     fold_scores,
@@ -29,6 +30,7 @@ from oracle_pipeline.evaluation.held_out import (
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import auc, share
 from oracle_pipeline.evaluation.splits import Fold
+from oracle_pipeline.scoring.feature_sets import LEFT_OUT, feature_sets
 
 CheckStatus = Literal["green", "red", "unsupported"]
 
@@ -117,7 +119,7 @@ def label_above_session(
 
     The figure is the AUC of predicting the session, macro-averaged, on blocks it was not shown.
     """
-    name, df = "label_is_told_before_session", campaign.features
+    name, df = "label_is_predicted_better_than_session", campaign.features
     classifier = upper_bounds(seed)["random_forest"].set_params(n_estimators=TREES)
     label = supervised_scores(df, columns, classifier, folds)
     sessions = np.unique(df["session"])
@@ -130,7 +132,7 @@ def label_above_session(
         return _unsupported(name, "It takes two sessions, both classes and three blocks of each.")
     of_session = float(np.mean(areas))
     passed = of_session <= of_label - MARGIN
-    meaning = "" if passed else " Verdicts need not hold in a session without right runs."
+    meaning = "" if passed else " Verdicts need not hold in a session without normal runs."
     return _found(
         name,
         passed=passed,
@@ -193,7 +195,7 @@ def shuffled_labels(
 def hard_negatives(
     scores: HeldOutScores, campaign: JudgedRuns, rng: np.random.Generator
 ) -> IntegrityCheck:
-    """Right runs with a harmless change are seldom called anomalous."""
+    """Hard negatives, normal runs with a harmless change, are seldom called anomalous."""
     name = "hard_negatives_pass"
     judged = is_hard_negative(campaign.features) & np.isfinite(scores.p)
     if not judged.any():
@@ -208,10 +210,38 @@ def hard_negatives(
     )
 
 
+def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> IntegrityCheck:
+    """No feature behind the headline tells a shadow control from the passthrough beside it.
+
+    The figure is how many do.
+    """
+    name, df = "unaltered_runs_are_alike", campaign.features
+    pairs, needed = exact_pairs(df), blocks_needed(len(columns))
+    blocks = [
+        len(set(df.loc[df["mode"] == one, "block"]) & set(df.loc[df["mode"] == other, "block"]))
+        for one, other in pairs
+    ]
+    if min(blocks, default=0) < needed:
+        return _unsupported(
+            name,
+            f"It takes a passthrough and its shadow in {needed} blocks; record *_shadow modes.",
+        )
+    tells = [tell for pair in pairs for tell in told_in_pair(df, columns, pair)]
+    named = ", ".join(f"{tell.feature} ({tell.between})" for tell in tells[:3])
+    said = f"{len(tells)} of {len(columns)} features tell them apart"
+    return _found(
+        name,
+        passed=not tells,
+        figure=Estimate(*[float(len(tells))] * 3),
+        sentence=f"In {len(pairs)} pairs of a passthrough and its shadow {said}"
+        f"{f': {named}' if tells else ''}.",
+    )
+
+
 def shortcuts_apart(
     features: pd.DataFrame, columns: Sequence[str], of_shortcuts: Estimate
 ) -> IntegrityCheck:
-    """No feature behind the headline tells a run by who was there or how it was recorded.
+    """No headline feature identifies a run by its nodes or by how it was recorded.
 
     Parameters
     ----------

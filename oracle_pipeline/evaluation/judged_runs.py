@@ -1,7 +1,7 @@
-"""The runs that are judged: their features, their windows and what really happened, in one order.
+"""The runs that are judged: their features, windows and ground truth, in one order.
 
-Scores are made of the first two in ``oracle_pipeline.evaluation.held_out``; the third is what they
-are measured against.
+``oracle_pipeline.evaluation.held_out`` computes scores from features and windows; they are measured
+against the ground truth.
 """
 
 import json
@@ -11,84 +11,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import CHANGE_BIN_S
 from oracle_pipeline.datasets import is_malicious
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns, require_runs
 from oracle_pipeline.windows import WINDOW_S
-
-
-class EvaluationError(OracleError):
-    """The tables of a campaign do not fit together."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class MeasuredRuns:
-    """What is measured of distinct runs; n_runs and n_windows rows, each by ``run_id``.
-
-    Attributes
-    ----------
-    features : DataFrame
-        A row a run.
-    windows : DataFrame
-        A row a window, by start.
-    run : ndarray of shape (n_windows,)
-        Row of `features` that each window belongs to.
-    """
-
-    features: pd.DataFrame
-    windows: pd.DataFrame
-    run: NDArray[np.intp]
-
-    @classmethod
-    def ordered(cls, features: pd.DataFrame, windows: pd.DataFrame) -> "MeasuredRuns":
-        """Put the tables in order; windows of other runs are left out.
-
-        Raises
-        ------
-        CampaignError
-            A run without windows.
-        """
-        _require_runs(features, windows, "window")
-        runs = features.sort_values("run_id", ignore_index=True)
-        number = pd.Series(np.arange(len(runs)), index=runs["run_id"])
-        of_runs = windows[windows["run_id"].isin(number.index)]
-        of_runs = of_runs.sort_values(["run_id", "window_start_s"], ignore_index=True)
-        return cls(runs, of_runs, number.loc[of_runs["run_id"]].to_numpy(dtype=np.intp))
-
-    def followed_by(self, others: "MeasuredRuns") -> "MeasuredRuns":
-        """Return these runs and then others, with the columns of these."""
-        return MeasuredRuns(
-            _below(self.features, others.features),
-            _below(self.windows, others.windows),
-            np.concatenate([self.run, len(self.features) + others.run]),
-        )
-
-    @property
-    def malicious(self) -> NDArray[np.bool_]:
-        """Which runs were attacked, shape (n_runs,)."""
-        return is_malicious(self.features)
-
-    @property
-    def block(self) -> NDArray[np.int64]:
-        """Block of each run, shape (n_runs,)."""
-        return self.features["block"].to_numpy(dtype=np.int64)
-
-    @property
-    def counts(self) -> NDArray[np.intp]:
-        """How many windows each run has, shape (n_runs,)."""
-        return np.bincount(self.run, minlength=len(self.features))
-
-    @property
-    def place(self) -> NDArray[np.intp]:
-        """Which window of its run each is, from 0, shape (n_windows,)."""
-        return np.arange(len(self.run)) - np.repeat(
-            np.cumsum(self.counts) - self.counts, self.counts
-        )
-
-    @property
-    def start_s(self) -> NDArray[np.float64]:
-        """Start of each window [s of the recording], shape (n_windows,)."""
-        return self.windows["window_start_s"].to_numpy(dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -98,7 +24,7 @@ class JudgedRuns(MeasuredRuns):
     Attributes
     ----------
     truth : DataFrame
-        A row a run (`truth.truth_table`).
+        One row for each run (`truth.truth_table`).
     """
 
     truth: pd.DataFrame
@@ -109,10 +35,10 @@ class JudgedRuns(MeasuredRuns):
 
         Raises
         ------
-        CampaignError
+        DatasetError
             A run without windows or without a truth.
         """
-        _require_runs(features, truth, "truth")
+        require_runs(features, truth, "truth")
         truth_of_all = truth.set_index("run_id").loc[features["run_id"]]
         judged = ~is_malicious(features) | truth_of_all["onset_s"].notna().to_numpy()
         runs = MeasuredRuns.ordered(features[judged], windows)
@@ -133,7 +59,7 @@ class JudgedRuns(MeasuredRuns):
     def attacked_windows(self) -> NDArray[np.bool_]:
         """Return the windows of attacked runs in which something was changed, (n_windows,).
 
-        A run that does not tell what it changed counts as changed from its onset on.
+        A run without a record of changes counts as changed from its onset on.
         """
         attacked = self.malicious[self.run] & (self.end_s > self.onset_s[self.run])
         for row in np.flatnonzero(self.malicious):
@@ -144,18 +70,3 @@ class JudgedRuns(MeasuredRuns):
                 overlap = (np.array(bins) < end) & (np.array(bins) + CHANGE_BIN_S > start)
                 attacked[of_run] &= overlap.any(axis=1)
         return attacked
-
-
-def _require_runs(features: pd.DataFrame, table: pd.DataFrame, name: str) -> None:
-    absent = sorted(set(features["run_id"]) - set(table["run_id"]))
-    if absent:
-        raise EvaluationError(
-            f"{len(absent)} runs, {absent[0]} the first, are not in the {name} table; "
-            "make the tables of the same runs again."
-        )
-
-
-def _below(table: pd.DataFrame, others: pd.DataFrame) -> pd.DataFrame:
-    joined = pd.concat([table, others.reindex(columns=table.columns)], ignore_index=True)
-    joined.attrs = table.attrs
-    return joined

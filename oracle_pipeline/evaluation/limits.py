@@ -1,11 +1,12 @@
-"""What a campaign is too small, or built wrongly, to support: said before any figure is shown."""
+"""Claims that a campaign cannot support, because it is too small or lacks kinds of runs."""
 
 from math import log
 
 import numpy as np
 import pandas as pd
 
-from oracle_pipeline.datasets import feature_columns, is_malicious, lacking
+from oracle_pipeline.bootstrap import lacking
+from oracle_pipeline.datasets import feature_columns, is_malicious
 
 FALSE_ALARMS = 0.05  # the rate a verdict is usually asked to keep
 
@@ -22,19 +23,19 @@ def limits(df: pd.DataFrame) -> list[str]:
     n, blocks = int(normal.sum()), df["block"].nunique()
     remarks = []
     if missing := lacking(df):
-        remarks.append(f"There are {missing}: nothing can be told apart. Record both.")
+        remarks.append(f"There are {missing}: no comparison is possible. Record both.")
     to_calibrate = round(1.0 / FALSE_ALARMS) - 1
     to_show = int(np.ceil(log(FALSE_ALARMS) / log(1.0 - FALSE_ALARMS)))
     if 0 < n < to_calibrate:
         remarks.append(
-            f"{n} right runs cannot support any claim about a {FALSE_ALARMS:.0%} false-alarm rate: "
-            f"{to_calibrate} are needed to set a threshold for it and {to_show} without a false "
-            "alarm to show it."
+            f"{n} normal runs cannot support any claim about a {FALSE_ALARMS:.0%} false-alarm "
+            f"rate: {to_calibrate} are needed to set a threshold for it, and {to_show} without a "
+            "false alarm to show it."
         )
     elif 0 < n < to_show:
         bound = 1.0 - FALSE_ALARMS ** (1.0 / n)
         remarks.append(
-            f"{n} right runs cannot show a {FALSE_ALARMS:.0%} false-alarm rate: without a single "
+            f"{n} normal runs cannot show a {FALSE_ALARMS:.0%} false-alarm rate: without a single "
             f"false alarm the rate may still be {bound:.1%}; {to_show} runs are needed."
         )
     if blocks < 5:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import gamma
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.datasets import DistinctRuns
+from oracle_pipeline.bootstrap import DistinctRuns
 from oracle_pipeline.evaluation.estimate import (
     LEVEL,
     NOTHING,
@@ -244,7 +244,7 @@ def average_precision(
 ) -> Estimate:
     """Return the mean precision over the malicious rows, read from the highest score down.
 
-    A score that tells nothing reaches the prevalence, which therefore has to stand beside it.
+    A random score reaches the prevalence, which therefore has to be shown beside it.
     Parameters are those of `auc`; the interval is of percentiles over resampled blocks alone.
     """
     scored, score = _scored(score, runs)
@@ -275,7 +275,7 @@ class RocCurve:
 def roc_curve(score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Generator) -> RocCurve:
     """Return the ROC curve of a score on a regular grid of false-positive rates.
 
-    Parameters are those of `auc`. The band is that of resampled blocks and tells nothing of blocks
+    Parameters are those of `auc`. The band comes from resampled blocks and does not cover blocks
     that were not recorded.
 
     Raises

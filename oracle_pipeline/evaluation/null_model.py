@@ -1,15 +1,15 @@
-"""What the thesis's method says of runs whose labels mean nothing.
+"""The thesis's method on runs whose labels are meaningless.
 
-The durations of the thesis's runs are not published. These have what navigation gives: most runs
-alike, and a few that are many times longer, as after recoveries or at a timeout. No number of a run
-depends on its label, so whatever "accuracy" comes out is that of a method which found nothing.
+The durations of the thesis's runs are not published. Here they are as in navigation: most runs are
+alike and a few many times longer, as after recoveries or at a timeout. No number of a run depends
+on its label, so any "accuracy" is that of a method that found nothing.
 """
 
 import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bags.protocol import PAIRS
-from oracle_pipeline.datasets import distinct_runs
+from oracle_pipeline.bootstrap import distinct_runs
 from oracle_pipeline.evaluation.clustering_result import grow_over_runs, in_best_cluster
 from oracle_pipeline.evaluation.metrics import confusion
 from oracle_pipeline.evaluation.variants import THESIS

@@ -1,8 +1,8 @@
-"""Which runs a detector is fitted on, calibrated with and tested on: never of one block.
+"""Which runs a detector is fitted on, calibrated with and tested on: always different blocks.
 
-Runs of a block share start, goals and nuisance seed, so whole blocks go to one side. Only right
+Runs of a block share start, goals and nuisance seed, so whole blocks go to one side. Only normal
 runs train: those of half the training blocks fit the detector, those of the other half calibrate
-it. Hard negatives are right runs like any other.
+it. Hard negatives are normal runs like any other.
 """
 
 from collections.abc import Sequence
@@ -24,8 +24,8 @@ BLOCK, SESSION, HARMLESS = "block", "session", "block and hard negatives"
 class Fold:
     """Who does what in one round; masks of shape (n_rows,)."""
 
-    fit: NDArray[np.bool_]  # right runs
-    calibrate: NDArray[np.bool_]  # right runs of other blocks
+    fit: NDArray[np.bool_]  # normal runs
+    calibrate: NDArray[np.bool_]  # normal runs of other blocks
     test: NDArray[np.bool_]  # all runs of yet other blocks
     train: NDArray[np.bool_]  # all runs of no tested block: for classifiers, which need attacks too
 
@@ -40,7 +40,7 @@ def block_folds(df: pd.DataFrame, seed: int, n_folds: int = FOLDS) -> list[Fold]
     Parameters
     ----------
     df : DataFrame
-        A row a run.
+        One row for each run.
     seed : int
         Of the order in which blocks are dealt.
     n_folds : int
@@ -57,7 +57,7 @@ def session_folds(df: pd.DataFrame, seed: int, blocks_that_train: int = 0) -> li
     Parameters
     ----------
     df : DataFrame
-        A row a run.
+        One row for each run.
     seed : int
         Of who trains.
     blocks_that_train : int
@@ -80,7 +80,7 @@ def tested_in(folds: Sequence[Fold]) -> NDArray[np.bool_] | None:
 
 
 def untaught(df: pd.DataFrame, folds: Sequence[Fold]) -> list[Fold]:
-    """Return folds in which nobody says what is harmless: hard negatives are only tested."""
+    """Return folds in which hard negatives are only tested, never trained on."""
     plain = ~is_hard_negative(df)
     held_out = [replace(f, fit=f.fit & plain, calibrate=f.calibrate & plain) for f in folds]
     return [fold for fold in held_out if fold.fit.any() and fold.calibrate.any()]
@@ -89,9 +89,9 @@ def untaught(df: pd.DataFrame, folds: Sequence[Fold]) -> list[Fold]:
 def fit_and_calibrate(
     df: pd.DataFrame, train: NDArray[np.bool_], rng: np.random.Generator
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Split the right runs among the training rows, half of the blocks to either mask."""
-    hand, right = _dealt(df, train, 2, rng), ~is_malicious(df)
-    return right & (hand == 0), right & (hand == 1)
+    """Split the normal runs among the training rows, half of the blocks to either mask."""
+    hand, normal = _dealt(df, train, 2, rng), ~is_malicious(df)
+    return normal & (hand == 0), normal & (hand == 1)
 
 
 def _folds(

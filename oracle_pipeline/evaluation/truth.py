@@ -1,6 +1,6 @@
-"""What really happened in each run, as a table: from manifests, never seen by any feature.
+"""The ground truth of each run, as a table: from manifests, never seen by any feature.
 
-The evaluation measures against it. Labels of runs stand in the feature tables themselves.
+The evaluation measures against it. Labels of runs are in the feature tables.
 """
 
 import json
@@ -15,7 +15,7 @@ COLUMNS = ("run_id", "onset_s", "recording_s", "task_effect", "outcome", "attack
 
 
 def truth_table(manifests: Iterable[Manifest]) -> pd.DataFrame:
-    """Return one row a run, sorted by ``run_id``.
+    """Return one row for each run, sorted by ``run_id``.
 
     Columns are ``run_id``, ``onset_s`` (NaN: never), ``recording_s`` [s of the recording],
     ``task_effect`` (did the attack change what the robot achieved; None: not judged), ``outcome``,

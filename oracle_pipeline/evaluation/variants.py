@@ -1,7 +1,7 @@
 """The thesis's method in two variants: as its code computes it, and corrected.
 
-In either, runs are drawn with replacement and their rows clustered; the variants differ in which
-numbers of a run are taken, how rows are drawn, and what is done to them.
+Both draw runs with replacement and cluster their rows. They differ in the features, in how rows
+are drawn, and in scaling.
 docs/explanation/thesis.md lists the differences. ``oracle_pipeline.evaluation.clustering_result``
 measures how good a clustering is.
 """
@@ -14,14 +14,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from oracle_pipeline.bootstrap import bootstrap
 from oracle_pipeline.clustering.scaling import FlooredRobustScaler
-from oracle_pipeline.datasets import (
-    DatasetError,
-    bootstrap,
-    feature_columns,
-    feature_floors,
-    is_malicious,
-)
+from oracle_pipeline.datasets import DatasetError, feature_columns, feature_floors, is_malicious
 from oracle_pipeline.features.thesis_features import VECTOR
 
 FeatureSet = Literal["all", "structural", "contextual"]

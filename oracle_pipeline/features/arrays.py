@@ -1,6 +1,6 @@
-"""What one array of numbers says by itself, whatever it means; many arrays at a time.
+"""Statistics of arrays of numbers, whatever they mean; many arrays at a time.
 
-``generic`` reduces this to windows and topics, ``pairs`` compares topics by it.
+``generic`` reduces them to windows and topics; ``topic_pairs`` compares topics by them.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ def array_of(record: RawRecord) -> Floats | None:
     return array[first : first + _LONGEST].astype(np.float64)
 
 
-#: What plugins ask for that look into arrays: ten a second of each topic that has them.
+#: Request of plugins that look into arrays: ten messages per second of each topic with arrays.
 ARRAYS = Request(
     array_of, dtype=object, optional=True, raw=True, every_s=_EVERY_S, needs_array=True
 )

@@ -1,9 +1,9 @@
-"""Whether what aircraft report of themselves by ADS-B is true, as far as others can tell.
+"""Whether ADS-B reports are consistent with radar and with each other.
 
-Reports are held against the secondary radar's replies of the same address, and against each
-other: who moves as it says moves on a line of its own reports. Each topic of reports is judged by
-itself, each aircraft too; a column has the worst of them. Where the antenna stands is nowhere
-recorded: it is where most reports and replies together put it, which a few liars cannot move.
+Reports are compared with the secondary radar's replies of the same address, and with each other: an
+aircraft's positions must follow from its reported velocity. Each topic of reports and each aircraft
+is judged by itself; a column has the worst of them. The place of the antenna is not recorded: it is
+estimated from most reports and replies together, so that a few false ones cannot move it.
 """
 
 import math
@@ -99,7 +99,7 @@ class ReportedFlight:
 
 @dataclass(frozen=True, slots=True)
 class _Reports:
-    """What reports of a recording say of each other."""
+    """How consistent the reports of a recording are with each other."""
 
     velocity: dict[str, Series]  # residuals, by topic and aircraft [m/s]
     intervals: dict[str, Series]  # between reports, by topic and aircraft [s]
@@ -182,7 +182,7 @@ def find_antenna(replies: Sequence[tuple[Floats, Replies]]) -> Site:
 
 
 def prepare_reports(window: Window) -> _Reports:
-    """Return what each aircraft's reports say of each other."""
+    """Return how consistent each aircraft's reports are with each other."""
     velocity, intervals, begun, ended = {}, {}, {}, {}
     for topic, series in window.topics["reports"].items():
         aircraft = flights(series)

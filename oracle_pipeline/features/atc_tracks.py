@@ -148,7 +148,7 @@ def longest_s(times_s: Floats, identifiers: Sequence[Floats], flags: Sequence[Bo
 
 
 def keep_advisory(message: Any) -> tuple[float, float]:
-    """Tell whether an ``Advisory`` is one of traffic, and whether it is a resolution."""
+    """Return whether an ``Advisory`` is one of traffic, and whether it is a resolution."""
     return float(message.level == _TRAFFIC), float(message.level == _RESOLUTION)
 
 

@@ -1,4 +1,4 @@
-"""How long navigation took and what came of it, from what Nav2 says.
+"""Duration and outcome of navigation, as Nav2 reports them.
 
 The thesis takes the length of the bag, in nanoseconds. Here it is the time with a goal under way,
 from the action's status if it was recorded (``-a`` leaves that hidden topic out), else from the
@@ -55,8 +55,8 @@ class Goal:
 
 
 def compute(window: Window) -> Values | Missing:
-    """Compute from all that was said up to the end of the window."""
-    goals = goals_told(window)
+    """Compute from all messages up to the end of the window."""
+    goals = goals_so_far(window)
     if isinstance(goals, Missing):
         return goals
     none = Missing("no goal was accepted")
@@ -67,8 +67,8 @@ def compute(window: Window) -> Values | Missing:
     }
 
 
-def goals_told(window: Window) -> list[Goal] | Missing:
-    """Return the goals that the action's status, or else the tree's log, tells of so far."""
+def goals_so_far(window: Window) -> list[Goal] | Missing:
+    """Return the goals so far, from the action's status or else from the behavior tree's log."""
     status = window.history["status"].get(STATUS_TOPIC)
     if status is not None and len(status.times_s):
         return goals_of_status(status)

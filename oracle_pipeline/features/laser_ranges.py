@@ -1,4 +1,4 @@
-"""What the planar laser scanners saw, one scanner at a time.
+"""Ranges of the planar laser scanners, one scanner at a time.
 
 The thesis takes the variance of all ranges; one ray that hits nothing is ``inf`` (REP 117) and
 makes that NaN, then 0. Here rays without a valid range are counted instead, and the variance is

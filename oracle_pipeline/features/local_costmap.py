@@ -1,4 +1,4 @@
-"""How fast obstacles come and go in the local costmap.
+"""How fast obstacles appear and disappear in the local costmap.
 
 It rolls along with the robot, so two grids are compared where they overlap.
 """
@@ -48,7 +48,7 @@ def changes(before: MapGrid, now: MapGrid) -> tuple[int, int]:
 
 
 def prepare(window: Window) -> tuple[Series, Series] | Missing:
-    """Return the changes a second from one grid to the next: to lethal, and from it."""
+    """Return the changes per second from one grid to the next: to lethal, and from it."""
     times_s, grids = window.topics["grids"][TOPIC]
     if len(times_s) < 2:
         return Missing(f"fewer than two messages on {TOPIC}")

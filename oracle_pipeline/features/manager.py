@@ -1,6 +1,6 @@
 """Finds the feature plugins: built in, of other distributions, and of a folder.
 
-``build_manager`` makes one, so a test or a worker has its own. A file of the folder may hold both
+Every test and worker builds its own with ``build_manager``. A file of the folder may hold both
 forms: a ``register_features`` hook, and classes in the thesis's form.
 """
 
@@ -23,6 +23,7 @@ from oracle_pipeline.features import (
     atc_tracks,
     generic,
     goals,
+    kinematics,
     laser_ranges,
     local_costmap,
     localisation,
@@ -30,11 +31,15 @@ from oracle_pipeline.features import (
     message_traffic,
     navigation,
     odometry,
+    permanence,
     redundancy,
     scan,
+    scan_noise,
+    stamps,
     structural,
     thesis_features,
     topic_pairs,
+    transforms,
     velocity,
 )
 from oracle_pipeline.features.plugin import PROJECT, Feature, FeaturePlugin, Hooks, PluginError
@@ -54,6 +59,11 @@ _BUILT_IN = (
     topic_pairs,
     redundancy,
     scan,
+    scan_noise,
+    permanence,
+    kinematics,
+    transforms,
+    stamps,
     map_consistency,
     navigation,
     velocity,

@@ -1,9 +1,9 @@
-"""Whether what the laser scanners saw is what the map says, from where the robot thought it was.
+"""Whether laser scans agree with the map, seen from the estimated pose of the robot.
 
-The map is one more scanner: rays are cast through it from each scan's pose, and the two are held
-against each other as in ``redundancy``. A return in front of the map's is an obstacle that the
-map does not have, real or fake: the map cannot tell. One behind it went through a wall. Cells
-that the map does not know say nothing.
+The map is one more scanner: rays are cast through it from each scan's pose, and the two are
+compared as in ``redundancy``. A return in front of the map's is an obstacle that the
+map does not have, real or fake. One behind it went through a wall. Unknown cells of the map are
+ignored.
 """
 
 import math
@@ -195,11 +195,11 @@ def keep_grid(message: Any) -> MapGrid:
 class _Correction:
     """Where the odometry frame is in the map, as localisation has it; between poses, in between."""
 
-    def __init__(self, poses: Series, told: ScannerSetup) -> None:
-        assert told.motion is not None  # noqa: S101 -- checked before
+    def __init__(self, poses: Series, setup: ScannerSetup) -> None:
+        assert setup.motion is not None  # noqa: S101 -- checked before
         stamps_s, x, y, yaw = np.array(sorted(poses.values.tolist())).T
         believed = Planar(x + 1j * y, np.exp(1j * yaw))
-        pose = believed.compose(told.motion.base(stamps_s).inverse())
+        pose = believed.compose(setup.motion.base(stamps_s).inverse())
         self._stamps_s = stamps_s
         self._columns = pose.shift.real, pose.shift.imag, np.unwrap(np.angle(pose.turn))
 
@@ -227,11 +227,13 @@ def register_features() -> list[FeaturePlugin]:
 
 
 def _held_against(
-    world: Map, correction: _Correction, told: ScannerSetup, topic: str
+    world: Map, correction: _Correction, setup: ScannerSetup, topic: str
 ) -> _Consistency:
-    scans = told.scanners[topic]
+    scans = setup.scanners[topic]
     scans = scans.rows(_spaced(scans.stamps_s))
-    placed = correction.at(scans.stamps_s).compose(told.placed(told.mounts[topic], scans.stamps_s))
+    placed = correction.at(scans.stamps_s).compose(
+        setup.placed(setup.mounts[topic], scans.stamps_s)
+    )
     columns = placed.columns()
     rays = np.exp(1j * scans.bearings())
     directions = columns.turn * (rays.conj() if placed.flipped else rays)

@@ -1,8 +1,8 @@
 """How messages flow between ROS nodes and topics, after MalChain: local, global and over time.
 
 The flow of an edge is the number of messages (or bytes) that went over it. MalChain's graphs are of
-system calls, ours of the ROS graph's intervals, without observers. An edge is the shorter the more
-goes over it; one without traffic leads nowhere.
+system calls, ours of the ROS graph's intervals, without observers. An edge is shorter the more
+traffic it has; without traffic its length is infinite.
 """
 
 from collections.abc import Mapping
@@ -39,8 +39,6 @@ FEATURES = (
         "closeness to a vertex, an edge being as long as mean messages over its own, mean",
     ),
     Feature("closeness_max", "1", 1e-3, "the same, largest of the vertices"),
-    Feature("betweenness_mean", "1", 1e-5, "share of shortest paths through a vertex, mean"),
-    Feature("betweenness_max", "1", 1e-3, "the same, largest of the vertices"),
     Feature(
         "imbalance", "1", 1e-3,
         "sum over ROS nodes of abs(in - out) over that of all their messages",
@@ -53,8 +51,6 @@ FEATURES = (
     Feature("appeared_edges", "1", 1.0, "edges that the interval before did not have"),
     Feature("vanished_edges", "1", 1.0, "edges that only the interval before had"),
 )  # fmt: skip
-
-_SAME = 1e-9  # relative difference of path lengths that are equal but for rounding
 
 
 class _Change(NamedTuple):
@@ -106,14 +102,12 @@ def register_features() -> list[FeaturePlugin]:
 
 
 @jit
-def centralities(
-    lengths: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return closeness and betweenness of each vertex of a directed graph, shape (n,) each.
+def closeness(lengths: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the closeness of each vertex of a directed graph, shape (n,).
 
-    Closeness is that of the paths that lead to a vertex, after Wasserman and Faust: the share of
-    the others that reach it, over their mean distance. Betweenness after Brandes, over the pairs
-    of others.
+    It is that of the paths that lead to a vertex, after Wasserman and Faust: the share of the
+    others that reach it, over their mean distance. Betweenness is left out on purpose: it tells
+    which nodes hear a topic, whatever goes over it.
 
     Parameters
     ----------
@@ -121,45 +115,29 @@ def centralities(
         Of the edge from row to column; ``inf`` without one.
     """
     n = len(lengths)
-    reached, distances, betweenness = np.zeros(n), np.zeros(n), np.zeros(n)
+    reached, distances = np.zeros(n), np.zeros(n)
     for source in range(n):
         distance = np.full(n, np.inf)
         distance[source] = 0.0
-        order = np.empty(n, np.int64)
         settled = np.zeros(n, np.bool_)
-        count = 0
-        while count < n:  # Dijkstra
-            nearest = -1
+        for _ in range(n):  # Dijkstra
+            here = -1
             for v in range(n):
-                if not settled[v] and (nearest < 0 or distance[v] < distance[nearest]):
-                    nearest = v
-            if np.isinf(distance[nearest]):
+                if not settled[v] and (here < 0 or distance[v] < distance[here]):
+                    here = v
+            if np.isinf(distance[here]):
                 break
-            settled[nearest] = True
-            order[count] = nearest
-            count += 1
+            settled[here] = True
+            if here != source:
+                reached[here] += 1.0
+                distances[here] += distance[here]
             for v in range(n):
-                distance[v] = min(distance[v], distance[nearest] + lengths[nearest, v])
-        paths, dependency = np.zeros(n), np.zeros(n)
-        paths[source] = 1.0
-        for i in range(1, count):
-            v = order[i]
-            reached[v] += 1.0
-            distances[v] += distance[v]
-            for u in order[:i]:
-                if abs(distance[u] + lengths[u, v] - distance[v]) <= _SAME * distance[v]:
-                    paths[v] += paths[u]
-        for i in range(count - 1, 0, -1):
-            v = order[i]
-            betweenness[v] += dependency[v]
-            for u in order[:i]:
-                if abs(distance[u] + lengths[u, v] - distance[v]) <= _SAME * distance[v]:
-                    dependency[u] += paths[u] / paths[v] * (1.0 + dependency[v])
-    closeness = np.zeros(n)
+                distance[v] = min(distance[v], distance[here] + lengths[here, v])
+    close = np.zeros(n)
     for v in range(n):
         if reached[v] > 0.0:
-            closeness[v] = reached[v] / distances[v] * reached[v] / (n - 1)
-    return closeness, betweenness / max(1, (n - 1) * (n - 2))
+            close[v] = reached[v] / distances[v] * reached[v] / (n - 1)
+    return close
 
 
 def _flows(graph: RosGraph, unit: str) -> dict[Edge, int]:
@@ -194,11 +172,11 @@ def _central(flows: Flows) -> dict[str, float | Located]:
     lengths = np.full((len(vertices), len(vertices)), np.inf)
     for (source, target), flow in busy.items():
         lengths[number[source], number[target]] = mean / flow
-    values: dict[str, float | Located] = {}
-    for name, each in zip(("closeness", "betweenness"), centralities(lengths), strict=True):
-        values[f"{name}_mean"] = float(each.mean())
-        values[f"{name}_max"] = Located(float(each.max()), vertices[int(each.argmax())])
-    return values
+    close = closeness(lengths)
+    return {
+        "closeness_mean": float(close.mean()),
+        "closeness_max": Located(float(close.max()), vertices[int(close.argmax())]),
+    }
 
 
 def _imbalance(graph: RosGraph, flows: Flows) -> dict[str, float | Located]:

@@ -1,7 +1,7 @@
-"""How Nav2 fared on the way to its goals: recoveries, plans, detours, standing still.
+"""Nav2 on the way to its goals: recoveries, plans, detours, standing still.
 
-From the behaviour tree's log, the plans and odometry. How long the goals took and whether they
-were reached stands in ``goals``, whose reading of the log and of the action's status this uses.
+From the behaviour tree's log, the plans and odometry. Duration and outcome of the goals are in
+``goals``, whose reading of the log and of the action's status this module uses.
 """
 
 import math
@@ -176,7 +176,7 @@ def goal_at(accepted: Sequence[Goal], times_s: Floats) -> Ints:
 
 
 def stalls(accepted: Sequence[Goal], driven: Series) -> Series:
-    """Tell, step by step, whether the robot had come nowhere since it had the same goal.
+    """Return, step by step, whether the robot made no progress towards its goal.
 
     Values are 1 or 0, at steps that lie under way to one goal for `_STALLED_S` already.
     """
@@ -221,8 +221,8 @@ def register_features() -> list[FeaturePlugin]:
 
 
 def _accepted(window: Window) -> list[Goal] | Missing:
-    """Return the goals of a recording; there is nothing to tell without one."""
-    return goals.goals_told(window) or Missing("no goal was accepted")
+    """Return the accepted goals of a recording; missing without one."""
+    return goals.goals_so_far(window) or Missing("no goal was accepted")
 
 
 def _efficiency(accepted: Sequence[Goal], plans: Series | None, driven: Series) -> float | Missing:

@@ -1,7 +1,7 @@
-"""What a feature plugin is: named outputs, the topics it asks for, and a plain function.
+"""The plugin interface: named outputs, requested topics, and a plain function.
 
 A plugin registers through pluggy: a hook returns its description, the manager does the rest. The
-bag is read once for all plugins, so a plugin says what it wants to keep of each message, and its
+bag is read once for all plugins, so a plugin declares what to keep of each message, and its
 function gets that as arrays, already cut to a window. The thesis's own contract is in
 ``oracle_pipeline.features.thesis``.
 """
@@ -57,7 +57,7 @@ class Feature:
     floor: float  # the smallest difference that means something, in the unit; scalers use it
     description: str
     origin: Origin = "generic"  # generic: any bag; domain: needs a sensor; navigation: needs Nav2
-    shortcut: bool = False  # tells a run by who was there instead of by what it did
+    shortcut: bool = False  # identifies a run by its nodes and topics, not by its behaviour
     per_window: bool = True  # False: makes sense for a whole run only
 
 
@@ -96,7 +96,7 @@ class Request:
     needs_array: bool = False
 
     def matches(self, topic: Topic, layout: MessageLayout) -> bool:
-        """Tell whether a topic of a bag is asked for."""
+        """Return whether this requests a topic of a bag."""
         return (
             fnmatchcase(topic.name, self.name)
             and fnmatchcase(topic.msgtype, self.msgtype)

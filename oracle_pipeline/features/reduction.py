@@ -1,4 +1,4 @@
-"""From numbers a message to one a window, and from one a topic to the largest and its place.
+"""From numbers per message to one per window, and from one per topic to the largest of all.
 
 What a plugin's ``prepare`` computes is kept as `Series` over the whole recording, so that a
 window is a slice of it.

@@ -1,9 +1,9 @@
 """Whether sensors that see the same scene agree about it: laser scanners, and ranges ahead.
 
-Every scanner is held against every other one, as the robot moved between their scans and as
-``/tf_static`` mounts them. A thing that stands there is seen by all of them; a return through
-which another scanner looks is seen by nobody else, or that other one is blind to it. Both are the
-same contradiction, told from one side or the other, so the largest over the ordered pairs covers
+Every scanner is compared with every other one, given their mounts in ``/tf_static`` and the motion
+of the robot between their scans. A real object is seen by all of them. If another scanner measures
+through a return, the return is false or the other scanner is blind to it. Both are the same
+contradiction, seen from one side or the other, so the largest over the ordered pairs covers
 both. No topic is trusted, and none is named.
 """
 

@@ -1,4 +1,4 @@
-"""What a laser scanner's own scans say of its noise: along a scan, and from one to the next.
+"""The noise of a laser scanner: along a scan, and from one scan to the next.
 
 These need no second sensor. Surfaces are smooth and stand still; noise that an attack adds to
 each ray is neither. An object that is put into the scans is both, so it is not seen here.
@@ -59,7 +59,7 @@ class _Scanner:
 
 
 def prepare(window: Window) -> dict[str, _Scanner]:
-    """Compute what each scan of the recording says."""
+    """Compute the figures of each scan of the recording."""
     setup = scanner_setup(window.topics)
     return {topic: _scanner(setup, topic, scans) for topic, scans in setup.scanners.items()}
 

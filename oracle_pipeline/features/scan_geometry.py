@@ -55,7 +55,7 @@ class Planar(NamedTuple):
             return Planar(-self.turn * self.shift.conj(), self.turn, flipped=True)
         return Planar(-self.turn.conj() * self.shift, self.turn.conj())
 
-    def at(self, index: slice) -> "Planar":
+    def at(self, index: slice | Ints) -> "Planar":
         """Return some of many poses."""
         return Planar(self.shift[index], self.turn[index], self.flipped)
 
@@ -146,7 +146,7 @@ def agreement(points: Points, reference: Scans) -> Agreement:
     """Compare points with scans.
 
     A point is contradicted if every ray of the reference within two bearings of it goes on for
-    `CLOSER_M` behind it. What stands before a point hides it, and says nothing.
+    `CLOSER_M` behind it. A closer return hides a point and does not count.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ class Motion:
         self._base = frames.mount(children[0])
 
     def base(self, stamps_s: Floats) -> Planar:
-        """Return the poses of odometry's child frame, one a stamp."""
+        """Return the poses of odometry's child frame, one for each stamp."""
         x, y, yaw = (np.interp(stamps_s, self._stamps_s, column) for column in self._columns)
         return Planar(x + 1j * y, np.exp(1j * yaw))
 
@@ -296,7 +296,7 @@ class ScannerSetup:
 
 
 def scanner_setup(topics: Mapping[str, Mapping[str, Series]]) -> ScannerSetup:
-    """Return what the messages on `SETUP_TOPICS` tell."""
+    """Return the setup from the messages on `SETUP_TOPICS`."""
     frames = Frames(topics["frames"])
     scanners = {topic: Scans.of(series) for topic, series in topics["scans"].items()}
     mounts = {topic: frames.mount(scans.frame) for topic, scans in scanners.items()}

@@ -1,8 +1,8 @@
 """The ten numbers that the thesis's code computes of a run, for its variant of the method.
 
 They are not what their names promise: corrected features are in ``structural``, ``odometry``,
-``laser`` and ``goals``; docs/explanation/thesis.md lists the differences. As in the thesis's code,
-there are two plugins: an error in the messages loses all three contextual features, never the
+``laser_ranges`` and ``goals``; docs/explanation/thesis.md lists the differences. As in the thesis's
+code, there are two plugins: an error in the messages loses all three contextual features, never the
 structural ones, and a NaN becomes 0. Plugins in the thesis's *form* are in ``thesis``.
 """
 
@@ -98,7 +98,7 @@ def range_variance(message: Any) -> float:
 
 
 def compute_contextual(window: Window) -> Values | Missing:
-    """Compute from ``/odom`` and every topic with "scan" in its name; without messages it is 0."""
+    """Compute from ``/odom`` and every topic with "scan" in its name."""
     duration_ns = round((window.end_s - window.start_s) * 1e9) - 1  # the end is exclusive
     if duration_ns == 0:
         return Missing("the bag has no two messages")
@@ -107,8 +107,10 @@ def compute_contextual(window: Window) -> Values | Missing:
         for name in ("odometry", "scans")
     )
     return {
-        "yaw_variance": float(np.var(yaws)) if yaws.size else 0.0,
-        "range_variance": _nan_to_zero(np.mean(variances)) if variances.size else 0.0,
+        "yaw_variance": float(np.var(yaws)) if yaws.size else Missing("no message on /odom"),
+        "range_variance": _nan_to_zero(np.mean(variances))
+        if variances.size
+        else Missing('no message on a topic with "scan" in its name'),
         "duration_ns": float(duration_ns),
     }
 

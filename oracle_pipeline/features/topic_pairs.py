@@ -1,9 +1,9 @@
 """How two topics of one type differ, whatever they mean: redundant sensors, a topic and its relay.
 
-Only messages with an array of floating-point numbers can be compared. An array meets the one on
-the other topic that was recorded closest to it; numbers are compared index by index, so sensors
-that look elsewhere differ always, and an attack on one shows as a change of that difference. What
-knows where sensors are is in ``redundancy``.
+Only messages with an array of floating-point numbers can be compared. An array is compared with
+the one on the other topic that was recorded closest in time, index by index. Sensors that look
+elsewhere always differ, and an attack on one changes that difference. ``redundancy`` uses the
+mounts of sensors.
 """
 
 from collections.abc import Iterator

@@ -1,7 +1,8 @@
-"""What velocities the robot was told, and how much of them the collision monitor let pass.
+"""Velocity commands, and how much of them the collision monitor let pass.
 
 Nav2's collision monitor takes ``/cmd_vel_raw`` (Humble) or ``/cmd_vel_smoothed`` (since Iron) and
-answers each command on ``/cmd_vel``; once the robot has stood for a while it answers no more.
+answers each command on ``/cmd_vel``. After the robot has stood still for a while, it stops
+answering.
 """
 
 from typing import Any
@@ -35,7 +36,7 @@ MONITOR_FEATURES = (
     ),
 )  # fmt: skip
 COMMAND_FEATURES = (
-    Feature("command_zero", "1", 0.01, "share of the commands that say stand still", "navigation"),
+    Feature("command_zero", "1", 0.01, "share of the commands that are zero", "navigation"),
     Feature(
         "command_reversals", "1/min", 0.5,
         "how often the commanded turn changes its direction, a minute of commands", "navigation",
@@ -76,7 +77,7 @@ def compute_monitor(window: Window) -> Values | Missing:
     stopped = mean(Series(times_s, (share == 0.0).astype(float)), window)
     slowed = mean(Series(times_s, ((share > 0.0) & (share < _SLOWED)).astype(float)), window)
     if np.isnan(stopped):
-        return Missing("the robot was not told to move")
+        return Missing("no command to move")
     return {"monitor_stopped": stopped, "monitor_slowed": slowed}
 
 

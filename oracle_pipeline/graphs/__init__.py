@@ -1,4 +1,4 @@
-"""ROS graphs over time: what is there, how it is looked at, and how two runs differ.
+"""ROS graphs over time: intervals, views, and differences of two runs.
 
 Graphs are ``networkx.DiGraph`` with the schema of ``oracle_pipeline.bags.graph_files``, which also
 reads and writes them.

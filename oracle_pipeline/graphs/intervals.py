@@ -1,4 +1,4 @@
-"""The graphs of a run, one each 10 s of the recording, and their composition."""
+"""The graphs of a run, one for each interval, and their composition."""
 
 import re
 from collections.abc import Iterable, Sequence

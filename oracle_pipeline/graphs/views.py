@@ -1,7 +1,7 @@
 """Ways to look at a graph: everything (raw), the system without its observers, the thesis's.
 
-Observers are the recorder, command line tools and launch processes: their presence says how the
-system was watched, not how it behaves. Names that a process makes up as it starts say nothing at
+Observers are the recorder, command line tools and launch processes: their presence shows how the
+system was observed, not how it behaves. Names generated at start-up carry no meaning at
 all, so they are numbered instead.
 """
 

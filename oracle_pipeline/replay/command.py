@@ -1,6 +1,6 @@
 """``oracle replay``: a run as a film and as a picture.
 
-What draws is imported when it is called, so that the help of every command comes at once.
+Drawing code is imported when needed, so that the help of all commands stays fast.
 """
 
 from pathlib import Path
@@ -57,7 +57,7 @@ def replay(run_or_bag: Path, places: tuple[Path, ...], frames: float, speed: flo
 
 
 def _beside(run_or_bag: Path) -> tuple[Path, ...]:
-    """Return where a film and a picture go if nothing is said."""
+    """Return the default places of a film and a picture."""
     from oracle_pipeline.replay.picture import FILM, PICTURE
 
     if (run_or_bag / MANIFEST_FILE).is_file():

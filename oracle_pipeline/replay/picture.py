@@ -12,7 +12,7 @@ from oracle_pipeline.replay.radar import has_tracks, plan_view, radar_display
 from oracle_pipeline.replay.scene import top_down
 from oracle_pipeline.replay.story import run_scene
 
-# Beside a run's manifest; a run that is made again starts without them.
+# Beside a run's manifest; a re-simulated run starts without them.
 FILM, PICTURE = "replay.gif", "picture.png"
 
 

@@ -72,7 +72,7 @@ class Display:
 
 
 def has_tracks(run: OpenedRun) -> bool:
-    """Tell whether a recording is of air traffic."""
+    """Return whether a recording is of air traffic."""
     return TRACKS in {topic.msgtype for topic in run.bag.topics.values()}
 
 

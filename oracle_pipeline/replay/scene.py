@@ -1,4 +1,4 @@
-"""A run seen from above: what there is to draw of it, and the still picture.
+"""A run seen from above: the content of a drawing, and the still picture.
 
 ``oracle_pipeline.replay.film`` draws the same scene as a film.
 """
@@ -88,7 +88,7 @@ class ReplayScene:
     moments: tuple[Moment, ...] = ()  # in time order; empty where only a picture is wanted
 
     def reached(self, time_s: float = np.inf) -> NDArray[np.bool_]:
-        """Tell of each goal whether it was reached by then, shape (k,)."""
+        """Return whether each goal was reached by a time, shape (k,)."""
         reached = np.zeros(len(self.goals), dtype=np.bool_)
         for number, goal in enumerate(self.results):
             ended_s = np.inf if goal.ended_s is None else goal.ended_s

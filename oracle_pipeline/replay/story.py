@@ -1,7 +1,7 @@
-"""From an opened run to its scene, told by the run's own bag and manifest in one pass.
+"""From an opened run to its scene, in one pass over its bag and manifest.
 
-The way driven is where transforms and odometry put the robot's base, in the frame from which all
-others hang: map, or odom where nothing localized the robot. Everything is planar, so a point is a
+The driven path is that of the robot's base, from transforms and odometry, in the root frame: map,
+or odom if nothing localized the robot. Everything is planar, so a point is a
 complex number [m] and a rotation a complex factor. Drawing is in
 ``oracle_pipeline.replay.scene``.
 """
@@ -31,7 +31,7 @@ _NO_POINTS: _Points = np.zeros(0, dtype=np.complex128)
 
 
 def run_scene(run: OpenedRun, moments_per_s: float | None = None) -> ReplayScene:
-    """Read what there is to draw of a run, or of a bag that somebody else recorded.
+    """Read the scene of a run, or of a foreign bag.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def run_scene(run: OpenedRun, moments_per_s: float | None = None) -> ReplayScene
     Raises
     ------
     ReportError
-        The bag does not tell where the robot was, or not on the map that it holds.
+        The bag lacks the robot's pose, or its pose on the recorded map.
     BagError
         The bag cannot be read.
     """
@@ -54,7 +54,7 @@ def run_scene(run: OpenedRun, moments_per_s: float | None = None) -> ReplayScene
 
 
 class _Story:
-    """What the messages of a run tell, heard in the order in which they were recorded.
+    """The state of a run, updated by its messages in the order of recording.
 
     Of the attacked scans that from nearest to the fake object is kept or, where there is none, the
     one nearest to halfway through the recording.
@@ -110,7 +110,7 @@ class _Story:
         if not self._way:
             raise ReportError(
                 f"{run.path} cannot be drawn: its bag has neither {ODOMETRY} nor a transform to "
-                f"{' or '.join(BASES)}, so nothing tells where the robot was."
+                f"{' or '.join(BASES)}, so the robot's pose is unknown."
             )
         ground = None if self._map is None else self._grid(self._map)
         if self._map is not None and ground is None:
@@ -144,7 +144,7 @@ class _Story:
         )
 
     def _begin_in(self, root: str) -> None:
-        """Begin to tell in a frame, and forget what was told in another."""
+        """Start in a frame, and drop what was placed in another."""
         self._root = root
         self._way: list[complex] = []
         self._robot: _Placed = (0j, 1 + 0j)
@@ -196,7 +196,7 @@ class _Story:
     def _drive(self, base: str) -> None:
         """Note where the robot's base is now."""
         root, robot = self._frames.from_root(base)
-        if not root or root in BASES:  # nothing says where the robot is
+        if not root or root in BASES:  # the robot's pose is unknown
             return
         if root != self._root:
             self._begin_in(root)

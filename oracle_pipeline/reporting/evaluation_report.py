@@ -1,6 +1,6 @@
 """The oracle's evaluation as a `Report`: its tables, pictures, and the headline in words.
 
-Everything shown is measured in ``oracle_pipeline.evaluation.oracle_evaluation``.
+Everything shown is measured in ``oracle_pipeline.evaluation.campaign_evaluation``.
 """
 
 import numpy as np
@@ -8,16 +8,16 @@ import pandas as pd
 
 from oracle_pipeline.datasets import content_hash
 from oracle_pipeline.evaluation import integrity
+from oracle_pipeline.evaluation.campaign_evaluation import CampaignEvaluation
 from oracle_pipeline.evaluation.comparisons import HEADLINE
 from oracle_pipeline.evaluation.curves import Curve, HeadlineCurves
 from oracle_pipeline.evaluation.estimate import Estimate
-from oracle_pipeline.evaluation.kill_matrix import minimum_detectable, mutation_scores
-from oracle_pipeline.evaluation.oracle_evaluation import Evaluation
+from oracle_pipeline.evaluation.kill_rates import minimum_detectable, mutation_scores
 from oracle_pipeline.reporting import figures
 from oracle_pipeline.reporting.report import Report, facts
 
 
-def evaluation_report(evaluation: Evaluation) -> Report:
+def evaluation_report(evaluation: CampaignEvaluation) -> Report:
     """Return the report on an evaluation.
 
     The table has a row for each scorer, split and comparison, the headline first; the tables
@@ -29,7 +29,7 @@ def evaluation_report(evaluation: Evaluation) -> Report:
     )
 
 
-def _tables(evaluation: Evaluation) -> dict[str, pd.DataFrame]:
+def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
     headline, kills = evaluation.headline, evaluation.kills
     runs = evaluation.campaign.features[["run_id", "mode", "label", "block", "session"]]
     tables = {
@@ -47,7 +47,7 @@ def _tables(evaluation: Evaluation) -> dict[str, pd.DataFrame]:
     return tables
 
 
-def _summary(evaluation: Evaluation) -> dict[str, float | int | str]:
+def _summary(evaluation: CampaignEvaluation) -> dict[str, float | int | str]:
     campaign, first_row = evaluation.campaign, evaluation.table.iloc[0]
     area = Estimate.of_row(first_row, "auc")
     doubts = integrity.banner(evaluation.checks)
@@ -68,25 +68,27 @@ def _summary(evaluation: Evaluation) -> dict[str, float | int | str]:
 
 
 def in_words(area: Estimate) -> str:
-    """Say in words what an AUC with its interval supports, and no more.
+    """Return the claim that an AUC with its interval supports.
 
     Examples
     --------
     >>> in_words(Estimate(0.55, 0.41, 0.68))
-    'Attacked and normal runs cannot be told apart: AUC 0.55 [0.41, 0.68] holds 0.5, or chance.'
+    'Attacked and normal runs cannot be distinguished: AUC 0.55 [0.41, 0.68] contains 0.5 (chance).'
     """
     if np.isnan(area.value):
-        return "Nothing could be measured; the notes say why."
+        return "Nothing could be measured; the notes give the reasons."
     if area.covers(0.5):
-        return f"Attacked and normal runs cannot be told apart: AUC {area} holds 0.5, or chance."
+        return (
+            f"Attacked and normal runs cannot be distinguished: AUC {area} contains 0.5 (chance)."
+        )
     if area.high < 0.5:
-        return f"Attacked runs look more ordinary than normal ones: AUC {area}, below chance."
+        return f"Attacked runs look more usual than normal ones: AUC {area}, below chance."
     if area.low < 0.85:
         return f"Attacked runs stand out, but not reliably: AUC {area}, above chance."
     return f"Attacked runs stand out clearly: AUC {area}."
 
 
-def _pictures(evaluation: Evaluation) -> dict[str, bytes]:
+def _pictures(evaluation: CampaignEvaluation) -> dict[str, bytes]:
     pictures = _headline_pictures(evaluation.curves) if evaluation.curves else {}
     return pictures | (_kill_pictures(evaluation.kills) if evaluation.kills is not None else {})
 

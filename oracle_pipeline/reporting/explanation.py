@@ -1,8 +1,7 @@
-"""One run of each attack explained: what was said of it, what gave it away, and how it looks.
+"""One run of each attack explained: its verdict, the evidence, and a picture.
 
-Beside its picture stands that of the run that differs from it by the attack alone. How far a
-feature is out is found in ``oracle_pipeline.scoring.evidence``; how a run is drawn, in
-``oracle_pipeline.replay.picture``.
+Beside it is the picture of the run that differs only by the attack. Evidence comes from
+``oracle_pipeline.scoring.evidence``, pictures from ``oracle_pipeline.replay.picture``.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -25,7 +24,7 @@ CONTROLS = {attacked: control for control, attacked in PAIRS}
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Explanation:
-    """One attacked run; the notes say what of it is missing."""
+    """One attacked run; the notes name what is missing."""
 
     run_id: str
     verdict: str
@@ -118,6 +117,6 @@ def counterpart(run: str, df: pd.DataFrame) -> list[str]:
 
 def _verdict(p: float) -> str:
     if np.isnan(p):
-        return f"Not judged: there are too few right runs for a verdict at {RATES[0]:.0%}."
+        return f"Not judged: there are too few normal runs for a verdict at {RATES[0]:.0%}."
     called = "Called" if p <= RATES[0] else "Not called"
     return f"{called} anomalous at a false-alarm rate of {RATES[0]:.0%}: p = {p:.3g}."

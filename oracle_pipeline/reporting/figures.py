@@ -178,7 +178,7 @@ def kill_heat_map(kills: pd.DataFrame) -> bytes:
     Parameters
     ----------
     kills : DataFrame
-        Rows of one scenario and parameter of `evaluation.kill_matrix.kill_matrix`.
+        Rows of one scenario and parameter of `kill_rates.kill_matrix`.
     """
     names = [oracle_name(row) for _, row in kills.iterrows()]
     oracles, values = list(dict.fromkeys(names)), sorted(set(kills["value"]))

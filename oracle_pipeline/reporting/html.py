@@ -1,4 +1,4 @@
-"""The report for people: one HTML file that holds everything it shows and asks the network nothing.
+"""The report: one self-contained HTML file that loads nothing from the network.
 
 Its content comes from ``evaluation_report`` and ``thesis_reports`` beside this module; its tables
 are chosen in ``page_tables``; the page itself is ``templates/report.html.j2``.
@@ -55,16 +55,16 @@ class ExplainedRun(NamedTuple):
     pictures: Sequence[Picture]
 
 
-# Of each section that is there: its anchor and its heading.
+# Of each section that is shown: its anchor and its heading.
 _SECTIONS = {
     "verdicts": "What is detected",
-    "integrity": "Can these figures be believed?",
+    "integrity": "Integrity checks",
     "limits": "What these runs cannot support",
     "curves": "Detection against false alarms",
     "alarms": "Time to detect",
     "scorers": "Detectors and families of features",
-    "magnitude": "How weak an attack is still seen",
-    "effort": "How much has to be inspected",
+    "magnitude": "How weak an attack is still detected",
+    "effort": "Inspection effort",
     "explained": "Attacked runs explained",
     "radar": "A radar display with and without a ghost",
     "trees": "Dendrograms",
@@ -74,12 +74,12 @@ _SECTIONS = {
     "provenance": "Provenance",
 }
 
-# By the name of a figure, or the part before its first underscore: what it is, and what it says.
+# By the name of a figure, or the part before its first underscore: title and caption.
 _CAPTIONS = {
     "roc": ("ROC curves", "ROC curves with 95% bands from resampled blocks; dotted: chance"),
     "detection": (
         "Detection rate over false-alarm rate",
-        "Share of runs called anomalous over the nominal false-alarm rate, with 95% bands; right "
+        "Share of runs called anomalous over the nominal false-alarm rate, with 95% bands; normal "
         "runs should lie on or below the nominal rate",
     ),
     "effort": (
@@ -97,7 +97,7 @@ _CAPTIONS = {
     ),
     "rates": (
         "Recall and false alarms by share of malicious rows",
-        "Recall and false alarms of the best cluster; equal means nothing is told apart",
+        "Recall and false alarms of the best cluster; equal rates mean no separation",
     ),
     "pairs": (
         "AUC by pair and features",
@@ -105,7 +105,7 @@ _CAPTIONS = {
     ),
     "reproduced": (
         "AUC reproduced beside the thesis's",
-        "The thesis's AUC, as its method gives it on our runs and as it prints it",
+        "The thesis's AUC: reproduced on our runs, and as printed",
     ),
 }
 
@@ -133,15 +133,15 @@ def render(
     evaluation : Report
         Of `oracle_pipeline.reporting.evaluation_report`.
     explained : sequence of Explanation
-        Attacked runs with what gave them away.
+        Attacked runs, each with its evidence.
     grid, rates, pairs, side_by_side, null_model : Report
         Of the functions of ``oracle_pipeline.reporting.thesis_reports``.
     radar : mapping of str to bytes
         PNG pictures of an attacked air traffic run and its control, by run; may be empty.
     provenance : mapping of str to str
-        What the report was made from and with.
+        Hash of the runs and versions of the libraries.
     storage : DataFrame
-        What was kept of which mode, shown as it is.
+        What the storage plan kept of each mode.
     """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("oracle_pipeline.reporting"),
@@ -161,7 +161,7 @@ def render(
         ),
         "storage": page_tables.of_any("What was kept", storage),
     }
-    there = {
+    content = {
         "limits": limits(df),
         "curves": _charts(evaluation, "roc", "detection"),
         "magnitude": "kills" in tables,
@@ -175,8 +175,8 @@ def render(
         answer=_answer(evaluation),
         scorer=evaluation.summary["scorer"],
         checks=_checks(evaluation),
-        sections={name: title for name, title in _SECTIONS.items() if there.get(name, True)},
-        there=there,
+        sections={name: title for name, title in _SECTIONS.items() if content.get(name, True)},
+        content=content,
         tables=tables,
         charts={
             "magnitude": _charts(evaluation, "kills", "magnitude"),
@@ -201,7 +201,7 @@ def write_page(page: str, path: Path) -> None:
 
 
 def provenance(df: pd.DataFrame) -> dict[str, str]:
-    """Return what every report is made from and with: the runs' hash, versions of what computed."""
+    """Return the hash of the runs and the versions of the libraries that computed the report."""
     return {
         "Run features, SHA-256": content_hash(df),
         "Python": platform.python_version(),
@@ -213,12 +213,12 @@ def _campaign(df: pd.DataFrame) -> str:
     malicious = int(is_malicious(df).sum())
     return (
         f"{len(df)} runs of {df['mode'].nunique()} modes in {df['block'].nunique()} blocks and "
-        f"{df['session'].nunique()} sessions: {malicious} attacked, {len(df) - malicious} right."
+        f"{df['session'].nunique()} sessions: {malicious} attacked, {len(df) - malicious} normal."
     )
 
 
 def _answer(evaluation: Report) -> str:
-    """Return the headline, or that there is none."""
+    """Return the headline, or that it is withheld."""
     if not evaluation.summary["banner"]:
         return str(evaluation.summary["headline"])
     checks = evaluation.tables["checks"]
@@ -243,10 +243,10 @@ def _draws(pairs: Report, evaluation: Report) -> dict[str, str]:
 
 
 def _thesis_reading(row: pd.Series) -> str:
-    """Say what the thesis's method, Ward and two clusters, gives on all modes and features."""
+    """Return what the thesis's method, Ward and two clusters, finds on all modes and features."""
     recall, fpr = (Estimate.of_row(row, f"{name}_best_cluster") for name in ("recall", "fpr"))
     return (
-        f"On these runs it holds {recall} of the malicious rows and {fpr} of the others; "
+        f"On these runs it contains {recall} of the malicious rows and {fpr} of the others; "
         f"in the thesis {row['thesis_recall']:.3f} and {row['thesis_fpr']:.3f}."
     )
 
@@ -262,7 +262,7 @@ def _explained(explanation: Explanation) -> ExplainedRun:
 
 
 def _charts(report: Report, *kinds: str) -> list[Picture]:
-    """Return a report's figures of some kinds; what is after the underscore tells them apart."""
+    """Return a report's figures of some kinds, captioned by what follows the underscore."""
     charts = []
     for kind in kinds:
         alt, caption = _CAPTIONS[kind]

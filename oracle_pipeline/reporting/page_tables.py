@@ -20,7 +20,7 @@ NO_FIGURE = "n/a"
 
 
 class PageCell(NamedTuple):
-    """One cell of a table: what it says and, smaller, its interval."""
+    """One cell of a table: its text and, smaller, its interval."""
 
     text: str
     interval: str = ""
@@ -213,7 +213,7 @@ def of_thesis(
 
 
 def of_explanation(explanation: Explanation) -> PageTable:
-    """Return what gave a run away, a feature a row."""
+    """Return what gave a run away, one feature in each row."""
     columns = [PageColumn(heading, heading) for heading in HEADINGS]
     rows = [[PageCell(text) for text in cells(each)] for each in explanation.evidence]
     return PageTable(
@@ -264,7 +264,7 @@ def _is_headline(table: pd.DataFrame) -> pd.Series:
 
 
 def _areas(table: pd.DataFrame, scopes: Sequence[str]) -> pd.DataFrame:
-    """Return a row a scorer, with its AUC in each scope under the scope's name."""
+    """Return one row for each scorer, with its AUC in each scope under the scope's name."""
     key = [column.name for column in _SCORER]
     joined = table[key].drop_duplicates().set_index(key)
     for scope in scopes:

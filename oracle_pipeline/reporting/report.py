@@ -1,4 +1,4 @@
-"""What every report gives: tables, pictures and a few plain facts, kept together in one folder."""
+"""A report: tables, pictures and a few facts, stored together in one folder."""
 
 import json
 from collections.abc import Mapping
@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.scratch import lock, scratch_beside
 from oracle_pipeline.datasets import read_table, write_table
 from oracle_pipeline.evaluation.estimate import Estimate
 
 TABLE, TABLES, FIGURES, SUMMARY = "table.parquet", "tables", "figures", "summary.json"
+_SEAL = "seal"  # a key of the summary's file
 
 
 class ReportError(OracleError):
@@ -42,8 +44,11 @@ class Report:
                 write_table(table, new / TABLES / f"{name}.parquet")
             for name, png in self.figures.items():
                 (new / FIGURES / f"{name}.png").write_bytes(png)
-            summary = json.dumps(dict(self.summary), indent=2, ensure_ascii=False, allow_nan=False)
-            (new / SUMMARY).write_text(summary, encoding="utf-8")
+            document = {**self.summary, _SEAL: seals.BLANK}
+            text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+            summary = bytearray(text.encode())
+            seals.seal(summary)
+            (new / SUMMARY).write_bytes(summary)
             with lock(directory.parent):  # against somebody who makes the same report
                 if directory.exists():
                     directory.rename(old)
@@ -56,12 +61,18 @@ class Report:
         Raises
         ------
         ReportError
-            The folder does not hold a whole report.
+            The folder does not hold a whole report, or its summary was changed.
         """
         try:
-            summary = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
-        except (FileNotFoundError, json.JSONDecodeError) as error:
-            raise ReportError(f"{directory} holds no report ({error}); make it again.") from error
+            content = (directory / SUMMARY).read_bytes()
+            summary = json.loads(content.decode())
+        except (FileNotFoundError, ValueError) as error:
+            raise ReportError(
+                f"{directory} holds no report ({error}); materialize it again."
+            ) from error
+        if seals.check(content) == "wrong":
+            raise ReportError(f"{directory / SUMMARY} is damaged; materialize the report again.")
+        summary.pop(_SEAL, None)  # a report of an older release has none
         figures = {
             png.stem: png.read_bytes() for png in sorted((directory / FIGURES).glob("*.png"))
         }

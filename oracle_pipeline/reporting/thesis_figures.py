@@ -1,4 +1,4 @@
-"""What the thesis reports, as printed, so that it can stand beside what we measure.
+"""The figures that the thesis prints, for comparison with ours.
 
 "A testing framework for evaluating behavioural correctness in robotic systems using clustering as
 an oracle": 15 runs of six modes, agglomerative clustering of bootstrapped rows. Its "accuracy" is

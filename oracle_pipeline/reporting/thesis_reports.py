@@ -1,24 +1,19 @@
-"""One function a report: from feature tables to a `Report` of table, pictures and facts.
+"""Reports on the thesis's method: from feature tables to a `Report` of tables, pictures and facts.
 
-The first four follow the thesis's method, which draws copies of runs before it clusters them, in
-the variant asked for; `side_by_side` has both variants and what the thesis prints, and `null_model`
-what its method makes of labels without meaning. Our own evaluation is in ``evaluation`` beside this
-module, tables are made in ``tables``, pictures in ``figures``.
+The first four follow the thesis's method in one variant, which draws copies of runs before it
+clusters them. `side_by_side` compares both variants with the printed results, and `null_model`
+applies the method to meaningless labels. Tables are made in ``thesis_tables``, pictures in
+``figures``; our own evaluation is in ``evaluation_report``.
 """
 
 import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bags.protocol import PAIRS
+from oracle_pipeline.bootstrap import distinct_runs, lacking
 from oracle_pipeline.clustering.scores import hac_height
 from oracle_pipeline.clustering.tree import LINKAGES, ClusteringError
-from oracle_pipeline.datasets import (
-    DatasetError,
-    content_hash,
-    distinct_runs,
-    is_malicious,
-    lacking,
-)
+from oracle_pipeline.datasets import DatasetError, content_hash, is_malicious
 from oracle_pipeline.evaluation.clustering_result import grow_over_runs
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.metrics import RocCurve, auc, roc_curve
@@ -31,7 +26,7 @@ ROWS, MALICIOUS_RATE, SEED = 1000, 0.3, 50  # the thesis's bootstrap
 
 THESIS_WARNING = (
     "Copies of the same runs are clustered, and labels choose the cluster that they then measure: "
-    "recall and AUC of the best cluster do not say how well attacks are detected."
+    "recall and AUC of the best cluster do not measure how well attacks are detected."
 )
 
 
@@ -44,8 +39,8 @@ def bootstrapped_dataset(
 ) -> Report:
     """Draw rows with replacement; the report's table holds them.
 
-    Parameters and errors are those of `oracle_pipeline.datasets.bootstrap`; but of a campaign that
-    has only one class so far, all rows are drawn from that one, and the summary says so. The
+    Parameters and errors are those of `oracle_pipeline.bootstrap.bootstrap`; but of a campaign that
+    has only one class so far, all rows are drawn from that one, with a note in the summary. The
     thesis's variant leaves out runs that lack one of its ten features, and names them.
     """
     by = VARIANTS[variant]
@@ -73,7 +68,7 @@ def bootstrapped_dataset(
 
 
 def _drawn_by(variant: Variant) -> dict[str, float | int | str]:
-    """Return for a summary which variant made a report, and what it cannot say."""
+    """Return for a summary the variant of a report, and its warning."""
     warning = {"warning": THESIS_WARNING} if variant.name == "thesis" else {}
     return {"variant": str(variant.name), **warning}
 
@@ -101,7 +96,7 @@ def clustering_grid_search(
         try:
             tree = grow_over_runs(rows, by.columns(rows, "all"), method, by)
         except ClusteringError:
-            continue  # its rows in the table say why
+            continue  # its rows in the table give the reason
         pictures[f"dendrogram_{method}"] = figures.dendrogram(tree, _labels(rows))
         if not lacking(rows):
             height = hac_height(tree)
@@ -202,7 +197,7 @@ def _pair_dendrograms(
             rows = variant.draw(variant.whole_runs(pair), n, malicious_rate, seed)
             tree = grow_over_runs(rows, variant.columns(rows, "all"), "ward", variant)
         except (ClusteringError, DatasetError):
-            continue  # its row in the table says why
+            continue  # its row in the table gives the reason
         pictures[f"dendrogram_{attacked}"] = figures.dendrogram(tree, _labels(rows))
     return pictures
 
@@ -233,7 +228,7 @@ def side_by_side(
 
 
 def null_model(repetitions: int = 50, seed: int = SEED) -> Report:
-    """Say what the thesis's method makes of runs that do not depend on their labels.
+    """Apply the thesis's method to runs whose features do not depend on their labels.
 
     Parameters
     ----------
@@ -259,7 +254,7 @@ def null_model(repetitions: int = 50, seed: int = SEED) -> Report:
 
 
 def null_headline(recall: Estimate, area: Estimate) -> str:
-    """Say whether the thesis's headline could come of a method that found nothing.
+    """Return whether the thesis's headline can be distinguished from chance.
 
     Examples
     --------

@@ -1,8 +1,8 @@
 """The thesis's tables made from our runs, its figures in the columns ``thesis_*``, and our own.
 
-Functions of a feature table and a generator to a DataFrame; nothing is drawn or written here. An
-estimate takes up three columns, ``auc``, ``auc_low`` and ``auc_high`` (`Estimate.of_row`).
-The thesis's tables can be made by either variant of its method, and by both side by side.
+Functions from a feature table and a generator to a DataFrame. An estimate takes three columns, for
+example ``auc``, ``auc_low`` and ``auc_high`` (`Estimate.of_row`). The thesis's tables can be made
+with either variant of its method, and with both side by side.
 """
 
 from collections.abc import Sequence
@@ -150,7 +150,8 @@ def side_by_side_table(
     Returns
     -------
     DataFrame
-        A row a printed result. ``thesis_*`` is what the thesis prints, or what follows from it.
+        One row for each printed result. ``thesis_*`` is what the thesis prints, or what follows
+        from it.
         ``reproduced_recall``, ``_fpr`` and ``_auc`` are the same by the thesis's variant: of the
         best cluster, chosen with labels. ``corrected_tpr`` and ``_fpr`` are of the verdict without
         labels and ``corrected_auc`` of the HAC height, by the corrected variant.
@@ -235,13 +236,14 @@ def _renamed(table: pd.DataFrame, prefix: str, **estimates: str) -> pd.DataFrame
 
 
 def null_model_table(repetitions: int, seed: int) -> pd.DataFrame:
-    """Tabulate what the thesis's method says of labels without meaning.
+    """Tabulate the results of the thesis's method on meaningless labels.
 
     Returns
     -------
     DataFrame
-        A row a share of very long runs, ``p_long``. Of the best cluster ``recall``, ``fpr`` and
-        ``auc``: the median of the repetitions and, ``_low`` and ``_high``, where 95% of them lie.
+        One row for each share of very long runs, ``p_long``. Of the best cluster ``recall``,
+        ``fpr`` and ``auc``: the median of the repetitions and, ``_low`` and ``_high``, where 95%
+        of them lie.
         ``reaches_headline`` is the share with the recall that the thesis reports, or more.
     """
     table = []

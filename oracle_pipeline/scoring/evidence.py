@@ -1,20 +1,18 @@
 """The features of a recording that are farthest from normal runs, with place and time."""
 
 import json
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-from sklearn.pipeline import Pipeline
 
-from oracle_pipeline.datasets import WHERE, WINDOW_START, feature_floors
-from oracle_pipeline.detectors import DEFAULT_DETECTOR, Deviation, explain, panel, pipeline
+from oracle_pipeline.datasets import WHERE, WINDOW_START
+from oracle_pipeline.detectors import Deviation, explain
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.comparable import comparable
 from oracle_pipeline.scoring.verdict import Evidence, ScoringError
 
-SEED = 0  # of detectors that draw
 SHOWN = 5  # features beside a verdict
-USUAL = (5.0, 95.0)  # percentiles of the normal runs between which a value is usual
 
 
 def evidence(tables: FeatureTables, reference: pd.DataFrame) -> tuple[Evidence, ...]:
@@ -30,30 +28,27 @@ def evidence(tables: FeatureTables, reference: pd.DataFrame) -> tuple[Evidence, 
     columns, normal_runs, _ = comparable(tables.run, reference)
     if normal_runs.empty:
         raise ScoringError("There is no normal run of another block to compare with; record some.")
-    oracle = pipeline(panel(SEED)[DEFAULT_DETECTOR], feature_floors(reference))
-    oracle[0].fit(normal_runs[columns])
-    return farthest_features(oracle, tables, normal_runs)
+    return farthest_features(explain(normal_runs, tables.run, columns), tables)
 
 
 def farthest_features(
-    oracle: Pipeline, tables: FeatureTables, normal_runs: pd.DataFrame
+    deviations: Sequence[Deviation], tables: FeatureTables
 ) -> tuple[Evidence, ...]:
-    """Return the features that are farthest from normal, by the fitted scaler of an oracle."""
-    deviations = explain(oracle, tables.run)[:SHOWN]
+    """Return the first few of a recording's ranked deviations, with place and time."""
     where = json.loads(tables.run[WHERE].iloc[0])
     return tuple(
         Evidence(
             feature=deviation.feature,
             z=deviation.z,
+            capped=deviation.capped,
             value=deviation.value,
             unit=deviation.unit,
-            usual_low=float(low),
-            usual_high=float(high),
+            usual_low=deviation.usual_low,
+            usual_high=deviation.usual_high,
             where=where.get(deviation.feature),
             window_start_s=_farthest_window(deviation, tables.windows),
         )
-        for deviation in deviations
-        for low, high in [np.nanpercentile(normal_runs[deviation.feature], USUAL)]
+        for deviation in deviations[:SHOWN]
     )
 
 

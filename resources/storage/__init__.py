@@ -1,1 +1,1 @@
-"""What is kept on disk and what is dropped. Only the commands know a terminal."""
+"""Storage used and kept by runs. Imports no Dagster; only the commands print."""

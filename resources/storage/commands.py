@@ -1,4 +1,4 @@
-"""``oracle-sim storage`` and ``oracle-sim remake``: what runs take on disk, and bags made again."""
+"""``oracle-sim storage`` and ``oracle-sim remake``: storage used by runs, and bags re-simulated."""
 
 import os
 from pathlib import Path
@@ -6,7 +6,8 @@ from pathlib import Path
 import click
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.bags.manifest import KEPT
+from oracle_pipeline.bags.integrity import damaged_files
+from oracle_pipeline.bags.manifest import KEPT, Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.storage.plan import megabytes
 from resources.storage.stock import (
@@ -28,7 +29,7 @@ from sim.experiments import remake_run
     help="Root of the run directories.  [default: $ORACLE_HOME or ./data]",
 )  # fmt: skip
 def storage(root: Path) -> None:
-    """Show what runs take on disk, what was kept of them, and how many more there is room for.
+    """Show the storage that runs use, how much of them was kept, and how many more fit.
 
     \b
     Example:
@@ -41,7 +42,7 @@ def storage(root: Path) -> None:
     stock = take_stock(root.resolve())
     capacity = stock.total + stock.free
     limit = capacity if budget is None else min(budget, capacity)
-    click.echo(f"{root}: {megabytes(stock.total)} of {megabytes(limit)} taken")
+    click.echo(f"{root}: {megabytes(stock.total)} of {megabytes(limit)} used")
     _show_modes(stock)
     _show_room(stock, limit - stock.total)
 
@@ -54,7 +55,7 @@ def _show_modes(stock: Stock) -> None:
 
 
 def _show_room(stock: Stock, room: int) -> None:
-    """Tell how many further blocks, a run of each of these modes, fit beside what is there."""
+    """Print how many further blocks fit, each with one run of every recorded mode."""
     modes = sorted({run.mode for run in stock.runs})
     sizes = [size for mode in modes if (size := expected_sizes(mode, stock))]
     for kept in KEPT if sizes else ():
@@ -62,10 +63,20 @@ def _show_room(stock: Stock, room: int) -> None:
         click.echo(f"room for {max(room, 0) // block} more blocks, {kept}: {megabytes(block)} each")
 
 
+def _is_whole(run: RunDirectory, manifest: Manifest) -> bool:
+    """Tell whether a run has its whole bag and its graphs, and their hashes are known and right."""
+    measured = manifest.measured
+    known = measured.kept == "full" and bool(measured.files)
+    return known and not damaged_files(run.path, manifest)
+
+
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path, file_okay=False, exists=True))
 def remake(run: Path) -> None:
-    """Make the bag of RUN again from its recipe, if it was dropped or trimmed to save space.
+    """Re-simulate the bag of RUN from its recipe, if it was dropped or trimmed to save space.
+
+    A run with damaged files is made again too, and one of an older release, which has no hashes
+    by which damage would be noticed.
 
     \b
     Example:
@@ -75,15 +86,15 @@ def remake(run: Path) -> None:
         directory = RunDirectory.at(run)
         with directory.held():
             former = directory.manifest()
-            if former.measured.kept == "full":
+            if _is_whole(directory, former):
                 click.echo(f"{run} has its whole bag.")
                 return
             manifest = remake_run(former, directory)
     except OracleError as error:
         raise click.ClickException(str(error)) from error
-    click.echo(f"{run}: {megabytes(manifest.measured.bytes['bag'])} of bag made again.")
+    click.echo(f"{run}: {megabytes(manifest.measured.bytes['bag'])} of bag re-simulated.")
     if manifest.content_hash != former.content_hash:
         click.echo(
-            "Other software has made other messages: this is a new generation of the run. Its "
-            "features are made anew when they are materialized next."
+            "The software has changed, and so have the messages: this is a new generation of the "
+            "run. Its features are extracted again when they are materialized next."
         )

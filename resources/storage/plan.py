@@ -1,7 +1,7 @@
-"""How much of each run is kept on disk: all blocks from the first on alike, as long as room lasts.
+"""How much of each run is kept on disk: the first blocks keep most, all runs of a block the same.
 
-No Dagster and no files here: a pure function of sizes. What lies on the disk is measured in
-``resources.budget``. Why so: docs/how-to/storage.md.
+A pure function of sizes. Sizes on disk are measured in ``resources.storage.stock``. Reasons:
+docs/how-to/storage.md.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,41 +12,41 @@ from oracle_pipeline.bags.manifest import Kept
 
 
 class StorageError(OracleError):
-    """What is wanted does not fit, or a size makes no sense."""
+    """The requested runs do not fit, or a size is invalid."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sizes:
-    """What one run takes on disk, with graphs and features, by what is kept of it [B]."""
+    """Storage of one run with graphs and features, by how much of it is kept [B]."""
 
     full: int
     trimmed: int
     recipe: int
 
     def of(self, kept: Kept) -> int:
-        """Return the size of a run of which so much is kept."""
+        """Return the size of a run of which this much is kept."""
         size: int = getattr(self, kept)
         return size
 
 
 def plan(blocks: Mapping[int, Sequence[Sizes]], available: int) -> dict[int, Kept]:
-    """Say what is kept of the runs of each block.
+    """Return how much is kept of the runs of each block.
 
-    All blocks keep the recipe; then the first ones, as many as fit, a trimmed bag; then the first
-    ones, as many as fit, the full bag. All runs of a block keep the same, so that modes are never
-    told apart by what was kept of them.
+    All blocks keep the recipe. The first blocks, as many as fit, keep a trimmed bag, and the first
+    of these, as many as fit, the full bag. All runs of a block keep the same, so that what was kept
+    never identifies a mode.
 
     Parameters
     ----------
     blocks
-        The runs of each block, by what each would take.
+        The sizes of the runs of each block.
     available
-        What they may take together [B].
+        Storage for all of them together [B].
 
     Raises
     ------
     StorageError
-        If not even all recipes fit; it says how many would.
+        If not even all recipes fit; it names the number that would.
     """
     kept: dict[int, Kept] = dict.fromkeys(sorted(blocks), "recipe")
     taken = sum(_size(blocks[block], "recipe") for block in kept)
@@ -75,12 +75,12 @@ def _too_much(blocks: Mapping[int, Sequence[Sizes]], taken: int, available: int)
         fitting += 1
     return (
         f"{len(blocks)} blocks of runs do not fit: graphs and features alone take "
-        f"{megabytes(taken)} of the {megabytes(max(available, 0))} that there are for them. "
-        f"Of these, the first {fitting} would fit; materialize fewer runs, raise "
+        f"{megabytes(taken)}, and {megabytes(max(available, 0))} are available. "
+        f"The first {fitting} blocks would fit. Materialize fewer runs, raise "
         "ORACLE_STORAGE_BUDGET, free some space, or point ORACLE_HOME to another disk."
     )
 
 
 def megabytes(size: int) -> str:
-    """Return a size for people."""
+    """Return a size in megabytes, as text."""
     return f"{size / 1e6:.1f} MB"

@@ -1,6 +1,6 @@
-"""What lies below a root on this machine, what further runs will take, and what there is room for.
+"""Storage used below a root on this machine, the sizes expected of further runs, and the plan.
 
-No Dagster here: the pipeline plans with it before it starts runs, ``oracle-sim storage`` shows it.
+The pipeline plans with it before it starts runs; ``oracle-sim storage`` shows it.
 """
 
 import os
@@ -21,18 +21,18 @@ from resources.storage.plan import Sizes, StorageError, megabytes, plan
 
 BUDGET_VARIABLE = "ORACLE_STORAGE_BUDGET"
 
-# What a run takes at first guess: so much in any case, and for each goal.
+# First guess of the size of a run: a fixed part, and a part for each goal.
 FIRST_GUESS = Sizes(full=1_500_000, trimmed=1_000_000, recipe=900_000)
 FIRST_GUESS_A_GOAL = Sizes(full=3_000_000, trimmed=1_100_000, recipe=250_000)
-TRIMMED_SHARE = 0.3  # of a bag, while none has been trimmed
+TRIMMED_SHARE = 0.3  # of a bag, until one has been trimmed
 SAMPLE = 20  # finished runs of a mode that the expected size is the mean of
-AMPLE = 4  # times what is expected: if that fits, there is nothing to plan
-MARGIN = 0.05  # of the limit: runs differ, and reports come after them
+AMPLE = 4  # times the expected size: if that fits, no plan is needed
+MARGIN = 0.05  # of the limit, for runs larger than expected and for reports
 
 
 @dataclass(frozen=True, slots=True)
 class RunBytes:
-    """What a finished run takes on disk [B]."""
+    """Storage of a finished run [B]."""
 
     bag: int
     rest: int  # graphs, manifest, picture, features
@@ -45,7 +45,7 @@ class RunBytes:
 
 @dataclass(frozen=True, slots=True)
 class Stock:
-    """What lies below a root."""
+    """Storage used below a root."""
 
     total: int  # [B]
     free: int  # on its disk [B]
@@ -54,21 +54,20 @@ class Stock:
 
 @dataclass(frozen=True, slots=True)
 class StoragePlan:
-    """What is kept of which runs, as far as is known now.
+    """How much is kept of which runs, by the sizes known now.
 
     Attributes
     ----------
     kept
-        What stays of the runs of each block.
+        How much is kept of the runs of each block.
     expected
-        What a run of each mode that is still to be made takes.
+        Size of a run of each mode that is still to be made.
     shrink
         Finished runs, none of those planned for, that keep more than their block's share.
     blocks_ahead
-        How many blocks may be made before sizes are known so much better that it pays to plan
-        again.
+        How many blocks may be made before sizes are known well enough to plan again.
     taken, limit
-        By everything below the root when the plan was made, and at most [B].
+        Storage used below the root when the plan was made, and its limit [B].
     """
 
     kept: Mapping[int, Kept]
@@ -82,11 +81,11 @@ class StoragePlan:
         """Return the plan in one line."""
         runs = Counter(self.kept.values())
         blocks = ", ".join(f"{runs[kept]} {kept}" for kept in KEPT if runs[kept])
-        return f"{megabytes(self.taken)} of {megabytes(self.limit)} taken; blocks to keep: {blocks}"
+        return f"{megabytes(self.taken)} of {megabytes(self.limit)} used; blocks to keep: {blocks}"
 
 
 def parse_budget(text: str) -> int | None:
-    """Return a budget in bytes; None if none is set.
+    """Return a budget in bytes; None if it is empty.
 
     Raises
     ------
@@ -99,7 +98,7 @@ def parse_budget(text: str) -> int | None:
         return int(TypeAdapter(ByteSize).validate_python(text.strip()))
     except ValidationError as error:
         raise StorageError(
-            f"{BUDGET_VARIABLE} is {text!r}; give a number of bytes, such as 20GiB or 500MB."
+            f"{BUDGET_VARIABLE} is {text!r}; give a number of bytes, for example 20GiB or 500MB."
         ) from error
 
 
@@ -125,7 +124,7 @@ def take_stock(root: Path) -> Stock:
 def _bytes_on_disk(path: str) -> int:
     try:
         status = os.stat(path)  # noqa: PTH116
-    except FileNotFoundError:  # a run was moved into its place meanwhile
+    except FileNotFoundError:  # a run was renamed into place meanwhile
         return 0
     return max(status.st_size, 512 * status.st_blocks)
 
@@ -139,20 +138,20 @@ def make_plan(
     workers: int,
     goals: int,
 ) -> StoragePlan:
-    """Plan for runs that are wanted, beside those that are finished.
+    """Plan for requested runs beside those that are finished.
 
     Parameters
     ----------
     root
         A folder of this machine.
     wanted
-        All runs that are asked for, finished or not.
+        All requested runs, finished or not.
     budget
-        What everything below the root may take [B]; None: what the disk gives.
+        Limit for everything below the root [B]; None: the size of the disk.
     reserve
-        What has to stay free on the disk [B].
+        Space that stays free on the disk [B].
     workers
-        Runs that are made at a time, each with its whole bag.
+        Runs that are made at the same time, each with its whole bag.
     goals
         Of a run, for a first guess.
 
@@ -188,7 +187,7 @@ def make_plan(
     try:
         kept = plan(takes, int(limit * (1.0 - MARGIN)) - others - room)
     except StorageError:
-        # A first guess may be wrong: where a run or two have room, they tell.
+        # The first guess may be wrong: if a run or two fit, measure them.
         if fewest_finished or limit - stock.total < workers * guess.recipe:
             raise
         kept = dict.fromkeys(sorted(takes), "recipe")
@@ -202,7 +201,7 @@ def make_plan(
 
 
 def _fewest_finished(modes: Collection[str], stock: Stock) -> int:
-    """Return how many finished runs each of some modes has at least."""
+    """Return the smallest number of finished runs of any of these modes."""
     finished = Counter(run.mode for run in stock.runs)
     return min((finished[mode] for mode in modes), default=len(stock.runs))
 
@@ -212,7 +211,7 @@ def _first_guess(goals: int) -> Sizes:
 
 
 def expected_sizes(mode: str, stock: Stock) -> Sizes | None:
-    """Return what a run of a mode takes: as those that are there, or those of all modes."""
+    """Return the expected size of a run: of finished runs of its mode, or else of all modes."""
     of_mode = [run for run in stock.runs if run.mode == mode] or list(stock.runs)
     sample = of_mode[:: len(of_mode) // SAMPLE + 1]
     measured = [(stock.runs[run].rest, m.measured) for run in sample if (m := _manifest(run))]
@@ -226,14 +225,14 @@ def expected_sizes(mode: str, stock: Stock) -> Sizes | None:
 
 
 def _working_room(new: Sequence[RunDirectory], expected: Mapping[str, Sizes], workers: int) -> int:
-    """Return what runs in the making take beside what stays of them."""
+    """Return the storage that runs need while they are made, beyond what is kept of them."""
     if not new:
         return 0
     return min(workers, len(new)) * max(size.full + size.trimmed for size in expected.values())
 
 
 def _may_take(run: RunDirectory, stock: Stock) -> tuple[Kept, Sizes]:
-    """Return what is kept of a finished run, and what it would take if less were kept."""
+    """Return how much is kept of a finished run, and its size if less were kept."""
     from sim.experiments import can_be_made_again  # the testbeds: half a second to import
 
     now = stock.runs[run]
@@ -249,7 +248,7 @@ def _may_take(run: RunDirectory, stock: Stock) -> tuple[Kept, Sizes]:
 
 
 def _manifest(run: RunDirectory) -> Manifest | None:
-    """Return a run's manifest; None if it cannot be read, which its verification will tell."""
+    """Return a run's manifest; None if it cannot be read, which its verification reports."""
     try:
         return run.manifest()
     except ManifestError:
@@ -257,7 +256,7 @@ def _manifest(run: RunDirectory) -> Manifest | None:
 
 
 def storage_of_modes(stock: Stock) -> list[dict[str, str | int]]:
-    """Return what was kept of the runs of each mode and what was freed, as rows of a table."""
+    """Return storage kept and freed of each mode, as rows of a table."""
     by_mode: defaultdict[str, list[RunDirectory]] = defaultdict(list)
     for run in stock.runs:
         by_mode[run.mode].append(run)

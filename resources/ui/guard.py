@@ -145,4 +145,4 @@ def _not_in_foreign_frames(send: Send) -> Send:
 
 
 def _advice() -> str:
-    return f"Behind a proxy, {VARIABLE} names where people open the UI (docs/security.md)."
+    return f"Behind a proxy, {VARIABLE} names where people open the UI (docs/how-to/security.md)."

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from oracle_pipeline.bags import manifest as schema
+from oracle_pipeline.bags.integrity import hashes_of_files
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, bytes_on_disk
 from oracle_pipeline.bags.writer import BagWriter
@@ -145,5 +146,9 @@ class AtcRun:
             content_hash=self._bag.content_hash,
             recipe=recipe.to_dict(),
             software=software,
-            measured=schema.Measured(wall_s=wall_s, bytes=bytes_on_disk(self._folder)),
+            measured=schema.Measured(
+                wall_s=wall_s,
+                bytes=bytes_on_disk(self._folder),
+                files=hashes_of_files(self._folder),
+            ),
         )

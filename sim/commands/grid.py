@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from oracle_pipeline.bags.layout import grid_root
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
 from sim.commands.batch import (
@@ -76,7 +77,7 @@ def grid(
     with errors_told():
         mode = find_mode(scenario, allow_actuation=allow_actuation)
         made = mutants([sweep(mode, text) for text in texts], blocks)
-    root = out or home() / "grids" / mode.id
+    root = out or grid_root(home(), mode.id)
     make: Callable[[Mutant], Manifest]
     if controls is None:
         make = functools.partial(record_mutant, mode, campaign(options), root, refresh)

@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.integrity import hashes_of_files, require_undamaged
+from oracle_pipeline.bags.layout import GRID_INDEX
 from oracle_pipeline.bags.manifest import Manifest, Measured
 from oracle_pipeline.bags.run_directory import (
     BAG_FOLDER,
@@ -30,8 +32,6 @@ from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.offline import Summary, mutate_bag
 from sim.software import software
 from sim.testbed import Mode
-
-INDEX_FILE = "grid.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +88,7 @@ def derive_mutant(
     """
     control = controls / f"run{mutant.block:03d}"
     original = Manifest.load(control / MANIFEST_FILE)
+    require_undamaged(control, original)
     recipe = recipe_for(mode, original.block, recipe_of(original).campaign(), mutant.given)
     recipe = dataclasses.replace(recipe, run=mutant.run)
     document = {**recipe.to_dict(), "mutant_of": original.content_hash}
@@ -117,7 +118,9 @@ def derive_mutant(
             if mode.scenario.has_object
             else dict(recipe.parameters),
             recipe=document,
-            measured=Measured(time.perf_counter() - started, bytes_on_disk(folder)),
+            measured=Measured(
+                time.perf_counter() - started, bytes_on_disk(folder), files=hashes_of_files(folder)
+            ),
         )
         manifest.save(folder / MANIFEST_FILE)
     return manifest
@@ -140,7 +143,7 @@ def write_index(root: Path, mode: Mode, mutants: Sequence[Mutant]) -> Path:
             changed = sum(change.messages for change in directory.manifest().changes)
             rows.append(_row(directory, mutant, changed))
     root.mkdir(parents=True, exist_ok=True)
-    path = root / INDEX_FILE
+    path = root / GRID_INDEX
     path.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
     return path
 

@@ -86,19 +86,46 @@ class Publisher:
     retained: deque[Sample] | None = None  # for late subscribers, when latched
     messages: int = 0
     message_bytes: int = 0  # sent while a recorder listened; else nothing need be serialised
-    _recorders: list[Subscription] = field(default_factory=list)
-    _listeners: list[Subscription] = field(default_factory=list)
+    _recorders: list[Callable[[bytes], None]] = field(default_factory=list)
+    # Latency [ns], and what takes a message and a sample of those that do something with it.
+    _listeners: list[tuple[int, Callable[[Any], None], Callable[[Sample], None]]] = field(
+        default_factory=list
+    )
 
     def publish(self, message: Any, data: bytes | None = None) -> None:
         """Send a message object; the caller must not change it afterwards.
 
         ``data`` are its CDR bytes, if the caller has them cheaper than by serialising.
         """
-        self._send(Sample(self.msgtype, message, data))
+        self.messages += 1
+        if self._recorders:
+            if data is None:
+                data = serialize(message, self.msgtype)
+            self.message_bytes += len(data)
+            for record in self._recorders:
+                record(data)
+        if self.retained is not None:
+            self.retained.append(Sample(self.msgtype, message, data))
+        now_ns, call_at = self.executor.now_ns, self.executor.call_at
+        for latency_ns, hear, _ in self._listeners:
+            call_at(now_ns + latency_ns, hear, message)
 
     def publish_serialized(self, data: bytes) -> None:
-        """Send CDR bytes as they are."""
-        self._send(Sample(self.msgtype, data=data))
+        """Send CDR bytes as they are; they become a message if somebody listens."""
+        self.messages += 1
+        if self._recorders:
+            self.message_bytes += len(data)
+            for record in self._recorders:
+                record(data)
+        if self._listeners or self.retained is not None:
+            self._hand_on(Sample(self.msgtype, data=data))
+
+    def _hand_on(self, sample: Sample) -> None:
+        if self.retained is not None:
+            self.retained.append(sample)
+        now_ns, call_at = self.executor.now_ns, self.executor.call_at
+        for latency_ns, _, deliver in self._listeners:
+            call_at(now_ns + latency_ns, deliver, sample)
 
     def has_subscribers(self) -> bool:
         """Tell whether a sample would reach anyone (Nav2 skips costly messages otherwise)."""
@@ -111,31 +138,20 @@ class Publisher:
     def connect(self, subscription: Subscription) -> None:
         """Send to a subscription from now on; if latched, what was sent last as well."""
         self.subscriptions.append(subscription)
-        if subscription.callback is not None:
-            (self._recorders if subscription.raw else self._listeners).append(subscription)
+        callback = subscription.callback
+        if callback is not None and subscription.raw:
+            self._recorders.append(callback)
+        elif callback is not None:
+            self._listeners.append((subscription.latency_ns, callback, subscription.deliver))
         late = list(self.retained or ()) if is_latched(subscription.qos) else []
         size = sum(len(sample.data) for sample in late) if self._recorders else 0
         subscription.links.append((self, self.messages - len(late), self.message_bytes - size))
         for sample in late:
-            self._deliver(subscription, sample)
-
-    def _send(self, sample: Sample) -> None:
-        self.messages += 1
-        if self.retained is not None:
-            self.retained.append(sample)
-        if self._recorders:
-            self.message_bytes += len(sample.data)
-        for subscription in self._recorders:
-            subscription.deliver(sample)
-        for subscription in self._listeners:
-            self._deliver(subscription, sample)
-
-    def _deliver(self, subscription: Subscription, sample: Sample) -> None:
-        if subscription.raw:
-            subscription.deliver(sample)
-        else:
-            due_ns = self.executor.now_ns + subscription.latency_ns
-            self.executor.call_at(due_ns, subscription.deliver, sample)
+            if subscription.raw:
+                subscription.deliver(sample)
+            else:
+                due_ns = self.executor.now_ns + subscription.latency_ns
+                self.executor.call_at(due_ns, subscription.deliver, sample)
 
 
 @dataclass(slots=True, eq=False)

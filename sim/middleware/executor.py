@@ -37,18 +37,19 @@ class Executor:
         heapq.heappush(self._queue, (time_ns, self._scheduled, callback, arguments))
         self._scheduled += 1
 
-    def run_until(self, time_ns: int, stop: Callable[[], bool] = lambda: False) -> None:
+    def run_until(self, time_ns: int, stop: Callable[[], bool] | None = None) -> None:
         """Run everything due up to and including ``time_ns``.
 
         Returns early, with the clock where it is, once ``stop()`` holds after a callback.
         """
-        queue = self._queue
+        queue, pop = self._queue, heapq.heappop
         while queue and queue[0][0] <= time_ns:
-            due_ns, _, callback, arguments = heapq.heappop(queue)
+            due_ns, _, callback, arguments = pop(queue)
             if due_ns > self.now_ns:
-                self._advance(due_ns)
+                self.now_ns = due_ns
+                self._on_advance(due_ns)
             callback(*arguments)
-            if stop():
+            if stop is not None and stop():
                 return
         self._advance(time_ns)
 

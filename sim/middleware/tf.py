@@ -3,6 +3,7 @@
 Every frame that navigation asks about moves in the plane, so a transform is kept as x, y and yaw.
 """
 
+import math
 from bisect import bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -23,6 +24,8 @@ _Transform = message_class("geometry_msgs/msg/Transform")
 _TransformStamped = message_class("geometry_msgs/msg/TransformStamped")
 _Vector3 = message_class("geometry_msgs/msg/Vector3")
 
+_Planar = tuple[float, float, float]  # x, y [m], yaw [rad]
+
 CACHE_NS = 10 * SECOND  # tf2's default cache time
 _TF = "tf2_msgs/msg/TFMessage"
 _TF_STATIC_QOS = qos.profile(100, latched=True)
@@ -39,17 +42,21 @@ class _Link:
     parent: str
     static: bool
     times: list[int] = field(default_factory=list)
-    poses: list[Pose2D] = field(default_factory=list)
+    poses: list[_Planar] = field(default_factory=list)
 
-    def add(self, time_ns: int, pose: Pose2D) -> None:
-        index = bisect_right(self.times, time_ns)
-        self.times.insert(index, time_ns)
-        self.poses.insert(index, pose)
+    def add(self, time_ns: int, pose: _Planar) -> None:
+        if not self.times or time_ns >= self.times[-1]:
+            self.times.append(time_ns)
+            self.poses.append(pose)
+        else:
+            index = bisect_right(self.times, time_ns)
+            self.times.insert(index, time_ns)
+            self.poses.insert(index, pose)
         if len(self.times) > 1024 or self.static:  # trimmed seldom: deleting costs the length
             keep = bisect_right(self.times, self.times[-1] - CACHE_NS) if not self.static else -1
             del self.times[:keep], self.poses[:keep]
 
-    def at(self, time_ns: int | None, child: str) -> Pose2D:
+    def at(self, time_ns: int | None, child: str) -> _Planar:
         if self.static or time_ns is None:
             return self.poses[-1]
         index = bisect_right(self.times, time_ns)
@@ -63,10 +70,10 @@ class _Link:
             return before
         after = self.poses[index]
         share = (time_ns - self.times[index - 1]) / (self.times[index] - self.times[index - 1])
-        return Pose2D(
-            before.x + share * (after.x - before.x),
-            before.y + share * (after.y - before.y),
-            wrap_angle(before.yaw + share * wrap_angle(after.yaw - before.yaw)),
+        return (
+            before[0] + share * (after[0] - before[0]),
+            before[1] + share * (after[1] - before[1]),
+            wrap_angle(before[2] + share * wrap_angle(after[2] - before[2])),
         )
 
 
@@ -85,7 +92,7 @@ class TransformBuffer:
                 link = self._links[child] = _Link(stamped.header.frame_id, static)
             translation, q = stamped.transform.translation, stamped.transform.rotation
             yaw = quaternion_yaw(q.x, q.y, q.z, q.w)
-            link.add(stamp_ns(stamped.header.stamp), Pose2D(translation.x, translation.y, yaw))
+            link.add(stamp_ns(stamped.header.stamp), (translation.x, translation.y, yaw))
 
     def lookup(self, target: str, source: str, time_ns: int | None = None) -> Pose2D:
         """Return the transform that takes coordinates in ``source`` into ``target``.
@@ -102,11 +109,15 @@ class TransformBuffer:
         TransformError
             If the frames are not connected, or not known at that time.
         """
-        root_target, from_target = self._to_root(target, time_ns)
-        root_source, from_source = self._to_root(source, time_ns)
+        root_target, to_x, to_y, to_yaw = self._to_root(target, time_ns)
+        root_source, x, y, yaw = self._to_root(source, time_ns)
         if root_target != root_source:
             raise TransformError(f"frames {target} and {source} are not connected")
-        return from_target.inverse().compose(from_source)
+        # The target's inverse, and the source in it: `Pose2D.inverse`, `Pose2D.compose`.
+        c, s = math.cos(to_yaw), math.sin(to_yaw)
+        to_x, to_y, to_yaw = -c * to_x - s * to_y, s * to_x - c * to_y, wrap_angle(-to_yaw)
+        c, s = math.cos(to_yaw), math.sin(to_yaw)
+        return Pose2D(to_x + c * x - s * y, to_y + s * x + c * y, wrap_angle(to_yaw + yaw))
 
     def latest_common_ns(self, target: str, source: str) -> int:
         """Return the newest time at which ``lookup(target, source)`` is known [ns]."""
@@ -125,13 +136,20 @@ class TransformBuffer:
             frame = self._links[frame].parent
             yield frame
 
-    def _to_root(self, frame: str, time_ns: int | None) -> tuple[str, Pose2D]:
-        pose = Pose2D()
-        while frame in self._links:
-            link = self._links[frame]
-            pose = link.at(time_ns, frame).compose(pose)
+    def _to_root(self, frame: str, time_ns: int | None) -> tuple[str, float, float, float]:
+        """Return the root above a frame, and the frame's pose in it.
+
+        Composed as by `Pose2D.compose`, but without a pose a link: this is called most of all.
+        """
+        links = self._links
+        x = y = yaw = 0.0
+        while (link := links.get(frame)) is not None:
+            link_x, link_y, link_yaw = link.at(time_ns, frame)
+            c, s = math.cos(link_yaw), math.sin(link_yaw)
+            x, y = link_x + c * x - s * y, link_y + s * x + c * y
+            yaw = wrap_angle(link_yaw + yaw)
             frame = link.parent
-        return frame, pose
+        return frame, x, y, yaw
 
 
 class TransformListener(Node):

@@ -20,7 +20,7 @@ from sim.nav2.bt_navigator import BtNavigator
 from sim.nav2.collision_monitor import SOURCES, CollisionMonitor, Source
 from sim.nav2.controller_server import ControllerServer
 from sim.nav2.costmap_node import GlobalCostmap, LocalCostmap
-from sim.nav2.dwb import Parameters
+from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.lifecycle import LifecycleManager
 from sim.nav2.map_server import MapServer, OccupancyMap
 from sim.nav2.planner_server import PlannerServer

@@ -24,7 +24,7 @@ from sim.middleware.tf import TransformBuffer, TransformError, TransformListener
 from sim.nav2.footprint import FOOTPRINT, POLYGON, polygon_message
 from sim.nav2.laser import scan_points
 from sim.nav2.lifecycle import LifecycleNode
-from sim.nav2.messages import TWIST, twist_message
+from sim.nav2.messages import TWIST, twist_bytes, twist_message
 
 Points = NDArray[np.float64]  # shape (n, 2): x, y [m]
 
@@ -254,7 +254,7 @@ class CollisionMonitor(LifecycleNode):
                 return
         else:
             self._halted_ns = None
-        self._publisher.publish(twist_message(linear, angular))
+        self._publisher.publish(twist_message(linear, angular), twist_bytes(linear, angular))
 
     def _publish_polygons(self) -> None:
         stamp = divmod(self.now_ns, SECOND)

@@ -18,11 +18,13 @@ from sim.middleware.geometry import Pose2D, wrap_angle
 from sim.middleware.node import Timer
 from sim.middleware.stamps import stamp_ns
 from sim.middleware.tf import TransformBuffer, TransformError
-from sim.nav2 import dwb
 from sim.nav2.costmap import Costmap2D
+from sim.nav2.dwb import Cycle
+from sim.nav2.dwb_critics import CostGrid
 from sim.nav2.dwb_debug import DebugTopics
+from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.lifecycle import LifecycleNode
-from sim.nav2.messages import TWIST, twist_message
+from sim.nav2.messages import TWIST, twist_bytes, twist_message
 from sim.nav2.paths import PATH, length_ahead, path_bytes, path_poses
 from sim.nav2.rotation_shim import RotationShim
 
@@ -110,7 +112,7 @@ class ControllerServer(LifecycleNode):
         costmap: LocalCostmap,
         transforms: TransformBuffer,
         *,
-        parameters: dwb.Parameters | None = None,
+        parameters: Parameters | None = None,
         latency_ns: int = 0,
     ) -> None:
         super().__init__(domain, "/controller_server", latency_ns=latency_ns)
@@ -222,7 +224,7 @@ class ControllerServer(LifecycleNode):
             from_path = self._transforms.lookup(grid.frame, self._frame)
         except TransformError as error:
             raise _ControllerError(str(error)) from None
-        cells = dwb.CostGrid(grid.costs, grid.resolution, grid.origin_x, grid.origin_y)
+        cells = CostGrid(grid.costs, grid.resolution, grid.origin_x, grid.origin_y)
         cycle = self._planner.compute(cells, pose, self._velocity, from_path)
         self._publish_plans(cycle, grid.frame)
         if cycle.scoring is not None:
@@ -238,10 +240,10 @@ class ControllerServer(LifecycleNode):
             robot = from_path.inverse().compose(pose)
             distance = length_ahead(self._path, robot.x, robot.y)
             self._goals[0].publish_feedback(_Feedback(distance, abs(twist[0])))
-        self._commands.publish(twist_message(*twist))
+        self._commands.publish(twist_message(*twist), twist_bytes(*twist))
         return self._goal_checker.is_reached(pose, from_path.compose(Pose2D(*self._path[-1])))
 
-    def _publish_plans(self, cycle: dwb.Cycle, frame: str) -> None:
+    def _publish_plans(self, cycle: Cycle, frame: str) -> None:
         self._received.publish_serialized(
             path_bytes(self._stamp_ns, self._frame, self._planner.plan)
         )
@@ -251,7 +253,7 @@ class ControllerServer(LifecycleNode):
     def _end(self, answer: Callable[[], None]) -> None:
         self._loop.cancel()
         self._goals.pop(0)
-        self._commands.publish(twist_message(0.0, 0.0))
+        self._commands.publish(twist_message(0.0, 0.0), twist_bytes(0.0, 0.0))
         answer()
         if self._goals:
             self._start()

@@ -25,10 +25,13 @@ NO_INFORMATION = 255
 Costs = NDArray[np.uint8]
 Points = NDArray[np.float64]
 
-_Costmap = message_class("nav2_msgs/msg/Costmap")
+COSTMAP = "nav2_msgs/msg/Costmap"
+OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
+
+_Costmap = message_class(COSTMAP)
 _CostmapMetaData = message_class("nav2_msgs/msg/CostmapMetaData")
 _MapMetaData = message_class("nav_msgs/msg/MapMetaData")
-_OccupancyGrid = message_class("nav_msgs/msg/OccupancyGrid")
+_OccupancyGrid = message_class(OCCUPANCY_GRID)
 
 # Cost to occupancy: 0 stays, 1..252 become 1..98, inscribed 99, lethal 100, unknown -1.
 _OCCUPANCY = np.array(
@@ -150,11 +153,15 @@ def footprint_cost(grid: Costmap2D, pose: Pose2D, footprint: Points = FOOTPRINT)
 # -- messages ------------------------------------------------------------------------------
 
 
+def occupancies(grid: Costmap2D) -> NDArray[np.int8]:
+    """Return the costs as occupancies of shape (height, width) [%], for people to look at."""
+    return _OCCUPANCY.take(grid.costs)
+
+
 def occupancy_grid(time_ns: int, grid: Costmap2D) -> Any:
-    """Return the costs as ``nav_msgs/msg/OccupancyGrid``, for people to look at."""
-    data = _OCCUPANCY[grid.costs]
+    """Return the costs as ``nav_msgs/msg/OccupancyGrid``."""
     return occupancy_grid_message(
-        time_ns, grid.frame, data, grid.resolution, grid.origin_x, grid.origin_y
+        time_ns, grid.frame, occupancies(grid), grid.resolution, grid.origin_x, grid.origin_y
     )
 
 

@@ -1,6 +1,7 @@
-"""What fills a costmap: obstacles seen by lasers, the static map, and inflation around both.
+"""What fills a costmap: obstacles seen by lasers, and the static map.
 
-Pure functions of grids and points; transforms, topics and timers are in ``costmap_node``.
+Pure functions of grids and points; what is added around obstacles is in ``inflation``, transforms,
+topics and timers are in ``costmap_node``.
 """
 
 import math
@@ -11,14 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.jit import jit
-from sim.nav2.costmap import FREE_SPACE, INSCRIBED, LETHAL, NO_INFORMATION, Costmap2D, Costs, Points
+from sim.nav2.costmap import FREE_SPACE, LETHAL, NO_INFORMATION, Costmap2D, Costs, Points
 
 OBSTACLE_RANGE = 2.5  # marks nothing from here on [m]
 RAYTRACE_RANGE = 3.0  # clears nothing from here on [m]
-INFLATION_RADIUS = 0.55  # [m]
-COST_SCALING = 3.0  # how fast cost falls with distance [1/m]
-# Of the global costmap, where it decides how far a path keeps from the middle of a gap.
-GLOBAL_COST_SCALING = 10.0
 _TINY = 1e-9  # instead of a length of zero [m]
 
 
@@ -133,62 +130,6 @@ def static_costs(occupancy: NDArray[np.int8]) -> Costs:
     costs: Costs = np.where(occupancy >= 100, LETHAL, FREE_SPACE).astype(np.uint8)
     costs[occupancy < 0] = NO_INFORMATION
     return costs
-
-
-class InflationLayer:
-    """Costs that fall with the distance from obstacles.
-
-    Parameters
-    ----------
-    resolution
-        Edge of a cell [m].
-    inscribed_radius
-        Distance within which the robot collides whatever its heading [m].
-    cost_scaling
-        How fast cost falls with distance [1/m].
-    """
-
-    def __init__(
-        self, resolution: float, inscribed_radius: float, cost_scaling: float = COST_SCALING
-    ) -> None:
-        reach = round(INFLATION_RADIUS / resolution)
-        cells = np.arange(-reach, reach + 1)
-        distance = np.hypot(*np.meshgrid(cells, cells)) * resolution
-        decay = np.exp(-cost_scaling * (distance - inscribed_radius))
-        costs = np.where(distance <= inscribed_radius, INSCRIBED, np.floor((INSCRIBED - 1) * decay))
-        costs[distance > reach * resolution + 1e-9] = FREE_SPACE
-        self._stamp = costs.astype(np.uint8)
-
-    def add_to(self, costs: Costs, lethal: NDArray[np.bool_] | None = None) -> None:
-        """Raise ``costs`` around its lethal cells; around some, if the rest has been inflated."""
-        obstacles = np.flatnonzero(costs == LETHAL if lethal is None else lethal)
-        _inflate(costs, self._stamp, obstacles)
-
-
-@jit
-def _inflate(costs: Costs, stamp: Costs, obstacles: NDArray[np.int64]) -> None:
-    """Press the stamp around every obstacle: cost falls with distance, so the nearest one wins.
-
-    Unknown cells become inscribed within the inscribed radius and stay unknown beyond it.
-    """
-    height, width = costs.shape
-    reach = stamp.shape[0] // 2
-    for obstacle in obstacles:
-        row, column = obstacle // width, obstacle % width
-        inside = 0 < row < height - 1 and 0 < column < width - 1
-        if inside and (
-            costs[row - 1, column] == LETHAL
-            and costs[row + 1, column] == LETHAL
-            and costs[row, column - 1] == LETHAL
-            and costs[row, column + 1] == LETHAL
-        ):
-            continue  # every cell outside has one of the neighbours nearer
-        for r in range(max(0, row - reach), min(height, row + reach + 1)):
-            for c in range(max(0, column - reach), min(width, column + reach + 1)):
-                cost = stamp[r - row + reach, c - column + reach]
-                old = costs[r, c]
-                if cost > old or (old == NO_INFORMATION and cost == INSCRIBED):
-                    costs[r, c] = cost
 
 
 @jit

@@ -9,43 +9,37 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from oracle_pipeline.bags.types import message_class
+from oracle_pipeline.bags.template import STAMP, Template
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.geometry import Pose2D
-from sim.middleware.stamps import header, stamp_ns
+from sim.middleware.stamps import stamp_ns
 from sim.middleware.tf import TransformBuffer, TransformError, TransformListener
 from sim.nav2.costmap import (
+    COSTMAP,
     FREE_SPACE,
-    LETHAL,
     NO_INFORMATION,
+    OCCUPANCY_GRID,
     Costmap2D,
     Costs,
     Points,
     costmap_message,
+    occupancies,
     occupancy_grid,
 )
 from sim.nav2.costmap_layers import (
-    COST_SCALING,
-    GLOBAL_COST_SCALING,
-    InflationLayer,
     Observation,
     ObstacleLayer,
     shift,
     static_costs,
 )
-from sim.nav2.footprint import FOOTPRINT, INSCRIBED_RADIUS, polygon_message
+from sim.nav2.footprint import FOOTPRINT, INSCRIBED_RADIUS, POLYGON, polygon_message
+from sim.nav2.inflation import COST_SCALING, GLOBAL_COST_SCALING, InflationLayer
 from sim.nav2.laser import scan_points
 from sim.nav2.lifecycle import LifecycleNode
-
-_Point32 = message_class("geometry_msgs/msg/Point32")
-_PointCloud2 = message_class("sensor_msgs/msg/PointCloud2")
-_PointField = message_class("sensor_msgs/msg/PointField")
-_Vector3 = message_class("geometry_msgs/msg/Vector3")
-_VoxelGrid = message_class("nav2_msgs/msg/VoxelGrid")
+from sim.nav2.voxel_messages import CLOUD, VOXELS, LaserClouds, VoxelGrids
 
 BASE_FRAME = "base_link"
 _SCAN_QOS = qos.profile(50, reliable=False)
@@ -54,10 +48,6 @@ _CLEAR_RADIUS = 3.0  # reset distance of the clearing services [m]
 
 LOCAL_SIZE = 60  # cells along an edge
 LOCAL_RESOLUTION = 0.05  # [m]
-_VOXEL_LEVELS = 16
-_VOXEL_HEIGHT = 0.05  # [m]
-_LASER_Z = 0.132  # of the scan plane above the ground [m], by the robot's URDF
-_LASER_LEVEL = int(_LASER_Z / _VOXEL_HEIGHT)
 
 
 class _ScanSource:
@@ -144,15 +134,12 @@ class CostmapNode(LifecycleNode):
         self.set_grid(self.initial_grid())
         self._published_ns = 0
 
-        self._footprint = self.create_publisher(
-            "geometry_msgs/msg/PolygonStamped", f"/{label}/published_footprint"
+        self._footprint = self.create_publisher(POLYGON, f"/{label}/published_footprint")
+        self._outline = Template(
+            polygon_message(0, self.frame, FOOTPRINT), POLYGON, (*STAMP, "polygon.points")
         )
-        self._occupancy = self.create_publisher(
-            "nav_msgs/msg/OccupancyGrid", f"/{label}/costmap", qos.LATCHED
-        )
-        self._raw = self.create_publisher(
-            "nav2_msgs/msg/Costmap", f"/{label}/costmap_raw", qos.LATCHED
-        )
+        self._occupancy = self.create_publisher(OCCUPANCY_GRID, f"/{label}/costmap", qos.LATCHED)
+        self._raw = self.create_publisher(COSTMAP, f"/{label}/costmap_raw", qos.LATCHED)
         # Silent: always_send_full_costmap is set.
         self.create_publisher(
             "map_msgs/msg/OccupancyGridUpdate", f"/{label}/costmap_updates", qos.LATCHED
@@ -203,7 +190,9 @@ class CostmapNode(LifecycleNode):
         self.grid.costs = costs
         self.is_current = True
         self.publish_layers(observations, cleared)
-        self._footprint.publish(polygon_message(self.now_ns, self.frame, footprint))
+        self._footprint.publish_serialized(
+            self._outline.data(*divmod(self.now_ns, SECOND), _points32(footprint))
+        )
 
     def initial_grid(self) -> Costmap2D:
         """Return the grid to begin with."""
@@ -226,6 +215,16 @@ class CostmapNode(LifecycleNode):
         self.grid = grid
         self.obstacles = ObstacleLayer(grid, margin=self.clearing_margin)
         self._inflation = InflationLayer(grid.resolution, INSCRIBED_RADIUS, self.cost_scaling)
+        if grid.costs.size:
+            place = ("origin.position.x", "origin.position.y")
+            self._raw_bytes = Template(
+                costmap_message(0, grid), COSTMAP,
+                (*STAMP, *(f"metadata.{field}" for field in place), "data"),
+            )  # fmt: skip
+            self._occupancy_bytes = Template(
+                occupancy_grid(0, grid), OCCUPANCY_GRID,
+                (*STAMP, *(f"info.{field}" for field in place), "data"),
+            )  # fmt: skip
 
     def _wake_up(self) -> None:
         self.call_later(int(self.rng.integers(_WAKE_UP_JITTER_NS)), self._cycle)
@@ -234,10 +233,17 @@ class CostmapNode(LifecycleNode):
         self.update()
         if self.now_ns - self._published_ns > self.publish_period_ns:
             self._published_ns = self.now_ns
+            stamp, grid = divmod(self.now_ns, SECOND), self.grid
+            origin = (grid.origin_x, grid.origin_y)
             if self._raw.has_subscribers():
-                self._raw.publish(costmap_message(self.now_ns, self.grid))
+                self._raw.publish(
+                    costmap_message(self.now_ns, grid),
+                    self._raw_bytes.data(*stamp, *origin, grid.costs),
+                )
             if self._occupancy.has_subscribers():
-                self._occupancy.publish(occupancy_grid(self.now_ns, self.grid))
+                self._occupancy.publish_serialized(
+                    self._occupancy_bytes.data(*stamp, *origin, occupancies(grid))
+                )
 
     # -- services --------------------------------------------------------------------------
 
@@ -281,12 +287,12 @@ class LocalCostmap(CostmapNode):
 
     def on_configure(self) -> None:
         """Offer what the voxel layer publishes."""
-        self._voxels = self.create_publisher(
-            "nav2_msgs/msg/VoxelGrid", f"/{self.label}/voxel_grid", qos.LATCHED
-        )
+        self._voxels = self.create_publisher(VOXELS, f"/{self.label}/voxel_grid", qos.LATCHED)
         self._endpoints = self.create_publisher(
-            "sensor_msgs/msg/PointCloud2", f"/{self.label}/clearing_endpoints", qos.LATCHED
+            CLOUD, f"/{self.label}/clearing_endpoints", qos.LATCHED
         )
+        self._voxel_grids = VoxelGrids(self.grid)
+        self._clouds = LaserClouds(self.frame)
 
     def initial_grid(self) -> Costmap2D:
         """Return a free window; it jumps to the robot at the first update."""
@@ -312,10 +318,12 @@ class LocalCostmap(CostmapNode):
     ) -> None:
         """Publish the voxels, and per source where its beams stopped clearing."""
         if self._voxels.has_subscribers():
-            self._voxels.publish(_voxel_grid(self.now_ns, self.grid, self.obstacles.costs))
+            self._voxels.publish_serialized(
+                self._voxel_grids.data(self.now_ns, self.grid, self.obstacles.costs)
+            )
         if self._endpoints.has_subscribers():
             for seen, ends in zip(observations, cleared, strict=True):
-                self._endpoints.publish(_cloud(seen.stamp_ns, self.frame, ends))
+                self._endpoints.publish_serialized(self._clouds.data(seen.stamp_ns, ends))
 
 
 class GlobalCostmap(CostmapNode):
@@ -351,35 +359,6 @@ class GlobalCostmap(CostmapNode):
         self.set_grid(Costmap2D(costs, meta.resolution, corner.x, corner.y, self.frame))
 
 
-def _voxel_grid(time_ns: int, grid: Costmap2D, seen: NDArray[np.uint8]) -> Any:
-    """Return ``nav2_msgs/msg/VoxelGrid``: per level, bits z and z + 16 say what is known.
-
-    Both set: marked. The lower one alone: unknown. None: free.
-    """
-    level = np.uint32(1 << _LASER_LEVEL)
-    columns = np.full(seen.size, (1 << _VOXEL_LEVELS) - 1, np.uint32)
-    columns[seen.ravel() == FREE_SPACE] &= ~level
-    columns[seen.ravel() == LETHAL] |= level << np.uint32(_VOXEL_LEVELS)
-    height, width = seen.shape
-    return _VoxelGrid(
-        header(time_ns, grid.frame),
-        columns,
-        _Point32(grid.origin_x, grid.origin_y, 0.0),
-        _Vector3(grid.resolution, grid.resolution, _VOXEL_HEIGHT),
-        width,
-        height,
-        _VOXEL_LEVELS,
-    )
-
-
-def _cloud(time_ns: int, frame: str, points: NDArray[np.float64]) -> Any:
-    """Return ``sensor_msgs/msg/PointCloud2`` of points in the laser's plane, shape (n, 2) [m]."""
-    count = len(points)
-    xyz = np.full((count, 3), _LASER_Z, np.float32)
-    xyz[:, :2] = points
-    float32 = _PointField.FLOAT32
-    fields = [_PointField(name, 4 * i, float32, 1) for i, name in enumerate("xyz")]
-    data = xyz.view(np.uint8).ravel()
-    return _PointCloud2(
-        header(time_ns, frame), 1, count, fields, False, 12, 12 * count, data, is_dense=True
-    )
+def _points32(points: Points) -> list[float]:
+    """Return points of shape (n, 2) as ``geometry_msgs/msg/Point32`` has them: x, y, z of each."""
+    return [number for x, y in points.tolist() for number in (x, y, 0.0)]

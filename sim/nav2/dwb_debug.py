@@ -6,7 +6,6 @@ serialising the messages would give, without a hundred thousand objects.
 """
 
 import math
-import struct
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +14,15 @@ from numpy.typing import NDArray
 from sim.jit import jit
 from sim.middleware import qos
 from sim.middleware.node import Node
-from sim.nav2 import dwb
-from sim.nav2.dwb import Scoring
+from sim.nav2.cdr_words import CDR_LITTLE_ENDIAN, header_words, put, string_words
+from sim.nav2.dwb_critics import (
+    Scoring,
+    map_cells,
+    map_score,
+    obstacle_cost,
+    rotate_to_goal,
+)
+from sim.nav2.dwb_sampling import roll, step_count, twists
 from sim.nav2.paths import Poses
 
 EVALUATION = "dwb_msgs/msg/LocalPlanEvaluation"
@@ -40,26 +46,8 @@ LINE_WIDTH_M = 0.002
 LIFETIME_NS = 100_000_000
 VALID, INVALID = "ValidTrajectories", "InvalidTrajectories"  # namespaces of the markers
 
-_CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-
-
-def _words(data: bytes) -> NDArray[np.uint32]:
-    """Return bytes as words of four, the last one padded: how CDR aligns whatever comes next."""
-    return np.frombuffer(data.ljust(-4 * (-len(data) // 4), b"\0"), np.uint32)
-
-
-def _string(text: str) -> NDArray[np.uint32]:
-    data = text.encode() + b"\0"
-    return _words(struct.pack("<I", len(data)) + data)
-
-
-def _header(time_ns: int, frame: str) -> NDArray[np.uint32]:
-    stamp = _words(struct.pack("<iI", *divmod(time_ns, 1_000_000_000)))
-    return np.append(stamp, _string(frame))
-
-
-_NAME_WORDS = np.array([len(_string(name)) for name in CRITICS])
-_NAMES = np.array([np.resize(_string(name), _NAME_WORDS.max()) for name in CRITICS])
+_NAME_WORDS = np.array([len(string_words(name)) for name in CRITICS])
+_NAMES = np.array([np.resize(string_words(name), _NAME_WORDS.max()) for name in CRITICS])
 
 # A marker after its points: colors, texture_resource, texture (stamp, frame_id, format, data),
 # uv_coordinates, text, mesh_resource, mesh_file (filename, data), mesh_use_embedded_materials.
@@ -119,10 +107,10 @@ def evaluate(scoring: Scoring) -> Evaluation:
     asked. The best is the twist that the planner chose.
     """
     parameters = scoring.parameters
-    forward, turning = dwb._twists(parameters, scoring.velocity)
+    forward, turning = twists(parameters, scoring.velocity)
     most = len(forward) * len(turning)
-    longest = dwb._steps(parameters, (parameters.max_vel_x, parameters.max_vel_theta)) + 2
-    twists = np.empty((most, 2))
+    longest = step_count(parameters, (parameters.max_vel_x, parameters.max_vel_theta)) + 2
+    tried = np.empty((most, 2))
     poses = np.empty((most * longest, 3))
     ends = np.empty(most, np.int64)
     raw_scores = np.zeros((most, len(CRITICS)))
@@ -136,7 +124,7 @@ def evaluate(scoring: Scoring) -> Evaluation:
             if v == 0.0 and w == 0.0:
                 continue
             start = end
-            end += dwb._roll(parameters, scoring.pose, scoring.velocity, (v, w), poses[start:])
+            end += roll(parameters, scoring.pose, scoring.velocity, (v, w), poses[start:])
             refused_by[n], asked[n], total = _score(
                 scoring, (v, w), poses[start:end], scales, lowest, raw_scores[n]
             )
@@ -144,12 +132,12 @@ def evaluate(scoring: Scoring) -> Evaluation:
                 lowest, best = total, n
             if refused_by[n] < 0 and total > highest:
                 highest, worst = total, n
-            twists[n, 0], twists[n, 1] = v, w
+            tried[n, 0], tried[n, 1] = v, w
             ends[n], totals[n] = end, total
             n += 1
     return Evaluation(
         parameters.sim_time,
-        twists[:n],
+        tried[:n],
         poses[:end],
         ends[:n],
         raw_scores[:n],
@@ -194,9 +182,10 @@ def _score(
     """
     parameters, grid, critics = scoring.parameters, scoring.grid, scoring.critics
     v, w = twist
-    cost = dwb._obstacle_cost(grid, rollout)
-    rotate = dwb._rotate_to_goal(parameters, critics, v, rollout[-1])
-    align_goal, align_path, path, goal = dwb._map_cells(parameters, grid, critics, rollout[-1])
+    cost = obstacle_cost(grid, rollout)
+    rotate = rotate_to_goal(parameters, critics, v, rollout[-1, 2])
+    cells = map_cells(parameters, grid, critics, rollout[-1])
+    align_goal, align_path, path, goal = cells
     too_fast = (critics.rotating and v > 0.0) or (
         critics.slowing and v * v >= critics.speed_squared
     )
@@ -210,7 +199,7 @@ def _score(
         (False, float(goal)),
     )
     # As the planner sums it up, so that rounding cannot make another trajectory the best.
-    total = dwb._map_score(parameters, grid, critics, rollout[-1])
+    total = map_score(parameters, grid, cells)
     total += parameters.rotate_to_goal_scale * rotate
     total += parameters.base_obstacle_scale * cost
     so_far = 0.0
@@ -226,8 +215,8 @@ def _score(
 
 def evaluation_bytes(time_ns: int, frame: str, evaluation: Evaluation) -> bytes:
     """Return ``dwb_msgs/msg/LocalPlanEvaluation`` as CDR."""
-    words, size = _evaluation_words(_header(time_ns, frame), evaluation)
-    return _CDR_LITTLE_ENDIAN + words[:size].tobytes()
+    words, size = _evaluation_words(header_words(time_ns, frame), evaluation)
+    return CDR_LITTLE_ENDIAN + words[:size].tobytes()
 
 
 @jit
@@ -238,7 +227,7 @@ def _evaluation_words(
     n = len(evaluation.ends)
     words = np.zeros(2 * (len(header) // 2 + 2 + 32 * n + 4 * len(evaluation.poses)), np.uint32)
     singles, doubles = words.view(np.float32), words.view(np.float64)
-    at = _put(words, 0, header)
+    at = put(words, 0, header)
     words[at] = n
     at += 1
     start = 0
@@ -262,7 +251,7 @@ def _evaluation_words(
         for critic in range(evaluation.asked[i]):
             refused_by = evaluation.refused_by[i]
             name = critic if refused_by < 0 else refused_by
-            at = _put(words, at, _NAMES[name, : _NAME_WORDS[name]])
+            at = put(words, at, _NAMES[name, : _NAME_WORDS[name]])
             singles[at] = -1.0 if refused_by >= 0 else evaluation.raw_scores[i, critic]
             singles[at + 1] = 0.0 if refused_by >= 0 else evaluation.scales[critic]
             at += 2
@@ -292,11 +281,11 @@ def marker_bytes(time_ns: int, frame: str, evaluation: Evaluation) -> bytes:
 
     The best is green, the worst red, illegal ones are black.
     """
-    header = _header(time_ns, frame)
-    heads = (np.append(header, _string(VALID)), np.append(header, _string(INVALID)))
+    header = header_words(time_ns, frame)
+    heads = (np.append(header, string_words(VALID)), np.append(header, string_words(INVALID)))
     words, size = _marker_words(*heads, evaluation)
     # The last field of the last marker is a single byte.
-    return _CDR_LITTLE_ENDIAN + words[:size].tobytes()[:-3]
+    return CDR_LITTLE_ENDIAN + words[:size].tobytes()[:-3]
 
 
 @jit
@@ -315,7 +304,7 @@ def _marker_words(
     at, start, valid_id, invalid_id = 1, 0, 0, 0
     for i in range(n):
         is_valid = evaluation.totals[i] >= 0.0
-        at = _put(words, at, valid if is_valid else invalid)
+        at = put(words, at, valid if is_valid else invalid)
         words[at] = valid_id if is_valid else invalid_id
         words[at + 1] = LINE_STRIP
         at += 3  # the action is 0, add
@@ -338,13 +327,5 @@ def _marker_words(
             doubles[at // 2], doubles[at // 2 + 1] = pose[0], pose[1]
             at += 6
         start = end
-        at = _put(words, at, _MARKER_TAIL)
+        at = put(words, at, _MARKER_TAIL)
     return words, at
-
-
-@jit
-def _put(words: NDArray[np.uint32], at: int, part: NDArray[np.uint32]) -> int:
-    """Write a part and return where it ends."""
-    end = at + len(part)
-    words[at:end] = part
-    return end

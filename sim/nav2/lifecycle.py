@@ -63,8 +63,7 @@ class _Bond:
         node.create_timer(HEARTBEAT_NS, self._beat, phase_ns=0)
 
     def _beat(self) -> None:
-        stamp = divmod(self._node.now_ns, SECOND)
-        self._publisher.publish_serialized(self._status.data(*stamp))
+        self._publisher.publish_serialized(self._status.data(*divmod(self._node.now_ns, SECOND)))
 
 
 class LifecycleNode(Node):

@@ -1,10 +1,12 @@
 """Messages of planar poses and velocities, which several nodes build."""
 
+import struct
 from typing import Any
 
 from oracle_pipeline.bags.types import message_class
 from sim.middleware.geometry import quaternion_yaw, yaw_quaternion
 from sim.middleware.stamps import header
+from sim.nav2.cdr_words import CDR_LITTLE_ENDIAN
 
 TWIST = "geometry_msgs/msg/Twist"
 
@@ -15,10 +17,17 @@ _Quaternion = message_class("geometry_msgs/msg/Quaternion")
 _Twist = message_class(TWIST)
 _Vector3 = message_class("geometry_msgs/msg/Vector3")
 
+_pack_twist = struct.Struct("<4s6d").pack
+
 
 def twist_message(linear: float, angular: float) -> Any:
     """Return ``geometry_msgs/msg/Twist`` of a robot that cannot move sideways [m/s, rad/s]."""
     return _Twist(_Vector3(linear, 0.0, 0.0), _Vector3(0.0, 0.0, angular))
+
+
+def twist_bytes(linear: float, angular: float) -> bytes:
+    """Return what ``serialize(twist_message(...))`` returns, much sooner."""
+    return _pack_twist(CDR_LITTLE_ENDIAN, linear, 0.0, 0.0, 0.0, 0.0, angular)
 
 
 def pose_message(x: float, y: float, yaw: float) -> Any:

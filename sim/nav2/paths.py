@@ -4,8 +4,8 @@ A path has up to some hundred poses and goes out at 20 Hz, so ``path_bytes`` lay
 array instead of building and serialising one object a pose.
 """
 
+import functools
 import math
-import struct
 from typing import Any
 
 import numpy as np
@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.types import message_class
 from sim.jit import jit
 from sim.middleware.stamps import header
+from sim.nav2.cdr_words import CDR_LITTLE_ENDIAN, header_words, put
 from sim.nav2.messages import pose_stamped, pose_yaw
 
 PATH = "nav_msgs/msg/Path"
 Poses = NDArray[np.float64]  # shape (n, 3): x [m], y [m], yaw [rad]
 
 _Path = message_class(PATH)
-
-_CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 
 
 def path_message(time_ns: int, frame: str, poses: Poses) -> Any:
@@ -38,31 +37,38 @@ def path_poses(path: Any) -> Poses:
 
 def path_bytes(time_ns: int, frame: str, poses: Poses) -> bytes:
     """Return what ``serialize(path_message(...))`` returns, much sooner."""
-    name = frame.encode() + b"\0"
-    stamp = struct.pack("<iII", *divmod(time_ns, 1_000_000_000), len(name)) + name
-    front = stamp.ljust(-4 * (-len(stamp) // 4), b"\0") + struct.pack("<I", len(poses))
-    if not len(poses):
-        return _CDR_LITTLE_ENDIAN + front
-    # Doubles are aligned to 8 bytes: the first pose starts where the front ends, the others on a
-    # multiple of 8.
-    first = (front + stamp).ljust(-8 * (-(len(front) + len(stamp)) // 8), b"\0")
-    padded = stamp.ljust(-8 * (-len(stamp) // 8), b"\0")
-    record = np.frombuffer(padded + bytes(56), np.float64)
-    return _CDR_LITTLE_ENDIAN + first + _records(record, poses).tobytes()[len(padded) :]
+    words = _path_words(*divmod(time_ns, 1_000_000_000), _header(frame), poses)
+    return CDR_LITTLE_ENDIAN + words.tobytes()
+
+
+@functools.cache
+def _header(frame: str) -> NDArray[np.uint32]:
+    return header_words(0, frame)
 
 
 @jit
-def _records(record: NDArray[np.float64], poses: Poses) -> NDArray[np.float64]:
-    """Return a row a pose: header and zeros of ``record``, with x, y and quaternion filled in."""
-    rows = np.empty((len(poses), len(record)))
-    end = len(record)
+def _path_words(
+    seconds: int, nanoseconds: int, header: NDArray[np.uint32], poses: Poses
+) -> NDArray[np.uint32]:
+    """Return the message; every pose carries the path's header."""
+    words = np.zeros(2 * (len(header) // 2 + 1 + len(poses) * (len(header) // 2 + 8)), np.uint32)
+    doubles = words.view(np.float64)
+    at = put(words, 0, header)
+    words[0], words[1] = seconds, nanoseconds
+    words[at] = len(poses)
+    at += 1
     for i in range(len(poses)):
-        rows[i] = record
-        rows[i, end - 7] = poses[i, 0]
-        rows[i, end - 6] = poses[i, 1]
-        rows[i, end - 2] = math.sin(poses[i, 2] / 2.0)
-        rows[i, end - 1] = math.cos(poses[i, 2] / 2.0)
-    return rows
+        words[at + 2 : at + len(header)] = header[2:]
+        words[at], words[at + 1] = seconds, nanoseconds
+        at += len(header)
+        at += at % 2
+        double = at // 2
+        doubles[double] = poses[i, 0]
+        doubles[double + 1] = poses[i, 1]
+        doubles[double + 5] = math.sin(poses[i, 2] / 2.0)
+        doubles[double + 6] = math.cos(poses[i, 2] / 2.0)
+        at += 14
+    return words[:at]
 
 
 def length_ahead(poses: Poses, x: float, y: float) -> float:

@@ -6,7 +6,7 @@ from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND
 from sim.nav2.lifecycle import LifecycleNode
-from sim.nav2.messages import TWIST, twist_message
+from sim.nav2.messages import TWIST, twist_bytes, twist_message
 
 FREQUENCY_HZ = 20
 VELOCITY_TIMEOUT_NS = 1 * SECOND
@@ -89,4 +89,4 @@ class VelocitySmoother(LifecycleNode):
             smooth(self._sent[0], self._command[0], self._linear),
             smooth(self._sent[1], self._command[1], self._angular),
         )
-        self._publisher.publish(twist_message(*self._sent))
+        self._publisher.publish(twist_message(*self._sent), twist_bytes(*self._sent))

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from sim.campaigns import Campaign, Options, RecipeError
 from sim.middleware.geometry import Pose2D
 from sim.nav2.costmap import LETHAL, Costmap2D
-from sim.nav2.costmap_layers import GLOBAL_COST_SCALING, InflationLayer, static_costs
+from sim.nav2.costmap_layers import static_costs
 from sim.nav2.footprint import INSCRIBED_RADIUS
+from sim.nav2.inflation import GLOBAL_COST_SCALING, InflationLayer
 from sim.nav2.navfn import plan
 from sim.seeds import generator
 from sim.testbed import Mode

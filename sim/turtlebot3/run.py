@@ -11,6 +11,7 @@ from typing import Any
 
 from oracle_pipeline.bags import manifest as schema
 from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.integrity import hashes_of_files
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, bytes_on_disk
 from oracle_pipeline.bags.writer import BagWriter
@@ -26,10 +27,12 @@ from sim.nav2.collision_monitor import SOURCES
 from sim.recording import DEBUG_TOPICS, GraphRecorder, ReceiveClock, Recorder
 from sim.turtlebot3.arena import Cylinder
 from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
-from sim.turtlebot3.nodes import LidarNoise, add_robot
+from sim.turtlebot3.mjcf import WorldParameters
+from sim.turtlebot3.nodes import add_robot
 from sim.turtlebot3.odometer import Odometer
 from sim.turtlebot3.recipes import TurtleBot3Recipe
-from sim.turtlebot3.world import World, WorldParameters
+from sim.turtlebot3.sensors import LidarNoise
+from sim.turtlebot3.world import World
 
 BRING_UP_NS = 20 * SECOND  # Nav2 must be active by then
 BEFORE_RECORDING_NS = 1 * SECOND  # from an active Nav2 to the recorder's start
@@ -163,7 +166,11 @@ class TurtleBot3Run:
             content_hash=self._bag.content_hash,
             recipe=recipe.to_dict(),
             software=software,
-            measured=schema.Measured(wall_s=wall_s, bytes=bytes_on_disk(self._folder)),
+            measured=schema.Measured(
+                wall_s=wall_s,
+                bytes=bytes_on_disk(self._folder),
+                files=hashes_of_files(self._folder),
+            ),
         )
 
     def _onset_s(self) -> float | None:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 
 from sim.middleware.geometry import Pose2D
-from sim.turtlebot3.world import WHEEL_RADIUS_M, WHEEL_SEPARATION_M
+from sim.turtlebot3.mjcf import WHEEL_RADIUS_M, WHEEL_SEPARATION_M
 
 
 class WheelOdometry:

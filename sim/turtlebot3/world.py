@@ -1,11 +1,11 @@
-"""The physics: the world's pieces and the Waffle in MuJoCo, and what its sensors would measure.
+"""The physics: the world and the Waffle in MuJoCo, and what its sensors would measure.
 
 Nothing else touches ``MjModel`` and ``MjData``. Measurements here are exact; noise, messages and
 rates belong to the sensors' nodes. Frames: the world's, and the robot's ``base_footprint``.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -14,51 +14,27 @@ from mujoco.rollout import Rollout
 from numpy.typing import NDArray
 
 from sim.middleware.geometry import Pose2D, quaternion_yaw, wrap_angle
-from sim.turtlebot3.arena import BLOCKS, CYLINDERS, RING, RING_THICKNESS, Cylinder, Hexagon
-
-STEP_NS = 5_000_000
-
-WHEEL_RADIUS_M = 0.033
-WHEEL_SEPARATION_M = 0.287  # the diff drive's figure; the model's geometry says 0.288
-MAX_WHEEL_TORQUE_NM = 20.0
-# A stiffer motor would reach its set-point within one step, and kick the robot off the floor.
-_MOTOR_GAIN = 0.2  # [N m s/rad]
+from sim.turtlebot3.arena import BLOCKS, CYLINDERS, RING
+from sim.turtlebot3.clear_space import ClearSpace
+from sim.turtlebot3.mjcf import STATIC, STEP_NS, WorldParameters, mjcf, pieces
+from sim.turtlebot3.rays import Piece, Rays
 
 _EPISODE_GAP_NS = 1_000_000_000  # a robot that grinds along a wall bounces off and on
 
-_STATIC, _ROBOT, _FLOOR = 0, 1, 2  # geom groups
-# A wheel stands on the floor at one point, as a sphere does: two edges of a cylinder would scrub
-# against each other in every turn. The cylinder is what meets the pieces of the world.
-_TREAD_BIT = 2
-# By geom group. LiDAR rays are horizontal; a camera sees the floor too.
-_SEEN_BY_LIDARS = np.array([1, 0, 0, 0, 0, 0], np.uint8)
+# By geom group: a camera sees the floor too.
 _SEEN_BY_CAMERAS = np.array([1, 0, 1, 0, 0, 0], np.uint8)
 
 # A state is time, positions (robot: x, y, z, quaternion w, x, y, z; wheels) and their speeds.
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_POSITION, _QUATERNION, _WHEEL_ANGLES = np.s_[1:4], np.s_[4:8], np.s_[8:10]
+_POSE, _POSITION, _QUATERNION, _WHEEL_ANGLES = np.s_[1:8], np.s_[1:4], np.s_[4:8], np.s_[8:10]
 _QUATERNION_XYZW = [5, 6, 7, 4]
 _VELOCITY, _TURNING, _WHEEL_SPEEDS = np.s_[10:13], 15, np.s_[16:18]
 # Sensors: gyro, accelerometer, and per piece of the world how often the robot touches it.
-_GYRO, _ACCELEROMETER, _TOUCHES = np.s_[:3], np.s_[3:6], np.s_[6:]
+_GYRO, _ACCELEROMETER, _INERTIAL, _TOUCHES = np.s_[:3], np.s_[3:6], np.s_[:6], np.s_[6:]
 
-# Red, green, blue, opacity; our own.
-_WALL_RGBA = "0.45 0.55 0.65 1"
-_PILLAR_RGBA = "0.9 0.9 0.85 1"
-_FLOOR_RGBA = "0.6 0.6 0.55 1"
 _SKY_RGB = np.array([0.7, 0.7, 0.7])
 _AMBIENT = 0.4  # share of the light that comes from everywhere; the rest comes from the sun
 _SUN = np.array([0.5, -0.1, 0.9]) / math.sqrt(1.07)  # where it stands, as seen from the floor
-
-
-@dataclass(frozen=True, slots=True)
-class WorldParameters:
-    """What differs from run to run."""
-
-    start: Pose2D  # of base_footprint in the world
-    friction: float = 1.0  # of the floor, relative to the model
-    mass: float = 1.0  # of the robot, relative to the model
-    obstacles: Sequence[Cylinder] = ()  # real ones that are on no map
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +67,8 @@ class World:
     """The world and the robot in it.
 
     Nothing but the wheels' command acts on the robot, so the physics runs in blocks, and ahead of
-    the clock where a sensor asks for more than one sample at once.
+    the clock where a sensor asks for more than one sample at once. While the robot is clear of
+    all pieces it is simulated without them, which gives the same states in two thirds of the time.
 
     Parameters
     ----------
@@ -100,8 +77,11 @@ class World:
     """
 
     def __init__(self, parameters: WorldParameters) -> None:
-        self._model = mujoco.MjModel.from_xml_string(_mjcf(parameters))
+        self._model = mujoco.MjModel.from_xml_string(mjcf(parameters))
         self._data = mujoco.MjData(self._model)
+        self._alone = mujoco.MjModel.from_xml_string(mjcf(parameters, with_pieces=False))
+        self._data_alone = mujoco.MjData(self._alone)
+        self._clear = ClearSpace(RING, BLOCKS, (*CYLINDERS, *parameters.obstacles))
         start = parameters.start
         self._data.qpos[:7] = (
             start.x, start.y, 0.010, math.cos(start.yaw / 2.0), 0.0, 0.0, math.sin(start.yaw / 2.0)
@@ -110,14 +90,19 @@ class World:
         self._rollout = Rollout(nthread=0)
         self._command = np.zeros(self._model.nu)
         self._now_ns = 0
-        # What is known of the steps from ``_first`` on; the first of them is that of now.
+        self._pose_ns = self._state_ns = -1  # when the two below were of now
+        self._pose, self._numbers = start, list[float]()
+        # What is known of the steps from ``_first`` on, up to before ``_unknown_ns``.
         self._first = 0
+        self._unknown_ns = STEP_NS
         self._states = np.empty((1, mujoco.mj_stateSize(self._model, _STATE.value)))
         mujoco.mj_getState(self._model, self._data, self._states[0], _STATE)
-        self._measured = self._data.sensordata[np.newaxis].copy()
-        self._pieces = [*_pieces(parameters)]
+        self._inertial = self._data.sensordata[np.newaxis, _INERTIAL].copy()
+        self._warm_start = self._data.qacc_warmstart[np.newaxis].copy()  # of the solver
+        self._pieces = [*pieces(parameters)]
         self._last_touch_ns: dict[str, int] = {}
         self.touches: list[Touch] = []
+        self._rays = Rays(self._seen_by_lidars())
         # The last row is the sky: a ray that hits nothing reports geom -1.
         self._colours = np.vstack([self._model.geom_rgba[:, :3], _SKY_RGB])
 
@@ -133,7 +118,8 @@ class World:
         steps five times as often, and odometry that jumps by a step would look like slip.
         """
         self._now_ns = time_ns
-        self._simulate_until(time_ns)
+        if time_ns >= self._unknown_ns:
+            self._simulate_until(time_ns)
 
     def command_wheels(self, left: float, right: float) -> None:
         """Set what the wheel motors hold from now on [rad/s].
@@ -150,32 +136,48 @@ class World:
     @property
     def pose(self) -> Pose2D:
         """Ground truth of ``base_footprint`` in the world."""
-        state = self._states[self._row]
-        x, y, _ = state[_POSITION].tolist()
-        w, qx, qy, qz = state[_QUATERNION].tolist()
-        vx, vy, _ = state[_VELOCITY].tolist()
-        yaw = wrap_angle(quaternion_yaw(qx, qy, qz, w) + self._ahead_s * float(state[_TURNING]))
-        return Pose2D(x + self._ahead_s * vx, y + self._ahead_s * vy, yaw)
+        if self._pose_ns != self._now_ns:
+            self._pose_ns, self._pose = self._now_ns, self._carried_on(self._state())
+        return self._pose
+
+    def _carried_on(self, state: list[float]) -> Pose2D:
+        """Return the pose of now: that of the last step, carried on with its speeds."""
+        ahead_s = self._ahead_s
+        x, y, _ = state[_POSITION]
+        w, qx, qy, qz = state[_QUATERNION]
+        vx, vy, _ = state[_VELOCITY]
+        yaw = wrap_angle(quaternion_yaw(qx, qy, qz, w) + ahead_s * state[_TURNING])
+        return Pose2D(x + ahead_s * vx, y + ahead_s * vy, yaw)
 
     @property
     def twist(self) -> tuple[float, float]:
         """Ground truth of the forward [m/s] and the turning speed [rad/s]."""
-        state = self._states[self._row]
-        vx, vy, _ = state[_VELOCITY].tolist()
+        state = self._state()
+        vx, vy, _ = state[_VELOCITY]
         yaw = self.pose.yaw
-        return vx * math.cos(yaw) + vy * math.sin(yaw), float(state[_TURNING])
+        return vx * math.cos(yaw) + vy * math.sin(yaw), state[_TURNING]
 
     def wheel_states(self) -> tuple[list[float], list[float]]:
         """Return angles [rad] and speeds [rad/s] of the left and the right wheel."""
-        state = self._states[self._row]
-        angles = state[_WHEEL_ANGLES] + self._ahead_s * state[_WHEEL_SPEEDS]
-        return angles.tolist(), state[_WHEEL_SPEEDS].tolist()
+        state, ahead_s = self._state(), self._ahead_s
+        speeds = state[_WHEEL_SPEEDS]
+        return [
+            angle + ahead_s * speed
+            for angle, speed in zip(state[_WHEEL_ANGLES], speeds, strict=True)
+        ], speeds
+
+    def _state(self) -> list[float]:
+        """Return the last step's state; several sensors look at the same one."""
+        if self._state_ns != self._now_ns:
+            self._state_ns, self._numbers = self._now_ns, self._states[self._row].tolist()
+        return self._numbers
 
     def imu(self, until_ns: int) -> ImuSamples:
         """Return what an inertial unit measures after now, up to ``until_ns``."""
-        self._simulate_until(until_ns)
+        if until_ns >= self._unknown_ns:
+            self._simulate_until(until_ns)
         steps = np.s_[self._row + 1 : until_ns // STEP_NS - self._first + 1]
-        states, measured = self._states[steps], self._measured[steps]
+        states, measured = self._states[steps], self._inertial[steps]
         first = self._first + steps.start
         return ImuSamples(
             STEP_NS * np.arange(first, first + len(states)),
@@ -205,12 +207,9 @@ class World:
             ``range_max``.
         """
         sensor = self.pose.compose(mount)
-        directions = np.zeros((len(bearings), 3))
-        directions[:, 0] = np.cos(bearings + sensor.yaw)
-        directions[:, 1] = np.sin(bearings + sensor.yaw)
-        origin = np.array([sensor.x, sensor.y, height])
-        distances, _ = self._cast(origin, directions, _SEEN_BY_LIDARS, range_max)
-        return distances
+        angles = bearings + sensor.yaw
+        origin = (sensor.x, sensor.y, height)
+        return self._rays.distances(origin, np.cos(angles), np.sin(angles), range_max)
 
     def look(
         self, mount: Pose2D, height: float, directions: NDArray[np.float64], range_max: float
@@ -232,34 +231,26 @@ class World:
         turned[:, 2] = directions[:, 2]
         origin = np.array([camera.x, camera.y, height])
         normals = np.zeros_like(directions)
-        distances, geoms = self._cast(origin, turned, _SEEN_BY_CAMERAS, range_max, normals)
-        light = _AMBIENT + (1.0 - _AMBIENT) * np.maximum(normals @ _SUN, 0.0)
-        light[geoms < 0] = 1.0
-        colours = 255.0 * light[:, None] * self._colours[geoms]
-        return View(distances, np.rint(colours).astype(np.uint8))
-
-    def _cast(
-        self,
-        origin: NDArray[np.float64],
-        directions: NDArray[np.float64],
-        groups: NDArray[np.uint8],
-        range_max: float,
-        normals: NDArray[np.float64] | None = None,
-    ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-        """Return how far each ray goes (``inf`` beyond ``range_max``) and which geom it hits.
-
-        The geom is -1 where there is none; ``normals``, if given, is filled with the surfaces'.
-        """
         rays = len(directions)
         distances, geoms = np.empty(rays), np.empty(rays, np.int32)
         mujoco.mj_multiRay(
-            self._model, self._data, origin, directions.ravel(), groups, 1, -1, geoms, distances,
-            None if normals is None else normals.reshape(-1), rays, range_max,
+            self._model, self._data, origin, turned.ravel(), _SEEN_BY_CAMERAS, 1, -1, geoms,
+            distances, normals.reshape(-1), rays, range_max,
         )  # fmt: skip
         missed = (distances < 0.0) | (distances > range_max)
         distances[missed] = np.inf
-        geoms[missed] = -1
-        return distances, geoms
+        geoms[missed] = -1  # no geom
+        light = _AMBIENT + (1.0 - _AMBIENT) * np.maximum(normals @ _SUN, 0.0)
+        light[missed] = 1.0
+        colours = 255.0 * light[:, None] * self._colours[geoms]
+        return View(distances, np.rint(colours).astype(np.uint8))
+
+    def _seen_by_lidars(self) -> Iterator[Piece]:
+        """Yield the geoms of the pieces of the world; none of them moves."""
+        model, data = self._model, self._data
+        for geom in np.flatnonzero(model.geom_group == STATIC).tolist():
+            is_box = bool(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX)
+            yield Piece(data.geom_xpos[geom], data.geom_xmat[geom], model.geom_size[geom], is_box)
 
     @property
     def _row(self) -> int:
@@ -273,22 +264,39 @@ class World:
 
     def _simulate_until(self, time_ns: int) -> None:
         """Take the steps that are due by ``time_ns`` and not yet known; forget those before now."""
-        steps = time_ns // STEP_NS - (self._first + len(self._states) - 1)
-        if steps <= 0:
-            return
-        states = np.empty((1, steps, self._states.shape[1]))
-        measured = np.empty((1, steps, self._measured.shape[1]))
-        self._rollout.rollout(
-            [self._model], [self._data], self._states[-1:],
-            np.full((1, steps, len(self._command)), self._command),
-            skip_checks=True, nstep=steps, initial_warmstart=self._data.qacc_warmstart[np.newaxis],
-            state=states, sensordata=measured,
-        )  # fmt: skip
-        self._watch_contacts(self._first + len(self._states), measured[0, :, _TOUCHES])
+        steps = (time_ns - self._unknown_ns) // STEP_NS + 1
+        states, inertial = self._steps(steps)
         known = min(self._row, len(self._states) - 1)
         self._first += known
-        self._states = np.concatenate([self._states[known:], states[0]])
-        self._measured = np.concatenate([self._measured[known:], measured[0]])
+        self._unknown_ns += steps * STEP_NS
+        self._states = np.concatenate([self._states[known:], states])
+        self._inertial = np.concatenate([self._inertial[known:], inertial])
+
+    def _steps(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the next states and what the inertial unit measures in them."""
+        if self._clear.holds(self._states[-1:, _POSE]):
+            states, measured = self._run(self._alone, self._data_alone, count)
+            if self._clear.holds(states[:, _POSE]):
+                self._warm_start[0] = self._data_alone.qacc_warmstart
+                return states, measured
+        states, measured = self._run(self._model, self._data, count)
+        self._warm_start[0] = self._data.qacc_warmstart
+        self._watch_contacts(self._unknown_ns // STEP_NS, measured[:, _TOUCHES])
+        return states, measured[:, _INERTIAL]
+
+    def _run(
+        self, model: mujoco.MjModel, data: mujoco.MjData, count: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return states and sensors of the next steps by one of the two models."""
+        states = np.empty((1, count, self._states.shape[1]))
+        measured = np.empty((1, count, model.nsensordata))
+        commands = np.empty((1, count, len(self._command)))
+        commands[:] = self._command
+        self._rollout.rollout(
+            [model], [data], self._states[-1:], commands, skip_checks=True, nstep=count,
+            initial_warmstart=self._warm_start, state=states, sensordata=measured,
+        )  # fmt: skip
+        return states[0], measured[0]
 
     def _watch_contacts(self, first: int, touching: NDArray[np.float64]) -> None:
         """Note each piece that the robot touches and had not touched for a while."""
@@ -298,119 +306,3 @@ class World:
             if last_ns is None or stamp_ns - last_ns > _EPISODE_GAP_NS:
                 self.touches.append(Touch(stamp_ns, name))
             self._last_touch_ns[name] = stamp_ns
-
-
-def _pieces(parameters: WorldParameters) -> dict[str, str]:
-    """Return name -> geoms of every piece of the world."""
-    return {
-        **{hexagon.name: _block(hexagon) for hexagon in BLOCKS},
-        RING.name: _ring(),
-        **{c.name: _cylinder(c) for c in (*CYLINDERS, *parameters.obstacles)},
-    }
-
-
-def _mjcf(parameters: WorldParameters) -> str:
-    """Return the model; masses and sizes are those of Nav2's Humble ``waffle.model``."""
-    pieces = _pieces(parameters)
-    return f"""
-<mujoco>
-  <option timestep="{STEP_NS / 1e9}" gravity="0 0 -9.8" integrator="implicitfast"/>
-  <default>
-    <geom friction="{parameters.friction} 0.005 0.0001"/>
-    <default class="robot"><geom group="{_ROBOT}"/></default>
-    <default class="on_floor">
-      <geom group="{_ROBOT}" contype="{_TREAD_BIT}" conaffinity="{_TREAD_BIT}"/>
-    </default>
-  </default>
-  <worldbody>
-    <geom name="floor" type="plane" size="50 50 1" group="{_FLOOR}" rgba="{_FLOOR_RGBA}"
-          contype="{_TREAD_BIT}" conaffinity="{_TREAD_BIT}"/>
-    {"".join(f'<body name="{name}">{geoms}</body>' for name, geoms in pieces.items())}
-    <body name="base_footprint">
-      <freejoint/>
-      <geom class="robot" type="box" size="0.1325 0.1325 0.0445" pos="-0.064 0 0.048"
-            mass="{1.0 * parameters.mass}"/>
-      <geom class="robot" type="cylinder" size="0.0508 0.0275" pos="-0.052 0 0.111"
-            mass="{0.125 * parameters.mass}"/>
-      <geom class="robot" type="box" size="0.004 0.065 0.011" pos="0.069 0 0.107"
-            mass="{0.035 * parameters.mass}"/>
-      <geom class="on_floor" type="sphere" size="0.005" pos="-0.177 0.064 -0.004" mass="0.001"
-            condim="1" priority="1"/>
-      <geom class="on_floor" type="sphere" size="0.005" pos="-0.177 -0.064 -0.004" mass="0.001"
-            condim="1" priority="1"/>
-      <site name="imu_link" pos="0 0 0.068"/>
-      {_wheel("wheel_left", 0.144)}
-      {_wheel("wheel_right", -0.144)}
-    </body>
-  </worldbody>
-  <actuator>
-    {_motor("wheel_left")}
-    {_motor("wheel_right")}
-  </actuator>
-  <sensor>
-    <gyro site="imu_link"/>
-    <accelerometer site="imu_link"/>
-    {"".join(map(_touch_sensor, pieces))}
-  </sensor>
-</mujoco>"""
-
-
-def _wheel(name: str, y: float) -> str:
-    return f"""
-      <body name="{name}" pos="0 {y} 0.023">
-        <inertial pos="0 0 0" mass="0.1" diaginertia="0.001 0.001 0.001"/>
-        <joint name="{name}" axis="0 1 0"/>
-        <geom class="robot" type="cylinder" size="{WHEEL_RADIUS_M} 0.009" euler="90 0 0"/>
-        <geom class="on_floor" type="sphere" size="{WHEEL_RADIUS_M}" mass="0"/>
-      </body>"""
-
-
-def _motor(joint: str) -> str:
-    limit = MAX_WHEEL_TORQUE_NM
-    return f'<velocity joint="{joint}" kv="{_MOTOR_GAIN}" forcerange="-{limit} {limit}"/>'
-
-
-def _touch_sensor(piece: str) -> str:
-    return f'<contact subtree1="base_footprint" body2="{piece}" data="found"/>'
-
-
-def _block(hexagon: Hexagon) -> str:
-    """Return a hexagon: the union of the three boxes that join its opposite sides."""
-    half = (hexagon.apothem, hexagon.circumradius / 2.0, (hexagon.z_max - hexagon.z_min) / 2.0)
-    return "".join(
-        _box(
-            f"{hexagon.name}#{i}", hexagon.x, hexagon.y, hexagon.z_min + half[2], half, 30 + 60 * i
-        )
-        for i in range(3)
-    )
-
-
-def _ring() -> str:
-    """Return six walls, long enough to close the corners behind the inner faces."""
-    height = (RING.z_max - RING.z_min) / 2.0
-    half = (RING_THICKNESS / 2.0, RING.circumradius * 9.0 / 16.0, height)
-    distance = RING.apothem + half[0]
-    walls = []
-    for i in range(6):
-        degrees = 30 + 60 * i
-        x, y = (distance * f(math.radians(degrees)) for f in (math.cos, math.sin))
-        walls.append(_box(f"{RING.name}#{i}", x, y, RING.z_min + height, half, degrees))
-    return "".join(walls)
-
-
-def _box(
-    name: str, x: float, y: float, z: float, half: tuple[float, float, float], degrees: float
-) -> str:
-    size = " ".join(map(str, half))
-    return (
-        f'<geom name="{name}" type="box" pos="{x} {y} {z}" size="{size}" '
-        f'euler="0 0 {degrees}" group="{_STATIC}" rgba="{_WALL_RGBA}"/>'
-    )
-
-
-def _cylinder(c: Cylinder) -> str:
-    half = c.height / 2.0
-    return (
-        f'<geom name="{c.name}" type="cylinder" pos="{c.x} {c.y} {half}" '
-        f'size="{c.radius} {half}" group="{_STATIC}" rgba="{_PILLAR_RGBA}"/>'
-    )

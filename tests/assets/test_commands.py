@@ -1,5 +1,6 @@
 """Dagster from the command line, in a checkout with its `.env`: a range, and the UI."""
 
+import contextlib
 import json
 import os
 import shutil
@@ -71,7 +72,7 @@ def test_a_range_is_one_dagster_run_and_names_what_failed(checkout: Path) -> Non
 def test_the_ui_comes_up(checkout: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    command = ["dagster", "dev", "-w", "workspace.yaml", "-h", "127.0.0.1", "-p", str(port)]
+    command = [sys.executable, "-m", "resources.ui", "-w", "workspace.yaml", "-p", str(port)]
     with (checkout / "log").open("w") as log:
         server = subprocess.Popen(
             command, cwd=checkout, env=environment(checkout), stdout=log, stderr=log,
@@ -79,15 +80,40 @@ def test_the_ui_comes_up(checkout: Path) -> None:
         )  # fmt: skip
         try:
             answer = wait_for(f"http://127.0.0.1:{port}/server_info", seconds=180)
+            wait_for_daemon(checkout / ".dagster_home", seconds=180)
         finally:
             os.killpg(server.pid, signal.SIGINT)
             server.wait(timeout=180)
-    assert answer["dagster_version"].startswith("1.13"), (checkout / "log").read_text()
+    said = (checkout / "log").read_text()
+    assert answer["dagster_version"].startswith("1.13"), said
+    assert server.returncode == 0, said
+    assert "Traceback" not in said
+    assert "Daemon threads shut down" in said
+    assert processes_of(server.pid) == []
 
 
 def hear_control_c() -> None:
     """Undo what a shell does to jobs in its background: they, and all they start, ignore it."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def wait_for_daemon(home: Path, seconds: float) -> None:
+    until = time.monotonic() + seconds
+    with dg.DagsterInstance.from_config(str(home)) as instance:
+        while "QUEUED_RUN_COORDINATOR" not in instance.get_daemon_heartbeats():
+            assert time.monotonic() < until
+            time.sleep(0.2)
+
+
+def processes_of(group: int) -> list[int]:
+    """Return the processes of a group or session that live: a server's children."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+            state, parent, its_group = stat.read_text().rpartition(")")[2].split()[:3]
+            if state != "Z" and group in (int(parent), int(its_group)):
+                found.append(int(stat.parent.name))
+    return found
 
 
 def wait_for(url: str, seconds: float) -> dict[str, str]:

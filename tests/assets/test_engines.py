@@ -1,6 +1,5 @@
 """A Dask cluster, a store on S3, an instance on PostgreSQL: the same runs and tables as here."""
 
-import json
 import os
 import shutil
 from collections.abc import Iterator
@@ -20,6 +19,7 @@ from resources.fleet import Fleet
 from resources.store import RunStore
 from tests.assets.laboratory import KEY, PARTNER, PER_RUN, Laboratory
 from tests.assets.test_run_checks import ASSET_OF, evaluations
+from tests.manifests import rewrite
 from tests.servers import ROOT, dask_cluster, postgres_server, s3_server
 
 STORE = RunStore(root="s3://oracle/campaign")
@@ -156,10 +156,9 @@ def test_a_run_that_comes_out_otherwise_for_no_reason_is_put_beside_the_one_in_t
     shared: SharedLaboratory,
 ) -> None:
     run = STORE.run(KEY)
-    document = json.loads(run.manifest_path.read_text(encoding="utf-8"))
-    version = document["content_hash"]
-    document["content_hash"] = "0" * 64  # as if this very software had recorded other messages
-    run.manifest_path.write_text(json.dumps(document), encoding="utf-8")
+    version = run.manifest().content_hash
+    # As if this very software had recorded other messages.
+    rewrite(run, lambda document: document.update(content_hash="0" * 64))
     before = {name: of for name, of in shared.objects().items() if "/runs/" in name}
 
     outcome = shared.materialize(PER_RUN, KEY, config={"runs": {"refresh": True}})

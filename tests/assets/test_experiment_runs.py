@@ -1,7 +1,6 @@
 """The five assets of a run: what is done, what is left alone, and what a failure leaves."""
 
 import base64
-import json
 import re
 
 import dagster as dg
@@ -11,6 +10,7 @@ from resources.budget import StorageBudget
 from resources.campaign import CampaignSettings
 from resources.store import RunStore
 from tests.assets.laboratory import ATTACKED, KEY, KEYS, PER_RUN, Laboratory
+from tests.manifests import rewrite
 
 REFRESH = {"runs": {"refresh": True}}
 BOTH = KEYS[2:]  # runs of the attacked mode, first and last of a range
@@ -69,10 +69,8 @@ def test_data_versions_are_hashes_of_the_content(campaign: Laboratory) -> None:
 
 
 def test_a_run_keeps_the_version_of_the_code_that_made_it(copy_of_campaign: Laboratory) -> None:
-    place = copy_of_campaign.store.run(KEY).manifest_path
-    document = json.loads(place.read_text(encoding="utf-8"))
-    document["software"]["code"] = "of last year"
-    place.write_text(json.dumps(document), encoding="utf-8")
+    run = copy_of_campaign.store.run(KEY)
+    rewrite(run, lambda document: document["software"].update(code="of last year"))
     assert copy_of_campaign.materialize(["experiment_runs", "bags"], KEY).success
     for asset in ("experiment_runs", "bags"):
         tags = copy_of_campaign.latest(asset, KEY).tags or {}

@@ -1,29 +1,21 @@
 """Processes that are killed at any moment, and two that want the same run at once."""
 
-import os
 import shutil
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
-import pandas as pd
+import numpy as np
 
-from assets.aggregates import DATASET, TRUTH, WINDOWS
 from assets.worker.run import process_run
-from oracle_pipeline.datasets import read_table
-from oracle_pipeline.reporting.report import Report
-from resources.store import RunStore
 from sim.fan_out import fan_out, process_pool
+from soak.aggregates import AGGREGATES, compared, end, wait_for_step
+from soak.aggregates import start as start_asset
+from soak.aggregates import state as state_of_aggregates
 from soak.faults import disturbed, jobs, leftovers, start, state
-from tests.assets.laboratory import EVERYTHING, PER_RUN, Laboratory
+from soak.full_disk import everything
+from tests.assets.laboratory import Laboratory
 
 KILLS = 5
-DAGSTER = str(Path(sys.executable).parent / "dagster")
-REPORTS = [
-    name for name in EVERYTHING if name not in (*PER_RUN, "feature_dataset", "oracle_report")
-]
 
 
 def test_a_campaign_killed_at_random_moments_ends_as_one_left_alone(tmp_path: Path) -> None:
@@ -49,41 +41,36 @@ def test_tables_and_reports_killed_while_they_are_written_are_the_former_or_the_
 ) -> None:
     root = tmp_path / "data"
     shutil.copytree(campaign.root, root)
+    expected = state_of_aggregates(root)
     written = {
         "datasets": "feature_dataset",
         "report/parts": "malicious_rate_report",
         "report": "oracle_report",
     }
     for folder, asset in written.items():
-        running = materialize(tmp_path, asset)
+        running = start_asset(tmp_path, [asset])
         while not list((root / folder).glob(".*")):
             assert running.poll() is None
             time.sleep(0.001)
-        os.killpg(running.pid, signal.SIGKILL)
-        running.wait()
-        assert_equal_tables(RunStore(root=str(root)), campaign.store)
-    assert materialize(tmp_path, ",".join(written.values())).wait() == 0
-    assert_equal_tables(RunStore(root=str(root)), campaign.store)
-    assert leftovers(root) == []
+        assert end(running, "kill all") == []
+        assert state_of_aggregates(root) == expected
+    assert start_asset(tmp_path, list(written.values())).wait() == 0
+    assert compared(root, expected) == []
 
 
-def materialize(place: Path, assets: str) -> "subprocess.Popen[bytes]":
-    """Make what is made of all runs, as a process group of its own."""
-    (place / "home").mkdir(exist_ok=True)
-    ours = {"DAGSTER_HOME": str(place / "home"), "ORACLE_HOME": str(place / "data")}
-    command = ["asset", "materialize", "-m", "oracle_pipeline.definitions", "--select"]
-    return subprocess.Popen(
-        [DAGSTER, *command, assets], cwd=place, env=os.environ | ours,
-        start_new_session=True, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+def test_an_evaluation_that_is_told_to_stop_ends_soon_and_leaves_nothing(
+    copy_of_campaign: Laboratory,
+) -> None:
+    root = copy_of_campaign.root
+    expected = state_of_aggregates(root)
+    running = start_asset(root.parent, ["oracle_evaluation"])
+    wait_for_step(root.parent, running)
+    assert end(running, "terminate") == []
+    assert running.returncode != 0
+    assert compared(root, expected) == []
 
 
-def assert_equal_tables(found: RunStore, expected: RunStore) -> None:
-    for name in (DATASET, WINDOWS, TRUTH):
-        pd.testing.assert_frame_equal(
-            read_table(found.dataset(name)), read_table(expected.dataset(name))
-        )
-    for name in REPORTS:
-        ours, theirs = (Report.load(store.results(name)) for store in (found, expected))
-        pd.testing.assert_frame_equal(ours.table, theirs.table)
-        assert ours.figures == theirs.figures
+def test_on_a_full_disk_no_asset_is_made_and_nothing_is_lost(copy_of_campaign: Laboratory) -> None:
+    found = dict(everything(copy_of_campaign.root, np.random.default_rng(15)))
+    assert found.keys() == {"recording of a run", "features of a run", *AGGREGATES}
+    assert not any(found.values()), found

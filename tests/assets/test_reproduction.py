@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import shutil
-from collections.abc import Callable
 from typing import Any
 
 import dagster as dg
@@ -12,8 +11,8 @@ from assets.automation import refreshed_runs
 from assets.experiment_runs import REPRODUCIBLE
 from assets.worker.reproduction import judge, place_aside
 from oracle_pipeline.bags.reader import BagReader
-from oracle_pipeline.bags.run_directory import RunDirectory
 from tests.assets.laboratory import KEYS, PER_RUN, Laboratory
+from tests.manifests import rewrite
 
 BOTH = KEYS[2:]  # runs of the attacked mode
 
@@ -44,12 +43,6 @@ def results(outcome: dg.ExecuteInProcessResult) -> dict[str | None, dg.AssetChec
 def recorded(laboratory: Laboratory) -> dict[str, tuple[int, int]]:
     """The files of the runs that are in use."""
     return {path: as_of for path, as_of in laboratory.files().items() if path.startswith("runs/")}
-
-
-def rewrite(run: RunDirectory, change: Callable[[dict[str, Any]], None]) -> None:
-    document = json.loads(run.manifest_path.read_text(encoding="utf-8"))
-    change(document)
-    run.manifest_path.write_text(json.dumps(document), encoding="utf-8")
 
 
 def test_a_run_that_comes_out_as_it_was_passes_and_one_that_is_verified_gives_no_result(
@@ -143,7 +136,7 @@ def test_the_first_message_that_differs_is_named(campaign: Laboratory) -> None:
         earlier = min(a, b, key=lambda message: message.stamp_ns)
         seconds = (earlier.stamp_ns - bag.start_ns) / 1e9
     found = judge(one, former, other)
-    assert found.verdict == "unexplained"
+    assert found.comparison == "unexplained"
     assert found.first_difference == f"{earlier.topic}, {seconds:.3f} s after the first message"
 
 

@@ -12,9 +12,14 @@ import pytest
 from assets.run_checks import CHECKS, PAIR_CHECK
 from assets.worker import inspections
 from oracle_pipeline.bags.graph_files import read_gexf, write_gexf
+from oracle_pipeline.bags.integrity import hashes_of_files
+from oracle_pipeline.bags.reader import BagReader, RawMessage, read_ground_truth
 from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE, serialize
+from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.datasets import read_table, write_table
 from tests.assets.laboratory import ATTACKED, KEY, KEYS, PARTNER, Laboratory
+from tests.manifests import rewrite
 
 ASSET_OF = {check.name: check.asset_key for check in CHECKS}
 
@@ -71,6 +76,37 @@ def node_added(run: RunDirectory) -> None:
     graph = nx.DiGraph(read_gexf(run.graphs / "000000.gexf"))
     graph.add_node("node:/intruder", kind="node", type="", label="/intruder")
     write_gexf(graph, run.graphs / "000000.gexf")
+    files = hashes_of_files(run.path)  # as if it had been recorded
+    rewrite(run, lambda document: document["measured"].update(files=files))
+
+
+def bit_flipped(folder: Path) -> None:
+    """Flip a bit in the largest file of a folder, where its content is."""
+    file = max(folder.iterdir(), key=lambda path: path.stat().st_size)
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(content)
+
+
+def messages_exchanged(run: RunDirectory) -> None:
+    """Put a bag with the same counts in place of the run's own, and its files' hashes with it."""
+    with BagReader(run.bag) as bag:
+        topics, (first, second, *rest) = bag.topics, list(bag.messages(["/odom"]))
+        others = [message for message in bag.messages() if message.topic != "/odom"]
+    swapped = [first._replace(data=second.data), second._replace(data=first.data), *rest]
+    truth = [
+        RawMessage(GROUND_TRUTH_TOPIC, stamp_ns, serialize(message, GROUND_TRUTH_TYPE))
+        for stamp_ns, message in read_ground_truth(run.bag)
+    ]
+    shutil.rmtree(run.bag)
+    with BagWriter(run.bag) as writer:
+        for topic in topics.values():
+            writer.add_topic(topic.name, topic.msgtype, topic.qos)
+        writer.add_topic(GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE, [])
+        for message in sorted([*swapped, *others, *truth], key=lambda message: message.stamp_ns):
+            writer.write(*message)
+    files = hashes_of_files(run.path)
+    rewrite(run, lambda document: document["measured"].update(files=files))
 
 
 def value_lost(place: Path) -> None:
@@ -87,6 +123,14 @@ Damage = Callable[[RunDirectory], None]
     [
         ("bag_is_complete", other_bag, "recorded"),
         ("bag_is_complete", cut_bag, "bag"),
+        ("bag_is_complete", lambda run: bit_flipped(run.bag), "corrupt"),
+        ("bag_is_complete", messages_exchanged, "hash"),
+        (
+            "every_interval_has_a_graph",
+            lambda run: bit_flipped(run.graphs),
+            "not what was recorded",
+        ),
+        (PAIR_CHECK, lambda run: bit_flipped(run.graphs), "damaged"),
         ("every_interval_has_a_graph", last_graph_lost, "no graph"),
         (PAIR_CHECK, node_added, "node:/intruder"),
         (

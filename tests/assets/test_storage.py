@@ -2,12 +2,9 @@
 
 import contextlib
 import dataclasses
-import json
-import resource
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -26,8 +23,10 @@ from resources.storage.commands import remake, storage
 from resources.storage.stock import take_stock
 from resources.store import RunStore
 from sim.campaigns import Campaign
+from soak.full_disk import largest_file
 from tests.assets.laboratory import ATTACKED, CONTROL, KEY, PER_RUN, Laboratory
 from tests.locks import order_of_two
+from tests.manifests import rewrite
 
 FEATURES = frozenset({"run_features"})
 
@@ -41,13 +40,6 @@ def process(run: RunDirectory, keep: Kept, wanted: frozenset[str] = frozenset())
     return process_run(RunJob(run, Campaign(goals_per_run=1), wanted, refresh=False, keep=keep))
 
 
-def rewrite(run: RunDirectory, **changes: Any) -> None:
-    document = json.loads(run.manifest_path.read_text())
-    for name, value in changes.items():
-        document[name] = document[name] | value if isinstance(value, dict) else value
-    run.manifest_path.write_text(json.dumps(document))
-
-
 def files(root: Path) -> dict[str, tuple[int, int]]:
     """Every file by what it is (not by its content): another inode is another file."""
     return {
@@ -55,17 +47,6 @@ def files(root: Path) -> dict[str, tuple[int, int]]:
         for path in root.rglob("*")
         if path.is_file()
     }
-
-
-@contextlib.contextmanager
-def largest_file(size: int) -> Iterator[None]:
-    """No file can grow larger, as on a disk that is full."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_a_trimmed_bag_holds_what_features_decode_and_all_that_is_light(run: RunDirectory) -> None:
@@ -130,20 +111,22 @@ def test_features_of_a_dropped_run_make_its_bag_again_first(run: RunDirectory) -
 
 
 def test_a_run_of_other_software_cannot_be_made_again_and_keeps_its_bag(run: RunDirectory) -> None:
-    rewrite(run, software={"code": "of last year"})
+    rewrite(run, lambda document: document["software"].update(code="of last year"))
     assert process(run, "recipe").kept == "full"
     assert run.bag.is_dir()
 
 
 def test_a_run_that_was_derived_from_another_keeps_its_bag(run: RunDirectory) -> None:
-    rewrite(run, recipe={"mutant_of": run.manifest().content_hash})
+    of = run.manifest().content_hash
+    rewrite(run, lambda document: document["recipe"].update(mutant_of=of))
     assert process(run, "recipe").kept == "full"
     assert run.bag.is_dir()
 
 
 def test_other_software_makes_a_new_generation_with_features_of_its_own(run: RunDirectory) -> None:
     process(run, "recipe")
-    rewrite(run, software={"code": "of last year"}, content_hash="0" * 64)
+    rewrite(run, lambda document: document["software"].update(code="of last year"))
+    rewrite(run, lambda document: document.update(content_hash="0" * 64))
     record = run.feature_table("run").with_suffix(".json")
     record.write_text(record.read_text().replace('"inputs": "', '"inputs": "of last year '))
     report = process(run, "full", FEATURES)
@@ -154,7 +137,7 @@ def test_other_software_makes_a_new_generation_with_features_of_its_own(run: Run
 
 def test_the_same_software_that_makes_another_run_is_not_believed(run: RunDirectory) -> None:
     process(run, "recipe")
-    rewrite(run, content_hash="0" * 64)
+    rewrite(run, lambda document: document.update(content_hash="0" * 64))
     before = files(run.root)
     result = CliRunner().invoke(remake, [str(run.path)])
     assert result.exit_code == 1
@@ -166,7 +149,7 @@ def test_the_command_makes_a_bag_again_and_leaves_a_whole_one_alone(run: RunDire
     before = content_hash(run.bag)
     process(run, "recipe")
     assert "room for" in CliRunner().invoke(storage, ["--root", str(run.root)]).output
-    assert "bag made again" in CliRunner().invoke(remake, [str(run.path)]).output
+    assert "bag re-simulated" in CliRunner().invoke(remake, [str(run.path)]).output
     assert content_hash(run.bag) == run.manifest().content_hash == before
     files_before = files(run.root)
     assert "has its whole bag" in CliRunner().invoke(remake, [str(run.path)]).output

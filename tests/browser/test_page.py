@@ -1,7 +1,6 @@
 """The report as a browser shows it; ``make test-browser`` runs this, for it needs a Chromium."""
 
 import io
-import shutil
 
 import numpy as np
 import pytest
@@ -9,19 +8,17 @@ from PIL import Image
 from playwright.sync_api import Browser, sync_playwright
 
 from oracle_pipeline.reporting.html import write_page
+from tests.browser.chromium import CHROMIUM
 from tests.oracle_pipeline.reporting.pages import poor_page, whole_page
 
-NAMES = ("chromium", "chromium-browser", "google-chrome")
 DESK, PHONE = {"width": 1200, "height": 900}, {"width": 360, "height": 780}
 PAPER = {"width": 687, "height": 1010}  # A4 less its margins, at 96 pixels an inch
 
 
 @pytest.fixture(scope="module")
 def browser():
-    found = next(filter(None, map(shutil.which, NAMES)), None)
-    assert found, f"There is none of {', '.join(NAMES)}; install one, on Debian package chromium."
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=found)
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM)
         yield chromium
         chromium.close()
 

@@ -10,7 +10,9 @@ from oracle_pipeline.bags.errors import OracleError
 from resources.failures import clear_failures
 
 
-@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT])
+@pytest.mark.parametrize(
+    "code", [errno.ENOSPC, errno.EFBIG, errno.EACCES, errno.EROFS, errno.EDQUOT]
+)
 def test_a_disk_that_takes_no_more_is_named_with_a_way_out(code: int) -> None:
     with pytest.raises(dg.Failure) as caught, clear_failures():
         raise OSError(code, os.strerror(code), "/somewhere/run003")

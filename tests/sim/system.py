@@ -16,9 +16,11 @@ from sim.nav2.bringup import bring_up
 from sim.recording import DEBUG_TOPICS, Recorder
 from sim.scenarios import builtin_scenarios
 from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
-from sim.turtlebot3.nodes import LidarNoise, add_robot
+from sim.turtlebot3.mjcf import WorldParameters
+from sim.turtlebot3.nodes import add_robot
 from sim.turtlebot3.run import NODE
-from sim.turtlebot3.world import World, WorldParameters
+from sim.turtlebot3.sensors import LidarNoise
+from sim.turtlebot3.world import World
 from tests.sim import humble
 
 DOC = Path(__file__).parents[2] / "docs" / "explanation" / "testbed.md"

@@ -1,6 +1,7 @@
 import dataclasses
 import json
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -47,7 +48,10 @@ manifests = st.builds(
     content_hash=st.from_regex(r"[0-9a-f]{64}", fullmatch=True),
     recipe=parameters,
     software=st.builds(Software, names, names, names),
-    measured=st.builds(Measured, seconds, st.dictionaries(names, counts)),
+    measured=st.builds(
+        Measured, seconds, st.dictionaries(names, counts),
+        files=st.dictionaries(names, st.from_regex(r"[0-9a-f]{64}", fullmatch=True)),
+    ),
     changes=st.lists(
         st.builds(Change, seconds, st.integers(1, 100), st.none() | seconds)
     ).map(tuple),
@@ -79,7 +83,8 @@ def test_schema_and_dataclasses_have_the_same_fields():
     definitions = {
         "start": Pose, "goal_results": GoalResult, "contacts": Contact, "topics": TopicCount,
     }  # fmt: skip
-    assert set(schema()["required"]) == set(schema()["properties"]) == names_of(Manifest)
+    assert set(schema()["required"]) == set(schema()["properties"])
+    assert set(schema()["required"]) == names_of(Manifest) | {"seal"}
     for name, definition in zip(("pose", "goal_result", "contact", "topic"), definitions.values(),
                                 strict=True):  # fmt: skip
         assert set(schema()["$defs"][name]["required"]) == names_of(definition)
@@ -122,17 +127,54 @@ def test_fields_are_all_there_and_no_others(change, tmp_path):
 def test_another_schema_version_is_told(tmp_path):
     path = tmp_path / "manifest.json"
     path.write_text('{"schema_version": 7}')
-    with pytest.raises(ManifestError, match="schema version 7, this release reads 3"):
+    with pytest.raises(ManifestError, match="schema version 7, this release reads 4"):
         Manifest.load(path)
 
 
-def test_a_run_of_the_version_before_is_read_as_one_that_tells_no_changes(tmp_path):
+@pytest.mark.parametrize(("version", "lacks"), [(3, ()), (2, ("changes",))])
+def test_a_run_of_an_older_version_is_read_as_one_that_does_not_tell(version, lacks, tmp_path):
     path = tmp_path / "manifest.json"
     example().save(path)
     document = json.loads(path.read_text())
-    del document["changes"]
-    path.write_text(json.dumps({**document, "schema_version": 2}))
+    for name in ("seal", *lacks):
+        del document[name]
+    del document["measured"]["files"]
+    path.write_text(json.dumps({**document, "schema_version": version}))
     assert Manifest.load(path) == example()
+
+
+def test_a_manifest_that_lost_its_seal_is_not_taken_for_an_older_one(tmp_path):
+    path = tmp_path / "manifest.json"
+    example().save(path)
+    document = json.loads(path.read_text())
+    path.write_text(json.dumps({**document, "schema_version": 3}))
+    with pytest.raises(ManifestError, match="schema version 3"):
+        Manifest.load(path)
+    del document["seal"]
+    path.write_text(json.dumps(document))
+    with pytest.raises(ManifestError, match="'seal' is a required property"):
+        Manifest.load(path)
+
+
+def test_an_edited_manifest_is_told(tmp_path):
+    path = tmp_path / "manifest.json"
+    example().save(path)
+    path.write_text(path.read_text().replace("malicious", "normal"))
+    with pytest.raises(ManifestError, match="was changed after it was written"):
+        Manifest.load(path)
+
+
+def test_no_flipped_bit_of_a_manifest_gives_another(tmp_path):
+    """Not one, wherever it is; of all of them, as many as there is time for."""
+    path = tmp_path / "manifest.json"
+    example().save(path)
+    content = path.read_bytes()
+    for at in np.random.default_rng(15).choice(8 * len(content), 300, replace=False):
+        flipped = bytearray(content)
+        flipped[at // 8] ^= 1 << at % 8
+        path.write_bytes(flipped)
+        with pytest.raises(ManifestError):
+            Manifest.load(path)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "null", "\udcff"])

@@ -199,3 +199,25 @@ def test_an_idl_definition_is_one_in_the_copy_too(tmp_path):
     with BagReader(tmp_path / "bag") as bag:
         assert bag.definition(FOREIGN).text == heading + FOREIGN_IDL
         assert FOREIGN in bag.typestore(FOREIGN).fielddefs
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_bag_does_not_depend_on_how_many_messages_are_stored_at_a_time(
+    storage, tmp_path, monkeypatch
+):
+    hashes, contents = [], []
+    for size in (0, 5_000, 2**18, 2**30):
+        monkeypatch.setattr("oracle_pipeline.bags.writer._BATCH_BYTES", size)
+        path = tmp_path / str(size) / "bag"
+        with BagWriter(path, storage) as bag:
+            for number in range(3000):  # more than a chunk
+                topic = f"/topic{number % 7 if number > 100 else 0}"
+                bag.add_topic(topic, CLOCK, [])
+                bag.write(topic, 10**9 - number % 5, bytes(number % 1500))
+            hashes.append(bag.content_hash)
+        with BagReader(path) as read:
+            contents.append([(m.topic, m.stamp_ns, bytes(m.data)) for m in read.messages()])
+        if storage == "mcap":
+            contents[-1].append(next(path.glob("*.mcap")).read_bytes())
+    assert hashes == hashes[:1] * 4
+    assert contents == contents[:1] * 4

@@ -22,7 +22,7 @@ from oracle_pipeline.detectors.guarded import (
 LINE = np.array([[0.0], [1.0], [2.0], [3.0]])
 
 
-def right_runs(n=60, features=3, seed=0):
+def normal_runs(n=60, features=3, seed=0):
     return np.random.default_rng(seed).normal(size=(n, features))
 
 
@@ -42,7 +42,7 @@ def test_mahalanobis_counts_common_deviations_once():
 
 @given(st.floats(1e-6, 1.0))
 def test_mahalanobis_takes_no_feature_for_better_known_than_its_scale(spread):
-    X = right_runs(n=500) * [1.0, spread, 0.0]
+    X = normal_runs(n=500) * [1.0, spread, 0.0]
     scores = Mahalanobis().fit(X).score_samples([[0.0, 4.0, 0.0], [0.0, 0.0, 4.0]])
     assert scores == pytest.approx([-4.0, -4.0], rel=0.15)
 
@@ -88,14 +88,14 @@ def test_reference_distance_is_in_spreads_of_the_nearest_large_cluster():
 
 
 def test_a_lone_odd_run_in_training_is_no_cluster_to_be_near_to():
-    X = np.vstack([right_runs(), [[40.0, 40.0, 40.0]]])
+    X = np.vstack([normal_runs(), [[40.0, 40.0, 40.0]]])
     for detector in (ReferenceDistance(), DenseRegions()):
         beside, among = detector.fit(X).score_samples([[40.0, 40.0, 41.0], [0.0, 0.0, 0.0]])
         assert beside < 10 * among
 
 
 def test_copies_of_a_run_do_not_blind_the_local_outlier_factor():
-    X = right_runs(n=40)
+    X = normal_runs(n=40)
     with_copies = np.repeat(X, 30, axis=0)
     rows = np.vstack([X[:3] + 0.05, [[8.0, 8.0, 8.0]]])
     once, copied = (
@@ -119,12 +119,12 @@ def test_the_mixture_takes_as_many_components_as_pay():
 @pytest.mark.parametrize(
     ("detector", "rows", "text"),
     [
-        (NearestRuns(n_neighbors=5), right_runs(n=4), "4 runs have no 5 nearest"),
-        (MaxZ(), right_runs(n=1), "at least two"),
-        (DenseRegions(), right_runs(n=4), "cannot make a cluster of 5"),
-        (DistinctLocalOutlierFactor(novelty=True), np.repeat(right_runs(n=20), 9, axis=0),
+        (NearestRuns(n_neighbors=5), normal_runs(n=4), "4 runs have no 5 nearest"),
+        (MaxZ(), normal_runs(n=1), "at least two"),
+        (DenseRegions(), normal_runs(n=4), "cannot make a cluster of 5"),
+        (DistinctLocalOutlierFactor(novelty=True), np.repeat(normal_runs(n=20), 9, axis=0),
          "more than 20 distinct runs, there are 20"),
-        (AmpleEllipticEnvelope(), right_runs(n=15), "more than 15 runs, there are 15"),
+        (AmpleEllipticEnvelope(), normal_runs(n=15), "more than 15 runs, there are 15"),
     ],
 )  # fmt: skip
 def test_too_few_runs_are_refused_with_the_number_needed(detector, rows, text):

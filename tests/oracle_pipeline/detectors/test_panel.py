@@ -19,13 +19,13 @@ BLIND_TO_CONSTANTS = {"isolation_forest", "elliptic_envelope"}
 every_member = pytest.mark.parametrize("name", MEMBERS)
 
 
-def right_runs(n=80, features=5, seed=0):
+def normal_runs(n=80, features=5, seed=0):
     return np.random.default_rng(seed).normal(size=(n, features))
 
 
 @pytest.fixture(scope="module")
 def fitted():
-    return {name: detector.fit(right_runs()) for name, detector in panel(seed=0).items()}
+    return {name: detector.fit(normal_runs()) for name, detector in panel(seed=0).items()}
 
 
 def test_the_panel_is_the_same_in_the_same_order_for_every_seed():
@@ -52,7 +52,7 @@ def test_a_score_does_not_depend_on_the_rows_scored_with_it(name, fitted, seed, 
 @every_member
 def test_a_run_far_out_is_less_normal_than_right_ones(name, fitted):
     far_out = np.full((1, 5), 12.0)
-    others = right_runs(seed=1)
+    others = normal_runs(seed=1)
     assert fitted[name].score_samples(far_out)[0] < np.quantile(
         fitted[name].score_samples(others), 0.05
     )
@@ -60,12 +60,12 @@ def test_a_run_far_out_is_less_normal_than_right_ones(name, fitted):
 
 @every_member
 def test_fitting_again_gives_the_same_scores(name, fitted):
-    rows = right_runs(seed=2)
+    rows = normal_runs(seed=2)
     again = clone(fitted[name])
     assert again.get_params() == fitted[name].get_params()
     assert not hasattr(again, "n_features_in_")
     assert np.array_equal(
-        again.fit(right_runs()).score_samples(rows), fitted[name].score_samples(rows)
+        again.fit(normal_runs()).score_samples(rows), fitted[name].score_samples(rows)
     )
 
 
@@ -80,7 +80,7 @@ def test_it_is_an_outlier_detector_that_knows_its_number_of_features(name, fitte
 @pytest.mark.filterwarnings("ignore:The covariance matrix associated:UserWarning")
 @every_member
 def test_a_feature_constant_in_training_is_seen_unless_the_docs_say_so(name):
-    constant = np.c_[right_runs(), np.zeros(80)]
+    constant = np.c_[normal_runs(), np.zeros(80)]
     detector = panel(0)[name].fit(constant)
     usual, odd = np.zeros((1, 6)), np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 50.0]])
     seen = detector.score_samples(odd)[0] < detector.score_samples(usual)[0]
@@ -90,7 +90,7 @@ def test_a_feature_constant_in_training_is_seen_unless_the_docs_say_so(name):
 @every_member
 def test_it_stands_behind_the_scaler(name):
     columns = [f"family.{letter}" for letter in "abcde"]
-    df = pd.DataFrame(right_runs(), columns=columns) * [1.0, 10.0, 1e3, 1e-3, 1.0] + 7.0
+    df = pd.DataFrame(normal_runs(), columns=columns) * [1.0, 10.0, 1e3, 1e-3, 1.0] + 7.0
     oracle = pipeline(panel(0)[name], {"family.a": 0.01}).fit(df)
     assert oracle[0].floors == {"family.a": 0.01}
     assert np.isfinite(oracle.score_samples(df.iloc[:2])).all()
@@ -99,7 +99,7 @@ def test_it_stands_behind_the_scaler(name):
 def test_upper_bounds_are_classifiers_and_no_part_of_the_panel():
     bounds = upper_bounds(seed=3)
     assert not set(bounds) & set(panel(3))
-    X = np.r_[right_runs(), right_runs(seed=1) + 2.0]
+    X = np.r_[normal_runs(), normal_runs(seed=1) + 2.0]
     y = np.repeat([False, True], 80)
     for classifier in bounds.values():
         assert is_classifier(classifier)

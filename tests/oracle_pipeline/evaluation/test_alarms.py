@@ -49,7 +49,7 @@ def test_the_figures_of_alarms_by_hand():
     score = np.where(JUDGED.attacked_windows(), 1.0, 0.0)
     everything = ComparedRuns("all modes", np.ones(3, dtype=bool))
     row = judge_alarms(score, p, JUDGED, everything, np.random.default_rng(0))
-    assert (row["attacked_windows"], row["right_windows"], row["auc"]) == (10, 7, 1.0)
+    assert (row["attacked_windows"], row["normal_windows"], row["auc"]) == (10, 7, 1.0)
     assert (row["attacked_runs"], row["missed"]) == (2, 0.5)
     assert (row["time_to_detect_median_s"], row["time_to_detect_90_s"]) == (8.0, np.inf)
     assert row["false_alarms_per_h"] == pytest.approx(2 * 3600 / 40)

@@ -69,7 +69,7 @@ def test_shuffled_labels_are_chance_unless_a_label_leaks(monkeypatch):
     assert check.figure.low <= 0.5 <= check.figure.high
 
     def leaky(df, seed):
-        """Folds whose training runs are those tested: only right ones are fitted on."""
+        """Folds whose training runs are those tested: only normal ones are fitted on."""
         right = (df["label"] != "malicious").to_numpy()
         whole = np.ones(len(df), dtype=bool)
         return [replace(f, fit=right, calibrate=right, test=whole) for f in block_folds(df, seed)]

@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 
 from oracle_pipeline.bags.manifest import Change
-from oracle_pipeline.evaluation.feature_sets import feature_sets
-from oracle_pipeline.evaluation.judged_runs import EvaluationError, JudgedRuns
+from oracle_pipeline.datasets import DatasetError
+from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.truth import COLUMNS, truth_table
+from oracle_pipeline.scoring.feature_sets import feature_sets
 from tests.oracle_pipeline.datasets.synthetic import campaign
 from tests.oracle_pipeline.evaluation.campaigns import by_hand
 from tests.oracle_pipeline.reporting.recordings import manifest
@@ -39,23 +40,27 @@ def test_an_attack_that_never_began_is_left_out_and_a_run_without_truth_is_refus
     )
     assert judged.features["mode"].tolist() == ["lidar_passthrough"]
     features, windows, truth = campaign(3)
-    with pytest.raises(EvaluationError, match=r"1 runs, fake_object\|run001 .* truth table"):
+    with pytest.raises(DatasetError, match=r"1 runs, fake_object\|run001 .* truth table"):
         JudgedRuns.of(features, windows, truth[truth["run_id"] != "fake_object|run001"])
 
 
 def test_sets_of_features_keep_shortcuts_and_the_thesis_apart():
     features, _, _ = campaign(3)
     features = features.assign(
-        **{"thesis.vector_0": 1.0, "redundancy.residual": 1.0, "generic.identity": 1.0}
-    )
+        **{
+            "thesis.vector_0": 1.0, "redundancy.residual": 1.0, "pairs.rate_ratio": 1.0,
+            "generic.identity": 1.0,
+        }
+    )  # fmt: skip
     features.attrs["fields"] = {
         **features.attrs["fields"],
         "redundancy.residual": {"origin": "domain", "shortcut": "false"},
+        "pairs.rate_ratio": {"origin": "domain", "shortcut": "false"},
         "generic.identity": {"origin": "generic", "shortcut": "true"},
     }
     sets = feature_sets(features)
     own = {c for c in features if c.startswith(("structural.", "contextual."))}
-    assert set(sets["all"]) == own | {"redundancy.residual"}
+    assert set(sets["all"]) == own | {"redundancy.residual", "pairs.rate_ratio"}
     assert sets["shortcuts"] == ["generic.identity"]
     assert set(sets["without redundancy"]) == own
     assert sets["redundancy"] == ["redundancy.residual"]

@@ -18,8 +18,14 @@ def test_a_large_campaign_is_not_warned_about():
 @pytest.mark.parametrize(
     ("df", "warning"),
     [
-        (run_features(runs=3), "9 right runs cannot support any claim about a 5% false-alarm rate"),
-        (run_features(runs=15), "45 right runs cannot show.*may still be 6.4%; 59 runs are needed"),
+        (
+            run_features(runs=3),
+            "9 normal runs cannot support any claim about a 5% false-alarm rate",
+        ),
+        (
+            run_features(runs=15),
+            "45 normal runs cannot show.*may still be 6.4%; 59 runs are needed",
+        ),
         (run_features(runs=3), "All runs come from 3 blocks"),
         (run_features(runs=1), "from one session"),
         (run_features().query("label == 'normal'"), "There are no malicious runs"),

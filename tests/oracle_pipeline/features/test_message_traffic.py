@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.features import Located, Missing, Window
-from oracle_pipeline.features.message_traffic import centralities, compute, prepare
+from oracle_pipeline.features.message_traffic import closeness, compute, prepare
 from oracle_pipeline.graphs.intervals import Interval, compose
 from oracle_pipeline.graphs.views import system_view
 
@@ -51,10 +51,6 @@ def test_flows_of_a_relay():
     # /a gives 30, /b takes 20 more than it gives, /c takes 10, of 80.
     assert values["imbalance"] == pytest.approx(60 / 80)
     assert values["imbalance_max"] == Located(30 / 80, "n:/a")
-    # On the way a-x-b-y-c: x, b and y are inside 3, 4 and 3 paths of 4 * 3 conceivable ones.
-    assert values["betweenness_max"].where == "n:/b"
-    assert values["betweenness_max"].value == pytest.approx(4 / 12)
-    assert values["betweenness_mean"] == pytest.approx(10 / 12 / 5)
 
 
 def test_closeness_counts_an_edge_as_long_as_it_is_quiet():
@@ -107,14 +103,10 @@ def weighted_graphs(draw):
 
 
 @given(weighted_graphs())
-def test_centralities_are_those_of_networkx(graph):
+def test_closeness_is_that_of_networkx(graph):
     lengths = np.full((len(graph), len(graph)), np.inf)
     for source, target, length in graph.edges(data="length"):
         lengths[source, target] = length
-    closeness, betweenness = centralities(lengths)
-    assert dict(enumerate(closeness)) == pytest.approx(
+    assert dict(enumerate(closeness(lengths))) == pytest.approx(
         nx.closeness_centrality(graph, distance="length")
-    )
-    assert dict(enumerate(betweenness)) == pytest.approx(
-        nx.betweenness_centrality(graph, weight="length")
     )

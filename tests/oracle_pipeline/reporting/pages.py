@@ -9,12 +9,12 @@ import pytest
 from PIL import Image
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.evaluation import integrity, kill_matrix, metrics, oracle_evaluation
+from oracle_pipeline.evaluation import campaign_evaluation, integrity, kill_rates, metrics
 from oracle_pipeline.reporting import html, thesis_reports
 from oracle_pipeline.reporting.evaluation_report import evaluation_report
 from oracle_pipeline.reporting.explanation import explanations
 from tests.oracle_pipeline.datasets.synthetic import campaign
-from tests.oracle_pipeline.evaluation.test_kill_matrix import grid_of
+from tests.oracle_pipeline.evaluation.test_kill_rates import grid_of
 
 ROWS = 60
 QUICK = ("mahalanobis", "max_z")
@@ -26,15 +26,15 @@ UNDRAWN = "lidar_passthrough|run003"
 def quickly():
     """Two detectors, small forests, few resamples: what is slow has tests of its own."""
     panel, bounds, bound = (
-        oracle_evaluation.panel,
-        oracle_evaluation.upper_bounds,
-        oracle_evaluation.UPPER_BOUND,
+        campaign_evaluation.panel,
+        campaign_evaluation.upper_bounds,
+        campaign_evaluation.UPPER_BOUND,
     )
     with pytest.MonkeyPatch.context() as patch:
-        for module in (oracle_evaluation, kill_matrix):
+        for module in (campaign_evaluation, kill_rates):
             patch.setattr(module, "panel", lambda seed: {name: panel(seed)[name] for name in QUICK})
         small = {bound: bounds(0)[bound].set_params(n_estimators=5)}
-        patch.setattr(oracle_evaluation, "upper_bounds", lambda _: small)
+        patch.setattr(campaign_evaluation, "upper_bounds", lambda _: small)
         patch.setattr(metrics, "RESAMPLES", 100)
         patch.setattr(integrity, "TREES", 5)
         patch.setattr(integrity, "SHUFFLES", 40)
@@ -54,7 +54,7 @@ def page_of(df, windows, truth, *, mutants=None, differences=None, **more):
     """Return the page of a campaign; `more` is said in its provenance or passed on."""
     passed_on = {name: more.pop(name) for name in ("radar", "storage") if name in more}
     with quickly():
-        evaluation = oracle_evaluation.evaluate(
+        evaluation = campaign_evaluation.evaluate(
             df, windows, truth, graph_differences=differences, grid=mutants
         )
         judged = evaluation_report(evaluation)

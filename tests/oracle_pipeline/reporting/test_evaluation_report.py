@@ -5,13 +5,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.evaluation import campaign_evaluation as evaluation
 from oracle_pipeline.evaluation import integrity, metrics
-from oracle_pipeline.evaluation import oracle_evaluation as evaluation
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.reporting.evaluation_report import evaluation_report, in_words
 from oracle_pipeline.reporting.report import Report
 from tests.oracle_pipeline.datasets.synthetic import CONTROLS, MODES, campaign, run_features
-from tests.oracle_pipeline.evaluation.test_kill_matrix import grid_of
+from tests.oracle_pipeline.evaluation.test_kill_rates import grid_of
 
 
 def oracle_evaluation(*tables, **options):
@@ -145,10 +146,27 @@ def test_further_tables_come_back_and_a_report_without_them_does_too(tmp_path):
     pd.testing.assert_frame_equal(back.tables["more"], run_features(2))
 
 
+@pytest.mark.parametrize("name", ["summary.json", "table.parquet"])
+def test_no_flipped_bit_of_a_report_gives_another_one(name, tmp_path):
+    Report(run_features(1), {}, {"headline": "Withheld", "runs": 6}).save(tmp_path / "report")
+    file = tmp_path / "report" / name
+    content = file.read_bytes()
+    for at in np.random.default_rng(15).choice(8 * len(content), 50, replace=False):
+        flipped = bytearray(content)
+        flipped[at // 8] ^= 1 << at % 8
+        file.write_bytes(flipped)
+        try:
+            back = Report.load(tmp_path / "report")
+        except OracleError:
+            continue
+        assert name == "summary.json"
+        assert back.summary == {"headline": "Withheld", "runs": 6}  # a bit of the seal's name
+
+
 @pytest.mark.parametrize(
     ("area", "words"),
     [
-        (Estimate(0.5, 0.3, 0.7), "cannot be told apart"),
+        (Estimate(0.5, 0.3, 0.7), "cannot be distinguished"),
         (Estimate(0.2, 0.1, 0.3), "below chance"),
         (Estimate(0.8, 0.6, 0.9), "not reliably"),
         (Estimate(0.99, 0.9, 1.0), "clearly"),

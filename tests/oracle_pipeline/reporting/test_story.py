@@ -65,7 +65,7 @@ def test_rays_that_met_nothing_are_no_points(recorded):
     assert last.scan == pytest.approx(np.array([[9.0, 0.0]]), abs=1e-6)
 
 
-def test_of_a_right_run_nothing_attacked_is_shown(recorded):
+def test_of_a_normal_run_nothing_attacked_is_shown(recorded):
     right = manifest("normal", {}, onset_s=0.0)
     scene = told(recorded(MAP, MAP_TO_ODOM, MOUNT, at(0.0, 0.0), seen(1.0), told=right), 10.0)
     assert scene.disc is scene.scan is scene.onset_s is None

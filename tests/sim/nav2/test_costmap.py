@@ -22,13 +22,13 @@ from sim.nav2.costmap import (
     point_costs,
 )
 from sim.nav2.costmap_layers import (
-    InflationLayer,
     Observation,
     ObstacleLayer,
     shift,
     static_costs,
 )
 from sim.nav2.footprint import FOOTPRINT, INSCRIBED_RADIUS
+from sim.nav2.inflation import InflationLayer
 from sim.nav2.laser import scan_points
 
 LaserScan = message_class("sensor_msgs/msg/LaserScan")

@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from sim.middleware.geometry import Pose2D
-from sim.nav2 import dwb
-from sim.nav2.dwb import CostGrid, LocalPlanner, Parameters
+from sim.nav2 import dwb, dwb_critics, dwb_sampling
+from sim.nav2.dwb import LocalPlanner
+from sim.nav2.dwb_critics import CostGrid, Critics, Scoring
+from sim.nav2.dwb_sampling import Parameters
 
 STOCK = Parameters(sim_time=1.7)  # the figures of the stock rollout are known
 CELLS, RESOLUTION = 60, 0.05
@@ -37,8 +39,8 @@ def planner_on(plan, **parameters):
 
 
 def test_a_cruising_robot_has_419_twists_to_try():
-    forward = dwb._samples(0.26, 0.0, 0.26, 2.5 * 1.7, -2.5 * 1.7, 20)
-    turning = dwb._samples(0.0, -1.0, 1.0, 3.2 * 1.7, -3.2 * 1.7, 20)
+    forward = dwb_sampling.samples(0.26, 0.0, 0.26, 2.5 * 1.7, -2.5 * 1.7, 20)
+    turning = dwb_sampling.samples(0.0, -1.0, 1.0, 3.2 * 1.7, -3.2 * 1.7, 20)
     assert (len(forward), len(turning)) == (20, 21)  # zero joins the even number of turns
     assert forward[[0, -1]] == pytest.approx([0.0, 0.26])
     assert np.count_nonzero(turning == 0.0) == 1
@@ -47,37 +49,39 @@ def test_a_cruising_robot_has_419_twists_to_try():
 
 
 def test_samples_stay_within_what_can_be_reached():
-    assert dwb._samples(0.0, -1.0, 1.0, 0.2, -0.1, 3) == pytest.approx([-0.1, 0.0, 0.05, 0.2])
+    assert dwb_sampling.samples(0.0, -1.0, 1.0, 0.2, -0.1, 3) == pytest.approx(
+        [-0.1, 0.0, 0.05, 0.2]
+    )
 
 
 @given(v=st.floats(0.0, 0.26), w=st.floats(-1.0, 1.0))
 def test_a_rollout_has_3_to_70_poses_and_its_last_one_twice(v, w):
-    rollout = np.empty((dwb._steps(STOCK, (v, w)) + 2, 3))
-    assert dwb._roll(STOCK, (0.0, 0.0, 0.0), (0.0, 0.0), (v, w), rollout) == len(rollout)
+    rollout = np.empty((dwb_sampling.step_count(STOCK, (v, w)) + 2, 3))
+    assert dwb_sampling.roll(STOCK, (0.0, 0.0, 0.0), (0.0, 0.0), (v, w), rollout) == len(rollout)
     assert 3 <= len(rollout) <= 70
     assert rollout[0] == pytest.approx([0.0, 0.0, 0.0])
     assert np.array_equal(rollout[-1], rollout[-2])
 
 
 def test_a_rollout_at_cruise_is_straight_and_1_7_seconds_long():
-    rollout = np.empty((dwb._steps(STOCK, (0.26, 0.0)) + 2, 3))
-    dwb._roll(STOCK, (1.0, 2.0, math.pi / 2), (0.26, 0.0), (0.26, 0.0), rollout)
+    rollout = np.empty((dwb_sampling.step_count(STOCK, (0.26, 0.0)) + 2, 3))
+    dwb_sampling.roll(STOCK, (1.0, 2.0, math.pi / 2), (0.26, 0.0), (0.26, 0.0), rollout)
     assert len(rollout) == 11  # 0.442 m in steps of at most 0.05 m
     assert rollout[-1] == pytest.approx([1.0, 2.442, math.pi / 2])
 
 
 def test_a_rollout_from_standstill_accelerates_first():
-    steps = dwb._steps(STOCK, (0.26, 0.0))
+    steps = dwb_sampling.step_count(STOCK, (0.26, 0.0))
     rollout = np.empty((steps + 2, 3))
-    dwb._roll(STOCK, (0.0, 0.0, 0.0), (0.0, 0.0), (0.26, 0.0), rollout)
+    dwb_sampling.roll(STOCK, (0.0, 0.0, 0.0), (0.0, 0.0), (0.26, 0.0), rollout)
     dt = 1.7 / steps  # 0.189 s: 2.5 m/s^2 reach full speed within the first step
     assert np.diff(rollout[:, 0])[:-1] == pytest.approx(np.full(steps, 0.26 * dt))
 
 
 @given(w=st.floats(0.05, 1.0), yaw=st.floats(-3.0, 3.0))
 def test_the_stepwise_heading_is_that_of_the_exact_angle(w, yaw):
-    rollout = np.empty((dwb._steps(STOCK, (0.26, w)) + 2, 3))
-    dwb._roll(STOCK, (0.0, 0.0, yaw), (0.0, 0.0), (0.26, w), rollout)
+    rollout = np.empty((dwb_sampling.step_count(STOCK, (0.26, w)) + 2, 3))
+    dwb_sampling.roll(STOCK, (0.0, 0.0, yaw), (0.0, 0.0), (0.26, w), rollout)
     chords = np.diff(rollout[:-1, :2], axis=0)
     headings = np.arctan2(chords[:, 1], chords[:, 0])
     assert np.exp(1j * headings) == pytest.approx(np.exp(1j * rollout[:-2, 2]))
@@ -277,3 +281,56 @@ def test_the_choice_is_that_of_the_critics_definitions(seed, yaw, speed, turn):
         chosen = min(totals, key=lambda twist: math.dist(twist, cycle.twist))
         assert cycle.twist == pytest.approx(chosen)
         assert totals[chosen] == pytest.approx(min(totals.values()))
+
+
+# -- the search ------------------------------------------------------------------------------
+
+
+def tried_one_by_one(scoring: Scoring) -> tuple[float, float]:
+    """Return what `search` returns: every twist is rolled out and scored."""
+    p, grid, pose, velocity, critics = scoring
+    best = (math.inf, math.nan, math.nan)
+    rollout = np.empty((dwb_sampling.step_count(p, (p.max_vel_x, p.max_vel_theta)) + 2, 3))
+    forward, turning = dwb_sampling.twists(p, velocity)
+    for v in forward.tolist():
+        for w in turning.tolist():
+            too_fast = critics.rotating and v > 0.0
+            too_fast |= critics.slowing and v * v >= critics.speed_squared
+            if too_fast or (v == w == 0.0) or critics.turn * w < 0.0:
+                continue
+            poses = rollout[: dwb_sampling.roll(p, pose, velocity, (v, w), rollout)]
+            cost = dwb_critics.obstacle_cost(grid, poses)
+            cells = dwb_critics.map_cells(p, grid, critics, poses[-1])
+            total = dwb_critics.map_score(p, grid, cells)
+            total += p.rotate_to_goal_scale * dwb_critics.rotate_to_goal(
+                p, critics, v, poses[-1, 2]
+            )
+            total += p.base_obstacle_scale * cost
+            if cost >= 0 and total < best[0]:
+                best = (total, v, w)
+    return best[1:]
+
+
+round_or_any = st.sampled_from([0.0, 0.05, -0.1, 0.25]) | st.floats(-0.3, 0.3)
+
+
+@settings(max_examples=60)
+@given(
+    seed=st.integers(0, 2**31),
+    pose=st.tuples(round_or_any, round_or_any, st.floats(-3.0, 3.0) | st.just(math.pi / 2)),
+    velocity=st.tuples(st.sampled_from([0.0, 0.26]) | st.floats(0.0, 0.26), st.floats(-1.0, 1.0)),
+    turn=st.sampled_from([0, 0, 1, -1]),
+    near=st.sampled_from(["far", "slowing", "rotating"]),
+)
+def test_the_search_finds_what_rolling_out_every_twist_finds(seed, pose, velocity, turn, near):
+    rng = np.random.default_rng(seed)
+    costs = rng.choice(np.array([0, 50, 253, 255], np.uint8), (60, 60), p=[0.8, 0.17, 0.02, 0.01])
+    columns = rng.integers(60, size=4).tolist()
+    critics = Critics(
+        rng.integers(0, 120, (60, 60), np.int32), *columns, float(rng.uniform(-3.0, 3.0)),
+        bool(rng.integers(2)), near == "slowing", near == "rotating", velocity[0] ** 2, turn,
+    )  # fmt: skip
+    scoring = Scoring(Parameters(), CostGrid(costs, 0.05, -1.5, -1.5), pose, velocity, critics)
+    assert dwb_critics.search(*scoring) == pytest.approx(
+        tried_one_by_one(scoring), rel=0.0, abs=0.0, nan_ok=True
+    )

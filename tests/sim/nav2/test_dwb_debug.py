@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from oracle_pipeline.bags.types import deserialize, message_class, serialize
 from sim.middleware.geometry import Pose2D
 from sim.middleware.stamps import duration_message, header
-from sim.nav2 import dwb
-from sim.nav2.dwb import CostGrid, LocalPlanner, Parameters
+from sim.nav2 import dwb_sampling
+from sim.nav2.dwb import LocalPlanner
+from sim.nav2.dwb_critics import CostGrid
 from sim.nav2.dwb_debug import (
     CRITICS,
     EVALUATION,
@@ -23,6 +24,7 @@ from sim.nav2.dwb_debug import (
     evaluation_bytes,
     marker_bytes,
 )
+from sim.nav2.dwb_sampling import Parameters
 
 CELLS, RESOLUTION = 60, 0.05
 HALF = CELLS * RESOLUTION / 2
@@ -221,8 +223,8 @@ def test_every_trajectory_is_scored_as_nav2_scores_it(cycle):
     best, rounding = math.inf, 1e-9
     for score in message.twists:
         twist = score.traj.velocity.x, score.traj.velocity.theta
-        rollout = np.empty((dwb._steps(p, twist) + 2, 3))
-        dwb._roll(p, cycle.scoring.pose, velocity, twist, rollout)
+        rollout = np.empty((dwb_sampling.step_count(p, twist) + 2, 3))
+        dwb_sampling.roll(p, cycle.scoring.pose, velocity, twist, rollout)
         assert [(pose.x, pose.y, pose.theta) for pose in score.traj.poses] == [*map(tuple, rollout)]
         opinions = []
         try:

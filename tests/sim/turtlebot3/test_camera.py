@@ -12,7 +12,8 @@ from sim.middleware.node import Node
 from sim.turtlebot3 import camera
 from sim.turtlebot3.arena import RING, clearance
 from sim.turtlebot3.camera import HEIGHT, WIDTH, add_depth_camera, in_depth_range
-from sim.turtlebot3.world import World, WorldParameters
+from sim.turtlebot3.mjcf import WorldParameters
+from sim.turtlebot3.world import World
 
 # CDR bytes of the topics on Humble (fact sheet, section 10.1).
 SIZES = {

@@ -13,8 +13,11 @@ from sim.middleware.executor import SECOND, Executor
 from sim.middleware.geometry import Pose2D
 from sim.middleware.node import Node
 from sim.middleware.tf import TransformListener
-from sim.turtlebot3.nodes import LidarNoise, add_robot, next_set_point, noisy_ranges
-from sim.turtlebot3.world import World, WorldParameters
+from sim.turtlebot3.drive import next_set_point
+from sim.turtlebot3.mjcf import WorldParameters
+from sim.turtlebot3.nodes import add_robot
+from sim.turtlebot3.sensors import LidarNoise, noisy_ranges
+from sim.turtlebot3.world import World
 
 Twist = message_class("geometry_msgs/msg/Twist")
 Vector3 = message_class("geometry_msgs/msg/Vector3")

@@ -13,9 +13,11 @@ from sim.middleware.geometry import Pose2D, quaternion_yaw, wrap_angle
 from sim.middleware.node import Node
 from sim.middleware.tf import TransformListener
 from sim.turtlebot3.map import WORLD_IN_MAP, odom_in_map
-from sim.turtlebot3.nodes import LidarNoise, add_robot
+from sim.turtlebot3.mjcf import WHEEL_RADIUS_M, WHEEL_SEPARATION_M, WorldParameters
+from sim.turtlebot3.nodes import add_robot
+from sim.turtlebot3.sensors import LidarNoise
 from sim.turtlebot3.wheel_odometry import WheelOdometry
-from sim.turtlebot3.world import WHEEL_RADIUS_M, WHEEL_SEPARATION_M, World, WorldParameters
+from sim.turtlebot3.world import World
 
 Twist = message_class("geometry_msgs/msg/Twist")
 Vector3 = message_class("geometry_msgs/msg/Vector3")

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from sim.middleware.executor import SECOND
 from sim.middleware.geometry import Pose2D, wrap_angle
 from sim.turtlebot3.arena import BLOCKS, CYLINDERS, RING, Cylinder, clearance
-from sim.turtlebot3.world import WHEEL_RADIUS_M, WHEEL_SEPARATION_M, World, WorldParameters
+from sim.turtlebot3.mjcf import WHEEL_RADIUS_M, WHEEL_SEPARATION_M, WorldParameters
+from sim.turtlebot3.world import World
 
 BEARINGS = np.linspace(0.0, 6.28, 90)
 HEIGHT_M = 0.132
@@ -185,7 +186,8 @@ def test_every_piece_of_the_arena_stands_in_the_physics():
 FINGERPRINT = """
 import hashlib
 from sim.middleware.geometry import Pose2D
-from sim.turtlebot3.world import World, WorldParameters
+from sim.turtlebot3.mjcf import WorldParameters
+from sim.turtlebot3.world import World
 world = World(WorldParameters(Pose2D(-2.0, -0.5, 0.1), 0.9, 1.05))
 world.command_wheels(5.0, 7.0)
 world.advance_to(10_000_000_000)

@@ -1,6 +1,6 @@
 """From scores to verdicts with a known false-alarm rate: split-conformal p-values.
 
-A run is compared with calibration runs: right ones that the detector was not fitted on. If it is
+A run is compared with calibration runs: normal ones that the detector was not fitted on. If it is
 exchangeable with them, its p-value is at most ``alpha`` with a probability of at most ``alpha``,
 whatever the detector and however scores are distributed [1]_. Higher scores are more anomalous.
 
@@ -103,7 +103,7 @@ def check_support(n_calibration: int, rate: float) -> None:
     if n_calibration < needed:
         raise ConformalError(
             f"{n_calibration} calibration runs cannot support a false-alarm rate of {rate:.3g}: no "
-            f"run could be called anomalous, however odd. {needed} are needed; add right runs "
+            f"run could be called anomalous, however odd. {needed} are needed; add normal runs "
             "to the reference or allow more false alarms."
         )
 
@@ -111,7 +111,7 @@ def check_support(n_calibration: int, rate: float) -> None:
 def adjusted_for_suite(p: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return Benjamini-Hochberg p-values of runs that are judged together.
 
-    Called anomalous up to `rate`, at most that share of the runs so called is right on average;
+    If runs up to `rate` are called anomalous, at most that share of them is normal on average;
     p-values that share their calibration runs depend on one another in the way this allows.
 
     Examples

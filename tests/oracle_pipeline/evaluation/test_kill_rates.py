@@ -2,9 +2,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from oracle_pipeline.datasets import DatasetError
 from oracle_pipeline.evaluation.comparisons import HEADLINE
-from oracle_pipeline.evaluation.judged_runs import EvaluationError, MeasuredRuns
-from oracle_pipeline.evaluation.kill_matrix import kill_matrix, minimum_detectable, mutation_scores
+from oracle_pipeline.evaluation.kill_rates import kill_matrix, minimum_detectable, mutation_scores
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from tests.oracle_pipeline.datasets.synthetic import ATTACKED, MODES, campaign
 
 
@@ -91,5 +92,5 @@ def test_runs_of_blocks_that_the_grid_uses_do_not_train():
 
 
 def test_a_grid_without_its_index_is_refused():
-    with pytest.raises(EvaluationError, match="lacks the columns scenario"):
+    with pytest.raises(DatasetError, match="lacks the columns scenario"):
         kill_matrix(runs_of_campaign(), runs_of_campaign(modes=MODES), 0)

@@ -2,23 +2,23 @@
 
 A grid of attacked runs, one operator of the scenario language at several magnitudes, is scored by
 an oracle that was fitted on the campaign. A run that is called anomalous is a killed mutant; one in
-which no message was changed is equivalent to the original and counts for nothing. Recording the
-grid is ``oracle-sim grid``.
+which no message was changed is equivalent to the original and is left out. ``oracle-sim grid``
+records the grid.
 """
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.datasets import is_hard_negative
+from oracle_pipeline.datasets import DatasetError, is_hard_negative
 from oracle_pipeline.detectors import DetectorError, panel
 from oracle_pipeline.evaluation.comparisons import HEADLINE, RATES, Scorer, scorers
-from oracle_pipeline.evaluation.conformal import check_support, runs_needed
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate, clopper_pearson
-from oracle_pipeline.evaluation.feature_sets import feature_sets
 from oracle_pipeline.evaluation.held_out import calibration_runs, held_out
-from oracle_pipeline.evaluation.judged_runs import EvaluationError, MeasuredRuns
 from oracle_pipeline.evaluation.splits import BLOCK, HARMLESS, Fold, fit_and_calibrate, untaught
+from oracle_pipeline.scoring.conformal import check_support, runs_needed
+from oracle_pipeline.scoring.feature_sets import feature_sets
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 ORACLE, OPERATOR = [*Scorer._fields, "split"], ["scenario", "parameter"]
 REQUIRED = ("scenario", "parameter", "value", "changed_messages")
@@ -30,10 +30,10 @@ def kill_matrix(
 ) -> pd.DataFrame:
     """Return how many runs of each magnitude each oracle kills.
 
-    Oracles are the scorers of the evaluation, and the headline's once more where nobody told it
-    what is harmless (``split``): an attack that is weaker than what was declared harmless is right
-    by that declaration. They are fitted on and calibrated with right runs of the campaign's blocks
-    that the grid does not use: a grid made offline mutates runs of the campaign itself.
+    Oracles are the scorers of the evaluation, and the headline's once more without hard negatives
+    in its training (``split``): an attack that is weaker than a harmless change is normal for an
+    oracle that was fitted on such changes. They are fitted and calibrated with normal runs of the
+    campaign's blocks that the grid does not use: a grid made offline mutates the campaign's runs.
 
     Parameters
     ----------
@@ -54,17 +54,17 @@ def kill_matrix(
 
     Raises
     ------
-    CampaignError
+    DatasetError
         The grid lacks a column, or the campaign has no features.
     ConformalError
-        Too few right runs are left to calibrate with.
+        Too few normal runs are left to calibrate with.
     """
     sets = feature_sets(campaign.features)
     if not sets.get("all"):
-        raise EvaluationError("No feature of the campaign has a finite value; extract them again.")
+        raise DatasetError("No feature of the campaign has a finite value; extract them again.")
     absent = [c for c in (*REQUIRED, *sets["all"]) if c not in grid.features.columns]
     if absent:
-        raise EvaluationError(
+        raise DatasetError(
             f"The grid lacks the columns {', '.join(absent[:5])}; take it from the index that "
             "`oracle-sim grid` writes and extract its features with the campaign's plugins."
         )
@@ -82,7 +82,7 @@ def kill_matrix(
             columns, detector = sets[scorer.features], detectors[scorer.detector]
             scores = held_out(runs, columns, detector, folds, scorer.level)
         except DetectorError:
-            continue  # its row in the evaluation's table says why
+            continue  # its row in the evaluation's table gives the reason
         verdicts = grid.features[list(REQUIRED)].assign(killed=scores.p[mutants] <= rate)
         tables.append(_counted(verdicts).assign(**scorer._asdict(), split=split))
     columns = [*ORACLE, *OPERATOR, "value", "mutants", "equivalent", "killed"]

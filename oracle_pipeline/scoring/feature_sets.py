@@ -6,15 +6,16 @@ import pandas as pd
 from oracle_pipeline.datasets import feature_columns, field_metadata
 
 LEFT_OUT = ("thesis",)  # families that are no part of our oracle
+REDUNDANT = ("redundancy", "pairs")  # families that compare sensors, or a topic and its relay
 
 
 def feature_sets(df: pd.DataFrame) -> dict[str, list[str]]:
     """Return the sets of columns that are judged, by name.
 
     ``all`` is the oracle's own: every family but the thesis's, without shortcuts. Then each family
-    alone; ``generic``, what any bag gives; ``without redundancy``, what is left if no second sensor
-    sees the same; and ``shortcuts``, which tell a run by who was there. Features without any finite
-    value are in none.
+    alone; ``generic``, what any bag gives; ``without redundancy``, what is left if no second topic
+    tells the same; and ``shortcuts``, which identify a run by its nodes. Features without any
+    finite value are in none.
     """
     fields = field_metadata(df)
     has_value = np.isfinite(df[feature_columns(df)].to_numpy(dtype=np.float64)).any(axis=0)
@@ -27,7 +28,7 @@ def feature_sets(df: pd.DataFrame) -> dict[str, list[str]]:
         "all": usable,
         **{family: [c for c in usable if c.startswith(f"{family}.")] for family in families},
         "generic": [c for c in usable if fields.get(c, {}).get("origin") == "generic"],
-        "without redundancy": [c for c in usable if not c.startswith("redundancy.")],
+        "without redundancy": [c for c in usable if c.split(".", 1)[0] not in REDUNDANT],
         "shortcuts": shortcut,
     }
     return {name: chosen for name, chosen in sets.items() if chosen}

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from oracle_pipeline.evaluation.conformal import (
+from oracle_pipeline.scoring.conformal import (
     ConformalError,
     adjusted_for_suite,
     check_support,
@@ -105,7 +105,7 @@ def test_a_score_that_is_no_number_is_never_a_verdict(bad):
         p_values(np.zeros(3), np.array([bad]))
 
 
-def test_a_suite_of_right_runs_is_seldom_accused():
+def test_a_suite_of_normal_runs_is_seldom_accused():
     rng = np.random.default_rng(0)
     accused = 0
     for _ in range(1000):

@@ -1,6 +1,6 @@
 """The whole evaluation of a campaign: each run once, every score held out, checks before figures.
 
-The steps are in the other modules of this package; here they are done in order, for every scorer.
+The steps are in the other modules of this package; this one runs them for every scorer.
 The protocol and what each figure means: docs/explanation/evaluation.md.
 """
 
@@ -27,11 +27,9 @@ from oracle_pipeline.evaluation.comparisons import (
     scorers,
     unjudged,
 )
-from oracle_pipeline.evaluation.conformal import runs_needed
 from oracle_pipeline.evaluation.curves import HeadlineCurves, headline_curves
 from oracle_pipeline.evaluation.effort import small_clusters_table
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
-from oracle_pipeline.evaluation.feature_sets import feature_sets
 from oracle_pipeline.evaluation.held_out import (
     HeldOutScores,
     calibration_runs,
@@ -41,8 +39,8 @@ from oracle_pipeline.evaluation.held_out import (
     supervised_scores,
     window_scores,
 )
-from oracle_pipeline.evaluation.judged_runs import JudgedRuns, MeasuredRuns
-from oracle_pipeline.evaluation.kill_matrix import kill_matrix
+from oracle_pipeline.evaluation.judged_runs import JudgedRuns
+from oracle_pipeline.evaluation.kill_rates import kill_matrix
 from oracle_pipeline.evaluation.splits import (
     BLOCK,
     HARMLESS,
@@ -53,6 +51,9 @@ from oracle_pipeline.evaluation.splits import (
     tested_in,
     untaught,
 )
+from oracle_pipeline.scoring.conformal import runs_needed
+from oracle_pipeline.scoring.feature_sets import feature_sets
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 SEED = 50
 BLOCKS_OF_SESSION = (2, 4, 8)  # blocks of the tested session that may train
@@ -63,7 +64,7 @@ Row = dict[str, float | int | str]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Evaluation:
+class CampaignEvaluation:
     """What was measured of one campaign."""
 
     campaign: JudgedRuns
@@ -87,7 +88,7 @@ def evaluate(
     grid: MeasuredRuns | None = None,
     seed: int = SEED,
     progress: Progress = lambda _: None,
-) -> Evaluation:
+) -> CampaignEvaluation:
     """Judge the detector panel on held-out blocks, and the headline's scorer in every way.
 
     Parameters
@@ -101,7 +102,7 @@ def evaluate(
     graph_differences : sequence of str, optional
         Between graphs of pairs that should be equal; None if they were not compared.
     grid : MeasuredRuns, optional
-        Attacked runs at several magnitudes (`kill_matrix.kill_matrix`).
+        Attacked runs at several magnitudes (`kill_rates.kill_matrix`).
     seed : int
         Of splits, detectors and resamples.
     progress : callable
@@ -109,7 +110,7 @@ def evaluate(
 
     Raises
     ------
-    EvaluationError
+    DatasetError
         The tables do not fit together.
     """
     steps = _Steps(JudgedRuns.of(features, windows, truth), seed, progress)
@@ -123,7 +124,7 @@ def evaluate(
     if grid is not None:
         progress("kill matrix")
         kills = kill_matrix(steps.campaign, grid, seed)
-    return Evaluation(
+    return CampaignEvaluation(
         campaign=steps.campaign,
         left_out=len(features) - len(steps.campaign.features),
         seed=seed,
@@ -241,4 +242,5 @@ class _Steps:
             integrity.shuffled_labels(campaign, columns, detector, block_folds, rng),
             integrity.hard_negatives(headline, campaign, rng),
             integrity.shortcuts_apart(campaign.features, columns, area),
+            integrity.unaltered_runs_alike(campaign, columns),
         ]

@@ -1,0 +1,160 @@
+"""rosbags' storages of rosbag2, written in batches of messages.
+
+What is done once a message decides what recording costs, so messages are packed many at a time, and
+the index of an MCAP chunk is made when the chunk ends.
+"""
+
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import CompressionMode
+from rosbags.rosbag2.storage_mcap import McapWriter, PendingChunk
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
+
+from oracle_pipeline.bags import mcap_checksums
+
+# The head of a message: opcode, length of the rest; channel, sequence, log and publish time.
+_MESSAGE, _HEAD = 0x05, struct.Struct("<BQHIQQ")
+_HEADS = np.dtype(
+    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"),
+     ("log", "<u8"), ("publish", "<u8")]
+)  # fmt: skip
+_LENGTH_FIRST = struct.Struct("<BQ")  # of any record: opcode, length of the rest
+_FIELDS_SIZE = _HEAD.size - _LENGTH_FIRST.size
+# Opcode, length; first and last stamp, size, checksum.
+_CHUNK, _CHUNK_HEAD = 0x06, struct.Struct("<BQQQQI")
+_INDEX, _INDEX_HEAD = 0x07, struct.Struct("<BQHI")  # opcode, length; channel, size of its entries
+
+_Integers = NDArray[np.integer]
+
+
+class BatchMcapWriter(McapWriter):
+    """Messages are packed in batches, and the index of a chunk is made when it ends."""
+
+    _CHUNK_SIZE = 2**20
+
+    def __init__(self, path: Path, compression: CompressionMode) -> None:
+        super().__init__(path, compression)
+        self._index: list[tuple[_Integers, _Integers, _Integers]] = []  # of the open chunk
+
+    def write_many(
+        self, channels: Sequence[int], stamps: Sequence[int], payloads: Sequence[bytes]
+    ) -> None:
+        """Append messages; a chunk ends behind the message that makes it too large."""
+        count = len(payloads)
+        sizes = np.fromiter(map(len, payloads), np.int64, count)
+        heads = np.zeros(count, _HEADS)
+        heads["opcode"], heads["length"] = _MESSAGE, _FIELDS_SIZE + sizes
+        heads["channel"], heads["log"], heads["publish"] = channels, stamps, stamps
+        parts = interleaved(heads.tobytes(), payloads)
+        ends = np.cumsum(_HEAD.size + sizes)
+        for channel, number in Counter(channels).items():
+            self.channel_stats[channel] += number
+        begin = 0
+        while begin < count:
+            # Where message 0 of the batch would begin in the open chunk.
+            origin = self.chunk.bio.tell() - (int(ends[begin - 1]) if begin else 0)
+            end = int(np.searchsorted(ends, self._CHUNK_SIZE - origin, side="right")) + 1
+            some = slice(begin, min(end, count))
+            self.chunk.bio.write(b"".join(parts[2 * some.start : 2 * some.stop]))
+            self._note(heads["channel"][some], heads["log"][some],
+                       origin + ends[some] - _HEAD.size - sizes[some])  # fmt: skip
+            if end <= count:
+                self.close_chunk()
+            begin = end
+
+    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
+        """Append one message."""
+        self.write_many([connection.id], [timestamp], [bytes(data)])
+
+    def _note(self, channels: _Integers, stamps: _Integers, offsets: _Integers) -> None:
+        """Remember where in the open chunk messages are."""
+        first, last = int(stamps.min()), int(stamps.max())
+        for times in (self, self.chunk):
+            times.message_start_time = min(first, times.message_start_time)
+            times.message_end_time = max(last, times.message_end_time)
+        self._index.append((channels, stamps, offsets))
+
+    def close_chunk(self) -> None:
+        """Write the open chunk with its checksum, and behind it the index of its messages."""
+        chunk, records = self.chunk, self.chunk.bio.getbuffer()
+        packed, size = self.compressor(bytes(records)), len(records)
+        start = self.bio.tell()
+        name = _sized(self.compression.encode())
+        span = (chunk.message_start_time, chunk.message_end_time)
+        self.bio.write(
+            _CHUNK_HEAD.pack(
+                _CHUNK, _CHUNK_HEAD.size - _LENGTH_FIRST.size + len(name) + 8 + len(packed),
+                *span, size, zlib.crc32(records),
+            )
+        )  # fmt: skip
+        self.bio.write(name + struct.pack("<Q", len(packed)))
+        self.bio.write(packed)
+        end = self.bio.tell()
+        offsets = []
+        for channel, entries in self._entries():
+            offsets.append((channel, self.bio.tell()))
+            self.bio.write(_INDEX_HEAD.pack(_INDEX, 6 + len(entries), channel, len(entries)))
+            self.bio.write(entries)
+        index = b"".join(struct.pack("<HQ", *offset) for offset in offsets)
+        summary = struct.pack("<QQQQI", *span, start, end - start, len(index)) + index
+        summary += struct.pack("<Q", self.bio.tell() - end) + name
+        summary += struct.pack("<QQ", len(packed), size)
+        record = BytesIO()
+        record.write(summary)  # rosbags asks where its end is
+        self.chunks.append(record)
+        self._index.clear()
+        self.chunk = PendingChunk(2**63 - 1, 0, BytesIO(), {})
+
+    def close(self, version: int, metadata: str) -> None:
+        """Write what is behind the chunks, and the checksums of the two sections."""
+        super().close(version, metadata)
+        mcap_checksums.write_of_sections(self.path)
+
+    def _entries(self) -> Iterator[tuple[int, bytes]]:
+        """Yield stamps and offsets of each channel's messages, channels by their first message."""
+        if not self._index:
+            return
+        channels, stamps, offsets = map(np.concatenate, zip(*self._index, strict=True))
+        entries = np.column_stack([stamps, offsets]).astype("<u8")
+        names, first = np.unique(channels, return_index=True)
+        for channel in names[np.argsort(first)].tolist():
+            yield channel, entries[channels == channel].tobytes()
+
+
+class BatchSqlite3Writer(Sqlite3Writer):
+    """Messages are inserted in batches."""
+
+    def write_many(
+        self, channels: Sequence[int], stamps: Sequence[int], payloads: Sequence[bytes]
+    ) -> None:
+        """Append messages."""
+        self.cursor.executemany(
+            "INSERT INTO messages (topic_id, timestamp, data) VALUES(?, ?, ?)",
+            zip(channels, stamps, payloads, strict=True),
+        )
+
+    def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
+        """Append one message."""
+        self.write_many([connection.id], [timestamp], [bytes(data)])
+
+
+def interleaved(heads: bytes, payloads: Sequence[bytes]) -> list[bytes]:
+    """Return each payload behind its head; all heads are of one size."""
+    size = len(heads) // max(len(payloads), 1)
+    parts = [b""] * (2 * len(payloads))
+    parts[0::2] = [heads[at : at + size] for at in range(0, len(heads), size)]
+    parts[1::2] = payloads
+    return parts
+
+
+def _sized(text: bytes) -> bytes:
+    """Return a string as MCAP has it: its length before it."""
+    return struct.pack("<I", len(text)) + text

@@ -1,0 +1,183 @@
+"""The message types of one recording: its own definitions first, then those that we know.
+
+A definition is a foreign text. Its size, and what it unfolds to, are limited before code is made of
+it.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from oracle_pipeline.bags import types
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.limits import LARGEST_DEFINITION, MOST_FIELDS
+from oracle_pipeline.bags.part import Channel
+from oracle_pipeline.bags.types import TypeDefinition
+
+_SEPARATOR = "=" * 80 + "\n"  # between the files of a definition
+
+
+class BagTypes:
+    """How to decode each type of a recording.
+
+    Parameters
+    ----------
+    path : Path
+        Of the recording, for messages.
+    channels : iterable of Channel
+        All that its files describe.
+    type_hashes : mapping of str to str
+        By type, for files that do not keep them.
+    """
+
+    def __init__(
+        self, path: Path, channels: Iterable[Channel], type_hashes: Mapping[str, str]
+    ) -> None:
+        self._path = path
+        self._type_hashes = type_hashes
+        self._channels: dict[str, Channel] = {}
+        for channel in channels:
+            known = self._channels.get(channel.msgtype)
+            if known is None or (channel.definition and not known.definition):
+                self._channels[channel.msgtype] = channel
+        self._own = get_typestore(Stores.EMPTY)
+        self._stores: dict[str, Typestore | BagError] = {}
+        self._decoders: dict[str, Callable[[bytes, str], Any]] = {}
+
+    def decoder(self, msgtype: str) -> Callable[[bytes, str], Any]:
+        """Return the function that decodes a type's bytes."""
+        if msgtype not in self._decoders:
+            store, encoding = self.store(msgtype), self._channels[msgtype].encoding
+            if encoding not in ("cdr", "ros1"):
+                raise BagError(
+                    f"{self._path} has {msgtype} encoded as {encoding!r}; only CDR and ROS 1's "
+                    "encoding are decoded. Its messages can only be read raw."
+                )
+            self._decoders[msgtype] = (
+                store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
+            )
+        return self._decoders[msgtype]
+
+    def definition(self, msgtype: str) -> TypeDefinition:
+        """Return what the bag says of a type, or else we."""
+        channel = self._channels[msgtype]
+        text = channel.definition
+        if not text and msgtype in types.typestore().fielddefs:
+            return TypeDefinition(types.definition(msgtype), types.type_hash(msgtype))
+        if channel.definition_format == "idl" and not text.startswith(_SEPARATOR):
+            text = f"{_SEPARATOR}IDL: {msgtype}\n{text}"  # without it, IDL is taken for .msg
+        return TypeDefinition(text, channel.type_hash or self._type_hashes.get(msgtype, ""))
+
+    def store(self, msgtype: str) -> Typestore:
+        """Return the store that defines a type.
+
+        Raises
+        ------
+        BagError
+            If its definition is unusable, or neither in the bag nor known to us.
+        """
+        if msgtype not in self._stores:
+            try:
+                self._stores[msgtype] = self._find(msgtype)
+            except BagError as error:
+                self._stores[msgtype] = error
+        found = self._stores[msgtype]
+        if isinstance(found, BagError):
+            raise found
+        return found
+
+    def _find(self, msgtype: str) -> Typestore:
+        channel = self._channels[msgtype]
+        known = msgtype in types.typestore().fielddefs
+        # Real bags hold an empty text for action types, whose files rosbag2 does not find.
+        if known and channel.definition in ("", types.definition(msgtype)):
+            return types.typestore()
+        if channel.definition:
+            try:
+                self._register(channel, msgtype)
+            except Exception as error:  # a definition is a foreign text
+                reason = str(error).rstrip(".") or type(error).__name__
+                raise BagError(
+                    f"{self._path} has an unusable definition of {msgtype}: {reason[:500]}. "
+                    "Its messages can only be read raw."
+                ) from error
+            return self._own
+        if known:
+            return types.typestore()
+        raise BagError(
+            f"{self._path} has messages of type {msgtype} but not its definition, and it is not "
+            "among the types we know: read them raw, add the definition to "
+            "oracle_pipeline/bags/msg, or record as MCAP, which keeps definitions."
+        )
+
+    def _register(self, channel: Channel, msgtype: str) -> None:
+        if len(channel.definition) > LARGEST_DEFINITION:
+            raise ValueError(f"it is longer than {LARGEST_DEFINITION} (LARGEST_DEFINITION)")
+        parsed = _parse(channel, msgtype)
+        for used in sorted(_used(parsed) - parsed.keys() - self._own.fielddefs.keys()):
+            if used in types.typestore().fielddefs:
+                parsed[used] = types.typestore().fielddefs[used]
+        _check_size(msgtype, {**self._own.fielddefs, **parsed})
+        self._own.register(parsed)
+
+
+def _parse(channel: Channel, msgtype: str) -> dict[str, Any]:
+    if channel.definition_format != "idl":
+        return dict(get_types_from_msg(channel.definition, msgtype))
+    found: dict[str, Any] = {}
+    for part in channel.definition.split(_SEPARATOR):
+        # rosbag2 puts "IDL: <name>" above each file of a definition; plain IDL has no such line.
+        text = part.partition("\n")[2] if part.startswith("IDL: ") else part
+        if text.strip():
+            found.update(get_types_from_idl(text))
+    return found
+
+
+def _kinds(fields: Any) -> Iterable[tuple[Any, int | None]]:
+    """Yield base type or type name of each field, and how often: None if the message says."""
+    for _, (kind, what) in fields:
+        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            yield what[0], what[1] if kind == Nodetype.ARRAY else None
+        else:
+            yield (kind, what), 1
+
+
+def _used(parsed: dict[str, Any]) -> set[str]:
+    return {
+        what
+        for _, fields in parsed.values()
+        for (kind, what), _ in _kinds(fields)
+        if kind == Nodetype.NAME
+    }
+
+
+def _check_size(msgtype: str, defined: dict[str, Any]) -> None:
+    """Refuse a type that contains itself, or that unfolds to more fields than any real one."""
+    sizes: dict[str, int] = {}
+    under_way: set[str] = set()
+
+    def unfolded(name: str) -> int:
+        if name in under_way:
+            raise ValueError(f"{name} contains itself")
+        if name not in sizes:
+            under_way.add(name)
+            fields = 0
+            for (kind, what), times in _kinds(defined[name][1]):
+                if kind != Nodetype.NAME:
+                    fields += 1
+                    continue
+                inside = unfolded(what)
+                if times is None and not inside:
+                    raise ValueError(f"{name} has a sequence of {what}, which has no field")
+                fields += max(1, inside) * (1 if times is None else times)
+            under_way.remove(name)
+            sizes[name] = fields
+        if sizes[name] > MOST_FIELDS:
+            raise ValueError(f"{name} unfolds to more than {MOST_FIELDS} fields (MOST_FIELDS)")
+        return sizes[name]
+
+    unfolded(msgtype)

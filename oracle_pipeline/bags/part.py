@@ -1,0 +1,150 @@
+"""One file of a recording, whatever its format: what it holds, batch by batch, in file order."""
+
+from collections import Counter
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.compression import ZSTD_MAGIC, decompress_message
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.limits import MOST_CHANNELS
+from oracle_pipeline.bags.records import Records
+
+_READ_BYTES, _SECTOR_BYTES = 2**20, 512
+_BATCH_BYTES = 32 * 2**20  # of messages that were compressed one by one
+
+
+class Channel(NamedTuple):
+    """One publisher or topic, as a file describes it."""
+
+    topic: str
+    msgtype: str  # sensor_msgs/msg/LaserScan
+    encoding: str  # of the messages: cdr, ros1, or what nobody here decodes
+    definition: str  # empty: not in the file
+    definition_format: str  # msg, idl, or empty
+    type_hash: str
+    qos: str  # YAML, or empty
+
+
+class Batch(NamedTuple):
+    """Messages of a stretch of a file; a row each, in file order."""
+
+    data: bytes
+    channels: NDArray[np.int64]  # keys of the part's channels
+    stamps_ns: NDArray[np.int64]
+    offsets: NDArray[np.int64]
+    sizes: NDArray[np.int64]  # [B]
+
+
+@dataclass(slots=True)
+class Extent:
+    """What a part holds, told by its index or counted."""
+
+    counts: Counter[int] = field(default_factory=Counter)  # messages by channel
+    start_ns: int | None = None
+    end_ns: int | None = None
+    in_order: bool = True  # no batch begins before the one before it has ended
+
+    def add(self, batch: Batch) -> None:
+        """Count a batch."""
+        if not len(batch.stamps_ns):
+            return
+        first, last = int(batch.stamps_ns.min()), int(batch.stamps_ns.max())
+        self.in_order &= self.end_ns is None or self.end_ns <= first
+        self.start_ns = first if self.start_ns is None else min(self.start_ns, first)
+        self.end_ns = last if self.end_ns is None else max(self.end_ns, last)
+        channels, counts = np.unique(batch.channels, return_counts=True)
+        self.counts.update(dict(zip(channels.tolist(), counts.tolist(), strict=True)))
+
+
+class Part(Protocol):
+    """A file that is open for reading."""
+
+    path: Path  # as the user knows it
+    channels: dict[int, Channel]
+    extent: Extent
+    claims: bool  # the extent is what the file claims; it was not counted
+    cut: str  # why the end could not be read; empty: it was
+    unread: int  # bytes behind the last message that could be read
+
+    def batches(self, wanted: Collection[int] | None = None) -> Iterator[Batch]:
+        """Yield all messages; those of other channels than the wanted ones may be left out."""
+        ...
+
+    def close(self) -> None:
+        """Close the file."""
+        ...
+
+
+def written_size(file: BinaryIO) -> int:
+    """Return where an unfinished file ends, without the zeros that a full disk leaves behind.
+
+    Fewer than a sector of them may belong to the last message.
+    """
+    size = end = file.seek(0, 2)
+    while end:
+        begin = max(0, end - _READ_BYTES)
+        file.seek(begin)
+        block = file.read(end - begin).rstrip(b"\0")
+        end = begin + len(block)
+        if block:
+            break
+    return end if size - end >= _SECTOR_BYTES else size
+
+
+def measure(part: Part) -> None:
+    """Count what a part holds."""
+    part.extent = Extent()
+    for batch in part.batches():
+        part.extent.add(batch)
+    part.claims = False
+
+
+def add_channel(channels: dict[int, Channel], number: int, channel: Channel) -> None:
+    """Keep a channel that a file describes, the first time."""
+    channels.setdefault(number, channel)
+    if len(channels) > MOST_CHANNELS:
+        raise BagError(f"it has more than {MOST_CHANNELS} channels, the limit (MOST_CHANNELS)")
+
+
+def unpacked(data: bytes, records: Records) -> Iterator[Batch]:
+    """Yield records as a batch; messages that were compressed one by one are decompressed.
+
+    A message in CDR begins with a zero, so that zstd's magic number is no such message.
+    """
+    batch = Batch(data, *records[:4])
+    buffer = np.frombuffer(data, np.uint8)
+    packed = np.zeros(len(batch.sizes), dtype=np.bool_)
+    long = np.flatnonzero(batch.sizes >= len(ZSTD_MAGIC))
+    packed[long] = buffer[batch.offsets[long]] == ZSTD_MAGIC[0]
+    if not packed.any():
+        yield batch
+        return
+    parts: list[bytes] = []
+    first, held = 0, 0
+    for row, (offset, size) in enumerate(
+        zip(batch.offsets.tolist(), batch.sizes.tolist(), strict=True)
+    ):
+        message = data[offset : offset + size]
+        if message.startswith(ZSTD_MAGIC):
+            message = decompress_message(message)
+        parts.append(message)
+        held += len(message)
+        if held >= _BATCH_BYTES:
+            yield _joined(parts, batch, first)
+            parts, first, held = [], row + 1, 0
+    if parts:
+        yield _joined(parts, batch, first)
+
+
+def _joined(parts: list[bytes], batch: Batch, first: int) -> Batch:
+    sizes = np.array([len(part) for part in parts], dtype=np.int64)
+    rows = slice(first, first + len(parts))
+    return Batch(
+        b"".join(parts), batch.channels[rows], batch.stamps_ns[rows], np.cumsum(sizes) - sizes,
+        sizes,
+    )  # fmt: skip

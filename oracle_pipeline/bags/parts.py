@@ -1,0 +1,222 @@
+"""Which files are one recording: a file itself, or the parts in a folder.
+
+What a folder holds is looked at, by name and by the first bytes of each file; ``metadata.yaml`` is
+asked only what else should be there. Nothing outside the folder is read, no matter what is written
+in it.
+"""
+
+import re
+import stat
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from oracle_pipeline.bags import bounded_yaml, mcap, rosbag1, sqlite
+from oracle_pipeline.bags.compression import ZSTD_MAGIC, unpacked_file
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.limits import LARGEST_YAML
+from oracle_pipeline.bags.part import Part
+
+METADATA = "metadata.yaml"
+
+_FORMATS: tuple[tuple[bytes, Callable[[Path, Path], Part]], ...] = (
+    (mcap.MAGIC, mcap.McapPart),
+    (sqlite.MAGIC, sqlite.SqlitePart),
+    (rosbag1.MAGIC, rosbag1.Rosbag1Part),
+)
+_NAME = re.compile(
+    r"(?P<stem>.*?)(?:_(?P<number>\d+))?(?P<suffix>\.mcap|\.db3|\.bag)(?:\.active)?(?:\.zstd|\.zst)?",
+    re.DOTALL,
+)
+
+
+@dataclass(slots=True)
+class Parts:
+    """The files of a recording, open, first ones first."""
+
+    parts: list[Part] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    losses: list[str] = field(default_factory=list)  # what is missing or could not be read
+    qos: dict[str, str] = field(default_factory=dict)  # by topic, where only metadata.yaml has it
+    type_hashes: dict[str, str] = field(default_factory=dict)  # by message type, the same
+    folders: list[tempfile.TemporaryDirectory[str]] = field(default_factory=list)
+
+    def close(self) -> None:
+        """Close all files."""
+        for part in self.parts:
+            part.close()
+        for folder in self.folders:
+            folder.cleanup()
+
+
+def open_parts(path: Path) -> Parts:
+    """Open a file, or the parts in a folder.
+
+    Raises
+    ------
+    BagError
+        If there is nothing, no part of it can be read, or a folder holds several recordings.
+    """
+    found = Parts()
+    try:
+        if path.is_dir():
+            _open_folder(path, found)
+        else:
+            found.parts.append(_open_file(path, path, found))
+    except BaseException:
+        found.close()
+        raise
+    return found
+
+
+def recordings(folder: Path) -> Iterator[Path]:
+    """Find the recordings in a folder and below: folders of parts, and single files, in order."""
+    files, folders = [], []
+    for entry in sorted(folder.iterdir()):
+        if entry.name.startswith("."):
+            continue
+        if entry.is_dir():
+            folders.append(entry)
+        elif _NAME.fullmatch(entry.name):
+            files.append(entry)
+    if (folder / METADATA).is_file() or (len(files) > 1 and len(_groups(files)) == 1):
+        yield folder
+        return
+    yield from files
+    for entry in folders:
+        yield from recordings(entry)
+
+
+def _open_folder(folder: Path, found: Parts) -> None:
+    metadata = _Metadata(folder)
+    found.notes += metadata.notes
+    found.qos, found.type_hashes = metadata.qos, metadata.type_hashes
+    files = [entry for entry in sorted(folder.iterdir()) if _NAME.fullmatch(entry.name)]
+    files = _without_doubles(files)
+    listed = {name: folder / name for name in metadata.files}
+    found.losses += [
+        f"{METADATA} names {name}, which is not there: its messages are missing."
+        for name, file in listed.items()
+        if not any(each.name in (name, name.removesuffix(".zstd")) for each in files)
+        and not file.exists()
+    ]
+    groups = _groups(files)
+    if len(groups) > 1:
+        named = [group for group in groups.values() if any(each.name in listed for each in group)]
+        if len(named) != 1:
+            raise BagError(
+                f"{folder} holds several recordings: {', '.join(each.name for each in files[:5])}"
+                f"{', ...' if len(files) > 5 else ''}. Name one of them."
+            )
+        strangers = [each.name for each in files if each not in named[0]]
+        found.notes.append(f"{', '.join(strangers)}: another recording's; left out.")
+        files = named[0]
+    if not files:
+        raise BagError(
+            f"{folder} is not a bag: it holds no .mcap, .db3 or .bag file. Name the bag's own "
+            "folder or file."
+        )
+    errors = []
+    for file in files:
+        if file.resolve().parent != folder.resolve():
+            raise BagError(
+                f"{file} leads outside the bag's folder; such a bag is not read. Name the file "
+                "that it leads to."
+            )
+        try:
+            found.parts.append(_open_file(file, file, found))
+        except (BagError, OSError) as error:
+            errors.append(f"Part {file.name} cannot be read: {error}")
+    if not found.parts:
+        raise BagError(" ".join(errors))
+    found.losses += errors
+    found.parts.sort(key=lambda part: (part.extent.start_ns is None, part.extent.start_ns or 0))
+
+
+def _open_file(file: Path, path: Path, found: Parts) -> Part:
+    """Open a file by its first bytes."""
+    try:
+        mode = file.stat().st_mode
+    except OSError as error:
+        raise BagError(f"There is no bag {path}; check the path ({error.strerror}).") from error
+    if not stat.S_ISREG(mode):
+        raise BagError(f"{path} is no file but a device, a pipe or a socket; such is not read.")
+    with file.open("rb") as source:
+        begin = source.read(16)
+    if not begin:
+        raise BagError(f"{path} is empty; the recorder wrote nothing, or the copy failed.")
+    if begin.startswith(ZSTD_MAGIC):
+        folder = tempfile.TemporaryDirectory(prefix="oracle-")
+        found.folders.append(folder)
+        return _open_file(unpacked_file(file, Path(folder.name)), path, found)
+    for magic, opened in _FORMATS:
+        if begin.startswith(magic):
+            return opened(file, path)
+    zeros = (
+        " It begins with zeros: the disk was full, or the copy failed." if not any(begin) else ""
+    )
+    raise BagError(
+        f"{path} is not a bag: it begins neither as MCAP, nor as SQLite, nor as a ROS 1 bag of "
+        f"format 2.0.{zeros}"
+    )
+
+
+def _groups(files: list[Path]) -> dict[tuple[str, str], list[Path]]:
+    """Put the parts of each recording together: one stem, one format, numbered."""
+    groups: dict[tuple[str, str], list[Path]] = {}
+    for file in files:
+        match = _NAME.fullmatch(file.name)
+        assert match is not None  # noqa: S101 -- it was asked for before
+        groups.setdefault((match["stem"], match["suffix"]), []).append(file)
+    return groups
+
+
+def _without_doubles(files: list[Path]) -> list[Path]:
+    """Leave out a compressed file whose original is there: its compression was broken off."""
+    names = {file.name for file in files}
+    return [
+        file
+        for file in files
+        if not (file.suffix in (".zstd", ".zst") and file.name.rpartition(".")[0] in names)
+    ]
+
+
+class _Metadata:
+    """What ``metadata.yaml`` says that the files do not: names of parts, and old bags' QoS."""
+
+    def __init__(self, folder: Path) -> None:
+        self.files: list[str] = []
+        self.notes: list[str] = []
+        self.qos: dict[str, str] = {}
+        self.type_hashes: dict[str, str] = {}
+        file = folder / METADATA
+        if not file.is_file():
+            self.notes.append(
+                f"There is no {METADATA}: the recorder was not ended properly, or it was lost."
+            )
+            return
+        try:
+            with file.open("rb") as source:
+                text = source.read(LARGEST_YAML + 1).decode("utf-8", "replace")
+            self._read(bounded_yaml.load(text)["rosbag2_bagfile_information"])
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            self.notes.append(f"{METADATA} is not used: {_one_line(error)}")
+
+    def _read(self, information: Any) -> None:
+        # Of a name only its last part counts, so that it cannot lead out of the folder.
+        names = [PurePosixPath(str(each)).name for each in information["relative_file_paths"]]
+        self.files = [name for name in names if name]
+        for topic in information.get("topics_with_message_count") or ():
+            about = topic["topic_metadata"]
+            profiles = about.get("offered_qos_profiles")
+            if isinstance(profiles, str):
+                self.qos[str(about["name"])] = profiles
+            if type_hash := about.get("type_description_hash"):
+                self.type_hashes[str(about["type"])] = str(type_hash)
+
+
+def _one_line(error: Exception) -> str:
+    text = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+    return f"{text[:200]}."

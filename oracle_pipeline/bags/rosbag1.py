@@ -1,0 +1,240 @@
+"""Read a ROS 1 bag, format 2.0: by its index; if it has none or was cut, from the beginning."""
+
+import itertools
+import struct
+from collections import Counter
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import BinaryIO, TypeAlias
+
+from oracle_pipeline.bags.compression import decompress
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.limits import LARGEST_CHUNK, MOST_CHANNELS
+from oracle_pipeline.bags.mcap import ros2_name
+from oracle_pipeline.bags.part import (
+    Batch,
+    Channel,
+    Extent,
+    add_channel,
+    measure,
+    unpacked,
+    written_size,
+)
+from oracle_pipeline.bags.records import ros1_records
+
+MAGIC = b"#ROSBAG V2.0\n"
+
+_MESSAGE, _BAG_HEADER, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 5, 6, 7
+_LARGEST_HEADER = 2**20  # bytes
+_MOST_CHUNKS = 10_000_000
+
+_Header: TypeAlias = dict[str, bytes]
+
+
+class Rosbag1Part:
+    """A ROS 1 bag; a `Part`.
+
+    Parameters
+    ----------
+    file, path : Path
+        To read, and as the user knows it.
+
+    Raises
+    ------
+    BagError
+        If it is corrupt; not if it was cut or has no index.
+    """
+
+    def __init__(self, file: Path, path: Path) -> None:
+        self.path = path
+        self.channels: dict[int, Channel] = {}
+        self.extent = Extent()
+        self.claims = True
+        self.cut, self.unread = "", 0
+        self._file: BinaryIO = file.open("rb")
+        try:
+            self._size = self._file.seek(0, 2)
+            self._end = self._size
+            self._is_cut = not self._read_index()
+            if self._is_cut:
+                self.channels = {}
+                self._size = self._end = written_size(self._file)
+                measure(self)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def batches(self, wanted: Collection[int] | None = None) -> Iterator[Batch]:  # noqa: ARG002 -- of a chunk nobody knows what it holds
+        """Yield all messages, chunk by chunk."""
+        at = len(MAGIC)
+        self.cut, self.unread = "", 0
+        while at < self._end:
+            record = self._record(at)
+            if record is None:
+                self._stop(at, f"the record at byte {at} is not whole")
+                return
+            header, begin, size = record
+            is_whole = begin + size <= self._end
+            opcode = _number(header, "op")
+            if opcode == _CHUNK:
+                data, reason = self._chunk(header, begin, size)
+                yield from self._batches(data, at, whole=not reason)
+                if reason:
+                    self._stop(at, reason)
+                    return
+            elif opcode in (_CONNECTION, _MESSAGE) and is_whole:  # in no chunk
+                yield from self._batches(self._read(at, begin + size - at), at, whole=True)
+            if not is_whole:
+                self._stop(at, f"the record at byte {at} is not whole")
+                return
+            at = begin + size
+        if self._is_cut:
+            self.cut = "it has no index"
+
+    def _batches(self, data: bytes, at: int, *, whole: bool) -> Iterator[Batch]:
+        records = ros1_records(data)
+        for begin in records.described.tolist():
+            if not self._describe(data, begin) and not self._is_cut:
+                raise self._corrupt(f"a connection in the chunk at byte {at} is not described")
+        if whole and records.end != len(data):
+            raise self._corrupt(f"a record in the chunk at byte {at} ends beyond the chunk")
+        yield from unpacked(data, records)
+
+    def _chunk(self, header: _Header, begin: int, size: int) -> tuple[bytes, str]:
+        """Return the records of a chunk; of a cut one those that are there, and the reason."""
+        where = f"the chunk at byte {begin}"
+        compression = header.get("compression", b"none").decode("utf-8", "replace")
+        packed = self._read(begin, min(size, LARGEST_CHUNK))
+        declared = _number(header, "size")
+        try:
+            data = decompress(packed, compression, declared)
+        except BagError as error:
+            raise self._corrupt(f"at byte {begin}, {error}") from error
+        except Exception as error:  # of any of the decompressors
+            if self._is_cut:
+                return b"", f"{where} cannot be decompressed: {error}"
+            raise self._corrupt(f"{where} cannot be decompressed: {error}") from error
+        if len(data) == declared:
+            return data, ""
+        if not self._is_cut:
+            raise self._corrupt(f"{where} should hold {declared} bytes and does not")
+        return data[: ros1_records(data).end], f"{where} is not whole"
+
+    def _stop(self, at: int, reason: str) -> None:
+        if not self._is_cut:
+            raise self._corrupt(reason)
+        self.cut, self.unread = reason, self._size - at
+
+    def _corrupt(self, what: str) -> BagError:
+        return BagError(f"{self.path} is corrupt: {what}. Copy it again, or see `rosbag fix`.")
+
+    def _read(self, at: int, size: int) -> bytes:
+        self._file.seek(at)
+        return self._file.read(max(0, min(size, self._size - at)))
+
+    def _record(self, at: int) -> tuple[_Header, int, int] | None:
+        """Return header, place and size of a record's data; None if the header is not whole."""
+        head = self._read(at, 4)
+        length = int.from_bytes(head, "little")
+        if len(head) < 4 or length > _LARGEST_HEADER:
+            return None
+        data = self._read(at + 4, length + 4)
+        if len(data) < length + 4:
+            return None
+        header = _header(data[:length])
+        if header is None or "op" not in header:
+            return None
+        return header, at + 8 + length, int.from_bytes(data[length:], "little")
+
+    def _describe(self, data: bytes, at: int) -> bool:
+        """Keep a connection that a record describes; False if it does not."""
+        length = int.from_bytes(data[at : at + 4], "little")
+        header = _header(data[at + 4 : at + 4 + length])
+        at += 4 + length
+        size = int.from_bytes(data[at : at + 4], "little")
+        about = _header(data[at + 4 : at + 4 + size])
+        if header is None or about is None:
+            return False
+        topic = header.get("topic", b"").decode("utf-8", "replace")
+        slash = "/" if topic.startswith("/") else ""
+        channel = Channel(
+            slash + "/".join(part for part in topic.split("/") if part),
+            ros2_name(about.get("type", b"").decode("utf-8", "replace")), "ros1",
+            about.get("message_definition", b"").decode("utf-8", "replace"), "msg", "", "",
+        )  # fmt: skip
+        add_channel(self.channels, _number(header, "conn"), channel)
+        return True
+
+    def _read_index(self) -> bool:
+        """Take connections, counts and times from the index; False if there is none."""
+        record = self._record(len(MAGIC))
+        if record is None or _number(record[0], "op") != _BAG_HEADER:
+            raise self._corrupt("it does not begin with the header of a bag")
+        header = record[0]
+        if header.get("encryptor"):
+            raise BagError(f"{self.path} is encrypted; decrypt it first.")
+        at = _number(header, "index_pos")
+        connections, chunks = _number(header, "conn_count"), _number(header, "chunk_count")
+        if not len(MAGIC) < at <= self._size or chunks > _MOST_CHUNKS:
+            return False
+        if connections > MOST_CHANNELS:
+            raise BagError(
+                f"{self.path} has {connections} connections; the limit is {MOST_CHANNELS} "
+                "(MOST_CHANNELS)."
+            )
+        self._end = at
+        spans: list[tuple[int, int, int]] = []
+        counts = Counter[int]()
+        for _ in range(connections + chunks):
+            record = self._record(at)
+            if record is None or record[1] + record[2] > self._size:
+                return False
+            header, begin, size = record
+            data = self._read(begin, size)
+            if _number(header, "op") == _CONNECTION:
+                if not self._describe(self._read(at, begin + size - at), 0):
+                    return False
+            elif _number(header, "op") == _CHUNK_INFO:
+                for connection, count in struct.iter_unpack("<II", data[: size // 8 * 8]):
+                    counts[connection] += count
+                if data:
+                    first, last = _time_ns(header, "start_time"), _time_ns(header, "end_time")
+                    spans.append((_number(header, "chunk_pos"), first, last))
+            at = begin + size
+        self._set_extent(counts, spans)
+        return counts.keys() <= self.channels.keys()
+
+    def _set_extent(self, counts: Counter[int], spans: list[tuple[int, int, int]]) -> None:
+        stamps = [(first, last) for _, first, last in sorted(spans)]
+        if stamps:
+            ends = itertools.pairwise(stamps)
+            in_order = all(end <= begin for (_, end), (begin, _) in ends)
+            firsts, lasts = zip(*stamps, strict=True)
+            self.extent = Extent(+counts, min(firsts), max(lasts), in_order)
+
+
+def _header(data: bytes) -> _Header | None:
+    """Return the named fields of a header; None if it is broken."""
+    fields: _Header = {}
+    at = 0
+    while at < len(data):
+        size = int.from_bytes(data[at : at + 4], "little")
+        name, equals, value = data[at + 4 : at + 4 + size].partition(b"=")
+        if not equals or at + 4 + size > len(data):
+            return None
+        fields[name.decode("utf-8", "replace")] = value
+        at += 4 + size
+    return fields
+
+
+def _number(header: _Header, name: str) -> int:
+    return int.from_bytes(header.get(name, b""), "little")
+
+
+def _time_ns(header: _Header, name: str) -> int:
+    value = header.get(name, b"")
+    return int.from_bytes(value[:4], "little") * 1_000_000_000 + int.from_bytes(value[4:], "little")

@@ -1,0 +1,125 @@
+"""Features that tell runs apart in which nothing was altered: what a verdict must not rest on.
+
+A shadow control computes everything that an attack would change and hands the original on; its
+block, graph and randomness are those of the passthrough beside it. A feature that tells the two
+apart tells the experiment and not the robot. So does one that tells two unaltered modes, by who
+hears what, or the session.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from itertools import combinations
+from typing import Literal, TypeAlias
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.stats import binomtest, false_discovery_control, kruskal
+
+from oracle_pipeline.bags.protocol import PAIRS
+from oracle_pipeline.datasets import feature_columns, feature_floors
+
+Told: TypeAlias = Literal["control", "mode", "session"]
+
+LEVEL = 0.05  # false discovery rate of what is listed, among the features of one comparison
+
+
+@dataclass(frozen=True, slots=True)
+class Tell:
+    """One feature that tells something where nothing was altered."""
+
+    feature: str
+    tells: Told
+    between: str  # two modes, or the sessions
+    differing: float  # share of the blocks in which it differs by more than its floor
+    p: float  # adjusted for the features that were looked at
+
+
+def exact_pairs(df: pd.DataFrame) -> list[tuple[str, str]]:
+    """Return the pairs of a passthrough and its shadow that a table has, graphs equal."""
+    modes = set(df["mode"])
+    pairs = [(control, f"{attacked}_shadow") for control, attacked in PAIRS]
+    return [pair for pair in pairs if modes.issuperset(pair)]
+
+
+def blocks_needed(features: int) -> int:
+    """Return how many blocks it takes to list a single one of so many features."""
+    return int(np.ceil(np.log2(2.0 * max(1, features) / LEVEL)))
+
+
+def audit(df: pd.DataFrame, columns: Sequence[str] | None = None) -> pd.DataFrame:
+    """List every feature that tells control, mode or session where nothing was altered.
+
+    Runs of two modes are compared block by block by a sign test, sessions by the ranks of their
+    blocks (Kruskal and Wallis); features that differ by less than their floor do not differ.
+
+    Parameters
+    ----------
+    df : DataFrame
+        A row a run. Attacked runs and modes that change something are not looked at.
+    columns : sequence of str, optional
+        By default all features.
+
+    Returns
+    -------
+    DataFrame
+        A row for each `Tell`, the most certain first.
+    """
+    chosen = feature_columns(df) if columns is None else list(columns)
+    tells = [*_between_modes(df, chosen), *_between_sessions(df, chosen)]
+    tells.sort(key=lambda tell: (tell.p, tell.feature))
+    return pd.DataFrame(map(asdict, tells), columns=list(Tell.__dataclass_fields__))
+
+
+def told_in_pair(df: pd.DataFrame, columns: Sequence[str], pair: tuple[str, str]) -> list[Tell]:
+    """Return the features that tell two unaltered modes apart."""
+    one, other = (
+        df[df["mode"] == mode].set_index("block")[list(columns)].sort_index() for mode in pair
+    )
+    blocks = one.index.intersection(other.index)
+    differences = other.loc[blocks].to_numpy() - one.loc[blocks].to_numpy()
+    floors = feature_floors(df)
+    floor = np.array([floors.get(column, 0.0) for column in columns])
+    more, less = (differences > floor).sum(axis=0), (differences < -floor).sum(axis=0)
+    p = [
+        binomtest(int(up), int(up + down)).pvalue if up + down else 1.0
+        for up, down in zip(more, less, strict=True)
+    ]
+    share = (more + less) / max(1, len(blocks))
+    exact = pair[1].endswith("_shadow")
+    return _listed(columns, "control" if exact else "mode", " and ".join(pair), share, p)
+
+
+def _between_modes(df: pd.DataFrame, columns: Sequence[str]) -> Iterator[Tell]:
+    passthrough = [control for control, _ in PAIRS if control in set(df["mode"])]
+    for pair in (*exact_pairs(df), *combinations(dict.fromkeys(passthrough), 2)):
+        yield from told_in_pair(df, columns, pair)
+
+
+def _between_sessions(df: pd.DataFrame, columns: Sequence[str]) -> list[Tell]:
+    unaltered = df[df["mode"].isin([control for control, _ in PAIRS])]
+    by_block = unaltered.groupby(["session", "block"])[list(columns)].mean()
+    groups = [group for _, group in by_block.groupby("session") if len(group) > 2]
+    if len(groups) < 2:
+        return []
+    p = [_ranked([group[column].dropna().to_numpy() for group in groups]) for column in columns]
+    return _listed(columns, "session", "sessions", np.full(len(columns), np.nan), p)
+
+
+def _ranked(samples: list[NDArray[np.float64]]) -> float:
+    """Return the p-value that samples are alike; 1 where nothing varies."""
+    samples = [sample for sample in samples if len(sample)]
+    if len(samples) < 2 or np.ptp(np.concatenate(samples)) == 0.0:
+        return 1.0
+    return float(kruskal(*samples).pvalue)
+
+
+def _listed(
+    columns: Sequence[str], tells: Told, between: str, share: NDArray[np.float64], p: list[float]
+) -> list[Tell]:
+    adjusted: list[float] = false_discovery_control(p).tolist() if p else []
+    return [
+        Tell(column, tells, between, float(differing), float(p_adjusted))
+        for column, differing, p_adjusted in zip(columns, share, adjusted, strict=True)
+        if p_adjusted <= LEVEL
+    ]

@@ -1,0 +1,272 @@
+"""Whether the streams that tell how the robot moved agree: odometry, inertia, wheels, scans.
+
+A robot turns once, whoever measures it. Each source is held against each other that tells the
+same quantity: by what factor it gains more (the scale), how much later (the lag), and what neither
+explains (the residual). No stream is trusted. If one is altered, it disagrees with all others; if
+several are altered together, they disagree with those that are not.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.motion import (
+    COMMAND,
+    GYRO,
+    JOINTS,
+    MOTION_TOPICS,
+    ORIENTATION,
+    POSE,
+    SCAN,
+    SPAN_S,
+    TRAVEL,
+    TURN,
+    TWIST,
+    Sources,
+    Track,
+    gain,
+    slope,
+    sources,
+)
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Located,
+    Missing,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.reduction import largest, quantile, within
+from oracle_pipeline.features.scan_geometry import Bools, Floats, Points, scanner_setup
+from oracle_pipeline.features.scan_matching import Steps
+
+
+class Pair(NamedTuple):
+    """Two kinds of sources that tell one quantity."""
+
+    quantity: str
+    first: str
+    second: str
+
+    def column(self, statistic: str) -> str:
+        """Return the name of one of the pair's features."""
+        return f"{self.quantity}_{statistic}_{self.first}_{self.second}"
+
+
+#: From the more exact source to the other: the second is explained by the first.
+PAIRS = (
+    Pair(TURN, POSE, TWIST),
+    Pair(TURN, POSE, GYRO),
+    Pair(TURN, GYRO, ORIENTATION),
+    Pair(TURN, POSE, JOINTS),
+    Pair(TURN, GYRO, JOINTS),
+    Pair(TURN, POSE, SCAN),
+    Pair(TURN, GYRO, SCAN),
+    Pair(TURN, COMMAND, POSE),
+    Pair(TRAVEL, POSE, TWIST),
+    Pair(TRAVEL, POSE, JOINTS),
+    Pair(TRAVEL, POSE, SCAN),
+    Pair(TRAVEL, JOINTS, SCAN),
+    Pair(TRAVEL, COMMAND, POSE),
+)
+
+_UNITS = {TURN: "rad/s", TRAVEL: "m/s"}
+_FEWEST = 8  # spans that a comparison takes
+_LEAST = {TURN: 0.5, TRAVEL: 0.3}  # to be gained before a scale is known
+_OUTLYING = 4.0  # robust deviations from which on a span does not count for scale and lag
+
+
+def _features() -> Iterator[Feature]:
+    for pair in PAIRS:
+        loose = COMMAND in pair
+        floor = 0.02 if loose else 5e-3 if SCAN in pair else 2e-3
+        what = f"{pair.quantity} by {pair.first} and by {pair.second}"
+        yield Feature(
+            pair.column("scale"), "1", floor,
+            f"ln of the second over the first: {what}; furthest from 0 of the topics", "domain",
+        )  # fmt: skip
+        yield Feature(
+            pair.column("lag"), "s", 0.02 if loose else 5e-3,
+            f"how much later the second is: {what}; furthest from 0 of the topics", "domain",
+        )  # fmt: skip
+        yield Feature(
+            pair.column("residual"), _UNITS[pair.quantity], 0.02 if loose else 2e-3,
+            "root mean square of what scale and lag do not explain of the second: "
+            f"{what}; largest of the topics", "domain",
+        )  # fmt: skip
+    yield Feature(
+        "gravity", "m/s^2", 0.02, "median length of the measured acceleration, largest of the "
+        "topics", "domain",
+    )  # fmt: skip
+
+
+FEATURES = tuple(_features())
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What two sources gained, span by span; shape (n,) each."""
+
+    times_s: Floats  # when the spans ended, in the recording [s]
+    lengths_s: Floats
+    first: Points
+    first_slope: Points  # growth of the first's gains if the spans were later [1/s]
+    second: Points
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """All comparisons of a recording."""
+
+    pairs: Mapping[Pair, Mapping[str, Comparison]]  # by place: the two topics
+    gravity: Mapping[str, Series]
+
+
+def prepare(window: Window) -> Prepared | Missing:
+    """Hold every source against every other one of its quantity."""
+    found = sources(window.topics, scanner_setup(window.topics))
+    pairs = {pair: dict(_compared(found, pair)) for pair in PAIRS}
+    if not any(pairs.values()) and not found.gravity:
+        return Missing("fewer than two sources tell how the robot moved")
+    return Prepared(pairs, found.gravity)
+
+
+def compute(window: Window) -> Values:
+    """Fit scale and lag to the window's spans."""
+    prepared: Prepared = window.prepared
+    values: dict[str, float | Located | Missing] = {}
+    for pair, places in prepared.pairs.items():
+        fits = {place: _fitted(pair, each, window) for place, each in places.items()}
+        if not places:
+            why = Missing(f"not both of {pair.first} and {pair.second} tell the {pair.quantity}")
+            values |= {pair.column(s): why for s in ("scale", "lag", "residual")}
+            continue
+        if COMMAND in pair:  # of a chain of commands the last one is obeyed
+            obeyed = min(fits, key=lambda place: (math.isnan(fits[place][2]), fits[place][2]))
+            fits = {obeyed: fits[obeyed]}
+        still = f"too little {pair.quantity} was told in this window"
+        for number, statistic in enumerate(("scale", "lag")):
+            values[pair.column(statistic)] = _furthest(
+                {place: fit[number] for place, fit in fits.items()}, still
+            )
+        values[pair.column("residual")] = largest({p: fit[2] for p, fit in fits.items()}, still)
+    lengths = {topic: quantile(series, window, 0.5) for topic, series in prepared.gravity.items()}
+    values["gravity"] = largest(lengths, "no inertial unit")
+    return values
+
+
+@jit
+def fit(first: Points, slope: Points, second: Points) -> tuple[float, float, Bools]:
+    """Fit ``second = scale * (first - lag * slope)`` by least squares, outliers left out.
+
+    Returns
+    -------
+    scale, lag : float
+        NaN if nothing can be fitted.
+    kept : ndarray of bool, shape (n,)
+        The spans that count.
+    """
+    kept = np.ones(len(first), np.bool_)
+    scale, lag = math.nan, math.nan
+    for _ in range(3):
+        bb = bd = dd = ba = da = 0.0
+        for i in range(len(first)):
+            if kept[i]:
+                b, d, a = first[i], slope[i], second[i]
+                bb += b.real * b.real + b.imag * b.imag
+                dd += d.real * d.real + d.imag * d.imag
+                bd += b.real * d.real + b.imag * d.imag
+                ba += b.real * a.real + b.imag * a.imag
+                da += d.real * a.real + d.imag * a.imag
+        determinant = bb * dd - bd * bd
+        if bb <= 0.0:
+            break
+        if determinant > 1e-9 * bb * bb:
+            scale, g = (ba * dd - da * bd) / determinant, (bb * da - bd * ba) / determinant
+            lag = -g / scale if scale != 0.0 else math.nan
+        else:
+            scale, g, lag = ba / bb, 0.0, math.nan
+        left = np.abs(second - scale * first - g * slope)
+        limit = max(_OUTLYING * 1.4826 * np.median(left), 1e-9)
+        kept = left <= limit
+    return scale, lag, kept
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of sources of motion."""
+    return [
+        FeaturePlugin("kinematics", "kinematics", FEATURES, compute, MOTION_TOPICS, prepare=prepare)
+    ]
+
+
+def _compared(found: Sources, pair: Pair) -> Iterator[tuple[str, Comparison]]:
+    """Yield what each two topics of a pair of kinds gained, by place."""
+    for first in found.tracks[pair.first]:
+        if pair.quantity not in first.gained:
+            continue
+        if pair.second == SCAN:
+            seconds: Mapping[str, Track | Steps] = found.steps
+        else:
+            seconds = {track.topic: track for track in found.tracks[pair.second]}
+        for topic, second in seconds.items():
+            compared = _comparison(pair.quantity, first, second)
+            if compared is not None and len(compared.times_s) >= _FEWEST:
+                place = topic if first.topic == topic else f"{first.topic} against {topic}"
+                yield place, compared
+
+
+def _comparison(quantity: str, first: Track, second: Track | Steps) -> Comparison | None:
+    if isinstance(second, Steps):
+        from_s, to_s = second.from_s, second.to_s
+        turned = np.asarray(second.turned, dtype=np.complex128)
+        gained = turned if quantity == TURN else second.travelled
+    elif quantity not in second.gained:
+        return None
+    else:
+        begin = max(first.stamps_s[0], second.stamps_s[0])
+        ends_s = np.arange(begin, min(first.stamps_s[-1], second.stamps_s[-1]), SPAN_S)
+        from_s, to_s = ends_s[:-1], ends_s[1:]
+        gained = gain(second, quantity, from_s, to_s)
+    ours = gain(first, quantity, from_s, to_s)
+    slopes = slope(first, quantity, from_s, to_s)
+    known = np.isfinite(ours) & np.isfinite(gained) & np.isfinite(slopes)
+    times_s = np.interp(to_s, first.stamps_s, first.times_s)
+    return Comparison(
+        times_s[known], (to_s - from_s)[known], ours[known], slopes[known], gained[known]
+    )
+
+
+def _fitted(pair: Pair, compared: Comparison, window: Window) -> tuple[float, float, float]:
+    """Return ln of the scale, the lag [s] and the residual in a window; NaN if it tells none."""
+    part = within(compared.times_s, window)
+    first, slopes, second = compared.first[part], compared.first_slope[part], compared.second[part]
+    nothing = math.nan, math.nan, math.nan
+    if len(first) < _FEWEST:
+        return nothing
+    scale, lag, kept = fit(first, slopes, second)
+    gained = float(np.abs(first[kept]).sum())
+    if math.isnan(scale):
+        return nothing
+    lengths_s = compared.lengths_s[part]
+    shift = 0.0 if math.isnan(lag) else lag
+    left = np.abs(second - scale * (first - shift * slopes)) / lengths_s
+    residual = float(np.sqrt(np.mean(left**2)))
+    if gained < _LEAST[pair.quantity] or scale <= 0.0:
+        return math.nan, math.nan, residual
+    return math.log(scale), lag, residual
+
+
+def _furthest(by_place: Mapping[str, float], reason: str) -> Located | Missing:
+    """Return the number that is furthest from 0, and where it is."""
+    places = {place: value for place, value in by_place.items() if not math.isnan(value)}
+    if not places:
+        return Missing(reason)
+    where = max(places, key=lambda place: abs(places[place]))
+    return Located(places[where], where)

@@ -1,0 +1,341 @@
+"""What each stream of a recording says of the robot's motion: how far it went and turned.
+
+Whatever tells motion becomes a `Track`: what was travelled and turned from the beginning on, by
+stamp. Two tracks are compared by what they gained over the same spans, so frames, starting points
+and drift of long ago do not matter. Nothing is known by its topic: a message's type says what it
+tells. ``kinematics`` compares the tracks.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from oracle_pipeline.features.plugin import Request, Series
+from oracle_pipeline.features.scan_geometry import (
+    SCANS,
+    SETUP_TOPICS,
+    Floats,
+    Planar,
+    Points,
+    ScannerSetup,
+    pose_of,
+    stamp_s,
+)
+from oracle_pipeline.features.scan_matching import Steps, along_arc, steps
+
+#: What a source measures, and how: kinds of tracks.
+POSE, TWIST, GYRO, ORIENTATION = "pose", "twist", "gyro", "orientation"
+JOINTS, SCAN, COMMAND = "joints", "scan", "command"
+
+TRAVEL, TURN = "travel", "turn"  # quantities: [m] and [rad]
+
+SPAN_S = 0.4  # over which gains are compared, unless a source has spans of its own
+_SLOPE_S = 0.1  # to each side of a time at which a rate is taken
+_HELD_S = 0.5  # that a command holds if none follows
+_EXPLAINED = 0.9  # share of the motion that joints have to tell to count as wheels
+_SAMPLED_S = 0.05  # between the messages of an inertial unit that are read
+
+
+class Track(NamedTuple):
+    """What one source on one topic says; shape (n,) each, stamps ascending."""
+
+    topic: str
+    times_s: Floats  # when recorded, since the start of the recording [s]
+    stamps_s: Floats  # when measured [s]
+    gained: Mapping[str, Points]  # by quantity, from the first stamp on
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """All tracks of a recording by kind, and what its scanners say."""
+
+    tracks: Mapping[str, Sequence[Track]]
+    steps: Mapping[str, Steps]  # by topic of the scanner
+    gravity: Mapping[str, Series]  # length of the accelerations that a unit measured [m/s^2]
+
+
+def gain(track: Track, quantity: str, from_s: Floats, to_s: Floats) -> Points:
+    """Return what a track gained over spans; NaN for spans that it does not cover."""
+    stamps_s, values = track.stamps_s, track.gained[quantity]
+    gained = np.interp(to_s, stamps_s, values) - np.interp(from_s, stamps_s, values)
+    covered = (from_s >= stamps_s[0]) & (to_s <= stamps_s[-1])
+    return np.where(covered, gained, np.nan)
+
+
+def slope(track: Track, quantity: str, from_s: Floats, to_s: Floats) -> Points:
+    """Return by how much the gains over spans would grow if the spans were later, a second."""
+    rates = [
+        gain(track, quantity, at_s - _SLOPE_S, at_s + _SLOPE_S) / (2.0 * _SLOPE_S)
+        for at_s in (from_s, to_s)
+    ]
+    return rates[1] - rates[0]
+
+
+def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> Sources:
+    """Return what the messages on `MOTION_TOPICS` say."""
+    driven, inertial = topics["driven"], topics["inertial"]
+    poses = [_posed(topic, series) for topic, series in _long(driven)]
+    poses = poses or list(_transformed(topics["transforms"]))
+    mounts = {
+        topic: setup.frames.mount(series.values[0])
+        for topic, series in topics["inertial_frames"].items()
+    }
+    units = [(t, s, m) for t, s in _long(inertial) if (m := mounts[t].pose) is not None]
+    gyros = [_gyro(*unit) for unit in units]
+    tracks: dict[str, list[Track]] = {
+        POSE: poses,
+        TWIST: [_twisted(topic, series) for topic, series in _long(driven)],
+        GYRO: gyros,
+        ORIENTATION: [_oriented(*unit) for unit in units if _has_orientation(unit[1])],
+        JOINTS: [
+            track
+            for topic, series in _long(topics["joints"])
+            if (track := wheels(topic, series, [*poses, *gyros])) is not None
+        ],
+        COMMAND: [
+            _commanded(topic, series, poses[0]) for topic, series in _long(topics["commands"])
+        ]
+        if poses
+        else [],
+    }
+    matched = {topic: steps(setup.scanners[topic], mount) for topic, mount in setup.mounts.items()}
+    gravity = {
+        topic: Series(series.times_s, np.linalg.norm(series.values[:, 8:11], axis=1))
+        for topic, series in inertial.items()
+    }
+    return Sources(tracks, {t: s for t, s in matched.items() if len(s.to_s)}, gravity)
+
+
+def keep_driven(message: Any) -> tuple[float, ...]:
+    """Return stamp, pose and twist of a ``nav_msgs/msg/Odometry``."""
+    twist = message.twist.twist
+    return (
+        stamp_s(message), *pose_of(message.pose.pose),
+        twist.linear.x, twist.linear.y, twist.angular.z,
+    )  # fmt: skip
+
+
+def keep_inertial(message: Any) -> tuple[Any, ...]:
+    """Return stamp, orientation, turn rates, accelerations and a variance of an ``Imu``.
+
+    The variance is the first of the orientation's, -1 if there is no orientation.
+    """
+    q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
+    return (
+        stamp_s(message), q.x, q.y, q.z, q.w, w.x, w.y, w.z, a.x, a.y, a.z,
+        float(message.orientation_covariance[0]),
+    )  # fmt: skip
+
+
+def keep_frame(message: Any) -> str:
+    """Return the frame of a message."""
+    return str(message.header.frame_id).lstrip("/")
+
+
+def keep_joints(message: Any) -> tuple[float, tuple[str, ...], Floats, Floats]:
+    """Return stamp, names, positions and velocities of a ``sensor_msgs/msg/JointState``."""
+    return stamp_s(message), tuple(message.name), message.position, message.velocity
+
+
+def keep_transforms(message: Any) -> list[tuple[tuple[str, str], tuple[float, ...]]]:
+    """Return frames, and stamp, translation and rotation, of the transforms of a ``TFMessage``."""
+    kept: list[tuple[tuple[str, str], tuple[float, ...]]] = []
+    for each in message.transforms:
+        shift, q = each.transform.translation, each.transform.rotation
+        frames = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
+        kept.append((frames, (stamp_s(each), shift.x, shift.y, q.x, q.y, q.z, q.w)))
+    return kept
+
+
+def keep_command(message: Any) -> tuple[float, float, float]:
+    """Return the velocities of a ``Twist``, whatever it is wrapped in."""
+    twist = message
+    while hasattr(twist, "twist"):
+        twist = twist.twist
+    return twist.linear.x, twist.linear.y, twist.angular.z
+
+
+#: ROS gives the topic of transforms that move its name.
+TRANSFORMS = Request(keep_transforms, "/tf", "tf2_msgs/msg/TFMessage", dtype=object, optional=True)
+MOTION_TOPICS = SETUP_TOPICS | {
+    "scans": replace(SCANS, optional=True),
+    "driven": Request(keep_driven, msgtype="nav_msgs/msg/Odometry", optional=True),
+    "inertial": Request(
+        keep_inertial, msgtype="sensor_msgs/msg/Imu", every_s=_SAMPLED_S, optional=True
+    ),
+    "inertial_frames": Request(
+        keep_frame, msgtype="sensor_msgs/msg/Imu", every_s=1e4, dtype=object, optional=True
+    ),
+    "joints": Request(
+        keep_joints, msgtype="sensor_msgs/msg/JointState", dtype=object, every_s=_SAMPLED_S,
+        optional=True,
+    ),
+    "transforms": TRANSFORMS,
+    "commands": Request(keep_command, msgtype="geometry_msgs/msg/Twist*", optional=True),
+}  # fmt: skip
+
+
+class Edge(NamedTuple):
+    """A transform between two frames as it changed; shape (n,) each, stamps ascending."""
+
+    times_s: Floats
+    stamps_s: Floats
+    pose: Planar  # of the child in the parent
+
+
+def edges(topics: Mapping[str, Series]) -> dict[tuple[str, str], Edge]:
+    """Return the transforms of recorded ``TFMessage``s, by parent and child."""
+    rows: dict[tuple[str, str], list[tuple[float, ...]]] = {}
+    for series in topics.values():
+        for time_s, kept in zip(series.times_s.tolist(), series.values, strict=True):
+            for frames, row in kept:
+                rows.setdefault(frames, []).append((time_s, *row))
+    found = {}
+    for frames, of_edge in rows.items():
+        columns = np.array(of_edge)
+        times_s, stamps_s, x, y, *q = columns[np.argsort(columns[:, 1], kind="stable")].T
+        found[frames] = Edge(times_s, stamps_s, Planar(x + 1j * y, np.exp(1j * yaw_of(*q))))
+    return found
+
+
+def yaw_of(x: Floats, y: Floats, z: Floats, w: Floats) -> Floats:
+    """Return the yaw of quaternions [rad]."""
+    return np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def wheels(topic: str, series: Series, references: Sequence[Track]) -> Track | None:
+    """Return the motion that joints tell, in radians of a wheel; None if they tell none.
+
+    Which joints are wheels, and which way they turn, is what explains best the motion that
+    another source tells; how large they are is left to the comparison. A joint that holds a
+    motion's whole scale is that of all of them, should all have turned alike.
+    """
+    stamps_s, names, positions, velocities = zip(*series.values, strict=True)
+    same = np.array([each == names[0] for each in names])
+    chosen = positions if len(positions[0]) == len(names[0]) else velocities
+    whole = same & np.array([len(each) == len(names[0]) for each in chosen])
+    if not names[0] or whole.sum() < 2:
+        return None
+    order = np.flatnonzero(whole)[np.argsort(np.array(stamps_s)[whole], kind="stable")]
+    measured = np.stack([np.asarray(chosen[i], dtype=np.float64) for i in order])
+    at_s = np.array(stamps_s)[order]
+    angles = np.unwrap(measured, axis=0) if chosen is positions else _summed(at_s, measured)
+    ends_s = np.arange(at_s[0], at_s[-1], SPAN_S)
+    turned = np.diff(np.column_stack([np.interp(ends_s, at_s, a) for a in angles.T]), axis=0)
+    gained: dict[str, Points] = {}
+    for track in references:
+        for quantity in sorted(track.gained.keys() - gained.keys()):
+            gains = gain(track, quantity, ends_s[:-1], ends_s[1:]).real
+            direction = _explaining(turned, gains)
+            if direction is not None:
+                gained[quantity] = _complex(angles @ direction)
+    return Track(topic, series.times_s[order], at_s, gained) if gained else None
+
+
+def _explaining(turned: Floats, gains: Floats) -> Floats | None:
+    """Return how much each joint counts for some gains, all together 1; None if they do not."""
+    known = np.isfinite(gains) & np.isfinite(turned).all(axis=1)
+    power = float((gains[known] ** 2).sum())
+    if known.sum() < 2 * turned.shape[1] or power < 1e-3:
+        return None
+    weights = np.asarray(np.linalg.lstsq(turned[known], gains[known], rcond=0.02)[0], np.float64)
+    left = float(((turned[known] @ weights - gains[known]) ** 2).sum())
+    size = float(np.abs(weights).sum())
+    told = left < (1.0 - _EXPLAINED) * power and size > 0.0
+    return np.asarray(weights / size, np.float64) if told else None
+
+
+def _long(topics: Mapping[str, Series]) -> Iterator[tuple[str, Series]]:
+    """Yield the topics that say something twice at least."""
+    return ((topic, series) for topic, series in topics.items() if len(series.times_s) > 1)
+
+
+def _posed(topic: str, series: Series) -> Track:
+    rows = np.argsort(series.values[:, 0], kind="stable")
+    stamps_s, x, y, yaw = series.values[rows, :4].T
+    return _of_poses(topic, series.times_s[rows], stamps_s, x + 1j * y, np.unwrap(yaw))
+
+
+def _of_poses(topic: str, times_s: Floats, stamps_s: Floats, place: Points, yaw: Floats) -> Track:
+    step, turn = np.diff(place), np.diff(yaw)
+    along = np.concatenate([[0.0], np.cumsum(step * np.exp(-1j * yaw[:-1]) * along_arc(turn))])
+    return Track(topic, times_s, stamps_s, {TRAVEL: _complex(along), TURN: _complex(yaw)})
+
+
+def _transformed(topics: Mapping[str, Series]) -> Iterator[Track]:
+    """Yield the motion of the transform that moves most often, if one does."""
+    moving = {
+        frames: edge
+        for frames, edge in edges(topics).items()
+        if len(edge.times_s) > 1 and np.abs(np.diff(edge.pose.shift)).max() > 0.0
+    }
+    if moving:
+        parent, child = max(moving, key=lambda frames: len(moving[frames].times_s))
+        times_s, stamps_s, pose = moving[parent, child]
+        yaw = np.unwrap(np.angle(pose.turn))
+        yield _of_poses(f"{parent} -> {child}", times_s, stamps_s, pose.shift, yaw)
+
+
+def _twisted(topic: str, series: Series) -> Track:
+    rows = np.argsort(series.values[:, 0], kind="stable")
+    stamps_s, *_, ahead, aside, rate = series.values[rows].T
+    speed = ahead + 1j * aside
+    return Track(
+        topic, series.times_s[rows], stamps_s,
+        {TRAVEL: _summed(stamps_s, speed), TURN: _complex(_summed(stamps_s, rate))},
+    )  # fmt: skip
+
+
+def _gyro(topic: str, series: Series, mount: Planar) -> Track:
+    stamps_s, values = _by_stamp(series)
+    rate = -values[:, 7] if mount.flipped else values[:, 7]
+    return Track(topic, series.times_s, stamps_s, {TURN: _complex(_summed(stamps_s, rate))})
+
+
+def _has_orientation(series: Series) -> bool:
+    q, variance = series.values[:, 1:5], series.values[0, 11]
+    return bool(variance != -1.0 and np.ptp(q, axis=0).max() > 0.0)
+
+
+def _oriented(topic: str, series: Series, mount: Planar) -> Track:
+    stamps_s, values = _by_stamp(series)
+    yaw = np.unwrap(yaw_of(*values[:, 1:5].T))
+    return Track(topic, series.times_s, stamps_s, {TURN: _complex(-yaw if mount.flipped else yaw)})
+
+
+def _commanded(topic: str, series: Series, clock: Track) -> Track:
+    """Return what would be gained if each command held until the next one.
+
+    A ``Twist`` has no stamp; the clock's track tells which stamps were recorded at that time.
+    """
+    stamps_s = np.interp(series.times_s, clock.times_s, clock.stamps_s)
+    held_s = np.minimum(np.append(np.diff(stamps_s), _HELD_S), _HELD_S)
+    knots_s = np.column_stack([stamps_s, stamps_s + held_s]).ravel()
+    gained = {}
+    for quantity, rate in (
+        (TRAVEL, series.values[:, 0] + 1j * series.values[:, 1]),
+        (TURN, series.values[:, 2] + 0j),
+    ):
+        after = np.cumsum(rate * held_s)
+        gained[quantity] = np.column_stack([np.append(0.0, after[:-1]), after]).ravel()
+    return Track(topic, np.repeat(series.times_s, 2), knots_s, gained)
+
+
+def _complex(values: Any) -> Points:
+    """Return numbers as quantities are kept: the turn has no imaginary part."""
+    return np.asarray(values, dtype=np.complex128)
+
+
+def _by_stamp(series: Series) -> tuple[Floats, Floats]:
+    values = series.values[np.argsort(series.values[:, 0], kind="stable")]
+    return values[:, 0], values
+
+
+def _summed(stamps_s: Floats, rate: Any) -> Any:
+    """Return the integral of a rate up to each stamp, by trapezoids."""
+    rate_t = rate.T
+    steps = np.diff(stamps_s) * 0.5 * (rate_t[..., 1:] + rate_t[..., :-1])
+    zero = np.zeros((*rate_t.shape[:-1], 1))
+    return np.concatenate([zero, np.cumsum(steps, axis=-1)], axis=-1).T

@@ -1,0 +1,214 @@
+"""How a robot moved between two of its laser scans, told by the scans alone.
+
+Point-to-line registration of a scan against an earlier one of the same scanner, after Censi's
+PL-ICP, with the association along bearings. The turn to begin with comes from sliding one range
+profile along the other, so that no odometry is needed and none is believed.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.scan_geometry import Floats, Ints, Planar, Points, Scans, SensorMount
+
+SPACING_S = 0.35  # at least between two scans that are matched
+_LONGEST_S = 1.0  # between them at most
+
+_STEEPEST_RAD = 0.7  # turn between two scans that is looked for
+_PROFILE = 60  # rays, about, that are compared to find it
+_SAMPLE = 180  # rays, about, that are matched
+_REACH = 2  # bearings to each side of a point's own at which its counterpart is looked for
+_SURFACE = 3  # rays to each side of a return that tell its surface's direction
+_ITERATIONS = 12
+_SETTLED = 1e-4  # change of the estimate [m, rad] at which it has settled
+_WEIGHT_M = 0.03  # distance from the surface at which a point counts half
+_RIDGE = 1e-3  # against a corridor, along which nothing tells how far it went
+_FEWEST = 20  # points that have to meet a surface
+_LEAST_SHARE = 0.3  # of the points that have to meet a surface
+
+
+class Steps(NamedTuple):
+    """What a scanner's scans say of the motion of the robot's base; a row a pair of scans."""
+
+    from_s: Floats  # stamps of the earlier scan [s]
+    to_s: Floats  # and of the later one [s]
+    travelled: Points  # along and across the robot, on the way [m]; NaN where nothing matched
+    turned: Floats  # [rad]
+
+
+def steps(scans: Scans, mount: SensorMount) -> Steps:
+    """Match each scan with the one at least `SPACING_S` before it.
+
+    Parameters
+    ----------
+    scans : Scans
+        Of one topic.
+    mount : SensorMount
+        Of the scanner on the robot; without a pose there is no plane to match in.
+    """
+    before, after = _pairs(scans.stamps_s)
+    shift, turn = np.full(len(after), np.nan + 0j), np.full(len(after), np.nan)
+    if len(after) and mount.pose is not None:
+        found = _match_all(
+            scans.ranges,
+            scans.angle_min.ravel(),
+            scans.angle_increment.ravel(),
+            np.column_stack([before, after]),
+        )
+        seen = Planar(found[:, 0] + 1j * found[:, 1], np.exp(1j * found[:, 2]))
+        moved = mount.pose.compose(seen).compose(mount.pose.inverse())
+        turn = np.angle(moved.turn)
+        shift = moved.shift * along_arc(turn)
+    return Steps(scans.stamps_s[before], scans.stamps_s[after], shift, turn)
+
+
+def along_arc(turn: Floats) -> Points:
+    """Return what makes of the chord of an arc the way along it, in the robot's own directions."""
+    half = turn / 2.0
+    with np.errstate(invalid="ignore"):  # of scans that did not match
+        way: Points = np.exp(-1j * half) / np.sinc(half / np.pi)
+    return way
+
+
+def _pairs(stamps_s: Floats) -> tuple[Ints, Ints]:
+    """Return the indices of scans and of those that they are matched with, one after the other."""
+    before: list[int] = []
+    after: list[int] = []
+    last = 0
+    for i in range(1, len(stamps_s)):
+        passed_s = stamps_s[i] - stamps_s[last]
+        if passed_s >= SPACING_S or passed_s < 0.0:
+            if 0.0 <= passed_s <= _LONGEST_S:
+                before.append(last)
+                after.append(i)
+            last = i
+    return np.array(before, dtype=np.int64), np.array(after, dtype=np.int64)
+
+
+@jit
+def _match_all(ranges: Floats, angle_min: Floats, increment: Floats, pairs: Ints) -> Floats:
+    moved = np.full((len(pairs), 3), np.nan)
+    for k in range(len(pairs)):
+        i, j = pairs[k]
+        if increment[i] != increment[j] or increment[i] == 0.0:
+            continue
+        before, now = ranges[i], ranges[j]
+        guess = _turn(before, now, increment[i])
+        moved[k] = _match(before, now, angle_min[i], angle_min[j], increment[i], guess)
+    return moved
+
+
+@jit
+def _turn(before: Floats, now: Floats, increment: float) -> float:
+    """Return the turn by which two range profiles resemble each other most [rad]."""
+    n = len(now)
+    circle = round(2.0 * math.pi / abs(increment))
+    stride, furthest = max(1, n // _PROFILE), int(_STEEPEST_RAD / abs(increment))
+    step = max(1, furthest // 40)
+    best, least = 0, math.inf
+    for shift in range(-furthest, furthest + 1, step):
+        total, count = 0.0, 0
+        for j in range(0, n, stride):
+            other = (j + shift) % circle
+            if other < n and math.isfinite(now[j]) and math.isfinite(before[other]):
+                total += min(abs(now[j] - before[other]), 0.5)
+                count += 1
+        if count * stride > n // 10 and total / count < least:
+            best, least = shift, total / count
+    return best * increment
+
+
+@jit
+def _match(
+    before: Floats,
+    now: Floats,
+    before_start: float,
+    now_start: float,
+    increment: float,
+    guess: float,
+) -> Floats:
+    """Return x, y [m] and yaw [rad] of the later scan's sensor in the earlier one's frame."""
+    nowhere = np.full(3, np.nan)
+    qx, qy, nx, ny = _surfaces(before, before_start, increment)
+    circle = max(1, round(2.0 * math.pi / abs(increment)))
+    x, y, yaw = 0.0, 0.0, guess
+    matrix, vector = np.zeros((3, 3)), np.zeros(3)
+    stride = max(1, len(now) // _SAMPLE)
+    bearings = now_start + increment * np.arange(0, len(now), stride)
+    ends_x, ends_y = now[::stride] * np.cos(bearings), now[::stride] * np.sin(bearings)
+    for iteration in range(_ITERATIONS):
+        gate = 0.3 if iteration < 3 else 0.12
+        matrix[:], vector[:] = 0.0, 0.0
+        c, s = math.cos(yaw), math.sin(yaw)
+        met, valid = 0, 0
+        for j in range(len(ends_x)):
+            ux, uy = ends_x[j], ends_y[j]
+            if not math.isfinite(ux):
+                continue
+            valid += 1
+            rx, ry = c * ux - s * uy, s * ux + c * uy
+            px, py = rx + x, ry + y
+            own = round((math.atan2(py, px) - before_start) / increment)
+            nearest, distance = -1, 0.09
+            for each in range(own - _REACH, own + _REACH + 1):
+                ray = each % circle
+                if ray < len(before) and not math.isnan(nx[ray]):
+                    apart = (px - qx[ray]) ** 2 + (py - qy[ray]) ** 2
+                    if apart < distance:
+                        nearest, distance = ray, apart
+            if nearest < 0:
+                continue
+            error = nx[nearest] * (px - qx[nearest]) + ny[nearest] * (py - qy[nearest])
+            if abs(error) > gate:
+                continue
+            met += 1
+            weight = 1.0 / (1.0 + (error / _WEIGHT_M) ** 2)
+            slope = (nx[nearest], ny[nearest], ny[nearest] * rx - nx[nearest] * ry)
+            for a in range(3):
+                vector[a] -= weight * slope[a] * error
+                for b in range(3):
+                    matrix[a, b] += weight * slope[a] * slope[b]
+        if met < _FEWEST or met < _LEAST_SHARE * valid:
+            return nowhere
+        matrix[0, 0], matrix[1, 1] = matrix[0, 0] + _RIDGE, matrix[1, 1] + _RIDGE
+        change = np.linalg.solve(matrix, vector)
+        x, y, yaw = x + change[0], y + change[1], yaw + change[2]
+        if np.abs(change).max() < _SETTLED:
+            break
+    return np.array([x, y, yaw])
+
+
+@jit
+def _surfaces(
+    ranges: Floats, start: float, increment: float
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return points on the surfaces that a scan saw, and their normals; NaN where there is none."""
+    n = len(ranges)
+    x, y = np.full(n, np.nan), np.full(n, np.nan)
+    for i in range(n):
+        if math.isfinite(ranges[i]):
+            x[i] = ranges[i] * math.cos(start + i * increment)
+            y[i] = ranges[i] * math.sin(start + i * increment)
+    qx, qy, nx, ny = x.copy(), y.copy(), np.full(n, np.nan), np.full(n, np.nan)
+    for i in range(n):
+        if math.isnan(x[i]):
+            continue
+        near = 0.1 + 2.0 * _SURFACE * abs(increment) * ranges[i]
+        sx = sy = sxx = syy = sxy = 0.0
+        count = 0
+        for k in range(max(0, i - _SURFACE), min(n, i + _SURFACE + 1)):
+            if not math.isnan(x[k]) and abs(ranges[k] - ranges[i]) < near:
+                dx, dy = x[k] - x[i], y[k] - y[i]
+                sx, sy, count = sx + dx, sy + dy, count + 1
+                sxx, syy, sxy = sxx + dx * dx, syy + dy * dy, sxy + dx * dy
+        if count < _SURFACE + 1:
+            continue
+        mx, my = sx / count, sy / count
+        along = 0.5 * math.atan2(
+            2.0 * (sxy / count - mx * my), (sxx / count - mx * mx) - (syy / count - my * my)
+        )
+        qx[i], qy[i] = x[i] + mx, y[i] + my
+        nx[i], ny[i] = -math.sin(along), math.cos(along)
+    return qx, qy, nx, ny

@@ -1,0 +1,190 @@
+"""Whether a laser scanner's noise is everywhere and always the same, as a sensor's is.
+
+What is put into a scan, or worked on, seldom has the noise of what the sensor measured: it is too
+smooth, too rough, or the very numbers of an earlier scan. One scanner says so by itself.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.reduction import largest, mean, quantile, smallest
+from oracle_pipeline.features.scan_geometry import (
+    CLOSER_M,
+    SETUP_TOPICS,
+    Floats,
+    ScannerSetup,
+    Scans,
+    scanner_setup,
+)
+
+_OF = "of the scanners"
+FEATURES = (
+    Feature(
+        "smooth", "1", 2e-3,
+        "share of a scan's returns in stretches that bend much less from ray to ray than the scan "
+        f"does, 95th percentile, largest {_OF}", "domain",
+    ),
+    Feature(
+        "rough", "1", 2e-3,
+        "share of a scan's returns in stretches that bend much more from ray to ray than the scan "
+        f"does, 95th percentile, largest {_OF}", "domain",
+    ),
+    Feature(
+        "repeated", "1", 5e-3,
+        f"share of the scans that have the very ranges of an earlier one, largest {_OF}", "domain",
+    ),
+    Feature(
+        "still_noise_max", "m", 1e-3,
+        f"standard deviation of a range while the robot stands, median, largest {_OF}", "domain",
+    ),
+    Feature("still_noise_min", "m", 1e-3, f"the same, smallest {_OF}", "domain"),
+    Feature(
+        "still_flicker", "1", 2e-3,
+        f"share of the ranges that change by more than {CLOSER_M} m while the robot stands, mean, "
+        f"largest {_OF}", "domain",
+    ),
+)  # fmt: skip
+
+_STRETCH = 4  # bends in a row that make a stretch
+_SMOOTH, _ROUGH = 0.25, 4.0  # of the scan's median bend
+_FINEST_M = 1e-4  # a bend that is none
+_MAD_TO_DEVIATION = 1.4826
+_STILL_M, _STILL_RAD = 2e-3, 2e-3  # that a robot moves between two scans if it stands
+_NEXT_S = 0.5  # between scans of a robot that stands
+
+
+@dataclass(frozen=True, slots=True)
+class _Noise:
+    """Of each scan of a topic."""
+
+    smooth: Series
+    rough: Series
+    repeated: Series  # 1 or 0
+    still: Series  # [m], of scans in which the robot stands
+    flicker: Series
+
+
+def prepare(window: Window) -> dict[str, _Noise]:
+    """Measure each scan of the recording."""
+    setup = scanner_setup(window.topics)
+    return {topic: _noise(setup, topic, scans) for topic, scans in setup.scanners.items()}
+
+
+def compute(window: Window) -> Values:
+    """Reduce to the window."""
+    scanners: dict[str, _Noise] = window.prepared
+    empty = "no scan has a few valid ranges side by side"
+    moving = "the robot did not stand between two scans"
+    still = {topic: quantile(noise.still, window, 0.5) for topic, noise in scanners.items()}
+    return {
+        "smooth": largest(
+            {t: quantile(n.smooth, window, 0.95) for t, n in scanners.items()}, empty
+        ),
+        "rough": largest({t: quantile(n.rough, window, 0.95) for t, n in scanners.items()}, empty),
+        "repeated": largest({t: mean(n.repeated, window) for t, n in scanners.items()}, empty),
+        "still_noise_max": largest(still, moving),
+        "still_noise_min": smallest(still, moving),
+        "still_flicker": largest({t: mean(n.flicker, window) for t, n in scanners.items()}, moving),
+    }
+
+
+@jit
+def uneven(ranges: Floats) -> tuple[float, float]:
+    """Return the shares of a scan's bends in smooth and in rough stretches; NaN without a bend.
+
+    A bend is the third difference of neighbouring ranges, in which walls and pillars hardly show.
+    """
+    bends = np.abs(ranges[3:] - 3.0 * ranges[2:-1] + 3.0 * ranges[1:-2] - ranges[:-3])
+    known = bends[np.isfinite(bends)]
+    if len(known) < _STRETCH:
+        return math.nan, math.nan
+    usual = max(np.median(known), _FINEST_M)
+    smooth = _in_stretches(bends <= _SMOOTH * usual)
+    rough = _in_stretches((bends >= _ROUGH * usual) & (bends < CLOSER_M))
+    return smooth / len(known), rough / len(known)
+
+
+@jit
+def _in_stretches(flags: NDArray[np.bool_]) -> int:
+    """Count the true flags in runs of `_STRETCH` at least."""
+    total = run = 0
+    for flag in flags:
+        run = run + 1 if flag else 0
+        if run == _STRETCH:
+            total += _STRETCH
+        elif run > _STRETCH:
+            total += 1
+    return total
+
+
+@jit
+def _uneven(ranges: Floats) -> Floats:
+    shares = np.empty((len(ranges), 2))
+    for i in range(len(ranges)):
+        shares[i] = uneven(ranges[i])
+    return shares
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of a scanner's noise."""
+    return [FeaturePlugin("scan_noise", "noise", FEATURES, compute, SETUP_TOPICS, prepare=prepare)]
+
+
+def _noise(setup: ScannerSetup, topic: str, scans: Scans) -> _Noise:
+    smooth, rough = _uneven(scans.ranges).T
+    still, flicker = _standing(setup, topic, scans)
+    return _Noise(
+        Series(scans.times_s, smooth),
+        Series(scans.times_s, rough),
+        Series(scans.times_s, _repeated(scans.ranges)),
+        still,
+        flicker,
+    )
+
+
+def _repeated(ranges: Floats) -> Floats:
+    """Return 1 for scans whose ranges came before, 0 for others; NaN if nothing returned."""
+    seen: set[bytes] = set()
+    again = np.full(len(ranges), np.nan)
+    for i in np.flatnonzero(np.isfinite(ranges).any(axis=1)):
+        content = ranges[i].tobytes()
+        again[i] = content in seen
+        seen.add(content)
+    return again
+
+
+def _standing(setup: ScannerSetup, topic: str, scans: Scans) -> tuple[Series, Series]:
+    """Return noise [m] and flicker of the scans between which the robot stood."""
+    nothing = Series(np.empty(0), np.empty(0))
+    mount = setup.mounts.get(topic)
+    if setup.motion is None or mount is None or len(scans.stamps_s) < 2:
+        return nothing, nothing
+    placed = setup.placed(mount, scans.stamps_s)
+    moved_m = np.abs(np.diff(placed.shift))
+    turned = np.abs(np.angle(placed.turn[1:] / placed.turn[:-1]))
+    near = np.abs(np.diff(scans.stamps_s)) <= _NEXT_S
+    after = np.flatnonzero((moved_m < _STILL_M) & (turned < _STILL_RAD) & near) + 1
+    ranges = np.where(np.isfinite(scans.ranges), scans.ranges, np.nan)
+    change = np.abs(ranges[after] - ranges[after - 1])
+    both = np.isfinite(change)
+    share = np.full(len(after), np.nan)
+    deviation = np.full(len(after), np.nan)
+    for k, (row, known) in enumerate(zip(change, both, strict=True)):
+        if known.any():
+            deviation[k] = _MAD_TO_DEVIATION * np.median(row[known]) / math.sqrt(2.0)
+            share[k] = np.mean(row[known] > CLOSER_M)
+    times_s = scans.times_s[after]
+    return Series(times_s, deviation), Series(times_s, share)

@@ -1,0 +1,131 @@
+"""Whether sensors' messages come as long after their stamps as those of other sensors do.
+
+What somebody holds back, works on or stamps anew is later, earlier or less regular than it was.
+Latencies are told against the freshest sensor of the recording, so that it does not matter when
+the recorder's clock began.
+"""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from oracle_pipeline.features.plugin import (
+    Arrivals,
+    Feature,
+    FeaturePlugin,
+    Located,
+    Missing,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.reduction import largest
+from oracle_pipeline.features.scan_geometry import Floats
+
+SENSORS = {
+    "scan": "sensor_msgs/msg/LaserScan",
+    "odometry": "nav_msgs/msg/Odometry",
+    "inertial": "sensor_msgs/msg/Imu",
+    "joints": "sensor_msgs/msg/JointState",
+}
+FEATURES = (
+    *(
+        Feature(
+            f"{name}_latency", "s", 5e-3,
+            f"time from stamp to recording of {msgtype.rpartition('/')[2]} messages, median, over "
+            "that of the freshest sensor, largest of the topics", "domain",
+        )
+        for name, msgtype in SENSORS.items()
+    ),
+    *(
+        Feature(
+            f"{name}_jitter", "s", 2e-3,
+            f"median absolute deviation of that time of {msgtype.rpartition('/')[2]} messages, "
+            "largest of the topics", "domain",
+        )
+        for name, msgtype in SENSORS.items()
+    ),
+    Feature(
+        "period_jitter", "1", 0.01,
+        "median absolute deviation of the time between stamps over its median, largest of the "
+        "sensors' topics", "domain",
+    ),
+    Feature(
+        "late", "1", 5e-3,
+        "share of the messages that come a period and more later than the topic's others, largest "
+        "of the sensors' topics", "domain",
+    ),
+)  # fmt: skip
+
+_FEWEST = 5  # messages that a topic has to have
+
+
+def compute(window: Window) -> Values | Missing:
+    """Compare the sensors of the window."""
+    held = {
+        topic: _held_s(each)
+        for topic, each in window.arrivals.items()
+        if each.msgtype in SENSORS.values() and len(each.header_stamps_ns) >= _FEWEST
+    }
+    if not held:
+        return Missing("no sensor's messages with stamps")
+    held = _over_the_freshest(held, window.arrivals)
+    usual = {topic: float(np.median(each)) for topic, each in held.items()}
+    jitter = {t: float(np.median(np.abs(each - usual[t]))) for t, each in held.items()}
+    values: dict[str, float | Located | Missing] = {}
+    for name, msgtype in SENSORS.items():
+        topics = [topic for topic in held if window.arrivals[topic].msgtype == msgtype]
+        none = f"no {msgtype} with stamps"
+        values[f"{name}_latency"] = largest({t: usual[t] for t in topics}, none)
+        values[f"{name}_jitter"] = largest({t: jitter[t] for t in topics}, none)
+    periods = {topic: _period(window.arrivals[topic]) for topic in held}
+    values["period_jitter"] = largest({t: each[1] for t, each in periods.items()}, "equal stamps")
+    values["late"] = largest(
+        {t: float(np.mean(each - usual[t] >= periods[t][0])) for t, each in held.items()},
+        "equal stamps",
+    )
+    return values
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of stamps."""
+    return [FeaturePlugin("stamps", "stamps", FEATURES, compute)]
+
+
+def _over_the_freshest(
+    held: Mapping[str, Floats], arrivals: Mapping[str, Arrivals]
+) -> dict[str, Floats]:
+    """Return the times from stamp to recording less those of the freshest sensor just then.
+
+    The recorder's clock may run otherwise than that of the stamps, as with a slow simulator; it
+    does so for all sensors. The freshest one itself is told against an even clock.
+    """
+    freshest = min(held, key=lambda topic: (float(np.median(held[topic])), topic))
+    times_s = arrivals[freshest].times_s
+    common = np.polynomial.Polynomial.fit(times_s, held[freshest], 1)(times_s)
+    return {
+        topic: each
+        - (
+            common
+            if topic == freshest
+            else np.interp(arrivals[topic].times_s, times_s, held[freshest])
+        )
+        for topic, each in held.items()
+    }
+
+
+def _held_s(arrivals: Arrivals) -> Floats:
+    """Return the time from stamp to recording, but for one constant of the recording [s]."""
+    stamps_ns = arrivals.header_stamps_ns
+    return arrivals.times_s - stamps_ns.astype(np.float64) / 1e9
+
+
+def _period(arrivals: Arrivals) -> tuple[float, float]:
+    """Return the median time between stamps [s], and its deviation over it; NaN if it is 0."""
+    steps_s = np.diff(arrivals.header_stamps_ns) / 1e9
+    period_s = float(np.median(steps_s))
+    if period_s <= 0.0:
+        return math.inf, math.nan
+    return period_s, float(np.median(np.abs(steps_s - period_s)) / period_s)

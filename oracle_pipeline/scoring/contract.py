@@ -1,0 +1,235 @@
+"""The contract of a system: topics, types, QoS, rates, nodes and edges of its normal recordings.
+
+A breach needs no statistics: a topic that is gone is gone. So it is told in words, before any
+p-value. Only topics with a steady rate have a rate in the contract.
+"""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple, Self
+
+from rosbags.interfaces import Qos
+
+from oracle_pipeline.graphs.intervals import compose
+from oracle_pipeline.opened_run import OpenedRun
+
+STEADY = 1.5  # a rate that varies by at most this factor between normal recordings is steady
+FEWEST = 10  # messages of a recording that give a rate
+MARGIN = 0.05  # of a rate, added to what normal recordings showed
+
+# ROS 2 tools give some nodes a suffix of their own for each process.
+_PROCESS_SUFFIX = re.compile(r"(?<=_)(?:0x)?[0-9a-f]*\d[0-9a-f]*$")
+
+
+@dataclass(frozen=True, slots=True)
+class TopicTerms:
+    """What normal recordings show of one topic.
+
+    Attributes
+    ----------
+    types : tuple of str
+        Message types.
+    qos : tuple of str
+        Offered profiles, in words; empty if the recordings do not tell.
+    lowest_hz, highest_hz : float or None
+        Range of its rate; None if the rate is not steady.
+    always : bool
+        Whether every recording has it.
+    """
+
+    types: tuple[str, ...]
+    qos: tuple[str, ...]
+    lowest_hz: float | None
+    highest_hz: float | None
+    always: bool
+
+
+class Breach(NamedTuple):
+    """One way in which a recording departs from the contract."""
+
+    name: str  # of a topic, a node or an edge
+    text: str  # a sentence
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What one recording shows, without looking into any message.
+
+    Attributes
+    ----------
+    topics : mapping of str to tuple
+        Name -> message type, offered profiles in words, rate [Hz] or None.
+    graph : frozenset of str or None
+        Nodes, and edges as ``node:/a -> topic:/b``; None for a recording without graphs.
+    """
+
+    topics: Mapping[str, tuple[str, tuple[str, ...], float | None]]
+    graph: frozenset[str] | None
+
+    @classmethod
+    def of(cls, run: OpenedRun) -> Self:
+        """Observe an open recording."""
+        topics = {
+            name: (topic.msgtype, _qos_words(topic.qos), _rate(topic.count, run.duration_s))
+            for name, topic in run.bag.topics.items()
+        }
+        return cls(topics, _graph_elements(run) if run.intervals else None)
+
+
+@dataclass(frozen=True, slots=True)
+class Contract:
+    """What all normal recordings have in common, and what some of them have.
+
+    Attributes
+    ----------
+    topics : dict of str to TopicTerms
+    always, ever : frozenset of str
+        Nodes and edges of every normal recording with graphs, and of any.
+    """
+
+    topics: Mapping[str, TopicTerms]
+    always: frozenset[str]
+    ever: frozenset[str]
+
+    @classmethod
+    def learned(cls, observations: Sequence[Observation]) -> Self:
+        """Return the contract that normal recordings keep; at least one is needed."""
+        names = sorted({name for seen in observations for name in seen.topics})
+        graphs = [seen.graph for seen in observations if seen.graph is not None]
+        return cls(
+            {name: _terms(name, observations) for name in names},
+            frozenset.intersection(*graphs) if graphs else frozenset(),
+            frozenset().union(*graphs),
+        )
+
+    def breaches(self, seen: Observation) -> list[Breach]:
+        """Return how a recording departs from the contract: topics first, by name."""
+        found = [
+            Breach(name, f"Topic {name} is gone: every normal recording has it.")
+            for name, terms in self.topics.items()
+            if terms.always and name not in seen.topics
+        ]
+        for name, (kind, qos, rate_hz) in sorted(seen.topics.items()):
+            terms = self.topics.get(name)
+            if terms is None:
+                found.append(Breach(name, f"Topic {name} ({kind}) is new."))
+            else:
+                found += _of_topic(name, terms, kind, qos, rate_hz)
+        return found + self._of_graph(seen.graph)
+
+    def _of_graph(self, graph: frozenset[str] | None) -> list[Breach]:
+        if graph is None or not self.ever:
+            return []
+        gone = [Breach(each, f"{_shown(each)} is gone.") for each in sorted(self.always - graph)]
+        new = [Breach(each, f"{_shown(each)} is new.") for each in sorted(graph - self.ever)]
+        return gone + new
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contract as JSON knows it."""
+        return {
+            "topics": {name: asdict(terms) for name, terms in self.topics.items()},
+            "always": sorted(self.always),
+            "ever": sorted(self.ever),
+        }
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> Self:
+        """Return the contract that `to_dict` gave."""
+        topics = {
+            name: TopicTerms(
+                **{**terms, "types": tuple(terms["types"]), "qos": tuple(terms["qos"])}
+            )
+            for name, terms in document["topics"].items()
+        }
+        return cls(topics, frozenset(document["always"]), frozenset(document["ever"]))
+
+
+def _terms(name: str, observations: Iterable[Observation]) -> TopicTerms:
+    seen = [of.topics.get(name) for of in observations]
+    present = [topic for topic in seen if topic is not None]
+    rates = [rate for _, _, rate in present if rate is not None]
+    steady = len(rates) == len(present) and max(rates) <= STEADY * min(rates)
+    return TopicTerms(
+        types=tuple(sorted({kind for kind, _, _ in present})),
+        qos=tuple(sorted({words for _, qos, _ in present for words in qos})),
+        lowest_hz=min(rates) if steady else None,
+        highest_hz=max(rates) if steady else None,
+        always=len(present) == len(seen),
+    )
+
+
+def _of_topic(
+    name: str, terms: TopicTerms, kind: str, qos: Sequence[str], rate_hz: float | None
+) -> list[Breach]:
+    found = []
+    if kind not in terms.types:
+        found.append(
+            Breach(name, f"Topic {name} has type {kind} instead of {' or '.join(terms.types)}.")
+        )
+    if terms.qos and (other := [words for words in qos if words not in terms.qos]):
+        found.append(
+            Breach(
+                name,
+                f"Topic {name} is offered with QoS {other[0]} instead of {' or '.join(terms.qos)}.",
+            )
+        )
+    if terms.lowest_hz is not None and terms.highest_hz is not None:
+        spread_hz = terms.highest_hz - terms.lowest_hz
+        lowest_hz = terms.lowest_hz * (1.0 - MARGIN) - spread_hz
+        highest_hz = terms.highest_hz * (1.0 + MARGIN) + spread_hz
+        if not lowest_hz <= (rate_hz or 0.0) <= highest_hz:
+            usual = _range(terms.lowest_hz, terms.highest_hz)
+            found.append(
+                Breach(name, f"Topic {name} has {rate_hz or 0.0:.3g} Hz instead of {usual} Hz.")
+            )
+    return found
+
+
+def _range(low: float, high: float) -> str:
+    texts = dict.fromkeys(f"{value:.3g}" for value in (low, high))
+    return " to ".join(texts)
+
+
+def _rate(count: int, duration_s: float) -> float | None:
+    return count / duration_s if count >= FEWEST and duration_s > 0.0 else None
+
+
+def _graph_elements(run: OpenedRun) -> frozenset[str]:
+    """Return nodes and edges; process suffixes count as the same name."""
+    graph = compose(interval.graph for interval in run.intervals)
+    name = {vertex: _PROCESS_SUFFIX.sub("*", vertex) for vertex in graph}
+    nodes = {name[vertex] for vertex, data in graph.nodes(data=True) if data["kind"] == "node"}
+    return frozenset(
+        nodes | {f"{name[source]} -> {name[target]}" for source, target in graph.edges}
+    )
+
+
+def _shown(element: str) -> str:
+    """Say what an element of the graph is.
+
+    Examples
+    --------
+    >>> _shown("node:/amcl")
+    'Node /amcl'
+    >>> _shown("node:/amcl -> topic:/tf")
+    'The publisher of /tf in node /amcl'
+    >>> _shown("topic:/scan -> node:/amcl")
+    'The subscription to /scan in node /amcl'
+    """
+    source, _, target = element.partition(" -> ")
+    if not target:
+        return f"Node {source.partition(':')[2]}"
+    kinds, names = zip(*(end.split(":", 1) for end in (source, target)), strict=True)
+    if kinds[0] == "node":
+        return f"The publisher of {names[1]} in node {names[0]}"
+    return f"The subscription to {names[0]} in node {names[1]}"
+
+
+def _qos_words(profiles: Iterable[Qos]) -> tuple[str, ...]:
+    """Return profiles in words, such as ``reliable, transient local``."""
+    words = {
+        f"{profile.reliability.name}, {profile.durability.name}".lower().replace("_", " ")
+        for profile in profiles
+    }
+    return tuple(sorted(words))

@@ -1,0 +1,106 @@
+"""What is measured of runs: their features and those of their windows, in one order."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oracle_pipeline.datasets import DatasetError, is_malicious
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class MeasuredRuns:
+    """What is measured of distinct runs; n_runs and n_windows rows, each by ``run_id``.
+
+    Attributes
+    ----------
+    features : DataFrame
+        One row for each run.
+    windows : DataFrame
+        One row for each window, by start.
+    run : ndarray of shape (n_windows,)
+        Row of `features` that each window belongs to.
+    """
+
+    features: pd.DataFrame
+    windows: pd.DataFrame
+    run: NDArray[np.intp]
+
+    @classmethod
+    def ordered(cls, features: pd.DataFrame, windows: pd.DataFrame) -> "MeasuredRuns":
+        """Put the tables in order; windows of other runs are left out.
+
+        Raises
+        ------
+        DatasetError
+            A run without windows.
+        """
+        require_runs(features, windows, "window")
+        runs = features.sort_values("run_id", ignore_index=True)
+        number = pd.Series(np.arange(len(runs)), index=runs["run_id"])
+        of_runs = windows[windows["run_id"].isin(number.index)]
+        of_runs = of_runs.sort_values(["run_id", "window_start_s"], ignore_index=True)
+        return cls(runs, of_runs, number.loc[of_runs["run_id"]].to_numpy(dtype=np.intp))
+
+    def where(self, chosen: NDArray[np.bool_]) -> "MeasuredRuns":
+        """Return the runs of a mask of shape (n_runs,), with their windows."""
+        kept = chosen[self.run]
+        number = np.cumsum(chosen) - 1
+        features, windows = self.features[chosen], self.windows[kept]
+        return MeasuredRuns(
+            features.reset_index(drop=True),
+            windows.reset_index(drop=True),
+            number[self.run[kept]].astype(np.intp),
+        )
+
+    def followed_by(self, others: "MeasuredRuns") -> "MeasuredRuns":
+        """Return these runs and then others, with the columns of these."""
+        return MeasuredRuns(
+            _below(self.features, others.features),
+            _below(self.windows, others.windows),
+            np.concatenate([self.run, len(self.features) + others.run]),
+        )
+
+    @property
+    def malicious(self) -> NDArray[np.bool_]:
+        """Which runs were attacked, shape (n_runs,)."""
+        return is_malicious(self.features)
+
+    @property
+    def block(self) -> NDArray[np.int64]:
+        """Block of each run, shape (n_runs,)."""
+        return self.features["block"].to_numpy(dtype=np.int64)
+
+    @property
+    def counts(self) -> NDArray[np.intp]:
+        """How many windows each run has, shape (n_runs,)."""
+        return np.bincount(self.run, minlength=len(self.features))
+
+    @property
+    def place(self) -> NDArray[np.intp]:
+        """Which window of its run each is, from 0, shape (n_windows,)."""
+        return np.arange(len(self.run)) - np.repeat(
+            np.cumsum(self.counts) - self.counts, self.counts
+        )
+
+    @property
+    def start_s(self) -> NDArray[np.float64]:
+        """Start of each window [s of the recording], shape (n_windows,)."""
+        return self.windows["window_start_s"].to_numpy(dtype=np.float64)
+
+
+def require_runs(features: pd.DataFrame, table: pd.DataFrame, name: str) -> None:
+    """Refuse a table that lacks some of the runs; `name` says in the error which table it is."""
+    absent = sorted(set(features["run_id"]) - set(table["run_id"]))
+    if absent:
+        raise DatasetError(
+            f"{len(absent)} runs, {absent[0]} the first, are not in the {name} table; "
+            "materialize all tables again from the same runs."
+        )
+
+
+def _below(table: pd.DataFrame, others: pd.DataFrame) -> pd.DataFrame:
+    joined = pd.concat([table, others.reindex(columns=table.columns)], ignore_index=True)
+    joined.attrs = table.attrs
+    return joined

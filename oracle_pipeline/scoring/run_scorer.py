@@ -1,0 +1,132 @@
+"""How unusual a run is: by its features, and by those of its most unusual windows.
+
+Two levels, two scores. How they become one number and a p-value is in
+``oracle_pipeline.scoring.cross_conformal``.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.base import clone
+from sklearn.pipeline import Pipeline
+
+from oracle_pipeline.detectors import Detector, pipeline
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+
+LEVELS = ("run", "windows")
+TOP_WINDOWS = 3  # the mean score of so many windows stands for the run
+COMMON = 0.9  # windows count up to the length that this share of the fitted runs has
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """What a scorer looks at, fixed before any run is seen.
+
+    Attributes
+    ----------
+    detector : Detector
+        Unfitted; it is cloned.
+    run_features, window_features : sequence of str
+        Columns of the run table and of the window table. Either may be empty, but not both.
+    floors : mapping of str to float
+        Resolution of a column, in its unit.
+    """
+
+    detector: Detector
+    run_features: Sequence[str]
+    window_features: Sequence[str]
+    floors: Mapping[str, float]
+
+
+class RunScorer:
+    """Scores runs after it was fitted on normal ones; higher is more anomalous.
+
+    Parameters
+    ----------
+    design : Design
+
+    Attributes
+    ----------
+    models_ : dict of str to Pipeline
+        A fitted scaler and detector for each level that has features.
+    windows_counted_ : int
+        Windows of a run that count, from its start. The longer a run, the more unusual its most
+        unusual windows, so all runs are looked at for the same length.
+    """
+
+    def __init__(self, design: Design) -> None:
+        self.design = design
+
+    def fit(self, runs: MeasuredRuns) -> Self:
+        """Learn what normal runs look like.
+
+        Raises
+        ------
+        DetectorError
+            The detector cannot be fitted on so few runs.
+        """
+        design = self.design
+        self.windows_counted_ = common_length(runs.counts)
+        self.models_: dict[str, Pipeline] = {}
+        for level, table, columns in (
+            ("run", runs.features, design.run_features),
+            ("windows", runs.windows, design.window_features),
+        ):
+            if columns:
+                model = pipeline(clone(design.detector), design.floors)
+                self.models_[level] = model.fit(table[list(columns)])
+        return self
+
+    def score(self, runs: MeasuredRuns) -> NDArray[np.float64]:
+        """Return the scores of each run, shape (n_runs, n_levels)."""
+        scores = []
+        for level, model in self.models_.items():
+            if level == "run":
+                scores.append(-model.score_samples(runs.features[list(self.design.run_features)]))
+            else:
+                scores.append(top_windows(self.score_windows(runs), runs, self.windows_counted_))
+        return np.column_stack(scores)
+
+    def score_windows(self, runs: MeasuredRuns) -> NDArray[np.float64]:
+        """Return the score of each window, shape (n_windows,)."""
+        columns = list(self.design.window_features)
+        return np.asarray(
+            -self.models_["windows"].score_samples(runs.windows[columns]), dtype=np.float64
+        )
+
+
+def top_windows(
+    scores: NDArray[np.float64], runs: MeasuredRuns, windows_counted: int
+) -> NDArray[np.float64]:
+    """Return the mean of the highest window scores of each run, shape (n_runs,).
+
+    Parameters
+    ----------
+    scores : ndarray of shape (n_windows,)
+    runs : MeasuredRuns
+        Whose windows these are.
+    windows_counted : int
+        Later windows of a run are left out.
+    """
+    counts = runs.counts
+    by_run = np.full((len(counts), int(counts.max(initial=1))), -np.inf)
+    by_run[runs.run, runs.place] = scores
+    highest = -np.sort(-by_run[:, :windows_counted], axis=1)[:, :TOP_WINDOWS]
+    finite = np.isfinite(highest)
+    total = np.where(finite, highest, 0.0).sum(axis=1)
+    return np.asarray(total / np.maximum(finite.sum(axis=1), 1), dtype=np.float64)
+
+
+def common_length(windows: NDArray[np.intp]) -> int:
+    """Return how many windows nine tenths of the runs have at least.
+
+    Examples
+    --------
+    >>> common_length(np.array([3, 9, 9, 9, 9, 9, 9, 9, 9, 10]))
+    9
+    """
+    shorter = int(round(1.0 - COMMON, 9) * len(windows))
+    return max(1, int(np.sort(windows)[shorter]))

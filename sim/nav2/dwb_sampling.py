@@ -1,0 +1,227 @@
+"""What the DWB local planner tries: sampled velocities, each rolled out into a trajectory.
+
+As ``dwb_plugins``' standard trajectory generator on Humble.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.jit import jit
+from sim.nav2.paths import Poses
+
+_EPSILON = 1e-5
+
+
+class Parameters(NamedTuple):
+    """The Waffle's values in ``nav2_params.yaml``; names as there.
+
+    Only ``sim_time`` is ours (there: 1.7 s); why is in docs/explanation/navigation.md.
+    """
+
+    max_vel_x: float = 0.26  # [m/s]; the robot never drives backwards
+    max_vel_theta: float = 1.0  # [rad/s], to either side
+    acc_lim_x: float = 2.5  # [m/s^2]
+    decel_lim_x: float = -2.5  # [m/s^2]
+    acc_lim_theta: float = 3.2  # [rad/s^2]
+    decel_lim_theta: float = -3.2  # [rad/s^2]
+    vx_samples: int = 20
+    vtheta_samples: int = 20
+    sim_time: float = 1.0  # [s]
+    linear_granularity: float = 0.05  # [m]
+    angular_granularity: float = 0.025  # [rad]
+    prune_distance: float = 2.0  # of the plan kept behind the robot [m]
+    forward_prune_distance: float = 2.0  # of the plan followed ahead of it [m]
+    xy_goal_tolerance: float = 0.25  # [m]
+    trans_stopped_velocity: float = 0.25  # [m/s]
+    slowing_factor: float = 5.0
+    forward_point_distance: float = 0.1  # [m]
+    rotate_to_goal_scale: float = 32.0
+    base_obstacle_scale: float = 0.02
+    goal_align_scale: float = 24.0
+    path_align_scale: float = 32.0
+    path_dist_scale: float = 32.0
+    goal_dist_scale: float = 24.0
+
+
+@jit
+def approach(current: float, target: float, rise: float, fall: float) -> float:
+    """Return the speed after changing towards ``target`` by at most ``rise`` or ``-fall``."""
+    if current < target:
+        return min(target, current + rise)
+    return max(target, current + fall)
+
+
+@jit
+def samples(
+    current: float, low: float, high: float, rise: float, fall: float, count: int
+) -> NDArray[np.float64]:
+    """Return the speeds to try: evenly over what can be reached, and zero if it is between."""
+    top, bottom = approach(current, high, rise, fall), approach(current, low, rise, fall)
+    speeds = np.empty(count + 1)
+    if abs(top - bottom) < _EPSILON:
+        speeds[0] = bottom
+        return speeds[:1]
+    step = (top - bottom) / (count - 1)
+    size = 0
+    for i in range(count):
+        speed = bottom + i * step
+        if i > 0 and speeds[size - 1] < 0.0 < speed:
+            speeds[size] = 0.0
+            size += 1
+        speeds[size] = speed
+        size += 1
+    return speeds[:size]
+
+
+@jit
+def twists(
+    parameters: Parameters, velocity: tuple[float, float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the forward and the turning speeds to try; every pair but (0, 0) is a twist."""
+    time = parameters.sim_time
+    forward = samples(
+        velocity[0],
+        0.0,
+        parameters.max_vel_x,
+        parameters.acc_lim_x * time,
+        parameters.decel_lim_x * time,
+        parameters.vx_samples,
+    )
+    turning = samples(
+        velocity[1],
+        -parameters.max_vel_theta,
+        parameters.max_vel_theta,
+        parameters.acc_lim_theta * time,
+        parameters.decel_lim_theta * time,
+        parameters.vtheta_samples,
+    )
+    return forward, turning
+
+
+@jit
+def step_count(parameters: Parameters, twist: tuple[float, float]) -> int:
+    """Return in how many steps a velocity is rolled out."""
+    linear = abs(twist[0]) * parameters.sim_time / parameters.linear_granularity
+    angular = abs(twist[1]) * parameters.sim_time / parameters.angular_granularity
+    return max(1, math.ceil(max(linear, angular)))
+
+
+@jit
+def roll(
+    parameters: Parameters,
+    pose: tuple[float, float, float],
+    velocity: tuple[float, float],
+    twist: tuple[float, float],
+    rollout: Poses,
+) -> int:
+    """Drive from ``pose`` towards ``twist`` for ``sim_time``; return how many poses were written.
+
+    The first is where the robot is, the last one stands twice (``include_last_point``).
+    """
+    x, y, yaw = pose
+    v, w = velocity
+    steps = step_count(parameters, twist)
+    dt = parameters.sim_time / steps
+    heading_x, heading_y = math.cos(yaw), math.sin(yaw)
+    turn_x, turn_y, turned = 1.0, 0.0, 0.0
+    rollout[0, 0], rollout[0, 1], rollout[0, 2] = x, y, yaw
+    for i in range(1, steps + 1):
+        v = approach(v, twist[0], parameters.acc_lim_x * dt, parameters.decel_lim_x * dt)
+        w = approach(w, twist[1], parameters.acc_lim_theta * dt, parameters.decel_lim_theta * dt)
+        x += v * heading_x * dt
+        y += v * heading_y * dt
+        yaw += w * dt
+        if w != turned:  # after speeding up it stays, and so does the rotation of a step
+            turn_x, turn_y, turned = math.cos(w * dt), math.sin(w * dt), w
+        heading_x, heading_y = (
+            heading_x * turn_x - heading_y * turn_y,
+            heading_y * turn_x + heading_x * turn_y,
+        )
+        rollout[i, 0], rollout[i, 1], rollout[i, 2] = x, y, yaw
+    rollout[steps + 1] = rollout[steps]
+    return steps + 2
+
+
+@jit
+def headings(
+    parameters: Parameters,
+    yaw: float,
+    turning: float,
+    target: float,
+    count: int,
+    way: NDArray[np.float64],
+) -> float:
+    """Return the yaw at the end of a rollout, and fill in where its steps lead.
+
+    The directions are those of ``roll``; in as many steps, every forward speed has the same.
+
+    Parameters
+    ----------
+    parameters
+        Acceleration and time of the rollout.
+    yaw, turning
+        Of the robot [rad], [rad/s].
+    target
+        Turning speed that is rolled out [rad/s].
+    count
+        Steps.
+    way
+        Shape (more than ``count``, 2); gets the sums of the unit vectors along the first steps:
+        row i is where i steps of length one lead.
+    """
+    w, dt = turning, parameters.sim_time / count
+    heading_x, heading_y = math.cos(yaw), math.sin(yaw)
+    turn_x, turn_y, turned = 1.0, 0.0, 0.0
+    way[0, 0] = way[0, 1] = 0.0
+    for i in range(count):
+        way[i + 1, 0], way[i + 1, 1] = way[i, 0] + heading_x, way[i, 1] + heading_y
+        w = approach(w, target, parameters.acc_lim_theta * dt, parameters.decel_lim_theta * dt)
+        yaw += w * dt
+        if w != turned:  # after speeding up it stays, and so does the rotation of a step
+            turn_x, turn_y, turned = math.cos(w * dt), math.sin(w * dt), w
+        heading_x, heading_y = (
+            heading_x * turn_x - heading_y * turn_y,
+            heading_y * turn_x + heading_x * turn_y,
+        )
+    return yaw
+
+
+@jit
+def place(
+    parameters: Parameters,
+    x: float,
+    y: float,
+    forward: float,
+    target: float,
+    count: int,
+    way: NDArray[np.float64],
+) -> tuple[float, float]:
+    """Return where a rollout ends, up to the rounding of its sum [m].
+
+    From when it has its forward speed on, that is the speed times the way.
+
+    Parameters
+    ----------
+    parameters, count
+        As for ``headings``.
+    x, y, forward
+        Of the robot [m], [m/s].
+    target
+        Forward speed that is rolled out [m/s].
+    way
+        What ``headings`` filled in.
+    """
+    v, dt = forward, parameters.sim_time / count
+    rise, fall = parameters.acc_lim_x * dt, parameters.decel_lim_x * dt
+    i = 0
+    while i < count and v != target:
+        v = approach(v, target, rise, fall)
+        x += v * (way[i + 1, 0] - way[i, 0]) * dt
+        y += v * (way[i + 1, 1] - way[i, 1]) * dt
+        i += 1
+    x += v * (way[count, 0] - way[i, 0]) * dt
+    y += v * (way[count, 1] - way[i, 1]) * dt
+    return x, y

@@ -1,0 +1,156 @@
+"""The world's pieces and the Waffle as MJCF, MuJoCo's format.
+
+Masses and sizes of the robot are those of Nav2's Humble ``waffle.model``; where the pieces of the
+world are is in ``arena``.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sim.middleware.geometry import Pose2D
+from sim.turtlebot3.arena import BLOCKS, CYLINDERS, RING, RING_THICKNESS, Cylinder, Hexagon
+
+STEP_NS = 5_000_000
+
+WHEEL_RADIUS_M = 0.033
+WHEEL_SEPARATION_M = 0.287  # the diff drive's figure; the model's geometry says 0.288
+MAX_WHEEL_TORQUE_NM = 20.0
+# A stiffer motor would reach its set-point within one step, and kick the robot off the floor.
+_MOTOR_GAIN = 0.2  # [N m s/rad]
+
+STATIC, ROBOT, FLOOR = 0, 1, 2  # geom groups
+# A wheel stands on the floor at one point, as a sphere does: two edges of a cylinder would scrub
+# against each other in every turn. The cylinder is what meets the pieces of the world.
+_TREAD_BIT = 2
+
+# Red, green, blue, opacity; our own.
+_WALL_RGBA = "0.45 0.55 0.65 1"
+_PILLAR_RGBA = "0.9 0.9 0.85 1"
+_FLOOR_RGBA = "0.6 0.6 0.55 1"
+
+
+@dataclass(frozen=True, slots=True)
+class WorldParameters:
+    """What differs from run to run."""
+
+    start: Pose2D  # of base_footprint in the world
+    friction: float = 1.0  # of the floor, relative to the model
+    mass: float = 1.0  # of the robot, relative to the model
+    obstacles: Sequence[Cylinder] = ()  # real ones that are on no map
+
+
+def pieces(parameters: WorldParameters) -> dict[str, str]:
+    """Return name -> geoms of every piece of the world."""
+    return {
+        **{hexagon.name: _block(hexagon) for hexagon in BLOCKS},
+        RING.name: _ring(),
+        **{c.name: _cylinder(c) for c in (*CYLINDERS, *parameters.obstacles)},
+    }
+
+
+def mjcf(parameters: WorldParameters, *, with_pieces: bool = True) -> str:
+    """Return the model; without the pieces the robot stands on an endless floor."""
+    around = pieces(parameters) if with_pieces else {}
+    return f"""
+<mujoco>
+  <option timestep="{STEP_NS / 1e9}" gravity="0 0 -9.8" integrator="implicitfast"/>
+  <default>
+    <geom friction="{parameters.friction} 0.005 0.0001"/>
+    <default class="robot"><geom group="{ROBOT}"/></default>
+    <default class="on_floor">
+      <geom group="{ROBOT}" contype="{_TREAD_BIT}" conaffinity="{_TREAD_BIT}"/>
+    </default>
+  </default>
+  <worldbody>
+    <geom name="floor" type="plane" size="50 50 1" group="{FLOOR}" rgba="{_FLOOR_RGBA}"
+          contype="{_TREAD_BIT}" conaffinity="{_TREAD_BIT}"/>
+    {"".join(f'<body name="{name}">{geoms}</body>' for name, geoms in around.items())}
+    <body name="base_footprint">
+      <freejoint/>
+      <geom class="robot" type="box" size="0.1325 0.1325 0.0445" pos="-0.064 0 0.048"
+            mass="{1.0 * parameters.mass}"/>
+      <geom class="robot" type="cylinder" size="0.0508 0.0275" pos="-0.052 0 0.111"
+            mass="{0.125 * parameters.mass}"/>
+      <geom class="robot" type="box" size="0.004 0.065 0.011" pos="0.069 0 0.107"
+            mass="{0.035 * parameters.mass}"/>
+      <geom class="on_floor" type="sphere" size="0.005" pos="-0.177 0.064 -0.004" mass="0.001"
+            condim="1" priority="1"/>
+      <geom class="on_floor" type="sphere" size="0.005" pos="-0.177 -0.064 -0.004" mass="0.001"
+            condim="1" priority="1"/>
+      <site name="imu_link" pos="0 0 0.068"/>
+      {_wheel("wheel_left", 0.144)}
+      {_wheel("wheel_right", -0.144)}
+    </body>
+  </worldbody>
+  <actuator>
+    {_motor("wheel_left")}
+    {_motor("wheel_right")}
+  </actuator>
+  <sensor>
+    <gyro site="imu_link"/>
+    <accelerometer site="imu_link"/>
+    {"".join(map(_touch_sensor, around))}
+  </sensor>
+</mujoco>"""
+
+
+def _wheel(name: str, y: float) -> str:
+    return f"""
+      <body name="{name}" pos="0 {y} 0.023">
+        <inertial pos="0 0 0" mass="0.1" diaginertia="0.001 0.001 0.001"/>
+        <joint name="{name}" axis="0 1 0"/>
+        <geom class="robot" type="cylinder" size="{WHEEL_RADIUS_M} 0.009" euler="90 0 0"/>
+        <geom class="on_floor" type="sphere" size="{WHEEL_RADIUS_M}" mass="0"/>
+      </body>"""
+
+
+def _motor(joint: str) -> str:
+    limit = MAX_WHEEL_TORQUE_NM
+    return f'<velocity joint="{joint}" kv="{_MOTOR_GAIN}" forcerange="-{limit} {limit}"/>'
+
+
+def _touch_sensor(piece: str) -> str:
+    return f'<contact subtree1="base_footprint" body2="{piece}" data="found"/>'
+
+
+def _block(hexagon: Hexagon) -> str:
+    """Return a hexagon: the union of the three boxes that join its opposite sides."""
+    half = (hexagon.apothem, hexagon.circumradius / 2.0, (hexagon.z_max - hexagon.z_min) / 2.0)
+    return "".join(
+        _box(
+            f"{hexagon.name}#{i}", hexagon.x, hexagon.y, hexagon.z_min + half[2], half, 30 + 60 * i
+        )
+        for i in range(3)
+    )
+
+
+def _ring() -> str:
+    """Return six walls, long enough to close the corners behind the inner faces."""
+    height = (RING.z_max - RING.z_min) / 2.0
+    half = (RING_THICKNESS / 2.0, RING.circumradius * 9.0 / 16.0, height)
+    distance = RING.apothem + half[0]
+    walls = []
+    for i in range(6):
+        degrees = 30 + 60 * i
+        x, y = (distance * f(math.radians(degrees)) for f in (math.cos, math.sin))
+        walls.append(_box(f"{RING.name}#{i}", x, y, RING.z_min + height, half, degrees))
+    return "".join(walls)
+
+
+def _box(
+    name: str, x: float, y: float, z: float, half: tuple[float, float, float], degrees: float
+) -> str:
+    size = " ".join(map(str, half))
+    return (
+        f'<geom name="{name}" type="box" pos="{x} {y} {z}" size="{size}" '
+        f'euler="0 0 {degrees}" group="{STATIC}" rgba="{_WALL_RGBA}"/>'
+    )
+
+
+def _cylinder(c: Cylinder) -> str:
+    half = c.height / 2.0
+    return (
+        f'<geom name="{c.name}" type="cylinder" pos="{c.x} {c.y} {half}" '
+        f'size="{c.radius} {half}" group="{STATIC}" rgba="{_PILLAR_RGBA}"/>'
+    )

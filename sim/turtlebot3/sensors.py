@@ -1,0 +1,265 @@
+"""Gazebo's sensor plugins, as nodes: the inertial unit, the LiDARs and the infrared.
+
+A sensor sees of the world only the one measurement it is given, adds its noise and publishes it
+with the rate, frame and QoS of the Humble simulation.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.template import STAMP, Template
+from oracle_pipeline.bags.types import message_class, serialize
+from sim.jit import jit
+from sim.middleware import qos
+from sim.middleware.domain import Domain
+from sim.middleware.executor import MILLISECOND, SECOND
+from sim.middleware.node import Node
+from sim.middleware.stamps import header
+from sim.turtlebot3 import frames
+from sim.turtlebot3.world import ImuSamples
+
+_Imu = message_class("sensor_msgs/msg/Imu")
+_LaserScan = message_class("sensor_msgs/msg/LaserScan")
+_Quaternion = message_class("geometry_msgs/msg/Quaternion")
+_Range = message_class("sensor_msgs/msg/Range")
+_Vector3 = message_class("geometry_msgs/msg/Vector3")
+
+_IMU = "sensor_msgs/msg/Imu"
+_LASER_SCAN = "sensor_msgs/msg/LaserScan"
+_RANGE = "sensor_msgs/msg/Range"
+
+Ranges = NDArray[np.float64]
+
+IMU_NS = 34 * MILLISECOND  # the odometry's period, of which it measures one at a time
+SCAN_NS = 200 * MILLISECOND
+
+SCAN_RAYS = 360
+SCAN_ANGLE_MAX = 6.28  # [rad]
+SCAN_RANGE_MIN_M, SCAN_RANGE_MAX_M = 0.12, 20.0
+
+INFRARED = 1  # sensor_msgs/msg/Range.radiation_type
+INFRARED_VIEW = 0.2  # [rad]
+INFRARED_MIN_M, INFRARED_MAX_M = 0.05, 2.0
+_INFRARED_RAYS = 9
+
+GYRO_NOISE = 2e-4  # standard deviation [rad/s]
+ACCELEROMETER_NOISE = 1.7e-2  # standard deviation [m/s^2]
+
+
+@dataclass(frozen=True, slots=True)
+class LidarNoise:
+    """How a LiDAR errs."""
+
+    sd_m: float = 0.01  # standard deviation of each range
+    bias_m: float = 0.0  # of all ranges
+
+
+class ImuPlugin(Node):
+    """``/imu``: orientation, turning speed, acceleration, with noise on the last two.
+
+    The samples of an odometry period are measured in one go, at its start: until it ends nothing
+    acts on the robot that does not act at its start.
+
+    Parameters
+    ----------
+    domain, rng
+        As for `Node`.
+    measure
+        What an ideal unit measures after now and up to a time [ns].
+    """
+
+    def __init__(
+        self, domain: Domain, measure: Callable[[int], ImuSamples], rng: np.random.Generator
+    ) -> None:
+        super().__init__(domain, "/turtlebot3_imu", rng=rng)
+        self._measure = measure
+        self._publisher = self.create_publisher(_IMU, "/imu", qos.profile(5))
+        self.create_timer(IMU_NS, self._publish, phase_ns=0)
+
+    def _publish(self) -> None:
+        samples = self._measure(self.now_ns + IMU_NS)
+        noise = self.rng.standard_normal((len(samples.stamps_ns), 6))
+        data = imu_bytes(samples, noise)
+        call_at, publish = self.domain.executor.call_at, self._publisher.publish_serialized
+        begin = 0
+        for due_ns in samples.stamps_ns.tolist():
+            end = begin + _IMU_BYTES
+            call_at(due_ns, publish, data[begin:end])
+            begin = end
+
+
+_IMU_PROTOTYPE = serialize(
+    _Imu(
+        header(0, "imu_link"),
+        _Quaternion(0.0, 0.0, 0.0, 1.0),
+        np.zeros(9),  # of the orientation: unknown
+        _Vector3(0.0, 0.0, 0.0),
+        np.diag([GYRO_NOISE**2] * 3).ravel(),
+        _Vector3(0.0, 0.0, 0.0),
+        np.diag([ACCELEROMETER_NOISE**2] * 3).ravel(),
+    ),
+    _IMU,
+)
+_IMU_BYTES = len(_IMU_PROTOTYPE)
+# It ends with doubles: orientation, turning speed and acceleration, each with its covariance. They
+# begin on a multiple of 8 behind the encapsulation, which is on an odd word of the message.
+_IMU_DOUBLES = 4 + 9 + 3 + 9 + 3 + 9
+_IMU_HEAD = np.frombuffer(_IMU_PROTOTYPE[: -8 * _IMU_DOUBLES], np.uint32)
+_IMU_TAIL = np.frombuffer(_IMU_PROTOTYPE[-8 * _IMU_DOUBLES :], np.float64)
+
+
+def imu_bytes(samples: ImuSamples, noise: NDArray[np.float64]) -> bytes:
+    """Return samples as messages, one behind the other.
+
+    Parameters
+    ----------
+    samples
+        What an ideal unit measures.
+    noise
+        Shape (n, 6), of turning speed and acceleration, in standard deviations.
+    """
+    words = _imu_words(
+        samples.stamps_ns, samples.orientations, samples.angular_velocities,
+        samples.linear_accelerations, noise, _IMU_HEAD, _IMU_TAIL,
+    )  # fmt: skip
+    return words.tobytes()
+
+
+@jit
+def _imu_words(
+    stamps_ns: NDArray[np.int64],
+    orientations: NDArray[np.float64],
+    angular_velocities: NDArray[np.float64],
+    linear_accelerations: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    head: NDArray[np.uint32],
+    tail: NDArray[np.float64],
+) -> NDArray[np.uint32]:
+    words = np.empty((len(stamps_ns), len(head) + 2 * len(tail)), np.uint32)
+    numbers = tail.copy()
+    for i in range(len(stamps_ns)):
+        words[i, : len(head)] = head
+        words[i, 1] = stamps_ns[i] // SECOND
+        words[i, 2] = stamps_ns[i] % SECOND
+        numbers[:4] = orientations[i]
+        for axis in range(3):
+            numbers[13 + axis] = angular_velocities[i, axis] + GYRO_NOISE * noise[i, axis]
+            numbers[25 + axis] = (
+                linear_accelerations[i, axis] + ACCELEROMETER_NOISE * noise[i, 3 + axis]
+            )
+        words[i, len(head) :] = numbers.view(np.uint32)
+    return words
+
+
+class LaserPlugin(Node):
+    """A planar LiDAR of 360 rays (REP 117: inf no return, -inf too near).
+
+    Parameters
+    ----------
+    domain, name, topic, mount
+        The node, what it publishes, and in which frame.
+    measure
+        Exact ranges along bearings [rad] of the sensor's frame, up to a distance [m].
+    noise, rng
+        How it errs.
+    phase_ns
+        When in its period it fires.
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        name: str,
+        topic: str,
+        mount: frames.Mount,
+        measure: Callable[[NDArray[np.float64], float], Ranges],
+        noise: LidarNoise,
+        rng: np.random.Generator,
+        phase_ns: int,
+    ) -> None:
+        super().__init__(domain, name, rng=rng)
+        self._frame = mount.child
+        self._measure = measure
+        self._noise = noise
+        self._publisher = self.create_publisher(_LASER_SCAN, topic, qos.profile(5))
+        self._bearings = np.linspace(0.0, SCAN_ANGLE_MAX, SCAN_RAYS)
+        self._intensities = np.zeros(SCAN_RAYS, np.float32)
+        prototype = self._scan(0, np.zeros(SCAN_RAYS, np.float32))
+        self._template = Template(prototype, _LASER_SCAN, (*STAMP, "ranges"))
+        self.create_timer(SCAN_NS, self._publish, phase_ns=phase_ns)
+
+    def _publish(self) -> None:
+        exact = self._measure(self._bearings, SCAN_RANGE_MAX_M)
+        ranges = noisy_ranges(exact, self._noise, self.rng)
+        now_ns = self.now_ns
+        self._publisher.publish(
+            self._scan(now_ns, ranges), self._template.data(*divmod(now_ns, SECOND), ranges)
+        )
+
+    def _scan(self, time_ns: int, ranges: NDArray[np.float32]) -> object:
+        return _LaserScan(
+            header(time_ns, self._frame),
+            0.0,
+            SCAN_ANGLE_MAX,
+            SCAN_ANGLE_MAX / (SCAN_RAYS - 1),
+            0.0,
+            0.0,
+            SCAN_RANGE_MIN_M,
+            SCAN_RANGE_MAX_M,
+            ranges,
+            self._intensities,
+        )
+
+
+def noisy_ranges(exact: Ranges, noise: LidarNoise, rng: np.random.Generator) -> NDArray[np.float32]:
+    """Return what a LiDAR reports of exact ranges [m]; one draw a ray, whatever it hits."""
+    measured = exact + noise.bias_m + noise.sd_m * rng.standard_normal(len(exact))
+    measured[measured > SCAN_RANGE_MAX_M] = np.inf
+    measured[measured < SCAN_RANGE_MIN_M] = -np.inf
+    return measured.astype(np.float32)
+
+
+class RangePlugin(Node):
+    """``/range_ella``: the nearest thing in a narrow infrared cone ahead."""
+
+    def __init__(
+        self,
+        domain: Domain,
+        measure: Callable[[NDArray[np.float64], float], Ranges],
+        rng: np.random.Generator,
+        phase_ns: int,
+    ) -> None:
+        super().__init__(domain, "/turtlebot3_range_ella", rng=rng)
+        self._measure = measure
+        self._bearings = np.linspace(-INFRARED_VIEW / 2, INFRARED_VIEW / 2, _INFRARED_RAYS)
+        self._publisher = self.create_publisher(_RANGE, "/range_ella", qos.profile(5))
+        self._template = Template(_range_message(0, 0.0), _RANGE, (*STAMP, "range"))
+        self.create_timer(SCAN_NS, self._publish, phase_ns=phase_ns)
+
+    def _publish(self) -> None:
+        nearest = float(self._measure(self._bearings, INFRARED_MAX_M).min())
+        measured = nearest + LidarNoise().sd_m * self.rng.standard_normal()
+        if measured > INFRARED_MAX_M:
+            measured = math.inf
+        elif measured < INFRARED_MIN_M:
+            measured = -math.inf
+        now_ns = self.now_ns
+        self._publisher.publish(
+            _range_message(now_ns, measured),
+            self._template.data(*divmod(now_ns, SECOND), measured),
+        )
+
+
+def _range_message(time_ns: int, measured: float) -> object:
+    return _Range(
+        header(time_ns, frames.RANGE_ELLA.child),
+        INFRARED,
+        INFRARED_VIEW,
+        INFRARED_MIN_M,
+        INFRARED_MAX_M,
+        measured,
+    )

@@ -1,0 +1,159 @@
+"""Whoever wrote a recording, with whatever options: all its messages are read, in time order."""
+
+import os
+import shutil
+from itertools import product
+from operator import itemgetter
+
+import pytest
+from backports import zstd
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.parts import recordings
+from oracle_pipeline.bags.reader import BagReader
+from tests.oracle_pipeline.bags.conftest import text
+from tests.oracle_pipeline.bags.makers import McapOptions, write_db3, write_mcap, write_ros1
+
+SECOND = 1_000_000_000
+MESSAGES = [
+    (f"/topic{i % 3}", 10 * SECOND + i * SECOND // 10, text(f"message {i} {'x' * (i % 50)}"))
+    for i in range(60)
+]
+# As a recorder of several threads writes: the last of four comes first.
+DISORDERED = [MESSAGES[i - i % 4 + (i + 3) % 4] for i in range(60)]
+
+OPTIONS = [
+    McapOptions(chunk_bytes, compression, checksums, summary, statistics, repeat, index)
+    for chunk_bytes, compression, checksums in product([0, 1000], ["", "zstd", "lz4"], [True])
+    for summary, statistics, repeat, index in [
+        (True, True, True, True), (False, False, False, False), (True, False, True, True),
+        (True, True, False, True), (True, True, True, False),
+    ]
+] + [McapOptions(checksums=False), McapOptions(compress_messages=True),
+     McapOptions(0, compress_messages=True)]  # fmt: skip
+
+
+def read(path, **options):
+    with BagReader(path, **options) as bag:
+        return [tuple(message) for message in bag.messages()], bag.losses
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=str)
+@pytest.mark.parametrize("order", [MESSAGES, DISORDERED], ids=["in order", "disordered"])
+def test_every_mcap_file_is_read(options, order, tmp_path):
+    write_mcap(tmp_path / "a.mcap", order, options)
+    assert read(tmp_path / "a.mcap", strict=True) == (MESSAGES, [])
+    with BagReader(tmp_path / "a.mcap") as bag:
+        assert (bag.start_ns, bag.end_ns) == (MESSAGES[0][1], MESSAGES[-1][1])
+        assert {t.name: t.count for t in bag.topics.values()} == dict.fromkeys(bag.topics, 20)
+        assert [m.topic for m in bag.messages(["/topic1"])] == ["/topic1"] * 20
+
+
+@pytest.mark.parametrize("schema", [1, 2, 3, 4])
+def test_every_schema_of_sqlite_is_read(schema, tmp_path):
+    write_db3(tmp_path / "a.db3", DISORDERED, schema)
+    assert read(tmp_path / "a.db3", strict=True) == (MESSAGES, [])
+
+
+@pytest.mark.parametrize("compression", ["", "bz2", "lz4"])
+def test_every_ros1_bag_is_read(compression, tmp_path):
+    write_ros1(tmp_path / "a.bag", DISORDERED, compression)
+    with BagReader(tmp_path / "a.bag", strict=True) as bag:
+        assert [(m.topic, m.stamp_ns) for m in bag.messages()] == [m[:2] for m in MESSAGES]
+        assert {bag.deserialize(m).data[:7] for m in bag.messages()} == {"message"}
+
+
+@pytest.mark.parametrize("name", ["a b.mcap", "a#1.db3", "50%.db3", "what?.db3", "x.db3.zstd",
+                                  "x.mcap.zstd", "x.bag.active"])  # fmt: skip
+def test_any_name_is_read(name, tmp_path):
+    path = tmp_path / name
+    plain = path.with_suffix("") if name.endswith(".zstd") else path
+    if ".mcap" in name:
+        write_mcap(plain, MESSAGES, McapOptions())
+    elif ".db3" in name:
+        write_db3(plain, MESSAGES)
+    else:
+        write_ros1(plain, MESSAGES)
+    if plain != path:
+        path.write_bytes(zstd.compress(plain.read_bytes()))
+        plain.unlink()
+    assert len(read(path, strict=True)[0]) == 60
+
+
+def test_names_that_are_not_utf8_are_read(tmp_path):
+    for suffix, write in (("db3", write_db3), ("bag", write_ros1)):
+        path = tmp_path / os.fsdecode(b"caf\xe9." + suffix.encode())
+        write(tmp_path / "plain", MESSAGES)
+        (tmp_path / "plain").rename(path)
+        assert len(read(path)[0]) == 60
+
+
+@pytest.mark.parametrize("folder", ["bag", "folder.bag", "folder.mcap"])
+def test_a_folder_is_one_recording_whatever_metadata_says(folder, tmp_path, write_bag):
+    """Parts that it does not list and topics that it does not name are read; others' are not."""
+    bag = write_bag(tmp_path / folder)
+    (bag / "metadata.yaml").unlink()
+    next(bag.glob("*.mcap")).unlink()
+    for part in range(12):  # ten and more: not in order of name
+        write_mcap(bag / f"x_{part}.mcap", MESSAGES[5 * part : 5 * part + 5], McapOptions())
+    assert read(bag) == (MESSAGES, [])
+    assert list(recordings(tmp_path)) == [bag]
+    write_bag(tmp_path / "other")
+    shutil.copy(tmp_path / "other" / "metadata.yaml", bag)  # of another recording
+    messages, losses = read(bag)
+    assert messages == MESSAGES
+    assert "other_0.mcap, which is not there" in losses[0]
+    with pytest.raises(BagError, match=r"incomplete.*other_0\.mcap"):
+        BagReader(bag, strict=True)
+
+
+def test_a_part_that_cannot_be_read_is_named_and_costs_no_other(tmp_path):
+    for part in range(3):
+        write_mcap(tmp_path / f"x_{part}.mcap", MESSAGES[20 * part : 20 * part + 20], McapOptions())
+    (tmp_path / "x_1.mcap").write_bytes(bytes(1000))
+    messages, (loss,) = read(tmp_path)
+    assert messages == MESSAGES[:20] + MESSAGES[40:]
+    assert "x_1.mcap cannot be read" in loss
+    assert "begins with zeros" in loss
+
+
+def test_several_recordings_in_a_folder_are_several(tmp_path):
+    for name in ("a.mcap", "b.mcap"):
+        write_mcap(tmp_path / name, MESSAGES, McapOptions())
+    with pytest.raises(BagError, match=r"several recordings: a\.mcap, b\.mcap"):
+        BagReader(tmp_path)
+    assert [path.name for path in recordings(tmp_path)] == ["a.mcap", "b.mcap"]
+
+
+def test_a_half_compressed_part_gives_way_to_its_original(tmp_path):
+    write_db3(tmp_path / "x_0.db3", MESSAGES)
+    (tmp_path / "x_0.db3.zstd").write_bytes(
+        zstd.compress((tmp_path / "x_0.db3").read_bytes())[:500]
+    )
+    assert read(tmp_path) == (MESSAGES, [])
+
+
+def test_the_smaller_half_of_a_topic_with_two_types_is_told(tmp_path, write_bag):
+    write_mcap(tmp_path / "a_0.mcap", [("/clock", m[1], m[2]) for m in MESSAGES], McapOptions())
+    shutil.copy(next(write_bag(tmp_path / "bag").glob("*.mcap")), tmp_path / "a_1.mcap")
+    shutil.rmtree(tmp_path / "bag")
+    with BagReader(tmp_path) as bag:
+        assert bag.topics["/clock"].count == 60
+        assert "20 messages of the latter are not used" in " ".join(bag.notes)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    stamps=st.lists(st.integers(0, 9), min_size=1, max_size=12),
+    chunk_bytes=st.sampled_from([0, 1, 100]),
+    summary=st.booleans(),
+)
+def test_any_order_of_stamps_is_sorted_and_equal_ones_stay(
+    stamps, chunk_bytes, summary, tmp_path_factory
+):
+    messages = [(f"/topic{i % 2}", stamp, text(str(i))) for i, stamp in enumerate(stamps)]
+    path = tmp_path_factory.mktemp("order") / "a.mcap"
+    write_mcap(path, messages, McapOptions(chunk_bytes, summary=summary))
+    assert read(path)[0] == sorted(messages, key=itemgetter(1))

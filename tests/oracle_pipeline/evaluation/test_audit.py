@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+
+from oracle_pipeline.datasets import feature_columns
+from oracle_pipeline.evaluation import integrity
+from oracle_pipeline.evaluation.audit import audit, blocks_needed, exact_pairs
+from oracle_pipeline.evaluation.judged_runs import JudgedRuns
+from tests.oracle_pipeline.datasets.synthetic import campaign
+
+RUNS = 15
+FEATURE = "contextual.range_variance"
+
+
+@pytest.fixture(scope="module")
+def tables():
+    """Return a campaign in which a shadow repeats its passthrough to the last digit."""
+    features, windows, truth = campaign(RUNS)
+    columns, indexed = feature_columns(features), features.set_index(["mode", "block"])
+    for control, shadow in exact_pairs(features):
+        indexed.loc[shadow, columns] = indexed.loc[control, columns].to_numpy()
+    exact = features.assign(**{c: indexed[c].to_numpy() for c in columns})
+    return exact, windows, truth
+
+
+def marked(features, mode, by):
+    """Return the features with one of them larger in all runs of a mode."""
+    return features.assign(**{FEATURE: features[FEATURE] + by * (features["mode"] == mode)})
+
+
+def test_nothing_is_told_where_nothing_was_altered(tables):
+    features, *_ = tables
+    assert len(exact_pairs(features)) == 3
+    assert audit(features).empty
+
+
+@pytest.mark.parametrize(
+    ("mode", "tells", "between"),
+    [
+        ("random_noise_shadow", "control", "lidar_passthrough and random_noise_shadow"),
+        ("lidar_passthrough_odom", "mode", "lidar_passthrough and lidar_passthrough_odom"),
+    ],
+)
+def test_a_feature_that_tells_control_or_mode_is_listed(tables, mode, tells, between):
+    found = audit(marked(tables[0], mode, 1e3))
+    row = found[(found["tells"] == tells) & (found["between"] == between)].iloc[0]
+    assert (row["feature"], row["differing"]) == (FEATURE, 1.0)
+    assert set(found["feature"]) == {FEATURE}
+
+
+def test_a_feature_that_tells_the_session_is_listed(tables):
+    features, *_ = tables
+    day = features.assign(**{FEATURE: features[FEATURE] + 1e3 * features["session"]})
+    found = audit(day)
+    assert found[["feature", "tells"]].to_numpy().tolist() == [[FEATURE, "session"]]
+
+
+def test_less_than_the_floor_is_no_difference(tables):
+    features, *_ = tables
+    features.attrs["fields"] = {FEATURE: {"floor": "0.5", "unit": "m^2"}}
+    assert audit(marked(features, "random_noise_shadow", 0.4)).empty
+    assert not audit(marked(features, "random_noise_shadow", 0.6)).empty
+
+
+def test_attacked_runs_are_not_looked_at(tables):
+    assert audit(marked(tables[0], "random_noise", 1e3)).empty
+
+
+@pytest.mark.parametrize("features", [1, 5, 200, 1000])
+def test_the_blocks_that_it_takes_are_enough_and_not_too_many(features):
+    blocks = blocks_needed(features)
+    assert 2.0 * 0.5**blocks * features <= 0.05 < 4.0 * 0.5**blocks * features
+
+
+def test_the_check_is_red_for_a_tell_and_unsupported_with_few_blocks(tables):
+    features, windows, truth = tables
+    columns = feature_columns(features)
+
+    def check(table):
+        return integrity.unaltered_runs_alike(JudgedRuns.of(table, windows, truth), columns)
+
+    assert check(features).status == "green"
+    red = check(marked(features, "random_noise_shadow", 1e3))
+    assert (red.status, red.figure.value) == ("red", 1.0)
+    assert FEATURE in red.sentence
+    few = check(features[features["block"] < 3])
+    assert few.status == "unsupported"
+    assert np.isnan(few.figure.value)

@@ -1,0 +1,169 @@
+"""A robot whose odometry, gyroscope, wheels and scanner tell one motion, unless one is altered."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from oracle_pipeline.bags.types import message_class
+from oracle_pipeline.features import kinematics
+from oracle_pipeline.features.kinematics import fit
+from tests.oracle_pipeline.features.scenery import (
+    Scanner,
+    World,
+    extract,
+    header,
+    odometry_message,
+    quaternion,
+    recording,
+)
+
+PLUGINS = kinematics.register_features()
+SECONDS = 12.0
+RADIUS_M, TRACK_M = 0.033, 0.16
+SCANNER = Scanner("/scan", x_m=0.05, world=World(((1.0, 0.7, 0.2), (-1.2, 0.4, 0.3))))
+TIMES_S = np.arange(0.0, SECONDS, 0.02)
+
+
+def speeds(time_s: Any) -> tuple[Any, Any]:
+    """Forward speed [m/s] and turn rate [rad/s], never constant for long."""
+    return 0.15 + 0.1 * np.sin(1.3 * time_s), 0.5 * np.sin(0.9 * time_s)
+
+
+def poses() -> tuple[np.ndarray, np.ndarray]:
+    fine_s = np.arange(0.0, SECONDS + 1.0, 1e-3)
+    speed, rate = speeds(fine_s)
+    yaw = np.concatenate([[0.0], np.cumsum(rate[:-1]) * 1e-3])
+    place = -0.8 + np.concatenate([[0j], np.cumsum(speed[:-1] * np.exp(1j * yaw[:-1])) * 1e-3])
+    return place, yaw
+
+
+PLACE, YAW = poses()
+
+
+def motion(time_s: float) -> tuple[complex, float]:
+    index = round(time_s * 1e3)
+    return complex(PLACE[index]), float(YAW[index])
+
+
+def robot(
+    *, odometry: float = 1.0, twist: float = 1.0, gyro: float = 1.0, wheels: float = 1.0,
+    late_s: float = 0.0, scan: float = 1.0,
+) -> list[tuple[float, str, Any]]:  # fmt: skip
+    """All messages; what is said of one stream is multiplied by a factor, or told late."""
+    vector = message_class("geometry_msgs/msg/Vector3")
+    recorded = [m for m in recording([SCANNER], motion, SECONDS) if m[1] != "/odom"]
+    for _, topic, message in recorded:
+        if topic == "/scan":
+            message.ranges = np.asarray(message.ranges * scan, dtype=np.float32)
+    forward = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(PLACE)))])
+    for time_s in TIMES_S:
+        place, yaw = motion(time_s)
+        speed, rate = speeds(time_s)
+        told = odometry_message(time_s, odometry * place, yaw)
+        told.twist.twist = message_class("geometry_msgs/msg/Twist")(
+            vector(twist * speed, 0.0, 0.0), vector(0.0, 0.0, twist * rate)
+        )
+        past = motion(max(0.0, time_s - late_s))[1], speeds(max(0.0, time_s - late_s))[1]
+        inertial = message_class("sensor_msgs/msg/Imu")(
+            header(time_s, "nose"), quaternion(past[0]), np.zeros(9),
+            vector(0.0, 0.0, gyro * past[1]), np.zeros(9), vector(0.0, 0.0, 9.81), np.zeros(9),
+        )  # fmt: skip
+        way = forward[round(time_s * 1e3)]
+        angles = wheels * np.array([way - yaw * TRACK_M / 2, way + yaw * TRACK_M / 2]) / RADIUS_M
+        joints = message_class("sensor_msgs/msg/JointState")(
+            header(time_s, ""), ["left", "right"], angles, np.zeros(2), np.zeros(0)
+        )
+        command = message_class("geometry_msgs/msg/Twist")(
+            vector(speed, 0.0, 0.0), vector(0.0, 0.0, rate)
+        )
+        recorded += [
+            (time_s, "/odometry", told), (time_s, "/inertia", inertial),
+            (time_s, "/joints", joints), (time_s, "/command", command),
+        ]  # fmt: skip
+    return sorted(recorded, key=lambda each: each[0])
+
+
+@pytest.fixture(scope="module")
+def extracted(tmp_path_factory):
+    """Return a function from what is altered to values, where they are, and what is missing."""
+    return lambda **altered: extract(PLUGINS, robot(**altered), tmp_path_factory.mktemp("bag"))
+
+
+@pytest.fixture(scope="module")
+def honest(extracted):
+    return extracted()
+
+
+def test_streams_of_one_motion_agree(honest):
+    values, _, missing = honest
+    assert missing == {}
+    for pair in kinematics.PAIRS:
+        scale = values[pair.column("scale")]
+        loose = 0.02 if "scan" in pair or "command" in pair else 3e-3
+        if pair.second != "joints" and pair.first != "joints":
+            assert scale == pytest.approx(0.0, abs=loose), pair
+        assert values[pair.column("lag")] == pytest.approx(0.0, abs=0.02), pair
+        assert values[pair.column("residual")] < 0.03, pair
+    assert values["gravity"] == pytest.approx(9.81)
+
+
+def test_the_radius_of_the_wheels_and_their_distance_are_estimated(honest):
+    values, *_ = honest
+    assert np.exp(-values["travel_scale_pose_joints"]) == pytest.approx(RADIUS_M, rel=2e-3)
+    assert np.exp(-values["turn_scale_pose_joints"]) == pytest.approx(
+        2.0 * RADIUS_M / TRACK_M, rel=3e-3
+    )
+
+
+@pytest.mark.parametrize(
+    ("altered", "larger", "smaller"),
+    [
+        ("odometry", (), ("travel_scale_pose_twist", "travel_scale_pose_joints")),
+        ("twist", ("turn_scale_pose_twist", "travel_scale_pose_twist"), ()),
+        ("gyro", ("turn_scale_pose_gyro",), ("turn_scale_gyro_orientation",)),
+        ("wheels", ("travel_scale_pose_joints", "turn_scale_gyro_joints"), ()),
+        ("scan", ("travel_scale_pose_scan", "travel_scale_joints_scan"), ()),
+    ],
+)
+def test_five_per_cent_in_one_stream_are_five_per_cent_in_its_pairs(
+    extracted, honest, altered, larger, smaller
+):
+    before, *_ = honest
+    values, *_ = extracted(**{altered: 1.05})
+    for columns, sign in ((larger, 1.0), (smaller, -1.0)):
+        for column in columns:
+            change = values[column] - before[column]
+            assert change == pytest.approx(sign * np.log(1.05), abs=0.012), column
+
+
+def test_a_stream_that_is_late_lags(extracted):
+    values, where, _ = extracted(late_s=0.15)
+    assert values["turn_lag_pose_gyro"] == pytest.approx(0.15, abs=0.02)
+    assert values["turn_lag_gyro_joints"] == pytest.approx(-0.15, abs=0.02)
+    assert where["turn_lag_pose_gyro"] == "/odometry against /inertia"
+
+
+def test_without_odometry_the_others_are_still_held_against_each_other(tmp_path):
+    kept = [m for m in robot(gyro=1.05) if m[1] not in ("/odometry", "/odom")]
+    values, _, missing = extract(PLUGINS, kept, tmp_path)
+    assert values["turn_scale_gyro_scan"] == pytest.approx(-np.log(1.05), abs=0.012)
+    assert np.isfinite(values["turn_scale_gyro_joints"])
+    assert missing["travel_scale_pose_twist"] == "not both of pose and twist tell the travel"
+
+
+complex_rows = st.lists(
+    st.complex_numbers(min_magnitude=0.1, max_magnitude=1.0), min_size=8, max_size=40
+)
+
+
+@given(complex_rows, st.floats(0.5, 2.0), st.floats(-0.3, 0.3), st.integers(0, 2**32 - 1))
+def test_scale_and_lag_are_found_whatever_a_few_outliers_say(rows, scale, lag, seed):
+    rng = np.random.default_rng(seed)
+    first = np.array(rows)
+    slope = rng.standard_normal(len(first)) + 1j * rng.standard_normal(len(first))
+    second = scale * (first - lag * slope)
+    found, late, _ = fit(first, slope, second)
+    assert (found, late) == pytest.approx((scale, lag), abs=1e-6)

@@ -1,0 +1,68 @@
+import zipfile
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from oracle_pipeline.scoring.card import CardError, ReferenceCard
+from tests.oracle_pipeline.scoring.test_contract import CONTRACT
+from tests.oracle_pipeline.scoring.test_cross_conformal import ATTACKED, learned, runs
+
+
+@pytest.fixture(scope="module")
+def card():
+    normal = runs(12, seed=0)
+    return ReferenceCard(learned(normal), normal.features, CONTRACT, ("a note",))
+
+
+@pytest.fixture
+def file(card, tmp_path):
+    card.save(tmp_path / "robot.card")
+    return tmp_path / "robot.card"
+
+
+def test_a_card_that_was_read_scores_as_the_one_that_was_written(card, file):
+    read, new = ReferenceCard.load(file), runs(6, seed=1, modes=ATTACKED, effect=2.0)
+    scores = card.scorer.scores(new)
+    np.testing.assert_array_equal(read.scorer.scores(new), scores)
+    np.testing.assert_array_equal(read.scorer.p_values(scores), card.scorer.p_values(scores))
+    pd.testing.assert_frame_equal(read.runs, card.runs)
+    assert read.runs.attrs == card.runs.attrs
+    assert read.contract == card.contract
+    assert read.notes == card.notes
+
+
+def test_the_same_card_gives_the_same_bytes(card, file, tmp_path):
+    card.save(tmp_path / "again.card")
+    assert (tmp_path / "again.card").read_bytes() == file.read_bytes()
+
+
+def test_a_card_holds_json_and_parquet_alone(file):
+    with zipfile.ZipFile(file) as archive:
+        kinds = {name: archive.read(name)[:4] for name in archive.namelist()}
+    assert kinds.pop("card.json").startswith(b"{")
+    assert set(kinds.values()) == {b"PAR1"}
+
+
+def test_no_flipped_bit_gives_another_verdict_without_an_error(card, file):
+    rng, whole = np.random.default_rng(0), file.read_bytes()
+    new = runs(6, seed=1, modes=ATTACKED, effect=2.0)
+    expected, noticed = card.scorer.scores(new), 0
+    for position in rng.integers(len(whole), size=150).tolist():
+        damaged = bytearray(whole)
+        damaged[position] ^= 1 << int(rng.integers(8))
+        file.write_bytes(bytes(damaged))
+        try:
+            read = ReferenceCard.load(file)
+        except CardError:
+            noticed += 1
+        else:
+            np.testing.assert_array_equal(read.scorer.scores(new), expected)
+    assert noticed > 100
+
+
+def test_what_is_no_card_is_refused_with_what_to_do(tmp_path):
+    (tmp_path / "text.card").write_text("no card")
+    for name in ("text.card", "absent.card"):
+        with pytest.raises(CardError, match="oracle learn"):
+            ReferenceCard.load(tmp_path / name)

@@ -1,0 +1,103 @@
+from dataclasses import replace
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from oracle_pipeline.scoring.contract import Contract, Observation
+
+names = st.sampled_from(["/scan", "/odom", "/tf", "/cmd_vel", "/rosout"])
+profiles = st.sampled_from([(), ("reliable, volatile",), ("best effort, volatile",)])
+rates = st.none() | st.floats(0.1, 1000.0)
+topics = st.tuples(st.sampled_from(["a/msg/A", "b/msg/B"]), profiles, rates)
+elements = st.sampled_from(["node:/a", "node:/b", "node:/a -> topic:/tf", "topic:/tf -> node:/b"])
+observations = st.builds(
+    Observation,
+    st.dictionaries(names, topics),
+    st.none() | st.frozensets(elements),
+)
+
+NORMAL = [
+    Observation(
+        {
+            "/scan": ("sensor_msgs/msg/LaserScan", ("best effort, volatile",), rate_hz),
+            "/goal": ("geometry_msgs/msg/PoseStamped", ("reliable, volatile",), None),
+            **({"/bt": ("std_msgs/msg/String", (), 0.1)} if rate_hz > 5.0 else {}),
+        },
+        frozenset({"node:/amcl", "topic:/scan -> node:/amcl"}),
+    )
+    for rate_hz in (4.9, 5.0, 5.1)
+]
+CONTRACT = Contract.learned(NORMAL)
+
+
+def told(**changed):
+    seen = replace(NORMAL[1], **changed)
+    return [breach.text for breach in CONTRACT.breaches(seen)]
+
+
+def with_topic(name, *terms):
+    return {"topics": {**NORMAL[1].topics, name: terms}}
+
+
+@given(st.lists(observations, min_size=1, max_size=6))
+def test_no_recording_breaches_the_contract_learned_from_it(normal):
+    contract = Contract.learned(normal)
+    assert all(contract.breaches(seen) == [] for seen in normal)
+
+
+@given(st.lists(observations, min_size=1, max_size=6))
+def test_a_contract_survives_json(normal):
+    contract = Contract.learned(normal)
+    assert Contract.from_dict(contract.to_dict()) == contract
+
+
+def test_a_topic_that_is_gone_is_told():
+    rest = {name: of for name, of in NORMAL[1].topics.items() if name != "/scan"}
+    assert told(topics=rest) == ["Topic /scan is gone: every normal recording has it."]
+
+
+def test_a_topic_that_only_some_normal_recordings_have_may_be_absent():
+    assert "/bt" not in NORMAL[1].topics
+    assert told() == []
+
+
+def test_a_new_topic_is_told():
+    assert told(**with_topic("/spy", "std_msgs/msg/String", (), None)) == [
+        "Topic /spy (std_msgs/msg/String) is new."
+    ]
+
+
+def test_another_type_and_other_qos_are_told():
+    assert told(**with_topic("/scan", "std_msgs/msg/String", ("reliable, volatile",), 5.0)) == [
+        "Topic /scan has type std_msgs/msg/String instead of sensor_msgs/msg/LaserScan.",
+        "Topic /scan is offered with QoS reliable, volatile instead of best effort, volatile.",
+    ]
+
+
+def test_a_rate_out_of_range_is_told_and_a_silent_topic_has_none():
+    scan = NORMAL[1].topics["/scan"][:2]
+    assert told(**with_topic("/scan", *scan, 5.3)) == []
+    assert told(**with_topic("/scan", *scan, 9.0)) == [
+        "Topic /scan has 9 Hz instead of 4.9 to 5.1 Hz."
+    ]
+    assert told(**with_topic("/scan", *scan, None)) == [
+        "Topic /scan has 0 Hz instead of 4.9 to 5.1 Hz."
+    ]
+
+
+def test_a_topic_without_a_steady_rate_may_have_any():
+    goal = NORMAL[1].topics["/goal"][:2]
+    assert told(**with_topic("/goal", *goal, 50.0)) == []
+
+
+def test_nodes_and_edges_that_changed_are_told_in_words():
+    seen = frozenset({"node:/amcl", "node:/spy", "topic:/scan -> node:/spy"})
+    assert told(graph=seen) == [
+        "The subscription to /scan in node /amcl is gone.",
+        "Node /spy is new.",
+        "The subscription to /scan in node /spy is new.",
+    ]
+
+
+def test_a_recording_without_graphs_says_nothing_about_nodes():
+    assert told(graph=None) == []

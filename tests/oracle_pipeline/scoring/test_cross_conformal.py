@@ -1,0 +1,103 @@
+import numpy as np
+import pytest
+
+from oracle_pipeline.datasets import feature_columns, feature_floors
+from oracle_pipeline.detectors import panel
+from oracle_pipeline.scoring.conformal import ConformalError
+from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer, dealt
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+from oracle_pipeline.scoring.run_scorer import Design
+from tests.oracle_pipeline.datasets.synthetic import campaign
+
+NORMAL = {"lidar_passthrough": "normal"}
+ATTACKED = {"fake_object": "malicious"}
+
+
+def runs(number, seed, modes=NORMAL, effect=0.0):
+    features, windows, _ = campaign(number, effect, seed, modes)
+    return MeasuredRuns.ordered(features, windows)
+
+
+def design(of, detector="mahalanobis"):
+    return Design(
+        panel(0)[detector],
+        feature_columns(of.features),
+        feature_columns(of.windows),
+        feature_floors(of.features),
+    )
+
+
+def learned(of, seed=0, **options):
+    return CrossConformalScorer(design(of), **options).fit(of, np.random.default_rng(seed))
+
+
+@pytest.fixture(scope="module")
+def normal():
+    return runs(20, seed=0)
+
+
+@pytest.fixture(scope="module")
+def scorer(normal):
+    return learned(normal)
+
+
+def test_twenty_recordings_support_a_false_positive_rate_of_five_percent(scorer):
+    assert scorer.smallest_p == 1 / 21
+    attacked = runs(5, seed=1, modes=ATTACKED, effect=60.0)
+    np.testing.assert_allclose(scorer.p_values(scorer.scores(attacked)), 1 / 21)
+
+
+def test_new_normal_runs_are_called_anomalous_as_rarely_as_promised():
+    p = []
+    for seed in range(40):
+        of = runs(30, seed)
+        known = np.arange(len(of.features)) < 20
+        scorer = learned(of.where(known), seed)
+        p.append(scorer.p_values(scorer.scores(of.where(~known))))
+    p = np.concatenate(p)
+    for rate in (0.05, 0.1, 0.2, 0.5):
+        # 400 p-values in 40 groups: two standard errors, if all of a group moved together.
+        assert np.mean(p <= rate) <= rate + 2.0 * np.sqrt(rate * (1.0 - rate) / 40.0)
+        assert np.mean(p <= rate) >= 0.4 * rate
+
+
+def test_every_run_calibrates_a_model_that_did_not_see_its_block(normal):
+    doubled = normal.followed_by(normal)
+    fold = dealt(doubled.block, 7, np.random.default_rng(0))
+    assert fold.max() == 6
+    for block in np.unique(doubled.block):
+        assert len(set(fold[doubled.block == block])) == 1
+
+
+def test_a_run_of_a_known_block_is_judged_by_the_model_that_left_the_block_out(normal, scorer):
+    p = scorer.p_values(scorer.scores(normal), normal.block)
+    ranks = [(1 + np.sum(np.delete(scorer.held_out_, i) >= scorer.held_out_[i])) / 20
+             for i in range(20)]  # fmt: skip
+    np.testing.assert_allclose(p, ranks)
+
+
+def test_a_block_has_one_vote_however_many_runs_it_has(normal, scorer):
+    p = scorer.p_values(scorer.scores(normal))
+    copied = np.r_[np.arange(20), np.full(5, 3)]
+    scorer_of_copies = learned(normal)
+    for name in ("block_", "fold_", "held_out_"):
+        setattr(scorer_of_copies, name, getattr(scorer, name)[copied])
+    np.testing.assert_allclose(scorer_of_copies.p_values(scorer.scores(normal)), p)
+
+
+def test_the_order_of_the_recordings_does_not_matter(normal, scorer):
+    backwards = normal.features.iloc[::-1], normal.windows.iloc[::-1]
+    other = learned(MeasuredRuns.ordered(*backwards))
+    attacked = runs(5, seed=1, modes=ATTACKED, effect=3.0)
+    np.testing.assert_array_equal(other.scores(attacked), scorer.scores(attacked))
+
+
+def test_runs_alone_can_be_scored_where_windows_have_no_features(normal):
+    of = Design(panel(0)["max_z"], feature_columns(normal.features), [], {})
+    scorer = CrossConformalScorer(of).fit(normal, np.random.default_rng(0))
+    assert scorer.scores(normal).shape == (10, 20)
+
+
+def test_two_blocks_are_refused_with_what_is_missing(normal):
+    with pytest.raises(ConformalError, match="come from 2 blocks"):
+        learned(normal.where(normal.block < 2))
