@@ -14,8 +14,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self, TypeAlias
 
-import jsonschema
-
 from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.protocol import run_key
@@ -223,6 +221,8 @@ def _validate(document: Any, path: Path) -> None:
             f"{path} has schema version {version}, this release reads {SCHEMA_VERSION}; "
             "install the release that wrote it, or record the run again."
         )
+    import jsonschema  # its import takes longer than `oracle --help` may
+
     error = jsonschema.exceptions.best_match(
         jsonschema.Draft202012Validator(schema()).iter_errors(document)
     )
