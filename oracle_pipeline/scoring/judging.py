@@ -16,11 +16,11 @@ from tqdm import tqdm
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import feature_floors
 from oracle_pipeline.detectors import DEFAULT_DETECTOR, by_family, explain, panel, pipeline
-from oracle_pipeline.features import FeatureManager, FeatureTables, extract
-from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.features import FeatureManager, FeatureTables
 from oracle_pipeline.scoring.comparable import comparable
 from oracle_pipeline.scoring.conformal import adjusted_for_suite, check_support, p_values
 from oracle_pipeline.scoring.evidence import farthest_features
+from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS, Limits, extract_apart
 from oracle_pipeline.scoring.reference import Reference
 from oracle_pipeline.scoring.verdict import Judgement, Verdict
 
@@ -33,6 +33,9 @@ def score(
     manager: FeatureManager,
     far: float,
     detector: str = DEFAULT_DETECTOR,
+    limits: Limits = DEFAULT_LIMITS,
+    *,
+    strict: bool = False,
 ) -> list[Verdict]:
     """Judge recordings by comparison with normal runs.
 
@@ -51,9 +54,13 @@ def score(
         False-alarm rate, in (0, 1).
     detector : str
         A name in the panel.
+    limits : Limits
+        Of the process that computes the features of one recording.
+    strict : bool
+        Do not judge an incomplete recording.
     """
     verdicts = [
-        _score_one(path, reference, manager, far, detector)
+        _score_one(path, reference, manager, far, detector, limits, strict=strict)
         for path in tqdm(recordings, unit="recording", disable=None)
     ]
     p = np.array([verdict.p_value for verdict in verdicts if verdict.p_value is not None])
@@ -73,12 +80,13 @@ def _judgement(p: float, far: float) -> Judgement:
 
 
 def _score_one(
-    path: Path, reference: Reference, manager: FeatureManager, far: float, detector: str
-) -> Verdict:
+    path: Path, reference: Reference, manager: FeatureManager, far: float, detector: str,
+    limits: Limits, *, strict: bool,
+) -> Verdict:  # fmt: skip
     try:
-        with open_run(path) as run:
-            tables = extract(run, manager)
-        return judge(str(path), tables, reference.table, far, detector)
+        tables, _ = extract_apart(path, manager, limits, strict=strict)
+        verdict = judge(str(path), tables, reference.table, far, detector)
+        return replace(verdict, notes=(*tables.notes, *verdict.notes))
     except (OracleError, OSError) as error:
         return Verdict(str(path), "error", error=str(error))
 

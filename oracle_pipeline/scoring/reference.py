@@ -9,14 +9,12 @@ from tqdm import tqdm
 
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.parts import is_recording
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE
 from oracle_pipeline.datasets import KEYS, feature_dataset, read_table
-from oracle_pipeline.features import FeatureManager, extract
-from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.features import FeatureManager
+from oracle_pipeline.scoring.isolation import extract_apart
 from oracle_pipeline.scoring.verdict import ScoringError
-
-_BAG_METADATA = "metadata.yaml"
-_BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -64,12 +62,13 @@ def _extracted(folder: Path, manager: FeatureManager) -> Reference:
     tables, notes, unlabelled = [], [], 0
     for path in tqdm(list(_recordings(folder)), unit="recording", disable=None, desc="reference"):
         try:
-            with open_run(path) as run:
-                table = extract(run, manager).run
-                if run.manifest is None:
-                    unlabelled += 1
-                    name = str(path.relative_to(folder))
-                    table = table.assign(run_id=name, label="normal", block=-unlabelled)
+            tables_of_run, has_manifest = extract_apart(path, manager)
+            table = tables_of_run.run
+            notes += [f"{path}: {note}" for note in tables_of_run.notes]
+            if not has_manifest:
+                unlabelled += 1
+                name = str(path.relative_to(folder))
+                table = table.assign(run_id=name, label="normal", block=-unlabelled)
         except (OracleError, OSError) as error:
             notes.append(f"{path} is left out of the reference: {error}")
         else:
@@ -85,12 +84,9 @@ def _extracted(folder: Path, manager: FeatureManager) -> Reference:
 
 def _recordings(folder: Path) -> Iterator[Path]:
     """Find the run directories and bags below a folder, in order."""
-    if not folder.is_dir():
-        if folder.suffix in _BAG_SUFFIXES:
-            yield folder
-    elif any((folder / name).is_file() for name in (MANIFEST_FILE, _BAG_METADATA)):
+    if (folder / MANIFEST_FILE).is_file() or is_recording(folder):
         yield folder
-    else:
+    elif folder.is_dir():
         for entry in sorted(folder.iterdir()):
             if not entry.name.startswith("."):
                 yield from _recordings(entry)
