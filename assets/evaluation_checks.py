@@ -23,6 +23,8 @@ CHECKS = tuple(
         "shuffled_labels_are_chance": "Labels permuted within blocks are not predicted.",
         "hard_negatives_pass": "Harmless changes are seldom called anomalous.",
         "shortcuts_are_apart": "No headline feature identifies a run by its nodes or topics.",
+        "unaltered_runs_are_alike": "No headline feature distinguishes a passthrough from its "
+        "shadow control.",
     }.items()
 )
 

@@ -7,6 +7,7 @@ place, or None to leave it out. Nothing is written: the reader hands out the alt
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -21,6 +22,8 @@ SCAN, RANGE = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range"
 ODOMETRY, IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 JOINTS, TRANSFORMS = "sensor_msgs/msg/JointState", "tf2_msgs/msg/TFMessage"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+
+FIVE = 1.05  # 5 % more
 
 #: Takes topic, message and seconds since the onset, changes the message; False leaves it out.
 Change: TypeAlias = Callable[[str, Any, float], bool | None]
@@ -155,7 +158,7 @@ def without_small_things(message: Any) -> Any:
     ranges = np.asarray(message.ranges, dtype=np.float64).copy()
     edges = np.flatnonzero(np.abs(np.diff(np.where(np.isfinite(ranges), ranges, 50.0))) > 0.3)
     best, nearest = None, math.inf
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         here = ranges[first + 1 : last + 1]
         stands_free = (
             ranges[first] > here[0] and last + 1 < len(ranges) and ranges[last + 1] > here[-1]
@@ -236,6 +239,35 @@ def _pose_change(
     return change
 
 
-def simple(change: Callable[[Any], None]) -> Callable[[], Change]:
-    """Return a change that remembers nothing."""
-    return lambda: lambda _topic, message, _since_s: change(message)
+def scaled(*paths: tuple[str, ...], only: int | None = None) -> Callable[[], Change]:
+    """Return what makes fields of a message 5 % larger; of an array all, or only one number."""
+
+    def change(_topic: str, message: Any, _since_s: float) -> None:
+        for *owners, last in paths:
+            owner = message
+            for name in owners:
+                owner = getattr(owner, name)
+            value = getattr(owner, last)
+            if only is not None:
+                value = np.where(np.arange(len(value)) == only, FIVE * value, value)
+            else:
+                value = FIVE * value
+            setattr(owner, last, value)
+
+    return lambda: change
+
+
+def localisation(east_m: float) -> Callable[[], Change]:
+    """Return what moves a localisation's poses."""
+
+    def change(_topic: str, message: Any, _since_s: float) -> None:
+        message.pose.pose.position.x += east_m
+
+    return lambda: change
+
+
+def noisy(message: Any) -> Any:
+    """Return the ranges of a scan, each off by up to 2 %."""
+    stamp = message.header.stamp
+    rng = np.random.default_rng([stamp.sec, stamp.nanosec])
+    return message.ranges * (1.0 + 0.02 * rng.uniform(-1.0, 1.0, len(message.ranges)))

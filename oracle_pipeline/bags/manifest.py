@@ -223,9 +223,9 @@ def _validate(document: Any, path: Path) -> None:
         )
     import jsonschema  # its import takes longer than `oracle --help` may
 
-    error = jsonschema.exceptions.best_match(
-        jsonschema.Draft202012Validator(schema()).iter_errors(document)
-    )
+    from oracle_pipeline.bags.json_schema import faults
+
+    error = jsonschema.exceptions.best_match(faults(document, schema()))
     if error is not None:
         field = ".".join(str(part) for part in error.absolute_path) or "(top level)"
         raise ManifestError(f"{path}, field {field}: {error.message}. Record the run again.")

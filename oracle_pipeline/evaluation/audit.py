@@ -117,7 +117,7 @@ def _ranked(samples: list[NDArray[np.float64]]) -> float:
 def _listed(
     columns: Sequence[str], tells: Told, between: str, share: NDArray[np.float64], p: list[float]
 ) -> list[Tell]:
-    adjusted = false_discovery_control(p) if len(p) else []
+    adjusted: list[float] = false_discovery_control(p).tolist() if p else []
     return [
         Tell(column, tells, between, float(differing), float(p_adjusted))
         for column, differing, p_adjusted in zip(columns, share, adjusted, strict=True)

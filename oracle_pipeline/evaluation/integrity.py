@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from sklearn.metrics import roc_auc_score
 
 from oracle_pipeline.bags.protocol import PAIRS
-from oracle_pipeline.datasets import DistinctRuns, field_metadata, is_hard_negative
+from oracle_pipeline.bootstrap import DistinctRuns
+from oracle_pipeline.datasets import field_metadata, is_hard_negative
 from oracle_pipeline.detectors import Detector, upper_bounds
 from oracle_pipeline.evaluation.audit import blocks_needed, exact_pairs, told_in_pair
 from oracle_pipeline.evaluation.comparisons import RATES, runs_of
@@ -214,7 +215,7 @@ def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> Integr
 
     The figure is how many do.
     """
-    name, df = "nothing_is_told_where_nothing_was_altered", campaign.features
+    name, df = "unaltered_runs_are_alike", campaign.features
     pairs, needed = exact_pairs(df), blocks_needed(len(columns))
     blocks = [
         len(set(df.loc[df["mode"] == one, "block"]) & set(df.loc[df["mode"] == other, "block"]))

@@ -225,7 +225,8 @@ def _compared(found: Sources, pair: Pair) -> Iterator[tuple[str, Comparison]]:
 def _comparison(quantity: str, first: Track, second: Track | Steps) -> Comparison | None:
     if isinstance(second, Steps):
         from_s, to_s = second.from_s, second.to_s
-        gained = second.turned + 0j if quantity == TURN else second.travelled
+        turned = np.asarray(second.turned, dtype=np.complex128)
+        gained = turned if quantity == TURN else second.travelled
     elif quantity not in second.gained:
         return None
     else:

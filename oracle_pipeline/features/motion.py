@@ -141,7 +141,7 @@ def keep_joints(message: Any) -> tuple[float, tuple[str, ...], Floats, Floats]:
 
 def keep_transforms(message: Any) -> list[tuple[tuple[str, str], tuple[float, ...]]]:
     """Return frames, and stamp, translation and rotation, of the transforms of a ``TFMessage``."""
-    kept = []
+    kept: list[tuple[tuple[str, str], tuple[float, ...]]] = []
     for each in message.transforms:
         shift, q = each.transform.translation, each.transform.rotation
         frames = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
@@ -230,7 +230,7 @@ def wheels(topic: str, series: Series, references: Sequence[Track]) -> Track | N
             gains = gain(track, quantity, ends_s[:-1], ends_s[1:]).real
             direction = _explaining(turned, gains)
             if direction is not None:
-                gained[quantity] = angles @ direction + 0j
+                gained[quantity] = _complex(angles @ direction)
     return Track(topic, series.times_s[order], at_s, gained) if gained else None
 
 
@@ -240,10 +240,11 @@ def _explaining(turned: Floats, gains: Floats) -> Floats | None:
     power = float((gains[known] ** 2).sum())
     if known.sum() < 2 * turned.shape[1] or power < 1e-3:
         return None
-    weights: Floats = np.linalg.lstsq(turned[known], gains[known], rcond=0.02)[0]
+    weights = np.asarray(np.linalg.lstsq(turned[known], gains[known], rcond=0.02)[0], np.float64)
     left = float(((turned[known] @ weights - gains[known]) ** 2).sum())
     size = float(np.abs(weights).sum())
-    return weights / size if left < (1.0 - _EXPLAINED) * power and size > 0.0 else None
+    told = left < (1.0 - _EXPLAINED) * power and size > 0.0
+    return np.asarray(weights / size, np.float64) if told else None
 
 
 def _long(topics: Mapping[str, Series]) -> Iterator[tuple[str, Series]]:
@@ -260,7 +261,7 @@ def _posed(topic: str, series: Series) -> Track:
 def _of_poses(topic: str, times_s: Floats, stamps_s: Floats, place: Points, yaw: Floats) -> Track:
     step, turn = np.diff(place), np.diff(yaw)
     along = np.concatenate([[0.0], np.cumsum(step * np.exp(-1j * yaw[:-1]) * along_arc(turn))])
-    return Track(topic, times_s, stamps_s, {TRAVEL: along, TURN: yaw + 0j})
+    return Track(topic, times_s, stamps_s, {TRAVEL: _complex(along), TURN: _complex(yaw)})
 
 
 def _transformed(topics: Mapping[str, Series]) -> Iterator[Track]:
@@ -283,14 +284,14 @@ def _twisted(topic: str, series: Series) -> Track:
     speed = ahead + 1j * aside
     return Track(
         topic, series.times_s[rows], stamps_s,
-        {TRAVEL: _summed(stamps_s, speed), TURN: _summed(stamps_s, rate) + 0j},
+        {TRAVEL: _summed(stamps_s, speed), TURN: _complex(_summed(stamps_s, rate))},
     )  # fmt: skip
 
 
 def _gyro(topic: str, series: Series, mount: Planar) -> Track:
     stamps_s, values = _by_stamp(series)
     rate = -values[:, 7] if mount.flipped else values[:, 7]
-    return Track(topic, series.times_s, stamps_s, {TURN: _summed(stamps_s, rate) + 0j})
+    return Track(topic, series.times_s, stamps_s, {TURN: _complex(_summed(stamps_s, rate))})
 
 
 def _has_orientation(series: Series) -> bool:
@@ -301,7 +302,7 @@ def _has_orientation(series: Series) -> bool:
 def _oriented(topic: str, series: Series, mount: Planar) -> Track:
     stamps_s, values = _by_stamp(series)
     yaw = np.unwrap(yaw_of(*values[:, 1:5].T))
-    return Track(topic, series.times_s, stamps_s, {TURN: (-yaw if mount.flipped else yaw) + 0j})
+    return Track(topic, series.times_s, stamps_s, {TURN: _complex(-yaw if mount.flipped else yaw)})
 
 
 def _commanded(topic: str, series: Series, clock: Track) -> Track:
@@ -320,6 +321,11 @@ def _commanded(topic: str, series: Series, clock: Track) -> Track:
         after = np.cumsum(rate * held_s)
         gained[quantity] = np.column_stack([np.append(0.0, after[:-1]), after]).ravel()
     return Track(topic, np.repeat(series.times_s, 2), knots_s, gained)
+
+
+def _complex(values: Any) -> Points:
+    """Return numbers as quantities are kept: the turn has no imaginary part."""
+    return np.asarray(values, dtype=np.complex128)
 
 
 def _by_stamp(series: Series) -> tuple[Floats, Floats]:

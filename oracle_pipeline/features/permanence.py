@@ -8,7 +8,6 @@ with the robot is loose. A place that the robot drives across cannot have held w
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -29,7 +28,6 @@ from oracle_pipeline.features.scan_geometry import (
     Bools,
     Floats,
     Ints,
-    Planar,
     Points,
     ScannerSetup,
     Scans,
@@ -136,13 +134,13 @@ def _seen(setup: ScannerSetup, topic: str, path: "_Path") -> Seen:
     across = path.crossed(world, scans.stamps_s)
     now, before = _apart(scans.stamps_s, _EARLIER_S)
     later, earlier = scans.rows(now), scans.rows(before)
-    moved = _taken(placed, before).inverse().compose(_taken(placed, now))
+    moved = placed.at(before).inverse().compose(placed.at(now))
     appeared = agreement(moved.columns().apply(later.points()), earlier)
     vanished = agreement(moved.inverse().columns().apply(earlier.points()), later)
     return Seen(
         Series(later.times_s, appeared.contradicted_share()),
         Series(later.times_s, vanished.contradicted_share()),
-        _loose(scans, placed),
+        _loose(scans, world),
         Series(scans.times_s, across.astype(np.float64)),
     )
 
@@ -164,10 +162,6 @@ def _apart(stamps_s: Floats, earlier_s: float) -> tuple[Ints, Ints]:
     passed_s = stamps_s - stamps_s[before]
     now = np.flatnonzero(np.abs(passed_s - earlier_s) <= 0.5 * earlier_s)
     return now, before[now]
-
-
-def _taken(poses: Planar, index: Any) -> Planar:
-    return Planar(poses.shift[index], poses.turn[index], poses.flipped)
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,28 +202,37 @@ def _crossed(world: Points, stamps_s: Floats, last_s: Floats) -> Ints:
     return counts
 
 
-def _loose(scans: Scans, placed: Planar) -> Series:
+def _loose(scans: Scans, world: Points) -> Series:
     """Return how far the fastest compact thing went from one scan to the next [m]."""
     now, before = _apart(scans.stamps_s, _NEXT_S)
     around = 2.0 * np.pi / np.abs(scans.angle_increment.ravel())
     closed = np.abs(around - scans.ranges.shape[1]) < _GAP_RAYS
-    things = [_compact(row, bool(c)) for row, c in zip(scans.ranges, closed, strict=True)]
-    points = scans.points()
+    return Series(scans.times_s[now], _fastest(scans.ranges, world, closed, now, before))
+
+
+@jit
+def _fastest(ranges: Floats, world: Points, closed: Bools, now: Ints, before: Ints) -> Floats:
+    size = ranges.shape[1]
+    centres = np.full((len(ranges), size), np.nan + 0j)
+    for n in range(len(ranges)):
+        for k, (first, after) in enumerate(_compact(ranges[n], closed[n])):
+            total = 0j
+            for i in range(first, after):
+                total += world[n, i % size]
+            centres[n, k] = total / (after - first)
     fastest = np.full(len(now), np.nan)
-    for k, (i, j) in enumerate(zip(now.tolist(), before.tolist(), strict=True)):
-        here, there = (
-            np.array(
-                [points[n].take(range(*thing), mode="wrap").mean() for thing in things[n]],
-                dtype=np.complex128,
-            )
-            for n in (i, j)
-        )
-        if len(here) and len(there):
-            here, there = _taken(placed, i).apply(here), _taken(placed, j).apply(there)
-            gone = np.abs(here[:, np.newaxis] - there).min(axis=1)
-            gone = gone[gone <= _FAR_M]
-            fastest[k] = gone.max() if len(gone) else np.nan
-    return Series(scans.times_s[now], fastest)
+    for k in range(len(now)):
+        for here in centres[now[k]]:
+            if np.isnan(here.real):
+                break
+            gone = math.inf
+            for there in centres[before[k]]:
+                if np.isnan(there.real):
+                    break
+                gone = min(gone, abs(here - there))
+            if gone <= _FAR_M and not gone < fastest[k]:
+                fastest[k] = gone
+    return fastest
 
 
 @jit

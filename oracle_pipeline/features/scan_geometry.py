@@ -54,7 +54,7 @@ class Planar(NamedTuple):
             return Planar(-self.turn * self.shift.conj(), self.turn, flipped=True)
         return Planar(-self.turn.conj() * self.shift, self.turn.conj())
 
-    def at(self, index: slice) -> "Planar":
+    def at(self, index: slice | Ints) -> "Planar":
         """Return some of many poses."""
         return Planar(self.shift[index], self.turn[index], self.flipped)
 

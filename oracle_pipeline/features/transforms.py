@@ -5,7 +5,7 @@ transform and odometry's lead to. What is told twice has to be equal. Which tran
 message, its own frames say.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from oracle_pipeline.features.plugin import (
 )
 from oracle_pipeline.features.reduction import largest, quantile
 from oracle_pipeline.features.scan_geometry import (
+    SETUP_TOPICS,
     Floats,
     Planar,
     frame,
@@ -78,9 +79,8 @@ class _Prepared(NamedTuple):
 
 
 def keep_pose(message: Any) -> tuple[Any, ...]:
-    """Return frames, stamp and pose of odometry or of a ``PoseWithCovarianceStamped``."""
-    child = getattr(message, "child_frame_id", "").lstrip("/")
-    return frame(message), child, stamp_s(message), *pose_of(message.pose.pose)
+    """Return frame, stamp and pose of a ``PoseWithCovarianceStamped``."""
+    return frame(message), stamp_s(message), *pose_of(message.pose.pose)
 
 
 def prepare(window: Window) -> _Prepared:
@@ -88,10 +88,13 @@ def prepare(window: Window) -> _Prepared:
     moving = edges(window.topics["transforms"])
     odometry, jumps = {}, {}
     for topic, series in window.topics["odometry"].items():
-        (parent, child), stamps_s, pose = _poses(series)
+        stamps, children, *columns = zip(*series.values, strict=True)
+        stamps_s, pose = np.array(stamps), _planar(*columns)
         if len(stamps_s) > 2:
             jumps[topic] = _jumps(series.times_s, pose)
-        if (edge := moving.get((parent, child))) is not None:
+        for (parent, child), edge in moving.items():
+            if child != children[0]:
+                continue
             at = nearest(edge.stamps_s, stamps_s)
             near = np.flatnonzero(np.abs(edge.stamps_s[at] - stamps_s) <= _SAME_S)
             odometry[f"{topic} against {parent} -> {child}"] = _apart(
@@ -130,9 +133,7 @@ def compute(window: Window) -> Values | Missing:
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of what is told as message and as transform."""
     topics = {
-        "odometry": Request(
-            keep_pose, msgtype="nav_msgs/msg/Odometry", dtype=object, optional=True
-        ),
+        "odometry": SETUP_TOPICS["odometry"],
         "poses": Request(
             keep_pose, msgtype="geometry_msgs/msg/PoseWithCovarianceStamped", dtype=object,
             optional=True,
@@ -142,11 +143,8 @@ def register_features() -> list[FeaturePlugin]:
     return [FeaturePlugin("transforms", "transforms", FEATURES, compute, topics, prepare=prepare)]
 
 
-def _poses(series: Series) -> tuple[tuple[str, str], Floats, Planar]:
-    """Return frames, stamps and poses of kept messages, in the order they were recorded."""
-    parents, children, stamps_s, x, y, yaw = zip(*series.values, strict=True)
-    pose = Planar(np.array(x) + 1j * np.array(y), np.exp(1j * np.array(yaw)))
-    return (parents[0], children[0]), np.array(stamps_s), pose
+def _planar(x: Sequence[float], y: Sequence[float], yaw: Sequence[float]) -> Planar:
+    return Planar(np.array(x) + 1j * np.array(y), np.exp(1j * np.array(yaw)))
 
 
 def _apart(times_s: Floats, one: Planar, other: Planar) -> _Apart:
@@ -170,7 +168,8 @@ def _localised(
 
     A localisation stamps its transform ahead of time, so the two are matched by when they came.
     """
-    (root, _), stamps_s, believed = _poses(series)
+    roots, stamps, *columns = zip(*series.values, strict=True)
+    root, stamps_s, believed = roots[0], np.array(stamps), _planar(*columns)
     for (parent, middle), upper in moving.items():
         for (hanging, child), lower in moving.items():
             if parent != root or hanging != middle or len(lower.times_s) < 2:

@@ -14,12 +14,13 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.features import FeatureManager, FeatureTables, build_manager, extract
 from oracle_pipeline.features.manager import FOLDER_VARIABLE
 from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.scoring.contract import Observation
 
 _GIB = 2**30
 
@@ -34,12 +35,21 @@ class Limits:
 
 DEFAULT_LIMITS = Limits()
 
-_Answer: TypeAlias = "tuple[FeatureTables, bool] | OracleError"
+
+class Extracted(NamedTuple):
+    """What the other process found."""
+
+    tables: FeatureTables
+    observation: Observation
+    has_manifest: bool
+
+
+_Answer: TypeAlias = Extracted | OracleError
 
 
 def extract_apart(
     path: Path, manager: FeatureManager, limits: Limits = DEFAULT_LIMITS, *, strict: bool = False
-) -> tuple[FeatureTables, bool]:
+) -> Extracted:
     """Compute the features of a recording in another process.
 
     Parameters
@@ -55,8 +65,8 @@ def extract_apart(
 
     Returns
     -------
-    tuple of FeatureTables and bool
-        The features, and whether the recording has a manifest.
+    Extracted
+        The features, what the recording shows, and whether it has a manifest.
 
     Raises
     ------
@@ -107,7 +117,8 @@ def _work(
     answer: _Answer
     try:
         with open_run(path, strict=strict) as run:
-            answer = extract(run, build_manager(plugins)), run.manifest is not None
+            tables = extract(run, build_manager(plugins))
+            answer = Extracted(tables, Observation.of(run), run.manifest is not None)
     except MemoryError:
         answer = BagError(
             f"{path} needs more than {limits.gibibytes:g} GiB of memory, the limit "

@@ -41,9 +41,10 @@ def manager_that(what, folder):
 
 
 def test_features_are_those_of_the_other_process(bag, tmp_path):
-    tables, has_manifest = extract_apart(bag, manager_that("pass", tmp_path / "plugins"))
+    tables, seen, has_manifest = extract_apart(bag, manager_that("pass", tmp_path / "plugins"))
     assert tables.run["odd.value"].tolist() == [1.0]
     assert not has_manifest
+    assert set(seen.topics) == {"/chatter"}
 
 
 @pytest.mark.parametrize(
@@ -61,5 +62,5 @@ def test_a_process_that_dies_is_an_error_with_its_reason(what, limits, reason, b
 
 def test_memory_is_limited(bag, tmp_path):
     manager = manager_that("held = bytearray(8 * 2**30)", tmp_path / "plugins")
-    tables, _ = extract_apart(bag, manager, Limits(gibibytes=2.0))
+    tables, *_ = extract_apart(bag, manager, Limits(gibibytes=2.0))
     assert "MemoryError" in tables.run["missing"].iloc[0]  # the plugin's own; the rest is computed
