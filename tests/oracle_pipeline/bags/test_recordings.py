@@ -9,6 +9,7 @@ import pytest
 from backports import zstd
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rosbags.rosbag2 import Reader
 
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.parts import is_recording
@@ -49,6 +50,12 @@ def test_every_mcap_file_is_read(options, order, tmp_path):
         assert (bag.start_ns, bag.end_ns) == (MESSAGES[0][1], MESSAGES[-1][1])
         assert {t.name: t.count for t in bag.topics.values()} == dict.fromkeys(bag.topics, 20)
         assert [m.topic for m in bag.messages(["/topic1"])] == ["/topic1"] * 20
+
+
+def test_every_bag_at_hand_is_read_as_with_rosbags(any_bag):
+    with Reader(any_bag) as reader:
+        theirs = [(c.topic, stamp, bytes(data)) for c, stamp, data in reader.messages()]
+    assert read(any_bag, strict=True) == (theirs, [])
 
 
 @pytest.mark.parametrize("schema", [1, 2, 3, 4])
