@@ -2,7 +2,7 @@
 
 Dagster 1.13 has no public way to give each partition of a range its own data version, or its own
 check result. Steps yield the events of every partition themselves and then return an output without
-one (``assets.dagster_internals``).
+one (``resources.dagster_internals``).
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import dagster as dg
 
-from assets.dagster_internals import checked_materialization
+from resources.dagster_internals import checked_materialization
 
 Figures = Mapping[str, int | float | str | dg.MetadataValue]
 

@@ -15,7 +15,6 @@ from pydantic import Field
 
 from assets import presentation
 from assets.asset_defaults import OWNERS, SINGLE_RUN
-from assets.dagster_internals import output_without_event
 from assets.events import (
     Materialized,
     check_evaluation,
@@ -27,6 +26,7 @@ from assets.worker.versions import feature_code
 from resources import terminal
 from resources.budget import StorageBudget
 from resources.campaign import CampaignSettings
+from resources.dagster_internals import output_without_event
 from resources.fleet import Fleet
 from resources.store import RunStore
 from sim.commands.progress import RunProgress

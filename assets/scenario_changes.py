@@ -14,8 +14,8 @@ import dagster as dg
 from assets.automation import everything, refreshed_runs
 from assets.experiment_runs import EXPERIMENT_RUNS
 from assets.partitions import RUNS
-from sim.fuzzing.compilation import compile_scenario
-from sim.fuzzing.scenario import Scenario, ScenarioError, load_scenarios
+from sim.fuzzing.compilation import compile_file
+from sim.fuzzing.scenario import Scenario, ScenarioError
 from sim.modes import broken_scenarios, modes
 
 NO_CHANGE = (
@@ -66,8 +66,7 @@ def _digests() -> tuple[dict[str, str], list[str]]:
 def _scenarios(file: Path) -> dict[str, Scenario]:
     """Return the scenarios of a file by name, with their shadow controls."""
     scenarios: dict[str, Scenario] = {}
-    for scenario in load_scenarios(file):
-        compile_scenario(scenario)
+    for scenario in (program.scenario for program in compile_file(file)):
         shadow = scenario.as_shadow()
         scenarios = {shadow.id: shadow} | scenarios | {scenario.id: scenario}
     return scenarios

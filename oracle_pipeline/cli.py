@@ -14,6 +14,7 @@ import pandas as pd
 
 from oracle_pipeline import features as feature_extraction
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.terminal import PlainTextGroup
 from oracle_pipeline.datasets import MISSING, WHERE, field_metadata, replacing, write_table
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.replay.command import replay
@@ -27,7 +28,7 @@ class _Failure(click.ClickException):
     exit_code = 2
 
 
-class _Group(click.Group):
+class _Group(PlainTextGroup):
     """Ends every failure with exit code 2; a bug of ours prints its traceback."""
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -151,24 +152,31 @@ def score(
 
     Exit code 0: all are normal; 1: at least one is anomalous; 2: at least one could not be judged.
 
-    RUN_OR_BAG is as for `oracle features`; several recordings are judged as one suite. Half of
-    the reference runs fit a detector and the other half calibrate it. The p-value is the share of
-    calibration runs that score at least as high, and a recording is anomalous if its p-value is at
-    most --far. A rate of 5% needs 19 calibration runs, 1% needs 99; with fewer, nothing is judged.
+    RUN_OR_BAG is as for `oracle features`; several recordings are judged as one suite. The p-value
+    is the share of normal runs that score at least as high, where each normal run is scored by a
+    model that did not see it. A recording is anomalous if its p-value is at most --far. A rate of
+    5% needs 19 normal runs of different days or starts, 1% needs 99. With fewer there is no
+    verdict, only the score and the features outside their usual range.
 
     \b
     Examples:
+        oracle score tonight/* --reference robot.card --far 0.1 --junit verdicts.xml
         oracle score data/runs/fake_object/run003 --reference data/datasets/features.parquet
-        oracle score tonight/* --reference good_bags/ --far 0.1 --junit verdicts.xml
         oracle score my_robot_bag/ --reference data --format json \\
             | jq '.recordings[0].evidence[0]'
     """  # noqa: D301 -- click reads the control character
     from oracle_pipeline.scoring import judging, output
+    from oracle_pipeline.scoring.card import ReferenceCard, is_card
     from oracle_pipeline.scoring.junit import as_junit
+    from oracle_pipeline.scoring.learning import Cards
     from oracle_pipeline.scoring.reference import read_reference
 
     manager = feature_extraction.build_manager(plugins)
-    normal = read_reference(reference, manager)
+    normal = (
+        ReferenceCard.load(reference)
+        if is_card(reference)
+        else Cards(read_reference([reference], manager))
+    )
     verdicts = judging.score(recordings, normal, manager, far)
     show = output.as_json if file_format == "json" else output.as_text
     click.echo(show(verdicts, far, normal.notes))
@@ -176,3 +184,38 @@ def score(
         with replacing(junit) as sink:
             sink.write(as_junit(verdicts))
     ctx.exit(output.exit_code(verdicts))
+
+
+@main.command()
+@click.argument("good", metavar="GOOD...", nargs=-1, required=True,
+                type=click.Path(path_type=Path, exists=True))  # fmt: skip
+@click.option(
+    "--output", required=True, type=click.Path(path_type=Path, dir_okay=False),
+    help="File to write, such as robot.card.",
+)  # fmt: skip
+@_plugins
+def learn(good: tuple[Path, ...], output: Path, plugins: Path | None) -> None:
+    """Learn what is normal from recordings of normal runs; write a reference card.
+
+    GOOD is a run directory, a bag, a folder of these, a table of run features, or a root with
+    features/ or runs/. Attacked runs are left out. Record each day or start as a run of its own:
+    19 recordings carry a verdict at a false positive rate of 5%, 99 at 1%.
+
+    \b
+    Examples:
+        oracle learn good_bags/ --output robot.card
+        oracle learn data/datasets/features.parquet --output testbed.card
+        oracle score tonight/* --reference robot.card
+    """  # noqa: D301 -- click reads the control character
+    from oracle_pipeline.scoring.card import SUFFIX
+    from oracle_pipeline.scoring.learning import learn as learn_card
+    from oracle_pipeline.scoring.output import card_as_text
+    from oracle_pipeline.scoring.reference import read_reference
+
+    if output.suffix != SUFFIX:
+        raise click.UsageError(f"Let the name of the card end with {SUFFIX}: {output}{SUFFIX}")
+    manager = feature_extraction.build_manager(plugins)
+    card = learn_card(read_reference(good, manager))
+    card.save(output)
+    click.echo(card_as_text(card))
+    click.echo(f"Card: {output}")

@@ -26,6 +26,7 @@ from assets import (  # noqa: E402
     scenario_changes,
     thesis_method,
 )
+from oracle_pipeline.bags.terminal import escape_logs  # noqa: E402
 from resources.budget import StorageBudget  # noqa: E402
 from resources.campaign import CampaignSettings  # noqa: E402
 from resources.executor import in_process_executor  # noqa: E402
@@ -72,4 +73,5 @@ def build_defs(**overrides: object) -> dg.Definitions:
     )
 
 
+escape_logs()
 defs = build_defs()

@@ -3,7 +3,8 @@
 A window is as long as an interval, so that every other window has a graph to itself.
 """
 
-from collections.abc import Iterator
+import numpy as np
+from numpy.typing import NDArray
 
 from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S
 
@@ -14,16 +15,30 @@ MIN_WINDOW_S = MIN_INTERVAL_S  # a shorter rest at the end of a recording has no
 _SECOND_NS = 1_000_000_000
 
 
-def windows_ns(duration_ns: int) -> Iterator[tuple[int, int]]:
-    """Yield start and end of each window of a recording, since its start [ns].
+def windows_ns(duration_ns: int, times_ns: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """Return start and end of each window that has a message, since the start [ns].
+
+    Parameters
+    ----------
+    duration_ns : int
+        Of the recording.
+    times_ns : array of int, shape (n,)
+        When messages came, since the start.
 
     Examples
     --------
-    >>> [(start // 10**9, end // 10**9) for start, end in windows_ns(19 * 10**9)]
+    >>> times_ns = np.arange(0, 19, dtype=np.int64) * 10**9
+    >>> [(start // 10**9, end // 10**9) for start, end in windows_ns(19 * 10**9, times_ns)]
     [(0, 10), (5, 15), (10, 19)]
     """
     length_ns, hop_ns, shortest_ns = (
         round(seconds * _SECOND_NS) for seconds in (WINDOW_S, HOP_S, MIN_WINDOW_S)
     )
-    for start_ns in range(0, duration_ns - shortest_ns, hop_ns):
-        yield start_ns, min(start_ns + length_ns, duration_ns)
+    newest = times_ns // hop_ns  # window that a message is in
+    back = np.arange(length_ns // hop_ns)  # those before it reach so far too
+    numbers = np.unique((np.unique(newest)[:, np.newaxis] - back).ravel())
+    starts = numbers[numbers >= 0] * hop_ns
+    return [
+        (start_ns, min(start_ns + length_ns, duration_ns))
+        for start_ns in starts[starts < duration_ns - shortest_ns].tolist()
+    ]

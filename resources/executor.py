@@ -3,10 +3,8 @@
 from collections.abc import Iterator
 
 import dagster as dg
-from dagster._core.execution.context.system import PlanOrchestrationContext
-from dagster._core.execution.plan.plan import ExecutionPlan
-from dagster._core.execution.retries import RetryMode
 
+from resources.dagster_internals import ExecutionPlan, PlanOrchestrationContext, RetryMode
 from resources.run_processes import fail_lost_runs, hold
 
 

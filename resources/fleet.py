@@ -24,9 +24,12 @@ class Fleet(dg.ConfigurableResource[None]):
         ge=1,
         description="Runs that are worked on at a time on this machine; a cluster has its own.",
     )
-    # Scheduler of a Dask cluster, such as `tcp://host:8786`; empty: this machine. It is no part of
-    # a run's config: whoever starts a run must not choose whom this process connects to.
-    address: dg.ResourceDependency[str] = ""
+    # No part of a run's config: whoever starts a run must not choose whom this process connects to.
+    address: dg.ResourceDependency[str] = Field(
+        default="",  # type: ignore[arg-type]  # Dagster makes a dependency of it
+        description="Scheduler of a Dask cluster to work on, such as `tcp://host:8786`; "
+        "empty: this machine.",
+    )
 
     def outcomes(self, function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[Outcome[J, R]]:
         """Yield what became of every job, as they finish; one that fails fails alone.

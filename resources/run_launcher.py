@@ -5,8 +5,8 @@ launcher cannot tell.
 """
 
 import dagster as dg
-from dagster._core.launcher import CheckRunHealthResult, WorkerStatus
 
+from resources.dagster_internals import CheckRunHealthResult, WorkerStatus
 from resources.run_processes import reason_of_loss
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import cast
 
 import dagster as dg
+from pydantic import Field
 
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
@@ -13,10 +14,12 @@ from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
 class RunStore(dg.ConfigurableResource[None]):
     """The folder below which everything is kept."""
 
-    # Folder for runs, features, datasets and the report, made if it is not there; or one in an
-    # object store, such as `s3://bucket/prefix`. No part of a run's config: whoever starts a run
-    # must not choose where this process writes.
-    root: dg.ResourceDependency[str] = "data"
+    # No part of a run's config: whoever starts a run must not choose where this process writes.
+    root: dg.ResourceDependency[str] = Field(
+        default="data",  # type: ignore[arg-type]  # Dagster makes a dependency of it
+        description="Folder for runs, features, datasets and the report, made if it is not there; "
+        "or one in an object store, such as `s3://bucket/prefix`.",
+    )
 
     @property
     def is_local(self) -> bool:

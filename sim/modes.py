@@ -12,13 +12,14 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.compilation import compile_file, compile_scenario
 from sim.fuzzing.scenario import Scenario, ScenarioError, load_scenarios
 from sim.scenarios import builtin_scenarios
 from sim.testbed import Mode
 from sim.testbeds import TESTBEDS, which_testbed
 
 FOLDER = "ORACLE_SCENARIOS"  # the environment's name of the user's folder of scenario files
+SUFFIXES = (".yaml", ".yml")  # of scenario files
 
 
 def modes() -> Mapping[str, Mode]:
@@ -85,18 +86,19 @@ def _shadows(scenarios: Iterable[Scenario]) -> list[Scenario]:
 
 def _in_folder(folder: Path, taken: Iterable[str]) -> tuple[list[Scenario], list[str]]:
     """Return the scenarios of a folder, and the errors of those that are left out."""
-    if not folder.is_dir():
-        return [], [f"{FOLDER} is {folder}, which is no folder; name one, or unset it."]
+    try:
+        files = sorted(file for file in folder.iterdir() if file.suffix in SUFFIXES)
+    except OSError as error:
+        return [], [f"{FOLDER} is {folder}, which is no folder: {error}; name one, or unset it."]
     scenarios: dict[str, Scenario] = {}
     broken: list[str] = []
-    for file in sorted([*folder.glob("*.yaml"), *folder.glob("*.yml")]):
+    for file in files:
         try:
-            for scenario in load_scenarios(file):
+            for scenario in (program.scenario for program in compile_file(file)):
                 if scenario.id in {*taken, *scenarios}:
                     raise scenario.error(
                         ("id",), f"expected a new name, there is a mode {scenario.id} already"
                     )
-                compile_scenario(scenario)
                 scenarios[scenario.id] = scenario
         except ScenarioError as error:
             broken.append(str(error))

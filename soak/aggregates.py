@@ -219,11 +219,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         make_campaign(place / "data")
-        for wrong in stopped_runs(place, arguments.stops, rng):
-            print(f"a run stopped: {'; '.join(wrong) or 'nothing wrong'}", flush=True)
-            everything += wrong
         for done, wrong in ended_early(place, arguments.endings, rng):
             print(f"{done}: {'; '.join(wrong) or 'nothing wrong'}", flush=True)
+            everything += wrong
+        for wrong in stopped_runs(place, arguments.stops, rng):
+            print(f"a run stopped: {'; '.join(wrong) or 'nothing wrong'}", flush=True)
             everything += wrong
     print("\n".join(everything) or "Nothing was lost or damaged.")
     sys.exit(bool(everything))

@@ -10,8 +10,8 @@ _MIB = 2**20
 
 #: Bytes of one chunk or record, decompressed. rosbag2 writes chunks of 0.8 to 4 MB.
 LARGEST_CHUNK: Final = 256 * _MIB
-#: Messages of one recording, all topics.
-MOST_MESSAGES: Final = 20_000_000
+#: Messages of a recording, all topics; one that is larger may have one for so many bytes on disk.
+MOST_MESSAGES, SMALLEST_MESSAGE = 8_000_000, 24
 #: Topics and publishers of one recording.
 MOST_CHANNELS: Final = 10_000
 #: How many times larger a compressed file may become.
@@ -22,3 +22,7 @@ LARGEST_YAML, DEEPEST_YAML, MOST_YAML_VALUES = 16 * _MIB, 24, 1_000_000
 LARGEST_DEFINITION, MOST_FIELDS = _MIB // 2, 100_000
 #: Bytes that merging messages into order of time may hold.
 LARGEST_DISORDER: Final = 256 * _MIB
+#: Bytes of one message that is decoded, and of all that features keep of messages.
+LARGEST_DECODED, MOST_KEPT = 64 * _MIB, 256 * _MIB
+#: Windows of one recording.
+MOST_WINDOWS: Final = 100_000

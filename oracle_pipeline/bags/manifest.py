@@ -18,6 +18,7 @@ import jsonschema
 
 from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import ManifestError
+from oracle_pipeline.bags.json_schema import faults
 from oracle_pipeline.bags.protocol import run_key
 
 SCHEMA_VERSION = 4
@@ -223,9 +224,7 @@ def _validate(document: Any, path: Path) -> None:
             f"{path} has schema version {version}, this release reads {SCHEMA_VERSION}; "
             "install the release that wrote it, or record the run again."
         )
-    error = jsonschema.exceptions.best_match(
-        jsonschema.Draft202012Validator(schema()).iter_errors(document)
-    )
+    error = jsonschema.exceptions.best_match(faults(document, schema()))
     if error is not None:
         field = ".".join(str(part) for part in error.absolute_path) or "(top level)"
         raise ManifestError(f"{path}, field {field}: {error.message}. Record the run again.")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.compression import ZSTD_MAGIC, decompress_message
 from oracle_pipeline.bags.errors import BagError
-from oracle_pipeline.bags.limits import MOST_CHANNELS, MOST_MESSAGES
+from oracle_pipeline.bags.limits import MOST_CHANNELS
 from oracle_pipeline.bags.records import Records
 
 _READ_BYTES, _SECTOR_BYTES = 2**20, 512
@@ -59,11 +59,6 @@ class Extent:
         self.end_ns = last if self.end_ns is None else max(self.end_ns, last)
         channels, counts = np.unique(batch.channels, return_counts=True)
         self.counts.update(dict(zip(channels.tolist(), counts.tolist(), strict=True)))
-        if self.counts.total() > MOST_MESSAGES:
-            raise BagError(
-                f"it holds more than {MOST_MESSAGES} messages, which is the limit (MOST_MESSAGES); "
-                "split it"
-            )
 
 
 class Part(Protocol):

@@ -9,7 +9,7 @@ not be read. What a mode's node confesses about its attack is dropped, by topic 
 import itertools
 import os
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -26,6 +26,7 @@ from oracle_pipeline.bags import qos_profiles, types
 from oracle_pipeline.bags.content import ContentHash
 from oracle_pipeline.bags.definitions import BagTypes
 from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.limits import MOST_MESSAGES, SMALLEST_MESSAGE
 from oracle_pipeline.bags.merging import Messages, in_time_order
 from oracle_pipeline.bags.part import Batch, Channel, Part
 from oracle_pipeline.bags.parts import Parts, open_parts
@@ -102,6 +103,8 @@ class BagReader:
         ]
         self.topics = self._join(channels)
         self.message_count = sum(topic.count for topic in self.topics.values())
+        size = sum(part.path.stat().st_size for part in parts)
+        self._most_messages = max(MOST_MESSAGES, size // SMALLEST_MESSAGE)
         starts = [part.extent.start_ns for part in parts if part.extent.start_ns is not None]
         ends = [part.extent.end_ns for part in parts if part.extent.end_ns is not None]
         self.start_ns: int = min(starts, default=0)
@@ -125,13 +128,21 @@ class BagReader:
             claims.
         """
         numbers = {name: number for number, name in enumerate(self.topics)}
+        read = 0
         for part in self._files.parts:
             wanted = {
                 key: numbers[channel.topic]
                 for key, channel in part.channels.items()
                 if self._is_of_topic(channel) and (topics is None or channel.topic in topics)
             }
-            yield from self._read(part, wanted, is_all=topics is None)
+            for batch in self._read(part, wanted, is_all=topics is None):
+                read += len(batch.topics)
+                if read > self._most_messages:
+                    raise BagError(
+                        f"{self.path} holds more than {self._most_messages} messages, the limit "
+                        "for its size (MOST_MESSAGES); cut it into shorter ones."
+                    )
+                yield batch
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield messages in order of time.
@@ -158,19 +169,37 @@ class BagReader:
         BagError
             If its type is unknown, or its bytes are not of that type.
         """
-        return self.decode(message.topic, message.stamp_ns, message.data)
+        topic, stamp_ns, data = message
+        try:
+            return self.decoder(topic)(data)
+        except BagError as error:
+            if str(self.path) in str(error):
+                raise
+            raise BagError(
+                f"{self.path}: a message on {topic} at {stamp_ns} ns {error}. Leave the topic out, "
+                "or record the bag again."
+            ) from error
 
-    def decode(self, topic: str, stamp_ns: int, data: bytes) -> Any:
-        """Decode the bytes of a message; the errors are those of ``deserialize``."""
+    def decoder(self, topic: str) -> Callable[[bytes], Any]:
+        """Return the function that decodes the messages of a topic.
+
+        It raises `BagError` where bytes are not of the type.
+
+        Raises
+        ------
+        BagError
+            If its type is unknown or unusable, or its encoding not supported.
+        """
         msgtype = self.topics[topic].msgtype
         decode = self._types.decoder(msgtype)
-        try:
-            return decode(data, msgtype)
-        except Exception as error:  # whatever the generated decoder trips over
-            raise BagError(
-                f"{self.path}: a message on {topic} at {stamp_ns} ns is not a "
-                f"{msgtype}: {error}. Leave the topic out, or record the bag again."
-            ) from error
+
+        def decoded(data: bytes) -> Any:
+            try:
+                return decode(data, msgtype)
+            except Exception as error:  # whatever the generated decoder trips over
+                raise BagError(f"is not a {msgtype}: {error}") from error
+
+        return decoded
 
     def definition(self, msgtype: str) -> TypeDefinition:
         """Return what the bag says of a type, or else we, to copy its messages as they are."""

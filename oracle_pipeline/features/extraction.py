@@ -17,7 +17,9 @@ import networkx as nx
 import numpy as np
 import pandas as pd
 
+from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.graph_files import RosGraph
+from oracle_pipeline.bags.limits import MOST_WINDOWS
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.datasets import (
     KEYS,
@@ -27,7 +29,8 @@ from oracle_pipeline.datasets import (
     Fields,
     write_table,
 )
-from oracle_pipeline.features.kept_messages import KeptMessages, Span
+from oracle_pipeline.features.kept_messages import KeptMessages
+from oracle_pipeline.features.kept_rows import Span
 from oracle_pipeline.features.manager import FeatureManager
 from oracle_pipeline.features.plugin import (
     Feature,
@@ -50,6 +53,11 @@ class FeatureTables(NamedTuple):
 
     run: pd.DataFrame  # one row
     windows: pd.DataFrame  # one row for each window, by start
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What of the recording is missing, could not be read or was not used."""
+        return tuple(self.run.attrs["notes"])
 
 
 @dataclass(slots=True)
@@ -92,30 +100,38 @@ def extract(run: OpenedRun, manager: FeatureManager) -> FeatureTables:
     BagError
         If the bag cannot be read to its end.
     """
-    whole = Span(0, run.bag.end_ns - run.bag.start_ns + 1)
-    with closing(MessageTable(run.bag)) as messages:
-        every_message = messages.add if manager.thesis else None
-        recording = KeptMessages.read(run.bag, manager.plugins, every_message)
-        extraction = _Extraction(run, manager, recording, whole)
-        of_run = extraction.row(whole)
-        fields = _fields(manager.features())
-        for plugin in manager.thesis:
-            fields |= extraction.add_thesis_columns(of_run, plugin, whole, messages)
+    recording = KeptMessages.read(run.bag, manager.plugins)
+    whole = Span(0, recording.duration_ns)
+    extraction = _Extraction(run, manager, recording, whole)
+    of_run = extraction.row(whole)
+    fields = _fields(manager.features())
+    if manager.thesis:
+        with closing(MessageTable(run.bag)) as messages:
+            for plugin in manager.thesis:
+                fields |= extraction.add_thesis_columns(of_run, plugin, whole, messages)
     of_run.missing |= manager.broken
-    spans = window_spans(whole)
+    spans = window_spans(recording)
     of_windows = [extraction.row(span, per_window=True) for span in spans]
     windowed = {c: f for c, f in manager.features().items() if f.per_window}
     starts = {WINDOW_START: [span.start_s for span in spans]}
     window_fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}
-    return FeatureTables(
+    tables = FeatureTables(
         _table(_keys(run), {}, of_run.values, [of_run], fields),
         _table(_keys(run), starts, windowed, of_windows, window_fields),
     )
+    tables.run.attrs["notes"] = [*run.bag.losses, *run.bag.notes, *recording.notes]
+    return tables
 
 
-def window_spans(whole: Span) -> list[Span]:
-    """Return the windows of a recording: 10 s, each 5 s; cut off by the end, at least 5 s."""
-    return [Span(start_ns, end_ns) for start_ns, end_ns in windows_ns(whole.end_ns)]
+def window_spans(recording: KeptMessages) -> list[Span]:
+    """Return the windows that have a message: 10 s, each 5 s; cut off by the end, at least 5 s."""
+    windows = windows_ns(recording.duration_ns, recording.occupied())
+    if len(windows) > MOST_WINDOWS:
+        raise BagError(
+            f"the recording has {len(windows)} windows with messages; the limit is {MOST_WINDOWS} "
+            "(MOST_WINDOWS). Cut it into shorter ones."
+        )
+    return [Span(start_ns, end_ns) for start_ns, end_ns in windows]
 
 
 def write(tables: FeatureTables, directory: RunDirectory) -> tuple[Path, Path]:
@@ -153,6 +169,8 @@ class _Extraction:
         row = _Row()
         common = self._common(span)
         for plugin in self._plugins:
+            if per_window and not any(feature.per_window for feature in plugin.features):
+                continue
             values = self._compute(plugin, self._recording.window(plugin, span, common))
             for feature in plugin.features:
                 if feature.per_window or not per_window:

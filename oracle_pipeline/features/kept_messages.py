@@ -4,21 +4,24 @@ Each message is decoded at most once, and only if a plugin asked for it. Windows
 arrays.
 """
 
-import math
-from array import array
-from bisect import bisect_left
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any, Self
 
 import networkx as nx
 import numpy as np
-from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.graph_files import RosGraph
-from oracle_pipeline.bags.reader import BagReader, RawMessage
-from oracle_pipeline.features.message_layout import MessageLayout
+from oracle_pipeline.bags.limits import LARGEST_DECODED
+from oracle_pipeline.bags.merging import Messages
+from oracle_pipeline.bags.reader import BagReader, Topic
+from oracle_pipeline.features.kept_rows import Budget, Integers, KeptRows, Span, read_only
+from oracle_pipeline.features.message_layout import (
+    SHORTEST_WITH_HEADER,
+    MessageLayout,
+    header_stamps_ns,
+)
 from oracle_pipeline.features.plugin import (
     Arrivals,
     FeaturePlugin,
@@ -28,138 +31,126 @@ from oracle_pipeline.features.plugin import (
     Series,
     Window,
 )
+from oracle_pipeline.features.timeline import epochs, timeline
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.graphs.views import system_view
 
-
-@dataclass(frozen=True, slots=True)
-class Span:
-    """A piece of a recording: from a nanosecond after its start to the one before another."""
-
-    start_ns: int
-    end_ns: int
-
-    @property
-    def start_s(self) -> float:
-        """Start [s]."""
-        return self.start_ns / 1e9
-
-    @property
-    def end_s(self) -> float:
-        """End [s]."""
-        return self.end_ns / 1e9
-
-    def of(self, times_ns: "array[int]") -> slice:
-        """Return which of ascending times are in the span."""
-        return slice(bisect_left(times_ns, self.start_ns), bisect_left(times_ns, self.end_ns))
-
-
-class _Kept:
-    """What one request keeps of one topic."""
-
-    def __init__(self, request: Request) -> None:
-        self.request = request
-        self.error = ""  # why there is nothing to be had from this topic
-        self.due_ns: float = 0  # before that no message is wanted
-        self._every_ns = round(request.every_s * 1e9)
-        self._times_ns = array("q")
-        self._rows: list[Any] = []
-
-    def add(self, time_ns: int, message: Any) -> None:
-        """Keep what is wanted of a message that is due."""
-        if self._every_ns:
-            self.due_ns = (time_ns // self._every_ns + 1) * self._every_ns
-        try:
-            row = self.request.keep(message)
-        except Exception as error:  # foreign code
-            self.fail(f"{type(error).__name__}: {error}")
-            return
-        if row is not None:
-            self._rows.append(row)
-            self._times_ns.append(time_ns)
-
-    def fail(self, error: str) -> None:
-        """Give the topic up."""
-        self.error, self.due_ns = error, math.inf
-
-    def finish(self) -> None:
-        """Make arrays of all that was kept, in time order."""
-        try:
-            values: NDArray[Any] = (
-                np.fromiter(self._rows, dtype=object, count=len(self._rows))
-                if np.dtype(self.request.dtype) == object
-                else np.array(self._rows, dtype=self.request.dtype)
-            )
-        except ValueError as error:
-            self.error = f"what is kept of each message must have the same shape: {error}"
-            return
-        times_s, order = _in_order(self._times_ns)
-        self._series = Series(times_s, _read_only(values[order]))
-
-    def within(self, span: Span) -> Series:
-        part = span.of(self._times_ns)
-        return Series(self._series.times_s[part], self._series.values[part])
+_NONE: Integers = np.zeros(0, dtype=np.int64)
+_NO_STAMP = np.iinfo(np.int64).min  # of a message without a header
 
 
 class _Topic:
-    """One topic of the bag: when its messages came, and what is kept of them."""
+    """One topic of the bag, and who keeps what of its messages."""
 
-    def __init__(self, msgtype: str, layout: MessageLayout) -> None:
-        self.msgtype, self.layout = msgtype, layout
-        self.kept: dict[int, _Kept] = {}  # by identity of the request
-        self._times_ns = array("q")
-        self._sizes = array("q")
-        self._header_stamps_ns = array("q")
+    def __init__(self, bag: BagReader, topic: Topic) -> None:
+        self.name, self.msgtype = topic.name, topic.msgtype
+        self.layout = MessageLayout(bag, topic.name)
+        self.kept: dict[Any, KeptRows] = {}  # by what makes two requests the same
+        self.by_rate: dict[int, list[KeptRows]] = {}  # by time between messages [ns]
+        self.undecodable = ""
+        try:
+            self._decode = bag.decoder(topic.name)
+        except BagError as error:
+            self.undecodable = str(error)
 
-    def add(self, time_ns: int, message: RawMessage, bag: BagReader) -> None:
-        self._times_ns.append(time_ns)
-        self._sizes.append(len(message.data))
-        if (stamp_ns := self.layout.header_stamp_ns(message.data)) is not None:
-            self._header_stamps_ns.append(stamp_ns)
+    def ask(self, request: Request, budget: Budget) -> KeptRows:
+        """Return what keeps the rows of a request, one for all equal requests."""
+        key = request.keep, np.dtype(request.dtype), request.raw, request.every_s
+        if key not in self.kept:
+            self.kept[key] = kept = KeptRows(request, budget)
+            self.by_rate.setdefault(round(request.every_s * 1e9), []).append(kept)
+            if self.undecodable and not request.raw:
+                kept.fail(self.undecodable)
+        return self.kept[key]
+
+    def keep(self, number: int, data: bytes, rates_ns: list[int]) -> None:
+        """Keep what is wanted of a message that is due at some rates."""
+        record = RawRecord(data, self.layout)
         content: Any = None
-        for kept in self.kept.values():
-            if time_ns < kept.due_ns:
-                continue
-            if kept.request.raw:
-                kept.add(time_ns, RawRecord(message.data, self.layout))
-                continue
-            try:
-                content = content or bag.deserialize(message)
-            except BagError as error:
-                kept.fail(str(error))
-            else:
-                kept.add(time_ns, content)
+        for rate_ns in rates_ns:
+            for kept in self.by_rate[rate_ns]:
+                if kept.error:
+                    continue
+                if kept.request.raw:
+                    kept.add(number, record, len(data))
+                    continue
+                try:
+                    content = content or self._decoded(data)
+                except BagError as error:
+                    kept.skip(str(error))
+                else:
+                    kept.add(number, content, len(data))
 
-    def finish(self) -> None:
-        """Make arrays, in time order."""
-        sizes = np.array(self._sizes, dtype=np.int64)
-        stamps_ns = np.array(self._header_stamps_ns, dtype=np.int64)
-        times_s, order = _in_order(self._times_ns)
-        stamps_ns = stamps_ns[order] if len(stamps_ns) == len(order) else stamps_ns[:0]
-        self._all = Arrivals(self.msgtype, times_s, _read_only(sizes[order]), _read_only(stamps_ns))
-        for kept in self.kept.values():
-            kept.finish()
+    def _decoded(self, data: bytes) -> Any:
+        if len(data) > LARGEST_DECODED:
+            raise BagError(
+                f"a message of {len(data)} bytes is not decoded; the limit is {LARGEST_DECODED} "
+                "(LARGEST_DECODED)"
+            )
+        return self._decode(data)
 
-    def within(self, span: Span) -> Arrivals:
-        part = span.of(self._times_ns)
-        _, times_s, sizes, stamps_ns = self._all
-        return Arrivals(self.msgtype, times_s[part], sizes[part], stamps_ns[part])
+
+class _Sampling:
+    """Which messages are due at one rate: of each topic the first in each span of its length."""
+
+    def __init__(self, rate_ns: int, topics: list[_Topic]) -> None:
+        self._rate_ns = rate_ns
+        self._asks = np.array([rate_ns in topic.by_rate for topic in topics], dtype=np.bool_)
+        self._last = np.full(len(topics), -1)
+
+    def due(self, topics: Integers, since_start_ns: Integers) -> Integers:
+        """Return which of messages, by topic and in order of time, are due."""
+        rows = np.flatnonzero(self._asks[topics])
+        if not self._rate_ns or not len(rows):
+            return rows
+        topics, slots = topics[rows], since_start_ns[rows] // self._rate_ns
+        begins = np.diff(topics, prepend=-1) != 0
+        is_due = (np.diff(slots, prepend=-1) != 0) | begins
+        is_due[begins] = slots[begins] != self._last[topics[begins]]
+        ends = np.roll(begins, -1)
+        self._last[topics[ends]] = slots[ends]
+        return rows[is_due]
+
+
+class _Headers:
+    """Reads the stamps in the headers of messages."""
+
+    def __init__(self, topics: list[_Topic]) -> None:
+        self._has = np.array([topic.layout.has_header for topic in topics], dtype=np.bool_)
+
+    def stamps_ns(self, batch: Messages, topics: list[_Topic]) -> Integers:
+        """Return the stamp of each message of a batch [ns]."""
+        stamps_ns = np.full(len(batch.topics), _NO_STAMP)
+        rows = np.flatnonzero(self._has[batch.topics] & (batch.sizes >= SHORTEST_WITH_HEADER))
+        encodings = {topics[number].layout.is_cdr for number in np.unique(batch.topics[rows])}
+        for is_cdr in sorted(encodings):
+            of = np.array([topic.layout.is_cdr == is_cdr for topic in topics], dtype=np.bool_)
+            some = rows[of[batch.topics[rows]]] if len(encodings) > 1 else rows
+            stamps_ns[some] = header_stamps_ns(batch.data, batch.offsets[some], is_cdr=is_cdr)
+        return stamps_ns
 
 
 class KeptMessages:
-    """When the messages of a bag came, and what plugins kept of them."""
+    """When the messages of a bag came, and what plugins kept of them.
+
+    Attributes
+    ----------
+    duration_ns : int
+        From the first message to a nanosecond after the last, jumps of the clock left out.
+    notes : list of str
+        What was not used, and why.
+    """
 
     def __init__(self, bag: BagReader, plugins: tuple[FeaturePlugin, ...]) -> None:
-        self._topics = {
-            name: _Topic(topic.msgtype, MessageLayout(bag, name))
-            for name, topic in sorted(bag.topics.items())
-        }
-        self._kept: dict[str, dict[str, dict[str, _Kept]]] = {
+        budget = Budget()
+        self.notes: list[str] = []
+        self._topics = {name: _Topic(bag, topic) for name, topic in bag.topics.items()}
+        self._kept: dict[str, dict[str, dict[str, KeptRows]]] = {
             plugin.name: {
                 key: {
-                    name: topic.kept.setdefault(id(request), _Kept(request))
-                    for name, topic in self._topics.items()
-                    if request.matches(bag.topics[name], topic.layout)
+                    name: self._topics[name].ask(request, budget)
+                    for name in sorted(self._topics)
+                    if request.matches(bag.topics[name], self._topics[name].layout)
                 }
                 for key, request in plugin.topics.items()
             }
@@ -167,37 +158,87 @@ class KeptMessages:
         }
 
     @classmethod
-    def read(
-        cls,
-        bag: BagReader,
-        plugins: tuple[FeaturePlugin, ...],
-        every_message: Callable[[RawMessage], None] | None = None,
-    ) -> Self:
-        """Read a bag.
-
-        Parameters
-        ----------
-        bag, plugins
-            What to read, and for whom.
-        every_message : callable, optional
-            Called with each message of the bag, asked for or not.
-        """
+    def read(cls, bag: BagReader, plugins: tuple[FeaturePlugin, ...]) -> Self:
+        """Read a bag, for some plugins."""
         recording = cls(bag, plugins)
-        topics, start_ns = recording._topics, bag.start_ns
-        for message in bag.messages():
-            if every_message is not None:
-                every_message(message)
-            topics[message.topic].add(message.stamp_ns - start_ns, message, bag)
-        for topic in topics.values():
-            topic.finish()
+        topics = list(recording._topics.values())
+        rates_ns = sorted({rate_ns for topic in topics for rate_ns in topic.by_rate})
+        samplings = {rate_ns: _Sampling(rate_ns, topics) for rate_ns in rates_ns}
+        headers = _Headers(topics)
+        columns: list[list[Integers]] = [[], [], [], []]
+        count = 0
+        for batch in bag.batches():
+            stamps_ns = batch.stamps_ns
+            order = np.lexsort((stamps_ns, batch.topics))
+            ordered, since_start_ns = batch.topics[order], stamps_ns[order] - bag.start_ns
+            due: dict[int, list[int]] = {}
+            for rate_ns, sampling in samplings.items():
+                for row in order[sampling.due(ordered, since_start_ns)].tolist():
+                    due.setdefault(row, []).append(rate_ns)
+            for row, rates in due.items():
+                offset = int(batch.offsets[row])
+                data = batch.data[offset : offset + int(batch.sizes[row])]
+                topics[batch.topics[row]].keep(count + row, data, rates)
+            header_stamps_ns = headers.stamps_ns(batch, topics)
+            for column, values in zip(
+                columns, (batch.topics, stamps_ns, batch.sizes, header_stamps_ns), strict=True
+            ):
+                column.append(values)
+            count += len(stamps_ns)
+        recording._finish(bag, *(np.concatenate([_NONE, *column]) for column in columns))
         return recording
+
+    def occupied(self) -> Integers:
+        """Return when messages came, in order of time, since the start [ns]."""
+        return np.sort(self._times_ns)
+
+    def _finish(
+        self, bag: BagReader, of: Integers, stamps_ns: Integers, sizes: Integers, headers: Integers
+    ) -> None:
+        """Make arrays, and say what was not used."""
+        topics = list(self._topics.values())
+        by_topic = np.argsort(of.astype(np.int16), kind="stable")  # in file order
+        bounds = np.searchsorted(of[by_topic], np.arange(1, len(topics)))
+        split = np.split(stamps_ns[by_topic], bounds) if topics else []
+        epoch_of = epochs(split)
+        clock = timeline(split, epoch_of, bag.start_ns, bag.end_ns)
+        self.duration_ns = clock.duration_ns
+        if note := clock.note():
+            self.notes.append(note)
+        times_ns = np.empty(len(of), dtype=np.int64)
+        times_ns[by_topic] = clock.times_ns(stamps_ns[by_topic], np.concatenate([_NONE, *epoch_of]))
+        self._times_ns = times_ns
+        order = np.lexsort((times_ns, of))
+        self._arrivals: dict[str, tuple[Integers, Arrivals]] = {}
+        for topic, rows in zip(topics, np.split(order, bounds) if topics else [], strict=True):
+            own_ns, own_headers = times_ns[rows], headers[rows]
+            if (own_headers == _NO_STAMP).any():
+                own_headers = own_headers[:0]
+            self._arrivals[topic.name] = own_ns, Arrivals(
+                topic.msgtype, read_only(own_ns / 1e9), read_only(sizes[rows]),
+                read_only(own_headers),
+            )  # fmt: skip
+            notes = {kept.finish(times_ns) for kept in topic.kept.values()}
+            self.notes += sorted(f"{topic.name}: {note}." for note in notes if note)
+            if topic.undecodable:
+                self.notes.append(
+                    f"{topic.name} ({topic.msgtype}, {len(rows) / max(1, len(of)):.0%} of the "
+                    f"messages) is not decoded, only its times and sizes are used: "
+                    f"{topic.undecodable}"
+                )
 
     def span(self, span: Span, graph: RosGraph | None, intervals: Iterable[Interval]) -> Window:
         """Return what every plugin sees of a span."""
         past = tuple(each for each in intervals if each.start_s < span.end_s)
-        arrivals = {name: topic.within(span) for name, topic in self._topics.items()}
+        arrivals = {name: self._within(name, span) for name in sorted(self._topics)}
         system = None if graph is None else nx.freeze(system_view(graph))
         return Window(span.start_s, span.end_s, graph, system, past, arrivals)
+
+    def _within(self, topic: str, span: Span) -> Arrivals:
+        times_ns, arrivals = self._arrivals[topic]
+        part = span.of(times_ns)
+        _, times_s, sizes, stamps_ns = arrivals
+        return Arrivals(arrivals.msgtype, times_s[part], sizes[part], stamps_ns[part])
 
     def window(self, plugin: FeaturePlugin, span: Span, common: Window) -> Window | Missing:
         """Return what one plugin sees of a span, or why it can see nothing."""
@@ -219,7 +260,7 @@ class KeptMessages:
 
 
 def _cut(
-    requests: Mapping[str, Mapping[str, _Kept]], span: Span, *, silent: bool
+    requests: Mapping[str, Mapping[str, KeptRows]], span: Span, *, silent: bool
 ) -> dict[str, dict[str, Series]]:
     return {
         key: {
@@ -229,17 +270,3 @@ def _cut(
         }
         for key, topics in requests.items()
     }
-
-
-def _in_order(times_ns: "array[int]") -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Sort times in place; return them [s], and from where each came."""
-    unsorted_ns = np.array(times_ns, dtype=np.int64)
-    order = np.argsort(unsorted_ns, kind="stable")
-    sorted_ns = unsorted_ns[order]
-    times_ns[:] = array("q", sorted_ns.tobytes())
-    return _read_only(sorted_ns / 1e9), order
-
-
-def _read_only(values: NDArray[Any]) -> NDArray[Any]:
-    values.flags.writeable = False
-    return values

@@ -19,6 +19,7 @@ from oracle_pipeline.bags.reader import BagReader
 _HEADER = "std_msgs/msg/Header"
 _ENCAPSULATION = 4  # bytes before a message in CDR, from which it aligns
 _LITTLE_ENDIAN = 1  # bit of the second of them
+SHORTEST_WITH_HEADER = 12  # bytes of a message that has a stamp
 
 _SIZES = {
     "bool": 1, "byte": 1, "char": 1, "int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4,
@@ -58,15 +59,15 @@ class MessageLayout:
     """
 
     def __init__(self, bag: BagReader, topic: str) -> None:
-        self._is_cdr = bag.topics[topic].encoding != "ros1"
-        self._has_header = False
+        self.is_cdr = bag.topics[topic].encoding != "ros1"
+        self.has_header = False
         self._before: list[_Field] = []
         self._element: np.dtype[Any] | None = None
         msgtype = bag.topics[topic].msgtype
         try:
             store = bag.typestore(msgtype)
             fields = store.fielddefs[msgtype][1]
-            self._has_header = bool(fields) and fields[0][1] == (Nodetype.NAME, _HEADER)
+            self.has_header = bool(fields) and fields[0][1] == (Nodetype.NAME, _HEADER)
             self._element = self._seek(store, msgtype)
         except (BagError, KeyError):
             return
@@ -78,9 +79,9 @@ class MessageLayout:
 
     def header_stamp_ns(self, data: bytes) -> int | None:
         """Return the stamp in the header of a message [ns]; None if it has no header."""
-        if not self._has_header or len(data) < 12:
+        if not self.has_header or len(data) < SHORTEST_WITH_HEADER:
             return None
-        stamp = _BIG_STAMP if self._is_cdr and not data[1] & _LITTLE_ENDIAN else _LITTLE_STAMP
+        stamp = _BIG_STAMP if self.is_cdr and not data[1] & _LITTLE_ENDIAN else _LITTLE_STAMP
         sec, nanosec = stamp.unpack_from(data, 4)  # behind the encapsulation or ROS 1's number
         return int(sec) * 1_000_000_000 + int(nanosec)
 
@@ -90,7 +91,7 @@ class MessageLayout:
             return None
         try:
             order = self._order(data)
-            cursor = _Cursor(data, order, is_cdr=self._is_cdr)
+            cursor = _Cursor(data, order, is_cdr=self.is_cdr)
             cursor.skip(self._before)
             count = cursor.count()
             if count:
@@ -100,11 +101,11 @@ class MessageLayout:
             return None
 
     def _order(self, data: bytes) -> Literal["<", ">"]:
-        return "<" if not self._is_cdr or data[1] & _LITTLE_ENDIAN else ">"
+        return "<" if not self.is_cdr or data[1] & _LITTLE_ENDIAN else ">"
 
     def _seek(self, store: Typestore, msgtype: Any) -> np.dtype[Any] | None:
         """Note what stands before the first array of a type; return the type of its elements."""
-        if msgtype == _HEADER and not self._is_cdr:
+        if msgtype == _HEADER and not self.is_cdr:
             self._before.append(_Numbers(4, 1))
         for _, (kind, what) in store.fielddefs[msgtype][1]:
             if kind == Nodetype.SEQUENCE and what[0] in _FLOATS:
@@ -122,13 +123,41 @@ class MessageLayout:
             return _Text() if what[0] == "string" else _Numbers(_SIZES[what[0]], 1)
         if kind == Nodetype.NAME:
             fields = [self._field(store, *each) for _, each in store.fielddefs[what][1]]
-            number = [_Numbers(4, 1)] if what == _HEADER and not self._is_cdr else []
+            number = [_Numbers(4, 1)] if what == _HEADER and not self.is_cdr else []
             return _Repeated((*number, *fields), 1)
         element, count = what
         repeated = self._field(store, *element)
         if kind == Nodetype.ARRAY and isinstance(repeated, _Numbers):
             return _Numbers(repeated.size, count)
         return _Repeated((repeated,), count if kind == Nodetype.ARRAY else None)
+
+
+def header_stamps_ns(data: bytes, offsets: NDArray[np.int64], *, is_cdr: bool) -> NDArray[np.int64]:
+    """Return the stamps in the headers of messages that have one [ns], shape (n,).
+
+    Parameters
+    ----------
+    data
+        Holds the messages.
+    offsets
+        Where each begins; it has `SHORTEST_WITH_HEADER` bytes or more.
+    is_cdr
+        Whether they are encoded in CDR, or else by ROS 1.
+    """
+    buffer = np.frombuffer(data, np.uint8)
+    # Behind the encapsulation, or ROS 1's number of the message.
+    fields = buffer[offsets[:, np.newaxis] + np.arange(4, SHORTEST_WITH_HEADER)]
+    stamps_ns = _stamps_ns(fields, "<")
+    if is_cdr and (is_big := buffer[offsets + 1] & _LITTLE_ENDIAN == 0).any():
+        stamps_ns[is_big] = _stamps_ns(fields[is_big], ">")
+    return stamps_ns
+
+
+def _stamps_ns(fields: NDArray[np.uint8], order: str) -> NDArray[np.int64]:
+    """Return seconds and nanoseconds, shape (n, 8), as one number."""
+    parts = np.ascontiguousarray(fields).view(f"{order}u4")
+    seconds = parts[:, 0].astype(np.uint32).view(np.int32).astype(np.int64)
+    return seconds * 1_000_000_000 + parts[:, 1].astype(np.int64)
 
 
 class _Cursor:
@@ -138,10 +167,10 @@ class _Cursor:
         self.position = _ENCAPSULATION if is_cdr else 0
         self._data = data
         self._count = f"{order}I"
-        self._is_cdr = is_cdr
+        self.is_cdr = is_cdr
 
     def align(self, size: int) -> None:
-        if self._is_cdr:
+        if self.is_cdr:
             self.position += (_ENCAPSULATION - self.position) % size
 
     def count(self) -> int:

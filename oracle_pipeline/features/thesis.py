@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from oracle_pipeline.bags.graph_files import RosGraph
-from oracle_pipeline.bags.reader import BagReader, RawMessage
+from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.features.plugin import Feature
 from oracle_pipeline.features.ros_stand_ins import stand_ins
 from oracle_pipeline.graphs.views import thesis_view
@@ -73,20 +73,17 @@ class MessageTable:
     def __init__(self, bag: BagReader) -> None:
         self._database = sqlite3.connect("")
         self._database.executescript(_SCHEMA)
-        self._topic_ids = {name: number for number, name in enumerate(bag.topics, start=1)}
+        topic_ids = {name: number for number, name in enumerate(bag.topics, start=1)}
         self._database.executemany(
             "INSERT INTO topics VALUES (?, ?, ?, ?, '')",
             [
                 (number, name, bag.topics[name].msgtype, bag.serialization)
-                for name, number in self._topic_ids.items()
+                for name, number in topic_ids.items()
             ],
         )
-
-    def add(self, message: RawMessage) -> None:
-        """Append a message."""
-        self._database.execute(
+        self._database.executemany(
             "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
-            (self._topic_ids[message.topic], message.stamp_ns, message.data),
+            ((topic_ids[topic], stamp_ns, data) for topic, stamp_ns, data in bag.messages()),
         )
 
     @contextmanager

@@ -98,7 +98,7 @@ def range_variance(message: Any) -> float:
 
 
 def compute_contextual(window: Window) -> Values | Missing:
-    """Compute from ``/odom`` and every topic with "scan" in its name; without messages it is 0."""
+    """Compute from ``/odom`` and every topic with "scan" in its name."""
     duration_ns = round((window.end_s - window.start_s) * 1e9) - 1  # the end is exclusive
     if duration_ns == 0:
         return Missing("the bag has no two messages")
@@ -107,8 +107,10 @@ def compute_contextual(window: Window) -> Values | Missing:
         for name in ("odometry", "scans")
     )
     return {
-        "yaw_variance": float(np.var(yaws)) if yaws.size else 0.0,
-        "range_variance": _nan_to_zero(np.mean(variances)) if variances.size else 0.0,
+        "yaw_variance": float(np.var(yaws)) if yaws.size else Missing("no message on /odom"),
+        "range_variance": _nan_to_zero(np.mean(variances))
+        if variances.size
+        else Missing('no message on a topic with "scan" in its name'),
         "duration_ns": float(duration_ns),
     }
 

@@ -16,8 +16,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Rectangle
 from numpy.typing import NDArray
 from PIL import Image
-from tqdm import tqdm
 
+from oracle_pipeline.bags.terminal import progress_bar
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.replay.scene import (
     FAKE_OBJECT,
@@ -76,7 +76,7 @@ def save_film(scene: ReplayScene, path: Path, speed: float) -> None:
     shown_ms = np.append(np.diff(times_s) / speed * 1000.0, LAST_FRAME_MS)
     film = _Film(scene)
     palette = _palette(film, scene)
-    moments = tqdm(scene.moments, unit="frame", disable=None, dynamic_ncols=True, desc=path.name)
+    moments = progress_bar(scene.moments, unit="frame", desc=path.name)
     frames = (_indexed(film.frame(moment), palette) for moment in moments)
     with replacing(path) as sink:
         next(frames).save(

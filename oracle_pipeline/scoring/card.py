@@ -22,6 +22,7 @@ from sklearn.pipeline import Pipeline
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import parse_table, replacing, table_bytes
 from oracle_pipeline.detectors import Mahalanobis, pipeline
+from oracle_pipeline.scoring.contract import Contract
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.run_scorer import Design, RunScorer
 
@@ -45,12 +46,15 @@ class ReferenceCard:
     scorer : CrossConformalScorer
     runs : DataFrame
         Features of the normal recordings, a row each.
+    contract : Contract or None
+        Of the recordings' topics and graphs; None if the card was learned from tables.
     notes : tuple of str
         What a reader of a verdict should know, such as recordings that were left out.
     """
 
     scorer: CrossConformalScorer
     runs: pd.DataFrame
+    contract: Contract | None = None
     notes: tuple[str, ...] = ()
 
     def save(self, path: Path) -> None:
@@ -60,6 +64,7 @@ class ReferenceCard:
             "version": VERSION,
             "design": _design(self.scorer.design),
             "calibration": _calibration(self.scorer),
+            "contract": None if self.contract is None else self.contract.to_dict(),
             "notes": list(self.notes),
         }
         members = {_FACTS: json.dumps(facts, indent=1, allow_nan=False).encode(), **members}
@@ -87,7 +92,17 @@ class ReferenceCard:
                 f"{path} is no reference card, or is damaged ({error}); make it again with "
                 "`oracle learn`."
             ) from error
-        return cls(_scorer(facts, models), runs, tuple(facts["notes"]))
+        contract = facts["contract"]
+        return cls(
+            _scorer(facts, models),
+            runs,
+            None if contract is None else Contract.from_dict(contract),
+            tuple(facts["notes"]),
+        )
+
+    def card_for(self, _row: pd.DataFrame) -> "ReferenceCard":
+        """Return this card: it is for one kind of system."""
+        return self
 
 
 def is_card(path: Path) -> bool:

@@ -38,15 +38,23 @@ def comparable(row: pd.DataFrame, reference: pd.DataFrame) -> Comparable:
     ScoringError
         The reference shares no feature with the recording, or has it in another unit.
     """
-    columns, notes = _shared_features(row, reference)
+    candidates = feature_sets(reference).get("all", [])
+    columns, notes = shared_features(row, reference, candidates)
     normal_runs = _normal_runs(row, reference, columns, notes)
     return Comparable(columns, normal_runs, notes)
 
 
-def _shared_features(row: pd.DataFrame, reference: pd.DataFrame) -> tuple[list[str], list[str]]:
-    """Return the features to compare by, and a note on the others."""
+def shared_features(
+    row: pd.DataFrame, reference: pd.DataFrame, candidates: Sequence[str]
+) -> tuple[list[str], list[str]]:
+    """Return the candidates that a recording and the reference have, and a note on the others.
+
+    Raises
+    ------
+    ScoringError
+        There is no such feature, or the two have it in different units.
+    """
     fields, own = field_metadata(reference), field_metadata(row)
-    candidates = feature_sets(reference).get("all", [])
     columns = [c for c in candidates if c in row.columns and np.isfinite(row[c]).all()]
     for column in columns:
         units = [meta[column].get("unit") for meta in (fields, own) if column in meta]
@@ -60,18 +68,21 @@ def _shared_features(row: pd.DataFrame, reference: pd.DataFrame) -> tuple[list[s
             "The recording has none of the features of the reference; extract both with the same "
             "plugins, and compare recordings of the same kind of system."
         )
-    absent = [column for column in candidates if column not in columns]
+    # What some normal runs lack too is nothing to speak of.
+    usual = reference[list(candidates)].notna().all()
+    absent = [column for column in candidates if column not in columns and usual[column]]
     if not absent:
         return columns, []
     reasons = json.loads(row[MISSING].iloc[0])
     why = list(dict.fromkeys(reasons.get(column, "not extracted") for column in absent))
     return columns, [
-        f"{len(absent)} features of the reference are left out, because this recording lacks them: "
-        f"{_listed(absent)} ({_listed(why)})."
+        f"{len(absent)} features of the reference count as usual, because this recording lacks "
+        f"them: {listed(absent)} ({listed(why)})."
     ]
 
 
-def _listed(words: Sequence[str]) -> str:
+def listed(words: Sequence[str]) -> str:
+    """Return the first few words as a list in a sentence."""
     return ", ".join([*words[:LISTED], *(["..."] if len(words) > LISTED else [])])
 
 
@@ -80,26 +91,26 @@ def _normal_runs(
 ) -> pd.DataFrame:
     """Return the runs to compare with; why some normal ones are left out goes to `notes`."""
     normal = reference[~is_malicious(reference)]
-    alike = _same_kind(normal, columns)
+    alike = same_kind(normal, columns)
     if not alike.all():
         notes.append(
             f"{np.sum(~alike)} normal runs of the reference are left out, because they come from "
             "another kind of system: they lack a whole family of features that this recording has."
         )
-    own_block = normal["block"].isin(reference.loc[_same_recording(reference, row), "block"])
+    own_block = normal["block"].isin(reference.loc[same_recording(reference, row), "block"])
     if own_block.any():
         notes.append("It is one of the reference runs: all runs of its block are left out.")
     return normal[alike & ~own_block.to_numpy()]
 
 
-def _same_kind(table: pd.DataFrame, columns: Sequence[str]) -> NDArray[np.bool_]:
+def same_kind(table: pd.DataFrame, columns: Sequence[str]) -> NDArray[np.bool_]:
     """Return True for the runs with a value in each family of the features compared."""
     given = table[list(columns)].notna()
     families = [column.split(".", 1)[0] for column in columns]
     return np.asarray(given.T.groupby(families).any().all(), dtype=np.bool_)
 
 
-def _same_recording(reference: pd.DataFrame, row: pd.DataFrame) -> NDArray[np.bool_]:
+def same_recording(reference: pd.DataFrame, row: pd.DataFrame) -> NDArray[np.bool_]:
     """Return True for the reference runs with exactly the features of this recording."""
     columns = [column for column in feature_columns(reference) if column in row.columns]
     theirs, own = reference[columns].to_numpy(), row[columns].to_numpy()

@@ -139,6 +139,28 @@ class CrossConformalScorer:
             p[run] = (1.0 + votes[voters].sum()) / (voters.sum() + 1.0)
         return p
 
+    def own_score(
+        self, scores: NDArray[np.float64], block: NDArray[np.int64] | None = None
+    ) -> NDArray[np.float64]:
+        """Return one score for each run, shape (n_runs,).
+
+        Parameters
+        ----------
+        scores, block
+            As for `p_values`.
+
+        Returns
+        -------
+        ndarray of shape (n_runs,)
+            The median over the folds; for a run of a known block, the score of the scorer that did
+            not see it.
+        """
+        own = np.median(scores, axis=0)
+        for run, name in enumerate(() if block is None else block):
+            if len(of_block := self.fold_[self.block_ == name]):
+                own[run] = scores[of_block[0], run]
+        return np.asarray(own, dtype=np.float64)
+
     @property
     def smallest_p(self) -> float:
         """The smallest p-value that a new run can get."""

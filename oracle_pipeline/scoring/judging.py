@@ -1,38 +1,45 @@
-"""Verdicts by conformal p-values: a detector fitted on normal runs, calibrated on others.
+"""Verdicts on recordings, by the scorer of a reference card.
 
-Detectors are in ``oracle_pipeline.detectors``, p-values in
-``oracle_pipeline.scoring.conformal``.
+First what needs no statistics: how a recording departs from the contract of its system. Then its
+p-value among the normal runs, and the features that are outside their usual range.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
-from tqdm import tqdm
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.datasets import feature_floors
-from oracle_pipeline.detectors import DEFAULT_DETECTOR, by_family, explain, panel, pipeline
+from oracle_pipeline.bags.terminal import progress_bar
+from oracle_pipeline.detectors import by_family, explain
 from oracle_pipeline.features import FeatureManager, FeatureTables, extract
 from oracle_pipeline.opened_run import open_run
-from oracle_pipeline.scoring.comparable import comparable
-from oracle_pipeline.scoring.conformal import adjusted_for_suite, check_support, p_values
+from oracle_pipeline.scoring.card import ReferenceCard
+from oracle_pipeline.scoring.comparable import same_recording, shared_features
+from oracle_pipeline.scoring.conformal import adjusted_for_suite, runs_needed
+from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.evidence import farthest_features
-from oracle_pipeline.scoring.reference import Reference
-from oracle_pipeline.scoring.verdict import Judgement, Verdict
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+from oracle_pipeline.scoring.verdict import Judgement, ScoringError, Verdict
 
-SEED = 0  # of detectors that draw
+
+class CardSource(Protocol):
+    """A reference card, or what learns one for each kind of system."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of the verdicts should know of the reference."""
+
+    def card_for(self, row: pd.DataFrame) -> ReferenceCard:
+        """Return the card to judge a recording by, given its run features."""
 
 
 def score(
-    recordings: Sequence[Path],
-    reference: Reference,
-    manager: FeatureManager,
-    far: float,
-    detector: str = DEFAULT_DETECTOR,
+    recordings: Sequence[Path], reference: CardSource, manager: FeatureManager, far: float
 ) -> list[Verdict]:
     """Judge recordings by comparison with normal runs.
 
@@ -44,41 +51,65 @@ def score(
     ----------
     recordings : sequence of Path
         Run directories or bags.
-    reference : Reference
+    reference : CardSource
     manager : FeatureManager
         The plugins to compute the features with.
     far : float
-        False-alarm rate, in (0, 1).
-    detector : str
-        A name in the panel.
+        False positive rate, in (0, 1).
     """
     verdicts = [
-        _score_one(path, reference, manager, far, detector)
-        for path in tqdm(recordings, unit="recording", disable=None)
+        _score_one(path, reference, manager, far)
+        for path in progress_bar(recordings, unit="recording")
     ]
-    p = np.array([verdict.p_value for verdict in verdicts if verdict.p_value is not None])
+    return settled(verdicts, far)
+
+
+def settled(verdicts: Sequence[Verdict], far: float) -> list[Verdict]:
+    """Correct verdicts for being judged together.
+
+    With few normal runs the correction can make an alarm on one recording impossible, however
+    unusual it is. Then a recording that is not anomalous is unsupported, not normal.
+    """
+    scored = [verdict for verdict in verdicts if verdict.p_value is not None]
+    p = np.array([verdict.p_value for verdict in scored], dtype=np.float64)
     adjusted = iter(adjusted_for_suite(p).tolist() if len(p) else [])
     return [
-        verdict if verdict.p_value is None else _adjusted(verdict, next(adjusted), far)
+        verdict if verdict.p_value is None else _in_suite(verdict, next(adjusted), len(scored), far)
         for verdict in verdicts
     ]
 
 
-def _adjusted(verdict: Verdict, p: float, far: float) -> Verdict:
-    return replace(verdict, suite_p_value=p, outcome=_judgement(p, far))
+def _in_suite(verdict: Verdict, p: float, size: int, far: float) -> Verdict:
+    lowest = size / (verdict.normal_blocks + 1.0)  # a lone alarm's adjusted p-value
+    if p <= far:
+        return replace(verdict, suite_p_value=p, outcome="anomalous")
+    if lowest <= far:
+        return replace(verdict, suite_p_value=p, outcome="normal")
+    return replace(
+        verdict,
+        suite_p_value=p,
+        outcome="unsupported",
+        notes=(*verdict.notes, _unsupported(verdict.normal_blocks, size, far)),
+    )
 
 
-def _judgement(p: float, far: float) -> Judgement:
-    return "anomalous" if p <= far else "normal"
+def _unsupported(blocks: int, size: int, far: float) -> str:
+    needed = math.ceil(size / far) - 1 if size > 1 else runs_needed(far)
+    alone = (
+        f"{blocks} normal recordings cannot support a false positive rate of {far:.3g}"
+        + (f" for {size} recordings judged together" if size > 1 else "")
+        + f": no {'single ' if size > 1 else ''}recording could be called anomalous. "
+        f"{needed} are needed, {needed - blocks} more; or allow a higher rate with --far."
+    )
+    return alone + (" Or judge one recording at a time." if size > 1 else "")
 
 
-def _score_one(
-    path: Path, reference: Reference, manager: FeatureManager, far: float, detector: str
-) -> Verdict:
+def _score_one(path: Path, reference: CardSource, manager: FeatureManager, far: float) -> Verdict:
     try:
         with open_run(path) as run:
             tables = extract(run, manager)
-        return judge(str(path), tables, reference.table, far, detector)
+            seen = Observation.of(run)
+        return judge(str(path), tables, reference.card_for(tables.run), far, seen)
     except (OracleError, OSError) as error:
         return Verdict(str(path), "error", error=str(error))
 
@@ -86,62 +117,75 @@ def _score_one(
 def judge(
     recording: str,
     tables: FeatureTables,
-    reference: pd.DataFrame,
+    card: ReferenceCard,
     far: float,
-    detector: str = DEFAULT_DETECTOR,
+    seen: Observation | None = None,
 ) -> Verdict:
     """Judge one recording on its own, from its features.
 
-    The normal runs are split by block into those that fit scaler and detector and those that
-    calibrate; if the recording is one of the reference, its block takes no part.
+    A recording whose block is one of the card's (same start, goals and nuisance) is scored by the
+    scorer that did not see the block, and the block has no vote. So the verdict on a run of a
+    campaign is the one that the evaluation measured.
 
     Raises
     ------
     OracleError
-        The reference cannot support the false-alarm rate, or shares no feature with the recording.
+        The recording shares no feature with the card, has one in another unit, or is too short.
     """
-    columns, normal_runs, notes = comparable(tables.run, reference)
-    calibrates = _second_half(normal_runs)
-    check_support(int(calibrates.sum()), far)
-
-    oracle = pipeline(panel(SEED)[detector], feature_floors(reference))
-    oracle.fit(normal_runs.loc[~calibrates, columns])
-    (own_score,) = -oracle.score_samples(tables.run[columns])
-    calibration = -oracle.score_samples(normal_runs.loc[calibrates, columns])
-    calibration_blocks = normal_runs.loc[calibrates, "block"].to_numpy()
-    n_blocks = len(np.unique(calibration_blocks))
-    (p,) = p_values(calibration, np.array([own_score]))
-    (p_by_block,) = p_values(calibration, np.array([own_score]), calibration_blocks)
-    if 1.0 / (n_blocks + 1.0) > far:
-        notes.append(_note_on_blocks(len(calibration), n_blocks, far))
-    deviations = explain(normal_runs, tables.run, columns)
-    return Verdict(
+    columns, notes = shared_features(tables.run, card.runs, card.scorer.design.run_features)
+    block = _known_block(tables.run, card)
+    scores = card.scorer.scores(_measured(tables, card))
+    known = None if block is None else np.array([block])
+    (p,) = card.scorer.p_values(scores, known)
+    votes = len(np.unique(card.scorer.block_)) - (block is not None)
+    if block is not None:
+        notes.append("It is of a block of the reference: all runs of that block are left out.")
+    others = card.runs if block is None else card.runs[card.runs["block"] != block]
+    deviations = explain(others, tables.run, columns)
+    verdict = Verdict(
         recording,
         _judgement(float(p), far),
+        contract=_breaches(card, seen),
         p_value=float(p),
         suite_p_value=float(p),
-        p_value_by_block=float(p_by_block),
-        detector=detector,
-        score=float(own_score),
+        score=float(card.scorer.own_score(scores, known)[0]),
         features=len(columns),
-        fit_runs=int((~calibrates).sum()),
-        calibration_runs=len(calibration),
-        calibration_blocks=n_blocks,
+        normal_runs=len(others),
+        normal_blocks=votes,
         evidence=farthest_features(deviations, tables),
         families=tuple(by_family(deviations, columns)),
         notes=tuple(notes),
     )
+    return settled([verdict], far)[0]
 
 
-def _second_half(normal_runs: pd.DataFrame) -> NDArray[np.bool_]:
-    """Return True for the runs that calibrate: every other block, so that sessions are in both."""
-    _, rank = np.unique(normal_runs["block"].to_numpy(), return_inverse=True)
-    return np.asarray(rank % 2 == 1, dtype=np.bool_)
+def _judgement(p: float, far: float) -> Judgement:
+    return "anomalous" if p <= far else "normal"
 
 
-def _note_on_blocks(runs: int, blocks: int, far: float) -> str:
-    return (
-        f"The {runs} calibration runs come from {blocks} block{'s' if blocks > 1 else ''} (same "
-        "start, goals and nuisance). If the runs of a block resemble each other, the false-alarm "
-        f"rate may reach {1.0 / (blocks + 1.0):.0%} instead of {far:.0%}; record more blocks."
-    )
+def _breaches(card: ReferenceCard, seen: Observation | None) -> tuple[str, ...]:
+    if card.contract is None or seen is None:
+        return ()
+    return tuple(breach.text for breach in card.contract.breaches(seen))
+
+
+def _measured(tables: FeatureTables, card: ReferenceCard) -> MeasuredRuns:
+    """Return the recording with the card's columns; what it lacks is missing."""
+    design = card.scorer.design
+    if design.window_features and tables.windows.empty:
+        raise ScoringError("The recording is too short to judge: it has no window of 5 s.")
+    run = tables.run.reindex(columns=["run_id", "block", *design.run_features])
+    windows = tables.windows.reindex(columns=["run_id", "window_start_s", *design.window_features])
+    if windows.empty:
+        windows = pd.DataFrame({"run_id": run["run_id"], "window_start_s": 0.0})
+    return MeasuredRuns.ordered(run, windows)
+
+
+def _known_block(row: pd.DataFrame, card: ReferenceCard) -> int | None:
+    """Return the block of the card that the recording belongs to, if it is one of them."""
+    (identical,) = np.nonzero(same_recording(card.runs, row))
+    if len(identical):
+        return int(card.runs["block"].iloc[identical[0]])
+    block = int(row["block"].iloc[0])
+    of_card = row["label"].iloc[0] != "unknown" and block in card.scorer.block_
+    return block if of_card else None

@@ -18,7 +18,7 @@ def as_junit(verdicts: Sequence[Verdict]) -> bytes:
         name="oracle score",
         tests=str(len(outcomes)),
         failures=str(outcomes.count("anomalous")),
-        errors=str(outcomes.count("error")),
+        errors=str(outcomes.count("error") + outcomes.count("unsupported")),
     )
     for verdict in verdicts:
         name = _xml_text(verdict.recording)

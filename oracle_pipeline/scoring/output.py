@@ -5,20 +5,27 @@ import json
 from collections.abc import Iterator, Sequence
 
 from oracle_pipeline.detectors import FamilyDeviation
+from oracle_pipeline.scoring.card import ReferenceCard
+from oracle_pipeline.scoring.conformal import runs_needed
 from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
 
 # The worst of a suite counts.
-EXIT_CODES: dict[Judgement, int] = {
-    "normal": 0,
-    "anomalous": 1,
-    "error": 2,
-}  # the worst of a suite counts
+EXIT_CODES: dict[Judgement, int] = {"normal": 0, "anomalous": 1, "unsupported": 2, "error": 2}
+_SHOWN: dict[Judgement, str] = {
+    "normal": "normal",
+    "anomalous": "ANOMALOUS",
+    "unsupported": "NO VERDICT",
+    "error": "COULD NOT JUDGE",
+}
+_WIDTH = len("NO VERDICT")
+
+RATES = (0.05, 0.01)  # false positive rates that a card is held against
 
 HEADINGS = ("feature", "value", "usual (5-95 %)", "z", "window", "where")
 
 
 def exit_code(verdicts: Sequence[Verdict]) -> int:
-    """Return 0 if all are normal, 1 if one is anomalous, 2 if one could not be judged."""
+    """Return 0 if all are normal, 1 if one is anomalous, 2 if one has no verdict."""
     return max(EXIT_CODES[verdict.outcome] for verdict in verdicts)
 
 
@@ -41,16 +48,46 @@ def as_text(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> st
     lines = [line for verdict in verdicts for line in paragraph(verdict, shared)]
     if judged:
         over = f", adjusted for a suite of {len(judged)} (Benjamini-Hochberg)"
-        lines += ["", f"Anomalous is p <= {far:g}{over if len(judged) > 1 else ''}."]
+        lines += ["", f"Anomalous: p <= {far:g}{over if len(judged) > 1 else ''}."]
     return "\n".join([*lines, *shared, *notes])
+
+
+def card_as_text(card: ReferenceCard) -> str:
+    """Return what a card holds, which rates it supports, and what it lacks."""
+    runs, scorer = card.runs, card.scorer
+    blocks = runs["block"].nunique()
+    lines = [
+        f"Learned from {len(runs)} normal recordings of {blocks} blocks and "
+        f"{runs['session'].nunique()} sessions.",
+        f"Features: {len(scorer.design.run_features)} of recordings, "
+        f"{len(scorer.design.window_features)} of windows.",
+        _contract_as_text(card),
+        *(_support(blocks, rate) for rate in RATES),
+        *card.notes,
+    ]
+    return "\n".join(lines)
+
+
+def _support(blocks: int, rate: float) -> str:
+    needed = runs_needed(rate)
+    if blocks >= needed:
+        return f"Supports verdicts at a false positive rate of {rate:.0%}."
+    return f"Supports no verdict at {rate:.0%}: {needed} blocks are needed, {needed - blocks} more."
+
+
+def _contract_as_text(card: ReferenceCard) -> str:
+    if card.contract is None:
+        return "No contract of topics and rates: the card was learned from tables."
+    terms = card.contract.topics.values()
+    steady = sum(of_topic.lowest_hz is not None for of_topic in terms)
+    return f"Contract: {len(terms)} topics, {steady} of them with a steady rate."
 
 
 def _remarks(verdict: Verdict) -> list[str]:
     """Return the basis of a verdict, then its notes."""
     basis = (
-        f"Judged by {verdict.detector} on {verdict.features} features: {verdict.fit_runs} normal "
-        f"runs fit it, {verdict.calibration_runs} of {verdict.calibration_blocks} other blocks "
-        "calibrate it."
+        f"Compared on {verdict.features} features with {verdict.normal_runs} normal runs of "
+        f"{verdict.normal_blocks} blocks."
     )
     return [basis, *verdict.notes]
 
@@ -58,15 +95,15 @@ def _remarks(verdict: Verdict) -> list[str]:
 def paragraph(verdict: Verdict, shared: Sequence[str] = ()) -> Iterator[str]:
     """Yield the lines on one verdict, without the remarks that are shared by all."""
     if verdict.outcome == "error":
-        yield f"COULD NOT JUDGE  {verdict.recording}: {verdict.error}"
+        yield f"{_SHOWN[verdict.outcome]}  {verdict.recording}: {verdict.error}"
         return
-    anomalous = verdict.outcome == "anomalous"
+    suite = "" if verdict.suite_p_value == verdict.p_value else f" (alone {verdict.p_value:.3g})"
     yield (
-        f"{'ANOMALOUS' if anomalous else 'normal   '}  {verdict.recording}  "
-        f"p = {verdict.suite_p_value:.3g} (alone {verdict.p_value:.3g}, by block "
-        f"{verdict.p_value_by_block:.3g}), score {verdict.score:.3g}"
+        f"{_SHOWN[verdict.outcome].ljust(_WIDTH)}  {verdict.recording}  "
+        f"p = {verdict.suite_p_value:.3g}{suite}, score {verdict.score:.3g}"
     )
-    if anomalous:
+    yield from (f"    {breach}" for breach in verdict.contract)
+    if verdict.outcome != "normal":
         yield from _aligned([HEADINGS, *map(cells, verdict.evidence)])
         yield from (f"    {_summary(family)}" for family in verdict.families)
     yield from (f"    {remark}" for remark in _remarks(verdict) if remark not in shared)

@@ -1,41 +1,57 @@
 """The runs that recordings are compared with: read from a table, a root or a folder of bags."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
-from tqdm import tqdm
 
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE
-from oracle_pipeline.datasets import KEYS, feature_dataset, read_table
+from oracle_pipeline.bags.terminal import progress_bar
+from oracle_pipeline.datasets import KEYS, feature_dataset, read_table, window_dataset
 from oracle_pipeline.features import FeatureManager, extract
 from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.scoring.comparable import listed
+from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.verdict import ScoringError
 
+WINDOWS_FILE = "windows.parquet"  # beside the table of the runs, as feature_dataset writes both
 _BAG_METADATA = "metadata.yaml"
 _BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Reference:
-    """Runs to compare with, a row each, and notes on how they were read."""
+    """Runs to learn from, and notes on how they were read.
+
+    Attributes
+    ----------
+    table : DataFrame
+        Their features, a row each.
+    windows : DataFrame or None
+        The features of their windows, if these are known.
+    observations : tuple of Observation
+        What the recordings show without looking into messages; empty if only tables were read.
+    notes : tuple of str
+    """
 
     table: pd.DataFrame
+    windows: pd.DataFrame | None = None
+    observations: tuple[Observation, ...] = ()
     notes: tuple[str, ...] = ()
 
 
-def read_reference(path: Path, manager: FeatureManager) -> Reference:
+def read_reference(paths: Sequence[Path], manager: FeatureManager) -> Reference:
     """Read the runs to compare with.
 
     Parameters
     ----------
-    path : Path
-        A table of run features, a root with such tables below ``features/run``, or a directory with
-        run directories or bags, whose features are computed. Recordings without a label count as
-        normal runs, each as a block of its own.
+    paths : sequence of Path
+        One table of run features, or one root with such tables below ``features/run``; or run
+        directories, bags and folders of these, whose features are computed. Recordings without a
+        label count as normal runs, each as a block of its own.
     manager : FeatureManager
         The plugins to compute with.
 
@@ -44,12 +60,21 @@ def read_reference(path: Path, manager: FeatureManager) -> Reference:
     OracleError
         If there is no such reference, or the table does not have one row for each run.
     """
-    if path.is_file():
-        reference = Reference(read_table(path))
+    path = paths[0]
+    if len(paths) > 1:
+        reference = _extracted(paths, manager)
+    elif path.is_file() and path.suffix not in _BAG_SUFFIXES:
+        windows = path.with_name(WINDOWS_FILE)
+        known = windows.is_file() and windows != path
+        reference = Reference(read_table(path), read_table(windows) if known else None)
     elif tables := layout.feature_tables(path, "run"):
-        reference = Reference(feature_dataset(read_table(table) for table in tables))
+        of_windows = layout.feature_tables(path, "window")
+        reference = Reference(
+            feature_dataset(read_table(table) for table in tables),
+            window_dataset(read_table(table) for table in of_windows) if of_windows else None,
+        )
     else:
-        reference = _extracted(path, manager)
+        reference = _extracted(paths, manager)
     absent = [key for key in KEYS if key not in reference.table.columns]
     if absent or reference.table["run_id"].duplicated().any():
         raise ScoringError(
@@ -59,28 +84,37 @@ def read_reference(path: Path, manager: FeatureManager) -> Reference:
     return reference
 
 
-def _extracted(folder: Path, manager: FeatureManager) -> Reference:
-    """Compute the features of all recordings below a folder."""
-    tables, notes, unlabelled = [], [], 0
-    for path in tqdm(list(_recordings(folder)), unit="recording", disable=None, desc="reference"):
+def _extracted(paths: Sequence[Path], manager: FeatureManager) -> Reference:
+    """Compute the features of recordings, and of all recordings below folders."""
+    tables, windows, observations, notes, unlabelled = [], [], [], [], 0
+    recordings = [recording for path in paths for recording in _recordings(path)]
+    for path in progress_bar(recordings, unit="recording", desc="reference"):
         try:
             with open_run(path) as run:
-                table = extract(run, manager).run
+                both = list(extract(run, manager))
+                observation = Observation.of(run)
                 if run.manifest is None:
                     unlabelled += 1
-                    name = str(path.relative_to(folder))
-                    table = table.assign(run_id=name, label="normal", block=-unlabelled)
+                    both = [
+                        table.assign(run_id=str(path), label="normal", block=-unlabelled)
+                        for table in both
+                    ]
         except (OracleError, OSError) as error:
             notes.append(f"{path} is left out of the reference: {error}")
         else:
-            tables.append(table)
+            tables.append(both[0])
+            windows.append(both[1])
+            observations.append(observation)
     if not tables:
         raise ScoringError(
-            f"{folder} holds no recording to compare with; name another. {' '.join(notes)}".rstrip()
+            f"{listed([str(path) for path in paths])} holds no recording to compare with; name "
+            f"another. {' '.join(notes)}".rstrip()
         )
     if unlabelled:
         notes.append(f"{unlabelled} reference recordings have no label; they are taken as normal.")
-    return Reference(feature_dataset(tables), tuple(notes))
+    return Reference(
+        feature_dataset(tables), window_dataset(windows), tuple(observations), tuple(notes)
+    )
 
 
 def _recordings(folder: Path) -> Iterator[Path]:

@@ -6,7 +6,8 @@ from typing import Literal, TypeAlias
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.detectors import FamilyDeviation
 
-Judgement: TypeAlias = Literal["normal", "anomalous", "error"]
+# Unsupported: there is a score, but too few normal runs for a verdict at the rate asked for.
+Judgement: TypeAlias = Literal["normal", "anomalous", "unsupported", "error"]
 
 
 class ScoringError(OracleError):
@@ -34,15 +35,13 @@ class Verdict:
 
     recording: str
     outcome: Judgement
-    p_value: float | None = None  # among the calibration runs
-    p_value_by_block: float | None = None  # the same, each block counting once
+    contract: tuple[str, ...] = ()  # how topics, types, QoS, rates and graph differ, in words
+    p_value: float | None = None  # share of normal blocks that score at least as high
     suite_p_value: float | None = None  # adjusted for the recordings judged together
-    detector: str = ""
-    score: float | None = None  # the detector's, higher is more anomalous
+    score: float | None = None  # 0 is the median of normal runs, 1 their spread; higher is odder
     features: int = 0
-    fit_runs: int = 0
-    calibration_runs: int = 0
-    calibration_blocks: int = 0
+    normal_runs: int = 0
+    normal_blocks: int = 0  # that vote
     evidence: tuple[Evidence, ...] = ()  # largest distance first
     families: tuple[FamilyDeviation, ...] = ()  # of all features outside their usual range
     notes: tuple[str, ...] = ()

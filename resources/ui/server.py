@@ -20,15 +20,17 @@ import click
 import uvicorn
 import yaml
 from dagster import DagsterInstance
-from dagster._cli.proxy_server_manager import ProxyServerManager
-from dagster._cli.utils import get_instance_for_cli
-from dagster._core.workspace.context import WorkspaceProcessContext
-from dagster._core.workspace.load_target import WorkspaceFileTarget
-from dagster._utils.log import configure_loggers
 from dagster_webserver.app import create_app_from_workspace_process_context
 from dagster_webserver.version import __version__
 
 from resources.run_processes import fail_lost_runs
+from resources.ui.dagster_internals import (
+    ProxyServerManager,
+    WorkspaceFileTarget,
+    WorkspaceProcessContext,
+    configure_loggers,
+    get_instance_for_cli,
+)
 from resources.ui.guard import VARIABLE, Guard, OriginError, parse_origins
 
 PORT = 3000  # Dagster's own default

@@ -5,8 +5,10 @@ from typing import Any
 
 import click
 
+from oracle_pipeline.bags.terminal import PlainTextGroup
 
-class _LazyGroup(click.Group):
+
+class _LazyGroup(PlainTextGroup):
     """Commands whose modules are imported when they are asked for, so that each starts at once.
 
     Attributes

@@ -4,9 +4,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import click
-from tqdm import tqdm
 
 from oracle_pipeline.bags.reader import RawMessage
+from oracle_pipeline.bags.terminal import progress_bar
 from sim.commands.batch import (
     allow_actuation_option,
     errors_told,
@@ -65,7 +65,5 @@ def mutate(
 
 def _bar(messages: Iterable[RawMessage], total: int) -> Iterable[RawMessage]:
     """Show how many messages are done, on a terminal."""
-    bar: Iterable[RawMessage] = tqdm(
-        messages, total=total, unit=" messages", disable=None, dynamic_ncols=True, leave=False
-    )
+    bar: Iterable[RawMessage] = progress_bar(messages, total=total, unit=" messages", leave=False)
     return bar

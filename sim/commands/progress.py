@@ -7,6 +7,8 @@ from typing import Self
 
 from tqdm import tqdm
 
+from oracle_pipeline.bags.terminal import progress_bar
+
 
 class RunProgress:
     """A progress bar on standard error; silent when that is not a terminal.
@@ -18,7 +20,7 @@ class RunProgress:
     """
 
     def __init__(self, total_runs: int) -> None:
-        self._bar = tqdm(total=total_runs, unit="run", disable=None, dynamic_ncols=True)
+        self._bar: tqdm[None] = progress_bar((), total=total_runs, unit="run")
         self._started = time.monotonic()
         self._recorded_s = 0.0
 

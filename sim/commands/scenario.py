@@ -15,6 +15,7 @@ from sim.commands.batch import (
 )
 from sim.commands.parameter_values import ranges
 from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.compile_context import Budget
 from sim.fuzzing.scenario import Scenario, ScenarioError, load_scenarios
 from sim.modes import broken_scenarios, find_mode, modes
 from sim.scenarios import builtin_scenarios
@@ -62,9 +63,10 @@ def _checked(file: Path, *, allow_actuation: bool) -> Iterator[str | ScenarioErr
     except ScenarioError as error:
         yield error
         return
+    budget = Budget()
     for each in found:
         try:
-            program = compile_scenario(each, allow_actuation=allow_actuation)
+            program = compile_scenario(each, allow_actuation=allow_actuation, budget=budget)
         except ScenarioError as error:
             yield error
         else:

@@ -2,21 +2,22 @@
 
 import dataclasses
 import itertools
-import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
-from sim.fuzzing.compile_context import CompileContext
+from sim.fuzzing.actuation import moves_something
+from sim.fuzzing.compile_context import Budget, CompileContext
 from sim.fuzzing.fields import as_sent
 from sim.fuzzing.grammar import ExpressionError
 from sim.fuzzing.operators import ON_TIMER, compile_operators
 from sim.fuzzing.output_operators import Playback
 from sim.fuzzing.program import Action, Activation, Parameter, Program, Source
-from sim.fuzzing.scenario import Key, Scenario
+from sim.fuzzing.scenario import Key, Scenario, ScenarioError, load_scenarios
 from sim.fuzzing.scopes import Function, Scope
 from sim.fuzzing.step import ACTIVATION
 from sim.fuzzing.value_types import (
@@ -40,13 +41,12 @@ MAX_COST = 2**24  # elements that a scenario may compute for one message
 LONGEST = 4096  # elements of an array, where the scenario sets no limit
 OUTPUTS = 64  # messages published for one that came, where the scenario sets no limit
 
-_ACTUATORS = re.compile(
-    r"/([^/]+/)*(cmd_vel[^/]*|joint_trajectory|mavros/setpoint_[^/]+/.+|fmu/in/.+)"
-)
 _SCALARS: Mapping[str, Type] = {"float": FLOAT, "int": INTEGER, "bool": BOOLEAN}
 
 
-def compile_scenario(scenario: Scenario, *, allow_actuation: bool = False) -> Program:
+def compile_scenario(
+    scenario: Scenario, *, allow_actuation: bool = False, budget: Budget | None = None
+) -> Program:
     """Check a scenario against the types of its messages, and compile it.
 
     Parameters
@@ -55,6 +55,8 @@ def compile_scenario(scenario: Scenario, *, allow_actuation: bool = False) -> Pr
         What ``load_scenarios`` returned.
     allow_actuation
         Whether it may publish commands to motors.
+    budget
+        What may still be compiled for its file; by default the scenario has a whole one.
 
     Raises
     ------
@@ -81,6 +83,7 @@ def compile_scenario(scenario: Scenario, *, allow_actuation: bool = False) -> Pr
         Record("state", state_types),
         limits.get("array", LONGEST),
         itertools.count(ACTIVATION + 1),
+        budget or Budget(),
     )
     sources = _sources(scenario, context)
     kept: dict[str, Type] = {
@@ -156,9 +159,11 @@ def _check_topics(scenario: Scenario, *, allow_actuation: bool) -> None:
         )
     if GROUND_TRUTH_TOPIC in (output, *heard):
         raise scenario.error(("main",), f"expected no use of {GROUND_TRUTH_TOPIC}")
-    if _ACTUATORS.fullmatch(output) and not allow_actuation:
+    if moves_something(output, main["type"]) and not allow_actuation:
         raise scenario.error(
-            key, f"expected a topic that moves nothing, found {output}; allow actuation if you must"
+            key,
+            f"expected a topic that moves nothing, found {output}; allow actuation if you must: "
+            f"{main['type']} there may move the robot",
         )
 
 
@@ -279,6 +284,27 @@ def _sources(scenario: Scenario, context: CompileContext) -> dict[str, Source]:
             spec.get("on_missing", "forward"),
         )
     return sources
+
+
+def compile_file(path: Path) -> Iterator[Program]:
+    """Compile the scenarios of a file one by one, as far as they are right.
+
+    Raises
+    ------
+    ScenarioError
+        Naming the file, whatever is wrong with it.
+    """
+    budget = Budget()
+    try:
+        for scenario in load_scenarios(path):
+            yield compile_scenario(scenario, budget=budget)
+    except ScenarioError:
+        raise
+    except Exception as error:  # a defect of ours must not cost the user's other files
+        raise ScenarioError(
+            f"{path}: could not be understood, which is a defect; please report it: "
+            f"{type(error).__name__}: {error}"
+        ) from error
 
 
 def compile_document(mode: str, document: Mapping[str, Any]) -> Program:

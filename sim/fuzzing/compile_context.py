@@ -21,6 +21,15 @@ from sim.fuzzing.value_types import INTEGER, Array, Boolean, Message, Number, Re
 
 Spec = Mapping[str, Any]
 
+MAX_OPERATIONS = 30_000  # of all expressions in a file, functions counted at each call
+
+
+@dataclass(slots=True)
+class Budget:
+    """How many operations may still be compiled for a file, so that none keeps anybody waiting."""
+
+    left: int = MAX_OPERATIONS
+
 
 @dataclass(frozen=True, slots=True)
 class CompileContext:
@@ -42,6 +51,12 @@ class CompileContext:
         Elements that an array may have.
     numbers
         Of the operations, in the order of the document.
+    budget
+        Shared by all that is compiled for the file.
+
+    Notes
+    -----
+    An expression has a bound of its own, so the budget is overdrawn by that at most.
     """
 
     scenario: Scenario
@@ -51,6 +66,7 @@ class CompileContext:
     state: Record
     longest: int
     numbers: Iterator[int]
+    budget: Budget
 
     def term(
         self, text: str | float, key: Key, expected: type | None = None, *, elements: int = 1
@@ -62,6 +78,13 @@ class CompileContext:
             )
         except ExpressionError as error:
             raise self.error(key, error) from error
+        self.budget.left -= expression.operations
+        if self.budget.left < 0:
+            raise self.scenario.error(
+                key,
+                f"expected at most {MAX_OPERATIONS} operations in all expressions of the file, "
+                "functions counted at each call; split the file, or do less",
+            )
         if expected is not None and not isinstance(expression.type, expected):
             what = expected.__name__.lower()
             raise self.scenario.error(key, f"expected a {what}, found a {expression.type}")

@@ -84,17 +84,17 @@ class ExpressionCompiler(ast.NodeVisitor):
         self._vectors = vectors
         self._elements = elements
         self._depth = depth
-        self._budget = [MAX_OPERATIONS] if budget is None else budget
+        self.budget = [MAX_OPERATIONS] if budget is None else budget
         self._places = itertools.count()
         self.used: set[str] = set()
 
     def visit(self, node: ast.AST) -> _Node:
         """Compile one node, within the bounds."""
         self._depth += 1
-        self._budget[0] -= 1
+        self.budget[0] -= 1
         if self._depth > MAX_DEPTH:
             self._refuse(node, f"nested deeper than {MAX_DEPTH} operations, functions included")
-        if self._budget[0] < 0:
+        if self.budget[0] < 0:
             self._refuse(node, f"more than {MAX_OPERATIONS} operations, functions included")
         compiled: _Node = super().visit(node)
         self._depth -= 1
@@ -299,7 +299,7 @@ class ExpressionCompiler(ast.NodeVisitor):
             {name: argument.vector for name, argument in zip(params, arguments, strict=True)},
             self._elements,
             self._depth,
-            self._budget,
+            self.budget,
         )
         body = compiler.visit(parse(function.text))
         seen = sorted(compiler.used.difference(params))

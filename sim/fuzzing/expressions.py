@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.fuzzing.expression_compiler import Evaluate, ExpressionCompiler
+from sim.fuzzing.expression_compiler import MAX_OPERATIONS, Evaluate, ExpressionCompiler
 from sim.fuzzing.grammar import parse
 from sim.fuzzing.scopes import Scope
 from sim.fuzzing.value_types import Type
@@ -37,6 +37,8 @@ class Expression:
         Elements that one evaluation computes, at most.
     names
         The names it uses, ``fn`` aside; ``DRAWS`` among them if it draws.
+    operations
+        That were compiled for it, those of the functions that it calls included.
     """
 
     text: str
@@ -44,6 +46,7 @@ class Expression:
     vector: bool
     cost: int
     names: frozenset[str]
+    operations: int
     _run: Evaluate = field(repr=False)
 
     def __call__(self, env: Mapping[str, Any]) -> Any:
@@ -88,5 +91,11 @@ def compile_expression(text: str, scope: Scope, *, elements: int = 1) -> Express
     compiler = ExpressionCompiler(text, scope, scope.locals, vectors, elements)
     node = compiler.visit(parse(text))
     return Expression(
-        text.strip(), node.type, node.vector, node.cost, frozenset(compiler.used), node.run
+        text=text.strip(),
+        type=node.type,
+        vector=node.vector,
+        cost=node.cost,
+        names=frozenset(compiler.used),
+        operations=MAX_OPERATIONS - compiler.budget[0],
+        _run=node.run,
     )

@@ -4,6 +4,7 @@ What the nodes mean, and whether types fit, is decided in ``sim.fuzzing.expressi
 """
 
 import ast
+import functools
 import keyword
 import math
 import warnings
@@ -34,8 +35,11 @@ class ExpressionError(OracleError):
     """An expression, a function or a name is refused; says what, where and what was expected."""
 
 
+@functools.lru_cache(maxsize=1024)  # a function is looked at again for each of its calls
 def parse(text: str) -> ast.expr:
     """Return the tree of a text; what its names mean and whether types fit is left open.
+
+    The same text gives the same tree, which nobody may change.
 
     Raises
     ------

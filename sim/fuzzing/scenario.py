@@ -14,11 +14,13 @@ import re
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import Any, Literal, cast
 
 import jsonschema
 import yaml
 
+from oracle_pipeline.bags import json_schema
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Label
 
@@ -28,6 +30,7 @@ Control = Literal["none", "passthrough", "shadow"]
 MAX_BYTES = 2**18  # of a file
 MAX_DEPTH = 24  # of a document
 MAX_SCALAR = 4096  # characters
+MAX_FAULTS = 20  # that are told of a file
 
 _INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
@@ -35,7 +38,19 @@ _WORDS = {"": None, "~": None, "null": None, "true": True, "false": False}
 
 
 class ScenarioError(OracleError):
-    """A scenario is refused; the text begins with file, line and key."""
+    """A scenario is refused; the text begins with file, line and key, a line for each fault.
+
+    Characters that a terminal would obey, or a log could not write, are shown by their codes.
+    """
+
+    def __init__(self, text: str) -> None:
+        super().__init__("".join(map(_shown_character, text)))
+
+
+def _shown_character(character: str) -> str:
+    if character == "\n" or character.isprintable():
+        return character
+    return character.encode("unicode_escape").decode("ascii")
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -128,7 +143,10 @@ def load_scenarios(path: Traversable) -> list[Scenario]:
         Naming file, line and key, and what was expected there.
     """
     try:
-        data = path.read_bytes()
+        if path.is_dir() or (isinstance(path, Path) and path.exists() and not path.is_file()):
+            raise ScenarioError(f"{path}: expected a file, found a folder, a pipe or a device.")
+        with path.open("rb") as file:  # no more of it than is looked at
+            data = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise ScenarioError(f"Could not read {path}: {error}. Check the path.") from error
     return parse_scenarios(data, str(path))
@@ -137,7 +155,7 @@ def load_scenarios(path: Traversable) -> list[Scenario]:
 def parse_scenarios(data: bytes, file: str) -> list[Scenario]:
     """Return the scenarios in the text of a file; raises as ``load_scenarios`` does."""
     if len(data) > MAX_BYTES:
-        raise ScenarioError(f"{file}: expected at most {MAX_BYTES} bytes, found {len(data)}.")
+        raise ScenarioError(f"{file}: expected at most {MAX_BYTES} bytes, found more.")
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -145,12 +163,17 @@ def parse_scenarios(data: bytes, file: str) -> list[Scenario]:
             f"{file}: expected text, found {error}. Give a YAML file in UTF-8."
         ) from error
     scenarios: dict[str, Scenario] = {}
+    faults: list[str] = []
     for document, lines in _documents(text, file):
-        _check(document, lines, file)
+        faults += _faults(document, lines, file)
+        if faults:
+            continue
         scenario = Scenario(file, document, lines)
         if scenario.id in scenarios:
             raise scenario.error(("id",), f"expected a new name, {scenario.id} stands above")
         scenarios[scenario.id] = scenario
+    if faults:
+        raise ScenarioError("\n".join(faults[:MAX_FAULTS]))
     if not scenarios:
         raise ScenarioError(f"{file}:1: expected a scenario, found an empty file.")
     return list(scenarios.values())
@@ -296,20 +319,13 @@ class _Builder:
 # JSON Schema: its findings in words.
 
 
-@functools.cache
-def _validator() -> jsonschema.Draft202012Validator:
-    return jsonschema.Draft202012Validator(schema())
-
-
-def _check(document: Any, lines: dict[Key, int], file: str) -> None:
-    found = min(
-        _validator().iter_errors(document),
+def _faults(document: Any, lines: dict[Key, int], file: str) -> list[str]:
+    """Return what is wrong with a document, what comes first in it before the rest."""
+    found = sorted(
+        json_schema.faults(document, schema()),
         key=lambda error: (len(error.absolute_path), lines[tuple(error.absolute_path)]),
-        default=None,
     )
-    if found is not None:
-        key, text = _in_words(found)
-        raise _error(file, lines, key, text)
+    return [str(_error(file, lines, *_in_words(error))) for error in found[:MAX_FAULTS]]
 
 
 def _in_words(error: jsonschema.ValidationError) -> tuple[Key, str]:

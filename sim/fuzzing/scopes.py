@@ -1,6 +1,7 @@
 """What an expression may name: the values it sees, and the functions of its scenario."""
 
 import ast
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
@@ -78,14 +79,19 @@ class Scope:
         for name in self.vectors:
             if not isinstance(self.locals.get(name), Number | Boolean):
                 raise ExpressionError(f"{name!r} is no local number or boolean to hold a vector.")
-        calls = {
-            name: filter(None, map(called_function, ast.walk(parse(function.text))))
-            for name, function in self.functions.items()
-        }
-        try:
-            TopologicalSorter(calls).prepare()
-        except CycleError as error:
-            ring = " calls ".join(f"fn.{name}" for name in error.args[1])
-            raise ExpressionError(
-                f"Functions cannot call themselves, but {ring}; write the expression out."
-            ) from None
+        _refuse_rings(tuple(self.functions.items()))
+
+
+@functools.lru_cache(maxsize=64)  # a scenario has many scopes and the same functions in each
+def _refuse_rings(functions: tuple[tuple[str, Function], ...]) -> None:
+    calls = {
+        name: filter(None, map(called_function, ast.walk(parse(function.text))))
+        for name, function in functions
+    }
+    try:
+        TopologicalSorter(calls).prepare()
+    except CycleError as error:
+        ring = " calls ".join(f"fn.{name}" for name in error.args[1])
+        raise ExpressionError(
+            f"Functions cannot call themselves, but {ring}; write the expression out."
+        ) from None

@@ -67,7 +67,7 @@ def test_four_blocks_of_two_runs(available, kept):
 
 
 def test_what_does_not_fit_is_told_with_what_would():
-    told = pytest.raises(StorageError, match=r"4 blocks .* do not fit.*first 2 would fit")
+    told = pytest.raises(StorageError, match=r"4 blocks .* do not fit.*first 2 blocks would fit")
     with told:
         plan({block: [Sizes(10**7, 10**7, 10**6)] for block in range(4)}, 2_500_000)
 

@@ -18,6 +18,8 @@ JOBS = {
 # Free text that a run's config may hold, and none of it names a host or a place.
 HARMLESS_TEXT = {
     "resources.budget.config.limit",  # a number of bytes
+    "ops.oracle_evaluation.config.testbed",  # compared with what manifests say
+    "ops.bootstrapped_dataset.config.testbed",
     "loggers.console.config.log_level",
     "loggers.console.config.name",
 }

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from oracle_pipeline.bags.graph_files import write_gexf, write_graphml
+from oracle_pipeline.bags.integrity import hashes_of_files
 from oracle_pipeline.bags.manifest import Manifest, Measured, Pose, Software, TopicCount
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.types import (
@@ -171,7 +172,9 @@ def make_run(tmp_path: Path) -> Callable[..., RunDirectory]:
                 write_gexf(graph, scratch / "graphs" / f"{10 * number:06d}.gexf")
             write_gexf(compose(graphs), scratch / "graphs" / "run.gexf")
             write_graphml(compose(graphs), scratch / "graphs" / "run.graphml")
-            manifest_of(directory, bag, **changes).save(scratch / "manifest.json")
+            measured = Measured(1.0, {"bag": 1}, files=hashes_of_files(scratch))
+            told = {"measured": measured, **changes}
+            manifest_of(directory, bag, **told).save(scratch / "manifest.json")
         return directory
 
     return make

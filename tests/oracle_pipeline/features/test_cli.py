@@ -72,7 +72,8 @@ def test_every_failure_is_one_line_and_exit_code_2(tmp_path, make_run):
     for arguments, text in (
         ((tmp_path / "absent",), "There is no bag"),
         ((tmp_path,), "is not a bag"),
-        ((corrupt.path,), "Could not open the bag"),
+        ((corrupt.path,), "is damaged: bag/bag_0.mcap"),
+        ((corrupt.bag,), "no message could be read"),
         ((tmp_path, "--plugins", tmp_path / "none"), "no plugin folder"),
     ):
         done = oracle("features", *arguments)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from oracle_pipeline import features
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.datasets import KEYS, feature_columns, feature_dataset, read_table
-from oracle_pipeline.features.extraction import Span, window_spans
 from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.windows import windows_ns
 
 MANAGER = features.build_manager()
 SECOND = 1_000_000_000
@@ -24,12 +24,24 @@ def extract(path: Path) -> features.FeatureTables:
 
 @given(st.integers(0, 700 * SECOND))
 def test_windows_cover_the_recording_each_five_seconds(duration_ns):
-    spans = window_spans(Span(0, duration_ns + 1))
-    assert [span.start_s for span in spans] == [5.0 * number for number in range(len(spans))]
-    assert len(spans) == duration_ns // (5 * SECOND)
-    for span in spans:
-        assert span.end_ns == min(span.start_ns + 10 * SECOND, duration_ns + 1)
-        assert span.end_ns - span.start_ns > 5 * SECOND
+    times_ns = np.arange(0, duration_ns + 1, SECOND)
+    windows = windows_ns(duration_ns + 1, times_ns)
+    assert [start for start, _ in windows] == [5 * SECOND * i for i in range(len(windows))]
+    assert len(windows) == duration_ns // (5 * SECOND)
+    for start_ns, end_ns in windows:
+        assert end_ns == min(start_ns + 10 * SECOND, duration_ns + 1)
+        assert end_ns - start_ns > 5 * SECOND
+
+
+@given(st.lists(st.integers(0, 100 * SECOND), max_size=5))
+def test_a_window_without_a_message_is_none(times_ns):
+    held = np.array(times_ns, dtype=np.int64)
+    all_windows = windows_ns(100 * SECOND, np.arange(0, 100 * SECOND, SECOND))
+    assert windows_ns(100 * SECOND, held) == [
+        (start, end)
+        for start, end in all_windows
+        if ((start <= held) & (held < start + 10 * SECOND)).any()
+    ]
 
 
 def test_tables_have_keys_of_the_manifest_and_features(make_run):

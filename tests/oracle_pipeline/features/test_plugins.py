@@ -292,8 +292,13 @@ def test_each_message_is_decoded_once_for_all_plugins(make_run):
     plugins = tuple(plugin_of(lambda _: {"value": 1.0}, f"p{n}", topics) for n in range(3))
     with open_run(make_run().path) as run:
         decoded = []
-        decode = run.bag.deserialize
-        run.bag.deserialize = lambda message: decoded.append(message.topic) or decode(message)
+        decoder = run.bag.decoder
+
+        def counting(topic):
+            decode = decoder(topic)
+            return lambda data: decoded.append(topic) or decode(data)
+
+        run.bag.decoder = counting
         features.extract(run, FeatureManager(plugins))
     assert decoded == ["/scan"] * 136
     assert len(kept) == 136  # all ask with the same request
@@ -315,7 +320,10 @@ def test_a_request_can_fail_for_good_reasons(make_run):
     run = make_run()
     missing = reasons(extract(run.path, manager).run)
     assert missing["absent.value"] == "no topic /absent of type my/msg/Type is recorded"
-    assert "/scan cannot be used: AttributeError" in missing["raising.value"]
+    assert (
+        "/scan cannot be used: 136 of 136 messages are broken: AttributeError"
+        in missing["raising.value"]
+    )
     assert missing.keys() == {"absent.value", "raising.value", "ragged.value"}
     missing = reasons(extract(run.bag, manager).run)
     assert missing["graph.value"] == "the bag was recorded without graphs"

@@ -105,7 +105,7 @@ def test_the_thesis_s_variant_says_which_it_is_and_what_its_figures_are_not(name
     report = of_thesis_s_variant(name)
     assert_honest(report)
     assert report.summary["variant"] == "thesis"
-    assert "do not say how well attacks are detected" in report.summary["warning"]
+    assert "do not measure how well attacks are detected" in report.summary["warning"]
     assert of_small_campaign(name).summary["variant"] == "corrected"
 
 

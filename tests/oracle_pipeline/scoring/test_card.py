@@ -5,13 +5,14 @@ import pandas as pd
 import pytest
 
 from oracle_pipeline.scoring.card import CardError, ReferenceCard
+from tests.oracle_pipeline.scoring.test_contract import CONTRACT
 from tests.oracle_pipeline.scoring.test_cross_conformal import ATTACKED, learned, runs
 
 
 @pytest.fixture(scope="module")
 def card():
     normal = runs(12, seed=0)
-    return ReferenceCard(learned(normal), normal.features, ("a note",))
+    return ReferenceCard(learned(normal), normal.features, CONTRACT, ("a note",))
 
 
 @pytest.fixture
@@ -27,6 +28,7 @@ def test_a_card_that_was_read_scores_as_the_one_that_was_written(card, file):
     np.testing.assert_array_equal(read.scorer.p_values(scores), card.scorer.p_values(scores))
     pd.testing.assert_frame_equal(read.runs, card.runs)
     assert read.runs.attrs == card.runs.attrs
+    assert read.contract == card.contract
     assert read.notes == card.notes
 
 

@@ -14,7 +14,8 @@ from oracle_pipeline.datasets import feature_columns, feature_floors, write_tabl
 from oracle_pipeline.features import FeatureTables, build_manager, extract
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.judging import judge
-from oracle_pipeline.scoring.reference import read_reference
+from oracle_pipeline.scoring.learning import Cards
+from oracle_pipeline.scoring.reference import Reference, read_reference
 from oracle_pipeline.scoring.verdict import ScoringError
 from tests.oracle_pipeline.datasets.synthetic import run_features
 from tests.oracle_pipeline.features.conftest import drive, odometry, write_bag
@@ -82,11 +83,14 @@ def reference(normal, tmp_path) -> Path:
     return tmp_path / "features.parquet"
 
 
+def judged(tables: FeatureTables, normal: pd.DataFrame, far: float = 0.05):
+    return judge("bag", tables, Cards(Reference(normal)).card_for(tables.run), far)
+
+
 def test_a_recording_like_the_reference_passes(bags, reference):
     done = oracle_score(bags["usual"], "--reference", reference, expect=0)
     assert done.stdout.startswith("normal")
-    assert "40 normal runs fit it, 40 of 20 other blocks calibrate it." in done.stdout
-    assert "may reach" not in done.stdout
+    assert "with 80 normal runs of 40 blocks." in done.stdout
 
 
 def test_an_odd_recording_is_told_with_what_gave_it_away_and_when(bags, reference, extracted):
@@ -107,8 +111,7 @@ def test_json_is_one_object_with_all_that_the_verdict_rests_on(bags, reference, 
     assert document["outcome"] == found["outcome"] == "anomalous"
     assert document["false_alarm_rate"] == 0.05
     assert found["p_value"] == found["suite_p_value"] == pytest.approx(1 / 41)
-    assert found["p_value_by_block"] == pytest.approx(1 / 21)
-    assert (found["fit_runs"], found["calibration_runs"]) == (40, 40)
+    assert (found["normal_runs"], found["normal_blocks"]) == (80, 40)
     z = [abs(evidence["z"]) for evidence in found["evidence"]]
     assert z == sorted(z, reverse=True)
     (turning,) = [e for e in found["evidence"] if e["feature"] == FIRST]
@@ -120,20 +123,31 @@ def test_json_is_one_object_with_all_that_the_verdict_rests_on(bags, reference, 
     assert turning["window_start_s"] == 15.0
 
 
-def test_too_few_runs_are_no_verdict_but_the_number_needed(bags, normal, tmp_path):
+def test_too_few_runs_give_a_ranking_and_the_number_needed_but_no_verdict(bags, normal, tmp_path):
     write_table(normal[normal["block"] < 18], tmp_path / "small.parquet")
     arguments = (bags["spinning"], "--reference", tmp_path / "small.parquet")
     done = oracle_score(*arguments, expect=2)
-    assert "18 calibration runs cannot support a false-alarm rate of 0.05" in done.stdout
-    assert "19 are needed" in done.stdout
+    assert done.stdout.startswith("NO VERDICT")
+    assert FIRST in done.stdout
+    assert "18 normal recordings cannot support a false positive rate of 0.05" in done.stdout
+    assert "19 are needed, 1 more" in done.stdout
     oracle_score(*arguments, "--far", 0.06, expect=1)
 
 
-def test_few_blocks_are_said_beside_the_verdict(bags, extracted, tmp_path):
+def test_runs_of_one_block_count_once(bags, extracted, tmp_path):
     write_table(around(extracted["usual"].run, blocks=6, runs=10), tmp_path / "few.parquet")
-    done = oracle_score(bags["spinning"], "--reference", tmp_path / "few.parquet", expect=1)
-    assert "30 calibration runs come from 3 blocks" in done.stdout
-    assert "may reach 25% instead of 5%" in done.stdout
+    done = oracle_score(bags["spinning"], "--reference", tmp_path / "few.parquet", expect=2)
+    assert "with 60 normal runs of 6 blocks" in done.stdout
+
+
+def test_a_suite_in_which_no_single_alarm_is_possible_has_no_verdict(bags, normal, tmp_path):
+    write_table(normal[normal["block"] < 20], tmp_path / "features.parquet")
+    reference = ("--reference", tmp_path / "features.parquet")
+    oracle_score(bags["spinning"], *reference, expect=1)
+    done = oracle_score(bags["usual"], bags["spinning"], *reference, expect=2)
+    assert done.stdout.count("NO VERDICT") == 2
+    assert "for 2 recordings judged together" in done.stdout
+    assert "39 are needed, 19 more" in done.stdout
 
 
 def test_attacked_runs_of_the_reference_teach_nothing(normal, extracted):
@@ -142,13 +156,13 @@ def test_attacked_runs_of_the_reference_teach_nothing(normal, extracted):
     mixed = pd.concat([normal, attacked], ignore_index=True)
     mixed.attrs = normal.attrs
     tables = extracted["spinning"]
-    assert judge("bag", tables, mixed, 0.05) == judge("bag", tables, normal, 0.05)
+    assert judged(tables, mixed) == judged(tables, normal)
 
 
 def test_the_order_of_the_reference_means_nothing(normal, extracted):
     shuffled = normal.sample(frac=1.0, random_state=1)
     tables = extracted["usual"]
-    one, other = (judge("bag", tables, each, 0.05) for each in (normal, shuffled))
+    one, other = (judged(tables, each) for each in (normal, shuffled))
     assert one.p_value == other.p_value
     assert one.score == pytest.approx(other.score)
 
@@ -157,9 +171,10 @@ def test_a_run_of_the_reference_is_not_compared_with_its_own_block(normal, extra
     own = extracted["usual"].run
     mixed = normal.copy()
     mixed.loc[0, feature_columns(own)] = own[feature_columns(own)].iloc[0]
-    verdict = judge("bag", extracted["usual"], mixed, 0.05)
-    assert verdict.fit_runs + verdict.calibration_runs == len(normal) - 2
-    assert any("one of the reference runs" in note for note in verdict.notes)
+    verdict = judged(extracted["usual"], mixed)
+    assert verdict.normal_runs == len(normal) - 2
+    assert verdict.normal_blocks == 39
+    assert any("of a block of the reference" in note for note in verdict.notes)
 
 
 def test_normal_runs_are_called_anomalous_as_rarely_as_promised():
@@ -168,9 +183,9 @@ def test_normal_runs_are_called_anomalous_as_rarely_as_promised():
     reference, new = df[df["block"] < 60], df[df["block"] >= 60]
     windows = pd.DataFrame({"window_start_s": []})
     found = [
-        judge("run", FeatureTables(new.iloc[[row]], windows), reference, 0.1)
-        for row in range(len(new))
+        judged(FeatureTables(new.iloc[[row]], windows), reference, 0.1) for row in range(len(new))
     ]
+    assert {verdict.outcome for verdict in found} <= {"normal", "anomalous"}
     assert sum(verdict.outcome == "anomalous" for verdict in found) / len(found) <= 0.2
 
 
@@ -179,7 +194,7 @@ def test_neither_the_thesis_features_nor_shortcuts_judge(normal, extracted):
     told = normal.assign(**{"thesis.size_0": 1.0, "other.who": 1.0})
     run = extracted["usual"].run.assign(**{"thesis.size_0": 9e9, "other.who": 9e9})
     told.attrs["fields"] = run.attrs["fields"] = fields
-    verdict = judge("bag", FeatureTables(run, extracted["usual"].windows), told, 0.05)
+    verdict = judged(FeatureTables(run, extracted["usual"].windows), told)
     assert verdict.outcome == "normal"
     assert all(e.feature not in ("thesis.size_0", "other.who") for e in verdict.evidence)
 
@@ -190,14 +205,14 @@ def test_what_the_recording_does_not_give_is_left_out_and_said(normal, extracted
     run = tables.run.assign(
         **{"structural.size": np.nan, "missing": json.dumps({"structural.size": "no graphs"})}
     )
-    verdict = judge("bag", FeatureTables(run, tables.windows), told, 0.05)
-    assert verdict.features == judge("bag", tables, normal, 0.05).features
+    verdict = judged(FeatureTables(run, tables.windows), told)
+    assert verdict.features == judged(tables, normal).features
     assert any("structural.size (no graphs)" in note for note in verdict.notes)
 
 
 def test_where_a_feature_was_attained_is_told(normal, extracted):
     run = extracted["spinning"].run.assign(where=json.dumps({FIRST: "/odom"}))
-    verdict = judge("bag", FeatureTables(run, extracted["spinning"].windows), normal, 0.05)
+    verdict = judged(FeatureTables(run, extracted["spinning"].windows), normal)
     assert {e.feature: e.where for e in verdict.evidence}[FIRST] == "/odom"
 
 
@@ -205,13 +220,13 @@ def test_units_that_differ_are_refused(normal, extracted):
     told = normal.copy()
     told.attrs = {"fields": {**normal.attrs["fields"], FIRST: {"unit": "deg"}}}
     with pytest.raises(ScoringError, match="is in deg in the reference and in rad"):
-        judge("bag", extracted["usual"], told, 0.05)
+        judged(extracted["usual"], told)
 
 
 def test_a_system_without_a_common_feature_is_not_judged(normal, extracted):
     told = normal[["run_id", "mode", "label", "block", "session"]].assign(**{"atc.tracks": 1.0})
     with pytest.raises(ScoringError, match="none of the features"):
-        judge("bag", extracted["usual"], told, 0.05)
+        judged(extracted["usual"], told)
 
 
 def test_a_suite_is_judged_together_and_one_bad_bag_costs_only_itself(bags, reference, tmp_path):
@@ -239,17 +254,17 @@ def test_a_folder_of_bags_is_a_reference_whose_recordings_count_as_normal(bags, 
     (tmp_path / "good" / "broken").mkdir()
     (tmp_path / "good" / "broken" / "metadata.yaml").write_text("{}")
     (tmp_path / "good" / "notes.txt").write_text("recorded on a Tuesday")
-    options = ("--reference", tmp_path / "good", "--far", 0.4)
+    options = ("--reference", tmp_path / "good", "--far", 0.2)
     done = oracle_score(bags["spinning"], *options, expect=1)
     assert "4 reference recordings have no label; they are taken as normal." in done.stdout
     assert "broken is left out of the reference" in done.stdout
-    assert "2 normal runs fit it, 2 of 2 other blocks calibrate it." in done.stdout
+    assert "with 4 normal runs of 4 blocks." in done.stdout
 
 
 def test_a_root_is_read_by_its_feature_tables(normal, bags, tmp_path):
     for row in range(6):
         write_table(normal.iloc[[row]], tmp_path / f"features/run/patrol/run{row:03d}.parquet")
-    read = read_reference(tmp_path, build_manager())
+    read = read_reference([tmp_path], build_manager())
     assert read.table["run_id"].tolist() == normal["run_id"].tolist()[:6]
 
 
@@ -259,10 +274,10 @@ def test_runs_of_another_kind_of_system_are_not_compared_with(normal, extracted)
     traffic[driving] = np.nan
     mixed = pd.concat([normal, traffic], ignore_index=True)
     mixed.attrs = normal.attrs
-    alone, among = (judge("bag", extracted["usual"], each, 0.05) for each in (normal, mixed))
-    assert among.score == alone.score
-    assert among.calibration_runs == alone.calibration_runs
-    assert any("80 normal runs of the reference are left out" in n for n in among.notes)
+    alone, among = (judged(extracted["usual"], each) for each in (normal, mixed))
+    assert among == alone
+    card = Cards(Reference(mixed)).card_for(extracted["usual"].run)
+    assert any("80 normal runs of the reference are left out" in note for note in card.notes)
 
 
 def test_what_is_no_reference_is_refused_in_one_line(bags, normal, extracted, tmp_path):

@@ -1,7 +1,10 @@
 """The commands of the scenario language, as they are typed."""
 
 import json
+import subprocess
+import sys
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +12,7 @@ from click.testing import CliRunner
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 
+import sim.scenarios
 from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.reader import BagReader
@@ -23,6 +27,7 @@ from sim.modes import FOLDER, find_mode
 from sim.scenarios import builtin_scenarios
 from tests.sim.fuzzing.workbench import BUILTINS, SCAN, scans
 
+BUILTIN_FILE = Path(sim.scenarios.__file__).with_name("random_noise.yaml")
 FOREIGN = "made_up_msgs/msg/Reading"
 READINGS = [(number * 10**9 + 1, b"\0\1\0\0reading" + bytes([number])) for number in range(9)]
 OWN = """\
@@ -241,3 +246,18 @@ def test_fuzzed_runs_tell_what_was_drawn_and_are_not_made_twice(tmp_path):
 )  # fmt: skip
 def test_every_command_teaches_with_an_example(words):
     assert f"oracle-sim {' '.join(words)} " in run(*words, "--help").output
+
+
+def test_a_check_starts_without_testbeds_and_without_the_analysis():
+    heavy = ("mujoco", "pandas", "networkx", "dagster", "matplotlib", "sim.experiments")
+    code = f"""
+import sys
+from sim.commands.main import main
+try:
+    main(["scenario", "check", {str(BUILTIN_FILE)!r}])
+finally:
+    print(*(name for name in {heavy} if name in sys.modules), file=sys.stderr)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "random_noise is right" in done.stdout
+    assert done.stderr.strip() == ""

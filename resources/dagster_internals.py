@@ -1,7 +1,7 @@
-"""All private names of Dagster that we use; no other module imports from ``dagster._``.
+"""The private names of Dagster that we use; only modules of this name import from ``dagster._``.
 
-Both are needed because one step handles many partitions, for which Dagster 1.13 has no public way.
-Tests in ``tests/assets`` fail if a Dagster release changes what they do.
+One step handles many partitions, for which Dagster 1.13 has no public way. The others are types of
+the executor and the run launcher. Tests fail if a Dagster release changes what they do.
 """
 
 import dagster as dg
@@ -9,6 +9,20 @@ from dagster._core.definitions.asset_checks.asset_check_evaluation import (
     AssetCheckEvaluationTargetMaterializationData,
 )
 from dagster._core.definitions.source_asset import SYSTEM_METADATA_KEY_SOURCE_ASSET_OBSERVATION
+from dagster._core.execution.context.system import PlanOrchestrationContext
+from dagster._core.execution.plan.plan import ExecutionPlan
+from dagster._core.execution.retries import RetryMode
+from dagster._core.launcher import CheckRunHealthResult, WorkerStatus
+
+__all__ = [
+    "CheckRunHealthResult",
+    "ExecutionPlan",
+    "PlanOrchestrationContext",
+    "RetryMode",
+    "WorkerStatus",
+    "checked_materialization",
+    "output_without_event",
+]
 
 
 def checked_materialization(

@@ -1,0 +1,103 @@
+"""What reaches a terminal: text whose control characters are written out.
+
+Names and strings of a bag, a manifest or a scenario file are whatever somebody put there. As a
+control sequence they would set a terminal's title, move its cursor, or hide and forge lines. All
+that our commands print passes here, and all that Dagster logs.
+"""
+
+import contextlib
+import logging
+import sys
+from collections.abc import Iterable
+from typing import Any, TextIO, TypeVar, cast
+
+import click
+from tqdm import tqdm
+
+T = TypeVar("T")
+
+
+class _Printable(dict[int, str | int]):
+    """Translate each character that is no part of plain text into its Python escape."""
+
+    def __missing__(self, code: int) -> str | int:
+        character = chr(code)
+        plain = character.isprintable() or character in "\n\t"
+        self[code] = code if plain else ascii(character)[1:-1]
+        return self[code]
+
+
+_PRINTABLE = _Printable()
+
+
+def printable(text: str) -> str:
+    """Return text without control, format and lone surrogate characters, which are written out."""
+    return text if text.isprintable() else text.translate(_PRINTABLE)
+
+
+class _Stream:
+    """A text stream that takes no control characters."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._wrapped = stream  # tqdm looks for a stream below another one by this name
+
+    def write(self, text: str) -> int:
+        return self._wrapped.write(printable(text))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._wrapped, name)
+
+
+class PlainTextGroup(click.Group):
+    """A group of commands none of which can send a terminal anything but text."""
+
+    def main(self, *arguments: Any, **settings: Any) -> Any:
+        """Run a command, with its errors, on streams that take no control characters."""
+        with (
+            contextlib.redirect_stdout(cast(TextIO, _Stream(sys.stdout))),
+            contextlib.redirect_stderr(cast(TextIO, _Stream(sys.stderr))),
+        ):
+            return super().main(*arguments, **settings)
+
+
+def progress_bar(
+    items: Iterable[T], *, unit: str, total: int | None = None, desc: str = "", leave: bool = True
+) -> "tqdm[T]":
+    """Return items with a bar on the terminal, which it may control; silent where there is none.
+
+    Parameters
+    ----------
+    items
+        What to count; nothing if the caller counts.
+    unit
+        What one of them is called.
+    total
+        How many there are, if the items do not tell.
+    desc
+        What the bar begins with.
+    leave
+        Whether the bar stays when all are done.
+    """
+    return tqdm(
+        items, desc=printable(desc), total=total, leave=leave, unit=unit, dynamic_ncols=True,
+        file=getattr(sys.stderr, "_wrapped", sys.stderr), disable=None,
+    )  # fmt: skip
+
+
+def escape_logs() -> None:
+    """Write out the control characters of every message that this process logs from now on."""
+    make = logging.getLogRecordFactory()
+    if getattr(make, "escapes", False):
+        return
+
+    def escaped(*arguments: Any, **settings: Any) -> logging.LogRecord:
+        record = make(*arguments, **settings)
+        if isinstance(record.msg, str):
+            with contextlib.suppress(TypeError, ValueError):  # arguments that do not fit
+                record.msg, record.args = printable(record.getMessage()), ()
+        if record.exc_info:
+            record.exc_text = printable(logging.Formatter().formatException(record.exc_info))
+        return record
+
+    escaped.escapes = True  # type: ignore[attr-defined]
+    logging.setLogRecordFactory(escaped)

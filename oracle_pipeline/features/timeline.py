@@ -1,0 +1,139 @@
+"""The clock of a recording, with its jumps taken out.
+
+A recorder's clock may be set while it records: from 0 to the simulation's time, by NTP, by a month
+when the robot finds a network. A recording is then a sequence of spans. Features see them one
+behind the other, without what is between them; within a span nothing changes.
+"""
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Stamps: TypeAlias = NDArray[np.int64]
+
+_SECOND_NS = 1_000_000_000
+#: A silence of all topics that is longer is a jump, unless the recording is as sparse throughout.
+_JUMP_NS = 60 * _SECOND_NS
+_SPARSE = 100  # median silences that make a jump
+_BACK_NS = _SECOND_NS  # that a topic goes back when the clock was set; threads differ by less
+_FEWEST = 10  # messages of a topic that is asked whether the clock went back
+
+
+@dataclass(frozen=True, slots=True)
+class Timeline:
+    """Where each span of a recording lies, in order of time within each epoch."""
+
+    epochs: tuple[int, ...]  # of each span: how often the clock had been set back before
+    starts_ns: tuple[int, ...]  # stamp of the first message
+    ends_ns: tuple[int, ...]  # of the last
+
+    @property
+    def duration_ns(self) -> int:
+        """From the start to a nanosecond after the end, jumps left out."""
+        return sum(self._lengths())
+
+    def times_ns(self, stamps_ns: Stamps, epochs: Stamps) -> Stamps:
+        """Return when messages came, since the start of the recording [ns]."""
+        times_ns = stamps_ns - self.starts_ns[0]
+        offset_ns = 0
+        for epoch, start_ns, end_ns, length_ns in zip(
+            self.epochs, self.starts_ns, self.ends_ns, self._lengths(), strict=True
+        ):
+            if len(self.starts_ns) > 1:
+                inside = (epochs == epoch) & (stamps_ns >= start_ns) & (stamps_ns <= end_ns)
+                times_ns[inside] = stamps_ns[inside] - start_ns + offset_ns
+            offset_ns += length_ns
+        return times_ns
+
+    def note(self) -> str | None:
+        """Say where the clock jumps; None if it does not."""
+        if len(self.starts_ns) == 1:
+            return None
+        spans = ", ".join(
+            f"{start_ns / 1e9:.3f} to {end_ns / 1e9:.3f} s"
+            for start_ns, end_ns in list(zip(self.starts_ns, self.ends_ns, strict=True))[:5]
+        )
+        return (
+            f"The recorder's clock jumps or the recording pauses: {len(self.starts_ns)} spans "
+            f"({spans}{', ...' if len(self.starts_ns) > 5 else ''}) are read one behind the other."
+        )
+
+    def _lengths(self) -> list[int]:
+        return [e - s + 1 for s, e in zip(self.starts_ns, self.ends_ns, strict=True)]
+
+
+def timeline(stamps_ns: list[Stamps], epochs: list[Stamps], start_ns: int, end_ns: int) -> Timeline:
+    """Split a recording into spans where its clock jumps.
+
+    Parameters
+    ----------
+    stamps_ns, epochs : list of array
+        Of each topic, in any order of time.
+    start_ns, end_ns : int
+        Stamps of the first and the last message, other topics' included.
+    """
+    of = np.concatenate([np.zeros(0, dtype=np.int64), *epochs])
+    held = np.concatenate([np.zeros(0, dtype=np.int64), *stamps_ns])
+    last = int(of.max(initial=0))
+    if not last:  # a clock that was set back says nothing of what is first and last
+        of, held = np.zeros(len(of) + 2, dtype=np.int64), np.append(held, [start_ns, end_ns])
+    spans: list[tuple[int, int, int]] = []
+    for epoch in range(last + 1):
+        ordered = np.unique(held[of == epoch])
+        if not ordered.size:
+            continue
+        silences = np.diff(ordered)
+        longest_ns = _JUMP_NS
+        if silences.size and silences.max() > _JUMP_NS:
+            longest_ns = max(_JUMP_NS, _SPARSE * int(np.median(silences)))
+        cuts = np.flatnonzero(silences > longest_ns)
+        starts, ends = ordered[[0, *(cuts + 1)]].tolist(), ordered[[*cuts, -1]].tolist()
+        spans += [(epoch, start, end) for start, end in zip(starts, ends, strict=True)]
+    numbers, starts, ends = zip(*spans, strict=True)
+    return Timeline(tuple(numbers), tuple(starts), tuple(ends))
+
+
+def epochs(stamps_ns: list[Stamps]) -> list[Stamps]:
+    """Tell for each message how often the clock had been set back before it was recorded.
+
+    Parameters
+    ----------
+    stamps_ns : list of array
+        Of each topic, in file order. Half of those with ten messages have to go back, all equally
+        often: a topic alone is one that was stored late.
+    """
+    back = [np.diff(stamps, prepend=stamps[:1]) < -_BACK_NS for stamps in stamps_ns]
+    often = [int(steps.sum()) for steps in back if len(steps) >= _FEWEST]
+    jumps = int(np.median(often)) if often else 0
+    if not jumps or often.count(jumps) * 2 < len(often):
+        return [np.zeros(len(stamps), dtype=np.int64) for stamps in stamps_ns]
+    counted = [np.cumsum(steps) for steps in back]
+    spans = _spans(stamps_ns, counted, jumps)
+    return [
+        epoch if len(epoch) and epoch[-1] == jumps else _nearest(stamps, spans)
+        for stamps, epoch in zip(stamps_ns, counted, strict=True)
+    ]
+
+
+def _spans(stamps_ns: list[Stamps], counted: list[Stamps], jumps: int) -> list[tuple[int, int]]:
+    """Return first and last stamp of each epoch, by the topics that went through all of them."""
+    whole = [
+        (stamps, epoch)
+        for stamps, epoch in zip(stamps_ns, counted, strict=True)
+        if len(epoch) and epoch[-1] == jumps
+    ]
+    return [
+        (
+            min(int(stamps[epoch == number].min()) for stamps, epoch in whole),
+            max(int(stamps[epoch == number].max()) for stamps, epoch in whole),
+        )
+        for number in range(jumps + 1)
+    ]
+
+
+def _nearest(stamps: Stamps, spans: list[tuple[int, int]]) -> Stamps:
+    """Return the epoch in whose span each stamp lies, or to which it is nearest."""
+    apart = [np.maximum(np.maximum(start - stamps, stamps - end), 0) for start, end in spans]
+    return np.argmin(np.stack(apart), axis=0).astype(np.int64)

@@ -1,0 +1,103 @@
+"""Learning a reference card from normal runs, one for each kind of system in a reference."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from oracle_pipeline.datasets import feature_columns, feature_floors, is_malicious
+from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel
+from oracle_pipeline.scoring.card import ReferenceCard
+from oracle_pipeline.scoring.comparable import same_kind, shared_features
+from oracle_pipeline.scoring.contract import Contract
+from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
+from oracle_pipeline.scoring.feature_sets import feature_sets
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+from oracle_pipeline.scoring.reference import Reference
+from oracle_pipeline.scoring.run_scorer import Design
+from oracle_pipeline.scoring.verdict import ScoringError
+
+SEED = 0  # of the folds
+WINDOWS_UNKNOWN = (
+    "The reference has no features of windows, so only whole recordings are compared: a short "
+    "attack in a long recording may be missed. Name a table with windows.parquet beside it."
+)
+
+
+def learn(reference: Reference) -> ReferenceCard:
+    """Learn what is normal from the normal runs of a reference.
+
+    Raises
+    ------
+    OracleError
+        There are too few normal runs, or they have no feature.
+    """
+    normal = ~is_malicious(reference.table)
+    notes = list(reference.notes)
+    if left_out := int(np.sum(~normal)):
+        notes.append(f"{left_out} attacked runs of the reference are left out.")
+    table = reference.table[normal]
+    windows = reference.windows
+    if windows is None:
+        notes.append(WINDOWS_UNKNOWN)
+        windows = pd.DataFrame({"run_id": table["run_id"], "window_start_s": 0.0})
+    runs = MeasuredRuns.ordered(table, windows)
+    scorer = CrossConformalScorer(design(runs)).fit(runs, np.random.default_rng(SEED))
+    contract = Contract.learned(reference.observations) if reference.observations else None
+    return ReferenceCard(scorer, runs.features, contract, tuple(notes))
+
+
+def design(runs: MeasuredRuns) -> Design:
+    """Return what the oracle looks at: all its features that these runs and their windows have."""
+    columns = feature_sets(runs.features).get("all", [])
+    if not columns:
+        raise ScoringError("The normal runs have no feature with a value; extract them again.")
+    of_windows = set(feature_columns(runs.windows))
+    return Design(
+        panel(SEED)[DEFAULT_DETECTOR],
+        tuple(columns),
+        tuple(column for column in columns if column in of_windows),
+        feature_floors(runs.features),
+    )
+
+
+class Cards:
+    """A card for each kind of system that a reference holds, learned when it is first needed.
+
+    A robot and an air traffic system may stand in one table. Runs are of one kind if they have
+    values in the same families of features as the recording.
+
+    Parameters
+    ----------
+    reference : Reference
+    """
+
+    def __init__(self, reference: Reference) -> None:
+        self._reference = reference
+        self._cards: dict[frozenset[str], ReferenceCard] = {}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of the verdicts should know of the cards used so far."""
+        return tuple(dict.fromkeys(note for card in self._cards.values() for note in card.notes))
+
+    def card_for(self, row: pd.DataFrame) -> ReferenceCard:
+        """Return the card for the kind of system that a recording comes from."""
+        table = self._reference.table
+        columns, _ = shared_features(row, table, feature_sets(table).get("all", []))
+        kind = frozenset(column.split(".", 1)[0] for column in columns)
+        if kind not in self._cards:
+            self._cards[kind] = learn(self._of_kind(columns))
+        return self._cards[kind]
+
+    def _of_kind(self, columns: Sequence[str]) -> Reference:
+        reference = self._reference
+        alike = same_kind(reference.table, columns) | is_malicious(reference.table)
+        notes = reference.notes
+        if not alike.all():
+            notes += (
+                f"{np.sum(~alike)} normal runs of the reference are left out, because they come "
+                "from another kind of system: they lack a whole family of features that this "
+                "recording has.",
+            )
+        return Reference(reference.table[alike], reference.windows, reference.observations, notes)

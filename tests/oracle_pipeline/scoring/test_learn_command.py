@@ -1,0 +1,83 @@
+"""``oracle learn``: a reference card from recordings, and verdicts by it."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from oracle_pipeline.cli import main
+from tests.oracle_pipeline.features.conftest import drive, write_bag
+from tests.oracle_pipeline.scoring.test_score_command import oracle_score, spinning
+
+FAR = ("--far", 0.2)
+
+
+def oracle_learn(*arguments: object, expect: int = 0):
+    done = CliRunner().invoke(main, ["learn", *map(str, arguments)])
+    assert done.exit_code == expect, done.output
+    return done
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """Four good bags and an odd one, which also has a topic that no good bag has."""
+    root = tmp_path_factory.mktemp("recordings")
+    for name in "abcd":
+        write_bag(root / "good" / name, drive())
+    odd = [(t, f"/robot{topic}" if topic == "/odom" else topic, m) for t, topic, m in drive()]
+    write_bag(root / "renamed", odd)
+    write_bag(root / "spinning", spinning())
+    return root
+
+
+@pytest.fixture(scope="module")
+def learned(place):
+    return oracle_learn(place / "good", "--output", place / "robot.card")
+
+
+def test_learning_says_what_the_card_holds_and_what_it_lacks(learned):
+    assert "Learned from 4 normal recordings of 4 blocks" in learned.stdout
+    assert "Contract: " in learned.stdout
+    assert "Supports no verdict at 5%: 19 blocks are needed, 15 more." in learned.stdout
+    assert "taken as normal" in learned.stdout
+
+
+def test_a_card_gives_the_verdicts_of_the_recordings_it_was_learned_from(place, learned):
+    by_card, by_folder = (
+        json.loads(
+            oracle_score(
+                place / "spinning", "--reference", place / name, *FAR, "--format", "json", expect=1
+            ).stdout
+        )["recordings"]
+        for name in ("robot.card", "good")
+    )
+    assert by_card == by_folder
+
+
+def test_a_departure_from_the_contract_is_told_before_the_statistics(place, learned):
+    done = CliRunner().invoke(
+        main,
+        ["score", str(place / "renamed"), "--reference", str(place / "robot.card"), "--far", "0.2"],
+    )
+    lines = [line.strip() for line in done.stdout.splitlines()]
+    assert lines[1:3] == [
+        "Topic /odom is gone: every normal recording has it.",
+        "Topic /robot/odom (nav_msgs/msg/Odometry) is new.",
+    ]
+
+
+def test_recordings_can_be_named_one_by_one(place, learned):
+    names = [place / "good" / name for name in "abcd"]
+    oracle_learn(*names, "--output", place / "again.card")
+    assert (place / "again.card").read_bytes() == (place / "robot.card").read_bytes()
+
+
+def test_too_few_recordings_are_refused_with_the_number_needed(place):
+    done = oracle_learn(place / "good" / "a", "--output", place / "one.card", expect=2)
+    assert "learning takes 3 at least" in done.stderr
+    assert not (place / "one.card").exists()
+
+
+def test_a_card_has_a_name_of_its_own_kind(place):
+    done = oracle_learn(place / "good", "--output", place / "robot.zip", expect=2)
+    assert "robot.zip.card" in done.stderr
