@@ -1,7 +1,41 @@
-"""Settings that every test runs under."""
+"""Settings that every test runs under, and what all of them share."""
 
+import os
+from collections import Counter
+from pathlib import Path
+
+# Before NumPy is imported: as many test processes as cores, each with one thread.
+os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+import pytest
 from hypothesis import settings
 
 # The same examples everywhere, and no deadline: a busy machine is not a wrong answer.
-settings.register_profile("repeatable", deadline=None, derandomize=True)
+settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("repeatable")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put files with many slow tests first, so that no process is left alone with one at the end.
+
+    With ``--dist loadfile`` a file is the unit of work.
+    """
+    slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
+    items.sort(key=lambda item: -slow[item.path])
+
+
+@pytest.fixture(scope="session")
+def shared_folder(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
+    """A folder that all test processes share; who writes there takes a lock."""
+    base = tmp_path_factory.getbasetemp()
+    return base if worker_id == "master" else base.parent
+
+
+@pytest.fixture(scope="session")
+def recorded_run(shared_folder: Path):
+    """Real runs, each recorded once: see ``RecordedRuns``."""
+    from tests.recorded_runs import RecordedRuns  # imports the simulator, which most do without
+
+    folder = shared_folder / "recorded_runs"
+    folder.mkdir(exist_ok=True)
+    return RecordedRuns(folder)

@@ -11,17 +11,10 @@ from tests.assets.laboratory import EVERYTHING, KEYS, PER_RUN, Laboratory, dagst
 
 
 @pytest.fixture(scope="session")
-def shared_root(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
-    """A folder that all test processes share, so that the campaign is simulated once."""
-    base = tmp_path_factory.getbasetemp()
-    root = (base if worker_id == "master" else base.parent) / "campaign"
-    root.mkdir(exist_ok=True)
-    return root
-
-
-@pytest.fixture(scope="session")
-def campaign(shared_root: Path) -> Iterator[Laboratory]:
+def campaign(shared_folder: Path) -> Iterator[Laboratory]:
     """The whole graph over the short campaign; tests read it and change nothing."""
+    shared_root = shared_folder / "campaign"
+    shared_root.mkdir(exist_ok=True)
     with (shared_root / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         with dagster_home(shared_root / "home") as instance:

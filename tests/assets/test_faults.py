@@ -15,7 +15,7 @@ from soak.faults import disturbed, jobs, leftovers, start, state
 from soak.full_disk import everything
 from tests.assets.laboratory import Laboratory
 
-KILLS = 5
+KILLS = 3  # of everything, of a worker and of the caller; `python -m soak.faults` makes 50
 
 
 def test_a_campaign_killed_at_random_moments_ends_as_one_left_alone(tmp_path: Path) -> None:

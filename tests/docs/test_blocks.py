@@ -18,13 +18,13 @@ from click.testing import CliRunner
 
 from oracle_pipeline.cli import main as oracle
 from oracle_pipeline.datasets import feature_columns, read_table, write_table
-from resources.cli import main as oracle_sim
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.execution import execute
 from sim.fuzzing.scenario import parse_scenarios
 from tests.docs.pages import DOCS, LANGUAGES, PAGES, blocks, name
 from tests.docs.shell import NOT_RUN, Shell
 from tests.oracle_pipeline.datasets import synthetic
+from tests.recorded_runs import copied, linked
 
 CHECKED = {"python", "sh", "toml", "yaml"}
 RUN = [page for page in PAGES if any(block.language in CHECKED for block in blocks(page))]
@@ -32,18 +32,19 @@ NORMAL, ATTACKED = "lidar_passthrough", "fake_object"
 
 
 @pytest.fixture(scope="module")
-def lab(tmp_path_factory):
+def lab(recorded_run, tmp_path_factory):
     """Seven normal runs of one goal: the only simulation that all pages share."""
     root = tmp_path_factory.mktemp("recorded") / "lab"
-    record(root, NORMAL, 7)
+    for number in range(7):
+        linked(recorded_run(NORMAL, number), root)
     return root
 
 
 @pytest.fixture(scope="module")
-def reader(lab, tmp_path_factory):
+def reader(lab, recorded_run, tmp_path_factory):
     """A folder as the readers of how-to guides have it: a root with runs, and bags."""
     folder = tmp_path_factory.mktemp("reader")
-    record(folder / "data", ATTACKED, 1)
+    copied(recorded_run(ATTACKED), folder / "data")
     shutil.copytree(lab / "runs" / NORMAL / "run000", folder / f"data/runs/{NORMAL}/run000")
     for number in range(6):
         shutil.copytree(lab / f"runs/{NORMAL}/run00{number}/bag", folder / f"good_bags/{number}")
@@ -59,10 +60,6 @@ def reader(lab, tmp_path_factory):
 def command(group, *words):
     done = CliRunner().invoke(group, [str(word) for word in words])
     assert done.exit_code == 0, done.output
-
-
-def record(root, mode, number):
-    command(oracle_sim, "record", "-m", mode, "-n", number, "--goals", 1, "--out", root)
 
 
 def features(folder, mode):

@@ -5,19 +5,15 @@ import shutil
 import pytest
 
 from oracle_pipeline.bags.reader import BagReader
-from oracle_pipeline.bags.run_directory import BAG_FOLDER, RunDirectory
+from oracle_pipeline.bags.run_directory import BAG_FOLDER
 from oracle_pipeline.bags.writer import BagWriter
-from sim.campaigns import Campaign
-from sim.experiments import recipe_for, record_run
 
 
 @pytest.fixture(scope="session")
-def recorded(tmp_path_factory):
+def recorded(recorded_run):
     """The bag of a real run: one goal, every scan handed on."""
-    mode = "lidar_passthrough_odom"
-    directory = RunDirectory(tmp_path_factory.mktemp("campaign"), mode, 0)
-    manifest = record_run(recipe_for(mode, 0, Campaign(goals_per_run=1)), directory)
-    return directory.bag, manifest
+    directory = recorded_run("lidar_passthrough_odom")
+    return directory.bag, directory.manifest()
 
 
 @pytest.fixture(scope="session")

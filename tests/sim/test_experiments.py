@@ -1,7 +1,6 @@
 """A run is made whole or not at all, verified when it is there, and made again on demand."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -12,19 +11,16 @@ import pytest
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
-from sim.campaigns import Campaign
 from sim.experiments import recipe_for, record_run
+from tests.recorded_runs import ONE_GOAL, copied
 
-ONE_GOAL = Campaign(goals_per_run=1)
 RECIPE = recipe_for("lidar_passthrough", 0, ONE_GOAL)
 
 
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """A run of one goal."""
-    directory = RunDirectory(tmp_path_factory.mktemp("campaign"), "lidar_passthrough", 0)
-    record_run(RECIPE, directory)
-    return directory
+@pytest.fixture
+def finished(recorded_run, tmp_path):
+    """A run of one goal, to be spoilt."""
+    return copied(recorded_run("lidar_passthrough"), tmp_path)
 
 
 def test_a_finished_run_is_verified_and_not_made_again(finished):
@@ -34,30 +30,22 @@ def test_a_finished_run_is_verified_and_not_made_again(finished):
     assert directory.manifest_path.stat().st_mtime_ns == before
 
 
-@pytest.fixture
-def copied(finished, tmp_path):
-    """A copy of a finished run, to be spoilt."""
-    directory = RunDirectory(tmp_path, "lidar_passthrough", 0)
-    shutil.copytree(finished.path, directory.path)
-    return directory
-
-
-def test_a_place_that_holds_another_recipes_run_is_left_alone(copied):
-    recipe = recipe_for(copied.mode, 0, replace(ONE_GOAL, seed=1))
-    before = copied.manifest()
+def test_a_place_that_holds_another_recipes_run_is_left_alone(finished):
+    recipe = recipe_for(finished.mode, 0, replace(ONE_GOAL, seed=1))
+    before = finished.manifest()
     with pytest.raises(OracleError, match="another recipe .*differs in seed.*choose another root"):
-        record_run(recipe, copied)
-    assert copied.manifest() == before
+        record_run(recipe, finished)
+    assert finished.manifest() == before
 
 
-def test_a_damaged_run_is_named_and_can_be_made_again(copied):
-    (file,) = copied.bag.glob("*.mcap")
+def test_a_damaged_run_is_named_and_can_be_made_again(finished):
+    (file,) = finished.bag.glob("*.mcap")
     file.write_bytes(file.read_bytes()[:-1000])
     with pytest.raises(OracleError, match="is damaged.*refresh it to make it again"):
-        record_run(RECIPE, copied)
-    again = record_run(RECIPE, copied, refresh=True)
-    assert again.content_hash == copied.manifest().content_hash
-    record_run(RECIPE, copied)
+        record_run(RECIPE, finished)
+    again = record_run(RECIPE, finished, refresh=True)
+    assert again.content_hash == finished.manifest().content_hash
+    record_run(RECIPE, finished)
 
 
 def test_a_run_that_was_killed_leaves_nothing_that_looks_finished_and_is_made_by_the_next_call(
@@ -82,7 +70,7 @@ def test_a_run_that_was_killed_leaves_nothing_that_looks_finished_and_is_made_by
     assert find_runs(tmp_path) == []
     assert not (scratch / "run000").exists()
     directory = RunDirectory(tmp_path, "lidar_passthrough", 0)
-    record_run(recipe_for("lidar_passthrough", 0, ONE_GOAL), directory)
+    record_run(recipe_for("lidar_passthrough", 0, replace(ONE_GOAL, timeout_s=6.0)), directory)
     assert [path.name for path in scratch.iterdir()] == ["run000"]
 
 
@@ -90,7 +78,7 @@ def test_sqlite_bags_hold_the_same_messages(tmp_path):
     made = {}
     for storage in ("mcap", "sqlite3"):
         directory = RunDirectory(tmp_path / storage, "random_noise", 0)
-        campaign = replace(ONE_GOAL, storage=storage)
+        campaign = replace(ONE_GOAL, storage=storage, timeout_s=20.0)
         made[storage] = record_run(recipe_for("random_noise", 0, campaign), directory)
         assert [
             file.suffix for file in directory.bag.iterdir() if file.name != "metadata.yaml"

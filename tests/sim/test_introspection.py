@@ -8,11 +8,9 @@ import pytest
 from rosbags.interfaces import QosTime
 
 from oracle_pipeline.bags.graph_files import read_gexf, vertex_id
-from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE
 from oracle_pipeline.bags.writer import BagWriter
 from sim.campaigns import Campaign
-from sim.experiments import recipe_for, record_run
 from sim.middleware.domain import is_hidden
 from sim.middleware.qos import is_latched, is_reliable
 from tests.sim import humble
@@ -216,9 +214,8 @@ def test_names_that_stand_for_processes_come_from_the_run_alone(domain):
     assert len(again - other) == humble.LISTENERS + 1
 
 
-def test_the_graph_that_a_run_records_is_this_one(domain, tmp_path):
-    directory = RunDirectory(tmp_path, "lidar_passthrough_odom", RUN)
-    record_run(recipe_for(directory.mode, RUN, Campaign(goals_per_run=1)), directory)
+def test_the_graph_that_a_run_records_is_this_one(domain, recorded_run):
+    directory = recorded_run("lidar_passthrough_odom", RUN, Campaign(goals_per_run=1, timeout_s=15))
     graph = read_gexf(directory.graphs / "run.gexf")
     vertices = {(vertex_id("node", name), "") for name in domain.node_names()}
     vertices |= {(vertex_id("topic", topic), kind) for topic, kind in TYPES.items()}

@@ -7,24 +7,20 @@ import pytest
 
 from oracle_pipeline.bags.graph_files import read_gexf
 from oracle_pipeline.bags.reader import BagReader
-from oracle_pipeline.bags.run_directory import RunDirectory
-from sim.campaigns import Campaign, Options, RecipeError
-from sim.experiments import recipe_for, record_run
+from sim.campaigns import Options, RecipeError
+from sim.experiments import recipe_for
 from sim.recording import DEBUG_TOPICS, ReceiveClock
 from sim.turtlebot3.recipes import TurtleBot3Recipe
+from tests.recorded_runs import ONE_GOAL
 
-CAMPAIGN = Campaign(goals_per_run=1)
 MONITOR, RELAY = "node:/collision_monitor", "node:/lidar_passthrough"
 
 
 @pytest.fixture
-def record(tmp_path):
-    def record(mode="lidar_passthrough", *, timeout_s=600.0, **options):
-        campaign = replace(CAMPAIGN, options=Options(**options), timeout_s=timeout_s)
-        root = tmp_path / "-".join(map(str, options.items() or ["default"]))
-        directory = RunDirectory(root, mode, 0)
-        record_run(recipe_for(mode, 0, campaign), directory)
-        return directory
+def record(recorded_run):
+    def record(*, timeout_s=6.0, **options):
+        campaign = replace(ONE_GOAL, options=Options(**options), timeout_s=timeout_s)
+        return recorded_run("lidar_passthrough", 0, campaign)
 
     return record
 
@@ -35,14 +31,14 @@ def counts(directory):
 
 
 def test_by_default_neither_debug_nor_hidden_topics_are_in_the_bag_and_cameras_are_silent(record):
-    held = counts(record(timeout_s=10.0))
+    held = counts(record())
     assert not set(DEBUG_TOPICS) & set(held)
     assert not [topic for topic in held if "/_" in topic]
     assert held["/intel_realsense_r200_depth/points"] == 0
 
 
 def test_debug_topics_come_with_every_cycle_in_which_dwb_chose_the_velocity(record):
-    held = counts(record(timeout_s=6.0, debug_topics=True))
+    held = counts(record(debug_topics=True))
     evaluations, markers = (held[topic] for topic in DEBUG_TOPICS)
     assert evaluations == markers
     # In the other cycles the rotation shim turns the robot towards its path.
@@ -50,7 +46,7 @@ def test_debug_topics_come_with_every_cycle_in_which_dwb_chose_the_velocity(reco
 
 
 def test_hidden_topics_are_feedback_and_status_of_every_action(record):
-    held = counts(record(timeout_s=6.0, hidden_topics=True))
+    held = counts(record(hidden_topics=True))
     hidden = {topic for topic in held if "/_" in topic}
     assert len(hidden) == 24  # of 12 actions
     assert held["/navigate_to_pose/_action/feedback"] > 0
@@ -65,7 +61,7 @@ def test_the_camera_sends_five_images_a_second_on_every_topic(record):
 
 
 def test_receive_stamps_are_later_than_what_they_stamp_by_the_way_through_the_recorder(record):
-    by_clock, by_time = record(receive_stamps=True), record()
+    by_clock, by_time = record(timeout_s=20.0, receive_stamps=True), record(timeout_s=20.0)
     stamped = []
     for directory in (by_clock, by_time):
         with BagReader(directory.bag) as bag:
@@ -92,13 +88,13 @@ def test_wiring_decides_what_the_collision_monitor_hears(record):
 
 
 def test_an_attack_without_its_node_is_refused():
-    campaign = replace(CAMPAIGN, options=Options(wiring="absent"))
+    campaign = replace(ONE_GOAL, options=Options(wiring="absent"))
     with pytest.raises(RecipeError, match="no attack"):
         recipe_for("fake_object", 0, campaign)
 
 
 def test_with_wheel_odometry_the_robot_starts_at_zero_and_finds_its_goal(record):
-    directory = record(odometry_source="encoder")
+    directory = record(timeout_s=600.0, odometry_source="encoder")
     assert directory.manifest().outcome == "succeeded"
     with BagReader(directory.bag) as bag:
         first = bag.deserialize(next(iter(bag.messages(["/odom"])))).pose.pose.position
@@ -106,6 +102,6 @@ def test_with_wheel_odometry_the_robot_starts_at_zero_and_finds_its_goal(record)
 
 
 def test_a_recipe_with_options_survives_its_manifest(record):
-    directory = record(timeout_s=6.0, wiring="replace", receive_stamps=True)
+    directory = record(wiring="replace", receive_stamps=True)
     recipe = TurtleBot3Recipe.from_dict(directory.manifest().recipe)
     assert recipe.options == Options(wiring="replace", receive_stamps=True)

@@ -1,24 +1,15 @@
 """``oracle-sim record`` as it is typed: what it makes, says and refuses."""
 
 import resource
-import shutil
 import subprocess
 import sys
 
 import pytest
+from click.testing import CliRunner
 
 from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
-from sim.campaigns import Campaign
-from sim.experiments import recipe_for, record_run
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """A run of one goal."""
-    directory = RunDirectory(tmp_path_factory.mktemp("campaign"), "lidar_passthrough", 0)
-    recipe = recipe_for("lidar_passthrough", 0, Campaign(goals_per_run=1))
-    record_run(recipe, directory)
-    return directory
+from sim.commands.main import main
+from tests.recorded_runs import copied
 
 
 def oracle_sim(*arguments, **options):
@@ -28,16 +19,20 @@ def oracle_sim(*arguments, **options):
     )  # fmt: skip
 
 
+def record(*arguments):
+    """The same in this process: a start of Python's proves nothing more."""
+    return CliRunner().invoke(main, ["record", *map(str, arguments)])
+
+
 def test_the_command_records_says_what_it_did_and_does_it_once(tmp_path):
-    arguments = ("record", "-m", "fake_object", "-n", "1", "--goals", "1", "--out", str(tmp_path))
-    first = oracle_sim(*arguments)
+    arguments = ("-m", "fake_object", "-n", "1", "--goals", "1", "--out", str(tmp_path))
+    first = oracle_sim("record", *arguments)
     assert first.returncode == 0, first.stderr
     assert "run000: succeeded, 1 of 1 goals" in first.stdout
     assert first.stderr == ""  # no progress bar where nobody looks
     manifest = tmp_path / "runs" / "fake_object" / "run000" / "manifest.json"
     made_ns = manifest.stat().st_mtime_ns
-    second = oracle_sim(*arguments)
-    assert second.stdout == first.stdout
+    assert record(*arguments).stdout == first.stdout
     assert manifest.stat().st_mtime_ns == made_ns
 
 
@@ -48,15 +43,15 @@ def test_the_command_records_a_scenario_that_is_no_mode(tmp_path):
         "main: {type: sensor_msgs/msg/LaserScan, input: /scan_tom, output: /scan_fakeobject}\n"
         "transform: {actions: [{name: blind, do: [{set: {field: ranges, value: inf}}]}]}\n"
     )
-    arguments = ("record", "--scenario", str(file), "--goals", "1", "--out", str(tmp_path))
-    first = oracle_sim(*arguments)
-    assert first.returncode == 0, first.stderr
+    arguments = ("--scenario", file, "--goals", 1, "--workers", 1, "--out", tmp_path)
+    first = record(*arguments)
+    assert first.exit_code == 0, first.output
     manifest = RunDirectory(tmp_path, "blind", 0).manifest()
     assert (manifest.mode, manifest.label, manifest.onset_s) == ("blind", "malicious", 0.0)
     assert {change.largest for change in manifest.changes} == {None}  # no return has no size
     file.write_text(file.read_text().replace("value: inf", "value: 1.0"))
-    other = oracle_sim(*arguments)
-    assert other.returncode == 1
+    other = record(*arguments)
+    assert other.exit_code == 1
     assert "another recipe (it differs in scenario)" in other.stderr
 
 
@@ -70,32 +65,29 @@ def test_the_command_records_a_scenario_that_is_no_mode(tmp_path):
     ],
 )
 def test_what_cannot_be_recorded_is_refused_before_anything_is(tmp_path, options, told):
-    result = oracle_sim("record", *options, "--out", str(tmp_path))
-    assert result.returncode == 2
+    result = record(*options, "--out", tmp_path)
+    assert result.exit_code == 2
     assert told in " ".join(result.stderr.replace("│", " ").split())
     assert list(tmp_path.iterdir()) == []
 
 
 def test_an_unknown_mode_is_refused_with_those_that_there_are(tmp_path):
-    result = oracle_sim("record", "-m", "fake", "--out", str(tmp_path))
-    assert result.returncode == 2
+    result = record("-m", "fake", "--out", tmp_path)
+    assert result.exit_code == 2
     assert "'fake' is not one of 'lidar_passthrough'" in result.stderr
 
 
 def test_a_root_that_cannot_be_written_to_is_named(tmp_path):
     occupied = tmp_path / "occupied"
     occupied.write_text("a file")
-    result = oracle_sim(
-        "record", "-m", "fake_object", "--goals", "1", "--out", str(occupied / "below")
-    )
-    assert result.returncode == 1
+    result = record("-m", "fake_object", "--goals", 1, "--workers", 1, "--out", occupied / "below")
+    assert result.exit_code == 1
     assert str(occupied) in result.stderr
-    assert "Traceback" not in result.stderr
+    assert isinstance(result.exception, SystemExit)  # and no traceback
 
 
-def test_a_full_disk_fails_the_run_clearly_and_keeps_what_was_finished(finished, tmp_path):
-    done = RunDirectory(tmp_path, "lidar_passthrough", 0)
-    shutil.copytree(finished.path, done.path)
+def test_a_full_disk_fails_the_run_clearly_and_keeps_what_was_finished(recorded_run, tmp_path):
+    copied(recorded_run("lidar_passthrough"), tmp_path)
 
     def no_file_over_a_megabyte():
         resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
