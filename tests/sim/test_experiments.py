@@ -11,7 +11,6 @@ import pytest
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
-from sim.campaigns import Campaign
 from sim.experiments import recipe_for, record_run
 from tests.recorded_runs import ONE_GOAL, copied
 

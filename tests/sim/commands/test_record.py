@@ -5,7 +5,6 @@ import subprocess
 import sys
 
 import pytest
-
 from click.testing import CliRunner
 
 from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
