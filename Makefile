@@ -17,8 +17,8 @@ LAST := delayed_fakeobject|run002
 COMPILE := pip-compile --quiet --strip-extras --no-header --no-annotate \
 	--no-emit-index-url --no-emit-trusted-host --no-emit-find-links
 
-.PHONY: help setup setup-dev run campaign ui test test-quick test-browser lint types architecture docs bench soak \
-	constraints requirements image sbom clean
+.PHONY: help setup setup-dev run campaign ui test test-quick test-browser lint types architecture docs pictures bench \
+	soak constraints requirements image sbom clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list
@@ -74,6 +74,10 @@ docs: setup-dev ## Check words, spelling and links of the docs, and build their 
 	mkdocs build --quiet --clean
 	@echo "Site: $(CURDIR)/site/index.html (search needs a server: mkdocs serve)"
 
+pictures: setup-dev ## Draw the pictures of the docs; of a campaign's report with CAMPAIGN=data/campaign
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
+	python docs/pictures.py $(CAMPAIGN)
+
 constraints: setup-dev ## Pin the newest versions that fit pyproject.toml
 	$(COMPILE) --upgrade --all-extras --output-file constraints.txt pyproject.toml
 
@@ -88,6 +92,9 @@ sbom: requirements ## Write dist/sbom.cdx.json: what the image is made of, as Cy
 	mkdir -p dist
 	cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible \
 		--output-format JSON --output-file dist/sbom.cdx.json deploy/requirements.txt
+
+architecture: setup-dev ## Draw who imports whom, for docs/explanation/architecture.md
+	python docs/draw_architecture.py
 
 bench: setup-dev ## Measure speed, size and memory, as ratios of one run
 	python -m bench

@@ -42,12 +42,8 @@ from bench.alterations import (
 from bench.figures import Row
 from oracle_pipeline import features
 from oracle_pipeline.bags.run_directory import RunDirectory
-from oracle_pipeline.datasets import (
-    DistinctRuns,
-    feature_dataset,
-    is_malicious,
-    window_dataset,
-)
+from oracle_pipeline.bootstrap import DistinctRuns
+from oracle_pipeline.datasets import feature_dataset, is_malicious, window_dataset
 from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.held_out import held_out

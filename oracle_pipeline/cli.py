@@ -1,23 +1,28 @@
 """``oracle``: the analysis from the command line, without Dagster.
 
+What a command needs is imported when it runs, so that help is there at once.
+
 Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomalous.
 """
 
 import json
+import math
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
-import pandas as pd
 
-from oracle_pipeline import features as feature_extraction
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import PlainTextGroup
-from oracle_pipeline.datasets import MISSING, WHERE, field_metadata, replacing, write_table
-from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.replay.command import replay
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from oracle_pipeline.features import FeatureTables
+    from oracle_pipeline.scoring.verdict import Verdict
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -69,6 +74,11 @@ _plugins = click.option(
     help="Folder of feature plugins.  [default: $ORACLE_PLUGINS, if set]",
 )  # fmt: skip
 
+_strict = click.option(
+    "--strict", is_flag=True,
+    help="Refuse a recording that was not finished, or of which a part is missing.",
+)  # fmt: skip
+
 
 @main.command()
 @click.argument("run_or_bag", type=click.Path(path_type=Path))
@@ -81,14 +91,21 @@ _plugins = click.option(
 )
 @_output_option("--output", "File to write; Parquet needs one.  [default: standard output]")
 @_plugins
+@_strict
 def features(
-    run_or_bag: Path, table: str, file_format: str, output: Path | None, plugins: Path | None
+    run_or_bag: Path,
+    table: str,
+    file_format: str,
+    output: Path | None,
+    plugins: Path | None,
+    strict: bool,
 ) -> None:
     """Compute the features of one recording.
 
     RUN_OR_BAG is a run directory, the folder of a rosbag2 (SQLite or MCAP, split or compressed), a
     single .mcap or .db3 file, or a ROS 1 .bag file. No ROS is needed. A feature that cannot be
-    computed from this recording is null, and "missing" holds the reason.
+    computed from this recording is null, and "missing" holds the reason. A recording that was not
+    finished is read as far as it goes; "notes" says how far, and what else was not used.
 
     \b
     Examples:
@@ -98,28 +115,47 @@ def features(
     """  # noqa: D301 -- click reads the control character
     if file_format == "parquet" and output is None:
         raise click.UsageError("Parquet is not text: name a file with --output.")
+    from oracle_pipeline import features as feature_extraction
+    from oracle_pipeline.datasets import write_table
+    from oracle_pipeline.opened_run import open_run
+
     manager = feature_extraction.build_manager(plugins)
-    with open_run(run_or_bag) as run:
+    with open_run(run_or_bag, strict=strict) as run:
         tables = feature_extraction.extract(run, manager)
     wanted = tables.run if table == "run" else tables.windows
     if output is None:
-        click.echo(_json(wanted))
+        click.echo(_json(wanted, tables))
     elif file_format == "parquet":
         write_table(wanted, output)
+        for note in tables.notes:
+            click.echo(note, err=True)
     else:
-        output.write_text(_json(wanted) + "\n", encoding="utf-8")
+        output.write_text(_json(wanted, tables) + "\n", encoding="utf-8")
 
 
-def _json(table: pd.DataFrame) -> str:
-    """Return the rows of a feature table, NaN as null, and what its columns mean."""
+def _is_nan(value: object) -> bool:
+    return isinstance(value, float) and math.isnan(value)
+
+
+def _json(table: "pd.DataFrame", tables: "FeatureTables") -> str:
+    """Return the rows of a feature table, NaN as null, and what is to be said of them."""
+    from oracle_pipeline.datasets import MISSING, WHERE, field_metadata
+    from oracle_pipeline.features import families
+
     rows = [
         {
-            **{column: None if pd.isna(value) else value for column, value in row.items()},
+            **{column: None if _is_nan(value) else value for column, value in row.items()},
             **{column: json.loads(row[column]) for column in (WHERE, MISSING)},
         }
         for row in table.to_dict("records")
     ]
-    return json.dumps({"rows": rows, "fields": field_metadata(table)}, indent=2, allow_nan=False)
+    document = {
+        "rows": rows,
+        "notes": tables.notes,
+        "families": families(tables),
+        "fields": field_metadata(table),
+    }
+    return json.dumps(document, indent=2, allow_nan=False)
 
 
 @main.command()
@@ -137,7 +173,16 @@ def _json(table: pd.DataFrame) -> str:
 )  # fmt: skip
 @_format_option("text", "json", text="Text for reading; one JSON object for programs.")
 @_output_option("--junit", "File for the verdicts as JUnit XML, for a CI system.")
+@click.option(
+    "--time-limit", default=900.0, show_default=True, type=click.FloatRange(0.0, min_open=True),
+    help="Seconds that the features of one recording may take.",
+)  # fmt: skip
+@click.option(
+    "--memory-limit", default=4.0, show_default=True, type=click.FloatRange(0.0, min_open=True),
+    help="GiB of memory that they may take.",
+)  # fmt: skip
 @_plugins
+@_strict
 @click.pass_context
 def score(
     ctx: click.Context,
@@ -146,7 +191,10 @@ def score(
     far: float,
     file_format: str,
     junit: Path | None,
+    time_limit: float,
+    memory_limit: float,
     plugins: Path | None,
+    strict: bool,
 ) -> None:
     """Judge recordings by comparison with the normal runs of a reference.
 
@@ -165,24 +213,36 @@ def score(
         oracle score my_robot_bag/ --reference data --format json \\
             | jq '.recordings[0].evidence[0]'
     """  # noqa: D301 -- click reads the control character
+    from oracle_pipeline.datasets import replacing
+    from oracle_pipeline.features import build_manager
     from oracle_pipeline.scoring import judging, output
     from oracle_pipeline.scoring.card import ReferenceCard, is_card
+    from oracle_pipeline.scoring.isolation import Limits
     from oracle_pipeline.scoring.junit import as_junit
     from oracle_pipeline.scoring.learning import Cards
     from oracle_pipeline.scoring.reference import read_reference
+    from oracle_pipeline.scoring.verdict import Verdict
 
-    manager = feature_extraction.build_manager(plugins)
-    normal = (
-        ReferenceCard.load(reference)
-        if is_card(reference)
-        else Cards(read_reference([reference], manager))
-    )
-    verdicts = judging.score(recordings, normal, manager, far)
+    def write_junit(verdicts: "list[Verdict]") -> None:
+        if junit is not None:
+            with replacing(junit) as sink:
+                sink.write(as_junit(verdicts))
+
+    try:
+        manager = build_manager(plugins)
+        normal = (
+            ReferenceCard.load(reference)
+            if is_card(reference)
+            else Cards(read_reference([reference], manager))
+        )
+    except (OracleError, OSError) as error:
+        write_junit([Verdict(str(path), "error", error=str(error)) for path in recordings])
+        raise
+    limits = Limits(time_limit, memory_limit)
+    verdicts = judging.score(recordings, normal, manager, far, limits, strict=strict)
     show = output.as_json if file_format == "json" else output.as_text
     click.echo(show(verdicts, far, normal.notes))
-    if junit is not None:
-        with replacing(junit) as sink:
-            sink.write(as_junit(verdicts))
+    write_junit(verdicts)
     ctx.exit(output.exit_code(verdicts))
 
 
@@ -207,6 +267,7 @@ def learn(good: tuple[Path, ...], output: Path, plugins: Path | None) -> None:
         oracle learn data/datasets/features.parquet --output testbed.card
         oracle score tonight/* --reference robot.card
     """  # noqa: D301 -- click reads the control character
+    from oracle_pipeline.features import build_manager
     from oracle_pipeline.scoring.card import SUFFIX
     from oracle_pipeline.scoring.learning import learn as learn_card
     from oracle_pipeline.scoring.output import card_as_text
@@ -214,7 +275,7 @@ def learn(good: tuple[Path, ...], output: Path, plugins: Path | None) -> None:
 
     if output.suffix != SUFFIX:
         raise click.UsageError(f"Let the name of the card end with {SUFFIX}: {output}{SUFFIX}")
-    manager = feature_extraction.build_manager(plugins)
+    manager = build_manager(plugins)
     card = learn_card(read_reference(good, manager))
     card.save(output)
     click.echo(card_as_text(card))

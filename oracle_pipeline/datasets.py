@@ -11,7 +11,6 @@ import json
 import os
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Self
 
@@ -227,7 +226,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
                 os.fsync(sink.fileno())
             scratch.replace(path)
     except OSError as error:
-        if error.filename is not None:
+        if error.filename is not None or error.errno is None:
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error  # as of a full disk
 
@@ -334,88 +333,3 @@ def content_hash(df: pd.DataFrame) -> str:
         else:
             digest.update(json.dumps([str(value) for value in values]).encode())
     return digest.hexdigest()
-
-
-def bootstrap(df: pd.DataFrame, n: int, malicious_rate: float, seed: int) -> pd.DataFrame:
-    """Draw ``n`` rows with replacement, a fixed share of them attacked.
-
-    Copies add no information: each row keeps its ``run_id``, and `distinct_runs` counts how many
-    runs there really are.
-
-    Parameters
-    ----------
-    df : DataFrame
-        One row for each run.
-    n : int
-        Rows to draw.
-    malicious_rate : float
-        Share of the rows that are drawn from the attacked runs, in [0, 1].
-    seed : int
-        Of the generator that draws.
-
-    Returns
-    -------
-    DataFrame of n rows
-        Sorted as `df`, copies side by side.
-
-    Raises
-    ------
-    DatasetError
-        The sizes make no sense, or a class to draw from has no run.
-    """
-    if n < 1 or not 0.0 <= malicious_rate <= 1.0:
-        raise DatasetError(
-            f"Cannot draw {n} rows with a malicious rate of {malicious_rate}; "
-            "give at least 1 row and a rate from 0 to 1."
-        )
-    malicious = is_malicious(df)
-    rng = np.random.default_rng(seed)
-    n_malicious = round(n * malicious_rate)
-    drawn = []
-    for wanted, size, name in (
-        (malicious, n_malicious, "malicious"),
-        (~malicious, n - n_malicious, "normal"),
-    ):
-        if size and not wanted.any():
-            raise DatasetError(
-                f"There is no {name} run to draw {size} rows from; record runs of a {name} mode "
-                f"or set the malicious rate to {1 if name == 'normal' else 0}."
-            )
-        if size:
-            drawn.append(rng.choice(np.flatnonzero(wanted), size))
-    return df.iloc[np.sort(np.concatenate(drawn))].reset_index(drop=True)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class DistinctRuns:
-    """The runs behind rows that may be copies; arrays of shape (n_runs,), by ``run_id``."""
-
-    first: NDArray[np.intp]  # row of the run's first copy
-    copies: NDArray[np.int64]  # rows the run takes up
-    malicious: NDArray[np.bool_]
-    block: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return len(self.first)
-
-
-def distinct_runs(df: pd.DataFrame) -> DistinctRuns:
-    """Return the distinct runs of a table and how many rows each takes up."""
-    _, first, copies = np.unique(
-        df["run_id"].to_numpy(dtype=object), return_index=True, return_counts=True
-    )
-    return DistinctRuns(
-        first=first,
-        copies=copies,
-        malicious=is_malicious(df)[first],
-        block=df["block"].to_numpy(dtype=np.int64)[first],
-    )
-
-
-def lacking(df: pd.DataFrame) -> str:
-    """Return which class of runs a table lacks for any comparison, in words; empty if neither."""
-    malicious = is_malicious(df)
-    absent = [
-        name for name, rows in (("malicious", malicious), ("normal", ~malicious)) if not rows.any()
-    ]
-    return f"no {' and no '.join(absent)} runs" if absent else ""

@@ -41,7 +41,7 @@ class OpenedRun:
         self.bag.close()
 
 
-def open_run(path: Path) -> OpenedRun:
+def open_run(path: Path, *, strict: bool = False) -> OpenedRun:
     """Open a run directory, or a foreign bag.
 
     Parameters
@@ -65,7 +65,7 @@ def open_run(path: Path) -> OpenedRun:
             f"{path} looks like a run directory but has no {MANIFEST_FILE}, so the run is not "
             f"complete; record it again, or name {path / BAG_FOLDER} to read its bag alone."
         )
-    return OpenedRun(path, BagReader(path), None, ())
+    return OpenedRun(path, BagReader(path, strict=strict), None, ())
 
 
 def _open_run_directory(path: Path) -> OpenedRun:
@@ -84,7 +84,7 @@ def _open_run_directory(path: Path) -> OpenedRun:
             path,
         )
     intervals = read_intervals(path / GRAPHS_FOLDER)
-    bag = BagReader(path / BAG_FOLDER)
+    bag = BagReader(path / BAG_FOLDER, strict=True)
     claimed = {name: topic.messages for name, topic in manifest.topics.items()}
     claimed.pop(GROUND_TRUTH_TOPIC, None)
     held = {name: topic.count for name, topic in bag.topics.items()}

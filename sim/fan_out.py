@@ -1,20 +1,18 @@
 """Many independent jobs over ``concurrent.futures`` executors, each failing alone.
 
-A job that raises becomes an outcome with the error's text. A worker process that dies takes other
-jobs with it (breaks a whole pool), and nobody knows which one did it: what was lost is run once
-more together, then one by one, so that only a job that kills its worker on its own is given up.
+A job that raises becomes an outcome with the error's text, and so does one that takes too long.
+Where a worker dies (on a cluster it may take other jobs with it), what was lost is run once more
+together, then one by one, so that only a job that kills its worker on its own is given up.
 """
 
-import multiprocessing
-import os
-import threading
 import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from oracle_pipeline.bags.errors import OracleError
+from sim.worker_pool import WorkerPool, limit_from_environment
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -31,23 +29,9 @@ class Outcome(Generic[J, R]):
     error: str | None = None
 
 
-def process_pool(workers: int) -> ProcessPoolExecutor:
-    """Return a pool of fresh interpreters: nothing leaks in from the parent."""
-    return ProcessPoolExecutor(
-        workers, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_caller
-    )
-
-
-def _end_with_caller() -> None:
-    """Let this worker die with its caller; it would wait for further jobs for ever."""
-    caller = multiprocessing.parent_process()
-
-    def watch() -> None:
-        if caller is not None:
-            caller.join()
-            os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+def process_pool(workers: int) -> WorkerPool:
+    """Return an executor of fresh interpreters, whose jobs may take what the environment says."""
+    return WorkerPool(workers, limit_from_environment())
 
 
 def fan_out(

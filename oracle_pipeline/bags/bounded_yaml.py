@@ -37,6 +37,7 @@ def load(text: str) -> Any:
             if isinstance(event, yaml.AliasEvent):
                 raise ValueError("it has an alias, which no recorder writes")
             if isinstance(event, yaml.MappingStartEvent | yaml.SequenceStartEvent):
+                _refuse_tag(event.tag)
                 value: Any = {} if isinstance(event, yaml.MappingStartEvent) else []
             elif isinstance(event, yaml.ScalarEvent):
                 value = _scalar(scalars, event)
@@ -71,9 +72,13 @@ def load(text: str) -> Any:
     return document
 
 
+def _refuse_tag(tag: str | None) -> None:
+    if tag not in (None, "!"):
+        raise ValueError(f"it has a tag, {tag}, which no recorder writes")
+
+
 def _scalar(rules: _Text, event: yaml.ScalarEvent) -> Any:
-    if event.tag is not None and event.tag != "!":
-        raise ValueError(f"it has a tag, {event.tag}, which no recorder writes")
+    _refuse_tag(event.tag)
     if not event.implicit[0]:
         return event.value
     tag = rules.resolve(yaml.ScalarNode, event.value, (True, False))  # type: ignore[no-untyped-call]

@@ -19,6 +19,7 @@ from xml.sax.saxutils import escape
 import networkx as nx
 
 from oracle_pipeline.bags.errors import GraphError
+from oracle_pipeline.bags.limits import DEEPEST_GRAPH, LARGEST_GRAPH
 
 if TYPE_CHECKING:
     RosGraph: TypeAlias = nx.DiGraph[str]
@@ -150,11 +151,30 @@ def _refuse_document_type(*_declaration: object) -> None:
     raise GraphError("it has a document type, which a graph file never needs")
 
 
+class _Depth:
+    """Refuses elements within elements beyond the limit: parsers of trees recurse."""
+
+    def __init__(self) -> None:
+        self._depth = 0
+
+    def enter(self, *_element: object) -> None:
+        self._depth += 1
+        if self._depth > DEEPEST_GRAPH:
+            raise GraphError(f"its elements are deeper than {DEEPEST_GRAPH} (DEEPEST_GRAPH)")
+
+    def leave(self, *_element: object) -> None:
+        self._depth -= 1
+
+
 def _read(path: Path, parse: Callable[[io.BytesIO], Any]) -> RosGraph:
     try:
+        if path.stat().st_size > LARGEST_GRAPH:
+            raise GraphError(f"it is larger than {LARGEST_GRAPH} bytes (LARGEST_GRAPH)")
         data = path.read_bytes()
         scanner = expat.ParserCreate()
         scanner.StartDoctypeDeclHandler = _refuse_document_type
+        depth = _Depth()
+        scanner.StartElementHandler, scanner.EndElementHandler = depth.enter, depth.leave
         scanner.Parse(data, True)
         return _checked(parse(io.BytesIO(data)))
     except (OSError, expat.ExpatError, nx.NetworkXError, GraphError, KeyError, ValueError) as error:

@@ -26,3 +26,5 @@ LARGEST_DISORDER: Final = 256 * _MIB
 LARGEST_DECODED, MOST_KEPT = 64 * _MIB, 256 * _MIB
 #: Windows of one recording.
 MOST_WINDOWS: Final = 100_000
+#: Bytes and depth of the XML of a graph.
+LARGEST_GRAPH, DEEPEST_GRAPH = 64 * _MIB, 24

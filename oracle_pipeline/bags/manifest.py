@@ -14,11 +14,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self, TypeAlias
 
-import jsonschema
-
 from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import ManifestError
-from oracle_pipeline.bags.json_schema import faults
 from oracle_pipeline.bags.protocol import run_key
 
 SCHEMA_VERSION = 4
@@ -224,6 +221,10 @@ def _validate(document: Any, path: Path) -> None:
             f"{path} has schema version {version}, this release reads {SCHEMA_VERSION}; "
             "install the release that wrote it, or record the run again."
         )
+    import jsonschema  # its import takes longer than `oracle --help` may
+
+    from oracle_pipeline.bags.json_schema import faults
+
     error = jsonschema.exceptions.best_match(faults(document, schema()))
     if error is not None:
         field = ".".join(str(part) for part in error.absolute_path) or "(top level)"

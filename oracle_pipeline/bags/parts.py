@@ -8,7 +8,7 @@ in it.
 import re
 import stat
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -71,22 +71,12 @@ def open_parts(path: Path) -> Parts:
     return found
 
 
-def recordings(folder: Path) -> Iterator[Path]:
-    """Find the recordings in a folder and below: folders of parts, and single files, in order."""
-    files, folders = [], []
-    for entry in sorted(folder.iterdir()):
-        if entry.name.startswith("."):
-            continue
-        if entry.is_dir():
-            folders.append(entry)
-        elif _NAME.fullmatch(entry.name):
-            files.append(entry)
-    if (folder / METADATA).is_file() or (len(files) > 1 and len(_groups(files)) == 1):
-        yield folder
-        return
-    yield from files
-    for entry in folders:
-        yield from recordings(entry)
+def is_recording(path: Path) -> bool:
+    """Tell whether a path looks like one recording: a file, or a folder of its parts."""
+    if not path.is_dir():
+        return _NAME.fullmatch(path.name) is not None
+    files = [entry for entry in path.iterdir() if _NAME.fullmatch(entry.name)]
+    return (path / METADATA).is_file() or (len(files) > 1 and len(_groups(files)) == 1)
 
 
 def _open_folder(folder: Path, found: Parts) -> None:

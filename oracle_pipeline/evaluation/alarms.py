@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.datasets import DistinctRuns
+from oracle_pipeline.bootstrap import DistinctRuns
 from oracle_pipeline.evaluation.comparisons import RATES, ComparedRuns
 from oracle_pipeline.evaluation.held_out import common_length
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns

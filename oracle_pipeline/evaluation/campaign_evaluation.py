@@ -41,6 +41,7 @@ from oracle_pipeline.evaluation.held_out import (
 )
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.kill_rates import kill_matrix
+from oracle_pipeline.evaluation.reference_scores import reference_scores
 from oracle_pipeline.evaluation.splits import (
     BLOCK,
     HARMLESS,
@@ -153,6 +154,8 @@ class _Steps:
 
     def score(self, scorer: Scorer, folds: Sequence[Fold]) -> HeldOutScores:
         self.progress(f"{scorer.detector}, {scorer.features}, {scorer.level}")
+        if scorer == HEADLINE:
+            return reference_scores(self.campaign, None if folds is self.folds else folds)
         detector, columns = self.detectors[scorer.detector], self.sets.get(scorer.features, [])
         return held_out(self.campaign, columns, detector, folds, scorer.level)
 

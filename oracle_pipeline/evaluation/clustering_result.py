@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import pdist
 
+from oracle_pipeline.bootstrap import DistinctRuns, distinct_runs, lacking
 from oracle_pipeline.clustering.scores import hac_height, outside_largest
 from oracle_pipeline.clustering.tree import ClusteringError, Criterion, Linkage, Tree, grow_tree
-from oracle_pipeline.datasets import DistinctRuns, distinct_runs, lacking
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
 from oracle_pipeline.evaluation.metrics import (
     Confusion,

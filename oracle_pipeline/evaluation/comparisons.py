@@ -13,7 +13,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.protocol import PAIRS
-from oracle_pipeline.datasets import HARD_NEGATIVE, DistinctRuns
+from oracle_pipeline.bootstrap import DistinctRuns
+from oracle_pipeline.datasets import HARD_NEGATIVE
 from oracle_pipeline.detectors import DEFAULT_DETECTOR
 from oracle_pipeline.evaluation.held_out import HeldOutScores, Level
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns

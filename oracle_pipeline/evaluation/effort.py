@@ -16,8 +16,9 @@ import pandas as pd
 from numpy.typing import NDArray
 from sklearn.metrics import adjusted_rand_score
 
+from oracle_pipeline.bootstrap import distinct_runs
 from oracle_pipeline.clustering.tree import Linkage, grow_tree
-from oracle_pipeline.datasets import distinct_runs, is_malicious
+from oracle_pipeline.datasets import is_malicious
 from oracle_pipeline.evaluation.metrics import share
 from oracle_pipeline.evaluation.variants import scale_rows
 

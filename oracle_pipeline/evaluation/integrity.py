@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from sklearn.metrics import roc_auc_score
 
 from oracle_pipeline.bags.protocol import PAIRS
-from oracle_pipeline.datasets import DistinctRuns, field_metadata, is_hard_negative
+from oracle_pipeline.bootstrap import DistinctRuns
+from oracle_pipeline.datasets import field_metadata, is_hard_negative
 from oracle_pipeline.detectors import Detector, upper_bounds
 from oracle_pipeline.evaluation.audit import blocks_needed, exact_pairs, told_in_pair
 from oracle_pipeline.evaluation.comparisons import RATES, runs_of

@@ -15,6 +15,7 @@ from oracle_pipeline.detectors import DetectorError, panel
 from oracle_pipeline.evaluation.comparisons import HEADLINE, RATES, Scorer, scorers
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate, clopper_pearson
 from oracle_pipeline.evaluation.held_out import calibration_runs, held_out
+from oracle_pipeline.evaluation.reference_scores import reference_scores
 from oracle_pipeline.evaluation.splits import BLOCK, HARMLESS, Fold, fit_and_calibrate, untaught
 from oracle_pipeline.scoring.conformal import check_support, runs_needed
 from oracle_pipeline.scoring.feature_sets import feature_sets
@@ -80,7 +81,11 @@ def kill_matrix(
     for scorer, split, folds in oracles:
         try:
             columns, detector = sets[scorer.features], detectors[scorer.detector]
-            scores = held_out(runs, columns, detector, folds, scorer.level)
+            scores = (
+                reference_scores(runs, folds)
+                if scorer == HEADLINE
+                else held_out(runs, columns, detector, folds, scorer.level)
+            )
         except DetectorError:
             continue  # its row in the evaluation's table gives the reason
         verdicts = grid.features[list(REQUIRED)].assign(killed=scores.p[mutants] <= rate)

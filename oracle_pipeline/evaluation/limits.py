@@ -5,7 +5,8 @@ from math import log
 import numpy as np
 import pandas as pd
 
-from oracle_pipeline.datasets import feature_columns, is_malicious, lacking
+from oracle_pipeline.bootstrap import lacking
+from oracle_pipeline.datasets import feature_columns, is_malicious
 
 FALSE_ALARMS = 0.05  # the rate a verdict is usually asked to keep
 

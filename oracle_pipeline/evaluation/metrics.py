@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import gamma
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.datasets import DistinctRuns
+from oracle_pipeline.bootstrap import DistinctRuns
 from oracle_pipeline.evaluation.estimate import (
     LEVEL,
     NOTHING,

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bags.protocol import PAIRS
-from oracle_pipeline.datasets import distinct_runs
+from oracle_pipeline.bootstrap import distinct_runs
 from oracle_pipeline.evaluation.clustering_result import grow_over_runs, in_best_cluster
 from oracle_pipeline.evaluation.metrics import confusion
 from oracle_pipeline.evaluation.variants import THESIS

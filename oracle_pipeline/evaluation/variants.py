@@ -14,14 +14,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from oracle_pipeline.bootstrap import bootstrap
 from oracle_pipeline.clustering.scaling import FlooredRobustScaler
-from oracle_pipeline.datasets import (
-    DatasetError,
-    bootstrap,
-    feature_columns,
-    feature_floors,
-    is_malicious,
-)
+from oracle_pipeline.datasets import DatasetError, feature_columns, feature_floors, is_malicious
 from oracle_pipeline.features.thesis_features import VECTOR
 
 FeatureSet = Literal["all", "structural", "contextual"]

@@ -3,7 +3,7 @@
 A plugin needs no more than what is named here.
 """
 
-from oracle_pipeline.features.extraction import FeatureTables, extract, write
+from oracle_pipeline.features.extraction import FeatureTables, extract, families, write
 from oracle_pipeline.features.manager import FeatureManager, build_manager
 from oracle_pipeline.features.plugin import (
     Feature,
@@ -34,6 +34,7 @@ __all__ = [
     "Window",
     "build_manager",
     "extract",
+    "families",
     "hookimpl",
     "write",
 ]

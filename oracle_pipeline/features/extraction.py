@@ -27,6 +27,7 @@ from oracle_pipeline.datasets import (
     WHERE,
     WINDOW_START,
     Fields,
+    feature_columns,
     write_table,
 )
 from oracle_pipeline.features.kept_messages import KeptMessages
@@ -121,6 +122,23 @@ def extract(run: OpenedRun, manager: FeatureManager) -> FeatureTables:
     )
     tables.run.attrs["notes"] = [*run.bag.losses, *run.bag.notes, *recording.notes]
     return tables
+
+
+def families(tables: FeatureTables) -> dict[str, dict[str, Any]]:
+    """Return by family how many features of the run could be computed, and what is missing."""
+    row = tables.run.iloc[0]
+    missing = json.loads(row[MISSING])
+    summary: dict[str, dict[str, Any]] = {}
+    for column in feature_columns(tables.run):
+        family = summary.setdefault(
+            column.partition(".")[0], {"computed": 0, "of": 0, "missing": []}
+        )
+        family["of"] += 1
+        if column not in missing:
+            family["computed"] += 1
+        elif missing[column] not in family["missing"]:
+            family["missing"].append(missing[column])
+    return summary
 
 
 def window_spans(recording: KeptMessages) -> list[Span]:

@@ -109,7 +109,8 @@ class _Sampling:
         is_due[begins] = slots[begins] != self._last[topics[begins]]
         ends = np.roll(begins, -1)
         self._last[topics[ends]] = slots[ends]
-        return rows[is_due]
+        due: Integers = rows[is_due]
+        return due
 
 
 class _Headers:

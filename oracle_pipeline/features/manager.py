@@ -83,6 +83,7 @@ class FeatureManager:
     plugins: tuple[FeaturePlugin, ...]
     thesis: tuple[ThesisPlugin, ...] = ()
     broken: dict[str, str] = field(default_factory=dict)  # what could not be loaded, and why
+    folder: Path | None = None  # that plugins were loaded from
 
     def features(self) -> dict[str, Feature]:
         """Return what is known of each column of the native plugins."""
@@ -113,7 +114,9 @@ def build_manager(folder: Path | None = None) -> FeatureManager:
     broken: dict[str, str] = {}
     _register_entry_points(registry, broken)
     modules = _load_folder(registry, folder, broken) if folder is not None else {}
-    manager = FeatureManager(_offered(registry, broken), _thesis_plugins(modules, broken), broken)
+    manager = FeatureManager(
+        _offered(registry, broken), _thesis_plugins(modules, broken), broken, folder
+    )
     for name, reason in broken.items():
         _log.error("Plugin %s is left out: %s", name, reason)
     _check_names(manager.plugins)

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.plugin import (
@@ -91,6 +90,8 @@ class Map:
         """Prepare a grid; beyond its border is as unknown as unknown cells are."""
         cells = np.pad(grid.cells, 1, constant_values=-1)
         solid = cells >= _OCCUPIED
+        from scipy.ndimage import distance_transform_edt  # only runs that need it pay for it
+
         clearance = distance_transform_edt(~(solid | (cells < 0))).astype(np.float32)
         return cls(grid.pose, grid.resolution, clearance, solid)
 

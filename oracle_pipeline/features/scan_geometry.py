@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.plugin import Request, Series
@@ -361,6 +360,8 @@ def keep_frames(message: Any) -> list[tuple[str, str, Floats]]:
 def _matrix(transform: Any) -> Floats:
     shift, q = transform.translation, transform.rotation
     matrix = np.eye(4)
+    from scipy.spatial.transform import Rotation  # only runs that need it pay for it
+
     matrix[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
     matrix[:3, 3] = shift.x, shift.y, shift.z
     return matrix

@@ -32,9 +32,13 @@ from oracle_pipeline.features.scan_geometry import (
 _OF = "of the scanners"
 FEATURES = (
     Feature(
-        "smooth", "1", 2e-3,
-        "share of a scan's returns in stretches that bend much less from ray to ray than the scan "
-        f"does, 95th percentile, largest {_OF}", "domain",
+        "smooth", "1", 1e-3,
+        "share of a scan's returns in long stretches that bend much less from ray to ray than the "
+        f"scan does, 95th percentile, largest {_OF}", "domain",
+    ),
+    Feature(
+        "smooth_mean", "1", 1e-3,
+        f"the same in stretches half as long, mean of the scans, largest {_OF}", "domain",
     ),
     Feature(
         "rough", "1", 2e-3,
@@ -58,6 +62,7 @@ FEATURES = (
 )  # fmt: skip
 
 _STRETCH = 4  # bends in a row that make a stretch
+_LONG = 8  # and a long one, of which even noise has none in a thousand scans
 _SMOOTH, _ROUGH = 0.25, 4.0  # of the scan's median bend
 _FINEST_M = 1e-4  # a bend that is none
 _MAD_TO_DEVIATION = 1.4826
@@ -70,6 +75,7 @@ class _Noise:
     """Of each scan of a topic."""
 
     smooth: Series
+    smooth_short: Series
     rough: Series
     repeated: Series  # 1 or 0
     still: Series  # [m], of scans in which the robot stands
@@ -92,6 +98,9 @@ def compute(window: Window) -> Values:
         "smooth": largest(
             {t: quantile(n.smooth, window, 0.95) for t, n in scanners.items()}, empty
         ),
+        "smooth_mean": largest(
+            {t: mean(n.smooth_short, window) for t, n in scanners.items()}, empty
+        ),
         "rough": largest({t: quantile(n.rough, window, 0.95) for t, n in scanners.items()}, empty),
         "repeated": largest({t: mean(n.repeated, window) for t, n in scanners.items()}, empty),
         "still_noise_max": largest(still, moving),
@@ -101,37 +110,41 @@ def compute(window: Window) -> Values:
 
 
 @jit
-def uneven(ranges: Floats) -> tuple[float, float]:
-    """Return the shares of a scan's bends in smooth and in rough stretches; NaN without a bend.
+def uneven(ranges: Floats) -> tuple[float, float, float]:
+    """Return the shares of bends in long smooth, smooth and rough stretches; NaN without a bend.
 
     A bend is the third difference of neighbouring ranges, in which walls and pillars hardly show.
     """
     bends = np.abs(ranges[3:] - 3.0 * ranges[2:-1] + 3.0 * ranges[1:-2] - ranges[:-3])
     known = bends[np.isfinite(bends)]
     if len(known) < _STRETCH:
-        return math.nan, math.nan
+        return math.nan, math.nan, math.nan
     usual = max(np.median(known), _FINEST_M)
-    smooth = _in_stretches(bends <= _SMOOTH * usual)
-    rough = _in_stretches((bends >= _ROUGH * usual) & (bends < CLOSER_M))
-    return smooth / len(known), rough / len(known)
+    smooth = bends <= _SMOOTH * usual
+    rough = (bends >= _ROUGH * usual) & (bends < CLOSER_M)
+    return (
+        _in_stretches(smooth, _LONG) / len(known),
+        _in_stretches(smooth, _STRETCH) / len(known),
+        _in_stretches(rough, _STRETCH) / len(known),
+    )
 
 
 @jit
-def _in_stretches(flags: NDArray[np.bool_]) -> int:
-    """Count the true flags in runs of `_STRETCH` at least."""
+def _in_stretches(flags: NDArray[np.bool_], shortest: int) -> int:
+    """Count the true flags in runs of a length at least."""
     total = run = 0
     for flag in flags:
         run = run + 1 if flag else 0
-        if run == _STRETCH:
-            total += _STRETCH
-        elif run > _STRETCH:
+        if run == shortest:
+            total += shortest
+        elif run > shortest:
             total += 1
     return total
 
 
 @jit
 def _uneven(ranges: Floats) -> Floats:
-    shares = np.empty((len(ranges), 2))
+    shares = np.empty((len(ranges), 3))
     for i in range(len(ranges)):
         shares[i] = uneven(ranges[i])
     return shares
@@ -144,10 +157,11 @@ def register_features() -> list[FeaturePlugin]:
 
 
 def _noise(setup: ScannerSetup, topic: str, scans: Scans) -> _Noise:
-    smooth, rough = _uneven(scans.ranges).T
+    smooth, smooth_short, rough = _uneven(scans.ranges).T
     still, flicker = _standing(setup, topic, scans)
     return _Noise(
         Series(scans.times_s, smooth),
+        Series(scans.times_s, smooth_short),
         Series(scans.times_s, rough),
         Series(scans.times_s, _repeated(scans.ranges)),
         still,

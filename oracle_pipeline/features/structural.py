@@ -11,7 +11,6 @@ from dataclasses import replace
 import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import shortest_path
 
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.features.plugin import (
@@ -118,6 +117,8 @@ def _shape(
 def _mean_betweenness(graph: RosGraph) -> float:
     """Return it from distances alone: a shortest path of k edges has k - 1 vertices inside."""
     n = graph.number_of_nodes()
+    from scipy.sparse.csgraph import shortest_path  # only runs that need it pay for it
+
     distances = shortest_path(nx.to_scipy_sparse_array(graph, weight=None), unweighted=True)
     inside = distances[np.isfinite(distances) & (distances > 1.0)] - 1.0
     return float(inside.sum()) / (n * max(1, (n - 1) * (n - 2)))

@@ -109,7 +109,7 @@ def epochs(stamps_ns: list[Stamps]) -> list[Stamps]:
     jumps = int(np.median(often)) if often else 0
     if not jumps or often.count(jumps) * 2 < len(often):
         return [np.zeros(len(stamps), dtype=np.int64) for stamps in stamps_ns]
-    counted = [np.cumsum(steps) for steps in back]
+    counted: list[Stamps] = [np.cumsum(steps, dtype=np.int64) for steps in back]
     spans = _spans(stamps_ns, counted, jumps)
     return [
         epoch if len(epoch) and epoch[-1] == jumps else _nearest(stamps, spans)
@@ -136,4 +136,5 @@ def _spans(stamps_ns: list[Stamps], counted: list[Stamps], jumps: int) -> list[t
 def _nearest(stamps: Stamps, spans: list[tuple[int, int]]) -> Stamps:
     """Return the epoch in whose span each stamp lies, or to which it is nearest."""
     apart = [np.maximum(np.maximum(start - stamps, stamps - end), 0) for start, end in spans]
-    return np.argmin(np.stack(apart), axis=0).astype(np.int64)
+    nearest: Stamps = np.argmin(np.stack(apart), axis=0).astype(np.int64)
+    return nearest

@@ -10,15 +10,10 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bags.protocol import PAIRS
+from oracle_pipeline.bootstrap import distinct_runs, lacking
 from oracle_pipeline.clustering.scores import hac_height
 from oracle_pipeline.clustering.tree import LINKAGES, ClusteringError
-from oracle_pipeline.datasets import (
-    DatasetError,
-    content_hash,
-    distinct_runs,
-    is_malicious,
-    lacking,
-)
+from oracle_pipeline.datasets import DatasetError, content_hash, is_malicious
 from oracle_pipeline.evaluation.clustering_result import grow_over_runs
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.metrics import RocCurve, auc, roc_curve
@@ -44,7 +39,7 @@ def bootstrapped_dataset(
 ) -> Report:
     """Draw rows with replacement; the report's table holds them.
 
-    Parameters and errors are those of `oracle_pipeline.datasets.bootstrap`; but of a campaign that
+    Parameters and errors are those of `oracle_pipeline.bootstrap.bootstrap`; but of a campaign that
     has only one class so far, all rows are drawn from that one, with a note in the summary. The
     thesis's variant leaves out runs that lack one of its ten features, and names them.
     """

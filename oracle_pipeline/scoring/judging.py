@@ -16,13 +16,13 @@ import pandas as pd
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import progress_bar
 from oracle_pipeline.detectors import by_family, explain
-from oracle_pipeline.features import FeatureManager, FeatureTables, extract
-from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.features import FeatureManager, FeatureTables
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.comparable import same_recording, shared_features
 from oracle_pipeline.scoring.conformal import adjusted_for_suite, runs_needed
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.evidence import farthest_features
+from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS, Limits, extract_apart
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.verdict import Judgement, ScoringError, Verdict
 
@@ -39,7 +39,13 @@ class CardSource(Protocol):
 
 
 def score(
-    recordings: Sequence[Path], reference: CardSource, manager: FeatureManager, far: float
+    recordings: Sequence[Path],
+    reference: CardSource,
+    manager: FeatureManager,
+    far: float,
+    limits: Limits = DEFAULT_LIMITS,
+    *,
+    strict: bool = False,
 ) -> list[Verdict]:
     """Judge recordings by comparison with normal runs.
 
@@ -56,9 +62,13 @@ def score(
         The plugins to compute the features with.
     far : float
         False positive rate, in (0, 1).
+    limits : Limits
+        Of the process that computes the features of one recording.
+    strict : bool
+        Do not judge an incomplete recording.
     """
     verdicts = [
-        _score_one(path, reference, manager, far)
+        _score_one(path, reference, manager, far, limits, strict=strict)
         for path in progress_bar(recordings, unit="recording")
     ]
     return settled(verdicts, far)
@@ -104,12 +114,14 @@ def _unsupported(blocks: int, size: int, far: float) -> str:
     return alone + (" Or judge one recording at a time." if size > 1 else "")
 
 
-def _score_one(path: Path, reference: CardSource, manager: FeatureManager, far: float) -> Verdict:
+def _score_one(
+    path: Path, reference: CardSource, manager: FeatureManager, far: float, limits: Limits,
+    *, strict: bool,
+) -> Verdict:  # fmt: skip
     try:
-        with open_run(path) as run:
-            tables = extract(run, manager)
-            seen = Observation.of(run)
-        return judge(str(path), tables, reference.card_for(tables.run), far, seen)
+        tables, seen, _ = extract_apart(path, manager, limits, strict=strict)
+        verdict = judge(str(path), tables, reference.card_for(tables.run), far, seen)
+        return replace(verdict, notes=(*tables.notes, *verdict.notes))
     except (OracleError, OSError) as error:
         return Verdict(str(path), "error", error=str(error))
 

@@ -42,9 +42,20 @@ def learn(reference: Reference) -> ReferenceCard:
         notes.append(WINDOWS_UNKNOWN)
         windows = pd.DataFrame({"run_id": table["run_id"], "window_start_s": 0.0})
     runs = MeasuredRuns.ordered(table, windows)
-    scorer = CrossConformalScorer(design(runs)).fit(runs, np.random.default_rng(SEED))
+    scorer = learned_scorer(runs)
     contract = Contract.learned(reference.observations) if reference.observations else None
     return ReferenceCard(scorer, runs.features, contract, tuple(notes))
+
+
+def learned_scorer(normal: MeasuredRuns) -> CrossConformalScorer:
+    """Return the scorer that learns from these normal runs.
+
+    Raises
+    ------
+    OracleError
+        They are too few, or have no feature.
+    """
+    return CrossConformalScorer(design(normal)).fit(normal, np.random.default_rng(SEED))
 
 
 def design(runs: MeasuredRuns) -> Design:

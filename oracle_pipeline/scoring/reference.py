@@ -8,18 +8,17 @@ import pandas as pd
 
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.parts import is_recording
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE
 from oracle_pipeline.bags.terminal import progress_bar
 from oracle_pipeline.datasets import KEYS, feature_dataset, read_table, window_dataset
-from oracle_pipeline.features import FeatureManager, extract
-from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.features import FeatureManager, FeatureTables
 from oracle_pipeline.scoring.comparable import listed
 from oracle_pipeline.scoring.contract import Observation
+from oracle_pipeline.scoring.isolation import extract_apart
 from oracle_pipeline.scoring.verdict import ScoringError
 
 WINDOWS_FILE = "windows.parquet"  # beside the table of the runs, as feature_dataset writes both
-_BAG_METADATA = "metadata.yaml"
-_BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -63,7 +62,7 @@ def read_reference(paths: Sequence[Path], manager: FeatureManager) -> Reference:
     path = paths[0]
     if len(paths) > 1:
         reference = _extracted(paths, manager)
-    elif path.is_file() and path.suffix not in _BAG_SUFFIXES:
+    elif path.is_file() and not is_recording(path):
         windows = path.with_name(WINDOWS_FILE)
         known = windows.is_file() and windows != path
         reference = Reference(read_table(path), read_table(windows) if known else None)
@@ -90,20 +89,21 @@ def _extracted(paths: Sequence[Path], manager: FeatureManager) -> Reference:
     recordings = [recording for path in paths for recording in _recordings(path)]
     for path in progress_bar(recordings, unit="recording", desc="reference"):
         try:
-            with open_run(path) as run:
-                both = list(extract(run, manager))
-                observation = Observation.of(run)
-                if run.manifest is None:
-                    unlabelled += 1
-                    both = [
-                        table.assign(run_id=str(path), label="normal", block=-unlabelled)
-                        for table in both
-                    ]
+            both, observation, has_manifest = extract_apart(path, manager)
         except (OracleError, OSError) as error:
             notes.append(f"{path} is left out of the reference: {error}")
         else:
-            tables.append(both[0])
-            windows.append(both[1])
+            notes += [f"{path}: {note}" for note in both.notes]
+            if not has_manifest:
+                unlabelled += 1
+                both = FeatureTables(
+                    *(
+                        table.assign(run_id=str(path), label="normal", block=-unlabelled)
+                        for table in both
+                    )
+                )
+            tables.append(both.run)
+            windows.append(both.windows)
             observations.append(observation)
     if not tables:
         raise ScoringError(
@@ -119,12 +119,9 @@ def _extracted(paths: Sequence[Path], manager: FeatureManager) -> Reference:
 
 def _recordings(folder: Path) -> Iterator[Path]:
     """Find the run directories and bags below a folder, in order."""
-    if not folder.is_dir():
-        if folder.suffix in _BAG_SUFFIXES:
-            yield folder
-    elif any((folder / name).is_file() for name in (MANIFEST_FILE, _BAG_METADATA)):
+    if (folder / MANIFEST_FILE).is_file() or is_recording(folder):
         yield folder
-    else:
+    elif folder.is_dir():
         for entry in sorted(folder.iterdir()):
             if not entry.name.startswith("."):
                 yield from _recordings(entry)

@@ -3,7 +3,6 @@
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -124,7 +123,7 @@ def make_runs(
     """
     failed = 0
     with RunProgress(len(jobs)) as progress:
-        for outcome in fan_out(make, jobs, lambda: _executor(min(workers, len(jobs)))):
+        for outcome in fan_out(make, jobs, lambda: process_pool(min(workers, len(jobs)))):
             directory = place(outcome.job)
             if outcome.result is None:
                 failed += 1
@@ -135,11 +134,6 @@ def make_runs(
     if failed:
         click.echo(f"{failed} of {len(jobs)} runs failed; call again to complete them.", err=True)
         sys.exit(1)
-
-
-def _executor(workers: int) -> Executor:
-    """Return what runs the jobs; one at a time needs no process of its own to be started."""
-    return ThreadPoolExecutor(1) if workers == 1 else process_pool(workers)
 
 
 def _summary(manifest: Manifest) -> str:

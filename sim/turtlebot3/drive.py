@@ -110,13 +110,15 @@ def _odom_transform(time_ns: int, pose: Pose2D) -> Any:
 
 def next_set_point(now: tuple[float, float], target: tuple[float, float]) -> tuple[float, float]:
     """Return the wheels' next set-points [m/s], as Gazebo's diff drive moves them."""
-    if all(abs(t - n) < _CLOSE_ENOUGH for n, t in zip(now, target, strict=True)):
+    (left, right), (to_left, to_right) = now, target
+    if abs(to_left - left) < _CLOSE_ENOUGH and abs(to_right - right) < _CLOSE_ENOUGH:
         return target
+    return _towards(left, to_left), _towards(right, to_right)
+
+
+def _towards(now: float, target: float) -> float:
     step = WHEEL_ACCELERATION * ODOMETRY_NS / SECOND
-    left, right = (
-        n + math.copysign(min(abs(t - n), step), t - n) for n, t in zip(now, target, strict=True)
-    )
-    return left, right
+    return now + math.copysign(min(abs(target - now), step), target - now)
 
 
 class JointStatePlugin(Node):

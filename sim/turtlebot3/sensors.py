@@ -145,7 +145,7 @@ def _imu_words(
         words[i, : len(head)] = head
         words[i, 1] = stamps_ns[i] // SECOND
         words[i, 2] = stamps_ns[i] % SECOND
-        numbers[:4] = orientations[i]
+        numbers[:3], numbers[3] = orientations[i, 1:], orientations[i, 0]
         for axis in range(3):
             numbers[13 + axis] = angular_velocities[i, axis] + GYRO_NOISE * noise[i, axis]
             numbers[25 + axis] = (

@@ -27,7 +27,6 @@ _SEEN_BY_CAMERAS = np.array([1, 0, 1, 0, 0, 0], np.uint8)
 # A state is time, positions (robot: x, y, z, quaternion w, x, y, z; wheels) and their speeds.
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _POSE, _POSITION, _QUATERNION, _WHEEL_ANGLES = np.s_[1:8], np.s_[1:4], np.s_[4:8], np.s_[8:10]
-_QUATERNION_XYZW = [5, 6, 7, 4]
 _VELOCITY, _TURNING, _WHEEL_SPEEDS = np.s_[10:13], 15, np.s_[16:18]
 # Sensors: gyro, accelerometer, and per piece of the world how often the robot touches it.
 _GYRO, _ACCELEROMETER, _INERTIAL, _TOUCHES = np.s_[:3], np.s_[3:6], np.s_[:6], np.s_[6:]
@@ -42,7 +41,7 @@ class ImuSamples:
     """What an ideal inertial unit in ``imu_link`` measures, a sample a physics step."""
 
     stamps_ns: NDArray[np.int64]  # (n,)
-    orientations: NDArray[np.float64]  # (n, 4), quaternions x, y, z, w
+    orientations: NDArray[np.float64]  # (n, 4), quaternions w, x, y, z
     angular_velocities: NDArray[np.float64]  # (n, 3) [rad/s]
     linear_accelerations: NDArray[np.float64]  # (n, 3), gravity included [m/s^2]
 
@@ -181,7 +180,7 @@ class World:
         first = self._first + steps.start
         return ImuSamples(
             STEP_NS * np.arange(first, first + len(states)),
-            states[:, _QUATERNION_XYZW],
+            states[:, _QUATERNION],
             measured[:, _GYRO],
             measured[:, _ACCELEROMETER],
         )

@@ -47,6 +47,7 @@ NOTHING: set[str] = set()
         ("sim/commands/record.py", "N runs of one mode", "runs of one mode", NOTHING),
         ("sim/commands/progress.py", "real time", "time", NOTHING),
         ("sim/fan_out.py", '"""', '"""A line. ', NOTHING),
+        ("sim/worker_pool.py", '"""', '"""A line. ', NOTHING),
         ("resources/fleet.py", '"""', '"""A line. ', NOTHING),
         ("sim/scenarios/random_noise.yaml", "\n", "\n# A line.\n", NOTHING),
         ("sim/modes.py", '"""', '"""A line. ', NOTHING),

@@ -1,11 +1,19 @@
+import multiprocessing
 import os
 import signal
+import subprocess
+import sys
+import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
+import pytest
+
 from oracle_pipeline.bags.errors import OracleError
 from sim.fan_out import fan_out, process_pool
+from sim.worker_pool import LIMIT
 
 
 def square(x: int) -> int:
@@ -49,3 +57,74 @@ def test_a_job_that_keeps_killing_its_worker_is_given_up_and_named():
     outcomes = {o.job: o for o in fan_out(die, range(2), lambda: process_pool(1))}
     assert outcomes[0].result == 0
     assert "worker process died" in outcomes[1].error
+
+
+def hang(x: int) -> int:
+    if x == 1:
+        threading.Event().wait()
+    return x
+
+
+def say_where(x: int) -> int:
+    if x == 1:
+        return lambda: x  # no process can hand this over
+    raise UnpicklableError(x, x)
+
+
+class UnpicklableError(Exception):
+    def __init__(self, one, two):
+        super().__init__(f"{one} and {two}")
+
+
+def test_a_job_that_hangs_is_ended_and_named_and_the_others_go_on(monkeypatch):
+    monkeypatch.setenv(LIMIT, "6")
+    outcomes = {o.job: o for o in fan_out(hang, range(4), lambda: process_pool(2))}
+    assert {job: o.result for job, o in outcomes.items() if o.error is None} == {0: 0, 2: 2, 3: 3}
+    assert outcomes[1].error.startswith("It was not over after 6 s, and its worker was ended")
+    assert LIMIT in outcomes[1].error
+    assert not multiprocessing.active_children()
+
+
+def test_what_cannot_be_handed_over_fails_alone_with_its_reason():
+    outcomes = {o.job: o for o in fan_out(say_where, [1, 2], lambda: process_pool(1))}
+    assert "pickle" in outcomes[1].error
+    assert "UnpicklableError: 2 and 2" in outcomes[2].error
+
+
+def test_workers_do_many_jobs_each():
+    with process_pool(2) as pool:
+        found = {pool.submit(os.getpid).result() for _ in range(8)}
+    assert os.getpid() not in found
+    assert len(found) <= 2
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "soon", "nan"])
+def test_a_limit_that_is_no_time_is_refused(monkeypatch, text):
+    monkeypatch.setenv(LIMIT, text)
+    with pytest.raises(OracleError, match=f"{LIMIT} is '{text}'"):
+        process_pool(1)
+
+
+def test_workers_end_with_their_caller(tmp_path):
+    code = (
+        "from sim.fan_out import process_pool; from tests.sim.test_fan_out import note_and_hang\n"
+        "if __name__ == '__main__': process_pool(1).submit(note_and_hang, "
+        f"{str(tmp_path / 'worker')!r}).result()"
+    )
+    caller = subprocess.Popen([sys.executable, "-c", code], cwd=Path(__file__).parents[2])
+    worker = tmp_path / "worker"
+    while not (worker.exists() and worker.read_text()):
+        assert caller.poll() is None
+        time.sleep(0.05)
+    caller.kill()
+    caller.wait()
+    for _ in range(600):
+        if not Path(f"/proc/{worker.read_text()}").exists():
+            return
+        time.sleep(0.05)
+    raise AssertionError("the worker outlived its caller")
+
+
+def note_and_hang(place: str) -> None:
+    Path(place).write_text(str(os.getpid()))
+    threading.Event().wait()

@@ -9,9 +9,10 @@ import pytest
 from backports import zstd
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rosbags.rosbag2 import Reader
 
 from oracle_pipeline.bags.errors import BagError
-from oracle_pipeline.bags.parts import recordings
+from oracle_pipeline.bags.parts import is_recording
 from oracle_pipeline.bags.reader import BagReader
 from tests.oracle_pipeline.bags.conftest import text
 from tests.oracle_pipeline.bags.makers import McapOptions, write_db3, write_mcap, write_ros1
@@ -49,6 +50,12 @@ def test_every_mcap_file_is_read(options, order, tmp_path):
         assert (bag.start_ns, bag.end_ns) == (MESSAGES[0][1], MESSAGES[-1][1])
         assert {t.name: t.count for t in bag.topics.values()} == dict.fromkeys(bag.topics, 20)
         assert [m.topic for m in bag.messages(["/topic1"])] == ["/topic1"] * 20
+
+
+def test_every_bag_at_hand_is_read_as_with_rosbags(any_bag):
+    with Reader(any_bag) as reader:
+        theirs = [(c.topic, stamp, bytes(data)) for c, stamp, data in reader.messages()]
+    assert read(any_bag, strict=True) == (theirs, [])
 
 
 @pytest.mark.parametrize("schema", [1, 2, 3, 4])
@@ -99,7 +106,7 @@ def test_a_folder_is_one_recording_whatever_metadata_says(folder, tmp_path, writ
     for part in range(12):  # ten and more: not in order of name
         write_mcap(bag / f"x_{part}.mcap", MESSAGES[5 * part : 5 * part + 5], McapOptions())
     assert read(bag) == (MESSAGES, [])
-    assert list(recordings(tmp_path)) == [bag]
+    assert is_recording(bag)
     write_bag(tmp_path / "other")
     shutil.copy(tmp_path / "other" / "metadata.yaml", bag)  # of another recording
     messages, losses = read(bag)
@@ -124,7 +131,8 @@ def test_several_recordings_in_a_folder_are_several(tmp_path):
         write_mcap(tmp_path / name, MESSAGES, McapOptions())
     with pytest.raises(BagError, match=r"several recordings: a\.mcap, b\.mcap"):
         BagReader(tmp_path)
-    assert [path.name for path in recordings(tmp_path)] == ["a.mcap", "b.mcap"]
+    assert not is_recording(tmp_path)
+    assert is_recording(tmp_path / "a.mcap")
 
 
 def test_a_half_compressed_part_gives_way_to_its_original(tmp_path):

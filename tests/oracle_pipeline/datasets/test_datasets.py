@@ -5,11 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from oracle_pipeline.bootstrap import bootstrap, distinct_runs
 from oracle_pipeline.datasets import (
     DatasetError,
-    bootstrap,
     content_hash,
-    distinct_runs,
     feature_columns,
     feature_dataset,
     feature_families,

@@ -2,7 +2,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from oracle_pipeline.datasets import bootstrap, distinct_runs, feature_columns
+from oracle_pipeline.bootstrap import bootstrap, distinct_runs
+from oracle_pipeline.datasets import feature_columns
 from oracle_pipeline.evaluation.clustering_result import cluster_and_judge, in_best_cluster
 from oracle_pipeline.evaluation.estimate import NOTHING
 from tests.oracle_pipeline.datasets.synthetic import run_features

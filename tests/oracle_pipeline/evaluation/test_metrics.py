@@ -11,7 +11,7 @@ from sklearn.metrics import (
     roc_auc_score,
 )
 
-from oracle_pipeline.datasets import DistinctRuns
+from oracle_pipeline.bootstrap import DistinctRuns
 from oracle_pipeline.evaluation.estimate import NOTHING, clopper_pearson
 from oracle_pipeline.evaluation.metrics import (
     MetricError,

@@ -3,9 +3,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from scipy.stats import spearmanr
+from scipy.stats import rankdata, spearmanr
 
-from oracle_pipeline.features.arrays import STATISTICS, each, roughness, standard_ranks, statistics
+from oracle_pipeline.features.arrays import (
+    STATISTICS,
+    _ranks,
+    each,
+    roughness,
+    standard_ranks,
+    statistics,
+)
 
 
 def of(numbers: list[float]) -> dict[str, float]:
@@ -78,3 +85,13 @@ def test_arrays_of_any_lengths_keep_their_order():
     values = np.fromiter(ragged, dtype=object, count=5)
     assert each(values, lambda same: same.mean(axis=1)) == [0, 1, 2, 3, 4]
     assert each(values, lambda same: same.sum(axis=1)) == [0, 1, 6, 6, 4]
+
+
+@given(
+    arrays(
+        np.float64, st.tuples(st.integers(1, 4), st.integers(1, 30)),
+        elements=st.sampled_from([-1.0, 0.0, 0.5, 1.0, np.inf]),
+    )
+)  # fmt: skip
+def test_ranks_are_those_of_scipy(values):
+    assert (_ranks(values) == rankdata(values, axis=1)).all()

@@ -90,7 +90,7 @@ def test_every_failure_is_one_line_and_exit_code_2(tmp_path, make_run):
 
 
 def test_a_defect_of_ours_ends_with_exit_code_2_too(make_run, monkeypatch):
-    monkeypatch.setattr("oracle_pipeline.cli._json", lambda _: 1 / 0)
+    monkeypatch.setattr("oracle_pipeline.cli._json", lambda *_: 1 / 0)
     done = oracle("features", make_run().path)
     assert done.exit_code == 2
     assert "ZeroDivisionError" in done.stderr

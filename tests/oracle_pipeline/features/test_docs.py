@@ -1,4 +1,7 @@
-"""Keeps docs/reference/features.md true; run as a script, it writes its table of features."""
+"""Keeps docs/reference/features.md and docs/how-to/plugins.md true.
+
+Run as a script, it writes the table of features.
+"""
 
 import re
 from pathlib import Path
@@ -10,7 +13,8 @@ from oracle_pipeline import features
 from oracle_pipeline.features.manager import FeatureManager
 from oracle_pipeline.opened_run import open_run
 
-PAGE = Path(__file__).parents[3] / "docs" / "reference" / "features.md"
+DOCS = Path(__file__).parents[3] / "docs"
+PAGE, PLUGINS = DOCS / "reference" / "features.md", DOCS / "how-to" / "plugins.md"
 BEGIN, END = "<!-- features: begin -->\n", "<!-- features: end -->\n"
 
 
@@ -28,7 +32,8 @@ def table(manager: FeatureManager) -> str:
 
 def code_blocks() -> dict[str, str]:
     """Return the plugins on the page, by file name."""
-    blocks = re.findall(r"```python\n(# plugins/(\w+\.py)\n.*?)```", PAGE.read_text("utf-8"), re.S)
+    text = PLUGINS.read_text("utf-8")
+    blocks = re.findall(r"```python\n(# plugins/(\w+\.py)\n.*?)```", text, re.S)
     return {name: code for code, name in blocks}
 
 

@@ -248,6 +248,46 @@ def test_a_suite_is_judged_together_and_one_bad_bag_costs_only_itself(bags, refe
     assert p[1] == pytest.approx(2 / 41)
 
 
+def test_an_unfinished_recording_is_judged_with_a_note_unless_strict(bags, reference, tmp_path):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(next(bags["usual"].glob("*.mcap")).read_bytes()[:-100])
+    done = oracle_score(cut, "--reference", reference, "--format", "json", expect=0)
+    (verdict,) = json.loads(done.stdout)["recordings"]
+    assert "cut.mcap was not finished" in verdict["notes"][0]
+    assert "messages were read, up to" in verdict["notes"][0]
+    done = oracle_score(cut, "--reference", reference, "--strict", expect=2)
+    assert "is incomplete" in done.stdout
+
+
+def test_recordings_that_end_their_process_are_errors_in_junit(bags, reference, tmp_path):
+    (tmp_path / "odd.py").write_text(
+        "import os\n"
+        "from oracle_pipeline.features import Feature, FeaturePlugin, hookimpl\n"
+        "def compute(window):\n"
+        "    os._exit(7) if len(window.arrivals) == 1 else None\n"
+        "    return {'value': 1.0}\n"
+        "@hookimpl\n"
+        "def register_features():\n"
+        "    return [FeaturePlugin('o', 'o', (Feature('value', '1', 1.0, ''),), compute)]\n"
+    )
+    write_bag(tmp_path / "deadly", [each for each in drive() if each[1] == "/odom"])
+    junit = tmp_path / "verdicts.xml"
+    suite = [bags["usual"], tmp_path / "deadly", bags["spinning"]]
+    options = ("--reference", reference, "--junit", junit, "--plugins", tmp_path)
+    oracle_score(*suite, *options, expect=2)
+    cases = list(ElementTree.parse(junit).getroot().iter("testcase"))  # noqa: S314 -- ours
+    assert [[result.tag for result in case] for case in cases] == [[], ["error"], ["failure"]]
+    assert "died (exit code 7)" in ElementTree.tostring(cases[1], encoding="unicode")
+
+
+def test_junit_is_written_without_a_reference(bags, tmp_path):
+    junit = tmp_path / "verdicts.xml"
+    options = ("--reference", tmp_path / "absent", "--junit", junit)
+    oracle_score(bags["usual"], *options, expect=2)
+    (error,) = ElementTree.parse(junit).getroot().iter("error")  # noqa: S314 -- ours
+    assert "absent" in (error.text or error.get("message", ""))
+
+
 def test_a_folder_of_bags_is_a_reference_whose_recordings_count_as_normal(bags, tmp_path):
     for name in "abcd":
         write_bag(tmp_path / "good" / name, drive())

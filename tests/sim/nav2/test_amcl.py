@@ -10,6 +10,7 @@ from sim.middleware import qos
 from sim.middleware.executor import SECOND
 from sim.middleware.geometry import Pose2D, wrap_angle
 from sim.middleware.stamps import header, stamp_ns
+from sim.nav2 import particle_filter
 from sim.nav2.amcl import Amcl
 from sim.nav2.likelihood_field import LikelihoodField
 from sim.nav2.map_server import MapServer, OccupancyMap
@@ -188,6 +189,18 @@ def test_clusters_are_bins_that_touch():
     labels = cluster_labels((bins + 0.5) * [half, half, ten])
     assert labels[0] == labels[1] == labels[3] == labels[4]
     assert len({labels[0], labels[2], labels[5]}) == 3
+
+
+@pytest.mark.parametrize("spread_m", [0.01, 0.5, 5.0])
+def test_bins_are_numbered_alike_however_far_particles_are_scattered(spread_m, monkeypatch):
+    rng = np.random.default_rng(3)
+    for count in (1, 2, 500):
+        poses = rng.normal(0.0, spread_m, (count, 3))
+        counted = particle_filter._occupied_bins(poses)
+        with monkeypatch.context() as patch:
+            patch.setattr(particle_filter, "_MANY_BINS", 0)
+            for found, expected in zip(counted, particle_filter._occupied_bins(poses), strict=True):
+                assert np.array_equal(found, expected)
 
 
 def test_in_a_corridor_the_scan_tells_across_but_not_along():

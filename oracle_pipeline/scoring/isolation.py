@@ -1,0 +1,145 @@
+"""Features of one recording, computed in a process of its own, within limits.
+
+Whatever a recording does to its process, the others of a suite get their verdicts. Processes are
+forked from a server that has imported everything once.
+"""
+
+import multiprocessing
+import os
+import resource
+import signal
+from dataclasses import dataclass
+from functools import cache
+from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerContext
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import NamedTuple, TypeAlias
+
+from oracle_pipeline.bags.errors import BagError, OracleError
+from oracle_pipeline.features import FeatureManager, FeatureTables, build_manager, extract
+from oracle_pipeline.features.manager import FOLDER_VARIABLE
+from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.scoring.contract import Observation
+
+_GIB = 2**30
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What one recording may take."""
+
+    seconds: float = 900.0
+    gibibytes: float = 4.0  # of memory
+
+
+DEFAULT_LIMITS = Limits()
+
+
+class Extracted(NamedTuple):
+    """What the other process found."""
+
+    tables: FeatureTables
+    observation: Observation
+    has_manifest: bool
+
+
+_Answer: TypeAlias = Extracted | OracleError
+
+
+def extract_apart(
+    path: Path, manager: FeatureManager, limits: Limits = DEFAULT_LIMITS, *, strict: bool = False
+) -> Extracted:
+    """Compute the features of a recording in another process.
+
+    Parameters
+    ----------
+    path : Path
+        A run directory or a bag.
+    manager : FeatureManager
+        As `build_manager` made it; the process makes its own of the same plugins.
+    limits : Limits
+        Of that process.
+    strict : bool
+        Refuse an incomplete recording.
+
+    Returns
+    -------
+    Extracted
+        The features, what the recording shows, and whether it has a manifest.
+
+    Raises
+    ------
+    OracleError
+        If the recording cannot be read, or its process died or went beyond the limits.
+    """
+    receiver, sender = _context().Pipe(duplex=False)
+    process = _context().Process(
+        target=_work, args=(sender, path, manager.folder, limits, strict), daemon=True
+    )
+    process.start()
+    sender.close()  # so that the end of the process is the end of the pipe
+    try:
+        answer = _received(receiver, process, path, limits)
+    finally:
+        process.kill()
+        process.join()
+        receiver.close()
+    if isinstance(answer, OracleError):
+        raise answer
+    return answer
+
+
+def _received(receiver: Connection, process: BaseProcess, path: Path, limits: Limits) -> _Answer:
+    if not receiver.poll(limits.seconds):
+        raise BagError(
+            f"{path} took longer than {limits.seconds:g} s, the limit (--time-limit); raise it, "
+            "or cut the recording into shorter ones."
+        )
+    try:
+        answer: _Answer = receiver.recv()
+    except EOFError:
+        process.join()
+        raise BagError(
+            f"The process that read {path} died ({_death(process.exitcode)}); perhaps there was "
+            "not enough memory for it. Please report the recording."
+        ) from None
+    return answer
+
+
+def _work(
+    sender: Connection, path: Path, plugins: Path | None, limits: Limits, strict: bool
+) -> None:
+    """Compute in the other process, and send the result."""
+    size = int(limits.gibibytes * _GIB)
+    resource.setrlimit(resource.RLIMIT_DATA, (size, size))
+    os.environ.pop(FOLDER_VARIABLE, None)  # the server may have an older one
+    answer: _Answer
+    try:
+        with open_run(path, strict=strict) as run:
+            tables = extract(run, build_manager(plugins))
+            answer = Extracted(tables, Observation.of(run), run.manifest is not None)
+    except MemoryError:
+        answer = BagError(
+            f"{path} needs more than {limits.gibibytes:g} GiB of memory, the limit "
+            "(--memory-limit); raise it, or cut the recording into shorter ones."
+        )
+    except (OracleError, OSError) as error:
+        answer = BagError(str(error))
+    except Exception as error:  # a defect of ours is one of this recording
+        answer = BagError(f"{path} cannot be read: {type(error).__name__}: {error}")
+    sender.send(answer)
+    sender.close()
+
+
+@cache
+def _context() -> ForkServerContext:
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([__name__])
+    return context
+
+
+def _death(code: int | None) -> str:
+    if code is not None and code < 0:
+        return signal.Signals(-code).name
+    return f"exit code {code}"

@@ -1,0 +1,182 @@
+"""Worker processes, one job each at a time: a job that kills its worker or hangs is known by name.
+
+``ProcessPoolExecutor`` breaks as a whole when one worker dies, and waits for ever for one that
+hangs. Here each worker has a pipe of its own, so the loss of one costs nobody else anything.
+"""
+
+import multiprocessing
+import os
+import pickle
+import threading
+import traceback
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from multiprocessing.connection import Connection
+from typing import Any, TypeVar
+
+from oracle_pipeline.bags.errors import OracleError
+
+R = TypeVar("R")
+
+LIMIT = "ORACLE_JOB_TIMEOUT"  # of the environment: seconds
+DEFAULT_LIMIT_S = 3600.0  # a run of ten simulated minutes takes less than one
+
+_PATIENCE_S = 10.0  # for an idle worker to end
+
+
+class JobTimeoutError(OracleError):
+    """A job took longer than it may; its worker was ended."""
+
+
+class WorkerDied(BrokenExecutor):
+    """A worker ended before its job did."""
+
+
+def limit_from_environment() -> float:
+    """Return how long a job may take [s]: ``ORACLE_JOB_TIMEOUT``, or an hour.
+
+    Raises
+    ------
+    OracleError
+        If it is no number above 0.
+    """
+    text = os.environ.get(LIMIT) or str(DEFAULT_LIMIT_S)
+    try:
+        limit_s = float(text)
+    except ValueError:
+        limit_s = 0.0
+    if not limit_s > 0.0:
+        raise OracleError(f"{LIMIT} is {text!r}; give the seconds that a job may take, above 0.")
+    return limit_s
+
+
+class WorkerPool(ThreadPoolExecutor):
+    """An executor of fresh interpreters: nothing leaks in from the parent.
+
+    Parameters
+    ----------
+    workers
+        How many there are at most; each is started with its first job.
+    limit_s
+        How long a job may take [s]; after that its worker is ended, and another one goes on.
+    """
+
+    def __init__(self, workers: int, limit_s: float) -> None:
+        super().__init__(workers)
+        self._limit_s = limit_s
+        self._of_thread = threading.local()
+        self._starting = threading.Lock()
+        self._workers: list[_Worker] = []
+
+    def submit(self, fn: Callable[..., R], /, *args: Any, **kwargs: Any) -> Future[R]:
+        """Hand a job to the next free worker; function, arguments and result must be picklable."""
+        return super().submit(self._do, fn, args, kwargs)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the workers when the jobs that have begun are over."""
+        super().shutdown(wait, cancel_futures=cancel_futures)
+        for worker in self._workers if wait else ():
+            worker.dismiss()
+
+    def _do(self, fn: Callable[..., R], args: Any, kwargs: Any) -> R:
+        worker: _Worker | None = getattr(self._of_thread, "worker", None)
+        if worker is None or not worker.is_alive:
+            with self._starting:
+                worker = self._of_thread.worker = _Worker()
+                self._workers.append(worker)
+        result: R = worker.do((fn, args, kwargs), self._limit_s)
+        return result
+
+
+class _Worker:
+    """One process, and the pipe to it."""
+
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_work, args=(theirs,), daemon=True)
+        self._process.start()
+        theirs.close()
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it can take a job."""
+        return self._process.is_alive()
+
+    def do(self, job: Any, limit_s: float) -> Any:
+        """Return a job's result, or raise what it raised."""
+        try:
+            self._pipe.send(job)
+            if not self._pipe.poll(limit_s):
+                self._end()
+                raise JobTimeoutError(
+                    f"It was not over after {limit_s:g} s, and its worker was ended. If it needs "
+                    f"longer, set {LIMIT} to more seconds."
+                )
+            is_done, result = self._pipe.recv()
+        except (EOFError, ConnectionError) as error:
+            self._end()
+            raise WorkerDied("its worker process died") from error
+        if is_done:
+            return result
+        raise result
+
+    def dismiss(self) -> None:
+        """End it when it is idle."""
+        self._pipe.close()
+        self._process.join(_PATIENCE_S)
+        self._end()
+
+    def _end(self) -> None:
+        self._process.kill()
+        self._process.join()
+
+
+def _work(pipe: Connection) -> None:
+    """Do jobs until there are no more to come."""
+    _end_with_caller()
+    while True:
+        try:
+            function, args, kwargs = pipe.recv()
+        except (EOFError, OSError, KeyboardInterrupt):
+            return
+        except BaseException as error:  # what cannot be unpickled is the job's failure
+            answer = False, _portable(error)
+        else:
+            answer = _answer(function, args, kwargs)
+        try:
+            pipe.send(answer)
+        except OSError:
+            return
+        except Exception as error:  # a result that cannot be pickled
+            pipe.send((False, _portable(error)))
+
+
+def _answer(function: Callable[..., Any], args: Any, kwargs: Any) -> tuple[bool, Any]:
+    try:
+        return True, function(*args, **kwargs)
+    except BaseException as error:
+        return False, _portable(error)
+
+
+def _portable(error: BaseException) -> BaseException:
+    """Return an error with its traceback in a note, as one that survives the way to the caller."""
+    text = "".join(traceback.format_exception(error))
+    error.add_note(f"In the worker:\n{text}")
+    try:
+        pickle.loads(pickle.dumps(error))  # noqa: S301 -- our own, made a line before
+    except Exception:
+        return RuntimeError(text)
+    return error
+
+
+def _end_with_caller() -> None:
+    """Let this worker die with its caller; a busy one would notice it only after its job."""
+    caller = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if caller is not None:
+            caller.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

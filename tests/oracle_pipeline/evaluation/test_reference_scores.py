@@ -1,0 +1,52 @@
+"""The evaluation's headline is the verdict that a user gets."""
+
+import numpy as np
+import pytest
+
+from oracle_pipeline.evaluation.reference_scores import reference_scores
+from oracle_pipeline.evaluation.splits import session_folds
+from oracle_pipeline.features import FeatureTables
+from oracle_pipeline.scoring.judging import judge
+from oracle_pipeline.scoring.learning import Cards
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+from oracle_pipeline.scoring.reference import Reference
+from tests.oracle_pipeline.datasets.synthetic import campaign
+
+
+@pytest.fixture(scope="module")
+def tables():
+    features, windows, _ = campaign(runs=8, effect=2.0)
+    return features, windows
+
+
+def test_oracle_score_gives_the_p_values_of_the_evaluation(tables):
+    features, windows = tables
+    runs = MeasuredRuns.ordered(features, windows)
+    measured = reference_scores(runs)
+    cards = Cards(Reference(features, windows))
+    for row in range(0, len(features), 3):
+        run = runs.features.iloc[[row]]
+        of_run = runs.windows[runs.windows["run_id"] == run["run_id"].iloc[0]]
+        verdict = judge("run", FeatureTables(run, of_run), cards.card_for(run), 0.5)
+        assert verdict.p_value == pytest.approx(measured.p[row])
+        assert verdict.score == pytest.approx(measured.score[row])
+
+
+def test_a_held_out_session_is_judged_by_what_others_taught(tables):
+    features, windows = tables
+    runs = MeasuredRuns.ordered(features, windows)
+    folds = session_folds(runs.features, seed=0)
+    scores = reference_scores(runs, folds)
+    assert np.isfinite(scores.p).all()
+    sessions = [set(runs.features.loc[fold.test, "session"]) for fold in folds]
+    blocks = [runs.features.loc[~fold.test, "block"].nunique() for fold in folds]
+    assert [len(session) for session in sessions] == [1, 1, 1]
+    assert scores.calibration == min(blocks)
+
+
+def test_two_blocks_teach_nothing_and_give_no_score(tables):
+    features, windows = tables
+    runs = MeasuredRuns.ordered(features[features["block"] < 2], windows)
+    scores = reference_scores(runs)
+    assert np.isnan(scores.score).all()
+    assert scores.calibration == 0

@@ -1,0 +1,66 @@
+"""One bad recording of a suite costs its own verdict only, whatever it does to its process."""
+
+import signal
+from pathlib import Path
+
+import pytest
+
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.writer import BagWriter
+from oracle_pipeline.features import build_manager
+from oracle_pipeline.scoring.isolation import Limits, extract_apart
+from tests.oracle_pipeline.bags.conftest import STRING, text
+
+PLUGIN = """
+import os, signal, time
+from oracle_pipeline.features import Feature, FeaturePlugin, hookimpl
+
+def compute(window):
+    {what}
+    return {{"value": 1.0}}
+
+@hookimpl
+def register_features():
+    return [FeaturePlugin("odd", "odd", (Feature("value", "1", 1.0, "a number"),), compute)]
+"""
+
+
+@pytest.fixture
+def bag(tmp_path) -> Path:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/chatter", STRING, [])
+        for i in range(20):
+            writer.write("/chatter", i * 500_000_000, text("x"))
+    return tmp_path / "bag"
+
+
+def manager_that(what, folder):
+    folder.mkdir()
+    (folder / "odd.py").write_text(PLUGIN.format(what=what))
+    return build_manager(folder)
+
+
+def test_features_are_those_of_the_other_process(bag, tmp_path):
+    tables, seen, has_manifest = extract_apart(bag, manager_that("pass", tmp_path / "plugins"))
+    assert tables.run["odd.value"].tolist() == [1.0]
+    assert not has_manifest
+    assert set(seen.topics) == {"/chatter"}
+
+
+@pytest.mark.parametrize(
+    ("what", "limits", "reason"),
+    [
+        ("os._exit(3)", Limits(), "died .exit code 3."),
+        ("os.kill(os.getpid(), signal.SIGSEGV)", Limits(), f"died .{signal.SIGSEGV.name}."),
+        ("time.sleep(60)", Limits(seconds=3.0), "longer than 3 s, the limit .--time-limit"),
+    ],
+)
+def test_a_process_that_dies_is_an_error_with_its_reason(what, limits, reason, bag, tmp_path):
+    with pytest.raises(BagError, match=reason):
+        extract_apart(bag, manager_that(what, tmp_path / "plugins"), limits)
+
+
+def test_memory_is_limited(bag, tmp_path):
+    manager = manager_that("held = bytearray(8 * 2**30)", tmp_path / "plugins")
+    tables, *_ = extract_apart(bag, manager, Limits(gibibytes=2.0))
+    assert "MemoryError" in tables.run["missing"].iloc[0]  # the plugin's own; the rest is computed
