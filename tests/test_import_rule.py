@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("oracle_pipeline", "assets", "resources", "sim")
 LINTER = Path(sys.executable).with_name("lint-imports")
