@@ -55,6 +55,9 @@ ui: setup ## Open the pipeline in the browser, on 127.0.0.1
 test: setup-dev lint types ## Check style and types, then run every test that needs only Python and PyPI
 	pytest -n 2 --dist loadfile --no-loadscope-reorder
 
+test-quick: setup-dev ## Run the tests that take less than a second each: while you work
+	pytest -n 2 --dist worksteal -m "not slow"
+
 test-browser: setup-dev ## Look at the report in a headless Chromium, which has to be installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
 	pytest tests/browser

@@ -32,6 +32,7 @@ def graphs(draw):
     return graph
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("write", "read"), FORMATS)
 def test_what_is_written_is_read(write, read, tmp_path):
     @settings(max_examples=25)

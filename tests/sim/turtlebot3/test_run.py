@@ -29,6 +29,8 @@ from sim.turtlebot3.frames import BASE_SCAN, BASE_SCAN_TOM
 from sim.turtlebot3.recipes import TurtleBot3Recipe
 from tests.recorded_runs import ONE_GOAL, linked
 
+pytestmark = pytest.mark.slow
+
 TURTLEBOT3 = {
     name: mode for name, mode in modes().items() if which_testbed(mode.scenario) == "turtlebot3"
 }
