@@ -35,9 +35,9 @@ NORMAL, ATTACKED = "lidar_passthrough", "fake_object"
 
 @pytest.fixture(scope="module")
 def lab(recorded_run, tmp_path_factory):
-    """Seven normal runs of one goal: the only simulation that all pages share."""
+    """Five normal runs of one goal: the only simulation that all pages share."""
     root = tmp_path_factory.mktemp("recorded") / "lab"
-    for number in range(7):
+    for number in range(5):
         linked(recorded_run(NORMAL, number), root)
     return root
 
@@ -48,10 +48,10 @@ def reader(lab, recorded_run, tmp_path_factory):
     folder = tmp_path_factory.mktemp("reader")
     copied(recorded_run(ATTACKED), folder / "data")
     shutil.copytree(lab / "runs" / NORMAL / "run000", folder / f"data/runs/{NORMAL}/run000")
-    for number in range(6):
+    for number in range(4):
         shutil.copytree(lab / f"runs/{NORMAL}/run00{number}/bag", folder / f"good_bags/{number}")
     for place in ("my_robot_bag", "tonight/first"):
-        shutil.copytree(lab / f"runs/{NORMAL}/run006/bag", folder / place)
+        shutil.copytree(lab / f"runs/{NORMAL}/run004/bag", folder / place)
     normal, attacked = (features(folder, mode) for mode in (NORMAL, ATTACKED))
     table = pd.concat([around(normal), attacked], ignore_index=True)
     table.attrs = dict(normal.attrs)
