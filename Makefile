@@ -93,7 +93,9 @@ image: requirements ## Build the image of deploy/ from files whose hashes are kn
 
 sbom: requirements ## Write dist/sbom.cdx.json: what the image is made of, as CycloneDX
 	mkdir -p dist
-	cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible \
+	$(PYTHON) -m venv $(VENV)-sbom
+	$(VENV)-sbom/bin/python -m pip install --quiet --constraint constraints.txt cyclonedx-bom
+	$(VENV)-sbom/bin/cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible \
 		--output-format JSON --output-file dist/sbom.cdx.json deploy/requirements.txt
 
 architecture: setup-dev ## Draw who imports whom, for docs/explanation/architecture.md
@@ -110,4 +112,4 @@ soak: setup-dev ## Kill everything at random moments, fill the disk, flip bits, 
 	python -m soak.budget
 
 clean: ## Remove the environment and all caches; recorded data stay
-	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(VENV)-sbom .mypy_cache .pytest_cache .ruff_cache .hypothesis
