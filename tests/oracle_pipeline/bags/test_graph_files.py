@@ -46,6 +46,7 @@ def test_what_is_written_is_read(write, read, tmp_path):
     check()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("write", "_read"), FORMATS)
 def test_equal_graphs_make_equal_bytes(write, _read, tmp_path):
     @settings(max_examples=25)
