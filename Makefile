@@ -55,6 +55,9 @@ ui: setup ## Open the pipeline in the browser, on 127.0.0.1
 test: setup-dev lint types ## Check style and types, then run every test that needs only Python and PyPI
 	pytest -n 2 --dist loadfile --no-loadscope-reorder
 
+test-quick: setup-dev ## Run the tests that take less than a second each: while you work
+	pytest -n 2 --dist worksteal -m "not slow"
+
 test-browser: setup-dev ## Look at the report in a headless Chromium, which has to be installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
 	pytest tests/browser
@@ -90,7 +93,9 @@ image: requirements ## Build the image of deploy/ from files whose hashes are kn
 
 sbom: requirements ## Write dist/sbom.cdx.json: what the image is made of, as CycloneDX
 	mkdir -p dist
-	cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible \
+	$(PYTHON) -m venv $(VENV)-sbom
+	$(VENV)-sbom/bin/python -m pip install --quiet --constraint constraints.txt cyclonedx-bom
+	$(VENV)-sbom/bin/cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible \
 		--output-format JSON --output-file dist/sbom.cdx.json deploy/requirements.txt
 
 architecture: setup-dev ## Draw who imports whom, for docs/explanation/architecture.md
@@ -107,4 +112,4 @@ soak: setup-dev ## Kill everything at random moments, fill the disk, flip bits, 
 	python -m soak.budget
 
 clean: ## Remove the environment and all caches; recorded data stay
-	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(VENV)-sbom .mypy_cache .pytest_cache .ruff_cache .hypothesis

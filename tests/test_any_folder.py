@@ -9,6 +9,8 @@ from pathlib import Path
 import dagster as dg
 import pytest
 
+pytestmark = pytest.mark.slow
+
 REPOSITORY = Path(__file__).parent.parent
 BIN = Path(sys.executable).parent
 RUN = ["dagster", "job", "execute", "-f", "nothing.py", "-j", "nothing"]

@@ -70,6 +70,7 @@ def test_resources_can_be_replaced_and_only_known_ones() -> None:
         build_defs(flete=fleet)
 
 
+@pytest.mark.slow
 def test_loading_the_code_location_does_not_import_the_analysis() -> None:
     code = (
         "import sys, oracle_pipeline.definitions\n"

@@ -10,6 +10,8 @@ from click.testing import CliRunner
 from oracle_pipeline.cli import main
 from soak.flips import Target, flip_bits, made
 
+pytestmark = pytest.mark.slow
+
 FLIPS = 12  # in each target; `python -m soak.flips` makes 500
 
 

@@ -16,6 +16,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from oracle_pipeline.bags.terminal import printable
 
+pytestmark = pytest.mark.slow
+
 TITLE = "\x1b]0;owned\x07"  # sets the title of a terminal
 UP = "\x1b[1A\x1b[2K\r\x9b31m\u202e"  # overwrites the line above, turns red, turns text around
 BAD = f"{TITLE}{UP}name"

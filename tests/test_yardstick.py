@@ -9,6 +9,8 @@ import pytest
 
 from bench import yardstick
 
+pytestmark = pytest.mark.slow
+
 SHA256 = "10c5e86d1c68ad8b54da0ff8c60f99186390648418da127081db27cb5660e9ee"
 
 

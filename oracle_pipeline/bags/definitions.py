@@ -163,6 +163,8 @@ def _check_size(msgtype: str, defined: dict[str, Any]) -> None:
     def unfolded(name: str) -> int:
         if name in under_way:
             raise ValueError(f"{name} contains itself")
+        if name not in defined:
+            raise ValueError(f"it uses {name}, which neither the bag nor we define")
         if name not in sizes:
             under_way.add(name)
             fields = 0

@@ -17,18 +17,16 @@ from sim.middleware.node import Node
 from sim.middleware.stamps import duration_message, time_message
 from sim.middleware.tf import TransformBuffer, TransformError
 from sim.nav2.behavior_tree import (
-    ActionNode,
-    Condition,
     PipelineSequence,
     RateController,
     ReactiveFallback,
     RecoveryNode,
     RoundRobin,
     SequenceNode,
-    ServiceNode,
     Status,
     TreeNode,
 )
+from sim.nav2.behavior_tree_leaves import ActionNode, Condition, ServiceNode
 from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.messages import pose_stamped
 from sim.nav2.paths import Poses, length_ahead, path_poses

@@ -3,6 +3,7 @@
 from datetime import UTC, datetime, timedelta
 
 import dagster as dg
+import pytest
 
 from oracle_pipeline.definitions import defs
 from sim.modes import modes
@@ -29,6 +30,7 @@ def test_the_job_takes_every_asset_and_check() -> None:
     assert job.asset_layer.asset_graph.asset_check_keys == graph.asset_check_keys
 
 
+@pytest.mark.slow
 def test_as_many_nights_as_there_are_runs_make_every_run_of_every_mode_again_once(
     empty: Laboratory,
 ) -> None:

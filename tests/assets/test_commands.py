@@ -18,6 +18,8 @@ import pytest
 
 from tests.assets.laboratory import ATTACKED, KEYS, ROOT, Laboratory, dagster_home
 
+pytestmark = pytest.mark.slow
+
 BIN = Path(sys.executable).parent
 MATERIALIZE = ["dagster", "asset", "materialize", "-m", "oracle_pipeline.definitions"]
 

@@ -4,10 +4,13 @@ from pathlib import Path
 
 import dagster as dg
 import pandas as pd
+import pytest
 
 from assets.evaluation_checks import CHECKS, EVALUATION, checks_of_evaluation
 from oracle_pipeline.reporting.report import Report
 from resources.store import RunStore
+
+pytestmark = pytest.mark.slow
 
 STATUS = {
     "shuffled_labels_are_chance": "red",

@@ -12,6 +12,8 @@ from resources.store import RunStore
 from tests.assets.laboratory import ATTACKED, KEY, KEYS, PER_RUN, Laboratory
 from tests.manifests import rewrite
 
+pytestmark = pytest.mark.slow
+
 REFRESH = {"runs": {"refresh": True}}
 BOTH = KEYS[2:]  # runs of the attacked mode, first and last of a range
 

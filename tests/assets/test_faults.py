@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from assets.worker.run import process_run
 from sim.fan_out import fan_out, process_pool
@@ -14,6 +15,8 @@ from soak.aggregates import state as state_of_aggregates
 from soak.faults import disturbed, jobs, leftovers, start, state
 from soak.full_disk import everything
 from tests.assets.laboratory import Laboratory
+
+pytestmark = pytest.mark.slow
 
 KILLS = 3  # of everything, of a worker and of the caller; `python -m soak.faults` makes 50
 

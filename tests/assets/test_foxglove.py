@@ -11,6 +11,8 @@ from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.types import typestore
 from tests.assets.laboratory import KEY, Laboratory
 
+pytestmark = pytest.mark.slow
+
 FILE = Path(__file__).parents[2] / "docs" / "foxglove" / "turtlebot3_nav2.json"
 LAYOUT = json.loads(FILE.read_text(encoding="utf-8"))
 PANELS = LAYOUT["configById"]

@@ -39,6 +39,7 @@ def test_the_range_of_make_run_is_the_six_modes_and_nothing_else() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_scenario_files_are_partitions_and_a_broken_one_is_named_and_no_more(
     tmp_path: Path,
 ) -> None:

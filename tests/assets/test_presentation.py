@@ -5,9 +5,12 @@ import base64
 import dagster as dg
 import numpy as np
 import pandas as pd
+import pytest
 
 from assets import presentation
 from oracle_pipeline.reporting.report import Report
+
+pytestmark = pytest.mark.slow
 
 TABLE = pd.DataFrame(
     {

@@ -11,6 +11,8 @@ from oracle_pipeline.reporting.report import Report
 from tests.assets.laboratory import ATTACKED, CONTROL, EVERYTHING, KEYS, PER_RUN, Laboratory
 from tests.oracle_pipeline.evaluation.thesis_runs import thesis_runs
 
+pytestmark = pytest.mark.slow
+
 AGGREGATES = [asset for asset in EVERYTHING if asset not in PER_RUN]
 
 

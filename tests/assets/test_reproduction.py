@@ -6,6 +6,7 @@ import shutil
 from typing import Any
 
 import dagster as dg
+import pytest
 
 from assets.automation import refreshed_runs
 from assets.experiment_runs import REPRODUCIBLE
@@ -13,6 +14,8 @@ from assets.worker.reproduction import judge, place_aside
 from oracle_pipeline.bags.reader import BagReader
 from tests.assets.laboratory import KEYS, PER_RUN, Laboratory
 from tests.manifests import rewrite
+
+pytestmark = pytest.mark.slow
 
 BOTH = KEYS[2:]  # runs of the attacked mode
 

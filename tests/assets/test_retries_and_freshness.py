@@ -42,6 +42,7 @@ def failing() -> None:
     fails()
 
 
+@pytest.mark.slow
 def test_a_run_whose_process_died_is_retried_once_and_one_that_failed_is_not(
     switched_on: dg.DagsterInstance,
 ) -> None:
@@ -67,6 +68,7 @@ def test_a_run_whose_process_died_is_retried_once_and_one_that_failed_is_not(
     assert will_be_retried(again.run_id) == "false"
 
 
+@pytest.mark.slow
 def test_a_report_is_stale_after_a_night_and_a_half_and_too_old_after_another(
     switched_on: dg.DagsterInstance, empty: Laboratory
 ) -> None:

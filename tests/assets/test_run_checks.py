@@ -21,6 +21,8 @@ from oracle_pipeline.datasets import read_table, write_table
 from tests.assets.laboratory import ATTACKED, KEY, KEYS, PARTNER, Laboratory
 from tests.manifests import rewrite
 
+pytestmark = pytest.mark.slow
+
 ASSET_OF = {check.name: check.asset_key for check in CHECKS}
 
 

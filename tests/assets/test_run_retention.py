@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import dagster as dg
+import pytest
 
 from assets.run_retention import forget_old_runs
 from tests.assets.laboratory import Laboratory
@@ -48,6 +49,7 @@ def forget(laboratory: Laboratory, days: int) -> dict[str, Any]:
     return {name: value.value for name, value in told.step_output_data.metadata.items()}
 
 
+@pytest.mark.slow
 def test_old_runs_are_forgotten_but_for_those_that_something_points_at(empty: Laboratory) -> None:
     instance = empty.instance
     old = [small(empty, "by_letter", partition="b"), small(empty, "over_all")]

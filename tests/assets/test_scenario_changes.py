@@ -79,6 +79,7 @@ def test_a_changed_scenario_asks_once_for_its_materialized_runs_and_no_others(
     assert "reloaded" in third.skip_message
 
 
+@pytest.mark.slow
 def test_a_change_back_and_forth_is_asked_for_again(watched: Laboratory, scenario: Path) -> None:
     cursor, asked = tick(watched, None).cursor, []
     original = scenario.read_text(encoding="utf-8")

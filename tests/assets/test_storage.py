@@ -28,6 +28,8 @@ from tests.assets.laboratory import ATTACKED, CONTROL, KEY, PER_RUN, Laboratory
 from tests.locks import order_of_two
 from tests.manifests import rewrite
 
+pytestmark = pytest.mark.slow
+
 FEATURES = frozenset({"run_features"})
 
 

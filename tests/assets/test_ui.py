@@ -17,6 +17,8 @@ from assets.run_checks import CHECKS
 from tests.assets.dagster_internals import WorkspaceFileTarget, WorkspaceProcessContext
 from tests.assets.laboratory import ATTACKED, CONTROL, EVERYTHING, KEY, PER_RUN, ROOT, Laboratory
 
+pytestmark = pytest.mark.slow
+
 Query = Callable[[str], Any]
 
 

@@ -10,6 +10,8 @@ from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.datasets import feature_dataset, read_table
 from sim.campaigns import Campaign
 
+pytestmark = pytest.mark.slow
+
 HALF_A_MINUTE = Campaign(timeout_s=30.0)
 
 

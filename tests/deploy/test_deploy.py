@@ -17,6 +17,8 @@ import yaml
 
 from tests.servers import ROOT, answers, free_port, postgres_server, process, wait_until
 
+pytestmark = pytest.mark.slow
+
 DEPLOY = ROOT / "deploy"
 
 

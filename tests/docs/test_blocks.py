@@ -26,6 +26,8 @@ from tests.docs.shell import NOT_RUN, Shell
 from tests.oracle_pipeline.datasets import synthetic
 from tests.recorded_runs import copied, linked
 
+pytestmark = pytest.mark.slow
+
 CHECKED = {"python", "sh", "toml", "yaml"}
 RUN = [page for page in PAGES if any(block.language in CHECKED for block in blocks(page))]
 NORMAL, ATTACKED = "lidar_passthrough", "fake_object"

@@ -14,6 +14,8 @@ from resources import cluster
 from resources.fleet import Fleet
 from tests.servers import dask_cluster
 
+pytestmark = pytest.mark.slow
+
 
 def die_once(folder: Path, x: int) -> int:
     """Job 1 kills its worker, the first time it runs."""

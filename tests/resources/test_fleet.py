@@ -9,6 +9,8 @@ import pytest
 from oracle_pipeline.definitions import build_defs
 from resources.fleet import Fleet
 
+pytestmark = pytest.mark.slow
+
 
 def test_every_job_has_an_outcome_and_a_failure_its_reason() -> None:
     outcomes = {o.job: o for o in Fleet(workers=2).outcomes(math.sqrt, [4.0, -1.0, 9.0])}

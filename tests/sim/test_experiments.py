@@ -14,6 +14,8 @@ from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
 from sim.experiments import recipe_for, record_run
 from tests.recorded_runs import ONE_GOAL, copied
 
+pytestmark = pytest.mark.slow
+
 RECIPE = recipe_for("lidar_passthrough", 0, ONE_GOAL)
 
 

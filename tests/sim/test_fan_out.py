@@ -15,6 +15,8 @@ from oracle_pipeline.bags.errors import OracleError
 from sim.fan_out import fan_out, process_pool
 from sim.worker_pool import LIMIT
 
+pytestmark = pytest.mark.slow
+
 
 def square(x: int) -> int:
     if x == 3:

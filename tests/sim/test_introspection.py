@@ -214,6 +214,7 @@ def test_names_that_stand_for_processes_come_from_the_run_alone(domain):
     assert len(again - other) == humble.LISTENERS + 1
 
 
+@pytest.mark.slow
 def test_the_graph_that_a_run_records_is_this_one(domain, recorded_run):
     directory = recorded_run("lidar_passthrough_odom", RUN, Campaign(goals_per_run=1, timeout_s=15))
     graph = read_gexf(directory.graphs / "run.gexf")

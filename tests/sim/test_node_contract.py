@@ -138,6 +138,7 @@ def parts(message, kind):
                 yield from parts(getattr(message, field.name), kind)
 
 
+@pytest.mark.slow
 def test_nothing_that_is_said_goes_unheard(drive, node):
     for publisher, heard in drive.publishers(node):
         assert publisher.messages == len(heard), publisher.topic
@@ -199,6 +200,7 @@ def test_who_is_silent_in_life_is_silent_and_nobody_else(drive, node):
     assert not humble.SILENT_TOPICS & set(said)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_at_the_same_times(drive, again, node):
     def said(drive):
         return [

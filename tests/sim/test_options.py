@@ -13,6 +13,8 @@ from sim.recording import DEBUG_TOPICS, ReceiveClock
 from sim.turtlebot3.recipes import TurtleBot3Recipe
 from tests.recorded_runs import ONE_GOAL
 
+pytestmark = pytest.mark.slow
+
 MONITOR, RELAY = "node:/collision_monitor", "node:/lidar_passthrough"
 
 

@@ -33,6 +33,7 @@ def test_a_scenario_that_hears_what_no_testbed_has_for_itself_is_run_on_the_firs
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TESTBEDS)
 def test_a_recorded_recipe_is_that_of_one_testbed_and_comes_back(name, tmp_path):
     recipe = recipe_for(mode_of(name), 0, SHORT)
@@ -42,6 +43,7 @@ def test_a_recorded_recipe_is_that_of_one_testbed_and_comes_back(name, tmp_path)
     assert recipe.campaign() == replace(SHORT, goals_per_run=recipe.campaign().goals_per_run)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TESTBEDS)
 def test_what_a_run_is_hashed_by_is_the_module_that_it_is_made_by(name, tmp_path):
     testbed = TESTBEDS[name]

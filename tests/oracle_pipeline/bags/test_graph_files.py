@@ -32,6 +32,7 @@ def graphs(draw):
     return graph
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("write", "read"), FORMATS)
 def test_what_is_written_is_read(write, read, tmp_path):
     @settings(max_examples=25)
@@ -45,6 +46,7 @@ def test_what_is_written_is_read(write, read, tmp_path):
     check()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("write", "_read"), FORMATS)
 def test_equal_graphs_make_equal_bytes(write, _read, tmp_path):
     @settings(max_examples=25)

@@ -70,6 +70,7 @@ def test_a_chunk_that_claims_too_much_is_refused(size, named, tmp_path):
         BagReader(path)
 
 
+@pytest.mark.slow
 def test_small_files_that_unfold_stay_below_a_gibibyte(tmp_path):
     """A thousand chunks of zeros: 60 kB on disk, gigabytes of them."""
     path = tmp_path / "a.mcap"
@@ -94,6 +95,7 @@ def test_a_compressed_file_that_becomes_too_large_is_refused(tmp_path, monkeypat
     ("definition", "reason"),
     [
         ("Odd x\n", "contains itself"),
+        ("wstring x\n", "uses my_msgs/msg/wstring, which neither the bag nor we define"),
         (f"L0 x\n{NESTED}{LINE}MSG: my_msgs/L30\nint8 x\n", "MOST_FIELDS"),
         ("int8 x\n" * 100_000, "LARGEST_DEFINITION"),
         (f"Empty[] x\n{LINE}MSG: my_msgs/Empty\nint8 A=1\n", "which has no field"),
@@ -109,6 +111,7 @@ def test_a_definition_that_unfolds_is_refused(definition, reason, tmp_path):
             bag.deserialize(message)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text", ["[" * 50, "a: &a [x]\nb: *a", "- x\n" * 1_000_001, "x" * (16 * 2**20 + 1), "!!set {a}"]
 )

@@ -112,6 +112,7 @@ def test_a_module_that_is_not_there_is_named(tree):
         dependencies(["sim.nothing"], root=tree)
 
 
+@pytest.mark.slow
 def test_what_a_module_really_loads_is_among_its_dependencies():
     listing = (
         "import sys, sim.turtlebot3.run\n"

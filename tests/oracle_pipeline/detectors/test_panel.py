@@ -10,6 +10,8 @@ from threadpoolctl import threadpool_limits
 
 from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel, pipeline, upper_bounds
 
+pytestmark = pytest.mark.slow
+
 MEMBERS = (
     "hac_height", "small_cluster_count", "small_cluster_size", "reference_distance", "mahalanobis",
     "max_z", "knn", "ocsvm", "isolation_forest", "elliptic_envelope", "lof", "hdbscan", "gmm",

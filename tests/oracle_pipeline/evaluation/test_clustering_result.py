@@ -20,6 +20,7 @@ def without_meaning():
     return [judged(run_features(seed=seed), seed=seed) for seed in range(40)]
 
 
+@pytest.mark.slow
 def test_labels_that_mean_nothing_give_an_auc_that_cannot_be_told_from_chance(without_meaning):
     assert np.mean([result.auc.covers(0.5) for result in without_meaning]) >= 0.9
     assert np.mean([result.auc.value for result in without_meaning]) == pytest.approx(0.5, abs=0.03)

@@ -13,6 +13,8 @@ from oracle_pipeline.evaluation.splits import block_folds
 from tests.oracle_pipeline.datasets.synthetic import ATTACKED, campaign
 from tests.oracle_pipeline.evaluation.campaigns import synthetic
 
+pytestmark = pytest.mark.slow
+
 COLUMNS = list(ATTACKED)
 
 

@@ -8,6 +8,8 @@ from oracle_pipeline.evaluation.kill_rates import kill_matrix, minimum_detectabl
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from tests.oracle_pipeline.datasets.synthetic import ATTACKED, MODES, campaign
 
+pytestmark = pytest.mark.slow
+
 
 def kills_by_hand(*rates, mutants=10):
     return pd.DataFrame(

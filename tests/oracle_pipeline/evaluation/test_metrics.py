@@ -119,6 +119,7 @@ def test_runs_of_one_block_count_as_one_when_the_interval_is_made():
     assert blocked.high - blocked.low > 1.3 * (loose.high - loose.low)
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(samples())
 def test_a_roc_curve_rises_within_its_band_and_encloses_the_auc(sample):

@@ -96,6 +96,7 @@ def test_a_defect_of_ours_ends_with_exit_code_2_too(make_run, monkeypatch):
     assert "ZeroDivisionError" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_installed_command_works(make_run):
     command = [ORACLE, "features", make_run().path]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline import features
-from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.datasets import KEYS, feature_columns, feature_dataset, read_table
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.windows import windows_ns
@@ -150,5 +150,5 @@ def test_a_corrupt_bag_is_no_missing_feature(make_run):
     data = bytearray(file.read_bytes())
     data[len(data) // 4] ^= 0xFF
     file.write_bytes(data)
-    with pytest.raises(BagError, match=str(directory.bag)):
+    with pytest.raises(RunDirectoryError, match=rf"{directory.path} is damaged: bag/bag_0\.mcap"):
         extract(directory.path)

@@ -14,6 +14,8 @@ from oracle_pipeline.reporting.report import Report
 from tests.oracle_pipeline.datasets.synthetic import CONTROLS, MODES, campaign, run_features
 from tests.oracle_pipeline.evaluation.test_kill_rates import grid_of
 
+pytestmark = pytest.mark.slow
+
 
 def oracle_evaluation(*tables, **options):
     return evaluation_report(evaluation.evaluate(*tables, **options))

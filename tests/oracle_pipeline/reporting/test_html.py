@@ -8,6 +8,8 @@ import pytest
 from oracle_pipeline.reporting.html import write_page
 from tests.oracle_pipeline.reporting.pages import GHOST, UNDRAWN, WITHOUT, poor_page, whole_page
 
+pytestmark = pytest.mark.slow
+
 VOID = {"meta", "img", "link", "br"}
 EVERYTHING = [
     "verdicts", "integrity", "limits", "curves", "alarms", "scorers", "magnitude", "effort",

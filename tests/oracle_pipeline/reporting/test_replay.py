@@ -69,6 +69,7 @@ def test_a_film_shows_each_moment_as_long_as_it_lasted(attacked, tmp_path, suffi
     assert all((frame[0, 0] == 255).all() for frame in shown)  # paper is white
 
 
+@pytest.mark.slow
 def test_both_kinds_of_film_show_the_same(attacked, tmp_path):
     scene = scene_of(attacked, 10.0)
     for name in ("film.gif", "film.webp", "again.gif"):
@@ -160,6 +161,7 @@ def test_a_bag_without_the_robot_is_refused_in_one_line(recorded):
     assert "neither /odom" in done.output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [["--help"], ["replay", "--help"]])
 def test_help_comes_without_what_draws(words):
     code = f"""

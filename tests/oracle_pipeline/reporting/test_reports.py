@@ -20,6 +20,8 @@ from oracle_pipeline.reporting.thesis_reports import (
 from tests.oracle_pipeline.datasets.synthetic import run_features
 from tests.oracle_pipeline.evaluation.thesis_runs import thesis_runs
 
+pytestmark = pytest.mark.slow
+
 N = 60
 
 

@@ -8,6 +8,8 @@ from oracle_pipeline.scoring.card import CardError, ReferenceCard
 from tests.oracle_pipeline.scoring.test_contract import CONTRACT
 from tests.oracle_pipeline.scoring.test_cross_conformal import ATTACKED, learned, runs
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def card():

@@ -9,6 +9,8 @@ from oracle_pipeline.cli import main
 from tests.oracle_pipeline.features.conftest import drive, write_bag
 from tests.oracle_pipeline.scoring.test_score_command import oracle_score, spinning
 
+pytestmark = pytest.mark.slow
+
 FAR = ("--far", 0.2)
 
 

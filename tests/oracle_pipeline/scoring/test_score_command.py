@@ -20,6 +20,8 @@ from oracle_pipeline.scoring.verdict import ScoringError
 from tests.oracle_pipeline.datasets.synthetic import run_features
 from tests.oracle_pipeline.features.conftest import drive, odometry, write_bag
 
+pytestmark = pytest.mark.slow
+
 FIRST = "contextual.total_turning"
 
 

@@ -25,6 +25,8 @@ from sim.middleware.stamps import stamp_ns
 from sim.modes import modes
 from sim.testbed import Mode
 
+pytestmark = pytest.mark.slow
+
 TARGET = "C07AB1"
 GHOST = Place(44.25, -76.55)
 ONSET_S = 60.0

@@ -11,6 +11,8 @@ from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
 from sim.commands.main import main
 from tests.recorded_runs import copied
 
+pytestmark = pytest.mark.slow
+
 
 def oracle_sim(*arguments, **options):
     return subprocess.run(

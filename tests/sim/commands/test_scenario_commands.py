@@ -27,6 +27,8 @@ from sim.modes import FOLDER, find_mode
 from sim.scenarios import builtin_scenarios
 from tests.sim.fuzzing.workbench import BUILTINS, SCAN, scans
 
+pytestmark = pytest.mark.slow
+
 BUILTIN_FILE = Path(sim.scenarios.__file__).with_name("random_noise.yaml")
 FOREIGN = "made_up_msgs/msg/Reading"
 READINGS = [(number * 10**9 + 1, b"\0\1\0\0reading" + bytes([number])) for number in range(9)]

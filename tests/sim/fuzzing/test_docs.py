@@ -8,6 +8,8 @@ from sim.fuzzing.functions import BUILTINS, CONSTANTS
 from sim.fuzzing.operators import OPERATORS
 from sim.fuzzing.scenario import schema
 
+pytestmark = pytest.mark.slow
+
 DOCS = Path(__file__).parents[3] / "docs"
 PAGE = (DOCS / "reference" / "scenario-language.md").read_text("utf-8")
 

@@ -37,6 +37,7 @@ from tests.sim.fuzzing.language import (
 pytestmark = pytest.mark.usefixtures("quiet")
 
 
+@pytest.mark.slow
 @given(number | boolean, environments())
 def test_a_sentence_over_arrays_is_the_sentence_over_each_element(text, env):
     together, each = compiled(text, LOOP), compiled(text, ELEMENT)
@@ -53,6 +54,7 @@ def test_a_sentence_over_arrays_is_the_sentence_over_each_element(text, env):
         assert together.cost == each.cost
 
 
+@pytest.mark.slow
 @given(number | boolean, environments())
 def test_every_sentence_gives_a_value_of_its_type_whatever_the_data(text, env):
     expression = compiled(text, LOOP)
@@ -60,6 +62,7 @@ def test_every_sentence_gives_a_value_of_its_type_whatever_the_data(text, env):
         assert_is_value(expression(env), expression, len(env["r"]))
 
 
+@pytest.mark.slow
 @given(number, environments())
 def test_a_function_is_the_text_that_it_stands_for(text, env):
     call, body = compiled(f"fn.double({text})", LOOP), compiled(f"({text}) + ({text})", LOOP)
@@ -68,6 +71,7 @@ def test_a_function_is_the_text_that_it_stands_for(text, env):
         np.testing.assert_array_equal(call(env), body(env))
 
 
+@pytest.mark.slow
 @given(number | boolean, environments())
 def test_an_expression_reads_its_environment_and_leaves_it_alone(text, env):
     expression = compiled(text, LOOP)
@@ -119,6 +123,7 @@ def test_nan_goes_through_min_and_max_as_through_all_arithmetic():
         assert math.isnan(compile_expression(text, Scope({}))({}))
 
 
+@pytest.mark.slow
 @given(st.text("ab", max_size=4), st.text("\0 ", max_size=4))
 def test_padding_of_a_text_does_not_count(text, padding):
     same = compile_expression("p.name == 'ab'", GLOBAL)

@@ -18,7 +18,7 @@ from tests.sim.fuzzing.language import (
     template,
 )
 
-pytestmark = pytest.mark.usefixtures("quiet")
+pytestmark = [pytest.mark.usefixtures("quiet"), pytest.mark.slow]
 
 
 HOSTILE_LEAVES = [

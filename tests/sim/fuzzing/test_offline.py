@@ -23,6 +23,8 @@ from sim.recording import Recorder
 from sim.scenarios import builtin_scenarios
 from tests.sim.fuzzing.workbench import BUILTINS, builtin, examples, odometry, scans
 
+pytestmark = pytest.mark.slow
+
 LATENCY_NS = 3_000_000
 BEGIN_NS = 1_000_000_000  # of the small recording
 ONSET_S = 2.1

@@ -125,6 +125,7 @@ def test_set_reaches_into_nested_messages_and_copies_only_the_way_there():
     assert came.header.frame_id == "base_scan_tom"
 
 
+@pytest.mark.slow
 @given(ranges, st.floats(-5, 5))
 def test_arithmetic_leaves_what_is_not_finite_alone(values, by):
     for operator, expected in (("add", np.add), ("scale", np.multiply)):
@@ -163,6 +164,7 @@ def test_noise_on_one_number_is_drawn_as_for_an_array_of_one():
     assert heard.range == np.float32(1.0 + (draw - 0.5))
 
 
+@pytest.mark.slow
 @given(ranges)
 def test_map_array_sees_elements_and_indices(values):
     heard = only(

@@ -156,6 +156,7 @@ def test_voxels_keep_what_lies_within_two_cells_of_a_hit():
     assert at(layer.costs, 0.82, 0.02) == FREE_SPACE
 
 
+@pytest.mark.slow
 def test_space_under_the_robot_is_free():
     grid = empty_grid()
     layer = ObstacleLayer(grid)

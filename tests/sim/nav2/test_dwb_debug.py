@@ -146,7 +146,8 @@ def marker_message(time_ns, frame, evaluation):
     return MarkerArray(markers)
 
 
-@settings(max_examples=50)
+@pytest.mark.slow
+@settings(max_examples=15)
 @given(few, st.integers(0, 2**60), st.text("abcd/_", max_size=9))
 def test_the_bytes_are_those_that_serialising_the_messages_gives(cycle, time_ns, frame):
     evaluation = evaluate(cycle.scoring)
@@ -215,7 +216,7 @@ def naive_critics(scoring, twist, rollout):
     yield manhattan(cell(x, y), critics.goal_x, critics.goal_y), half * p.goal_dist_scale
 
 
-@settings(max_examples=50)
+@settings(max_examples=15)
 @given(cycles(vx_samples=5, vtheta_samples=6, trans_stopped_velocity=0.05))
 def test_every_trajectory_is_scored_as_nav2_scores_it(cycle):
     message = deserialize(evaluation_bytes(0, "odom", evaluate(cycle.scoring)), EVALUATION)

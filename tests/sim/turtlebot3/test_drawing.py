@@ -26,6 +26,7 @@ def in_world(poses):
     return WORLD_IN_MAP.inverse().apply(np.array([(pose.x, pose.y) for pose in poses]))
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(seeds, blocks, st.integers(1, 8))
 def test_start_and_goals_are_clear_of_obstacles_inside_the_ring_and_apart(seed, run, goals):
@@ -37,6 +38,7 @@ def test_start_and_goals_are_clear_of_obstacles_inside_the_ring_and_apart(seed, 
     assert all(a.distance_to(b) >= MIN_LEG_M for a, b in pairwise(stops))
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(seeds, blocks)
 def test_the_fake_object_leaves_start_and_goals_free(seed, run):

@@ -36,6 +36,7 @@ def slow_ray(sensor, bearing):
     return math.inf
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(st.floats(-2.5, 2.5), st.floats(-2.4, 2.4), st.floats(-math.pi, math.pi))
 def test_rays_end_where_a_slow_march_through_the_geometry_ends(x, y, yaw):
@@ -195,6 +196,7 @@ print(hashlib.sha256(repr((world.pose, world.twist, world.touches)).encode()).he
 """
 
 
+@pytest.mark.slow
 def test_the_same_commands_give_the_same_bits_in_another_process():
     world = World(WorldParameters(Pose2D(-2.0, -0.5, 0.1), 0.9, 1.05))
     world.command_wheels(5.0, 7.0)
