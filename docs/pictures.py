@@ -37,13 +37,15 @@ def draw_runs() -> None:
         recorded = ROOT / "runs" / mode / "run000"
         picture = ROOT / f"{mode}.png"
         run(oracle, "replay", recorded, "-o", picture)
-        pictures.append(Image.open(picture))
-    joined = Image.new("RGB", (sum(p.width for p in pictures), pictures[0].height), "white")
-    for place, picture in enumerate(pictures):
-        joined.paste(picture, (place * pictures[0].width, 0))
-    joined.save(IMAGES / "runs.png", optimize=True)
+        pictures.append(Image.open(picture).convert("RGBA"))
+    width, height = (max(sizes) for sizes in zip(*(each.size for each in pictures), strict=True))
+    joined = Image.new("RGBA", (len(pictures) * width, height), "white")
+    for place, each in enumerate(pictures):
+        joined.alpha_composite(each, (place * width, 0))
+    joined.convert("RGB").quantize(128).save(IMAGES / "runs.png", optimize=True)
     film = IMAGES / "fake_object.webp"
-    run(oracle, "replay", ROOT / "runs" / ATTACK / "run000", "-o", film, "--speed", 20)
+    attacked = ROOT / "runs" / ATTACK / "run000"
+    run(oracle, "replay", attacked, "-o", film, "--speed", 20, "--frames", 0.5)
 
 
 def take_report(campaign: Path) -> None:

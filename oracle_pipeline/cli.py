@@ -169,7 +169,7 @@ def _json(table: "pd.DataFrame", tables: "FeatureTables") -> str:
 @click.option(
     "--far", default=0.05, show_default=True,
     type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
-    help="False-alarm rate: the share of normal runs that may be called anomalous.",
+    help="False positive rate: the share of normal runs that may be called anomalous.",
 )  # fmt: skip
 @_format_option("text", "json", text="Text for reading; one JSON object for programs.")
 @_output_option("--junit", "File for the verdicts as JUnit XML, for a CI system.")
@@ -196,7 +196,7 @@ def score(
     plugins: Path | None,
     strict: bool,
 ) -> None:
-    """Judge recordings by comparison with the normal runs of a reference.
+    """Judge recordings by comparison with normal ones.
 
     Exit code 0: all are normal; 1: at least one is anomalous; 2: at least one could not be judged.
 
@@ -255,7 +255,7 @@ def score(
 )  # fmt: skip
 @_plugins
 def learn(good: tuple[Path, ...], output: Path, plugins: Path | None) -> None:
-    """Learn what is normal from recordings of normal runs; write a reference card.
+    """Write a reference card from normal recordings.
 
     GOOD is a run directory, a bag, a folder of these, a table of run features, or a root with
     features/ or runs/. Attacked runs are left out. Record each day or start as a run of its own:

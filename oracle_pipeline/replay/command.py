@@ -32,9 +32,8 @@ SUFFIXES = (".gif", ".webp", ".png")
 def replay(run_or_bag: Path, places: tuple[Path, ...], frames: float, speed: float) -> None:
     """Draw a run from above, as a film and as one picture.
 
-    Map, local costmap, scans, plan, way driven, goals, attack and time, as far as the bag has them.
-    RUN_OR_BAG is a run directory or a bag that somebody else recorded; that needs /odom, or /tf
-    with the robot's base.
+    Shows map, local costmap, scans, plan, path, goals, attack and time, as far as the bag has them.
+    RUN_OR_BAG is a run directory or any bag with /odom, or with /tf of the robot's base.
 
     \b
     Examples:

@@ -29,7 +29,7 @@ from sim.experiments import remake_run
     help="Root of the run directories.  [default: $ORACLE_HOME or ./data]",
 )  # fmt: skip
 def storage(root: Path) -> None:
-    """Show the storage that runs use, how much of them was kept, and how many more fit.
+    """Show what runs take, what is kept, and how many more fit.
 
     \b
     Example:
@@ -73,10 +73,9 @@ def _is_whole(run: RunDirectory, manifest: Manifest) -> bool:
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path, file_okay=False, exists=True))
 def remake(run: Path) -> None:
-    """Re-simulate the bag of RUN from its recipe, if it was dropped or trimmed to save space.
+    """Rebuild a dropped, trimmed or damaged bag from its recipe.
 
-    A run with damaged files is made again too, and one of an older release, which has no hashes
-    by which damage would be noticed.
+    A run of an older release is rebuilt, too, because it has no hashes that would show damage.
 
     \b
     Example:

@@ -28,16 +28,16 @@ allow_actuation_option = click.option(
 )
 workers_option = click.option(
     "--workers", default=lambda: os.cpu_count() or 1, type=click.IntRange(min=1),
-    help="Runs at a time.  [default: one a processor]",
+    help="Runs at a time.  [default: one for each core]",
 )  # fmt: skip
-refresh_option = click.option("--refresh", is_flag=True, help="Make again what is there already.")
+refresh_option = click.option("--refresh", is_flag=True, help="Simulate existing runs again.")
 
 _CAMPAIGN_OPTIONS = (
     seed_option,
     click.option(
         "--goals", default=lambda: Campaign.from_environment().goals_per_run,
         type=click.IntRange(min=1),
-        help="Goals a run; 1 is the thesis's protocol.  [default: $ORACLE_GOALS_PER_RUN or 8]",
+        help="Goals of each run; the thesis used 1.  [default: $ORACLE_GOALS_PER_RUN or 8]",
     ),
     click.option(
         "--storage", default="mcap", show_default=True, type=click.Choice(["mcap", "sqlite3"]),
@@ -45,13 +45,13 @@ _CAMPAIGN_OPTIONS = (
     ),
     click.option(
         "--wiring", default="additive", show_default=True, type=click.Choice(get_args(Wiring)),
-        help="Whether the collision monitor hears the mode's topic as one more LiDAR (additive), "
-        "in place of the LiDAR it comes from (replace), or there is no such node (absent).",
+        help="How the collision monitor receives the mode's topic: as one more LiDAR (additive), "
+        "in place of the original LiDAR (replace), or not at all, without the node (absent).",
     ),
     click.option(
         "--odometry-source", default="world", show_default=True,
         type=click.Choice(get_args(OdometrySource)),
-        help="Where /odom comes from: ground truth, as on Humble, or the wheels' turns.",
+        help="Source of /odom: ground truth, as on Humble, or the wheel encoders.",
     ),
     click.option("--cameras", is_flag=True, help="Depth camera on: 15 MB a second."),
     click.option(

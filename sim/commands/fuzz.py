@@ -57,7 +57,7 @@ def fuzz(
     refresh: bool,
     **options: Any,
 ) -> None:
-    """Record N runs of a scenario whose parameters are drawn anew for each.
+    """Record runs of a scenario with randomly drawn parameters.
 
     Every number with a min and a max is drawn uniformly between them; what was drawn is in the
     run's manifest. Run i has start, goals and nuisance of block i. What is recorded already is

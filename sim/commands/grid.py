@@ -39,9 +39,9 @@ from sim.modes import find_mode
 @click.option(
     "--on", "controls", metavar="RUNS_DIR",
     type=click.Path(path_type=Path, file_okay=False, exists=True),
-    help="Mutate the bags of these runs (run000 is block 0) in place of recording: what the "
-    "topics would have shown if the robot had done the same. Recording options count for nothing "
-    "then.",
+    help="Mutate the bags of these runs (run000 is block 0) instead of recording: what the "
+    "topics would have shown if the robot had driven the same way. Recording options have no "
+    "effect then.",
 )  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
@@ -63,11 +63,11 @@ def grid(
     refresh: bool,
     **options: Any,
 ) -> None:
-    """Make the runs of a kill matrix: a scenario at several magnitudes, over several blocks.
+    """Record runs at several parameter values (kill matrix).
 
-    Runs are recorded in closed loop, or with --on made from recorded ones. grid.json says of each
-    which value it has and how many messages were changed; none means that the mutant is equivalent
-    to the original.
+    A kill matrix shows, for each value and block, whether the oracle detects the scenario. Runs are
+    recorded in closed loop, or with --on computed from recorded ones. grid.json has the value of
+    each run and how many messages were changed; if none, the mutant is equivalent to the original.
 
     \b
     Examples:

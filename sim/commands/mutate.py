@@ -41,11 +41,10 @@ def mutate(
     words: tuple[str, ...],
     allow_actuation: bool,
 ) -> None:
-    """Do to a recorded bag what a scenario would have done, without a simulator.
+    """Apply a scenario to a recorded bag, without a simulator.
 
-    BAG_IN is any rosbag2, whoever recorded it; BAG_OUT gets all of its topics, the scenario's
-    output and its ground truth. SCENARIO is the name of a built-in scenario or a file (FILE#NAME
-    if that holds several).
+    BAG_IN is any rosbag2. BAG_OUT gets all of its topics, the scenario's output and its ground
+    truth. SCENARIO is the name of a built-in scenario or a file (FILE#NAME if it holds several).
 
     \b
     Examples:

@@ -29,7 +29,7 @@ from sim.testbed import Mode
 @click.option(
     "--scenario", metavar="FILE",
     help="An experiment of your own: a scenario file (FILE#NAME if it holds several), or a "
-    "built-in scenario that is no mode, by its name.",
+    "built-in scenario that is not a mode, by its name.",
 )  # fmt: skip
 @allow_actuation_option
 @click.option(
@@ -54,7 +54,7 @@ def record(
     refresh: bool,
     **options: Any,
 ) -> None:
-    """Record N runs of one mode, or of a scenario that is none.
+    """Record runs of one mode, or of a scenario.
 
     Run i of every mode has the same start, goals and nuisance (block i), so runs compare across
     modes. What is recorded already is left as it is; an interrupted call is completed by the

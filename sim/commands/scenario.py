@@ -23,7 +23,7 @@ from sim.scenarios import builtin_scenarios
 
 @click.group("scenario")
 def scenario() -> None:
-    """Check, list and show scenarios: what is done to the messages of a topic.
+    """Check, list and show scenarios, which alter messages.
 
     \b
     Example:
@@ -39,9 +39,9 @@ def scenario() -> None:
 )
 @allow_actuation_option
 def check(files: tuple[Path, ...], allow_actuation: bool) -> None:
-    """Check scenario files: syntax, names, types, and how much they compute.
+    """Check syntax, names, types and cost of scenario files.
 
-    Tells file, line, key and what was expected there, and exits with 1 if anything is wrong.
+    Prints file, line, key and what was expected there, and exits with 1 if there is a fault.
 
     \b
     Example:
@@ -70,7 +70,10 @@ def _checked(file: Path, *, allow_actuation: bool) -> Iterator[str | ScenarioErr
         except ScenarioError as error:
             yield error
         else:
-            yield f"{file}: {each.id} is right; it computes {program.cost} numbers a message"
+            yield (
+                f"{file}: {each.id} is correct "
+                f"(at most {program.cost:,} array elements computed for each message)"
+            )
 
 
 @scenario.command("list")
@@ -79,7 +82,7 @@ def _checked(file: Path, *, allow_actuation: bool) -> Iterator[str | ScenarioErr
     help="For people or for programs.",
 )  # fmt: skip
 def list_(form: str) -> None:
-    """List the built-in scenarios, and those of the folder ORACLE_SCENARIOS.
+    """List the built-in scenarios and your own (ORACLE_SCENARIOS).
 
     \b
     Example:
@@ -125,7 +128,7 @@ def _described(scenario: Scenario) -> dict[str, Any]:
 @scenario.command()
 @click.argument("name", metavar="SCENARIO")
 def show(name: str) -> None:
-    """Print a scenario, as a file to begin one's own with.
+    """Print a scenario, as a starting point for your own.
 
     \b
     Example:

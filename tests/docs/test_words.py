@@ -1,12 +1,19 @@
 """Pages use today's terms, keep their lines short, and name only files that exist."""
 
 import re
+from collections.abc import Iterator
 
+import click
 import pytest
 
+from oracle_pipeline.cli import main as oracle
+from oracle_pipeline.definitions import defs
+from resources.cli import main as oracle_sim
+from resources.ui.server import main as oracle_ui
 from tests.docs.pages import DOCS, PAGES, REPOSITORY, blocks, name, prose
 
 LONGEST = 100
+PROGRAMS = {"oracle": oracle, "oracle-sim": oracle_sim, "oracle-ui": oracle_ui}
 GENERATED = {"deploy/requirements.txt"}  # by make, and not committed
 GLOSSARY = DOCS / "reference" / "glossary.md"
 
@@ -91,3 +98,40 @@ def test_terms_of_the_glossary_are_defined_once():
     terms = [term for term in terms if term not in ("term", "---")]
     assert len(terms) == len(set(terms)) > 20
     assert not blocks(GLOSSARY)
+
+
+def helps(command: click.Command, context: click.Context) -> Iterator[tuple[str, str]]:
+    yield context.command_path, command.get_help(context)
+    if isinstance(command, click.Group):
+        for each in command.list_commands(context):
+            found = command.get_command(context, each)
+            assert found is not None
+            yield from helps(found, click.Context(found, context, each))
+
+
+@pytest.mark.parametrize(("program", "group"), PROGRAMS.items(), ids=PROGRAMS)
+def test_help_uses_no_retired_term(program, group):
+    found = [
+        f"{path}: {match[0]!r}: {instead}"
+        for path, text in helps(group, click.Context(group, info_name=program))
+        for pattern, instead in retired()
+        for match in pattern.finditer(" ".join(text.split()))
+    ]
+    assert not found, "\n".join(found)
+
+
+def test_descriptions_of_assets_and_checks_use_no_retired_term():
+    graph = defs.resolve_asset_graph()
+    texts = {
+        key.to_user_string(): graph.get(key).description or "" for key in graph.get_all_asset_keys()
+    }
+    texts |= {
+        str(key): graph.get_check_spec(key).description or "" for key in graph.asset_check_keys
+    }
+    found = [
+        f"{name}: {match[0]!r}: {instead}"
+        for name, text in texts.items()
+        for pattern, instead in retired()
+        for match in pattern.finditer(text)
+    ]
+    assert not found, "\n".join(found)

@@ -120,9 +120,9 @@ def test_a_right_file_is_called_right_and_a_wrong_one_named_with_line_and_key(tm
     right.write_text(OWN)
     wrong.write_text(OWN.replace("label: malicious", "label: evil"))
     mistyped.write_text(OWN.replace("p.rate", "p.name"))
-    assert "my_drift is right" in run("scenario", "check", right).output
+    assert "my_drift is correct" in run("scenario", "check", right).output
     done = run("scenario", "check", wrong, right, mistyped, tmp_path / "none.yaml", expect=1)
-    assert "my_drift is right" in done.output
+    assert "my_drift is correct" in done.output
     told = done.stderr.splitlines()
     assert len(told) == 3
     assert told[0].startswith(f"{wrong}:4: label: expected one of malicious, normal, control")
@@ -261,5 +261,5 @@ finally:
     print(*(name for name in {heavy} if name in sys.modules), file=sys.stderr)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "random_noise is right" in done.stdout
+    assert "random_noise is correct" in done.stdout
     assert done.stderr.strip() == ""
