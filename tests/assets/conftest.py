@@ -3,11 +3,18 @@
 import fcntl
 import shutil
 from collections.abc import Iterator
+from multiprocessing import forkserver
 from pathlib import Path
 
 import pytest
 
 from tests.assets.laboratory import EVERYTHING, KEYS, PER_RUN, Laboratory, dagster_home
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Start what workers are forked from before a test starts the server for something else."""
+    if any("campaign" in getattr(item, "fixturenames", ()) for item in session.items):
+        forkserver.ensure_running()
 
 
 @pytest.fixture(scope="session")

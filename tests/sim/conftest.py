@@ -4,9 +4,11 @@ import shutil
 
 import pytest
 
+from oracle_pipeline.bags.integrity import hashes_of_files
 from oracle_pipeline.bags.reader import BagReader
-from oracle_pipeline.bags.run_directory import BAG_FOLDER
+from oracle_pipeline.bags.run_directory import BAG_FOLDER, RunDirectory
 from oracle_pipeline.bags.writer import BagWriter
+from tests.manifests import rewrite
 
 
 @pytest.fixture(scope="session")
@@ -36,4 +38,7 @@ def controls(recorded, run_bag, tmp_path_factory):
     folder = tmp_path_factory.mktemp("data") / "runs" / "lidar_passthrough_odom"
     shutil.copytree(recorded[0].parent, folder / "run000", ignore=lambda *_: [BAG_FOLDER])
     shutil.copytree(run_bag[0], folder / "run000" / BAG_FOLDER)
+    run = RunDirectory.at(folder / "run000")
+    files = hashes_of_files(run.path)  # as if it had been recorded
+    rewrite(run, lambda document: document["measured"].update(files=files))
     return folder
