@@ -1,13 +1,22 @@
 """Draws the pictures of the docs: ``make pictures``.
 
-Records the two runs of the README's picture below a root of their own, joins their pictures, and
-makes the film. With a campaign's root as argument, it also takes a screenshot of that report; this
-needs a Chromium.
+Records the two runs of the README's picture below a root of their own, joins their pictures, makes
+the film, and takes a screenshot of the lineage in the Dagster UI. With a campaign's root as
+argument, it also takes one of that report. Screenshots need a Chromium.
 """
 
+import os
 import shutil
+import subprocess
 import sys
+import tempfile
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from click.testing import CliRunner
 from PIL import Image
@@ -15,11 +24,17 @@ from PIL import Image
 from oracle_pipeline.cli import main as oracle
 from resources.cli import main as oracle_sim
 
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
 IMAGES = Path(__file__).parent / "images"
 ROOT = Path("data/pictures")
 CONTROL, ATTACK = "lidar_passthrough_odom", "fake_object"
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 WINDOW = {"width": 1200, "height": 900}
+PORT, PATIENCE_S = 3977, 120
+LINEAGE = {"x": 570, "y": 375, "width": 1000, "height": 85}  # the graph, in a window of WIDE
+WIDE = {"width": 1600, "height": 800}
 
 
 def run(group: object, *words: object) -> None:
@@ -48,22 +63,64 @@ def draw_runs() -> None:
     run(oracle, "replay", attacked, "-o", film, "--speed", 20, "--frames", 0.5)
 
 
-def take_report(campaign: Path) -> None:
-    """Take a screenshot of the first screen of a report."""
+@contextmanager
+def dagster_ui() -> Iterator[str]:
+    """Start the UI with an instance of its own; yield its address."""
+    address = f"http://127.0.0.1:{PORT}"
+    with tempfile.TemporaryDirectory() as home:
+        shutil.copy(".dagster_home/dagster.yaml", home)
+        places = {"ORACLE_DAGSTER_HOME": home, "ORACLE_HOME": str(ROOT.resolve())}
+        with subprocess.Popen(
+            [sys.executable, "-m", "resources.ui", "-w", "workspace.yaml", "-p", str(PORT)],
+            env=os.environ | places,
+        ) as server:
+            try:
+                for _ in range(PATIENCE_S):
+                    time.sleep(1)
+                    try:
+                        urllib.request.urlopen(f"{address}/server_info").close()  # noqa: S310
+                        break
+                    except urllib.error.URLError:
+                        continue
+                yield address
+            finally:
+                server.terminate()
+
+
+@contextmanager
+def browser() -> Iterator["Browser"]:
+    """Start a Chromium."""
     from playwright.sync_api import sync_playwright
 
-    browser = next(filter(None, map(shutil.which, CHROMIUM)), None)
-    if browser is None:
+    program = next(filter(None, map(shutil.which, CHROMIUM)), None)
+    if program is None:
         sys.exit(f"There is none of {', '.join(CHROMIUM)}; install one to take screenshots.")
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=browser)
+        chromium = playwright.chromium.launch(executable_path=program)
+        yield chromium
+        chromium.close()
+
+
+def take_lineage() -> None:
+    """Take a screenshot of the groups of assets in the Dagster UI."""
+    with dagster_ui() as address, browser() as chromium:
+        page = chromium.new_page(viewport=WIDE)
+        page.goto(f"{address}/asset-groups")
+        page.get_by_text("thesis_method").first.wait_for(timeout=1000 * PATIENCE_S)
+        page.wait_for_timeout(5000)  # until the graph stands still
+        page.screenshot(path=IMAGES / "lineage.png", clip=LINEAGE)
+
+
+def take_report(campaign: Path) -> None:
+    """Take a screenshot of the first screen of a report."""
+    with browser() as chromium:
         page = chromium.new_page(viewport=WINDOW)
         page.goto((campaign / "report" / "index.html").resolve().as_uri())
         page.screenshot(path=IMAGES / "report.png")
-        chromium.close()
 
 
 if __name__ == "__main__":
     draw_runs()
+    take_lineage()
     for argument in sys.argv[1:]:
         take_report(Path(argument))
