@@ -72,7 +72,7 @@ def test_reports_follow_the_variant_by_which_rows_were_drawn(empty: Laboratory) 
     reports = [Report.load(empty.store.results(name)) for name in assets]
     assert [report.summary["variant"] for report in reports] == ["thesis"] * len(assets)
     assert len(reports[1].table) == 8  # the corrected variant has 16 settings
-    assert "do not say" in str(empty.figures("pairwise_report")["warning"])
+    assert "do not measure" in str(empty.figures("pairwise_report")["warning"])
 
 
 def test_the_same_runs_give_the_same_versions(

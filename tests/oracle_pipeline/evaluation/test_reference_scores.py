@@ -19,6 +19,7 @@ def tables():
     return features, windows
 
 
+@pytest.mark.slow
 def test_oracle_score_gives_the_p_values_of_the_evaluation(tables):
     features, windows = tables
     runs = MeasuredRuns.ordered(features, windows)

@@ -47,6 +47,7 @@ def test_twenty_recordings_support_a_false_positive_rate_of_five_percent(scorer)
     np.testing.assert_allclose(scorer.p_values(scorer.scores(attacked)), 1 / 21)
 
 
+@pytest.mark.slow
 def test_new_normal_runs_are_called_anomalous_as_rarely_as_promised():
     p = []
     for seed in range(40):

@@ -73,6 +73,7 @@ def test_what_is_told_of_them_can_be_written_to_any_log_and_terminal(folder):
         assert text.replace("\n", "").isprintable()
 
 
+@pytest.mark.slow
 def test_the_partitions_of_the_code_location_load(folder):
     code = "from assets.partitions import RUNS; print(RUNS.has_partition_key('good|run000'))"
     done = subprocess.run(

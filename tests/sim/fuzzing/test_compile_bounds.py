@@ -46,6 +46,7 @@ def multiplied(tmp_path):
     return file
 
 
+@pytest.mark.slow
 def test_a_file_whose_expressions_multiply_is_refused_within_seconds(multiplied):
     started = time.process_time()
     with pytest.raises(ScenarioError, match=rf"at most {MAX_OPERATIONS} operations in all"):

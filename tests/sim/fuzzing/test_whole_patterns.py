@@ -41,7 +41,7 @@ def test_a_line_feed_behind_a_name_is_refused_where_it_stands(part):
 def test_every_pattern_of_every_schema_refuses_a_line_feed_at_the_end(schema):
     patterns = set(re.findall(r'"pattern": ("(?:[^"\\]|\\.)*")', json.dumps(schema)))
     assert patterns
-    samples = ["a", "/a", "a/msg/A", "0" * 64]
+    samples = ["a", "/a", "a/msg/A", "0" * 64, "oracle-sha256:" + "0" * 64]
     for pattern in map(json.loads, patterns):
         rule = {"type": "string", "pattern": pattern}
         (good, *_) = [text for text in samples if not faults(text, rule)]
