@@ -64,7 +64,7 @@ def test_a_trimmed_bag_holds_what_features_decode_and_all_that_is_light(run: Run
         for name, topic in bag.topics.items():
             assert topic.count == manifest.topics[name].messages
     assert [stamp for stamp, _ in read_ground_truth(run.bag)] == [stamp for stamp, _ in truth]
-    assert run.manifest().measured.bytes["bag"] < 0.5 * manifest.measured.bytes["bag"]
+    assert run.manifest().measured.bytes["bag"] < 0.6 * manifest.measured.bytes["bag"]
     assert inspect(Inspection("bag_is_complete", (run,))).wrong == []
 
 
@@ -193,7 +193,7 @@ def test_under_a_tight_budget_blocks_keep_alike_and_it_is_never_exceeded(
     copy_of_campaign: Laboratory,
 ) -> None:
     laboratory = copy_of_campaign
-    budget = round(1.25 * take_stock(laboratory.root).total)
+    budget = round(1.4 * take_stock(laboratory.root).total)
     tight = StorageBudget(limit=str(budget), reserve_mb=0)
     with watched(laboratory.root) as seen:
         for mode in (CONTROL, ATTACKED):
