@@ -47,9 +47,13 @@ def aggregate(root: Path, asset: str, rng: np.random.Generator) -> list[str]:
     else:
         outputs = [store.report] if asset == "oracle_report" else [store.dataset(DATASET)]
     expected = state(root)
-    with largest_file(_limit(outputs, rng)):
-        outcome = made(root, asset)
-    wrong = [f"{asset} was made on a full disk"] if outcome.success else []
+    success = False
+    try:
+        with largest_file(_limit(outputs, rng)):
+            success = made(root, asset).success
+    except Exception as error:  # Dagster's own database may be the first that cannot grow
+        print(f"as it should be: {type(error).__name__}: {error}"[:200])
+    wrong = [f"{asset} was made on a full disk"] if success else []
     return wrong + compared(root, expected)
 
 

@@ -5,7 +5,7 @@ The protocol and what each figure means: docs/explanation/evaluation.md.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -115,7 +115,7 @@ def evaluate(
         The tables do not fit together.
     """
     steps = _Steps(JudgedRuns.of(features, windows, truth), seed, progress)
-    headline = steps.score(HEADLINE, steps.folds)
+    headline = _supported(steps.score(HEADLINE, steps.folds))
     table = steps.table(headline)
     checks = steps.checks(headline, table, graph_differences)
     alarms, small_clusters = steps.alarms(), steps.small_clusters()
@@ -137,6 +137,13 @@ def evaluate(
         curves=curves,
         kills=kills,
     )
+
+
+def _supported(scores: HeldOutScores) -> HeldOutScores:
+    """Return scores without p-values that could never be a verdict at the usual rate."""
+    if scores.calibration >= runs_needed(RATES[0]):
+        return scores
+    return replace(scores, p=np.full_like(scores.p, np.nan))
 
 
 class _Steps:

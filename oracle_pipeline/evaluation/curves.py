@@ -78,7 +78,12 @@ def _both_classes(compared: ComparedRuns, scores: HeldOutScores, campaign: Judge
 def _detection(
     scores: HeldOutScores, campaign: JudgedRuns, rng: np.random.Generator
 ) -> dict[str, Curve]:
-    """Return for each attacked mode, and for normal runs, the share of ``p <= rate``."""
+    """Return for each attacked mode, and for normal runs, the share of ``p <= rate``.
+
+    Nothing where there are too few blocks for p-values.
+    """
+    if not np.isfinite(scores.p).any():
+        return {}
     rates = np.geomspace(1.0 / (scores.calibration + 1), 1.0, RATES)
     modes, malicious = campaign.features["mode"].to_numpy(), campaign.malicious
     groups = {str(mode): modes == mode for mode in np.unique(modes[malicious])}

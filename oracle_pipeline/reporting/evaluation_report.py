@@ -95,11 +95,12 @@ def _pictures(evaluation: CampaignEvaluation) -> dict[str, bytes]:
 
 def _headline_pictures(curves: HeadlineCurves) -> dict[str, bytes]:
     """Draw ROC curves, detection over false alarms, and effort."""
-    return {
-        "roc": figures.roc_curves(curves.roc),
-        "detection": figures.curves(
+    pictures = {"roc": figures.roc_curves(curves.roc)}
+    if curves.detection:
+        pictures["detection"] = figures.curves(
             curves.detection, "nominal false-alarm rate", "share called anomalous", log=True
-        ),
+        )
+    return pictures | {
         "effort": figures.curves(
             {"by score": Curve(*curves.effort)},
             "share of runs inspected",

@@ -62,12 +62,13 @@ def test_tables_and_reports_killed_while_they_are_written_are_the_former_or_the_
 
 
 def test_an_evaluation_that_is_told_to_stop_ends_soon_and_leaves_nothing(
-    copy_of_campaign: Laboratory,
+    campaign: Laboratory, tmp_path: Path
 ) -> None:
-    root = copy_of_campaign.root
+    root = tmp_path / "data"
+    shutil.copytree(campaign.root, root)
     expected = state_of_aggregates(root)
-    running = start_asset(root.parent, ["oracle_evaluation"])
-    wait_for_step(root.parent, running)
+    running = start_asset(tmp_path, ["oracle_evaluation"])
+    wait_for_step(tmp_path, running)
     assert end(running, "terminate") == []
     assert running.returncode != 0
     assert compared(root, expected) == []

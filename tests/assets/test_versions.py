@@ -44,7 +44,7 @@ NOTHING: set[str] = set()
 @pytest.mark.parametrize(
     ("place", "old", "new", "changed"),
     [
-        ("sim/commands/record.py", "N runs of one mode", "runs of one mode", NOTHING),
+        ("sim/commands/record.py", "runs of one mode", "some runs of a mode", NOTHING),
         ("sim/commands/progress.py", "real time", "time", NOTHING),
         ("sim/fan_out.py", '"""', '"""A line. ', NOTHING),
         ("sim/worker_pool.py", '"""', '"""A line. ', NOTHING),

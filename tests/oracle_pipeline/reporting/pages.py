@@ -77,7 +77,7 @@ def page_of(df, windows, truth, *, mutants=None, differences=None, **more):
 def whole_page():
     """Return a page with every section, of a campaign in which attacks are plain to see."""
     return page_of(
-        *campaign(9, effect=20.0),
+        *campaign(20, effect=20.0),  # as many blocks as a verdict at 5 % takes
         mutants=grid_of([1.0, 40.0], 2, used=20),
         differences=[],
         radar={run: draw(run) for run in (GHOST, WITHOUT)},

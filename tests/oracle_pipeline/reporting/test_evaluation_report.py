@@ -49,7 +49,7 @@ def _quick(monkeypatch):
 def strong():
     heard = []
     report = oracle_evaluation(
-        *campaign(9, effect=20.0), graph_differences=[], grid=grid_of([1.0, 40.0], 2, used=20),
+        *campaign(20, effect=20.0), graph_differences=[], grid=grid_of([1.0, 40.0], 2, used=20),
         progress=heard.append,
     )  # fmt: skip
     return report, heard
@@ -73,12 +73,15 @@ def test_there_is_a_row_for_every_scorer_split_and_scope():
     assert set(table["detector"]) == {*QUICK, "random_forest (sees labels)"}
     assert {"all", "structural", "contextual", "generic"} <= set(table["features"])
     assert set(table["split"]) == {
-        "block", "session", "session but 2 blocks", "block and hard negatives",
+        "block", "session", "session but 2 blocks", "session but 4 blocks", "block and hard negatives",
     }  # fmt: skip
     assert set(table["level"]) == {"run", "windows", "both"}
     assert not table.duplicated(["detector", "features", "level", "split", "scope"]).any()
     pairs = table[table["scope"] == "random_noise_shadow / random_noise"]
-    known = pairs["split"] == "session but 2 blocks"  # of three in each session
+    known = (
+        pairs["split"] == "session but 2 blocks",
+        "session but 4 blocks",
+    )  # of three in each session
     assert (pairs.loc[~known, ["malicious", "normal"]] == 9).all(axis=None)
     assert (pairs.loc[known, ["malicious", "normal"]] == 3).all(axis=None)
 

@@ -118,7 +118,7 @@ def test_the_headline_is_the_evaluations(page):
 
 
 def test_a_headline_that_is_withheld_says_no_figure_and_why(poor):
-    assert re.match(r"The headline is withheld: \d of 6 integrity checks", answer(poor))
+    assert re.match(r"The headline is withheld: \d of 7 integrity checks", answer(poor))
     assert "AUC" not in answer(poor)
     reasons = poor.split("<nav")[0]
     assert "Graphs of pairs are equal: unsupported." in reasons
@@ -127,7 +127,7 @@ def test_a_headline_that_is_withheld_says_no_figure_and_why(poor):
 
 def test_every_check_says_in_words_how_it_ended(page, poor):
     panel = re.findall(r'<span class="status (\w+)">(\S) (\w+)</span>', page + poor)
-    assert len(panel) == 12
+    assert len(panel) == 14
     assert all(status == word for status, _, word in panel)
     assert {(mark, word) for _, mark, word in panel} >= {("✓", "green"), ("?", "unsupported")}
 
