@@ -24,7 +24,7 @@ from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.evidence import farthest_features
 from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS, Limits, extract_apart
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.scoring.verdict import Judgement, ScoringError, Verdict
+from oracle_pipeline.scoring.verdict import ScoringError, Verdict
 
 
 class CardSource(Protocol):
@@ -68,7 +68,7 @@ def score(
         Do not judge an incomplete recording.
     """
     verdicts = [
-        _score_one(path, reference, manager, far, limits, strict=strict)
+        _score_one(path, reference, manager, limits, strict=strict)
         for path in progress_bar(recordings, unit="recording")
     ]
     return settled(verdicts, far)
@@ -115,12 +115,11 @@ def _unsupported(blocks: int, size: int, far: float) -> str:
 
 
 def _score_one(
-    path: Path, reference: CardSource, manager: FeatureManager, far: float, limits: Limits,
-    *, strict: bool,
-) -> Verdict:  # fmt: skip
+    path: Path, reference: CardSource, manager: FeatureManager, limits: Limits, *, strict: bool
+) -> Verdict:
     try:
         tables, seen, _ = extract_apart(path, manager, limits, strict=strict)
-        verdict = judge(str(path), tables, reference.card_for(tables.run), far, seen)
+        verdict = _scored(str(path), tables, reference.card_for(tables.run), seen)
         return replace(verdict, notes=(*tables.notes, *verdict.notes))
     except (OracleError, OSError) as error:
         return Verdict(str(path), "error", error=str(error))
@@ -135,14 +134,22 @@ def judge(
 ) -> Verdict:
     """Judge one recording on its own, from its features.
 
-    A recording whose block is one of the card's (same start, goals and nuisance) is scored by the
-    scorer that did not see the block, and the block has no vote. So the verdict on a run of a
-    campaign is the one that the evaluation measured.
-
     Raises
     ------
     OracleError
         The recording shares no feature with the card, has one in another unit, or is too short.
+    """
+    return settled([_scored(recording, tables, card, seen)], far)[0]
+
+
+def _scored(
+    recording: str, tables: FeatureTables, card: ReferenceCard, seen: Observation | None
+) -> Verdict:
+    """Return score, p-value and evidence of one recording, without a judgement.
+
+    A recording whose block is one of the card's (same start, goals and nuisance) is scored by the
+    scorer that did not see the block, and the block has no vote. So the verdict on a run of a
+    campaign is the one that the evaluation measured.
     """
     columns, notes = shared_features(tables.run, card.runs, card.scorer.design.run_features)
     block = _known_block(tables.run, card)
@@ -154,9 +161,9 @@ def judge(
         notes.append("It is of a block of the reference: all runs of that block are left out.")
     others = card.runs if block is None else card.runs[card.runs["block"] != block]
     deviations = explain(others, tables.run, columns)
-    verdict = Verdict(
+    return Verdict(
         recording,
-        _judgement(float(p), far),
+        "unsupported",  # until it is settled at a rate, alone or in a suite
         contract=_breaches(card, seen),
         p_value=float(p),
         suite_p_value=float(p),
@@ -168,11 +175,6 @@ def judge(
         families=tuple(by_family(deviations, columns)),
         notes=tuple(notes),
     )
-    return settled([verdict], far)[0]
-
-
-def _judgement(p: float, far: float) -> Judgement:
-    return "anomalous" if p <= far else "normal"
 
 
 def _breaches(card: ReferenceCard, seen: Observation | None) -> tuple[str, ...]:
