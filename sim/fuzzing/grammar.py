@@ -50,6 +50,11 @@ def parse(text: str) -> ast.expr:
         raise ExpressionError(
             f"{_shown(text)} has {len(text)} characters; at most {MAX_LENGTH} are allowed."
         )
+    if "\0" in text:  # what Python says of it depends on its release
+        raise ExpressionError(
+            f"Column {text.strip().index(chr(0)) + 1} of {_shown(text)}: there is a NUL; "
+            f"expected {_LANGUAGE}."
+        )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # what Python only frowns upon is refused

@@ -91,7 +91,7 @@ def test_the_ui_comes_up(checkout: Path) -> None:
     assert server.returncode == 0, said
     assert "Traceback" not in said
     assert "Daemon threads shut down" in said
-    assert processes_of(server.pid) == []
+    assert left_of(server.pid, seconds=20) == []
 
 
 def hear_control_c() -> None:
@@ -105,6 +105,14 @@ def wait_for_daemon(home: Path, seconds: float) -> None:
         while "QUEUED_RUN_COORDINATOR" not in instance.get_daemon_heartbeats():
             assert time.monotonic() < until
             time.sleep(0.2)
+
+
+def left_of(group: int, seconds: float) -> list[int]:
+    """Return the processes of a group or session that outlive it by so much time."""
+    until = time.monotonic() + seconds
+    while (left := processes_of(group)) and time.monotonic() < until:
+        time.sleep(0.1)
+    return left
 
 
 def processes_of(group: int) -> list[int]:

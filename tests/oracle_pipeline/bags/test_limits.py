@@ -22,7 +22,7 @@ LINE = "=" * 80 + "\n"
 NESTED = "".join(f"{LINE}MSG: my_msgs/L{i}\nL{i + 1}[10] x\n" for i in range(30))
 
 READ = """
-import resource, sys
+import re, sys
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline import features
 from oracle_pipeline.opened_run import open_run
@@ -31,7 +31,8 @@ try:
         features.extract(run, features.build_manager())
 except BagError as error:
     print(error)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
+# Of this program alone: ru_maxrss would count the process that it was forked from.
+print(int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())[1]) // 1024)
 """
 
 
