@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bootstrap import DistinctRuns
 from oracle_pipeline.evaluation.comparisons import RATES, ComparedRuns
-from oracle_pipeline.evaluation.held_out import common_length
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import auc, events_per_hour, quantile, share
 from oracle_pipeline.evaluation.splits import Fold
 from oracle_pipeline.scoring.conformal import p_values
+from oracle_pipeline.scoring.run_scorer import common_length
 
 
 def window_p(

@@ -18,12 +18,12 @@ from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
 from oracle_pipeline.datasets import feature_columns, feature_floors, is_malicious
 from oracle_pipeline.detectors import Detector, pipeline
 from oracle_pipeline.evaluation.splits import Fold
+from oracle_pipeline.scoring import run_scorer
 from oracle_pipeline.scoring.conformal import p_values
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+from oracle_pipeline.scoring.run_scorer import common_length
 
 Level = Literal["run", "windows", "both"]
-TOP_WINDOWS = 3  # whose mean speaks for the run
-COMMON = 0.9  # share of the fitted runs that are as long as what is looked at of each run
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -113,23 +113,12 @@ def top_windows(
     The longer a run, the odder its oddest windows, and attacked runs are longer. So windows count
     only up to the length that nine tenths of the fitted runs reach.
     """
-    counts, place = runs.counts, runs.place
-    top = np.full((len(folds), len(counts)), np.nan)
+    counts = runs.counts
+    top = np.empty((len(folds), len(counts)))
     for number, fold in enumerate(folds):
-        laid_out = np.full((len(counts), int(counts.max(initial=1))), -np.inf)
-        laid_out[runs.run, place] = scores[number]
-        considered = laid_out[:, : common_length(counts[fold.fit])]
-        best = -np.sort(-considered, axis=1)[:, :TOP_WINDOWS]
-        finite = np.isfinite(best)
-        total = np.where(finite, best, 0.0).sum(axis=1)
-        np.divide(total, finite.sum(axis=1), out=top[number], where=finite.any(axis=1))
+        counted = common_length(counts[fold.fit])
+        top[number] = run_scorer.top_windows(scores[number], runs, counted)
     return top
-
-
-def common_length(windows: NDArray[np.intp]) -> int:
-    """Return how many windows nine tenths of the runs have at least."""
-    shorter = int(round(1.0 - COMMON, 9) * len(windows))
-    return max(1, int(np.sort(windows)[shorter]))
 
 
 def standardised(scores: NDArray[np.float64], folds: Sequence[Fold]) -> NDArray[np.float64]:

@@ -101,7 +101,7 @@ class RunScorer:
 def top_windows(
     scores: NDArray[np.float64], runs: MeasuredRuns, windows_counted: int
 ) -> NDArray[np.float64]:
-    """Return the mean of the highest window scores of each run, shape (n_runs,).
+    """Return the mean of the highest window scores of each run, NaN without any; (n_runs,).
 
     Parameters
     ----------
@@ -117,7 +117,9 @@ def top_windows(
     highest = -np.sort(-by_run[:, :windows_counted], axis=1)[:, :TOP_WINDOWS]
     finite = np.isfinite(highest)
     total = np.where(finite, highest, 0.0).sum(axis=1)
-    return np.asarray(total / np.maximum(finite.sum(axis=1), 1), dtype=np.float64)
+    top = np.full(len(counts), np.nan)
+    np.divide(total, finite.sum(axis=1), out=top, where=finite.any(axis=1))
+    return top
 
 
 def common_length(windows: NDArray[np.intp]) -> int:
