@@ -16,6 +16,7 @@ import click
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import PlainTextGroup
+from oracle_pipeline.live.command import watch
 from oracle_pipeline.replay.command import replay
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ def main() -> None:
 
 
 main.add_command(replay)
+main.add_command(watch)
 
 
 def _format_option(*formats: str, text: str) -> Callable[[_Command], _Command]:

@@ -104,7 +104,7 @@ def paragraph(verdict: Verdict, shared: Sequence[str] = ()) -> Iterator[str]:
     )
     yield from (f"    {breach}" for breach in verdict.contract)
     if verdict.outcome != "normal":
-        yield from _aligned([HEADINGS, *map(cells, verdict.evidence)])
+        yield from aligned([HEADINGS, *map(cells, verdict.evidence)])
         yield from (f"    {_summary(family)}" for family in verdict.families)
     yield from (f"    {remark}" for remark in _remarks(verdict) if remark not in shared)
 
@@ -136,7 +136,8 @@ def _z(z: float, *, capped: bool) -> str:
     return f"{z:+.1f} (capped)" if capped else f"{z:+.1f}"
 
 
-def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+def aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Yield the lines of a table."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         padded = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
