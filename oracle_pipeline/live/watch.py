@@ -28,7 +28,7 @@ from oracle_pipeline.live.traffic import Traffic, snapshot
 from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
-SETTLE_S = 2.0  # until those who are on the domain are known
+SETTLE_S = 2.0  # from the first topic on, until those who are on the domain are known
 _DISCOVERY_S = 0.1  # rosbag2 looks for new topics this often
 _TAKE_S = 0.1  # at most, that a look for messages waits
 _SECOND_NS = 1_000_000_000
@@ -193,10 +193,12 @@ class Watch:
         yield from self._finish()
 
     def _settle(self) -> None:
-        """Wait until those who are there are known, and choose the time."""
-        until = monotonic() + SETTLE_S
-        while monotonic() < until and not self._stopped:
+        """Wait until there is somebody, and those who are there are known; choose the time."""
+        until = None
+        while (until is None or monotonic() < until) and not self._stopped:
             self.discovery.update()
+            if until is None and self.discovery.topics():
+                until = monotonic() + SETTLE_S
             self._intake.take(_TAKE_S)  # nothing is heard yet; this only waits
         if CLOCK_TOPIC in self.discovery.topics():
             self._time = SimulatedTime()

@@ -127,6 +127,15 @@ class Publisher:
         for latency_ns, _, deliver in self._listeners:
             call_at(now_ns + latency_ns, deliver, sample)
 
+    def tap(self, callback: Callable[[bytes], None]) -> None:
+        """Hand on the bytes of each message from now on, and of those that are kept for late ones.
+
+        Who taps is no subscriber: nothing in the domain changes.
+        """
+        self._recorders.append(callback)
+        for sample in self.retained or ():
+            callback(sample.data)
+
     def has_subscribers(self) -> bool:
         """Tell whether a sample would reach anyone (Nav2 skips costly messages otherwise)."""
         return bool(self.subscriptions)
