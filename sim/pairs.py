@@ -1,15 +1,18 @@
-"""What an attack did to the robot's task: an attacked run against its block's control."""
+"""What an attack did to the robot's task: an attacked run against its block's control.
+
+How large an effect is beyond chance, only the evaluation can tell, from many runs.
+"""
 
 import contextlib
 from typing import Any
 
+from oracle_pipeline.bags.behaviour import behaviour
 from oracle_pipeline.bags.errors import ManifestError, RunDirectoryError
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bags.run_directory import RunDirectory
 
 CONTROL = "lidar_passthrough_odom"  # of attacks that have no pair of their own
-LONGER = 1.15  # a way this much longer than the control's is an effect
 
 
 def judge_pair(directory: RunDirectory) -> None:
@@ -50,17 +53,10 @@ def _setting(run: Manifest) -> dict[str, Any]:
     return {key: value for key, value in run.recipe.items() if key not in aside}
 
 
-def task_effect(attacked: Manifest, control: Manifest) -> bool:
-    """Tell whether a run of the same block went another way than its control.
+def task_effect(attacked: Manifest, control: Manifest) -> dict[str, float] | None:
+    """Return how much more an attacked run has of each quantity of behaviour than its control.
 
-    It did if a goal came out differently, or the way to one was more than 1.15 times as long, or
-    took a recovery more.
+    None if what the robot did was not measured in both.
     """
-    if len(attacked.goal_results) != len(control.goal_results):
-        return True
-    return any(
-        ours.outcome != theirs.outcome
-        or ours.driven_m > LONGER * theirs.driven_m
-        or ours.recoveries > theirs.recoveries
-        for ours, theirs in zip(attacked.goal_results, control.goal_results, strict=True)
-    )
+    ours, theirs = behaviour(attacked), behaviour(control)
+    return {name: ours[name] - theirs[name] for name in ours if name in theirs} or None

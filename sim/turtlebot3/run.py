@@ -158,6 +158,7 @@ class TurtleBot3Run:
             scenario=scenario.id,
             scenario_hash=scenario.digest,
             task_effect=None,  # until the run and its control are both there
+            drive=self._drive(),
             changes=() if self._node is None else self._node.changes(self._start_ns),
             recording_s=self._seconds(self._end_ns),
             contacts=tuple(
@@ -173,6 +174,14 @@ class TurtleBot3Run:
                 bytes=bytes_on_disk(self._folder),
                 files=hashes_of_files(self._folder),
             ),
+        )
+
+    def _drive(self) -> schema.Drive:
+        monitor, places = self._nav2.collision_monitor, self._odometer.places()
+        return schema.Drive(
+            self._world.clearance(places) if len(places) else None,
+            monitor.commands,
+            monitor.commands_altered,
         )
 
     def _onset_s(self) -> float | None:
