@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.bags.terminal import PlainTextGroup
+from oracle_pipeline.bags.terminal import PlainTextGroup, version_option
 from oracle_pipeline.comparison.command import compare
 from oracle_pipeline.replay.command import replay
 
@@ -51,6 +51,7 @@ class _Group(PlainTextGroup):
 
 
 @click.group(cls=_Group)
+@version_option
 def main() -> None:
     """Tell normal from anomalous behaviour of a ROS 2 system, using only recordings."""
 
