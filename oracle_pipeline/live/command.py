@@ -95,9 +95,10 @@ def watch(
 
 def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
     """Yield the lines that a person reads of an event."""
+    from oracle_pipeline.bags.terminal import aligned_lines
     from oracle_pipeline.live.watch import Alarm, GraphTaken, Note
     from oracle_pipeline.live.window_scorer import WindowVerdict
-    from oracle_pipeline.scoring.output import HEADINGS, aligned, cells
+    from oracle_pipeline.scoring.output import HEADINGS, cells
 
     if isinstance(event, GraphTaken):
         kinds = [vertex.partition(":")[0] for vertex in event.graph]
@@ -114,7 +115,7 @@ def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
     elif isinstance(event, Alarm):
         verdict = event.verdict
         yield f"ALARM in the window from {verdict.start_s:g} s to {verdict.end_s:g} s:"
-        yield from aligned([HEADINGS, *map(cells, verdict.evidence)])
+        yield from aligned_lines([HEADINGS, *map(cells, verdict.evidence)], indent="    ")
     elif isinstance(event, Note):
         yield event.text
 
