@@ -49,10 +49,13 @@ def build_defs(**overrides: object) -> dg.Definitions:
     TypeError
         If there is no such resource.
     """
+    campaign = Campaign.from_environment()
     resources: dict[str, object] = {
         "store": RunStore(root=os.environ.get("ORACLE_HOME") or "data"),
         "fleet": Fleet(address=os.environ.get("ORACLE_DASK", "")),
-        "campaign": CampaignSettings(goals_per_run=Campaign.from_environment().goals_per_run),
+        "campaign": CampaignSettings(
+            goals_per_run=campaign.goals_per_run, arena=campaign.options.arena
+        ),
         "budget": StorageBudget(limit=dg.EnvVar("ORACLE_STORAGE_BUDGET"))
         if "ORACLE_STORAGE_BUDGET" in os.environ
         else StorageBudget(),

@@ -5,7 +5,7 @@ from typing import Literal
 import dagster as dg
 from pydantic import Field
 
-from sim.campaigns import DEFAULT_SEED, Campaign
+from sim.campaigns import DEFAULT_SEED, ArenaChoice, Campaign, Options
 
 
 class CampaignSettings(dg.ConfigurableResource[None]):
@@ -22,7 +22,16 @@ class CampaignSettings(dg.ConfigurableResource[None]):
     storage: Literal["mcap", "sqlite3"] = Field(
         default="mcap", description="Storage of the recorded bags."
     )
+    arena: ArenaChoice = Field(
+        default="drawn",
+        description="World of the runs; drawn: hexagon, house and random arenas take turns.",
+    )
 
     def campaign(self) -> Campaign:
         """Return the campaign that recipes are drawn from."""
-        return Campaign(seed=self.seed, goals_per_run=self.goals_per_run, storage=self.storage)
+        return Campaign(
+            seed=self.seed,
+            goals_per_run=self.goals_per_run,
+            storage=self.storage,
+            options=Options(arena=self.arena),
+        )

@@ -18,9 +18,16 @@ from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.protocol import run_key
 
-SCHEMA_VERSION = 4
+UNKNOWN_WORLD = "unknown"  # of runs of older releases
+
+SCHEMA_VERSION = 5
 # What older versions did not have, and what is taken for it.
-_ADDED_SINCE: dict[int, dict[str, Any]] = {2: {"changes": []}, 3: {}}
+_ADDED_SINCE: dict[int, dict[str, Any]] = {
+    2: {"changes": [], "world": UNKNOWN_WORLD},
+    3: {"world": UNKNOWN_WORLD},
+    4: {"world": UNKNOWN_WORLD},
+}
+_SEALED_SINCE = 4
 _SEAL = "seal"  # a key of the file; a manifest in memory has none
 
 Label: TypeAlias = Literal["malicious", "normal", "control"]
@@ -108,6 +115,7 @@ class Manifest:
     run: int
     block: int  # runs of one block share start, goals and nuisance
     session: int
+    world: str  # where it was made: equal for equal worlds
     seed: int
     start: Pose
     goals: tuple[Pose, ...]
@@ -168,14 +176,15 @@ class Manifest:
             raise ManifestError(
                 f"Could not read {path}: {error}. Record the run again, or restore the file."
             ) from error
+        is_sealed = True
         if _is_older(document):
+            is_sealed = _SEAL in document
             added = _ADDED_SINCE[document["schema_version"]]
-            document |= {"schema_version": SCHEMA_VERSION, **added}
-            _validate(document | {_SEAL: seals.BLANK}, path)
-        else:
-            _validate(document, path)
+            document = {_SEAL: seals.BLANK, **document, "schema_version": SCHEMA_VERSION, **added}
+        _validate(document, path)
+        if is_sealed:
             _check_seal(content, path)
-            del document[_SEAL]
+        del document[_SEAL]
         return cls(
             **{
                 **document,
@@ -200,10 +209,11 @@ def schema() -> dict[str, Any]:
 
 
 def _is_older(document: Any) -> bool:
-    """Tell whether this is a manifest of an older version, none of which had seals."""
-    if not isinstance(document, dict) or _SEAL in document:
+    """Tell whether this is a manifest of an older version, with a seal if that has seals."""
+    if not isinstance(document, dict) or document.get("schema_version") not in _ADDED_SINCE:
         return False
-    return document.get("schema_version") in _ADDED_SINCE
+    has_seals: bool = document["schema_version"] >= _SEALED_SINCE
+    return (_SEAL in document) == has_seals
 
 
 def _check_seal(content: bytes, path: Path) -> None:

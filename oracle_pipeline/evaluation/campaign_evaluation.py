@@ -46,11 +46,13 @@ from oracle_pipeline.evaluation.splits import (
     BLOCK,
     HARMLESS,
     SESSION,
+    WORLD,
     Fold,
     block_folds,
     session_folds,
     tested_in,
     untaught,
+    world_folds,
 )
 from oracle_pipeline.scoring.conformal import runs_needed
 from oracle_pipeline.scoring.feature_sets import feature_sets
@@ -177,6 +179,8 @@ class _Steps:
         for blocks in BLOCKS_OF_SESSION:
             if folds := session_folds(df, self.seed, blocks):
                 rows += self._scored(HEADLINE, f"{SESSION} but {blocks} blocks", folds)
+        if folds := world_folds(df, self.seed):
+            rows += self._scored(HEADLINE, WORLD, folds)
         if is_hard_negative(df).any():
             rows += self._scored(HEADLINE, HARMLESS, untaught(df, self.folds))
         self.progress(f"{UPPER_BOUND}, with labels")

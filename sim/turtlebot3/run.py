@@ -26,7 +26,7 @@ from sim.nav2.bringup import bring_up
 from sim.nav2.collision_monitor import SOURCES
 from sim.recording import DEBUG_TOPICS, GraphRecorder, ReceiveClock, Recorder
 from sim.turtlebot3.arena import Cylinder
-from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
+from sim.turtlebot3.map import WORLD_IN_MAP, occupancy_map
 from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.nodes import add_robot
 from sim.turtlebot3.odometer import Odometer
@@ -77,7 +77,7 @@ class TurtleBot3Run:
         )
         self._nav2 = bring_up(
             self._domain,
-            turtlebot3_world_map(),
+            occupancy_map(recipe.arena),
             generator=recipe.generator,
             latency_ns=self._latency_ns,
             run=recipe.run,
@@ -146,6 +146,7 @@ class TurtleBot3Run:
             run=recipe.run,
             block=recipe.block,
             session=recipe.session.index,
+            world=recipe.arena.id,
             seed=recipe.seed,
             start=_pose(recipe.start),
             goals=tuple(map(_pose, recipe.goals)),
@@ -245,7 +246,7 @@ def _world_parameters(recipe: TurtleBot3Recipe) -> WorldParameters:
         obstacles = [Cylinder("obstacle", there.x, there.y, drawn.radius)]
     session = recipe.session
     return WorldParameters(
-        to_world.compose(recipe.start), session.friction, session.mass, obstacles
+        to_world.compose(recipe.start), session.friction, session.mass, obstacles, recipe.arena
     )
 
 

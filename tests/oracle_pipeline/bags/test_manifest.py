@@ -6,9 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.manifest import (
     LABELS,
+    UNKNOWN_WORLD,
     Change,
     Contact,
     GoalResult,
@@ -31,7 +33,7 @@ manifests = st.builds(
     Manifest,
     mode=st.from_regex(r"[a-z0-9_]+", fullmatch=True),
     label=st.sampled_from(LABELS),
-    run=counts, block=counts, session=counts, seed=counts,
+    run=counts, block=counts, session=counts, world=names, seed=counts,
     start=poses,
     goals=st.lists(poses).map(tuple),
     goal_results=st.lists(
@@ -60,7 +62,7 @@ manifests = st.builds(
 
 def example() -> Manifest:
     return Manifest(
-        mode="fake_object", label="malicious", run=3, block=3, session=0, seed=7,
+        mode="fake_object", label="malicious", run=3, block=3, session=0, world="house-7", seed=7,
         start=Pose(-2.0, -0.5, 0.0), goals=(Pose(1.0, 0.5, 0.0),),
         goal_results=(GoalResult(1.0, 21.5, "succeeded", 4.2, 0),), outcome="succeeded",
         onset_s=31.0,
@@ -127,11 +129,11 @@ def test_fields_are_all_there_and_no_others(change, tmp_path):
 def test_another_schema_version_is_told(tmp_path):
     path = tmp_path / "manifest.json"
     path.write_text('{"schema_version": 7}')
-    with pytest.raises(ManifestError, match="schema version 7, this release reads 4"):
+    with pytest.raises(ManifestError, match="schema version 7, this release reads 5"):
         Manifest.load(path)
 
 
-@pytest.mark.parametrize(("version", "lacks"), [(3, ()), (2, ("changes",))])
+@pytest.mark.parametrize(("version", "lacks"), [(3, ("world",)), (2, ("world", "changes"))])
 def test_a_run_of_an_older_version_is_read_as_one_that_does_not_tell(version, lacks, tmp_path):
     path = tmp_path / "manifest.json"
     example().save(path)
@@ -140,7 +142,21 @@ def test_a_run_of_an_older_version_is_read_as_one_that_does_not_tell(version, la
         del document[name]
     del document["measured"]["files"]
     path.write_text(json.dumps({**document, "schema_version": version}))
-    assert Manifest.load(path) == example()
+    assert Manifest.load(path) == dataclasses.replace(example(), world=UNKNOWN_WORLD)
+
+
+def test_a_sealed_run_of_an_older_version_is_read_unless_it_was_changed(tmp_path):
+    path = tmp_path / "manifest.json"
+    example().save(path)
+    document = json.loads(path.read_text())
+    del document["world"]
+    older = bytearray(json.dumps({**document, "schema_version": 4, "seal": seals.BLANK}).encode())
+    seals.seal(older)
+    path.write_bytes(older)
+    assert Manifest.load(path) == dataclasses.replace(example(), world=UNKNOWN_WORLD)
+    path.write_bytes(older.replace(b'"fake_object"', b'"fake_orange"'))
+    with pytest.raises(ManifestError, match="was changed after it was written"):
+        Manifest.load(path)
 
 
 def test_a_manifest_that_lost_its_seal_is_not_taken_for_an_older_one(tmp_path):
