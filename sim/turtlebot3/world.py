@@ -79,6 +79,8 @@ class World:
         self._data = mujoco.MjData(self._model)
         self._alone = mujoco.MjModel.from_xml_string(mjcf(parameters, with_pieces=False))
         self._data_alone = mujoco.MjData(self._alone)
+        self._arena = parameters.arena
+        self._obstacles = parameters.obstacles
         self._clear = ClearSpace(parameters.arena, parameters.obstacles)
         start = parameters.start
         self._data.qpos[:7] = (
@@ -146,6 +148,14 @@ class World:
         vx, vy, _ = state[_VELOCITY]
         yaw = wrap_angle(quaternion_yaw(qx, qy, qz, w) + ahead_s * state[_TURNING])
         return Pose2D(x + ahead_s * vx, y + ahead_s * vy, yaw)
+
+    def clearance(self, places: NDArray[np.float64]) -> float:
+        """Return the least distance of places of shape (n, 2) from any surface [m]."""
+        distances = [
+            self._arena.clearance(places),
+            *(o.signed_distance(places) for o in self._obstacles),
+        ]
+        return float(np.min(distances))
 
     @property
     def twist(self) -> tuple[float, float]:
