@@ -9,6 +9,8 @@ from oracle_pipeline.bags.errors import OracleError
 Storage = Literal["mcap", "sqlite3"]
 Wiring = Literal["additive", "replace", "absent"]
 OdometrySource = Literal["world", "encoder"]  # gazebo_ros_diff_drive's two
+# Tuned to the narrow gaps of the hexagon, or as Nav2 ships them.
+Navigation = Literal["tuned", "stock"]
 # Drawn: block 0 is in the hexagon, 1 in a house, 2 in a random arena, 3 in the hexagon, ...
 ArenaChoice = Literal["drawn", "hexagon", "house", "random"]
 
@@ -32,6 +34,7 @@ class Options:
     wiring: Wiring = "additive"
     odometry_source: OdometrySource = "world"
     arena: ArenaChoice = "drawn"
+    nav2: Navigation = "tuned"
     cameras: bool = False  # images and points of the depth camera, 15 MB a second
     debug_topics: bool = False  # /evaluation and /marker, 20 MB a second while driving
     hidden_topics: bool = False  # feedback and status of actions

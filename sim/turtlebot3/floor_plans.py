@@ -26,6 +26,7 @@ _INTO_WALL_M = 0.02  # furniture at a wall reaches into it: no slot is left
 _DRAWS = 20  # of a place for one piece
 
 _HOUSE = (3.7, 2.8)  # half the length and width of the house [m]
+_HOUSE_DOOR_M = 0.96
 _MIN_ROOM_M = 2.2
 P = ParamSpec("P")
 Piece = Box | Cylinder
@@ -114,9 +115,9 @@ def _house(seed: int, rng: np.random.Generator) -> Arena:
     floor = _Floor(half_x, half_y)
     middle, left, right = -0.1, 0.3, -0.3  # of the walls between the rooms [m]
     plan = [
-        *_wall("middle", "y", middle, (-half_y, half_y), (-1.5, 1.7), 1.1),
-        *_wall("left", "x", left, (-half_x, middle), (-2.5,), 1.2),
-        *_wall("right", "x", right, (middle, half_x), (2.1,), 1.0),
+        *_wall("middle", "y", middle, (-half_y, half_y), (-1.5, 1.7), _HOUSE_DOOR_M),
+        *_wall("left", "x", left, (-half_x, middle), (-2.5,), _HOUSE_DOOR_M),
+        *_wall("right", "x", right, (middle, half_x), (2.1,), _HOUSE_DOOR_M),
     ]
     floor.put(lambda: plan)
     rooms = (

@@ -87,6 +87,7 @@ class TurtleBot3Run:
                 if not (options.wiring == "replace" and source.topic == self._program.input_topic)
             ],
             speed=recipe.conditions.speed,
+            settings=options.nav2,
         )
         self._odometer = Odometer(self._executor, lambda: self._world.pose)
         self._patrol_over = False

@@ -166,3 +166,17 @@ def test_a_patrol_of_one_goal_succeeds_in_an_arena_of_each_kind(kind, recorded_r
     assert manifest.world == Arena.from_dict(manifest.recipe["arena"]).id
     assert manifest.world.startswith(kind)
     assert (manifest.outcome, manifest.contacts) == ("succeeded", ())
+
+
+@pytest.mark.slow
+def test_with_stock_settings_the_collision_monitor_acts_in_a_door_and_the_patrol_succeeds(
+    recorded_run,
+):
+    def drive(nav2):
+        options = Options(arena="house", nav2=nav2)
+        run = recorded_run("lidar_passthrough_odom", 10, Campaign(goals_per_run=1, options=options))
+        manifest = run.manifest()
+        assert manifest.outcome == "succeeded"
+        return manifest.drive.commands_altered / manifest.drive.commands
+
+    assert drive("stock") > drive("tuned")
