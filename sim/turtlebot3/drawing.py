@@ -20,11 +20,12 @@ from sim.nav2.costmap_layers import static_costs
 from sim.nav2.footprint import INSCRIBED_RADIUS
 from sim.nav2.inflation import GLOBAL_COST_SCALING, InflationLayer
 from sim.nav2.navfn import plan
-from sim.seeds import generator
+from sim.seeds import attack_seed, generator
 from sim.testbed import Mode
 from sim.turtlebot3.arena import RING, clearance
 from sim.turtlebot3.map import RESOLUTION_M, WORLD_IN_MAP, odom_in_map, turtlebot3_world_map
 from sim.turtlebot3.recipes import (
+    ATTACK,
     BLOCK,
     Conditions,
     FakeObject,
@@ -162,7 +163,9 @@ def draw(
     return TurtleBot3Recipe(
         mode=mode.id,
         scenario=mode.scenario.document,
-        parameters=mode.parameters(_drawn(block, campaign.options), parameters),
+        parameters=mode.parameters(
+            _drawn(block, campaign.options), parameters, attack_seed(campaign.seed, ATTACK, run)
+        ),
         conditions=Conditions(**mode.conditions),
         run=run,
         block=run,
