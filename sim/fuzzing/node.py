@@ -55,6 +55,7 @@ class ScenarioNode:
         self._executor = domain.executor
         self._execution = execution
         self._onset_ns: int | None = None
+        self._timer: Timer | None = None
         self._changes: list[tuple[int, float]] = []  # when, and how much at most
         self._latency_ns = 0 if program.is_in_place else latency_ns
         if program.is_in_place:
@@ -84,13 +85,40 @@ class ScenarioNode:
         period_ns = self._execution.timer_period_ns
         if period_ns is not None:
             first_ns = onset_ns + period_ns + self._latency_ns
-            Timer(self._domain, period_ns, self._on_timer, first_ns)
+            self._timer = Timer(self._domain, period_ns, self._on_timer, first_ns)
 
     def end(self, end_ns: int) -> None:
         """Let the scenario act no more from ``end_ns`` on."""
         self._execution.ends_s = -math.inf
         if self._onset_ns is not None:
             self._execution.ends_s = (end_ns - self._onset_ns) / SECOND
+
+    def switch(self, execution: Execution) -> None:
+        """Run another scenario from now on, with its onset now.
+
+        Raises
+        ------
+        ScenarioError
+            If it hears or publishes what this node does not.
+        """
+        program, now = execution.program, self._execution.program
+        known = {(name, source.topic, source.type.name) for name, source in now.sources.items()}
+        asked = {(name, source.topic, source.type.name) for name, source in program.sources.items()}
+        main = (program.input_topic, program.output_topic, program.type.name)
+        further = program.further_outputs.keys() - self._outputs.keys()
+        same = main == (now.input_topic, now.output_topic, now.type.name)
+        if not same or further or not asked <= known:
+            raise program.scenario.error(
+                ("main",),
+                f"expected a scenario from {now.input_topic} to {now.output_topic} with no other "
+                f"sources than {', '.join(now.sources) or 'none'}, as that of the node is, found "
+                f"{program.input_topic} to {program.output_topic} with "
+                f"{', '.join(program.sources) or 'none'}",
+            )
+        if self._timer is not None:
+            self._timer.cancel()
+        self._execution = execution
+        self.begin(self._executor.now_ns)
 
     def changes(self, start_ns: int) -> tuple[Change, ...]:
         """Return what was changed since ``start_ns``, in bins of five seconds from there."""
@@ -119,7 +147,8 @@ class ScenarioNode:
         return (self._heard_ns - self._onset_ns) / SECOND
 
     def _on_source(self, source: str, message: Any) -> None:
-        self._execution.on_source(source, message, self._heard_ns)
+        if source in self._execution.program.sources:  # it may have been switched to one with less
+            self._execution.on_source(source, message, self._heard_ns)
 
     def _on_message(self, message: Any) -> None:
         self._publish(self._execution.on_message(message, self._heard_ns, self._t_s))
