@@ -18,21 +18,22 @@ CONTROL = "lidar_passthrough_odom"  # of attacks that have no pair of their own
 def judge_pair(directory: RunDirectory) -> None:
     """Note ``task_effect`` in attacked runs that this run is the control of, or in itself.
 
-    Whichever of the two is finished last does it; runs of different campaigns, conditions or
-    wirings are not compared.
+    Whichever of the two is finished last does it; runs of different campaigns, conditions, wirings
+    or noise are not compared. So where each run has noise of its own, the control is the shadow.
     """
     for path in sorted(directory.root.glob(f"runs/*/{directory.run_id}")):
         # A folder that is no mode's, or a manifest that cannot be read, is not this run's trouble.
         with contextlib.suppress(RunDirectoryError, ManifestError):
             other = RunDirectory(directory.root, path.parent.name, directory.run)
             for attack, control in ((directory, other), (other, directory)):
-                if _control_of(attack.mode) == control.mode:
+                if control.mode in _controls_of(attack.mode):
                     _judge(attack, control)
 
 
-def _control_of(mode: str) -> str:
-    """Return the mode whose runs show how an attacked one would have gone."""
-    return next((control for control, attack in PAIRS if attack == mode), CONTROL)
+def _controls_of(mode: str) -> tuple[str, str]:
+    """Return the modes whose runs show how an attacked one would have gone."""
+    paired = next((control for control, attack in PAIRS if attack == mode), CONTROL)
+    return paired, f"{mode}_shadow"
 
 
 def _judge(attack: RunDirectory, control: RunDirectory) -> None:

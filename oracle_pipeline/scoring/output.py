@@ -4,6 +4,7 @@ import dataclasses
 import json
 from collections.abc import Iterator, Sequence
 
+from oracle_pipeline.bags.terminal import aligned_lines
 from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.alarms import RATE_PER_H
 from oracle_pipeline.scoring.card import ReferenceCard
@@ -127,7 +128,7 @@ def paragraph(verdict: Verdict, shared: Sequence[str] = ()) -> Iterator[str]:
     yield from (f"    {breach}" for breach in verdict.contract)
     yield from (f"    {line}" for line in (*_aspects(verdict), *_alarms(verdict)))
     if verdict.outcome != "normal":
-        yield from _aligned([HEADINGS, *map(cells, verdict.evidence)])
+        yield from aligned_lines([HEADINGS, *map(cells, verdict.evidence)], indent="    ")
         yield from (f"    {_summary(family)}" for family in verdict.families)
     yield from (f"    {remark}" for remark in _remarks(verdict) if remark not in shared)
 
@@ -177,10 +178,3 @@ def _summary(family: FamilyDeviation) -> str:
 def _z(z: float, *, capped: bool) -> str:
     """Return a robust z, and whether it is only as large as z may be."""
     return f"{z:+.1f} (capped)" if capped else f"{z:+.1f}"
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        padded = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        yield f"    {'  '.join(padded)}".rstrip()
