@@ -21,7 +21,8 @@ def evaluation_report(evaluation: CampaignEvaluation) -> Report:
     """Return the report on an evaluation.
 
     The table has a row for each scorer, split and comparison, the headline first; the tables
-    ``alarms``, ``small_clusters``, ``checks``, ``runs`` and, with a grid, ``kills``,
+    ``alarms``, ``aspects``, ``aspects_by_mode``, ``quadrants``, ``task_uncertainty``,
+    ``small_clusters``, ``checks``, ``runs`` and, with a grid, ``kills``,
     ``mutation_scores`` and ``minimum_detectable`` the rest.
     """
     return Report(
@@ -34,6 +35,7 @@ def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
     runs = evaluation.campaign.features[[*KEYS]]
     tables = {
         "alarms": evaluation.alarms,
+        **evaluation.aspects,
         "small_clusters": evaluation.small_clusters,
         "checks": pd.DataFrame([check.columns() for check in evaluation.checks]),
         "runs": runs.assign(score=headline.score, p=headline.p),
