@@ -56,18 +56,18 @@ class Judge:
     ----------
     card : Path
         The reference card.
-    far : float
-        False positive rate.
+    alarms_per_h : float or None
+        As for `WindowScorer`.
     plugins : Path, optional
         Folder of feature plugins.
     """
 
-    def __init__(self, card: Path, far: float, plugins: Path | None = None) -> None:
-        WindowScorer(ReferenceCard.load(card), far)  # a bad card is told at once
+    def __init__(self, card: Path, alarms_per_h: float | None, plugins: Path | None = None) -> None:
+        WindowScorer(ReferenceCard.load(card), alarms_per_h)  # a bad card is told at once
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
-            target=_work, args=(theirs, card, far, plugins), name="judge", daemon=True
+            target=_work, args=(theirs, card, alarms_per_h, plugins), name="judge", daemon=True
         )
         self._process.start()
         theirs.close()
@@ -139,11 +139,11 @@ class Judge:
         )
 
 
-def _work(pipe: Connection, card: Path, far: float, plugins: Path | None) -> None:
+def _work(pipe: Connection, card: Path, alarms_per_h: float | None, plugins: Path | None) -> None:
     """Judge in the other process, until it is told to end."""
     try:
         manager = build_manager(plugins)
-        scorer = WindowScorer(ReferenceCard.load(card), far)
+        scorer = WindowScorer(ReferenceCard.load(card), alarms_per_h)
         recent = RecentMessages()
         while (told := pipe.recv()) is not None:
             if isinstance(told, list):

@@ -54,7 +54,7 @@ class GraphTaken:
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """Behaviour turned anomalous: the first such verdict after normal ones."""
+    """The rule of the card raised an alarm with this window."""
 
     verdict: WindowVerdict
 
@@ -82,8 +82,8 @@ class Watch:
         Where to keep the recording; without one, nothing is recorded.
     name : str
         Of the recording.
-    far : float
-        False positive rate of a verdict.
+    alarms_per_h : float, optional
+        False alarms an hour that may be raised; by default what the card promises.
     plugins : Path, optional
         Folder of feature plugins.
     queue_bytes : int
@@ -111,14 +111,14 @@ class Watch:
         card: Path | None = None,
         folder: Path | None = None,
         name: str = "recording",
-        far: float = 0.05,
+        alarms_per_h: float | None = None,
         plugins: Path | None = None,
         queue_bytes: int = QUEUE_BYTES,
     ) -> None:
         self.dropped = self.heard = 0
         self._domain = domain
         self._stopped = False
-        self._judge = None if card is None else Judge(card, far, plugins)
+        self._judge = None if card is None else Judge(card, alarms_per_h, plugins)
         self.recording = None if folder is None else LiveRecording(folder, name)
         participant = dds.join(domain)
         self.discovery = Discovery(participant)
@@ -131,7 +131,6 @@ class Watch:
         self._now_ns = 0
         self._interval = 0  # number of the one that goes on
         self._window = 0  # number of the next that ends
-        self._alarmed = False
         self._pending: deque[Event] = deque()
 
     def stop(self) -> None:
@@ -318,9 +317,8 @@ class Watch:
 
     def _tell(self, verdict: WindowVerdict) -> None:
         self._pending.append(verdict)
-        if verdict.alarm and not self._alarmed:
+        if verdict.alarm:
             self._pending.append(Alarm(verdict))
-        self._alarmed = verdict.alarm
 
     def _finish(self) -> Iterator[Event]:
         """End the last interval if it is long enough, and wait for the last verdicts."""
