@@ -190,9 +190,17 @@ class RawReader:
 class RawWriter:
     """Sends bytes as the messages of a topic; the parameters are as for `RawReader`."""
 
-    def __init__(self, participant: Participant, name: str, msgtype: str, qos: Qos) -> None:
+    def __init__(
+        self,
+        participant: Participant,
+        name: str,
+        msgtype: str,
+        qos: Qos,
+        store: Typestore | None = None,
+    ) -> None:
         try:
-            self._topic = topic.Topic(participant, name, idl_type(msgtype, types.typestore()))
+            definition = idl_type(msgtype, store or types.typestore())
+            self._topic = topic.Topic(participant, name, definition)
             self._entity = pub.DataWriter(participant, self._topic, dds_qos(qos))
         except (core.DDSException, RuntimeError) as error:
             raise DdsError(f"Could not publish {name} ({msgtype}): {error}.") from error

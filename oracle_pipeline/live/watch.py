@@ -13,8 +13,9 @@ from types import TracebackType
 from typing import Self, TypeAlias
 
 from oracle_pipeline.bags import dds
-from oracle_pipeline.bags.errors import DdsError
+from oracle_pipeline.bags.errors import DdsError, OracleError
 from oracle_pipeline.bags.graph_files import RosGraph
+from oracle_pipeline.bags.limits import MOST_CHANNELS
 from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S, is_hidden
 from oracle_pipeline.bags.qos_profiles import is_latched, is_reliable
 from oracle_pipeline.graphs.intervals import Interval
@@ -209,7 +210,7 @@ class Watch:
         if not self.discovery.update() and not force:
             return
         for topic, publishers in self.discovery.topics().items():
-            if is_hidden(topic) or topic in self._unheard:
+            if is_hidden(topic) or topic in self._unheard or len(self._announced) >= MOST_CHANNELS:
                 continue
             known = self._announced.get(topic, 0)
             if not known:
@@ -231,6 +232,13 @@ class Watch:
             self._pending.append(Note(f"{topic} is not heard: {error}"))
 
     def _announce(self, topic: str, publishers: list[Endpoint]) -> None:
+        if not all(self._intake.hears(topic, each.qos) for each in publishers):
+            self._pending.append(
+                Note(
+                    f"{topic} has a publisher that came later and offers less than the first ones; "
+                    "its messages are not heard. Start the watch again to hear all."
+                )
+            )
         msgtype, profiles = self._intake.topics[topic], tuple(each.qos for each in publishers)
         if self.recording is not None:
             self.recording.add_topic(topic, msgtype, profiles)
@@ -312,8 +320,13 @@ class Watch:
                 Note(f"{dropped.total()} messages were dropped: they came too fast ({listed}).")
             )
         if self._judge is not None:
-            for verdict in self._judge.verdicts():
-                self._tell(verdict)
+            try:
+                for verdict in self._judge.verdicts():
+                    self._tell(verdict)
+            except OracleError as error:  # the recording goes on
+                self._judge.close()
+                self._judge = None
+                self._pending.append(Note(str(error)))
 
     def _tell(self, verdict: WindowVerdict) -> None:
         self._pending.append(verdict)

@@ -116,3 +116,18 @@ def test_graphs_older_than_what_is_kept_are_forgotten(recorded_run):
 def test_a_card_that_is_not_there_is_told_at_once(tmp_path):
     with pytest.raises(OracleError, match="oracle learn"):
         Judge(tmp_path / "none.card", None)
+
+
+def test_the_death_of_the_process_that_judges_is_told(card, eventually):
+    judge = Judge(card, PER_HOUR)
+    judge._process.kill()
+    judge._process.join()
+
+    def told():
+        judge.add([Stamped("/words", 0, b"\0\1\0\0")])
+        with pytest.raises(OracleError, match="died"):
+            list(judge.verdicts(1.0))
+        return True
+
+    assert eventually(told)
+    judge.close()
