@@ -121,9 +121,9 @@ class Watch:
         self._stopped = False
         self._judge = None if card is None else Judge(card, alarms_per_h, plugins)
         self.recording = None if folder is None else LiveRecording(folder, name)
-        participant = dds.join(domain)
-        self.discovery = Discovery(participant)
-        self._intake = Intake(participant, queue_bytes)
+        self._participant = dds.join(domain)
+        self.discovery = Discovery(self._participant)
+        self._intake = Intake(self._participant, queue_bytes)
         self._traffic = Traffic()
         self._announced: dict[str, int] = {}  # publishers whose profile was told on, by topic
         self._unheard: set[str] = set()  # topics that were said not to be heard
@@ -155,6 +155,7 @@ class Watch:
         traceback: TracebackType | None,
     ) -> None:
         self._intake.close()
+        dds.leave(self._participant)
         if self._judge is not None:
             self._judge.close()
         if self.recording is not None:
