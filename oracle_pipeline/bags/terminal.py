@@ -16,6 +16,8 @@ from tqdm import tqdm
 
 T = TypeVar("T")
 
+version_option = click.version_option(package_name="ros2-behaviour-oracle")
+
 
 class _Printable(dict[int, str | int]):
     """Translate each character that is no part of plain text into its Python escape."""

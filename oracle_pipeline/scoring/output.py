@@ -106,7 +106,7 @@ def paragraph(verdict: Verdict, shared: Sequence[str] = ()) -> Iterator[str]:
     yield from (f"    {breach}" for breach in verdict.contract)
     if verdict.outcome != "normal":
         yield from aligned_lines([HEADINGS, *map(cells, verdict.evidence)], indent="    ")
-        yield from (f"    {_summary(family)}" for family in verdict.families)
+        yield from (f"    {family_as_text(family)}" for family in verdict.families)
     yield from (f"    {remark}" for remark in _remarks(verdict) if remark not in shared)
 
 
@@ -124,7 +124,7 @@ def cells(evidence: Evidence) -> tuple[str, ...]:
     )
 
 
-def _summary(family: FamilyDeviation) -> str:
+def family_as_text(family: FamilyDeviation) -> str:
     """Return a sentence on the features of one family."""
     return (
         f"{family.family}: {family.unusual} of {family.compared} features outside their usual "

@@ -1,6 +1,7 @@
 """``oracle score``: real recordings against tables of normal runs made from their features."""
 
 import json
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -280,6 +281,15 @@ def test_recordings_that_end_their_process_are_errors_in_junit(bags, reference, 
     cases = list(ElementTree.parse(junit).getroot().iter("testcase"))  # noqa: S314 -- ours
     assert [[result.tag for result in case] for case in cases] == [[], ["error"], ["failure"]]
     assert "died (exit code 7)" in ElementTree.tostring(cases[1], encoding="unicode")
+
+
+def test_a_page_shows_the_same_verdicts(bags, reference, tmp_path):
+    page = tmp_path / "verdicts.html"
+    done = oracle_score(*bags.values(), "--reference", reference, "--page", page, expect=1)
+    assert page.as_uri() in done.stderr
+    html = page.read_text("utf-8")
+    for path, headline in zip(bags.values(), ("Normal", "Anomalous"), strict=True):
+        assert re.search(rf">{headline}</span>\s*<h2>{path}</h2>", html)
 
 
 def test_junit_is_written_without_a_reference(bags, tmp_path):
