@@ -12,7 +12,9 @@ import numpy as np
 
 from oracle_pipeline.bags.manifest import Label, Manifest, Software
 from sim.campaigns import Campaign
+from sim.fuzzing.node import ScenarioNode
 from sim.fuzzing.scenario import Scenario
+from sim.middleware.domain import Domain
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +84,14 @@ class Recipe(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
+    def mode(self) -> str:
+        """Name of the mode."""
+
+    @property
+    def scenario(self) -> Mapping[str, Any]:
+        """The scenario's document."""
+
+    @property
     def parameters(self) -> Mapping[str, Any]:
         """A value for each parameter of the scenario."""
 
@@ -103,7 +113,18 @@ class Recipe(Protocol):
 
 
 class TestbedRun(Protocol):
-    """A testbed that has come up, and the one run that is made in it."""
+    """A testbed that has come up, and the one run that is made in it.
+
+    Attributes
+    ----------
+    domain : Domain
+        The system's graph.
+    node : ScenarioNode or None
+        The mode's node; None as long as it is not there.
+    """
+
+    domain: Domain
+    node: ScenarioNode | None
 
     def go(self) -> None:
         """Make the run; write bag and graphs."""

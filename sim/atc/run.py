@@ -50,6 +50,8 @@ class AtcRun:
     ----------
     domain : Domain
         The system's graph.
+    node : ScenarioNode or None
+        The mode's node; None as long as it is not there.
     """
 
     def __init__(self, recipe: AtcRecipe, folder: Path) -> None:
@@ -62,7 +64,7 @@ class AtcRun:
             )
         self._start_ns = round(SETTLING_S * SECOND)  # of the recording
         self._onset_ns = self._start_ns + round(activation.seconds * SECOND)
-        self._node: ScenarioNode | None = None
+        self.node: ScenarioNode | None = None
         self._folder = folder
         self._air = AirSpace(recipe.flights, recipe.session.wind)
         self._executor = Executor(on_advance=self._air.advance_to)
@@ -80,8 +82,8 @@ class AtcRun:
     def _start_node(self) -> None:
         """Put the mode's node into the graph."""
         execution = execute(self._program, self._recipe.attack_seed(), self._recipe.parameters)
-        self._node = ScenarioNode(self.domain, NODE, execution, latency_ns=self._latency_ns)
-        self._node.begin(self._onset_ns)
+        self.node = ScenarioNode(self.domain, NODE, execution, latency_ns=self._latency_ns)
+        self.node.begin(self._onset_ns)
 
     def _add_sensors(self) -> None:
         recipe, domain, air = self._recipe, self.domain, self._air
@@ -139,7 +141,7 @@ class AtcRun:
             scenario=scenario.id,
             scenario_hash=scenario.digest,
             task_effect=None,  # there is no task that could come out otherwise
-            changes=() if self._node is None else self._node.changes(self._start_ns),
+            changes=() if self.node is None else self.node.changes(self._start_ns),
             recording_s=recipe.duration_s,
             contacts=(),
             topics=self._bag.topics,

@@ -17,7 +17,7 @@ from sim.fuzzing.scenario import Key
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND
-from sim.middleware.node import Node
+from sim.middleware.node import Node, Timer
 
 
 class ScenarioNode(Node):
@@ -51,6 +51,7 @@ class ScenarioNode(Node):
         super().__init__(domain, name, latency_ns=latency_ns)
         self._execution = execution
         self._onset_ns: int | None = None
+        self._timer: Timer | None = None
         self._changes: list[tuple[int, float]] = []  # when, and how much at most
         self._output = self.create_publisher(program.type.name, program.output_topic)
         self._truth = self.create_publisher(GROUND_TRUTH_TYPE, GROUND_TRUTH_TOPIC)
@@ -67,7 +68,33 @@ class ScenarioNode(Node):
         period_ns = self._execution.timer_period_ns
         if period_ns is not None:
             first_ns = onset_ns + period_ns + self.latency_ns
-            self.create_timer(period_ns, self._on_timer, phase_ns=first_ns - self.now_ns)
+            phase_ns = first_ns - self.now_ns
+            self._timer = self.create_timer(period_ns, self._on_timer, phase_ns=phase_ns)
+
+    def switch(self, execution: Execution) -> None:
+        """Run another scenario from now on, with its onset now.
+
+        Raises
+        ------
+        ScenarioError
+            If it hears or publishes what this node does not.
+        """
+        program, now = execution.program, self._execution.program
+        known = {(name, source.topic, source.type.name) for name, source in now.sources.items()}
+        asked = {(name, source.topic, source.type.name) for name, source in program.sources.items()}
+        main = (program.input_topic, program.output_topic, program.type.name)
+        if main != (now.input_topic, now.output_topic, now.type.name) or not asked <= known:
+            raise program.scenario.error(
+                ("main",),
+                f"expected a scenario from {now.input_topic} to {now.output_topic} with no other "
+                f"sources than {', '.join(now.sources) or 'none'}, as that of the node is, found "
+                f"{program.input_topic} to {program.output_topic} with "
+                f"{', '.join(program.sources) or 'none'}",
+            )
+        if self._timer is not None:
+            self._timer.cancel()
+        self._execution = execution
+        self.begin(self.now_ns)
 
     def changes(self, start_ns: int) -> tuple[Change, ...]:
         """Return what was changed since ``start_ns``, in bins of five seconds from there."""
@@ -86,7 +113,8 @@ class ScenarioNode(Node):
         return (self._heard_ns - self._onset_ns) / SECOND
 
     def _on_source(self, source: str, message: Any) -> None:
-        self._execution.on_source(source, message, self._heard_ns)
+        if source in self._execution.program.sources:  # it may have been switched to one with less
+            self._execution.on_source(source, message, self._heard_ns)
 
     def _on_message(self, message: Any) -> None:
         self._publish(self._execution.on_message(message, self._heard_ns, self._t_s))

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple, TypeVar
 
 from rosbags.interfaces import Qos
 
+from oracle_pipeline.bags.qos_profiles import compatible, is_latched
 from oracle_pipeline.bags.types import deserialize, serialize
 from sim.middleware.delays import Delays
 from sim.middleware.executor import Executor
-from sim.middleware.qos import compatible, is_latched
 
 _Endpoint = TypeVar("_Endpoint")
 
@@ -143,6 +143,15 @@ class Publisher:
         for latency_ns, delays, _, deliver in self._listeners:
             due_ns = now_ns + latency_ns if delays is None else delays.due_ns(now_ns, latency_ns)
             call_at(due_ns, deliver, sample)
+
+    def tap(self, callback: Callable[[bytes], None]) -> None:
+        """Hand on the bytes of each message from now on, and of those that are kept for late ones.
+
+        Who taps is no subscriber: nothing in the domain changes.
+        """
+        self._recorders.append(callback)
+        for sample in self.retained or ():
+            callback(sample.data)
 
     def has_subscribers(self) -> bool:
         """Tell whether a sample would reach anyone (Nav2 skips costly messages otherwise)."""
@@ -350,11 +359,6 @@ class Domain:
         for action in self._action_servers.values():
             clients = [node for node, name, _ in self._action_clients if name == action.name]
             yield Offer(action.name, action.action_type, action.node, clients)
-
-
-def is_hidden(topic: str) -> bool:
-    """Tell whether a name is hidden by the ROS convention (a token starts with ``_``)."""
-    return "/_" in topic
 
 
 def _endpoints(by_topic: Mapping[str, list[_Endpoint]], topic: str | None) -> Iterator[_Endpoint]:
