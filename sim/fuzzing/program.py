@@ -124,7 +124,7 @@ class Program:
     as_sent: Callable[[Any], Any]  # takes its messages as a recorder sees them
     input_topic: str
     output_topic: str
-    further_outputs: Mapping[str, Message]  # topic -> type
+    further_outputs: dict[str, Message]  # topic -> type
     sources: Mapping[str, Source]
     parameters: Mapping[str, Parameter]
     activation: Activation
@@ -140,11 +140,23 @@ class Program:
     magnitude: Term | None
     outputs: int  # at most, for one message
     memory: int  # how many messages are kept to be played back
+    also: tuple["Program", ...] = ()  # one for each further topic that is altered together
+    within_ns: int = 0  # of a further topic: how far it may be behind the main one it belongs to
 
     @property
     def has_header(self) -> bool:
         """Whether messages carry a stamp."""
         return has_header(self.type)
+
+    @property
+    def lanes(self) -> tuple["Program", ...]:
+        """The program of each topic that is altered, the main one first."""
+        return (self, *self.also)
+
+    @property
+    def outlets(self) -> Mapping[str, Message]:
+        """All topics that it publishes on, with their types."""
+        return {lane.output_topic: lane.type for lane in self.lanes} | self.further_outputs
 
     @property
     def is_in_place(self) -> bool:

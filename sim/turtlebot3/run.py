@@ -93,7 +93,7 @@ class TurtleBot3Run:
                 for source in SOURCES
                 if not (
                     options.wiring == "replace"
-                    and source.topic == self._program.input_topic
+                    and source.topic in {lane.input_topic for lane in self._program.lanes}
                     and not self._program.is_in_place
                 )
             ],
