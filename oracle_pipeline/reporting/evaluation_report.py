@@ -6,7 +6,7 @@ Everything shown is measured in ``oracle_pipeline.evaluation.campaign_evaluation
 import numpy as np
 import pandas as pd
 
-from oracle_pipeline.datasets import content_hash
+from oracle_pipeline.datasets import KEYS, content_hash
 from oracle_pipeline.evaluation import integrity
 from oracle_pipeline.evaluation.campaign_evaluation import CampaignEvaluation
 from oracle_pipeline.evaluation.comparisons import HEADLINE
@@ -21,7 +21,8 @@ def evaluation_report(evaluation: CampaignEvaluation) -> Report:
     """Return the report on an evaluation.
 
     The table has a row for each scorer, split and comparison, the headline first; the tables
-    ``alarms``, ``small_clusters``, ``checks``, ``runs`` and, with a grid, ``kills``,
+    ``alarms``, ``aspects``, ``aspects_by_mode``, ``quadrants``, ``task_uncertainty``,
+    ``small_clusters``, ``checks``, ``runs`` and, with a grid, ``kills``,
     ``mutation_scores`` and ``minimum_detectable`` the rest.
     """
     return Report(
@@ -31,9 +32,10 @@ def evaluation_report(evaluation: CampaignEvaluation) -> Report:
 
 def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
     headline, kills = evaluation.headline, evaluation.kills
-    runs = evaluation.campaign.features[["run_id", "mode", "label", "block", "session"]]
+    runs = evaluation.campaign.features[[*KEYS]]
     tables = {
         "alarms": evaluation.alarms,
+        **evaluation.aspects,
         "small_clusters": evaluation.small_clusters,
         "checks": pd.DataFrame([check.columns() for check in evaluation.checks]),
         "runs": runs.assign(score=headline.score, p=headline.p),

@@ -131,6 +131,7 @@ class AtcRun:
             run=recipe.run,
             block=recipe.block,
             session=recipe.session.index,
+            world="airspace",
             seed=recipe.seed,
             start=schema.Pose(0.0, 0.0, 0.0),
             goals=(),

@@ -27,7 +27,7 @@ from sim.nav2.bringup import bring_up
 from sim.nav2.collision_monitor import SOURCES
 from sim.recording import DEBUG_TOPICS, GraphRecorder, ReceiveClock, Recorder
 from sim.turtlebot3.arena import Cylinder
-from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
+from sim.turtlebot3.map import WORLD_IN_MAP, occupancy_map
 from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.nodes import add_robot
 from sim.turtlebot3.odometer import Odometer
@@ -84,7 +84,7 @@ class TurtleBot3Run:
         )
         self._nav2 = bring_up(
             self.domain,
-            mapped(turtlebot3_world_map(), recipe.seed, session),
+            mapped(occupancy_map(recipe.arena), recipe.seed, session),
             generator=recipe.generator,
             latency_ns=self._latency_ns,
             run=recipe.run,
@@ -98,6 +98,7 @@ class TurtleBot3Run:
                 )
             ],
             speed=recipe.conditions.speed,
+            settings=options.nav2,
         )
         self._odometer = Odometer(self._executor, lambda: self._world.pose)
         self._patrol_over = False
@@ -160,6 +161,7 @@ class TurtleBot3Run:
             run=recipe.run,
             block=recipe.block,
             session=recipe.session.index,
+            world=recipe.arena.id,
             seed=recipe.seed,
             start=_pose(recipe.start),
             goals=tuple(map(_pose, recipe.goals)),
@@ -286,6 +288,7 @@ def _world_parameters(recipe: TurtleBot3Recipe) -> WorldParameters:
         session.mass,
         obstacles,
         (session.wheel_left, session.wheel_right),
+        recipe.arena,
     )
 
 
