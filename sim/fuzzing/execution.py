@@ -125,7 +125,7 @@ class Execution:
         self._draws = draws
         self._known = {"p": dict(parameters), "c": program.constants}
         self._is_main = main is None
-        self._shared = (
+        self._shared: _Shared = (
             main._shared
             if main
             else _Shared(
