@@ -143,7 +143,7 @@ def compile_scenario(
         output_topic=main["output"],
         sources=sources,
         parameters=parameters,
-        activation=_activation(document.get("activation", {})),
+        activation=_activation(scenario),
         cost=cost,
         constants={name: value for name, (_, value) in constants.items()},
         state=state,
@@ -209,9 +209,19 @@ def _action(spec: Mapping[str, Any], key: Key, context: CompileContext) -> Actio
     return Action(spec["name"], when, let, compile_operators(spec["do"], (*key, "do"), inner))
 
 
-def _activation(spec: Mapping[str, Any]) -> Activation:
+def _activation(scenario: Scenario) -> Activation:
+    spec: Mapping[str, Any] = scenario.document.get("activation", {})
     rest = {key: value for key, value in spec.items() if key != "onset"}
-    return Activation(**spec.get("onset", {}), **rest)
+    onset = dict(spec.get("onset", {}))
+    if isinstance(seconds := onset.get("seconds"), list):
+        earliest, latest = seconds
+        if earliest > latest:
+            raise scenario.error(
+                ("activation", "onset", "seconds"),
+                f"expected the earliest onset before the latest, found {earliest} and {latest}",
+            )
+        onset["seconds"] = (float(earliest), float(latest))
+    return Activation(**onset, **rest)
 
 
 def _scalar(spec: Mapping[str, Any]) -> Type:

@@ -93,7 +93,7 @@ def mutate_bag(
     execution = execute(program, run_seed, parameters)
     with BagReader(bag_in) as reader:
         _check_topics(reader, program)
-        onset_ns = _onset_ns(reader, program, at_s)
+        onset_ns = _onset_ns(reader, program, at_s, run_seed)
         with BagWriter(bag_out, _storage(bag_in)) as writer:
             run = _Run(reader, writer, execution, onset_ns)
             for message in track(reader.messages(), reader.message_count):
@@ -243,7 +243,7 @@ def _check_topics(reader: BagReader, program: Program) -> None:
             )
 
 
-def _onset_ns(reader: BagReader, program: Program, at_s: float | None) -> int:
+def _onset_ns(reader: BagReader, program: Program, at_s: float | None, run_seed: int) -> int:
     activation = program.activation
     if at_s is not None:
         return reader.start_ns + round(at_s * SECOND)
@@ -256,7 +256,7 @@ def _onset_ns(reader: BagReader, program: Program, at_s: float | None) -> int:
             f"{_LOG_TOPIC}); say when {program.scenario.id} is to begin, in seconds of the "
             "recording."
         )
-    return begin_ns + round(activation.seconds * SECOND)
+    return begin_ns + round(activation.delay_s(run_seed) * SECOND)
 
 
 def _first_goal_ns(reader: BagReader) -> int | None:

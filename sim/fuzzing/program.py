@@ -72,10 +72,16 @@ class Activation:
     """When a scenario acts."""
 
     after: Literal["start", "goal_accepted"] = "start"
-    seconds: float = 0.0  # from then to the onset
+    seconds: float | tuple[float, float] = 0.0  # from then to the onset; two: drawn between them
     before: Literal["forward", "absent"] = "forward"  # absent: the node appears at the onset
     duration_s: float | None = None  # None: to the end
     probability: float = 1.0  # that a message is touched
+
+    def delay_s(self, run_seed: int) -> float:
+        """Return the time to the onset, which runs of the same seed share."""
+        if isinstance(self.seconds, tuple):
+            return np.random.default_rng(run_seed).uniform(*self.seconds)
+        return self.seconds
 
     def includes(self, t_s: float) -> bool:
         """Tell whether the scenario acts so long after its onset."""
