@@ -8,7 +8,7 @@ import numpy as np
 
 from sim.campaigns import Campaign, Options, Storage
 from sim.middleware.geometry import Pose2D
-from sim.seeds import node_generator, sequence
+from sim.seeds import attack_seed, node_generator
 from sim.turtlebot3.arena import Arena
 
 # Branches of the seed: what is drawn on one does not move what is drawn on another.
@@ -82,7 +82,7 @@ class TurtleBot3Recipe:
 
     def attack_seed(self) -> int:
         """Return the key of the attack's own, counter-based randomness."""
-        return int(sequence(self.seed, ATTACK, self.block).generate_state(1, np.uint64)[0])
+        return attack_seed(self.seed, ATTACK, self.block)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the recipe as JSON knows it."""

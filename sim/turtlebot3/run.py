@@ -91,7 +91,11 @@ class TurtleBot3Run:
             monitored=[
                 source
                 for source in SOURCES
-                if not (options.wiring == "replace" and source.topic == self._program.input_topic)
+                if not (
+                    options.wiring == "replace"
+                    and source.topic == self._program.input_topic
+                    and not self._program.is_in_place
+                )
             ],
             speed=recipe.conditions.speed,
             settings=options.nav2,
@@ -102,6 +106,7 @@ class TurtleBot3Run:
         self._end_ns = 0
         self.node: ScenarioNode | None = None
         self._onset_ns: int | None = None
+        self._attack_end_ns: int | None = None
 
     def go(self) -> None:
         """Bring Nav2 up, record the patrol, write bag and graphs."""
@@ -164,6 +169,7 @@ class TurtleBot3Run:
             outcome=worst,
             onset_s=self._onset_s(),
             attack=self._attack(),
+            attack_seed=recipe.attack_seed(),
             scenario=scenario.id,
             scenario_hash=scenario.digest,
             task_effect=None,  # until the run and its control are both there
@@ -210,9 +216,13 @@ class TurtleBot3Run:
 
     def _on_goal_accepted(self, _result: GoalResult) -> None:
         self._odometer.mark()
-        first = len(self._nav2.navigator.results) == 1
-        if first and self._program.activation.after == "goal_accepted":
+        activation, number = self._program.activation, len(self._nav2.navigator.results)
+        if activation.after == "goal_accepted" and number == activation.goal:
             self._set_onset(self._executor.now_ns)
+        if number == activation.until_goal:
+            self._attack_end_ns = self._executor.now_ns
+            if self.node is not None:
+                self.node.end(self._attack_end_ns)
 
     def _set_onset(self, after_ns: int) -> None:
         """Let the scenario act so long after ``after_ns`` as it says."""
@@ -232,6 +242,8 @@ class TurtleBot3Run:
         self.node = ScenarioNode(self.domain, NODE, execution, latency_ns=self._latency_ns)
         if self._onset_ns is not None:
             self.node.begin(self._onset_ns)
+        if self._attack_end_ns is not None:
+            self.node.end(self._attack_end_ns)
 
     def _delays(self, node: str) -> Delays | None:
         """Return what is added to a node's latency: to that of Nav2's, where they are many."""

@@ -42,7 +42,7 @@ manifests = st.builds(
     ).map(tuple),
     outcome=outcomes,
     onset_s=st.none() | seconds,
-    attack=parameters,
+    attack=parameters, attack_seed=st.none() | st.integers(0, 2**64 - 1),
     scenario=names, scenario_hash=names,
     task_effect=st.none() | st.dictionaries(names, seconds),
     drive=st.none() | st.builds(Drive, st.none() | seconds, counts, counts),

@@ -1,5 +1,7 @@
 """Features of a campaign as it would give them, with as much of an attack in them as asked for."""
 
+import json
+
 import numpy as np
 import pandas as pd
 
@@ -68,6 +70,13 @@ def run_features(
     return table
 
 
+def _behaviour(features: pd.DataFrame, effect: float) -> list[str]:
+    """Return what robots did: attacked ones drive a tenth of a metre more for each deviation."""
+    attacked = (features["label"] == "malicious").to_numpy()
+    driven_m = 10.0 + features["block"].to_numpy() + 0.1 * effect * attacked
+    return [json.dumps({"driven_m": float(metres), "under_way_s": 60.0}) for metres in driven_m]
+
+
 def campaign(
     runs: int = 15, effect: float = 0.0, seed: int = 0, modes: dict[str, str] = MODES | CONTROLS
 ) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
@@ -96,7 +105,8 @@ def campaign(
             "run_id": features["run_id"],
             "onset_s": onsets,
             "recording_s": lengths,
-            "task_effect": None,
+            "behaviour": _behaviour(features, effect),
+            "conditions": "{}",
             "outcome": "succeeded",
             "attack": "{}",
             "changes": "[]",
