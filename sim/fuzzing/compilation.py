@@ -180,8 +180,16 @@ def _rescoped(context: CompileContext, names: Mapping[str, Type]) -> CompileCont
 def _activation(scenario: Scenario) -> Activation:
     spec = scenario.document.get("activation", {})
     rest = {key: value for key, value in spec.items() if key != "onset"}
-    activation = Activation(**spec.get("onset", {}), **rest)
-    if "goal" in spec.get("onset", {}) and activation.after != "goal_accepted":
+    onset = dict(spec.get("onset", {}))
+    if isinstance(seconds := onset.get("seconds"), list):
+        onset["seconds"] = earliest, latest = float(seconds[0]), float(seconds[1])
+        if earliest > latest:
+            raise scenario.error(
+                ("activation", "onset", "seconds"),
+                f"expected the earliest onset before the latest, found {earliest} and {latest}",
+            )
+    activation = Activation(**onset, **rest)
+    if "goal" in onset and activation.after != "goal_accepted":
         raise scenario.error(
             ("activation", "onset", "goal"), "expected after: goal_accepted beside the goal"
         )

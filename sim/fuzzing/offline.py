@@ -97,7 +97,7 @@ def mutate_bag(
     with BagReader(bag_in) as reader:
         _check_topics(reader, program)
         goals = _Goals(reader, goals_s)
-        onset_ns = _onset_ns(reader, program, goals, at_s)
+        onset_ns = _onset_ns(reader, program, goals, at_s, run_seed)
         until = program.activation.until_goal
         if until is not None and (end_ns := goals.accepted_ns(until)) is not None:
             execution.end((end_ns - onset_ns) / SECOND)
@@ -267,7 +267,9 @@ class _Goals:
         return self._stamps_ns[number - 1] if number <= len(self._stamps_ns) else None
 
 
-def _onset_ns(reader: BagReader, program: Program, goals: _Goals, at_s: float | None) -> int:
+def _onset_ns(
+    reader: BagReader, program: Program, goals: _Goals, at_s: float | None, run_seed: int
+) -> int:
     activation = program.activation
     if at_s is not None:
         return reader.start_ns + round(at_s * SECOND)
@@ -280,7 +282,7 @@ def _onset_ns(reader: BagReader, program: Program, goals: _Goals, at_s: float | 
             f"({_STATUS_TOPIC}, {_LOG_TOPIC}); say when {program.scenario.id} is to begin, in "
             "seconds of the recording."
         )
-    return begin_ns + round(activation.seconds * SECOND)
+    return begin_ns + round(activation.delay_s(run_seed) * SECOND)
 
 
 def _goals_ns(reader: BagReader) -> Iterator[int]:

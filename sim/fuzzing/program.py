@@ -71,12 +71,18 @@ class Activation:
 
     after: Literal["start", "goal_accepted"] = "start"
     goal: int = 1  # which one, counted from 1
-    seconds: float = 0.0  # from then to the onset
+    seconds: float | tuple[float, float] = 0.0  # from then to the onset; two: drawn between them
     before: Literal["forward", "absent"] = "forward"  # absent: the node appears at the onset
     duration_s: float | None = None  # None: to the end
     messages: int | None = None  # it acts on so many, beats of the timer included
     until_goal: int | None = None  # it ends when this one is accepted
     probability: float = 1.0  # that a message is touched
+
+    def delay_s(self, run_seed: int) -> float:
+        """Return the time to the onset, which runs of the same seed share."""
+        if isinstance(self.seconds, tuple):
+            return np.random.default_rng(run_seed).uniform(*self.seconds)
+        return self.seconds
 
     def includes(self, t_s: float) -> bool:
         """Tell whether the scenario acts so long after its onset."""

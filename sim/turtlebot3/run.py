@@ -227,7 +227,7 @@ class TurtleBot3Run:
     def _set_onset(self, after_ns: int) -> None:
         """Let the scenario act so long after ``after_ns`` as it says."""
         activation = self._program.activation
-        self._onset_ns = after_ns + round(activation.seconds * SECOND)
+        self._onset_ns = after_ns + round(activation.delay_s(self._recipe.attack_seed()) * SECOND)
         if activation.before == "absent":
             self._executor.call_at(self._onset_ns, self._start_node)
         elif self.node is not None:
