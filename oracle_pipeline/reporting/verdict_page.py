@@ -9,13 +9,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import jinja2
-
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.features import FeatureManager
 from oracle_pipeline.replay.picture import picture
+from oracle_pipeline.reporting.page import template
 from oracle_pipeline.scoring.isolation import Limits, apart
 from oracle_pipeline.scoring.output import HEADINGS, cells, family_as_text
 from oracle_pipeline.scoring.verdict import Judgement, Verdict
@@ -72,14 +71,7 @@ def write(
         Of each process that draws a recording.
     """
     meanings = {name: feature.description for name, feature in manager.features().items()}
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("oracle_pipeline.reporting"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    page = environment.get_template("verdicts.html.j2").render(
+    page = template("verdicts.html.j2").render(
         judged=[_judged(verdict, far, meanings, limits) for verdict in verdicts],
         headings=HEADINGS,
         far=far,
