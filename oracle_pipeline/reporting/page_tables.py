@@ -76,7 +76,35 @@ _ALARMS = (
     PageColumn("missed", "missed"),
     PageColumn("median", "time_to_detect_median_s", "time to detect [s]", ".1f"),
     PageColumn("90th percentile", "time_to_detect_90_s", "time to detect [s]", ".1f"),
-    PageColumn("false alarms an hour", "false_alarms_per_h"),
+    PageColumn("promised at most", "promised_per_h", "false alarms an hour", ".2g"),
+    PageColumn("realised", "false_alarms_per_h", "false alarms an hour"),
+)
+_CALLED = (
+    PageColumn("tampered", "called_tampering", "share called, at 5%"),
+    PageColumn("misbehaved", "called_misbehaviour", "share called, at 5%"),
+)
+_QUADRANTS = (
+    PageColumn("tampered", "tampered", "truth"),
+    PageColumn("misbehaved", "misbehaved", "truth"),
+    PageColumn("runs", "runs"),
+    *_CALLED,
+)
+_ASPECTS_BY_MODE = (
+    PageColumn("mode", "mode"),
+    PageColumn("runs compared", "runs"),
+    PageColumn("misbehaved", "misbehaved", "truth"),
+    PageColumn("task effect over its uncertainty, median", "effect_median", "truth", ".2f"),
+    *_CALLED,
+)
+_ASPECTS = (
+    PageColumn("score", "aspect"),
+    PageColumn("comparison", "scope"),
+    PageColumn("runs to find", "malicious"),
+    PageColumn("others", "normal"),
+    PageColumn("AUC", "auc"),
+    PageColumn("detection rate", "detection_rate_5", _AT_5),
+    PageColumn("realised false alarms", "false_alarm_rate_5", _AT_5),
+    _NOTE,
 )
 _SCORER = (
     PageColumn("detector", "detector"),
@@ -208,6 +236,9 @@ def of_evaluation(evaluation: Report) -> dict[str, PageTable]:
         "small_clusters": grid("Small clusters", more["small_clusters"], _SMALL_CLUSTERS),
     }
     for name, title, columns in (
+        ("quadrants", "What was altered, and what the robot did", _QUADRANTS),
+        ("aspects_by_mode", "The same, by mode", _ASPECTS_BY_MODE),
+        ("aspects", "Each score by its own truth", _ASPECTS),
         ("minimum_detectable", "Smallest magnitude that is detected", _MAGNITUDES),
         ("mutation_scores", "Mutation scores", _MUTATION_SCORES),
         ("kills", f"Kills by {HEADLINE.detector} on {HEADLINE.features} features", _KILLS),

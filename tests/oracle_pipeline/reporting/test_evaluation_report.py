@@ -76,6 +76,7 @@ def test_there_is_a_row_for_every_scorer_split_and_scope():
     tested = {
         "block": 20,
         "session": 20,
+        "world": 20,
         "session but 2 blocks": 14,
         "session but 4 blocks": 8,
         "block and hard negatives": 20,
@@ -93,6 +94,7 @@ def test_the_other_tables_and_pictures_are_there():
     report, _ = strong()
     assert set(report.tables) == {
         "alarms", "small_clusters", "checks", "open_claims", "runs", "standing",
+        "aspects", "aspects_by_mode", "quadrants", "task_uncertainty",
         "kills", "mutation_scores", "minimum_detectable",
     }  # fmt: skip
     assert {"roc", "detection", "effort", "kills_noise_level", "magnitude_noise_level"} == set(
