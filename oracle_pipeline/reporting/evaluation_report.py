@@ -57,9 +57,8 @@ def _judged(evaluation: CampaignEvaluation) -> pd.DataFrame:
     """Return a row for each run: its keys, its score and p-value, and how it ended."""
     campaign, headline = evaluation.campaign, evaluation.headline
     features = campaign.features
-    keys = [name for name in features.columns if name in (*KEYS, "world")]
     ended = ["recording_s", "onset_s", "outcome"]
-    return features[keys].assign(
+    return features[[*KEYS]].assign(
         score=headline.score, p=headline.p, **{name: campaign.truth[name] for name in ended}
     )
 
