@@ -338,7 +338,7 @@ class Watch:
         """End the last interval if it is long enough, and wait for the last verdicts."""
         if self._start_ns is not None:
             rest_s = self.duration_s - self._interval * INTERVAL_S
-            if rest_s >= MIN_INTERVAL_S:
+            if rest_s >= MIN_INTERVAL_S and self.discovery.topics():  # else the robot has left
                 self._end_interval()
         if self._judge is not None:
             for verdict in self._judge.close():

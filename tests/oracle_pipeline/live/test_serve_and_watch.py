@@ -17,9 +17,16 @@ from oracle_pipeline.opened_run import open_run
 pytestmark = pytest.mark.slow
 
 BIN = Path(sys.executable).parent
-SPEED = "5"  # what takes a millisecond on the way is 5 ms late by the robot's clock
+SPEED = "2"  # what takes a millisecond on the way is 2 ms late by the robot's clock
 # Features of when messages come. On the way there they take some milliseconds, differently long.
-TIMING = ("generic.", "stamps.", "kinematics.turn_residual", "navigation.command_", "traffic.")
+TIMING = (
+    "generic.",
+    "stamps.",
+    "traffic.",
+    "kinematics.turn_residual",
+    "navigation.command_",
+    "navigation.lethal_",  # pairs each local costmap with the pose that came last
+)
 TOLERANCE = 0.05  # of a value, or the feature's own resolution
 
 
