@@ -18,6 +18,7 @@ import click
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import PlainTextGroup, version_option
 from oracle_pipeline.comparison.command import compare
+from oracle_pipeline.live.command import watch
 from oracle_pipeline.replay.command import replay
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ def main() -> None:
 
 
 main.add_command(replay)
+main.add_command(watch)
 main.add_command(compare)
 
 

@@ -44,11 +44,13 @@ from oracle_pipeline.evaluation.splits import (
     BLOCK,
     HARMLESS,
     SESSION,
+    WORLD,
     Fold,
     block_folds,
     session_folds,
     tested_in,
     untaught,
+    world_folds,
 )
 from oracle_pipeline.evaluation.task_effects import task_effects
 from oracle_pipeline.scoring.conformal import runs_needed
@@ -180,6 +182,8 @@ class _Steps:
         for blocks in BLOCKS_OF_SESSION:
             if folds := session_folds(df, self.seed, blocks):
                 rows += self._scored(HEADLINE, f"{SESSION} but {blocks} blocks", folds)
+        if folds := world_folds(df, self.seed):
+            rows += self._scored(HEADLINE, WORLD, folds)
         if is_hard_negative(df).any():
             rows += self._scored(HEADLINE, HARMLESS, untaught(df, self.folds))
         self.progress(f"{UPPER_BOUND}, with labels")

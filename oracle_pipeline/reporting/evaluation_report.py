@@ -6,7 +6,7 @@ Everything shown is measured in ``oracle_pipeline.evaluation.campaign_evaluation
 import numpy as np
 import pandas as pd
 
-from oracle_pipeline.datasets import content_hash
+from oracle_pipeline.datasets import KEYS, content_hash
 from oracle_pipeline.evaluation import integrity
 from oracle_pipeline.evaluation.campaign_evaluation import CampaignEvaluation
 from oracle_pipeline.evaluation.comparisons import HEADLINE
@@ -32,7 +32,7 @@ def evaluation_report(evaluation: CampaignEvaluation) -> Report:
 
 def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
     headline, kills = evaluation.headline, evaluation.kills
-    runs = evaluation.campaign.features[["run_id", "mode", "label", "block", "session"]]
+    runs = evaluation.campaign.features[[*KEYS]]
     tables = {
         "alarms": evaluation.alarms,
         **evaluation.aspects,

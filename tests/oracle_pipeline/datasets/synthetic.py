@@ -55,6 +55,7 @@ def run_features(
                     "label": label,
                     "block": run,
                     "session": run % 3,
+                    "world": f"random-{run // 2}",
                     "structural.density": 0.02 + 1e-4 * density,
                     "structural.entropy": 2.0 + 0.05 * (entropy + shift),
                     "contextual.yaw_variance": 0.5 + 0.1 * (turning + shift),

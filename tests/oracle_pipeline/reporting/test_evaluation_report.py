@@ -76,6 +76,7 @@ def test_there_is_a_row_for_every_scorer_split_and_scope():
     tested = {
         "block": 20,
         "session": 20,
+        "world": 20,
         "session but 2 blocks": 14,
         "session but 4 blocks": 8,
         "block and hard negatives": 20,

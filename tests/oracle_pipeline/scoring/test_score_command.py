@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from oracle_pipeline.cli import main
-from oracle_pipeline.datasets import feature_columns, feature_floors, write_table
+from oracle_pipeline.datasets import KEYS, feature_columns, feature_floors, write_table
 from oracle_pipeline.features import FeatureTables, build_manager, extract
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.judging import judge
@@ -70,6 +70,7 @@ def around(row: pd.DataFrame, blocks: int = 40, runs: int = 2, seed: int = 0) ->
     table.insert(2, "label", "normal")
     table.insert(3, "block", np.repeat(np.arange(blocks), runs))
     table.insert(4, "session", table["block"] % 3)
+    table.insert(5, "world", "hexagon-0")
     table["where"] = table["missing"] = "{}"
     table.attrs = dict(row.attrs)
     return table
@@ -234,7 +235,7 @@ def test_units_that_differ_are_refused(normal, extracted):
 
 
 def test_a_system_without_a_common_feature_is_not_judged(normal, extracted):
-    told = normal[["run_id", "mode", "label", "block", "session"]].assign(**{"atc.tracks": 1.0})
+    told = normal[[*KEYS]].assign(**{"atc.tracks": 1.0})
     with pytest.raises(ScoringError, match="none of the features"):
         judged(extracted["usual"], told)
 
