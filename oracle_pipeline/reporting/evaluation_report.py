@@ -22,7 +22,7 @@ def evaluation_report(evaluation: CampaignEvaluation) -> Report:
 
     The table has a row for each scorer, split and comparison, the headline first; the tables
     ``alarms``, ``aspects``, ``aspects_by_mode``, ``quadrants``, ``task_uncertainty``,
-    ``small_clusters``, ``checks``, ``runs`` and, with a grid, ``kills``,
+    ``audit``, ``small_clusters``, ``checks``, ``runs`` and, with a grid, ``kills``,
     ``mutation_scores`` and ``minimum_detectable`` the rest.
     """
     return Report(
@@ -36,6 +36,7 @@ def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
     tables = {
         "alarms": evaluation.alarms,
         **evaluation.aspects,
+        "audit": evaluation.audit,
         "small_clusters": evaluation.small_clusters,
         "checks": pd.DataFrame([check.columns() for check in evaluation.checks]),
         "runs": runs.assign(score=headline.score, p=headline.p),
