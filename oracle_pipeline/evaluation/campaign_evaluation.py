@@ -40,6 +40,7 @@ from oracle_pipeline.evaluation.held_out import (
 )
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.kill_rates import kill_matrix
+from oracle_pipeline.evaluation.open_claims import OpenClaim, open_claims
 from oracle_pipeline.evaluation.reference_scores import reference_scores
 from oracle_pipeline.evaluation.splits import (
     BLOCK,
@@ -76,6 +77,7 @@ class CampaignEvaluation:
     headline: HeldOutScores  # of the headline's scorer
     table: pd.DataFrame  # a row for each scorer, split and comparison, the headline first
     checks: list[integrity.IntegrityCheck]
+    open_claims: list[OpenClaim]  # what cannot be claimed yet
     alarms: pd.DataFrame  # of the headline's scorer, window by window
     aspects: dict[str, pd.DataFrame]  # tampering and misbehaviour, by table
     small_clusters: pd.DataFrame
@@ -139,6 +141,7 @@ def evaluate(
         headline=headline,
         table=table,
         checks=checks,
+        open_claims=open_claims(steps.campaign.features, checks),
         alarms=alarms,
         aspects=aspects,
         small_clusters=small_clusters,

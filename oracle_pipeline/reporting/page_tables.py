@@ -9,12 +9,14 @@ from typing import NamedTuple
 
 import pandas as pd
 
+from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.evaluation.comparisons import ALL_MODES, HARD_NEGATIVES, HEADLINE
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.splits import BLOCK
 from oracle_pipeline.reporting.explanation import Explanation
 from oracle_pipeline.reporting.report import Report
 from oracle_pipeline.scoring.output import HEADINGS, cells
+from oracle_pipeline.scoring.verdict import Evidence
 
 NO_FIGURE = "n/a"
 
@@ -118,6 +120,19 @@ _OVER_ALL = (
     PageColumn("MCC", "mcc_5", _AT_5),
     _NOTE,
 )
+_GIVEAWAYS = (
+    PageColumn("mode", "mode"),
+    PageColumn("feature", "feature"),
+    PageColumn("attacked runs outside", "outside"),
+    PageColumn("normal runs outside", "normal"),
+    PageColumn("median z", "median_z", spec="+.1f"),
+)
+_FAMILIES = (
+    PageColumn("family", "family"),
+    PageColumn("features outside", "outside"),
+    PageColumn("farthest", "farthest"),
+    PageColumn("z", "z", spec="+.1f"),
+)
 _SMALL_CLUSTERS = (
     PageColumn("linkage", "linkage"),
     PageColumn("clusters over runs", "kappa", spec="g"),
@@ -212,6 +227,11 @@ def of_evaluation(evaluation: Report) -> dict[str, PageTable]:
         "scorers": grid(
             "Over all modes", table[table["scope"] == ALL_MODES], (*_SCORER, *_OVER_ALL)
         ),
+        "families": grid(
+            "AUC of each attack by one family",
+            _areas(table[_is_by_family(table)], against),
+            (PageColumn("features", "features"), *areas),
+        ),
         "areas": grid("AUC of each attack", _areas(table, against), (*_SCORER, *areas)),
         "small_clusters": grid("Small clusters", more["small_clusters"], _SMALL_CLUSTERS),
     }
@@ -245,11 +265,37 @@ def of_thesis(
 
 def of_explanation(explanation: Explanation) -> PageTable:
     """Return what gave a run away, one feature in each row."""
+    return of_evidence(f"What is unusual in {explanation.run_id}", explanation.evidence)
+
+
+def of_evidence(title: str, evidence: Iterable[Evidence]) -> PageTable:
+    """Return pieces of evidence, one feature in each row."""
     columns = [PageColumn(heading, heading) for heading in HEADINGS]
-    rows = [[PageCell(text) for text in cells(each)] for each in explanation.evidence]
-    return PageTable(
-        f"What is unusual in {explanation.run_id}", [("", len(columns))], columns, rows
+    rows = [[PageCell(text) for text in cells(each)] for each in evidence]
+    return PageTable(title, [("", len(columns))], columns, rows)
+
+
+def of_families(families: Iterable[FamilyDeviation]) -> PageTable:
+    """Return how many features of each family are unusual."""
+    table = pd.DataFrame(
+        [
+            (each.family, f"{each.unusual} of {each.compared}", each.feature, each.z)
+            for each in families
+        ],
+        columns=["family", "outside", "farthest", "z"],
     )
+    return grid("Families of features", table, _FAMILIES)
+
+
+def of_giveaways(giveaways: pd.DataFrame) -> PageTable:
+    """Return the features that give each attacked mode away; a mode is named in its first row."""
+    again = giveaways.duplicated("mode")
+    shown = giveaways.assign(
+        mode=giveaways["mode"].mask(again, ""),
+        outside=giveaways["outside"].astype(str) + " of " + giveaways["runs"].astype(str),
+        normal=giveaways["outside_normal"].astype(str) + " of " + giveaways["normal"].astype(str),
+    )
+    return grid("Features that give attacks away", shown, _GIVEAWAYS)
 
 
 def of_any(title: str, table: pd.DataFrame) -> PageTable:
@@ -292,6 +338,12 @@ def _of_headline(table: pd.DataFrame) -> pd.DataFrame:
 
 def _is_headline(table: pd.DataFrame) -> pd.Series:
     return (table[list(HEADLINE._fields)] == list(HEADLINE)).all(axis=1)
+
+
+def _is_by_family(table: pd.DataFrame) -> pd.Series:
+    """Return the rows of the headline's detector and level, held out by block."""
+    fixed = ["detector", "level", "split"]
+    return (table[fixed] == [HEADLINE.detector, HEADLINE.level, BLOCK]).all(axis=1)
 
 
 def _areas(table: pd.DataFrame, scopes: Sequence[str]) -> pd.DataFrame:
