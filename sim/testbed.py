@@ -12,6 +12,7 @@ import numpy as np
 
 from oracle_pipeline.bags.manifest import Label, Manifest, Software
 from sim.campaigns import Campaign
+from sim.fuzzing.drawn_parameters import drawn_values
 from sim.fuzzing.node import ScenarioNode
 from sim.fuzzing.scenario import Scenario
 from sim.middleware.domain import Domain
@@ -49,8 +50,12 @@ class Mode:
             return ""
         return self.id.removesuffix("_shadow") if self.scenario.control == "shadow" else self.id
 
-    def parameters(self, block: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a value for every parameter: that given, else the block's, else the default.
+    def parameters(
+        self, block: Mapping[str, Any], given: Mapping[str, Any], run_seed: int
+    ) -> dict[str, Any]:
+        """Return a value for every parameter.
+
+        That given, else the block's, else one that is drawn for the run, else the default.
 
         Parameters
         ----------
@@ -58,6 +63,8 @@ class Mode:
             What the block has drawn.
         given
             Values by name of parameter; whether they fit is seen when the scenario is run.
+        run_seed
+            What the scenario's own draws go by.
 
         Raises
         ------
@@ -75,7 +82,7 @@ class Mode:
                     f"expected what a block of this testbed has, {', '.join(block)}, found {what}",
                 )
         of_block = {name: block[what] for name, what in self.scenario.drawn.items()}
-        return {**defaults, **of_block, **given}
+        return {**defaults, **drawn_values(self.scenario, run_seed), **of_block, **given}
 
 
 class Recipe(Protocol):

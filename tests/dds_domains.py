@@ -28,24 +28,30 @@ LOOPBACK = """
 os.environ["CYCLONEDDS_URI"] = LOOPBACK  # before any domain is joined in this process
 
 
-def _a_free_domain():
+@contextlib.contextmanager
+def a_free_domain():
     """Yield the number of a domain that no other test process has now."""
     for number in random.SystemRandom().sample(range(1, 233), 232):
         path = Path(tempfile.gettempdir(), f"dds-domain-{number}.lock")
-        with path.open("w") as lock, contextlib.suppress(BlockingIOError):
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with path.open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
             yield number
             return
 
 
 @pytest.fixture
 def domain():
-    yield from _a_free_domain()
+    with a_free_domain() as number:
+        yield number
 
 
 @pytest.fixture
 def other_domain():
-    yield from _a_free_domain()
+    with a_free_domain() as number:
+        yield number
 
 
 @pytest.fixture

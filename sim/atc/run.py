@@ -58,9 +58,9 @@ class AtcRun:
         self._recipe = recipe
         self._program = compile_document(recipe.mode, recipe.scenario)
         activation = self._program.activation
-        if activation.after == "goal_accepted":
+        if activation.after == "goal_accepted" or activation.until_goal is not None:
             raise self._program.scenario.error(
-                ("activation", "onset", "after"), "expected start: air traffic has no goals"
+                ("activation",), "expected no goal: air traffic has none; count from the start"
             )
         self._start_ns = round(SETTLING_S * SECOND)  # of the recording
         self._onset_ns = self._start_ns + round(activation.seconds * SECOND)
@@ -131,6 +131,7 @@ class AtcRun:
             run=recipe.run,
             block=recipe.block,
             session=recipe.session.index,
+            world="airspace",
             seed=recipe.seed,
             start=schema.Pose(0.0, 0.0, 0.0),
             goals=(),
@@ -138,6 +139,7 @@ class AtcRun:
             outcome="succeeded",
             onset_s=onset_s if onset_s <= recipe.duration_s else None,
             attack=recipe.parameters,
+            attack_seed=recipe.attack_seed(),
             scenario=scenario.id,
             scenario_hash=scenario.digest,
             task_effect=None,  # there is no task that could come out otherwise

@@ -20,7 +20,6 @@ from oracle_pipeline.bags.run_directory import RunDirectory
 from sim.campaigns import Campaign
 from sim.commands.batch import seed_option
 from sim.experiments import recipe_for, record_run
-from sim.fuzzing.scenario import ScenarioError
 from sim.middleware.executor import SECOND
 from sim.modes import find_mode, modes
 from sim.testbed import TestbedRun
@@ -76,6 +75,15 @@ def serve(
         oracle-sim serve
         oracle-sim serve -m random_noise --speed 2 --domain 7
     """  # noqa: D301 -- click reads the control character
+    try:
+        _serve(mode, speed, domain, run, goals, out, seed)
+    except OracleError as error:
+        raise click.ClickException(str(error)) from error
+
+
+def _serve(
+    mode: str, speed: float, domain: int | None, run: int, goals: int, out: Path | None, seed: int
+) -> None:
     from oracle_pipeline.bags.dds import default_domain
 
     campaign = Campaign(seed=seed, goals_per_run=goals, timeout_s=_TIMEOUT_S * goals)
@@ -91,8 +99,6 @@ def serve(
             record_run(recipe, directory, accompany=session.begin)
         except KeyboardInterrupt:
             click.echo("Ended; the run is not kept.", err=True)
-        except OracleError as error:
-            raise click.ClickException(str(error)) from error
         else:
             click.echo(f"The patrol is over.{f' Run: {directory.path}' if out else ''}", err=True)
 
@@ -153,7 +159,7 @@ class _Session:
         name = self._mode if words[1] == "off" else words[1]
         try:
             switch(self._run, recipe_for(find_mode(name), self._run_number, self._campaign))
-        except (ScenarioError, OracleError) as error:
+        except OracleError as error:
             click.echo(str(error), err=True)
         else:
             click.echo(f"The node now does what it does in {name}.", err=True)

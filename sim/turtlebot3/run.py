@@ -27,7 +27,7 @@ from sim.nav2.bringup import bring_up
 from sim.nav2.collision_monitor import SOURCES
 from sim.recording import DEBUG_TOPICS, GraphRecorder, ReceiveClock, Recorder
 from sim.turtlebot3.arena import Cylinder
-from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
+from sim.turtlebot3.map import WORLD_IN_MAP, occupancy_map
 from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.nodes import add_robot
 from sim.turtlebot3.odometer import Odometer
@@ -84,16 +84,21 @@ class TurtleBot3Run:
         )
         self._nav2 = bring_up(
             self.domain,
-            mapped(turtlebot3_world_map(), recipe.seed, session),
+            mapped(occupancy_map(recipe.arena), recipe.seed, session),
             generator=recipe.generator,
             latency_ns=self._latency_ns,
             run=recipe.run,
             monitored=[
                 source
                 for source in SOURCES
-                if not (options.wiring == "replace" and source.topic == self._program.input_topic)
+                if not (
+                    options.wiring == "replace"
+                    and source.topic == self._program.input_topic
+                    and not self._program.is_in_place
+                )
             ],
             speed=recipe.conditions.speed,
+            settings=options.nav2,
         )
         self._odometer = Odometer(self._executor, lambda: self._world.pose)
         self._patrol_over = False
@@ -101,6 +106,7 @@ class TurtleBot3Run:
         self._end_ns = 0
         self.node: ScenarioNode | None = None
         self._onset_ns: int | None = None
+        self._attack_end_ns: int | None = None
 
     def go(self) -> None:
         """Bring Nav2 up, record the patrol, write bag and graphs."""
@@ -155,6 +161,7 @@ class TurtleBot3Run:
             run=recipe.run,
             block=recipe.block,
             session=recipe.session.index,
+            world=recipe.arena.id,
             seed=recipe.seed,
             start=_pose(recipe.start),
             goals=tuple(map(_pose, recipe.goals)),
@@ -162,6 +169,7 @@ class TurtleBot3Run:
             outcome=worst,
             onset_s=self._onset_s(),
             attack=self._attack(),
+            attack_seed=recipe.attack_seed(),
             scenario=scenario.id,
             scenario_hash=scenario.digest,
             task_effect=None,  # until the run and its control are both there
@@ -208,9 +216,13 @@ class TurtleBot3Run:
 
     def _on_goal_accepted(self, _result: GoalResult) -> None:
         self._odometer.mark()
-        first = len(self._nav2.navigator.results) == 1
-        if first and self._program.activation.after == "goal_accepted":
+        activation, number = self._program.activation, len(self._nav2.navigator.results)
+        if activation.after == "goal_accepted" and number == activation.goal:
             self._set_onset(self._executor.now_ns)
+        if number == activation.until_goal:
+            self._attack_end_ns = self._executor.now_ns
+            if self.node is not None:
+                self.node.end(self._attack_end_ns)
 
     def _set_onset(self, after_ns: int) -> None:
         """Let the scenario act so long after ``after_ns`` as it says."""
@@ -230,6 +242,8 @@ class TurtleBot3Run:
         self.node = ScenarioNode(self.domain, NODE, execution, latency_ns=self._latency_ns)
         if self._onset_ns is not None:
             self.node.begin(self._onset_ns)
+        if self._attack_end_ns is not None:
+            self.node.end(self._attack_end_ns)
 
     def _delays(self, node: str) -> Delays | None:
         """Return what is added to a node's latency: to that of Nav2's, where they are many."""
@@ -274,6 +288,7 @@ def _world_parameters(recipe: TurtleBot3Recipe) -> WorldParameters:
         session.mass,
         obstacles,
         (session.wheel_left, session.wheel_right),
+        recipe.arena,
     )
 
 
