@@ -12,7 +12,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.bags.integrity import hashes_of_files, require_undamaged
@@ -32,6 +32,22 @@ from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.offline import Summary, mutate_bag
 from sim.software import software
 from sim.testbed import Mode
+
+
+class Variant(Protocol):
+    """One run whose parameters are chosen, not drawn."""
+
+    @property
+    def run(self) -> int:
+        """Its number."""
+
+    @property
+    def block(self) -> int:
+        """The block whose start, goals and session it has."""
+
+    @property
+    def given(self) -> Mapping[str, Any]:
+        """The parameters that are not left to the block or the scenario."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +79,7 @@ def mutants(sweeps: Sequence[Sweep], blocks: int) -> list[Mutant]:
 
 
 def record_mutant(
-    mode: Mode, campaign: Campaign, root: Path, refresh: bool, mutant: Mutant
+    mode: Mode, campaign: Campaign, root: Path, refresh: bool, mutant: Variant
 ) -> Manifest:
     """Record a mutant in closed loop; raises as ``record_run`` does."""
     recipe = recipe_for(mode, mutant.block, campaign, mutant.given)
@@ -75,7 +91,7 @@ def record_mutant(
 
 
 def derive_mutant(
-    mode: Mode, controls: Path, root: Path, refresh: bool, mutant: Mutant
+    mode: Mode, controls: Path, root: Path, refresh: bool, mutant: Variant
 ) -> Manifest:
     """Make a mutant from the run of its block below ``controls``.
 

@@ -27,7 +27,7 @@ COMMANDS: dict[str, click.Group] = {"oracle": oracle, "oracle-sim": oracle_sim}
 SHELL = {"cp", "for", "mkdir"}  # simple enough to be run by the shell
 
 # Simulations that take minutes. Their options are checked here; tests/sim runs them.
-SIMULATIONS = {"fuzz", "grid", "record"}
+SIMULATIONS = {"fuzz", "grid", "record", "search"}
 RECORDED_HERE = ["--goals", "1"]  # but what tutorials record: one goal is a matter of seconds
 
 # Commands that need a network, a server, or hours.
