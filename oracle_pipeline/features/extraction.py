@@ -20,6 +20,7 @@ import pandas as pd
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.limits import MOST_WINDOWS
+from oracle_pipeline.bags.manifest import UNKNOWN_WORLD
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.datasets import (
     KEYS,
@@ -122,6 +123,32 @@ def extract(run: OpenedRun, manager: FeatureManager) -> FeatureTables:
     )
     tables.run.attrs["notes"] = [*run.bag.losses, *run.bag.notes, *recording.notes]
     return tables
+
+
+def extract_window(run: OpenedRun, manager: FeatureManager, start_s: float) -> pd.DataFrame:
+    """Compute the features of one window of a recording that goes on.
+
+    Parameters
+    ----------
+    run : OpenedRun
+        The recording until the end of the window; it may begin some time before the window.
+    manager : FeatureManager
+        The plugins to use.
+    start_s : float
+        When the window begins, since the start of what is given [s].
+
+    Returns
+    -------
+    DataFrame of one row
+        As in the table of windows.
+    """
+    recording = KeptMessages.read(run.bag, manager.plugins)
+    extraction = _Extraction(run, manager, recording, Span(0, recording.duration_ns))
+    span = Span(round(start_s * 1e9), recording.duration_ns)
+    row = extraction.row(span, per_window=True)
+    windowed = {c: f for c, f in manager.features().items() if f.per_window}
+    fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}
+    return _table(_keys(run), {WINDOW_START: [start_s]}, windowed, [row], fields)
 
 
 def families(tables: FeatureTables) -> dict[str, dict[str, Any]]:
@@ -261,9 +288,19 @@ class _Extraction:
 def _keys(run: OpenedRun) -> dict[str, Any]:
     manifest = run.manifest
     if manifest is None:
-        values: tuple[Any, ...] = (run.path.resolve().name, "foreign", "unknown", -1, -1)
+        values: tuple[Any, ...] = (
+            run.path.resolve().name,
+            "foreign",
+            "unknown",
+            -1,
+            -1,
+            UNKNOWN_WORLD,
+        )
     else:
-        values = (manifest.key, manifest.mode, manifest.label, manifest.block, manifest.session)
+        values = (
+            manifest.key, manifest.mode, manifest.label, manifest.block, manifest.session,
+            manifest.world,
+        )  # fmt: skip
     return dict(zip(KEYS, values, strict=True))
 
 
