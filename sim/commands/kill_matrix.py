@@ -176,10 +176,11 @@ def write_index(grid: Grid) -> Path:
         changed).
     """
     rows = []
-    for job in grid.jobs():
-        if job.directory.is_complete():
-            changed = sum(change.messages for change in job.directory.manifest().changes)
-            rows.append(_row(job.directory, job.mutant, changed))
+    for mutant in grid.mutants:
+        directory = RunDirectory(grid.root, grid.mode.id, mutant.run)
+        if directory.is_complete():
+            changed = sum(change.messages for change in directory.manifest().changes)
+            rows.append(_row(directory, mutant, changed))
     grid.root.mkdir(parents=True, exist_ok=True)
     path = grid.root / GRID_INDEX
     path.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
