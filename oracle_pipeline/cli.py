@@ -10,6 +10,7 @@ import json
 import math
 import traceback
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -253,9 +254,12 @@ def score(
     click.echo(show(verdicts, far, normal.notes))
     write_junit(verdicts)
     if page is not None:
+        from oracle_pipeline.replay.picture import picture
         from oracle_pipeline.reporting import verdict_page
+        from oracle_pipeline.scoring.isolation import apart
 
-        verdict_page.write(page, verdicts, far, (*normal.notes,), manager, limits)
+        draw = partial(apart, picture, limits=limits)
+        verdict_page.write(page, verdicts, far, normal.notes, manager, draw)
         click.echo(f"Page: {page.resolve().as_uri()}", err=True)
     ctx.exit(output.exit_code(verdicts))
 

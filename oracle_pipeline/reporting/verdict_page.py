@@ -1,11 +1,11 @@
 """The page of `oracle score --page`: each verdict with its picture and its evidence.
 
 One self-contained HTML file that loads nothing from the network. Names and texts of a recording are
-escaped, and pictures are drawn in processes of their own, as its features are computed.
+escaped.
 """
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,8 +15,6 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.features import FeatureManager
-from oracle_pipeline.replay.picture import picture
-from oracle_pipeline.scoring.isolation import Limits, apart
 from oracle_pipeline.scoring.output import HEADINGS, cells, family_as_text
 from oracle_pipeline.scoring.verdict import Judgement, Verdict
 
@@ -53,7 +51,7 @@ def write(
     far: float,
     notes: Sequence[str],
     manager: FeatureManager,
-    limits: Limits,
+    draw: Callable[[Path], bytes],
 ) -> None:
     """Write the page.
 
@@ -68,8 +66,8 @@ def write(
         What a reader should know of the reference.
     manager : FeatureManager
         That knows what the features are.
-    limits : Limits
-        Of each process that draws a recording.
+    draw : callable
+        From a recording to its picture, PNG; an `OracleError` becomes a remark.
     """
     meanings = {name: feature.description for name, feature in manager.features().items()}
     environment = jinja2.Environment(
@@ -80,7 +78,7 @@ def write(
         lstrip_blocks=True,
     )
     page = environment.get_template("verdicts.html.j2").render(
-        judged=[_judged(verdict, far, meanings, limits) for verdict in verdicts],
+        judged=[_judged(verdict, far, meanings, draw) for verdict in verdicts],
         headings=HEADINGS,
         far=far,
         notes=notes,
@@ -89,11 +87,13 @@ def write(
         sink.write(printable(page).encode())
 
 
-def _judged(verdict: Verdict, far: float, meanings: Mapping[str, str], limits: Limits) -> _Judged:
+def _judged(
+    verdict: Verdict, far: float, meanings: Mapping[str, str], draw: Callable[[Path], bytes]
+) -> _Judged:
     remarks, uri = [*verdict.contract, *verdict.notes], ""
     if verdict.outcome != "error":
         try:
-            png = apart(picture, Path(verdict.recording), limits)
+            png = draw(Path(verdict.recording))
             uri = f"data:image/png;base64,{base64.b64encode(png).decode()}"
         except OracleError as error:
             remarks.append(f"It is not drawn: {error}")
