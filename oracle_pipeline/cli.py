@@ -10,7 +10,6 @@ import json
 import math
 import traceback
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -256,10 +255,8 @@ def score(
     if page is not None:
         from oracle_pipeline.replay.picture import picture
         from oracle_pipeline.reporting import verdict_page
-        from oracle_pipeline.scoring.isolation import apart
 
-        draw = partial(apart, picture, limits=limits)
-        verdict_page.write(page, verdicts, far, normal.notes, manager, draw)
+        verdict_page.write(page, verdicts, far, (*normal.notes,), manager, limits, picture)
         click.echo(f"Page: {page.resolve().as_uri()}", err=True)
     ctx.exit(output.exit_code(verdicts))
 

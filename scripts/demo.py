@@ -7,7 +7,6 @@ an object that is not there. Neither is among the runs that the card was learned
 import os
 import sys
 import webbrowser
-from functools import partial
 from pathlib import Path
 
 from oracle_pipeline.bags.run_directory import RunDirectory
@@ -16,7 +15,7 @@ from oracle_pipeline.replay.picture import picture
 from oracle_pipeline.reporting import verdict_page
 from oracle_pipeline.scoring import output
 from oracle_pipeline.scoring.card import ReferenceCard
-from oracle_pipeline.scoring.isolation import apart
+from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS
 from oracle_pipeline.scoring.judging import score
 from oracle_pipeline.scoring.verdict import Verdict
 from sim.campaigns import Campaign
@@ -63,7 +62,7 @@ def judged(runs: list[Path], page: Path) -> tuple[list[Verdict], Path]:
     """Judge runs by the shipped card, and write the page about them."""
     card, manager = ReferenceCard.load(CARD), build_manager()
     verdicts = score(runs, card, manager, FAR)
-    verdict_page.write(page, verdicts, FAR, card.notes, manager, partial(apart, picture))
+    verdict_page.write(page, verdicts, FAR, card.notes, manager, DEFAULT_LIMITS, picture)
     return verdicts, page.resolve()
 
 

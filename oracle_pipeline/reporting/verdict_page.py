@@ -1,7 +1,7 @@
 """The page of `oracle score --page`: each verdict with its picture and its evidence.
 
 One self-contained HTML file that loads nothing from the network. Names and texts of a recording are
-escaped.
+escaped, and pictures are drawn in processes of their own, as its features are computed.
 """
 
 import base64
@@ -9,12 +9,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import jinja2
-
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.features import FeatureManager
+from oracle_pipeline.reporting.page import template
+from oracle_pipeline.scoring.isolation import Limits, apart
 from oracle_pipeline.scoring.output import HEADINGS, cells, family_as_text
 from oracle_pipeline.scoring.verdict import Judgement, Verdict
 
@@ -51,6 +51,7 @@ def write(
     far: float,
     notes: Sequence[str],
     manager: FeatureManager,
+    limits: Limits,
     draw: Callable[[Path], bytes],
 ) -> None:
     """Write the page.
@@ -66,19 +67,14 @@ def write(
         What a reader should know of the reference.
     manager : FeatureManager
         That knows what the features are.
+    limits : Limits
+        Of each process that draws a recording.
     draw : callable
-        From a recording to its picture, PNG; an `OracleError` becomes a remark.
+        A function of a module, from the place of a recording to its picture, PNG.
     """
     meanings = {name: feature.description for name, feature in manager.features().items()}
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("oracle_pipeline.reporting"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    page = environment.get_template("verdicts.html.j2").render(
-        judged=[_judged(verdict, far, meanings, draw) for verdict in verdicts],
+    page = template("verdicts.html.j2").render(
+        judged=[_judged(verdict, far, meanings, limits, draw) for verdict in verdicts],
         headings=HEADINGS,
         far=far,
         notes=notes,
@@ -88,12 +84,16 @@ def write(
 
 
 def _judged(
-    verdict: Verdict, far: float, meanings: Mapping[str, str], draw: Callable[[Path], bytes]
+    verdict: Verdict,
+    far: float,
+    meanings: Mapping[str, str],
+    limits: Limits,
+    draw: Callable[[Path], bytes],
 ) -> _Judged:
     remarks, uri = [*verdict.contract, *verdict.notes], ""
     if verdict.outcome != "error":
         try:
-            png = draw(Path(verdict.recording))
+            png = apart(draw, Path(verdict.recording), limits)
             uri = f"data:image/png;base64,{base64.b64encode(png).decode()}"
         except OracleError as error:
             remarks.append(f"It is not drawn: {error}")
