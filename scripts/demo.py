@@ -11,6 +11,7 @@ from pathlib import Path
 
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.features import build_manager
+from oracle_pipeline.replay.picture import picture
 from oracle_pipeline.reporting import verdict_page
 from oracle_pipeline.scoring import output
 from oracle_pipeline.scoring.card import ReferenceCard
@@ -61,7 +62,7 @@ def judged(runs: list[Path], page: Path) -> tuple[list[Verdict], Path]:
     """Judge runs by the shipped card, and write the page about them."""
     card, manager = ReferenceCard.load(CARD), build_manager()
     verdicts = score(runs, card, manager, FAR)
-    verdict_page.write(page, verdicts, FAR, card.notes, manager, DEFAULT_LIMITS)
+    verdict_page.write(page, verdicts, FAR, card.notes, manager, DEFAULT_LIMITS, picture)
     return verdicts, page.resolve()
 
 
