@@ -31,9 +31,12 @@ from oracle_pipeline.features.plugin import (
     Series,
     Window,
 )
+from oracle_pipeline.features.point_clouds import sliced
 from oracle_pipeline.features.timeline import epochs, timeline
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.graphs.views import system_view
+from oracle_pipeline.robots.robot import Robot, find_robots
+from oracle_pipeline.robots.roles import POINT_CLOUD, SCAN
 
 _NONE: Integers = np.zeros(0, dtype=np.int64)
 _NO_STAMP = np.iinfo(np.int64).min  # of a message without a header
@@ -55,9 +58,11 @@ class _Topic:
 
     def ask(self, request: Request, budget: Budget) -> KeptRows:
         """Return what keeps the rows of a request, one for all equal requests."""
-        key = request.keep, np.dtype(request.dtype), request.raw, request.every_s
+        as_scan = request.role == SCAN and self.msgtype == POINT_CLOUD
+        key = request.keep, np.dtype(request.dtype), request.raw, request.every_s, as_scan
         if key not in self.kept:
             self.kept[key] = kept = KeptRows(request, budget)
+            kept.as_scan = as_scan
             self.by_rate.setdefault(round(request.every_s * 1e9), []).append(kept)
             if self.undecodable and not request.raw:
                 kept.fail(self.undecodable)
@@ -67,6 +72,7 @@ class _Topic:
         """Keep what is wanted of a message that is due at some rates."""
         record = RawRecord(data, self.layout)
         content: Any = None
+        scan: Any = None
         for rate_ns in rates_ns:
             for kept in self.by_rate[rate_ns]:
                 if kept.error:
@@ -76,10 +82,12 @@ class _Topic:
                     continue
                 try:
                     content = content or self._decoded(data)
+                    if kept.as_scan:
+                        scan = scan or sliced(content)
                 except BagError as error:
                     kept.skip(str(error))
                 else:
-                    kept.add(number, content, len(data))
+                    kept.add(number, scan if kept.as_scan else content, len(data))
 
     def _decoded(self, data: bytes) -> Any:
         if len(data) > LARGEST_DECODED:
@@ -131,6 +139,17 @@ class _Headers:
         return stamps_ns
 
 
+def decoded_topics(bag: BagReader, plugins: Iterable[FeaturePlugin]) -> frozenset[str]:
+    """Return the topics of a bag whose messages some plugins want decoded."""
+    requests = [r for plugin in plugins for r in plugin.topics.values() if not r.raw]
+    return frozenset(
+        robot.bag.recorded(name)
+        for robot in find_robots(bag)
+        for name, topic in robot.bag.topics.items()
+        if any(r.matches(topic, MessageLayout(robot.bag, name), robot.roles) for r in requests)
+    )
+
+
 class KeptMessages:
     """When the messages of a bag came, and what plugins kept of them.
 
@@ -142,7 +161,9 @@ class KeptMessages:
         What was not used, and why.
     """
 
-    def __init__(self, bag: BagReader, plugins: tuple[FeaturePlugin, ...]) -> None:
+    def __init__(self, robot: Robot, plugins: tuple[FeaturePlugin, ...]) -> None:
+        bag = robot.bag
+        self._roles = robot.roles
         budget = Budget()
         self.notes: list[str] = []
         self._topics = {name: _Topic(bag, topic) for name, topic in bag.topics.items()}
@@ -151,7 +172,7 @@ class KeptMessages:
                 key: {
                     name: self._topics[name].ask(request, budget)
                     for name in sorted(self._topics)
-                    if request.matches(bag.topics[name], self._topics[name].layout)
+                    if request.matches(bag.topics[name], self._topics[name].layout, robot.roles)
                 }
                 for key, request in plugin.topics.items()
             }
@@ -159,9 +180,10 @@ class KeptMessages:
         }
 
     @classmethod
-    def read(cls, bag: BagReader, plugins: tuple[FeaturePlugin, ...]) -> Self:
-        """Read a bag, for some plugins."""
-        recording = cls(bag, plugins)
+    def read(cls, robot: Robot, plugins: tuple[FeaturePlugin, ...]) -> Self:
+        """Read what a robot sees of a bag, for some plugins."""
+        bag = robot.bag
+        recording = cls(robot, plugins)
         topics = list(recording._topics.values())
         rates_ns = sorted({rate_ns for topic in topics for rate_ns in topic.by_rate})
         samplings = {rate_ns: _Sampling(rate_ns, topics) for rate_ns in rates_ns}
@@ -233,7 +255,7 @@ class KeptMessages:
         past = tuple(each for each in intervals if each.start_s < span.end_s)
         arrivals = {name: self._within(name, span) for name in sorted(self._topics)}
         system = None if graph is None else nx.freeze(system_view(graph))
-        return Window(span.start_s, span.end_s, graph, system, past, arrivals)
+        return Window(span.start_s, span.end_s, graph, system, past, arrivals, roles=self._roles)
 
     def _within(self, topic: str, span: Span) -> Arrivals:
         times_ns, arrivals = self._arrivals[topic]

@@ -19,6 +19,7 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
+from oracle_pipeline.robots.roles import SCAN
 
 _VARIANCE = "variance of a scan's valid ranges, median over its scans, "
 _NON_FINITE = "share of a scan's rays that are inf or NaN, median over its scans, "
@@ -62,5 +63,5 @@ def compute(window: Window) -> Values | Missing:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of laser scans."""
-    topics = {"scans": Request(keep, msgtype="sensor_msgs/msg/LaserScan")}
+    topics = {"scans": Request(keep, role=SCAN)}
     return [FeaturePlugin("laser", "contextual", FEATURES, compute, topics)]

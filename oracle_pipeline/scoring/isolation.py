@@ -8,7 +8,7 @@ import multiprocessing
 import os
 import resource
 import signal
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext
@@ -20,6 +20,8 @@ from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.features import FeatureManager, FeatureTables, build_manager, extract
 from oracle_pipeline.features.manager import FOLDER_VARIABLE
 from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.robots.robot import find_robots, of_robot
+from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.contract import Observation
 
 _GIB = 2**30
@@ -37,19 +39,25 @@ DEFAULT_LIMITS = Limits()
 
 
 class Extracted(NamedTuple):
-    """What the other process found."""
+    """What the other process found of one robot."""
 
+    recording: str  # its path, and which robot if there are several
     tables: FeatureTables
     observation: Observation
     has_manifest: bool
 
 
-_Answer: TypeAlias = Extracted | OracleError
+_Answer: TypeAlias = list[Extracted] | OracleError
 
 
 def extract_apart(
-    path: Path, manager: FeatureManager, limits: Limits = DEFAULT_LIMITS, *, strict: bool = False
-) -> Extracted:
+    path: Path,
+    manager: FeatureManager,
+    limits: Limits = DEFAULT_LIMITS,
+    *,
+    strict: bool = False,
+    choices: RoleChoices | None = None,
+) -> list[Extracted]:
     """Compute the features of a recording in another process.
 
     Parameters
@@ -62,11 +70,13 @@ def extract_apart(
         Of that process.
     strict : bool
         Refuse an incomplete recording.
+    choices : RoleChoices, optional
+        What a roles file says of robots and topics.
 
     Returns
     -------
-    Extracted
-        The features, what the recording shows, and whether it has a manifest.
+    list of Extracted
+        Of each robot the features, what the recording shows, and whether it has a manifest.
 
     Raises
     ------
@@ -75,7 +85,7 @@ def extract_apart(
     """
     receiver, sender = _context().Pipe(duplex=False)
     process = _context().Process(
-        target=_work, args=(sender, path, manager.folder, limits, strict), daemon=True
+        target=_work, args=(sender, path, manager.folder, limits, strict, choices), daemon=True
     )
     process.start()
     sender.close()  # so that the end of the process is the end of the pipe
@@ -108,7 +118,12 @@ def _received(receiver: Connection, process: BaseProcess, path: Path, limits: Li
 
 
 def _work(
-    sender: Connection, path: Path, plugins: Path | None, limits: Limits, strict: bool
+    sender: Connection,
+    path: Path,
+    plugins: Path | None,
+    limits: Limits,
+    strict: bool,
+    choices: RoleChoices | None,
 ) -> None:
     """Compute in the other process, and send the result."""
     size = int(limits.gibibytes * _GIB)
@@ -117,8 +132,16 @@ def _work(
     answer: _Answer
     try:
         with open_run(path, strict=strict) as run:
-            tables = extract(run, build_manager(plugins))
-            answer = Extracted(tables, Observation.of(run), run.manifest is not None)
+            manager = build_manager(plugins)
+            answer = [
+                Extracted(
+                    of_robot(str(path), robot.name),
+                    extract(run, manager, robot),
+                    Observation.of(replace(run, bag=robot.bag)),
+                    run.manifest is not None,
+                )
+                for robot in find_robots(run.bag, choices)
+            ]
     except MemoryError:
         answer = BagError(
             f"{path} needs more than {limits.gibibytes:g} GiB of memory, the limit "

@@ -1,7 +1,8 @@
 """A scenario over a recorded bag: what the node would have published, without a simulator.
 
 The mutant is the bag with the output topic added, or in place of the one that was recorded, and
-with the scenario's own ground truth. All other topics keep their messages, stamps and QoS.
+with the scenario's own ground truth. All other topics keep their messages, stamps and QoS. A
+scenario that is pointed at a topic (``retargeting``) alters it in place.
 """
 
 import dataclasses
@@ -143,13 +144,16 @@ class _Run:
     def take(self, raw: RawMessage) -> None:
         """Take the next message of the bag."""
         self._advance(raw.stamp_ns)
-        if raw.topic != self._program.output_topic:
+        program = self._program
+        is_absent = raw.stamp_ns < self._onset_ns and program.activation.before == "absent"
+        in_place = program.input_topic == program.output_topic
+        if raw.topic != program.output_topic or (in_place and is_absent):
             self._writer.write(*raw)
-        if raw.stamp_ns < self._onset_ns and self._program.activation.before == "absent":
+        if is_absent:
             return
         for name in self._source_names.get(raw.topic, ()):
             self._execution.on_source(name, self._decode(raw), raw.stamp_ns)
-        if raw.topic == self._program.input_topic:
+        if raw.topic == program.input_topic:
             self.heard += 1
             message = self._decode(raw)
             result = self._execution.on_message(message, raw.stamp_ns, self._t_s(raw.stamp_ns))
@@ -233,7 +237,8 @@ def _check_topics(reader: BagReader, program: Program) -> None:
             same = [topic.name for topic in reader.topics.values() if topic.msgtype == msgtype]
             raise BagError(
                 f"{reader.path} has no topic {name}, which {program.scenario.id} hears; of type "
-                f"{msgtype} it has {', '.join(same) or 'none'}. Name one of these in the scenario."
+                f"{msgtype} it has {', '.join(same) or 'none'}. Name one of these with "
+                "--topic, or in the scenario."
             )
     for name, msgtype in {**needed, program.output_topic: program.type.name}.items():
         if name in reader.topics and reader.topics[name].msgtype != msgtype:
