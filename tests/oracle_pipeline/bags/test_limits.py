@@ -96,7 +96,7 @@ def test_a_compressed_file_that_becomes_too_large_is_refused(tmp_path, monkeypat
     ("definition", "reason"),
     [
         ("Odd x\n", "contains itself"),
-        ("wstring x\n", "uses my_msgs/msg/wstring, which neither the bag nor we define"),
+        ("Nobody x\n", "uses my_msgs/msg/Nobody, which neither the bag nor we define"),
         (f"L0 x\n{NESTED}{LINE}MSG: my_msgs/L30\nint8 x\n", "MOST_FIELDS"),
         ("int8 x\n" * 100_000, "LARGEST_DEFINITION"),
         (f"Empty[] x\n{LINE}MSG: my_msgs/Empty\nint8 A=1\n", "which has no field"),
