@@ -208,7 +208,7 @@ class KeptMessages:
             ):
                 column.append(values)
             count += len(stamps_ns)
-        recording._finish(bag, *(np.concatenate([_NONE, *column]) for column in columns))
+        recording._finish(bag, *map(_emptied, columns))
         return recording
 
     def occupied(self) -> Integers:
@@ -231,12 +231,13 @@ class KeptMessages:
         times_ns = np.empty(len(of), dtype=np.int64)
         times_ns[by_topic] = clock.times_ns(stamps_ns[by_topic], np.concatenate([_NONE, *epoch_of]))
         self._times_ns = times_ns
-        order = np.lexsort((times_ns, of))
+        del split, epoch_of
         self._arrivals: dict[str, tuple[Integers, Arrivals]] = {}
-        for topic, rows in zip(topics, np.split(order, bounds) if topics else [], strict=True):
+        for topic, rows in zip(topics, np.split(by_topic, bounds) if topics else [], strict=True):
+            rows = rows[np.argsort(times_ns[rows], kind="stable")]
             own_ns, own_headers = times_ns[rows], headers[rows]
             if (own_headers == _NO_STAMP).any():
-                own_headers = own_headers[:0]
+                own_headers = _NONE.copy()
             self._arrivals[topic.name] = own_ns, Arrivals(
                 topic.msgtype, read_only(own_ns / 1e9), read_only(sizes[rows]),
                 read_only(own_headers),
@@ -280,6 +281,13 @@ class KeptMessages:
                 return Missing(f"no message on {', '.join(requests[key])} in this window")
         history = _cut(requests, Span(0, span.end_ns), silent=True)
         return replace(common, topics=topics, history=history)
+
+
+def _emptied(parts: list[Integers]) -> Integers:
+    """Return some arrays as one, and let go of them: of millions of messages, each copy counts."""
+    whole = np.concatenate([_NONE, *parts])
+    parts.clear()
+    return whole
 
 
 def _cut(

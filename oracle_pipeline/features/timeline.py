@@ -74,14 +74,16 @@ def timeline(stamps_ns: list[Stamps], epochs: list[Stamps], start_ns: int, end_n
     start_ns, end_ns : int
         Stamps of the first and the last message, other topics' included.
     """
-    of = np.concatenate([np.zeros(0, dtype=np.int64), *epochs])
-    held = np.concatenate([np.zeros(0, dtype=np.int64), *stamps_ns])
-    last = int(of.max(initial=0))
-    if not last:  # a clock that was set back says nothing of what is first and last
-        of, held = np.zeros(len(of) + 2, dtype=np.int64), np.append(held, [start_ns, end_ns])
+    last = max((int(of.max(initial=0)) for of in epochs), default=0)
+    # A clock that was set back says nothing of what is first and last.
+    ends_ns = np.array([] if last else [start_ns, end_ns], dtype=np.int64)
     spans: list[tuple[int, int, int]] = []
     for epoch in range(last + 1):
-        ordered = np.unique(held[of == epoch])
+        own = [
+            stamps[of == epoch] if last else stamps
+            for stamps, of in zip(stamps_ns, epochs, strict=True)
+        ]
+        ordered = np.unique(np.concatenate([ends_ns, *own]))
         if not ordered.size:
             continue
         silences = np.diff(ordered)
@@ -108,7 +110,7 @@ def epochs(stamps_ns: list[Stamps]) -> list[Stamps]:
     often = [int(steps.sum()) for steps in back if len(steps) >= _FEWEST]
     jumps = int(np.median(often)) if often else 0
     if not jumps or often.count(jumps) * 2 < len(often):
-        return [np.zeros(len(stamps), dtype=np.int64) for stamps in stamps_ns]
+        return [np.broadcast_to(np.int64(0), len(stamps)) for stamps in stamps_ns]
     counted: list[Stamps] = [np.cumsum(steps, dtype=np.int64) for steps in back]
     spans = _spans(stamps_ns, counted, jumps)
     return [
