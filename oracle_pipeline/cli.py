@@ -2,7 +2,8 @@
 
 What a command needs is imported when it runs, so that help is there at once.
 
-Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomalous.
+Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomalous;
+``oracle compare`` adds 1: different.
 """
 
 import json
@@ -15,7 +16,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.bags.terminal import PlainTextGroup
+from oracle_pipeline.bags.terminal import PlainTextGroup, version_option
+from oracle_pipeline.comparison.command import compare
+from oracle_pipeline.live.command import watch
 from oracle_pipeline.replay.command import replay
 
 if TYPE_CHECKING:
@@ -52,11 +55,14 @@ class _Group(PlainTextGroup):
 
 
 @click.group(cls=_Group)
+@version_option
 def main() -> None:
     """Tell normal from anomalous behaviour of a ROS 2 system, using only recordings."""
 
 
 main.add_command(replay)
+main.add_command(watch)
+main.add_command(compare)
 
 
 def _format_option(*formats: str, text: str) -> Callable[[_Command], _Command]:
@@ -217,6 +223,7 @@ def _json(table: "pd.DataFrame", tables: "FeatureTables") -> str:
 )  # fmt: skip
 @_format_option("text", "json", text="Text for reading; one JSON object for programs.")
 @_output_option("--junit", "File for the verdicts as JUnit XML, for a CI system.")
+@_output_option("--page", "File for a page (HTML) with the verdicts, their evidence and pictures.")
 @click.option(
     "--time-limit", default=900.0, show_default=True, type=click.FloatRange(0.0, min_open=True),
     help="Seconds that the features of one recording may take.",
@@ -236,6 +243,7 @@ def score(
     far: float,
     file_format: str,
     junit: Path | None,
+    page: Path | None,
     time_limit: float,
     memory_limit: float,
     roles: Path | None,
@@ -256,6 +264,7 @@ def score(
     \b
     Examples:
         oracle score tonight/* --reference robot.card --far 0.1 --junit verdicts.xml
+        oracle score tonight/* --reference robot.card --far 0.1 --page verdicts.html
         oracle score data/runs/fake_object/run003 --reference data/datasets/features.parquet
         oracle score my_robot_bag/ --reference data --format json \\
             | jq '.recordings[0].evidence[0]'
@@ -292,6 +301,11 @@ def score(
     show = output.as_json if file_format == "json" else output.as_text
     click.echo(show(verdicts, far, normal.notes))
     write_junit(verdicts)
+    if page is not None:
+        from oracle_pipeline.reporting import verdict_page
+
+        verdict_page.write(page, verdicts, far, (*normal.notes,), manager, limits)
+        click.echo(f"Page: {page.resolve().as_uri()}", err=True)
     ctx.exit(output.exit_code(verdicts))
 
 

@@ -14,26 +14,28 @@ import dagster as dg
 warnings.filterwarnings("ignore", category=dg.BetaWarning)
 warnings.filterwarnings("ignore", category=dg.PreviewWarning)
 
-from assets import (  # noqa: E402
-    automation,
-    evaluation_checks,
-    experiment_runs,
-    feature_dataset,
-    oracle_evaluation,
-    oracle_report,
-    run_checks,
-    run_retention,
-    scenario_changes,
-    thesis_method,
-)
 from oracle_pipeline.bags.terminal import escape_logs  # noqa: E402
-from resources.budget import StorageBudget  # noqa: E402
-from resources.campaign import CampaignSettings  # noqa: E402
-from resources.executor import in_process_executor  # noqa: E402
-from resources.fleet import Fleet  # noqa: E402
-from resources.no_values import NoValues  # noqa: E402
-from resources.store import RunStore  # noqa: E402
-from sim.campaigns import Campaign  # noqa: E402
+from oracle_pipeline.programs import clashes_explained  # noqa: E402
+
+with clashes_explained():
+    from assets import (
+        automation,
+        evaluation_checks,
+        experiment_runs,
+        feature_dataset,
+        oracle_evaluation,
+        oracle_report,
+        run_checks,
+        run_retention,
+        scenario_changes,
+        thesis_method,
+    )
+    from resources.budget import StorageBudget
+    from resources.campaign import CampaignSettings
+    from resources.executor import in_process_executor
+    from resources.fleet import Fleet
+    from resources.no_values import NoValues
+    from resources.store import RunStore
 
 
 def build_defs(**overrides: object) -> dg.Definitions:
@@ -52,7 +54,7 @@ def build_defs(**overrides: object) -> dg.Definitions:
     resources: dict[str, object] = {
         "store": RunStore(root=os.environ.get("ORACLE_HOME") or "data"),
         "fleet": Fleet(address=os.environ.get("ORACLE_DASK", "")),
-        "campaign": CampaignSettings(goals_per_run=Campaign.from_environment().goals_per_run),
+        "campaign": CampaignSettings.from_environment(),
         "budget": StorageBudget(limit=dg.EnvVar("ORACLE_STORAGE_BUDGET"))
         if "ORACLE_STORAGE_BUDGET" in os.environ
         else StorageBudget(),

@@ -1,11 +1,11 @@
 """What all runs of the campaign have in common."""
 
-from typing import Literal
+from typing import Literal, Self
 
 import dagster as dg
 from pydantic import Field
 
-from sim.campaigns import DEFAULT_SEED, Campaign
+from sim.campaigns import DEFAULT_SEED, ArenaChoice, Campaign, Options
 
 
 class CampaignSettings(dg.ConfigurableResource[None]):
@@ -22,7 +22,39 @@ class CampaignSettings(dg.ConfigurableResource[None]):
     storage: Literal["mcap", "sqlite3"] = Field(
         default="mcap", description="Storage of the recorded bags."
     )
+    arena: ArenaChoice = Field(
+        default="drawn",
+        description="World of the runs; drawn: hexagon, house and random arenas take turns.",
+    )
+    sessions: int | None = Field(
+        default=None,
+        ge=1,
+        description="Blocks take turns in so many sessions; if not set, each has one of its own.",
+    )
+    noise_per_run: bool = Field(
+        default=False,
+        description="Draw sensor noise and latencies for each run instead of each block; an attack "
+        "and its shadow control still share them.",
+    )
+
+    @classmethod
+    def from_environment(cls) -> Self:
+        """Return the settings that the environment asks for."""
+        wanted = Campaign.from_environment()
+        return cls(
+            goals_per_run=wanted.goals_per_run,
+            sessions=wanted.sessions,
+            noise_per_run=wanted.noise_per_run,
+            arena=wanted.options.arena,
+        )
 
     def campaign(self) -> Campaign:
         """Return the campaign that recipes are drawn from."""
-        return Campaign(seed=self.seed, goals_per_run=self.goals_per_run, storage=self.storage)
+        return Campaign(
+            seed=self.seed,
+            goals_per_run=self.goals_per_run,
+            storage=self.storage,
+            options=Options(arena=self.arena),
+            sessions=self.sessions,
+            noise_per_run=self.noise_per_run,
+        )

@@ -12,7 +12,10 @@ import numpy as np
 
 from oracle_pipeline.bags.manifest import Label, Manifest, Software
 from sim.campaigns import Campaign
+from sim.fuzzing.drawn_parameters import drawn_values
+from sim.fuzzing.node import ScenarioNode
 from sim.fuzzing.scenario import Scenario
+from sim.middleware.domain import Domain
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +40,22 @@ class Mode:
         """What it does, in a line."""
         return self.scenario.title
 
-    def parameters(self, block: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a value for every parameter: that given, else the block's, else the default.
+    def noise(self, campaign: Campaign) -> str:
+        """Return whose draws of sensor noise and latencies its runs have.
+
+        Empty: those of their block. If the campaign draws noise for each run, those of this mode,
+        which an attack shares with its shadow control: such pairs stay exact.
+        """
+        if not campaign.noise_per_run:
+            return ""
+        return self.id.removesuffix("_shadow") if self.scenario.control == "shadow" else self.id
+
+    def parameters(
+        self, block: Mapping[str, Any], given: Mapping[str, Any], run_seed: int
+    ) -> dict[str, Any]:
+        """Return a value for every parameter.
+
+        That given, else the block's, else one that is drawn for the run, else the default.
 
         Parameters
         ----------
@@ -46,6 +63,8 @@ class Mode:
             What the block has drawn.
         given
             Values by name of parameter; whether they fit is seen when the scenario is run.
+        run_seed
+            What the scenario's own draws go by.
 
         Raises
         ------
@@ -63,7 +82,7 @@ class Mode:
                     f"expected what a block of this testbed has, {', '.join(block)}, found {what}",
                 )
         of_block = {name: block[what] for name, what in self.scenario.drawn.items()}
-        return {**defaults, **of_block, **given}
+        return {**defaults, **drawn_values(self.scenario, run_seed), **of_block, **given}
 
 
 class Recipe(Protocol):
@@ -72,11 +91,19 @@ class Recipe(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
+    def mode(self) -> str:
+        """Name of the mode."""
+
+    @property
+    def scenario(self) -> Mapping[str, Any]:
+        """The scenario's document."""
+
+    @property
     def parameters(self) -> Mapping[str, Any]:
         """A value for each parameter of the scenario."""
 
     def generator(self, node: str) -> np.random.Generator:
-        """Return the randomness of one node; the same in every mode of the block."""
+        """Return the randomness of one node; the same in every run of the block and its noise."""
 
     def attack_seed(self) -> int:
         """Return the key of the attack's own, counter-based randomness."""
@@ -93,7 +120,18 @@ class Recipe(Protocol):
 
 
 class TestbedRun(Protocol):
-    """A testbed that has come up, and the one run that is made in it."""
+    """A testbed that has come up, and the one run that is made in it.
+
+    Attributes
+    ----------
+    domain : Domain
+        The system's graph.
+    node : ScenarioNode or None
+        The mode's node; None as long as it is not there.
+    """
+
+    domain: Domain
+    node: ScenarioNode | None
 
     def go(self) -> None:
         """Make the run; write bag and graphs."""

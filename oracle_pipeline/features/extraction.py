@@ -22,6 +22,7 @@ import pandas as pd
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.limits import MOST_WINDOWS
+from oracle_pipeline.bags.manifest import UNKNOWN_WORLD
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.datasets import (
     KEYS,
@@ -148,6 +149,34 @@ def together(robots: Sequence[FeatureTables]) -> FeatureTables:
     notes = dict.fromkeys(note for tables in robots for note in tables.notes)
     joined[0].attrs["notes"] = list(notes)
     return FeatureTables(*joined)
+
+
+def extract_window(run: OpenedRun, manager: FeatureManager, start_s: float) -> pd.DataFrame:
+    """Compute the features of one window of a recording that goes on.
+
+    Parameters
+    ----------
+    run : OpenedRun
+        The recording until the end of the window; it may begin some time before the window.
+    manager : FeatureManager
+        The plugins to use.
+    start_s : float
+        When the window begins, since the start of what is given [s].
+
+    Returns
+    -------
+    DataFrame of one row
+        As in the table of windows.
+    """
+    robot = _only_robot(run)
+    run = replace(run, bag=robot.bag)
+    recording = KeptMessages.read(robot, manager.plugins)
+    extraction = _Extraction(run, manager, recording, Span(0, recording.duration_ns))
+    span = Span(round(start_s * 1e9), recording.duration_ns)
+    row = extraction.row(span, per_window=True)
+    windowed = {c: f for c, f in manager.features().items() if f.per_window}
+    fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}
+    return _table(_keys(run, robot), {WINDOW_START: [start_s]}, windowed, [row], fields)
 
 
 def families(tables: FeatureTables) -> dict[str, dict[str, Any]]:
@@ -297,9 +326,12 @@ def _keys(run: OpenedRun, robot: Robot) -> dict[str, Any]:
     manifest = run.manifest
     if manifest is None:
         run_id = of_robot(run.path.resolve().name, robot.name)
-        values: tuple[Any, ...] = (run_id, "foreign", "unknown", -1, -1)
+        values: tuple[Any, ...] = (run_id, "foreign", "unknown", -1, -1, UNKNOWN_WORLD)
     else:
-        values = (manifest.key, manifest.mode, manifest.label, manifest.block, manifest.session)
+        values = (
+            manifest.key, manifest.mode, manifest.label, manifest.block, manifest.session,
+            manifest.world,
+        )  # fmt: skip
     return dict(zip(KEYS, values, strict=True))
 
 
@@ -329,6 +361,7 @@ def _fields(features: Mapping[str, Feature]) -> dict[str, dict[str, str]]:
             "floor": str(feature.floor),
             "origin": feature.origin,
             "shortcut": str(feature.shortcut).lower(),
+            "behaviour": str(feature.behaviour).lower(),
             "description": feature.description,
         }
         for column, feature in features.items()

@@ -1,16 +1,18 @@
 """P-values that waste no recording: each normal run calibrates a model that did not see it.
 
-The normal runs are dealt into folds. For each fold a scorer is fitted on the other folds and scores
-this one. A new run is scored by every scorer, and is compared with each normal run under the scorer
-that was not fitted on it (cross-conformal prediction [1]_; CV+ in regression [2]_). A split into a
-fitting and a calibrating half needs twice the recordings for the same smallest p-value.
+The normal runs are dealt into folds, whole sessions to one side. For each fold a scorer is fitted
+on the other folds and scores this one. A new run is scored by every scorer, and is compared with
+each normal run under the scorer that was not fitted on it (cross-conformal prediction [1]_; CV+ in
+regression [2]_). A split into a fitting and a calibrating half needs twice the recordings for the
+same smallest p-value.
 
 If the new run is exchangeable with the normal ones, ``p <= alpha`` happens at most with probability
 ``2 alpha`` whatever the scorer, and with about ``alpha`` for scorers that hardly change when one
 fold is left out [2]_. The realised rate is measured in the evaluation.
 
-Runs of one block share start, goals and nuisance, so a block is one unit: its runs share a fold and
-one vote.
+Runs of one session share a day's nuisance, so no scorer calibrates on a session that it was fitted
+on; with fewer than three sessions, whole blocks are dealt instead. Runs of one block share start
+and goals too: they have one vote.
 
 References
 ----------
@@ -23,9 +25,11 @@ References
 from typing import Self
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
+from oracle_pipeline.scoring.alarms import NormalWindows
 from oracle_pipeline.scoring.conformal import ConformalError
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.run_scorer import Design, RunScorer
@@ -42,7 +46,7 @@ class CrossConformalScorer:
     design : Design
         What is looked at.
     folds : int
-        At most; never more than there are blocks.
+        At most; never more than there are sessions, or blocks where those are dealt.
 
     Attributes
     ----------
@@ -56,6 +60,8 @@ class CrossConformalScorer:
         Median and scaled MAD of the held-out scores: what brings the levels to one scale.
     held_out_ : ndarray of shape (n_runs,)
         Score of each normal run by the scorer that did not see it.
+    windows_ : NormalWindows or None
+        The same of their windows; None if windows have no features.
     """
 
     def __init__(self, design: Design, folds: int = FOLDS) -> None:
@@ -70,7 +76,7 @@ class CrossConformalScorer:
         runs : MeasuredRuns
             Normal ones only.
         rng : Generator
-            Deals the blocks into folds.
+            Deals the sessions into folds.
 
         Raises
         ------
@@ -80,22 +86,28 @@ class CrossConformalScorer:
             The detector cannot be fitted on so few runs.
         """
         self.block_ = runs.block
-        self.fold_ = dealt(self.block_, self.folds, rng)
+        self.fold_ = dealt(_held_out_together(runs), self.folds, rng)
         self.scorers_ = []
         by_level: NDArray[np.float64] | None = None
+        of_windows = np.empty(len(runs.run))
         for fold in range(self.fold_.max() + 1):
             out = self.fold_ == fold
-            scorer = RunScorer(self.design).fit(runs.where(~out))
-            scores = scorer.score(runs.where(out))
+            held_out, scorer = runs.where(out), RunScorer(self.design).fit(runs.where(~out))
+            scores = scorer.score(held_out)
             if by_level is None:
                 by_level = np.empty((len(out), scores.shape[1]))
             by_level[out] = scores
+            if self.design.window_features:
+                of_windows[out[runs.run]] = scorer.score_windows(held_out.windows)
             self.scorers_.append(scorer)
         assert by_level is not None  # noqa: S101 -- `dealt` gives three folds at least
         self.centre_ = np.median(by_level, axis=0)
         deviation = MAD_TO_DEVIATION * np.median(np.abs(by_level - self.centre_), axis=0)
         self.spread_ = np.where(deviation > 0.0, deviation, 1.0)
         self.held_out_ = self._combined(by_level)
+        self.windows_ = None
+        if self.design.window_features:
+            self.windows_ = NormalWindows(of_windows, runs.start_s, runs.run, runs.block)
         return self
 
     def scores(self, runs: MeasuredRuns) -> NDArray[np.float64]:
@@ -155,11 +167,31 @@ class CrossConformalScorer:
             The median over the folds; for a run of a known block, the score of the scorer that did
             not see it.
         """
-        own = np.median(scores, axis=0)
-        for run, name in enumerate(() if block is None else block):
-            if len(of_block := self.fold_[self.block_ == name]):
-                own[run] = scores[of_block[0], run]
-        return np.asarray(own, dtype=np.float64)
+        own = np.asarray(np.median(scores, axis=0), dtype=np.float64)
+        if block is not None:
+            names, first = np.unique(self.block_, return_index=True)
+            place = np.minimum(np.searchsorted(names, block), len(names) - 1)
+            (known,) = np.nonzero(names[place] == block)
+            own[known] = scores[self.fold_[first[place[known]]], known]
+        return own
+
+    def window_scores(
+        self, windows: pd.DataFrame, block: NDArray[np.int64] | None = None
+    ) -> NDArray[np.float64]:
+        """Return one score for each window, shape (n_windows,): what `AlarmWatch` is fed.
+
+        A window is scored by itself, so those of a running robot can be scored one by one.
+
+        Parameters
+        ----------
+        windows : DataFrame
+            A row for each window; features that it lacks are missing.
+        block : ndarray of int, shape (n_windows,), optional
+            As for `p_values`, of each window.
+        """
+        known = windows.reindex(columns=list(self.design.window_features))
+        of_folds = np.stack([scorer.score_windows(known) for scorer in self.scorers_])
+        return self.own_score(of_folds, block)
 
     @property
     def smallest_p(self) -> float:
@@ -171,9 +203,17 @@ class CrossConformalScorer:
         return np.asarray(((by_level - self.centre_) / self.spread_).max(axis=1), dtype=np.float64)
 
 
-def dealt(block: NDArray[np.int64], folds: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Deal whole blocks into folds of nearly equal numbers of blocks, shape (n_runs,)."""
-    names, number = np.unique(block, return_inverse=True)
+def _held_out_together(runs: MeasuredRuns) -> NDArray[np.int64]:
+    """Return the session of each run, or its block where there are too few sessions."""
+    sessions, of_block = np.unique(runs.session), np.unique(runs.block)
+    pairs = np.unique(np.column_stack([runs.block, runs.session]), axis=0)
+    is_nested = len(pairs) == len(of_block)  # not if tables of two campaigns were joined
+    return runs.session if len(sessions) >= MIN_BLOCKS and is_nested else runs.block
+
+
+def dealt(unit: NDArray[np.int64], folds: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Deal whole sessions or blocks into folds of nearly equal numbers of them, shape (n_runs,)."""
+    names, number = np.unique(unit, return_inverse=True)
     if len(names) < MIN_BLOCKS:
         raise ConformalError(
             f"The normal recordings come from {len(names)} blocks or sessions; learning takes "

@@ -4,12 +4,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.parts import is_recording
-from oracle_pipeline.bags.run_directory import MANIFEST_FILE
+from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
 from oracle_pipeline.bags.terminal import progress_bar
 from oracle_pipeline.datasets import KEYS, feature_dataset, read_table, window_dataset
 from oracle_pipeline.features import FeatureManager, FeatureTables
@@ -33,7 +34,8 @@ class Reference:
     windows : DataFrame or None
         The features of their windows, if these are known.
     observations : tuple of Observation
-        What the recordings show without looking into messages; empty if only tables were read.
+        What the recordings show without looking into messages, in the order of `table`; empty if
+        only tables were read.
     notes : tuple of str
     """
 
@@ -120,14 +122,17 @@ def _extracted(
         )
     if unlabelled:
         notes.append(f"{unlabelled} reference recordings have no label; they are taken as normal.")
-    return Reference(
-        feature_dataset(tables), window_dataset(windows), tuple(observations), tuple(notes)
-    )
+    table = feature_dataset(tables)
+    row = {run_id: number for number, run_id in enumerate(table["run_id"])}
+    order = np.argsort([row[each["run_id"].iloc[0]] for each in tables])
+    in_order = tuple(observations[number] for number in order)
+    return Reference(table, window_dataset(windows), in_order, tuple(notes))
 
 
 def _recordings(folder: Path) -> Iterator[Path]:
     """Find the run directories and bags below a folder, in order."""
-    if (folder / MANIFEST_FILE).is_file() or is_recording(folder):
+    is_run = any((folder / name).is_file() for name in (MANIFEST_FILE, RECORDING_FILE))
+    if is_run or is_recording(folder):
         yield folder
     elif folder.is_dir():
         for entry in sorted(folder.iterdir()):

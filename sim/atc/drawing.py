@@ -11,15 +11,14 @@ import numpy as np
 
 from sim.atc.airspace import AirSpace, Flight
 from sim.atc.geodesy import slant_range
-from sim.atc.recipes import BLOCK, SESSION, SETTLING_S, TARGET, AtcRecipe, AtcSession
+from sim.atc.recipes import ATTACK, BLOCK, SESSION, SETTLING_S, TARGET, AtcRecipe, AtcSession
 from sim.atc.sensors import RADAR_RANGE_M
 from sim.atc.traffic import draw_traffic
 from sim.campaigns import Campaign
 from sim.middleware.executor import SECOND
-from sim.seeds import generator
+from sim.seeds import attack_seed, generator
 from sim.testbed import Mode
 
-SESSIONS = 3
 FLIGHTS = 10  # of a run
 
 _LOOK_S = 5  # how often it is looked who is in coverage
@@ -40,14 +39,14 @@ def draw(mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any]
     OracleError
         If there is no room for the campaign's flights.
     """
-    session = _draw_session(campaign.seed, run % SESSIONS)
+    session = _draw_session(campaign.seed, campaign.session_of(run))
     flights = _draw_flights(campaign, run, session.wind)
     target = _draw_target(campaign, run, flights, session.wind)
     drawn = {"target_icao24": target.icao24, "target_callsign": target.callsign}
     return AtcRecipe(
         mode=mode.id,
         scenario=mode.scenario.document,
-        parameters=mode.parameters(drawn, parameters),
+        parameters=mode.parameters(drawn, parameters, attack_seed(campaign.seed, ATTACK, run)),
         run=run,
         block=run,
         seed=campaign.seed,
@@ -55,6 +54,7 @@ def draw(mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any]
         flights=flights,
         duration_s=campaign.timeout_s,
         storage=campaign.storage,
+        noise=mode.noise(campaign),
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim.atc.airspace import Flight, Waypoint
 from sim.campaigns import Campaign, Storage
-from sim.seeds import node_generator, sequence
+from sim.seeds import attack_seed, node_generator
 
 SETTLING_S = 15.0  # three turns of the radars, before the recording begins
 
@@ -41,14 +41,15 @@ class AtcRecipe:
     flights: tuple[Flight, ...]
     duration_s: float
     storage: Storage
+    noise: str  # `Mode.noise`
 
     def generator(self, node: str) -> np.random.Generator:
-        """Return the randomness of one node; the same in every mode of the block."""
-        return node_generator(self.seed, NODE, self.block, node)
+        """Return the randomness of one node; the same in every run of the block and its noise."""
+        return node_generator(self.seed, NODE, self.block, self.noise + node)
 
     def attack_seed(self) -> int:
         """Return the key of the attack's own, counter-based randomness."""
-        return int(sequence(self.seed, ATTACK, self.block).generate_state(1, np.uint64)[0])
+        return attack_seed(self.seed, ATTACK, self.block)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the recipe as JSON knows it."""
@@ -77,4 +78,7 @@ class AtcRecipe:
 
     def campaign(self) -> Campaign:
         """Return the campaign that the run is of, as far as its block's draws depend on it."""
-        return Campaign(self.seed, storage=self.storage, timeout_s=self.duration_s)
+        return Campaign(
+            self.seed, storage=self.storage, timeout_s=self.duration_s,
+            session=self.session.index, noise_per_run=bool(self.noise),
+        )  # fmt: skip

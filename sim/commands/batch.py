@@ -4,6 +4,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -12,7 +13,15 @@ import click
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
-from sim.campaigns import DEFAULT_SEED, Campaign, OdometrySource, Options, Wiring
+from sim.campaigns import (
+    DEFAULT_SEED,
+    ArenaChoice,
+    Campaign,
+    Navigation,
+    OdometrySource,
+    Options,
+    Wiring,
+)
 from sim.commands.progress import RunProgress
 from sim.fan_out import fan_out, process_pool
 
@@ -44,6 +53,18 @@ _CAMPAIGN_OPTIONS = (
         help="Storage of the bag.",
     ),
     click.option(
+        "--sessions", default=lambda: Campaign.from_environment().sessions,
+        type=click.IntRange(min=1),
+        help="Blocks take turns in so many sessions (days in the laboratory).  [default: "
+        "$ORACLE_SESSIONS or a session for each block]",
+    ),
+    click.option(
+        "--noise-per-run", is_flag=True,
+        default=lambda: Campaign.from_environment().noise_per_run,
+        help="Draw sensor noise and latencies for each run instead of each block; an attack and "
+        "its shadow control still share them.  [default: $ORACLE_NOISE_PER_RUN or no]",
+    ),
+    click.option(
         "--wiring", default="additive", show_default=True, type=click.Choice(get_args(Wiring)),
         help="How the collision monitor receives the mode's topic: as one more LiDAR (additive), "
         "in place of the original LiDAR (replace), or not at all, without the node (absent).",
@@ -52,6 +73,17 @@ _CAMPAIGN_OPTIONS = (
         "--odometry-source", default="world", show_default=True,
         type=click.Choice(get_args(OdometrySource)),
         help="Source of /odom: ground truth, as on Humble, or the wheel encoders.",
+    ),
+    click.option(
+        "--arena", default=lambda: Campaign.from_environment().options.arena,
+        type=click.Choice(get_args(ArenaChoice)),
+        help="World of the runs; drawn: hexagon, house and random arenas take turns, block by "
+        "block.  [default: $ORACLE_ARENA or drawn]",
+    ),
+    click.option(
+        "--nav2", default="tuned", show_default=True, type=click.Choice(get_args(Navigation)),
+        help="Settings of Nav2: tuned to the narrow gaps of the hexagon, or stock, with which the "
+        "collision monitor slows the robot down near walls.",
     ),
     click.option("--cameras", is_flag=True, help="Depth camera on: 15 MB a second."),
     click.option(
@@ -92,12 +124,15 @@ def campaign_options(command: Command) -> Command:
 
 def campaign(options: Mapping[str, Any]) -> Campaign:
     """Return the campaign that the options of ``campaign_options`` describe."""
-    rest = {k: v for k, v in options.items() if k not in ("seed", "goals", "storage")}
+    names = {item.name for item in fields(Options)}
     return Campaign(
         seed=options["seed"],
         goals_per_run=options["goals"],
         storage=options["storage"],
-        options=Options(**rest),
+        options=Options(**{name: options[name] for name in names}),
+        sessions=options["sessions"],
+        session=options.get("session"),
+        noise_per_run=options["noise_per_run"],
     )
 
 

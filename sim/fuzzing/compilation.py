@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from sim.fuzzing.actuation import moves_something
 from sim.fuzzing.compile_context import Budget, CompileContext
+from sim.fuzzing.faults import Faults
 from sim.fuzzing.fields import as_sent
 from sim.fuzzing.grammar import ExpressionError
 from sim.fuzzing.operators import ON_TIMER, compile_operators
@@ -61,16 +63,25 @@ def compile_scenario(
     Raises
     ------
     ScenarioError
-        Naming file, line, key and what was expected there.
+        Naming file, line, key and what was expected there, for each fault that is no consequence
+        of another one.
     """
     document = scenario.document
     main = document["main"]
-    _check_topics(scenario, allow_actuation=allow_actuation)
-    kind = _message_type(scenario, main["type"], ("main", "type"))
+    faults = Faults()
+    with faults.gathered():
+        kind = _message_type(scenario, main["type"], ("main", "type"))
+        outputs = {
+            name: (spec["topic"], _message_type(scenario, spec["type"], ("outputs", name, "type")))
+            for name, spec in document.get("outputs", {}).items()
+        }
     limits = document.get("limits", {})
-    parameters = _parameters(scenario)
-    constants = _constants(scenario)
-    state_types, state, lifetimes_ns = _state(scenario)
+    parameters = _parameters(scenario, faults)
+    constants = _constants(scenario, faults)
+    state_types, state, lifetimes_ns = _state(scenario, faults)
+    faults.end()  # what follows would only repeat them
+    with faults.gathered():
+        _check_topics(scenario, allow_actuation=allow_actuation)
     given: dict[str, Type] = {
         "p": Record("p", {name: parameter.type for name, parameter in parameters.items()}),
         "c": Record("c", {name: type_ for name, (type_, _) in constants.items()}),
@@ -79,11 +90,12 @@ def compile_scenario(
         scenario,
         _scope(scenario, given),
         kind,
-        kind,
+        {"": (main["output"], kind), **outputs},
         Record("state", state_types),
         limits.get("array", LONGEST),
         itertools.count(ACTIVATION + 1),
         budget or Budget(),
+        faults,
     )
     sources = _sources(scenario, context)
     kept: dict[str, Type] = {
@@ -100,29 +112,32 @@ def compile_scenario(
     if transform.get("always"):
         do = compile_operators(transform["always"], ("transform", "always"), on_message)
         always = Action("always", None, (), do)
-    actions = tuple(
-        _action(action, ("transform", "actions", place), on_message)
-        for place, action in enumerate(transform.get("actions", []))
-    )
+    actions = []
+    for place, action in enumerate(transform.get("actions", [])):
+        with faults.gathered():
+            actions.append(_action(action, ("transform", "actions", place), on_message))
     timer, period = None, None
     if "timer" in transform:
         key = ("transform", "timer")
         spec = transform["timer"]
-        period = context.term(spec["period_s"], (*key, "period_s"), Number)
+        with faults.gathered():
+            period = context.term(spec["period_s"], (*key, "period_s"), Number)
         do = compile_operators(spec["do"], (*key, "do"), on_timer, ON_TIMER)
         timer = Action(spec.get("name", "timer"), None, (), do)
     magnitude = None
     if "ground_truth" in document:
         text = document["ground_truth"]["magnitude"]
         scope = on_timer if timer else on_message
-        magnitude = scope.term(text, ("ground_truth", "magnitude"), Number)
+        with faults.gathered():
+            magnitude = scope.term(text, ("ground_truth", "magnitude"), Number)
+    faults.end()
     parts = [part for part in (always, *actions, timer) if part is not None]
     cost = sum(part.cost for part in parts)
     if cost > MAX_COST:
         raise scenario.error(
             ("transform",),
-            f"expected at most {MAX_COST} elements computed for a message, found up to {cost} "
-            f"with arrays of {context.longest}; set a smaller limits.array, or do less",
+            f"expected at most {MAX_COST:,} array elements computed for each message, found up to "
+            f"{cost:,} with arrays of {context.longest}; set a smaller limits.array, or do less",
         )
     operators = [operator for part in parts for operator in part.do]
     return Program(
@@ -131,15 +146,16 @@ def compile_scenario(
         as_sent=as_sent(kind),
         input_topic=main["input"],
         output_topic=main["output"],
+        further_outputs=dict(outputs.values()),
         sources=sources,
         parameters=parameters,
-        activation=_activation(document.get("activation", {})),
+        activation=_activation(scenario),
         cost=cost,
         constants={name: value for name, (_, value) in constants.items()},
         state=state,
         lifetimes_ns=lifetimes_ns,
         always=always,
-        actions=actions,
+        actions=tuple(actions),
         first_match_only=transform.get("match", "first") == "first",
         period=period,
         timer=timer,
@@ -151,20 +167,26 @@ def compile_scenario(
 
 def _check_topics(scenario: Scenario, *, allow_actuation: bool) -> None:
     main = scenario.document["main"]
-    output, key = main["output"], ("main", "output")
-    heard = [main["input"], *(s["topic"] for s in scenario.document.get("sources", {}).values())]
-    if output in heard:
-        raise scenario.error(
-            key, f"expected a topic that the scenario does not hear, found {output}"
-        )
-    if GROUND_TRUTH_TOPIC in (output, *heard):
+    sources = [spec["topic"] for spec in scenario.document.get("sources", {}).values()]
+    spoken: list[tuple[Key, str, str]] = [(("main", "output"), main["output"], main["type"])]
+    for name, spec in scenario.document.get("outputs", {}).items():
+        spoken.append((("outputs", name, "topic"), spec["topic"], spec["type"]))
+    topics = [topic for _, topic, _ in spoken]
+    for place, (key, topic, kind) in enumerate(spoken):
+        if topic in sources or (place and topic == main["input"]):
+            raise scenario.error(
+                key, f"expected a topic that the scenario does not hear, found {topic}"
+            )
+        if topic in topics[:place]:
+            raise scenario.error(key, f"expected a topic of its own, {topic} stands above")
+        if moves_something(topic, kind) and not allow_actuation:
+            raise scenario.error(
+                key,
+                f"expected a topic that moves nothing, found {topic}; allow actuation if you must: "
+                f"{kind} there may move the robot",
+            )
+    if GROUND_TRUTH_TOPIC in (main["input"], *topics, *sources):
         raise scenario.error(("main",), f"expected no use of {GROUND_TRUTH_TOPIC}")
-    if moves_something(output, main["type"]) and not allow_actuation:
-        raise scenario.error(
-            key,
-            f"expected a topic that moves nothing, found {output}; allow actuation if you must: "
-            f"{main['type']} there may move the robot",
-        )
 
 
 def _message_type(scenario: Scenario, name: str, key: Key) -> Message:
@@ -199,31 +221,70 @@ def _action(spec: Mapping[str, Any], key: Key, context: CompileContext) -> Actio
     return Action(spec["name"], when, let, compile_operators(spec["do"], (*key, "do"), inner))
 
 
-def _activation(spec: Mapping[str, Any]) -> Activation:
+def _activation(scenario: Scenario) -> Activation:
+    spec = scenario.document.get("activation", {})
     rest = {key: value for key, value in spec.items() if key != "onset"}
-    return Activation(**spec.get("onset", {}), **rest)
+    activation = Activation(**spec.get("onset", {}), **rest)
+    if "goal" in spec.get("onset", {}) and activation.after != "goal_accepted":
+        raise scenario.error(
+            ("activation", "onset", "goal"), "expected after: goal_accepted beside the goal"
+        )
+    begins = activation.goal if activation.after == "goal_accepted" else 1
+    if activation.until_goal is not None and activation.until_goal <= begins:
+        raise scenario.error(
+            ("activation", "until_goal"),
+            f"expected a goal after the one at which it begins, {begins}, "
+            f"found {activation.until_goal}",
+        )
+    return activation
 
 
 def _scalar(spec: Mapping[str, Any]) -> Type:
     return _SCALARS.get(spec["type"]) or Text(spec.get("max_len", MAX_TEXT))
 
 
-def _parameters(scenario: Scenario) -> dict[str, Parameter]:
+def _parameters(scenario: Scenario, faults: Faults) -> dict[str, Parameter]:
     parameters = {}
     for name, spec in scenario.document.get("parameters", {}).items():
         key = ("parameters", name)
+        with faults.gathered():
+            _check_draw(scenario, spec, key)
         parameter = Parameter(
             name, _scalar(spec), spec["default"], spec.get("min"), spec.get("max")
         )
-        try:
-            default = parameter.checked(spec["default"])
-        except ValueError as error:
-            raise scenario.error((*key, "default"), str(error)) from error
-        parameters[name] = dataclasses.replace(parameter, default=default)
+        with faults.gathered():
+            default = _default(scenario, key, parameter)
+            parameters[name] = dataclasses.replace(parameter, default=default)
     return parameters
 
 
-def _constants(scenario: Scenario) -> dict[str, tuple[Type, Any]]:
+def _check_draw(scenario: Scenario, spec: Mapping[str, Any], key: Key) -> None:
+    """Refuse a parameter that says it is drawn and not from what."""
+    how = spec.get("draw")
+    if how is None:
+        return
+    at = (*key, "draw")
+    if spec["type"] not in ("float", "int"):
+        raise scenario.error(at, f"expected a number to be drawn, found a {spec['type']}")
+    if "drawn" in spec:
+        raise scenario.error(at, "expected either draw or drawn: the block gives the value already")
+    low, high = spec.get("min"), spec.get("max")
+    if low is None or high is None or not low <= high:
+        raise scenario.error(at, "expected a min and a max that is not below it")
+    if how == "log" and low <= 0:
+        raise scenario.error(at, f"expected a min above 0 for equal ratios, found {low}")
+    if spec["type"] == "int" and math.ceil(low) > math.floor(high):
+        raise scenario.error(at, f"expected a whole number from {low} to {high}, there is none")
+
+
+def _default(scenario: Scenario, key: Key, parameter: Parameter) -> Any:
+    try:
+        return parameter.checked(parameter.default)
+    except ValueError as error:
+        raise scenario.error((*key, "default"), str(error)) from error
+
+
+def _constants(scenario: Scenario, faults: Faults) -> dict[str, tuple[Type, Any]]:
     constants: dict[str, tuple[Type, Any]] = {}
     for name, value in scenario.document.get("constants", {}).items():
         match value:
@@ -239,14 +300,17 @@ def _constants(scenario: Scenario) -> dict[str, tuple[Type, Any]]:
                 corners = Array(Array(FLOAT, 2, fixed=True), len(value), fixed=True)
                 constants[name] = corners, np.array(value, np.float64)
             case _ if any(isinstance(number, list) for number in value):
-                raise scenario.error(("constants", name), "expected all numbers or all pairs")
+                with faults.gathered():
+                    raise scenario.error(("constants", name), "expected all numbers or all pairs")
             case _:
                 numbers = Array(FLOAT, len(value), fixed=True)
                 constants[name] = numbers, np.array(value, np.float64)
     return constants
 
 
-def _state(scenario: Scenario) -> tuple[dict[str, Type], dict[str, Any], dict[str, int]]:
+def _state(
+    scenario: Scenario, faults: Faults
+) -> tuple[dict[str, Type], dict[str, Any], dict[str, int]]:
     """Return the types of what is kept, what it begins with, and how long rows of tables live."""
     types: dict[str, Type] = {}
     values: dict[str, Any] = {}
@@ -259,10 +323,9 @@ def _state(scenario: Scenario) -> tuple[dict[str, Type], dict[str, Any], dict[st
                 lifetimes_ns[name] = round(spec["ttl_s"] * SECOND)
             continue
         types[name] = _scalar(spec)
-        try:
-            values[name] = Parameter(name, types[name], None, None, None).checked(spec["default"])
-        except ValueError as error:
-            raise scenario.error(("state", name, "default"), str(error)) from error
+        with faults.gathered():
+            beginning = Parameter(name, types[name], spec["default"], None, None)
+            values[name] = _default(scenario, ("state", name), beginning)
     return types, values, lifetimes_ns
 
 

@@ -8,10 +8,11 @@ import numpy as np
 
 from sim.campaigns import Campaign, Options, Storage
 from sim.middleware.geometry import Pose2D
-from sim.seeds import node_generator, sequence
+from sim.seeds import attack_seed, node_generator
+from sim.turtlebot3.arena import Arena
 
 # Branches of the seed: what is drawn on one does not move what is drawn on another.
-SESSION, BLOCK, NODE, ATTACK = range(4)
+SESSION, BLOCK, NODE, ATTACK, ARENA = range(5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,11 +37,22 @@ class Session:
     """What stays the same for a day and differs from the next."""
 
     index: int
-    lidar_bias_m: float
-    lidar_noise_m: float  # standard deviation
+    lidar_bias_m: float  # of /scan
+    lidar_noise_m: float  # standard deviation, of both LiDARs
     friction: float  # of the floor, relative to the robot's model
     mass: float  # of the robot, relative to its model
-    latency_ms: float  # of every node that processes messages
+    latency_ms: float  # of every node that processes messages, at least
+    lidar_tom_bias_m: float  # of /scan_tom
+    lidar_dropouts: float  # share of the rays without a return, of both LiDARs
+    latency_jitter_ms: float  # mean of what is added to the latency
+    processor_load: float  # share of the time in which callbacks have to wait
+    wheel_left: float  # radius, relative to the model
+    wheel_right: float
+    gyro_bias_rad_s: float  # about the vertical axis
+    gyro_scale: float
+    map_errors: float  # share of the cells of walls, and beside them, that are wrong
+    start_sd_m: float  # of what localisation is told of the start, each axis
+    start_sd_rad: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,24 +67,27 @@ class TurtleBot3Recipe:
     block: int
     seed: int
     session: Session
+    arena: Arena
     start: Pose2D
     goals: tuple[Pose2D, ...]
     fake_object: FakeObject
     storage: Storage
     timeout_s: float
     options: Options
+    noise: str  # `Mode.noise`
 
     def generator(self, node: str) -> np.random.Generator:
-        """Return the randomness of one node; the same in every mode of the block."""
-        return node_generator(self.seed, NODE, self.block, node)
+        """Return the randomness of one node; the same in every run of the block and its noise."""
+        return node_generator(self.seed, NODE, self.block, self.noise + node)
 
     def attack_seed(self) -> int:
         """Return the key of the attack's own, counter-based randomness."""
-        return int(sequence(self.seed, ATTACK, self.block).generate_state(1, np.uint64)[0])
+        return attack_seed(self.seed, ATTACK, self.block)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the recipe as JSON knows it."""
-        return {**asdict(self), "goals": [asdict(goal) for goal in self.goals]}
+        goals = [asdict(goal) for goal in self.goals]
+        return {**asdict(self), "arena": self.arena.to_dict(), "goals": goals}
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:
@@ -82,6 +97,7 @@ class TurtleBot3Recipe:
                 **document,
                 "conditions": Conditions(**document["conditions"]),
                 "session": Session(**document["session"]),
+                "arena": Arena.from_dict(document["arena"]),
                 "start": Pose2D(**document["start"]),
                 "goals": tuple(Pose2D(**goal) for goal in document["goals"]),
                 "fake_object": FakeObject(**document["fake_object"]),
@@ -92,5 +108,6 @@ class TurtleBot3Recipe:
     def campaign(self) -> Campaign:
         """Return the campaign that the run is of, as far as its block's draws depend on it."""
         return Campaign(
-            self.seed, len(self.goals), self.storage, self.timeout_s, options=self.options
-        )
+            self.seed, len(self.goals), self.storage, self.timeout_s, options=self.options,
+            session=self.session.index, noise_per_run=bool(self.noise),
+        )  # fmt: skip

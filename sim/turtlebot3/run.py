@@ -18,6 +18,7 @@ from oracle_pipeline.bags.writer import BagWriter
 from sim.fuzzing.compilation import compile_document
 from sim.fuzzing.execution import execute
 from sim.fuzzing.node import ScenarioNode
+from sim.middleware.delays import Delays
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.middleware.geometry import Pose2D
@@ -26,12 +27,12 @@ from sim.nav2.bringup import bring_up
 from sim.nav2.collision_monitor import SOURCES
 from sim.recording import DEBUG_TOPICS, GraphRecorder, ReceiveClock, Recorder
 from sim.turtlebot3.arena import Cylinder
-from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
+from sim.turtlebot3.map import WORLD_IN_MAP, occupancy_map
 from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.nodes import add_robot
 from sim.turtlebot3.odometer import Odometer
 from sim.turtlebot3.recipes import TurtleBot3Recipe
-from sim.turtlebot3.sensors import LidarNoise
+from sim.turtlebot3.sessions import load, mapped, sensor_errors, told_start
 from sim.turtlebot3.world import World
 
 BRING_UP_NS = 20 * SECOND  # Nav2 must be active by then
@@ -55,6 +56,13 @@ class TurtleBot3Run:
         What to make.
     folder
         Existing and empty; gets ``bag`` and ``graphs``.
+
+    Attributes
+    ----------
+    domain : Domain
+        The system's graph.
+    node : ScenarioNode or None
+        The mode's node; None as long as it is not there.
     """
 
     def __init__(self, recipe: TurtleBot3Recipe, folder: Path) -> None:
@@ -65,40 +73,47 @@ class TurtleBot3Run:
         self._latency_ns = round(session.latency_ms * MILLISECOND)
         self._world = World(_world_parameters(recipe))
         self._executor = Executor(on_advance=self._world.advance_to)
-        self._domain = Domain(self._executor)
-        noise = LidarNoise(session.lidar_noise_m, session.lidar_bias_m)
+        self.domain = Domain(self._executor, self._delays)
         add_robot(
-            self._domain,
+            self.domain,
             self._world,
-            noise,
+            sensor_errors(session),
             recipe.generator,
             odometry_source=options.odometry_source,
             cameras=options.cameras,
         )
         self._nav2 = bring_up(
-            self._domain,
-            turtlebot3_world_map(),
+            self.domain,
+            mapped(occupancy_map(recipe.arena), recipe.seed, session),
             generator=recipe.generator,
             latency_ns=self._latency_ns,
             run=recipe.run,
             monitored=[
                 source
                 for source in SOURCES
-                if not (options.wiring == "replace" and source.topic == self._program.input_topic)
+                if not (
+                    options.wiring == "replace"
+                    and source.topic == self._program.input_topic
+                    and not self._program.is_in_place
+                )
             ],
             speed=recipe.conditions.speed,
+            settings=options.nav2,
         )
         self._odometer = Odometer(self._executor, lambda: self._world.pose)
         self._patrol_over = False
         self._start_ns = 0  # of the recording
         self._end_ns = 0
-        self._node: ScenarioNode | None = None
+        self.node: ScenarioNode | None = None
         self._onset_ns: int | None = None
+        self._attack_end_ns: int | None = None
 
     def go(self) -> None:
         """Bring Nav2 up, record the patrol, write bag and graphs."""
         navigator = self._nav2.navigator
-        navigator.set_initial_pose(self._recipe.start)
+        recipe = self._recipe
+        where = told_start(recipe.start, recipe.session, recipe.generator("/initialpose"))
+        navigator.set_initial_pose(where)
         self._executor.run_until(BRING_UP_NS, stop=lambda: self._nav2.is_active)
         if not self._nav2.is_active:
             raise BringUpError(f"Nav2 was not active after {BRING_UP_NS // SECOND} s; see /rosout.")
@@ -114,13 +129,13 @@ class TurtleBot3Run:
         with BagWriter(self._folder / BAG_FOLDER, self._recipe.storage) as self._bag:
             options = self._recipe.options
             Recorder(
-                self._domain,
+                self.domain,
                 self._bag,
                 leave_out=() if options.debug_topics else DEBUG_TOPICS,
                 hidden_topics=options.hidden_topics,
                 receive_clock=self._receive_clock() if options.receive_stamps else None,
             )
-            graph = GraphRecorder(self._domain, graphs)
+            graph = GraphRecorder(self.domain, graphs)
             self._executor.run_until(self._start_ns + BEFORE_FIRST_GOAL_NS)
             navigator.follow(self._recipe.goals, self._on_patrol_over, self._on_goal_accepted)
             timeout_ns = self._start_ns + round(self._recipe.timeout_s * SECOND)
@@ -146,6 +161,7 @@ class TurtleBot3Run:
             run=recipe.run,
             block=recipe.block,
             session=recipe.session.index,
+            world=recipe.arena.id,
             seed=recipe.seed,
             start=_pose(recipe.start),
             goals=tuple(map(_pose, recipe.goals)),
@@ -153,10 +169,12 @@ class TurtleBot3Run:
             outcome=worst,
             onset_s=self._onset_s(),
             attack=self._attack(),
+            attack_seed=recipe.attack_seed(),
             scenario=scenario.id,
             scenario_hash=scenario.digest,
             task_effect=None,  # until the run and its control are both there
-            changes=() if self._node is None else self._node.changes(self._start_ns),
+            drive=self._drive(),
+            changes=() if self.node is None else self.node.changes(self._start_ns),
             recording_s=self._seconds(self._end_ns),
             contacts=tuple(
                 schema.Contact(self._seconds(touch.stamp_ns), touch.piece)
@@ -173,9 +191,17 @@ class TurtleBot3Run:
             ),
         )
 
+    def _drive(self) -> schema.Drive:
+        monitor, places = self._nav2.collision_monitor, self._odometer.places()
+        return schema.Drive(
+            self._world.clearance(places) if len(places) else None,
+            monitor.commands,
+            monitor.commands_altered,
+        )
+
     def _onset_s(self) -> float | None:
         """Return when the node was there and its scenario began to act; None if it never did."""
-        if self._node is None or self._onset_ns is None or self._onset_ns > self._end_ns:
+        if self.node is None or self._onset_ns is None or self._onset_ns > self._end_ns:
             return None
         return self._seconds(self._onset_ns)
 
@@ -190,9 +216,13 @@ class TurtleBot3Run:
 
     def _on_goal_accepted(self, _result: GoalResult) -> None:
         self._odometer.mark()
-        first = len(self._nav2.navigator.results) == 1
-        if first and self._program.activation.after == "goal_accepted":
+        activation, number = self._program.activation, len(self._nav2.navigator.results)
+        if activation.after == "goal_accepted" and number == activation.goal:
             self._set_onset(self._executor.now_ns)
+        if number == activation.until_goal:
+            self._attack_end_ns = self._executor.now_ns
+            if self.node is not None:
+                self.node.end(self._attack_end_ns)
 
     def _set_onset(self, after_ns: int) -> None:
         """Let the scenario act so long after ``after_ns`` as it says."""
@@ -200,8 +230,8 @@ class TurtleBot3Run:
         self._onset_ns = after_ns + round(activation.seconds * SECOND)
         if activation.before == "absent":
             self._executor.call_at(self._onset_ns, self._start_node)
-        elif self._node is not None:
-            self._node.begin(self._onset_ns)
+        elif self.node is not None:
+            self.node.begin(self._onset_ns)
 
     def _start_node(self) -> None:
         """Put the mode's node into the graph."""
@@ -209,9 +239,17 @@ class TurtleBot3Run:
         if recipe.options.wiring == "absent":
             return
         execution = execute(self._program, recipe.attack_seed(), recipe.parameters)
-        self._node = ScenarioNode(self._domain, NODE, execution, latency_ns=self._latency_ns)
+        self.node = ScenarioNode(self.domain, NODE, execution, latency_ns=self._latency_ns)
         if self._onset_ns is not None:
-            self._node.begin(self._onset_ns)
+            self.node.begin(self._onset_ns)
+        if self._attack_end_ns is not None:
+            self.node.end(self._attack_end_ns)
+
+    def _delays(self, node: str) -> Delays | None:
+        """Return what is added to a node's latency: to that of Nav2's, where they are many."""
+        if node == NODE:  # it must know when what it hears was sent
+            return None
+        return Delays(load(self._recipe.session), self._recipe.generator(f"{node} delays"))
 
     def _receive_clock(self) -> ReceiveClock:
         rng = self._recipe.generator("/rosbag2_recorder")
@@ -245,7 +283,12 @@ def _world_parameters(recipe: TurtleBot3Recipe) -> WorldParameters:
         obstacles = [Cylinder("obstacle", there.x, there.y, drawn.radius)]
     session = recipe.session
     return WorldParameters(
-        to_world.compose(recipe.start), session.friction, session.mass, obstacles
+        to_world.compose(recipe.start),
+        session.friction,
+        session.mass,
+        obstacles,
+        (session.wheel_left, session.wheel_right),
+        recipe.arena,
     )
 
 

@@ -6,11 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.manifest import (
     LABELS,
+    UNKNOWN_WORLD,
     Change,
     Contact,
+    Drive,
     GoalResult,
     Manifest,
     Measured,
@@ -31,7 +34,7 @@ manifests = st.builds(
     Manifest,
     mode=st.from_regex(r"[a-z0-9_]+", fullmatch=True),
     label=st.sampled_from(LABELS),
-    run=counts, block=counts, session=counts, seed=counts,
+    run=counts, block=counts, session=counts, world=names, seed=counts,
     start=poses,
     goals=st.lists(poses).map(tuple),
     goal_results=st.lists(
@@ -39,9 +42,10 @@ manifests = st.builds(
     ).map(tuple),
     outcome=outcomes,
     onset_s=st.none() | seconds,
-    attack=parameters,
+    attack=parameters, attack_seed=st.none() | st.integers(0, 2**64 - 1),
     scenario=names, scenario_hash=names,
-    task_effect=st.none() | st.booleans(),
+    task_effect=st.none() | st.dictionaries(names, seconds),
+    drive=st.none() | st.builds(Drive, st.none() | seconds, counts, counts),
     recording_s=seconds,
     contacts=st.lists(st.builds(Contact, seconds, names)).map(tuple),
     topics=st.dictionaries(names, st.builds(TopicCount, names, counts)),
@@ -60,7 +64,7 @@ manifests = st.builds(
 
 def example() -> Manifest:
     return Manifest(
-        mode="fake_object", label="malicious", run=3, block=3, session=0, seed=7,
+        mode="fake_object", label="malicious", run=3, block=3, session=0, world="house-7", seed=7,
         start=Pose(-2.0, -0.5, 0.0), goals=(Pose(1.0, 0.5, 0.0),),
         goal_results=(GoalResult(1.0, 21.5, "succeeded", 4.2, 0),), outcome="succeeded",
         onset_s=31.0,
@@ -88,7 +92,7 @@ def test_schema_and_dataclasses_have_the_same_fields():
     for name, definition in zip(("pose", "goal_result", "contact", "topic"), definitions.values(),
                                 strict=True):  # fmt: skip
         assert set(schema()["$defs"][name]["required"]) == names_of(definition)
-    for name, definition in (("software", Software), ("measured", Measured)):
+    for name, definition in (("software", Software), ("measured", Measured), ("drive", Drive)):
         assert set(schema()["properties"][name]["properties"]) == names_of(definition)
 
 
@@ -127,20 +131,27 @@ def test_fields_are_all_there_and_no_others(change, tmp_path):
 def test_another_schema_version_is_told(tmp_path):
     path = tmp_path / "manifest.json"
     path.write_text('{"schema_version": 7}')
-    with pytest.raises(ManifestError, match="schema version 7, this release reads 4"):
+    with pytest.raises(ManifestError, match="schema version 7, this release reads 5"):
         Manifest.load(path)
 
 
-@pytest.mark.parametrize(("version", "lacks"), [(3, ()), (2, ("changes",))])
+@pytest.mark.parametrize(("version", "lacks"), [(3, ("world",)), (2, ("world", "changes"))])
 def test_a_run_of_an_older_version_is_read_as_one_that_does_not_tell(version, lacks, tmp_path):
     path = tmp_path / "manifest.json"
     example().save(path)
     document = json.loads(path.read_text())
-    for name in ("seal", *lacks):
+    for name in ("seal", "drive", *lacks):
         del document[name]
     del document["measured"]["files"]
-    path.write_text(json.dumps({**document, "schema_version": version}))
-    assert Manifest.load(path) == example()
+    older = {**document, "schema_version": version, "task_effect": True}  # it was yes or no
+    path.write_text(json.dumps(older))
+    expected = dataclasses.replace(example(), world=UNKNOWN_WORLD)
+    assert Manifest.load(path) == expected
+    content = bytearray(json.dumps({**older, "schema_version": 4, "seal": seals.BLANK}).encode())
+    seals.seal(content)
+    if "changes" not in lacks:
+        path.write_bytes(content)
+        assert Manifest.load(path) == expected
 
 
 def test_a_manifest_that_lost_its_seal_is_not_taken_for_an_older_one(tmp_path):
@@ -149,6 +160,9 @@ def test_a_manifest_that_lost_its_seal_is_not_taken_for_an_older_one(tmp_path):
     document = json.loads(path.read_text())
     path.write_text(json.dumps({**document, "schema_version": 3}))
     with pytest.raises(ManifestError, match="schema version 3"):
+        Manifest.load(path)
+    path.write_text(json.dumps({**document, "schema_version": 4}))
+    with pytest.raises(ManifestError, match="its content and its seal differ"):
         Manifest.load(path)
     del document["seal"]
     path.write_text(json.dumps(document))

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oracle_pipeline.datasets import is_malicious
-from oracle_pipeline.evaluation.splits import block_folds, session_folds, untaught
+from oracle_pipeline.evaluation.splits import block_folds, session_folds, untaught, world_folds
 from tests.oracle_pipeline.datasets.synthetic import CONTROLS, MODES, run_features
 
 
@@ -27,6 +27,20 @@ def test_no_block_is_on_two_sides_and_every_run_is_tested_once(blocks, seed, spl
         assert set(block[fold.train]).isdisjoint(sides[2])
 
 
+@settings(max_examples=15, deadline=None)
+@given(st.integers(4, 25), st.integers(0, 9))
+def test_no_world_is_on_two_sides_and_every_run_is_tested_once(blocks, seed):
+    df = runs(blocks)
+    world = df["world"].to_numpy()
+    folds = world_folds(df, seed)
+    assert len(folds) > 1
+    assert sum(fold.test.astype(int) for fold in folds).tolist() == [1] * len(df)
+    for fold in folds:
+        assert set(world[fold.test]).isdisjoint(world[fold.train])
+        assert not (fold.fit & ~fold.train).any()
+    assert world_folds(df.assign(world="hexagon-0"), seed) == []
+
+
 def test_sessions_are_spread_over_folds_and_halves_unless_one_is_held_out():
     df = runs(15)
     session = df["session"].to_numpy()
@@ -34,6 +48,18 @@ def test_sessions_are_spread_over_folds_and_halves_unless_one_is_held_out():
         for side in (fold.fit, fold.calibrate, fold.test):
             assert set(session[side]) == {0, 1, 2}
     assert [set(session[fold.test]) for fold in session_folds(df, 0)] == [{0}, {1}, {2}]
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(6, 40), st.integers(2, 40), st.integers(0, 9))
+def test_whole_sessions_are_held_out_in_five_folds_at_most(blocks, sessions, seed):
+    df = runs(blocks)
+    df["session"] = df["block"] % sessions
+    folds = session_folds(df, seed)
+    assert len(folds) == min(5, sessions, blocks)
+    assert sum(fold.test.astype(int) for fold in folds).tolist() == [1] * len(df)
+    for fold in folds:
+        assert set(df.loc[fold.test, "session"]).isdisjoint(df.loc[fold.train, "session"])
 
 
 @settings(max_examples=15, deadline=None)
