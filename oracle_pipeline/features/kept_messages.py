@@ -208,7 +208,7 @@ class KeptMessages:
             ):
                 column.append(values)
             count += len(stamps_ns)
-        recording._finish(bag, *map(_emptied, columns))
+        recording._finish(bag, *columns)
         return recording
 
     def occupied(self) -> Integers:
@@ -216,22 +216,30 @@ class KeptMessages:
         return np.sort(self._times_ns)
 
     def _finish(
-        self, bag: BagReader, of: Integers, stamps_ns: Integers, sizes: Integers, headers: Integers
+        self,
+        bag: BagReader,
+        numbers: list[Integers],
+        stamps_ns: list[Integers],
+        all_sizes: list[Integers],
+        all_headers: list[Integers],
     ) -> None:
-        """Make arrays, and say what was not used."""
+        """Make arrays of what was read in parts, which are let go of; say what was not used."""
         topics = list(self._topics.values())
-        by_topic = np.argsort(of.astype(np.int16), kind="stable")  # in file order
+        of = _joined(numbers).astype(np.int16)
+        by_topic = np.argsort(of, kind="stable")  # in file order
         bounds = np.searchsorted(of[by_topic], np.arange(1, len(topics)))
-        split = np.split(stamps_ns[by_topic], bounds) if topics else []
+        ordered_ns = _joined(stamps_ns)[by_topic]
+        split = np.split(ordered_ns, bounds) if topics else []
         epoch_of = epochs(split)
         clock = timeline(split, epoch_of, bag.start_ns, bag.end_ns)
         self.duration_ns = clock.duration_ns
         if note := clock.note():
             self.notes.append(note)
         times_ns = np.empty(len(of), dtype=np.int64)
-        times_ns[by_topic] = clock.times_ns(stamps_ns[by_topic], np.concatenate([_NONE, *epoch_of]))
+        times_ns[by_topic] = clock.times_ns(ordered_ns, epoch_of)
         self._times_ns = times_ns
-        del split, epoch_of
+        del split, epoch_of, ordered_ns
+        sizes, headers = _joined(all_sizes), _joined(all_headers)
         self._arrivals: dict[str, tuple[Integers, Arrivals]] = {}
         for topic, rows in zip(topics, np.split(by_topic, bounds) if topics else [], strict=True):
             rows = rows[np.argsort(times_ns[rows], kind="stable")]
@@ -283,7 +291,7 @@ class KeptMessages:
         return replace(common, topics=topics, history=history)
 
 
-def _emptied(parts: list[Integers]) -> Integers:
+def _joined(parts: list[Integers]) -> Integers:
     """Return some arrays as one, and let go of them: of millions of messages, each copy counts."""
     whole = np.concatenate([_NONE, *parts])
     parts.clear()

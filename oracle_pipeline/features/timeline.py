@@ -34,16 +34,26 @@ class Timeline:
         """From the start to a nanosecond after the end, jumps left out."""
         return sum(self._lengths())
 
-    def times_ns(self, stamps_ns: Stamps, epochs: Stamps) -> Stamps:
-        """Return when messages came, since the start of the recording [ns]."""
+    def times_ns(self, stamps_ns: Stamps, epochs_of: list[Stamps]) -> Stamps:
+        """Return when messages came, since the start of the recording [ns].
+
+        Parameters
+        ----------
+        stamps_ns : ndarray of shape (n,)
+            Topic by topic.
+        epochs_of : list of ndarray
+            Of each topic.
+        """
         times_ns = stamps_ns - self.starts_ns[0]
+        if len(self.starts_ns) == 1:
+            return times_ns
+        epochs = np.concatenate(epochs_of)
         offset_ns = 0
         for epoch, start_ns, end_ns, length_ns in zip(
             self.epochs, self.starts_ns, self.ends_ns, self._lengths(), strict=True
         ):
-            if len(self.starts_ns) > 1:
-                inside = (epochs == epoch) & (stamps_ns >= start_ns) & (stamps_ns <= end_ns)
-                times_ns[inside] = stamps_ns[inside] - start_ns + offset_ns
+            inside = (epochs == epoch) & (stamps_ns >= start_ns) & (stamps_ns <= end_ns)
+            times_ns[inside] = stamps_ns[inside] - start_ns + offset_ns
             offset_ns += length_ns
         return times_ns
 
@@ -83,13 +93,14 @@ def timeline(stamps_ns: list[Stamps], epochs: list[Stamps], start_ns: int, end_n
             stamps[of == epoch] if last else stamps
             for stamps, of in zip(stamps_ns, epochs, strict=True)
         ]
-        ordered = np.unique(np.concatenate([ends_ns, *own]))
+        ordered = np.concatenate([ends_ns, *own])
         if not ordered.size:
             continue
+        ordered.sort()
         silences = np.diff(ordered)
         longest_ns = _JUMP_NS
         if silences.size and silences.max() > _JUMP_NS:
-            longest_ns = max(_JUMP_NS, _SPARSE * int(np.median(silences)))
+            longest_ns = max(_JUMP_NS, _SPARSE * int(np.median(silences[silences > 0])))
         cuts = np.flatnonzero(silences > longest_ns)
         starts, ends = ordered[[0, *(cuts + 1)]].tolist(), ordered[[*cuts, -1]].tolist()
         spans += [(epoch, start, end) for start, end in zip(starts, ends, strict=True)]
