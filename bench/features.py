@@ -16,7 +16,7 @@ from rosbags.rosbag2 import Reader
 from bench.figures import Row, median, spread
 from oracle_pipeline import features
 from oracle_pipeline.bags.run_directory import RunDirectory
-from oracle_pipeline.features.message_layout import MessageLayout
+from oracle_pipeline.features.kept_messages import decoded_topics
 from oracle_pipeline.opened_run import open_run
 from sim.campaigns import Campaign
 from sim.experiments import recipe_for, record_run
@@ -71,13 +71,8 @@ def _decode(path: Path, decoded: frozenset[str]) -> None:
 
 
 def _decoded_topics(path: Path, manager: features.FeatureManager) -> frozenset[str]:
-    requests = [r for p in manager.plugins for r in p.topics.values() if not r.raw]
     with open_run(path) as run:
-        return frozenset(
-            name
-            for name, topic in run.bag.topics.items()
-            if any(request.matches(topic, MessageLayout(run.bag, name)) for request in requests)
-        )
+        return decoded_topics(run.bag, manager.plugins)
 
 
 def _extract(path: Path, manager: features.FeatureManager) -> None:

@@ -25,7 +25,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from oracle_pipeline.features import FeatureTables
+    from oracle_pipeline.robots.roles_file import RoleChoices
     from oracle_pipeline.scoring.verdict import Verdict
+
+_SHOWN = "shown"  # of an option that may stand without its value
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -86,6 +89,19 @@ _strict = click.option(
 )  # fmt: skip
 
 
+_roles = click.option(
+    "--roles", type=click.Path(path_type=Path, dir_okay=False, exists=True), metavar="FILE",
+    help="YAML that names robots and what topics are for, where that cannot be found.",
+)  # fmt: skip
+
+
+def _choices(roles: Path | None) -> "RoleChoices | None":
+    """Return what a roles file says."""
+    from oracle_pipeline.robots.roles_file import RoleChoices
+
+    return None if roles is None else RoleChoices.load(roles)
+
+
 @main.command()
 @click.argument("run_or_bag", type=click.Path(path_type=Path))
 @click.option(
@@ -96,6 +112,11 @@ _strict = click.option(
     "json", "parquet", text="JSON for reading and jq; Parquet for pandas, units in its schema."
 )
 @_output_option("--output", "File to write; Parquet needs one.  [default: standard output]")
+@click.option(
+    "--roles", is_flag=False, flag_value=_SHOWN, metavar="[FILE]",
+    help="Without FILE, after RUN_OR_BAG: print which topic is what, and what is ambiguous. With "
+    "FILE: YAML that names robots and what topics are for, where that cannot be found.",
+)  # fmt: skip
 @_plugins
 @_strict
 def features(
@@ -103,6 +124,7 @@ def features(
     table: str,
     file_format: str,
     output: Path | None,
+    roles: str | None,
     plugins: Path | None,
     strict: bool,
 ) -> None:
@@ -111,23 +133,36 @@ def features(
     RUN_OR_BAG is a run directory, the folder of a rosbag2 (SQLite or MCAP, split or compressed), a
     single .mcap or .db3 file, or a ROS 1 .bag file. No ROS is needed. A feature that cannot be
     computed from this recording is null, and "missing" holds the reason. A recording that was not
-    finished is read as far as it goes; "notes" says how far, and what else was not used.
+    finished is read as far as it goes; "notes" says how far, and what else was not used. Topics are
+    found by message type, whatever their names. Several robots, each in a namespace, give a row
+    each.
 
     \b
     Examples:
         oracle features data/runs/fake_object/run003
         oracle features my_robot_bag/ | jq '.rows[0]["contextual.total_turning"]'
         oracle features my_robot_bag/ --table window --format parquet --output windows.parquet
+        oracle features my_robot_bag/ --roles
     """  # noqa: D301 -- click reads the control character
     if file_format == "parquet" and output is None:
         raise click.UsageError("Parquet is not text: name a file with --output.")
+    if roles == _SHOWN:
+        _print_roles(run_or_bag, strict=strict)
+        return
     from oracle_pipeline import features as feature_extraction
     from oracle_pipeline.datasets import write_table
     from oracle_pipeline.opened_run import open_run
+    from oracle_pipeline.robots.robot import find_robots
 
     manager = feature_extraction.build_manager(plugins)
+    choices = _choices(Path(roles) if roles else None)
     with open_run(run_or_bag, strict=strict) as run:
-        tables = feature_extraction.extract(run, manager)
+        tables = feature_extraction.together(
+            [
+                feature_extraction.extract(run, manager, robot)
+                for robot in find_robots(run.bag, choices)
+            ]
+        )
     wanted = tables.run if table == "run" else tables.windows
     if output is None:
         click.echo(_json(wanted, tables))
@@ -137,6 +172,15 @@ def features(
             click.echo(note, err=True)
     else:
         output.write_text(_json(wanted, tables) + "\n", encoding="utf-8")
+
+
+def _print_roles(recording: Path, *, strict: bool) -> None:
+    from oracle_pipeline.opened_run import open_run
+    from oracle_pipeline.robots.output import as_text
+    from oracle_pipeline.robots.robot import find_robots
+
+    with open_run(recording, strict=strict) as run:
+        click.echo(as_text(find_robots(run.bag)))
 
 
 def _is_nan(value: object) -> bool:
@@ -188,6 +232,7 @@ def _json(table: "pd.DataFrame", tables: "FeatureTables") -> str:
     "--memory-limit", default=4.0, show_default=True, type=click.FloatRange(0.0, min_open=True),
     help="GiB of memory that they may take.",
 )  # fmt: skip
+@_roles
 @_plugins
 @_strict
 @click.pass_context
@@ -201,6 +246,7 @@ def score(
     page: Path | None,
     time_limit: float,
     memory_limit: float,
+    roles: Path | None,
     plugins: Path | None,
     strict: bool,
 ) -> None:
@@ -208,7 +254,8 @@ def score(
 
     Exit code 0: all are normal; 1: at least one is anomalous; 2: at least one could not be judged.
 
-    RUN_OR_BAG is as for `oracle features`; several recordings are judged as one suite. The p-value
+    RUN_OR_BAG is as for `oracle features`; several recordings are judged as one suite, and each
+    robot of a recording gets a verdict, such as bag#robot1. The p-value
     is the share of normal runs that score at least as high, where each normal run is scored by a
     model that did not see it. A recording is anomalous if its p-value is at most --far. A rate of
     5% needs 19 normal runs of different days or starts, 1% needs 99. With fewer there is no
@@ -238,17 +285,19 @@ def score(
                 sink.write(as_junit(verdicts))
 
     try:
-        manager = build_manager(plugins)
+        manager, choices = build_manager(plugins), _choices(roles)
         normal = (
             ReferenceCard.load(reference)
             if is_card(reference)
-            else Cards(read_reference([reference], manager))
+            else Cards(read_reference([reference], manager, choices))
         )
     except (OracleError, OSError) as error:
         write_junit([Verdict(str(path), "error", error=str(error)) for path in recordings])
         raise
     limits = Limits(time_limit, memory_limit)
-    verdicts = judging.score(recordings, normal, manager, far, limits, strict=strict)
+    verdicts = judging.score(
+        recordings, normal, manager, far, limits, strict=strict, choices=choices
+    )
     show = output.as_json if file_format == "json" else output.as_text
     click.echo(show(verdicts, far, normal.notes))
     write_junit(verdicts)
@@ -268,8 +317,9 @@ def score(
     "--output", required=True, type=click.Path(path_type=Path, dir_okay=False),
     help="File to write, such as robot.card.",
 )  # fmt: skip
+@_roles
 @_plugins
-def learn(good: tuple[Path, ...], output: Path, plugins: Path | None) -> None:
+def learn(good: tuple[Path, ...], output: Path, roles: Path | None, plugins: Path | None) -> None:
     """Write a reference card from normal recordings.
 
     GOOD is a run directory, a bag, a folder of these, a table of run features, or a root with
@@ -291,7 +341,7 @@ def learn(good: tuple[Path, ...], output: Path, plugins: Path | None) -> None:
     if output.suffix != SUFFIX:
         raise click.UsageError(f"Let the name of the card end with {SUFFIX}: {output}{SUFFIX}")
     manager = build_manager(plugins)
-    card = learn_card(read_reference(good, manager))
+    card = learn_card(read_reference(good, manager, _choices(roles)))
     card.save(output)
     click.echo(card_as_text(card))
     click.echo(f"Card: {output}")

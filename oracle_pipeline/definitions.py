@@ -67,7 +67,7 @@ def build_defs(**overrides: object) -> dg.Definitions:
             [experiment_runs, feature_dataset, oracle_evaluation, thesis_method, oracle_report]
         ),
         asset_checks=[run_checks.checks_of_runs, evaluation_checks.checks_of_evaluation],
-        jobs=[automation.everything, run_retention.forget_old_runs],
+        jobs=[*automation.JOBS, run_retention.forget_old_runs],
         schedules=[automation.nightly, run_retention.weekly],
         sensors=[scenario_changes.changed_scenarios],
         resources=resources | overrides,

@@ -55,18 +55,12 @@ def tables_are_current(run: RunDirectory, manifest: Manifest) -> bool:
     return _read(_record(run)) == {"inputs": _inputs(manifest), "tables": _hashes(run)}
 
 
-def topics_of_features(bag: "BagReader") -> set[str]:
+def topics_of_features(bag: "BagReader") -> frozenset[str]:
     """Return the topics of a bag whose messages a plugin wants decoded."""
     from oracle_pipeline.features import build_manager
-    from oracle_pipeline.features.message_layout import MessageLayout
+    from oracle_pipeline.features.kept_messages import decoded_topics
 
-    requests = [r for plugin in build_manager().plugins for r in plugin.topics.values()]
-    layouts = {name: MessageLayout(bag, name) for name in bag.topics}
-    return {
-        name
-        for name, topic in bag.topics.items()
-        if any(not r.raw and r.matches(topic, layouts[name]) for r in requests)
-    }
+    return decoded_topics(bag, build_manager().plugins)
 
 
 def _tidy(run: RunDirectory) -> None:

@@ -1,4 +1,4 @@
-"""Read YAML that a recording brings along, without letting it grow: by events, within limits."""
+"""Read YAML that others wrote, without letting it grow: by events, within limits."""
 
 from typing import Any
 
@@ -35,7 +35,7 @@ def load(text: str) -> Any:
     try:
         for event in yaml.parse(text, Loader=_LOADER):
             if isinstance(event, yaml.AliasEvent):
-                raise ValueError("it has an alias, which no recorder writes")
+                raise ValueError("it has an alias, which is not read here")
             if isinstance(event, yaml.MappingStartEvent | yaml.SequenceStartEvent):
                 _refuse_tag(event.tag)
                 value: Any = {} if isinstance(event, yaml.MappingStartEvent) else []
@@ -74,7 +74,7 @@ def load(text: str) -> Any:
 
 def _refuse_tag(tag: str | None) -> None:
     if tag not in (None, "!"):
-        raise ValueError(f"it has a tag, {tag}, which no recorder writes")
+        raise ValueError(f"it has a tag, {tag}, which is not read here")
 
 
 def _scalar(rules: _Text, event: yaml.ScalarEvent) -> Any:

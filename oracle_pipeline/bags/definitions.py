@@ -17,6 +17,13 @@ from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import LARGEST_DEFINITION, MOST_FIELDS
 from oracle_pipeline.bags.part import Channel
 from oracle_pipeline.bags.types import TypeDefinition
+from oracle_pipeline.bags.wide_strings import (
+    ENCODINGS,
+    either,
+    has_wide_strings,
+    unbounded,
+    with_wide_strings,
+)
 
 _SEPARATOR = "=" * 80 + "\n"  # between the files of a definition
 
@@ -45,6 +52,7 @@ class BagTypes:
             if known is None or (channel.definition and not known.definition):
                 self._channels[channel.msgtype] = channel
         self._own = get_typestore(Stores.EMPTY)
+        self._wide = {encoding: get_typestore(Stores.EMPTY) for encoding in ENCODINGS}
         self._stores: dict[str, Typestore | BagError] = {}
         self._decoders: dict[str, Callable[[bytes, str], Any]] = {}
 
@@ -57,9 +65,12 @@ class BagTypes:
                     f"{self._path} has {msgtype} encoded as {encoding!r}; only CDR and ROS 1's "
                     "encoding are decoded. Its messages can only be read raw."
                 )
-            self._decoders[msgtype] = (
-                store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
-            )
+            if encoding == "ros1":
+                self._decoders[msgtype] = store.deserialize_ros1
+            elif store in self._wide.values():
+                self._decoders[msgtype] = either(*(w.deserialize_cdr for w in self._wide.values()))
+            else:
+                self._decoders[msgtype] = store.deserialize_cdr
         return self._decoders[msgtype]
 
     def definition(self, msgtype: str) -> TypeDefinition:
@@ -98,14 +109,13 @@ class BagTypes:
             return types.typestore()
         if channel.definition:
             try:
-                self._register(channel, msgtype)
+                return self._registered(channel, msgtype)
             except Exception as error:  # a definition is a foreign text
                 reason = str(error).rstrip(".") or type(error).__name__
                 raise BagError(
                     f"{self._path} has an unusable definition of {msgtype}: {reason[:500]}. "
                     "Its messages can only be read raw."
                 ) from error
-            return self._own
         if known:
             return types.typestore()
         raise BagError(
@@ -114,20 +124,31 @@ class BagTypes:
             "oracle_pipeline/bags/msg, or record as MCAP, which keeps definitions."
         )
 
-    def _register(self, channel: Channel, msgtype: str) -> None:
+    def _registered(self, channel: Channel, msgtype: str) -> Typestore:
+        """Take the definition of a type; return the store that has it then."""
         if len(channel.definition) > LARGEST_DEFINITION:
             raise ValueError(f"it is longer than {LARGEST_DEFINITION} (LARGEST_DEFINITION)")
         parsed = _parse(channel, msgtype)
-        for used in sorted(_used(parsed) - parsed.keys() - self._own.fielddefs.keys()):
+        if not has_wide_strings(parsed):
+            return self._filled(self._own, parsed, msgtype)
+        for encoding, store in self._wide.items():
+            wide = with_wide_strings(parsed, encoding) | {encoding: ENCODINGS[encoding]}
+            self._filled(store, wide, msgtype)
+        return self._wide[next(iter(ENCODINGS))]
+
+    def _filled(self, store: Typestore, parsed: dict[str, Any], msgtype: str) -> Typestore:
+        """Return a store with a type, and what else it uses."""
+        for used in sorted(_used(parsed) - parsed.keys() - store.fielddefs.keys()):
             if used in types.typestore().fielddefs:
                 parsed[used] = types.typestore().fielddefs[used]
-        _check_size(msgtype, {**self._own.fielddefs, **parsed})
-        self._own.register(parsed)
+        _check_size(msgtype, {**store.fielddefs, **parsed})
+        store.register(parsed)
+        return store
 
 
 def _parse(channel: Channel, msgtype: str) -> dict[str, Any]:
     if channel.definition_format != "idl":
-        return dict(get_types_from_msg(channel.definition, msgtype))
+        return dict(get_types_from_msg(unbounded(channel.definition), msgtype))
     found: dict[str, Any] = {}
     for part in channel.definition.split(_SEPARATOR):
         # rosbag2 puts "IDL: <name>" above each file of a definition; plain IDL has no such line.

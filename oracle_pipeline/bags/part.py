@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, Protocol
 
@@ -148,3 +149,23 @@ def _joined(parts: list[bytes], batch: Batch, first: int) -> Batch:
         b"".join(parts), batch.channels[rows], batch.stamps_ns[rows], np.cumsum(sizes) - sizes,
         sizes,
     )  # fmt: skip
+
+
+def loss(part: Part) -> str:
+    """Say how much of a file could be read, and up to when."""
+    read, extent = part.extent.counts.total(), part.extent
+    if extent.start_ns is None or extent.end_ns is None:
+        return f"{part.path.name} was not finished ({part.cut}): no message could be read."
+    seconds = (extent.end_ns - extent.start_ns) / 1e9
+    unread = f"; the last {part.unread} bytes could not be read" if part.unread else ""
+    return (
+        f"{part.path.name} was not finished ({part.cut}): {read} messages were read, up to "
+        f"{extent.end_ns} ns ({_utc(extent.end_ns)}), {seconds:.1f} s after the first{unread}."
+    )
+
+
+def _utc(stamp_ns: int) -> str:
+    try:
+        return f"{datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    except (OverflowError, ValueError, OSError):
+        return "beyond any calendar"

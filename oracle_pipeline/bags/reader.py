@@ -6,13 +6,13 @@ not be read. What a mode's node confesses about its attack is dropped, by topic 
 ``read_ground_truth`` is the one way to see it.
 """
 
+import copy
 import itertools
 import os
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self
@@ -28,7 +28,7 @@ from oracle_pipeline.bags.definitions import BagTypes
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import MOST_MESSAGES, SMALLEST_MESSAGE
 from oracle_pipeline.bags.merging import Messages, in_time_order
-from oracle_pipeline.bags.part import Batch, Channel, Part
+from oracle_pipeline.bags.part import Batch, Channel, Part, loss
 from oracle_pipeline.bags.parts import Parts, open_parts
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE, TypeDefinition
 
@@ -89,7 +89,7 @@ class BagReader:
         self._files = _open(path)
         parts = self._files.parts
         self.notes, self.losses = list(self._files.notes), list(self._files.losses)
-        self.losses += [_loss(part) for part in parts if part.cut]
+        self.losses += [loss(part) for part in parts if part.cut]
         if self.losses and (strict or not any(part.extent.counts.total() for part in parts)):
             self._files.close()
             raise BagError(
@@ -112,6 +112,29 @@ class BagReader:
         encodings = {topic.encoding for topic in self.topics.values()}
         self.serialization = "ros1" if encodings == {"ros1"} else "cdr"
         self._types = BagTypes(path, [c for c, _ in channels], self._files.type_hashes)
+        self._shown = {name: name for name in self.topics}  # by the name that was recorded
+
+    def renamed(self, names: Mapping[str, str]) -> Self:
+        """Return the same open bag with topics under other names; those without one are left out.
+
+        Parameters
+        ----------
+        names : mapping of str to str
+            What topics are to be called, by their names here; no two alike.
+        """
+        view = copy.copy(self)
+        view.topics = {
+            new: replace(topic, name=new)
+            for name, topic in self.topics.items()
+            if (new := names.get(name)) is not None
+        }
+        view.message_count = sum(topic.count for topic in view.topics.values())
+        view._shown = {old: names[shown] for old, shown in self._shown.items() if shown in names}
+        return view
+
+    def recorded(self, topic: str) -> str:
+        """Return the name under which a topic was recorded."""
+        return next(old for old, shown in self._shown.items() if shown == topic)
 
     def batches(self, topics: Collection[str] | None = None) -> Iterator[Messages]:
         """Yield messages as arrays, in file order; stretches without any of the topics are empty.
@@ -131,9 +154,9 @@ class BagReader:
         read = 0
         for part in self._files.parts:
             wanted = {
-                key: numbers[channel.topic]
+                key: numbers[topic.name]
                 for key, channel in part.channels.items()
-                if self._is_of_topic(channel) and (topics is None or channel.topic in topics)
+                if (topic := self._topic_of(channel)) and (topics is None or topic.name in topics)
             }
             for batch in self._read(part, wanted, is_all=topics is None):
                 read += len(batch.topics)
@@ -233,12 +256,11 @@ class BagReader:
     def _is_hidden(self, channel: Channel) -> bool:
         return channel.topic == GROUND_TRUTH_TOPIC or channel.msgtype == GROUND_TRUTH_TYPE
 
-    def _is_of_topic(self, channel: Channel) -> bool:
-        """Tell whether a channel is read: not hidden, and of its topic's one type."""
-        topic = self.topics.get(channel.topic)
-        return (
-            topic is not None and topic.msgtype == channel.msgtype and not self._is_hidden(channel)
-        )
+    def _topic_of(self, channel: Channel) -> Topic | None:
+        """Return the topic that a channel is read for; None if it is hidden or of another type."""
+        topic = self.topics.get(self._shown.get(channel.topic, ""))
+        is_read = topic and topic.msgtype == channel.msgtype and not self._is_hidden(channel)
+        return topic if is_read else None
 
     def _join(self, channels: list[tuple[Channel, int]]) -> dict[str, Topic]:
         """Join the channels of a topic: publishers of ROS 1, parts, differing QoS profiles."""
@@ -343,26 +365,6 @@ def _is_in_order(parts: list[Part]) -> bool:
     return all(part.extent.in_order for part in parts) and all(
         end <= begin for (_, end), (begin, _) in itertools.pairwise(spans)
     )
-
-
-def _loss(part: Part) -> str:
-    """Say how much of a file could be read, and up to when."""
-    read, extent = part.extent.counts.total(), part.extent
-    if extent.start_ns is None or extent.end_ns is None:
-        return f"{part.path.name} was not finished ({part.cut}): no message could be read."
-    seconds = (extent.end_ns - extent.start_ns) / 1e9
-    unread = f"; the last {part.unread} bytes could not be read" if part.unread else ""
-    return (
-        f"{part.path.name} was not finished ({part.cut}): {read} messages were read, up to "
-        f"{extent.end_ns} ns ({_utc(extent.end_ns)}), {seconds:.1f} s after the first{unread}."
-    )
-
-
-def _utc(stamp_ns: int) -> str:
-    try:
-        return f"{datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC):%Y-%m-%d %H:%M:%S} UTC"
-    except (OverflowError, ValueError, OSError):
-        return "beyond any calendar"
 
 
 # Opening and reading foreign files: their many ways to fail, turned into one.

@@ -3,7 +3,13 @@
 A plugin needs no more than what is named here.
 """
 
-from oracle_pipeline.features.extraction import FeatureTables, extract, families, write
+from oracle_pipeline.features.extraction import (
+    FeatureTables,
+    extract,
+    families,
+    together,
+    write,
+)
 from oracle_pipeline.features.manager import FeatureManager, build_manager
 from oracle_pipeline.features.plugin import (
     Feature,
@@ -36,5 +42,6 @@ __all__ = [
     "extract",
     "families",
     "hookimpl",
+    "together",
     "write",
 ]

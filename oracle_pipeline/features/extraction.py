@@ -7,9 +7,11 @@ run. Fields of the manifest become key columns; no plugin sees them.
 import json
 import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections import ChainMap
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,6 +47,7 @@ from oracle_pipeline.features.plugin import (
 from oracle_pipeline.features.thesis import MessageTable, ThesisPlugin
 from oracle_pipeline.graphs.intervals import graph_between
 from oracle_pipeline.opened_run import OpenedRun
+from oracle_pipeline.robots.robot import Robot, find_robots, of_robot
 from oracle_pipeline.windows import windows_ns
 
 _log = logging.getLogger(__name__)
@@ -86,8 +89,8 @@ class _Row:
         self.missing[column] = reason
 
 
-def extract(run: OpenedRun, manager: FeatureManager) -> FeatureTables:
-    """Compute all features of a recording.
+def extract(run: OpenedRun, manager: FeatureManager, robot: Robot | None = None) -> FeatureTables:
+    """Compute all features of one robot of a recording.
 
     Parameters
     ----------
@@ -96,13 +99,17 @@ def extract(run: OpenedRun, manager: FeatureManager) -> FeatureTables:
         ``unknown``, block and session -1.
     manager : FeatureManager
         The plugins to use.
+    robot : Robot, optional
+        One that ``find_robots`` found; by default the only one of the recording.
 
     Raises
     ------
     BagError
-        If the bag cannot be read to its end.
+        If the bag cannot be read to its end, or has several robots and none is named.
     """
-    recording = KeptMessages.read(run.bag, manager.plugins)
+    robot = robot or _only_robot(run)
+    run = replace(run, bag=robot.bag)
+    recording = KeptMessages.read(robot, manager.plugins)
     whole = Span(0, recording.duration_ns)
     extraction = _Extraction(run, manager, recording, whole)
     of_run = extraction.row(whole)
@@ -118,11 +125,30 @@ def extract(run: OpenedRun, manager: FeatureManager) -> FeatureTables:
     starts = {WINDOW_START: [span.start_s for span in spans]}
     window_fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}
     tables = FeatureTables(
-        _table(_keys(run), {}, of_run.values, [of_run], fields),
-        _table(_keys(run), starts, windowed, of_windows, window_fields),
+        _table(_keys(run, robot), {}, of_run.values, [of_run], fields),
+        _table(_keys(run, robot), starts, windowed, of_windows, window_fields),
     )
-    tables.run.attrs["notes"] = [*run.bag.losses, *run.bag.notes, *recording.notes]
+    own = [*robot.roles.notes, *robot.roles.ambiguities(), *recording.notes]
+    tables.run.attrs["notes"] = [
+        *run.bag.losses, *run.bag.notes,
+        *(f"{robot.name}: {note}" if robot.name else note for note in own),
+    ]  # fmt: skip
     return tables
+
+
+def together(robots: Sequence[FeatureTables]) -> FeatureTables:
+    """Join the tables of the robots of one recording: a row for each robot, by ``run_id``."""
+    if len(robots) == 1:
+        return robots[0]
+    joined = []
+    for parts in zip(*robots, strict=True):
+        table = pd.concat(parts, ignore_index=True)
+        fields = [part.attrs["fields"] for part in parts]
+        table.attrs = {"fields": Fields(dict(ChainMap(*fields)))}
+        joined.append(table)
+    notes = dict.fromkeys(note for tables in robots for note in tables.notes)
+    joined[0].attrs["notes"] = list(notes)
+    return FeatureTables(*joined)
 
 
 def extract_window(run: OpenedRun, manager: FeatureManager, start_s: float) -> pd.DataFrame:
@@ -142,21 +168,22 @@ def extract_window(run: OpenedRun, manager: FeatureManager, start_s: float) -> p
     DataFrame of one row
         As in the table of windows.
     """
-    recording = KeptMessages.read(run.bag, manager.plugins)
+    robot = _only_robot(run)
+    run = replace(run, bag=robot.bag)
+    recording = KeptMessages.read(robot, manager.plugins)
     extraction = _Extraction(run, manager, recording, Span(0, recording.duration_ns))
     span = Span(round(start_s * 1e9), recording.duration_ns)
     row = extraction.row(span, per_window=True)
     windowed = {c: f for c, f in manager.features().items() if f.per_window}
     fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}
-    return _table(_keys(run), {WINDOW_START: [start_s]}, windowed, [row], fields)
+    return _table(_keys(run, robot), {WINDOW_START: [start_s]}, windowed, [row], fields)
 
 
 def families(tables: FeatureTables) -> dict[str, dict[str, Any]]:
-    """Return by family how many features of the run could be computed, and what is missing."""
-    row = tables.run.iloc[0]
-    missing = json.loads(row[MISSING])
+    """Return by family how many features could be computed, and what is missing, of all robots."""
     summary: dict[str, dict[str, Any]] = {}
-    for column in feature_columns(tables.run):
+    reasons = [json.loads(text) for text in tables.run[MISSING]]
+    for column, missing in product(feature_columns(tables.run), reasons):
         family = summary.setdefault(
             column.partition(".")[0], {"computed": 0, "of": 0, "missing": []}
         )
@@ -285,17 +312,21 @@ class _Extraction:
         return Missing(f"{type(error).__name__}: {error}")
 
 
-def _keys(run: OpenedRun) -> dict[str, Any]:
+def _only_robot(run: OpenedRun) -> Robot:
+    robots = find_robots(run.bag)
+    if len(robots) > 1:
+        raise BagError(
+            f"{run.path} has several robots: {', '.join(robot.name for robot in robots)}; compute "
+            "the features of one of them."
+        )
+    return robots[0]
+
+
+def _keys(run: OpenedRun, robot: Robot) -> dict[str, Any]:
     manifest = run.manifest
     if manifest is None:
-        values: tuple[Any, ...] = (
-            run.path.resolve().name,
-            "foreign",
-            "unknown",
-            -1,
-            -1,
-            UNKNOWN_WORLD,
-        )
+        run_id = of_robot(run.path.resolve().name, robot.name)
+        values: tuple[Any, ...] = (run_id, "foreign", "unknown", -1, -1, UNKNOWN_WORLD)
     else:
         values = (
             manifest.key, manifest.mode, manifest.label, manifest.block, manifest.session,

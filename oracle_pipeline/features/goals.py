@@ -5,7 +5,7 @@ from the action's status if it was recorded (``-a`` leaves that hidden topic out
 behaviour tree's log. Times are those of the recording.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,10 +20,8 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
-
-STATUS_TOPIC = "/navigate_to_pose/_action/status"
-LOG_TOPIC = "/behavior_tree_log"
-PLAN_TOPIC = "/plan"
+from oracle_pipeline.features.scan_geometry import the_topic
+from oracle_pipeline.robots.roles import BEHAVIOR_TREE, GOAL_STATUS, PLAN
 
 FEATURES = (
     Feature("duration", "s", 0.1, "time with a goal under way", "navigation", behaviour=True),
@@ -69,12 +67,12 @@ def compute(window: Window) -> Values | Missing:
 
 def goals_so_far(window: Window) -> list[Goal] | Missing:
     """Return the goals so far, from the action's status or else from the behavior tree's log."""
-    status = window.history["status"].get(STATUS_TOPIC)
+    status = the_topic(window.history["status"])
     if status is not None and len(status.times_s):
         return goals_of_status(status)
-    log = window.history["log"].get(LOG_TOPIC)
+    log = the_topic(window.history["log"])
     if log is None:
-        return Missing(f"neither {STATUS_TOPIC} nor {LOG_TOPIC} is recorded")
+        return Missing("neither a goal's status nor a behaviour tree's log is recorded")
     return goals_of_log(log)
 
 
@@ -131,14 +129,18 @@ def keep_plan(message: Any) -> float:
     return float(np.hypot(*np.diff(points.reshape(-1, 2), axis=0).T).sum())
 
 
+#: What tells goals; a robot may lack either.
+GOAL_TOPICS = {
+    "status": Request(keep_status, role=GOAL_STATUS, dtype=object, optional=True),
+    "log": Request(keep_log, role=BEHAVIOR_TREE, dtype=object, optional=True),
+}
+PLANS = Request(keep_plan, role=PLAN)
+
+
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of navigation."""
-    topics = {
-        "status": Request(keep_status, STATUS_TOPIC, dtype=object, optional=True),
-        "log": Request(keep_log, LOG_TOPIC, dtype=object, optional=True),
-        "plan": Request(keep_plan, PLAN_TOPIC, optional=True),
-    }
+    topics = GOAL_TOPICS | {"plan": replace(PLANS, optional=True)}
     return [FeaturePlugin("goals", "contextual", FEATURES, compute, topics)]
 
 
@@ -151,9 +153,9 @@ def _time_under_way(goals: list[Goal], window: Window) -> float:
 
 
 def _time_per_planned_metre(goals: list[Goal], window: Window) -> float | Missing:
-    plans = window.history["plan"].get(PLAN_TOPIC)
+    plans = the_topic(window.history["plan"])
     if plans is None:
-        return Missing(f"{PLAN_TOPIC} is not recorded")
+        return Missing("no plan is recorded")
     time_s = planned_m = 0.0
     for goal in goals:
         if goal.ended_s is None:

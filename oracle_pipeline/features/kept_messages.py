@@ -31,9 +31,12 @@ from oracle_pipeline.features.plugin import (
     Series,
     Window,
 )
+from oracle_pipeline.features.point_clouds import sliced
 from oracle_pipeline.features.timeline import epochs, timeline
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.graphs.views import system_view
+from oracle_pipeline.robots.robot import Robot, find_robots
+from oracle_pipeline.robots.roles import POINT_CLOUD, SCAN
 
 _NONE: Integers = np.zeros(0, dtype=np.int64)
 _NO_STAMP = np.iinfo(np.int64).min  # of a message without a header
@@ -55,9 +58,11 @@ class _Topic:
 
     def ask(self, request: Request, budget: Budget) -> KeptRows:
         """Return what keeps the rows of a request, one for all equal requests."""
-        key = request.keep, np.dtype(request.dtype), request.raw, request.every_s
+        as_scan = request.role == SCAN and self.msgtype == POINT_CLOUD
+        key = request.keep, np.dtype(request.dtype), request.raw, request.every_s, as_scan
         if key not in self.kept:
             self.kept[key] = kept = KeptRows(request, budget)
+            kept.as_scan = as_scan
             self.by_rate.setdefault(round(request.every_s * 1e9), []).append(kept)
             if self.undecodable and not request.raw:
                 kept.fail(self.undecodable)
@@ -67,6 +72,7 @@ class _Topic:
         """Keep what is wanted of a message that is due at some rates."""
         record = RawRecord(data, self.layout)
         content: Any = None
+        scan: Any = None
         for rate_ns in rates_ns:
             for kept in self.by_rate[rate_ns]:
                 if kept.error:
@@ -76,10 +82,12 @@ class _Topic:
                     continue
                 try:
                     content = content or self._decoded(data)
+                    if kept.as_scan:
+                        scan = scan or sliced(content)
                 except BagError as error:
                     kept.skip(str(error))
                 else:
-                    kept.add(number, content, len(data))
+                    kept.add(number, scan if kept.as_scan else content, len(data))
 
     def _decoded(self, data: bytes) -> Any:
         if len(data) > LARGEST_DECODED:
@@ -131,6 +139,17 @@ class _Headers:
         return stamps_ns
 
 
+def decoded_topics(bag: BagReader, plugins: Iterable[FeaturePlugin]) -> frozenset[str]:
+    """Return the topics of a bag whose messages some plugins want decoded."""
+    requests = [r for plugin in plugins for r in plugin.topics.values() if not r.raw]
+    return frozenset(
+        robot.bag.recorded(name)
+        for robot in find_robots(bag)
+        for name, topic in robot.bag.topics.items()
+        if any(r.matches(topic, MessageLayout(robot.bag, name), robot.roles) for r in requests)
+    )
+
+
 class KeptMessages:
     """When the messages of a bag came, and what plugins kept of them.
 
@@ -142,7 +161,9 @@ class KeptMessages:
         What was not used, and why.
     """
 
-    def __init__(self, bag: BagReader, plugins: tuple[FeaturePlugin, ...]) -> None:
+    def __init__(self, robot: Robot, plugins: tuple[FeaturePlugin, ...]) -> None:
+        bag = robot.bag
+        self._roles = robot.roles
         budget = Budget()
         self.notes: list[str] = []
         self._topics = {name: _Topic(bag, topic) for name, topic in bag.topics.items()}
@@ -151,7 +172,7 @@ class KeptMessages:
                 key: {
                     name: self._topics[name].ask(request, budget)
                     for name in sorted(self._topics)
-                    if request.matches(bag.topics[name], self._topics[name].layout)
+                    if request.matches(bag.topics[name], self._topics[name].layout, robot.roles)
                 }
                 for key, request in plugin.topics.items()
             }
@@ -159,9 +180,10 @@ class KeptMessages:
         }
 
     @classmethod
-    def read(cls, bag: BagReader, plugins: tuple[FeaturePlugin, ...]) -> Self:
-        """Read a bag, for some plugins."""
-        recording = cls(bag, plugins)
+    def read(cls, robot: Robot, plugins: tuple[FeaturePlugin, ...]) -> Self:
+        """Read what a robot sees of a bag, for some plugins."""
+        bag = robot.bag
+        recording = cls(robot, plugins)
         topics = list(recording._topics.values())
         rates_ns = sorted({rate_ns for topic in topics for rate_ns in topic.by_rate})
         samplings = {rate_ns: _Sampling(rate_ns, topics) for rate_ns in rates_ns}
@@ -186,7 +208,7 @@ class KeptMessages:
             ):
                 column.append(values)
             count += len(stamps_ns)
-        recording._finish(bag, *(np.concatenate([_NONE, *column]) for column in columns))
+        recording._finish(bag, *columns)
         return recording
 
     def occupied(self) -> Integers:
@@ -194,27 +216,36 @@ class KeptMessages:
         return np.sort(self._times_ns)
 
     def _finish(
-        self, bag: BagReader, of: Integers, stamps_ns: Integers, sizes: Integers, headers: Integers
+        self,
+        bag: BagReader,
+        numbers: list[Integers],
+        stamps_ns: list[Integers],
+        all_sizes: list[Integers],
+        all_headers: list[Integers],
     ) -> None:
-        """Make arrays, and say what was not used."""
+        """Make arrays of what was read in parts, which are let go of; say what was not used."""
         topics = list(self._topics.values())
-        by_topic = np.argsort(of.astype(np.int16), kind="stable")  # in file order
+        of = _joined(numbers).astype(np.int16)
+        by_topic = np.argsort(of, kind="stable")  # in file order
         bounds = np.searchsorted(of[by_topic], np.arange(1, len(topics)))
-        split = np.split(stamps_ns[by_topic], bounds) if topics else []
+        ordered_ns = _joined(stamps_ns)[by_topic]
+        split = np.split(ordered_ns, bounds) if topics else []
         epoch_of = epochs(split)
         clock = timeline(split, epoch_of, bag.start_ns, bag.end_ns)
         self.duration_ns = clock.duration_ns
         if note := clock.note():
             self.notes.append(note)
         times_ns = np.empty(len(of), dtype=np.int64)
-        times_ns[by_topic] = clock.times_ns(stamps_ns[by_topic], np.concatenate([_NONE, *epoch_of]))
+        times_ns[by_topic] = clock.times_ns(ordered_ns, epoch_of)
         self._times_ns = times_ns
-        order = np.lexsort((times_ns, of))
+        del split, epoch_of, ordered_ns
+        sizes, headers = _joined(all_sizes), _joined(all_headers)
         self._arrivals: dict[str, tuple[Integers, Arrivals]] = {}
-        for topic, rows in zip(topics, np.split(order, bounds) if topics else [], strict=True):
+        for topic, rows in zip(topics, np.split(by_topic, bounds) if topics else [], strict=True):
+            rows = rows[np.argsort(times_ns[rows], kind="stable")]
             own_ns, own_headers = times_ns[rows], headers[rows]
             if (own_headers == _NO_STAMP).any():
-                own_headers = own_headers[:0]
+                own_headers = _NONE.copy()
             self._arrivals[topic.name] = own_ns, Arrivals(
                 topic.msgtype, read_only(own_ns / 1e9), read_only(sizes[rows]),
                 read_only(own_headers),
@@ -233,7 +264,7 @@ class KeptMessages:
         past = tuple(each for each in intervals if each.start_s < span.end_s)
         arrivals = {name: self._within(name, span) for name in sorted(self._topics)}
         system = None if graph is None else nx.freeze(system_view(graph))
-        return Window(span.start_s, span.end_s, graph, system, past, arrivals)
+        return Window(span.start_s, span.end_s, graph, system, past, arrivals, roles=self._roles)
 
     def _within(self, topic: str, span: Span) -> Arrivals:
         times_ns, arrivals = self._arrivals[topic]
@@ -258,6 +289,13 @@ class KeptMessages:
                 return Missing(f"no message on {', '.join(requests[key])} in this window")
         history = _cut(requests, Span(0, span.end_ns), silent=True)
         return replace(common, topics=topics, history=history)
+
+
+def _joined(parts: list[Integers]) -> Integers:
+    """Return some arrays as one, and let go of them: of millions of messages, each copy counts."""
+    whole = np.concatenate([_NONE, *parts])
+    parts.clear()
+    return whole
 
 
 def _cut(

@@ -54,6 +54,7 @@ class KeptRows:
 
     def __init__(self, request: Request, budget: Budget) -> None:
         self.request = request
+        self.as_scan = False  # of a point cloud, what a planar scanner would have seen
         self.error = ""  # why there is nothing to be had from this topic
         self._budget = budget
         self._numbers: list[int] = []  # of the messages, in the whole recording

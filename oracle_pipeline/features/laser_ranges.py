@@ -19,6 +19,7 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
+from oracle_pipeline.robots.roles import SCAN
 
 NEAR = 5.0  # percentile over the scans that stands for the nearest return
 _VARIANCE = "variance of a scan's valid ranges, median over its scans, "
@@ -81,5 +82,5 @@ def _of_scanners(window: Window, column: int, percentile: float) -> list[float]:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of laser scans."""
-    topics = {"scans": Request(keep, msgtype="sensor_msgs/msg/LaserScan")}
+    topics = {"scans": Request(keep, role=SCAN)}
     return [FeaturePlugin("laser", "contextual", FEATURES, compute, topics)]

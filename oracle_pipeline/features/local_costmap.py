@@ -19,8 +19,7 @@ from oracle_pipeline.features.plugin import (
     hookimpl,
 )
 from oracle_pipeline.features.reduction import mean
-
-TOPIC = "/local_costmap/costmap"
+from oracle_pipeline.robots.roles import LOCAL_COSTMAP
 
 FEATURES = (
     Feature(
@@ -49,9 +48,9 @@ def changes(before: MapGrid, now: MapGrid) -> tuple[int, int]:
 
 def prepare(window: Window) -> tuple[Series, Series] | Missing:
     """Return the changes per second from one grid to the next: to lethal, and from it."""
-    times_s, grids = window.topics["grids"][TOPIC]
+    ((times_s, grids),) = window.topics["grids"].values()
     if len(times_s) < 2:
-        return Missing(f"fewer than two messages on {TOPIC}")
+        return Missing("fewer than two grids")
     counts = np.array([changes(*pair) for pair in pairwise(grids)])
     passed_s = np.diff(times_s)
     rates = np.full(counts.shape, np.nan)
@@ -71,7 +70,7 @@ def compute(window: Window) -> Values | Missing:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of the local costmap."""
-    grids = Request(keep_grid, TOPIC, "nav_msgs/msg/OccupancyGrid", dtype=object)
+    grids = Request(keep_grid, role=LOCAL_COSTMAP, dtype=object)
     return [
         FeaturePlugin(
             "local_costmap", "navigation", FEATURES, compute, {"grids": grids}, prepare=prepare

@@ -23,12 +23,10 @@ from oracle_pipeline.features.scan_geometry import (
     Motion,
     Planar,
     keep_odometry,
-    main_odometry,
     pose_of,
     stamp_s,
 )
-
-POSE_TOPIC = "/amcl_pose"
+from oracle_pipeline.robots.roles import ODOMETRY, POSE
 
 BELIEF_FEATURES = (
     Feature(
@@ -58,15 +56,16 @@ def keep_belief(message: Any) -> tuple[float, ...]:
 
 def compute_belief(window: Window) -> Values:
     """Compute from the poses in the window."""
-    spread = np.sqrt(np.maximum(0.0, window.topics["poses"][POSE_TOPIC].values[:, 4:]))
+    (poses,) = window.topics["poses"].values()
+    spread = np.sqrt(np.maximum(0.0, poses.values[:, 4:]))
     position, yaw = np.median(spread, axis=0)
     return {"position_spread": float(position), "yaw_spread": float(yaw)}
 
 
 def prepare_corrections(window: Window) -> tuple[Series, Series]:
     """Return how far each pose is from the predicted one: distance [m] and yaw [rad]."""
-    poses = window.topics["poses"][POSE_TOPIC]
-    odometry = main_odometry(window.topics["odometry"])
+    (poses,) = window.topics["poses"].values()
+    (odometry,) = window.topics["odometry"].values()
     stamps_s, x, y, yaw, *_ = poses.values.T
     believed = Planar(x + 1j * y, np.exp(1j * yaw))
     driven = Motion(odometry, Frames({})).base(stamps_s)
@@ -91,10 +90,8 @@ def compute_corrections(window: Window) -> Values | Missing:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of localisation."""
-    poses = {
-        "poses": Request(keep_belief, POSE_TOPIC, "geometry_msgs/msg/PoseWithCovarianceStamped")
-    }
-    odometry = {"odometry": Request(keep_odometry, msgtype="nav_msgs/msg/Odometry", dtype=object)}
+    poses = {"poses": Request(keep_belief, role=POSE)}
+    odometry = {"odometry": Request(keep_odometry, role=ODOMETRY, dtype=object)}
     return [
         FeaturePlugin("belief", "navigation", BELIEF_FEATURES, compute_belief, poses),
         FeaturePlugin(

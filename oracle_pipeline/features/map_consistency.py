@@ -40,10 +40,9 @@ from oracle_pipeline.features.scan_geometry import (
     pose_of,
     scanner_setup,
     stamp_s,
+    the_topic,
 )
-
-MAP_TOPIC = "/map"
-POSE_TOPIC = "/amcl_pose"
+from oracle_pipeline.robots.roles import MAP, POSE
 
 FEATURES = (
     Feature(
@@ -154,11 +153,10 @@ class _Consistency:
 
 def prepare(window: Window) -> dict[str, _Consistency] | Missing:
     """Hold every scanner against the map, over the whole recording."""
-    grids = window.topics["map"].get(MAP_TOPIC)
-    poses = window.topics["poses"].get(POSE_TOPIC)
+    grids, poses = the_topic(window.topics["map"]), the_topic(window.topics["poses"])
     setup = scanner_setup(window.topics)
     if grids is None or poses is None:
-        return Missing(f"no message on {MAP_TOPIC if grids is None else POSE_TOPIC}")
+        return Missing("no map" if grids is None else "no pose of localisation")
     if setup.motion is None:
         return Missing("no odometry")
     world = Map.of(grids.values[-1])
@@ -219,10 +217,8 @@ def keep_believed(message: Any) -> tuple[float, float, float, float]:
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of scans and map."""
     topics = SETUP_TOPICS | {
-        "map": Request(
-            keep_grid, MAP_TOPIC, "nav_msgs/msg/OccupancyGrid", dtype=object, optional=True
-        ),
-        "poses": Request(keep_believed, POSE_TOPIC, optional=True),
+        "map": Request(keep_grid, role=MAP, dtype=object, optional=True),
+        "poses": Request(keep_believed, role=POSE, optional=True),
     }
     return [FeaturePlugin("map_consistency", "map", FEATURES, compute, topics, prepare=prepare)]
 

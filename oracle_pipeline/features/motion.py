@@ -24,6 +24,8 @@ from oracle_pipeline.features.scan_geometry import (
     stamp_s,
 )
 from oracle_pipeline.features.scan_matching import Steps, along_arc, steps
+from oracle_pipeline.robots import roles
+from oracle_pipeline.robots.roles import IMU, TRANSFORMS
 
 #: What a source measures, and how: kinds of tracks.
 POSE, TWIST, GYRO, ORIENTATION = "pose", "twist", "gyro", "orientation"
@@ -157,22 +159,16 @@ def keep_command(message: Any) -> tuple[float, float, float]:
     return twist.linear.x, twist.linear.y, twist.angular.z
 
 
-#: ROS gives the topic of transforms that move its name.
-TRANSFORMS = Request(keep_transforms, "/tf", "tf2_msgs/msg/TFMessage", dtype=object, optional=True)
+MOVING = Request(keep_transforms, role=TRANSFORMS, dtype=object, optional=True)
 MOTION_TOPICS = SETUP_TOPICS | {
     "scans": replace(SCANS, optional=True),
     "driven": Request(keep_driven, msgtype="nav_msgs/msg/Odometry", optional=True),
-    "inertial": Request(
-        keep_inertial, msgtype="sensor_msgs/msg/Imu", every_s=_SAMPLED_S, optional=True
-    ),
-    "inertial_frames": Request(
-        keep_frame, msgtype="sensor_msgs/msg/Imu", every_s=1e4, dtype=object, optional=True
-    ),
+    "inertial": Request(keep_inertial, role=IMU, every_s=_SAMPLED_S, optional=True),
+    "inertial_frames": Request(keep_frame, role=IMU, every_s=1e4, dtype=object, optional=True),
     "joints": Request(
-        keep_joints, msgtype="sensor_msgs/msg/JointState", dtype=object, every_s=_SAMPLED_S,
-        optional=True,
+        keep_joints, role=roles.JOINTS, dtype=object, every_s=_SAMPLED_S, optional=True
     ),
-    "transforms": TRANSFORMS,
+    "transforms": MOVING,
     "commands": Request(keep_command, msgtype="geometry_msgs/msg/Twist*", optional=True),
 }  # fmt: skip
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.features import goals, odometry
-from oracle_pipeline.features.goals import LOG_TOPIC, PLAN_TOPIC, STATUS_TOPIC, Goal
+from oracle_pipeline.features.goals import GOAL_TOPICS, PLANS, Goal
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -25,7 +25,8 @@ from oracle_pipeline.features.plugin import (
     hookimpl,
 )
 from oracle_pipeline.features.reduction import mean, quantile, within
-from oracle_pipeline.features.scan_geometry import Floats, Ints, Points, main_odometry
+from oracle_pipeline.features.scan_geometry import Floats, Ints, Points, the_topic
+from oracle_pipeline.robots.roles import BEHAVIOR_TREE, ODOMETRY
 
 RECOVERY_FEATURES = (
     Feature(
@@ -108,7 +109,7 @@ def keep_begun(message: Any) -> tuple[int, int]:
 def compute_recoveries(window: Window) -> Values | Missing:
     """Count over the window; a silent tree began nothing."""
     if not window.history["log"]:
-        return Missing(f"{LOG_TOPIC} is not recorded")
+        return Missing("no behaviour tree's log is recorded")
     begun = sum(series.values.sum(axis=0) for series in window.topics["log"].values())
     recoveries, clearings = np.broadcast_to(begun, 2) * 60.0 / (window.end_s - window.start_s)
     return {"recoveries": float(recoveries), "costmap_clearings": float(clearings)}
@@ -119,7 +120,7 @@ def prepare_plans(window: Window) -> _Plans | Missing:
     accepted = _accepted(window)
     if isinstance(accepted, Missing):
         return accepted
-    times_s, lengths_m = window.topics["plan"][PLAN_TOPIC]
+    ((times_s, lengths_m),) = window.topics["plan"].values()
     goal = goal_at(accepted, times_s)
     same = (goal[1:] == goal[:-1]) & (goal[1:] >= 0) & (np.diff(times_s) > 0.0)
     after_s, change_m = times_s[1:][same], np.diff(lengths_m)[same]
@@ -149,9 +150,9 @@ def prepare_drive(window: Window) -> _Drive | Missing:
     accepted = _accepted(window)
     if isinstance(accepted, Missing):
         return accepted
-    driven = main_odometry(window.topics["odometry"])
+    (driven,) = window.topics["odometry"].values()
     return _Drive(
-        _efficiency(accepted, window.topics["plan"].get(PLAN_TOPIC), driven),
+        _efficiency(accepted, the_topic(window.topics["plan"]), driven),
         stalls(accepted, driven),
     )
 
@@ -199,24 +200,19 @@ def longest(flags: NDArray[np.bool_]) -> int:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of navigation."""
-    goal_topics = {
-        "status": Request(goals.keep_status, STATUS_TOPIC, dtype=object, optional=True),
-        "log": Request(goals.keep_log, LOG_TOPIC, dtype=object, optional=True),
-    }
-    begun = {"log": Request(keep_begun, LOG_TOPIC, optional=True)}
-    plan = Request(goals.keep_plan, PLAN_TOPIC)
+    begun = {"log": Request(keep_begun, role=BEHAVIOR_TREE, optional=True)}
     driven = {
-        "plan": replace(plan, optional=True),
-        "odometry": Request(odometry.keep, msgtype="nav_msgs/msg/Odometry"),
+        "plan": replace(PLANS, optional=True),
+        "odometry": Request(odometry.keep, role=ODOMETRY),
     }
     return [
         FeaturePlugin("recoveries", "navigation", RECOVERY_FEATURES, compute_recoveries, begun),
         FeaturePlugin(
-            "plans", "navigation", PLAN_FEATURES, compute_plans, goal_topics | {"plan": plan},
+            "plans", "navigation", PLAN_FEATURES, compute_plans, GOAL_TOPICS | {"plan": PLANS},
             prepare=prepare_plans,
         ),
         FeaturePlugin(
-            "drive", "navigation", DRIVE_FEATURES, compute_drive, goal_topics | driven,
+            "drive", "navigation", DRIVE_FEATURES, compute_drive, GOAL_TOPICS | driven,
             prepare=prepare_drive,
         ),
     ]  # fmt: skip
@@ -229,7 +225,7 @@ def _accepted(window: Window) -> list[Goal] | Missing:
 
 def _efficiency(accepted: Sequence[Goal], plans: Series | None, driven: Series) -> float | Missing:
     if plans is None:
-        return Missing(f"no message on {PLAN_TOPIC}")
+        return Missing("no plan")
     planned_m = driven_m = 0.0
     places = driven.values[:, 0] + 1j * driven.values[:, 1]
     for goal in accepted:

@@ -17,7 +17,8 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.scan_geometry import main_odometry, pose_of
+from oracle_pipeline.features.scan_geometry import pose_of
+from oracle_pipeline.robots.roles import ODOMETRY
 
 FEATURES = (
     Feature(
@@ -48,8 +49,9 @@ def keep(message: Any) -> tuple[float, float, float, float]:
 
 
 def compute(window: Window) -> Values | Missing:
-    """Compute from ``/odom``, or from the first odometry topic by name if there is no such."""
-    x, y, yaw, rate = main_odometry(window.topics["odometry"]).values.T
+    """Compute from the robot's odometry."""
+    (series,) = window.topics["odometry"].values()
+    x, y, yaw, rate = series.values.T
     turning = float(np.abs(np.angle(np.exp(1j * np.diff(yaw)))).sum())
     path_m = float(np.hypot(np.diff(x), np.diff(y)).sum())
     still = Missing(f"the robot moved less than {_SHORTEST_PATH_M} m")
@@ -65,5 +67,5 @@ def compute(window: Window) -> Values | Missing:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of odometry."""
-    topics = {"odometry": Request(keep, msgtype="nav_msgs/msg/Odometry")}
+    topics = {"odometry": Request(keep, role=ODOMETRY)}
     return [FeaturePlugin("odometry", "contextual", FEATURES, compute, topics)]

@@ -20,6 +20,7 @@ from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.reader import Topic
 from oracle_pipeline.features.message_layout import MessageLayout
 from oracle_pipeline.graphs.intervals import Interval
+from oracle_pipeline.robots.roles import ROLES, Roles
 
 PROJECT = "oracle_pipeline"  # the entry-point group that other distributions use
 
@@ -73,7 +74,12 @@ class Request:
         shape each time; with ``dtype=object`` anything; None leaves the message out. Called once
         a message, even if several plugins ask with the same ``Request``.
     name, msgtype : str
-        Globs over topic names and message types; a topic must match both.
+        Globs over topic names and message types; a topic must match both. A robot's topics are
+        named without its namespace.
+    role : str
+        Only topics of this role, one of ``oracle_pipeline.robots.roles.ROLES``: those that a robot
+        has for it, whatever their names are. A point cloud in the role ``scan`` is shown as the
+        ``LaserScan`` that is cut out of it.
     dtype : dtype
         Of the array that the kept values become.
     optional : bool
@@ -90,22 +96,32 @@ class Request:
     keep: Callable[[Any], Any]
     name: str = "*"
     msgtype: str = "*"
+    role: str = ""
     dtype: DTypeLike = np.float64
     optional: bool = False
     raw: bool = False
     every_s: float = 0.0
     needs_array: bool = False
 
-    def matches(self, topic: Topic, layout: MessageLayout) -> bool:
-        """Return whether this requests a topic of a bag."""
+    def __post_init__(self) -> None:
+        if self.role and self.role not in ROLES:
+            raise PluginError(
+                f"A request has the role {self.role!r}, which does not exist; there are "
+                f"{', '.join(ROLES)}."
+            )
+
+    def matches(self, topic: Topic, layout: MessageLayout, roles: Roles) -> bool:
+        """Return whether this requests a topic of a robot."""
         return (
-            fnmatchcase(topic.name, self.name)
+            (not self.role or roles.has(self.role, topic.name))
+            and fnmatchcase(topic.name, self.name)
             and fnmatchcase(topic.msgtype, self.msgtype)
             and (layout.has_array or not self.needs_array)
         )
 
     def __str__(self) -> str:
-        return " of type ".join(part for part in (self.name, self.msgtype) if part != "*")
+        described = " of type ".join(part for part in (self.name, self.msgtype) if part != "*")
+        return f"for the role {self.role} {described}".rstrip() if self.role else described
 
 
 class RawRecord(NamedTuple):
@@ -164,6 +180,8 @@ class Window:
         The same from the start of the recording to the end of the span, silent topics included.
     prepared
         What the plugin's ``prepare`` made of the whole recording; None if it has none.
+    roles : Roles
+        What the robot's topics are for.
     """
 
     start_s: float
@@ -175,6 +193,7 @@ class Window:
     topics: Mapping[str, Mapping[str, Series]] = field(default_factory=dict)
     history: Mapping[str, Mapping[str, Series]] = field(default_factory=dict)
     prepared: Any = None
+    roles: Roles = field(default_factory=Roles)
 
 
 Values: TypeAlias = Mapping[str, "float | Located | Missing"]

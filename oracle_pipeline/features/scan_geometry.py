@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.plugin import Request, Series
+from oracle_pipeline.robots.roles import ODOMETRY, SCAN, STATIC_TRANSFORMS
 
 Floats: TypeAlias = NDArray[np.float64]
 Bools: TypeAlias = NDArray[np.bool_]
@@ -222,7 +223,7 @@ class SensorMount(NamedTuple):
 
 
 class Frames:
-    """The tree of frames that ``/tf_static`` describes."""
+    """The tree of frames that static transforms describe."""
 
     def __init__(self, topics: Mapping[str, Series]) -> None:
         self._joints: dict[str, tuple[str, Floats]] = {
@@ -299,8 +300,7 @@ def scanner_setup(topics: Mapping[str, Mapping[str, Series]]) -> ScannerSetup:
     frames = Frames(topics["frames"])
     scanners = {topic: Scans.of(series) for topic, series in topics["scans"].items()}
     mounts = {topic: frames.mount(scans.frame) for topic, scans in scanners.items()}
-    odometry = topics["odometry"]
-    moved = main_odometry(odometry) if odometry else None
+    moved = the_topic(topics["odometry"])
     return ScannerSetup(
         scanners,
         {
@@ -313,9 +313,9 @@ def scanner_setup(topics: Mapping[str, Mapping[str, Series]]) -> ScannerSetup:
     )
 
 
-def main_odometry(topics: Mapping[str, Series]) -> Series:
-    """Return ``/odom``, or else the first odometry topic by name."""
-    return topics["/odom" if "/odom" in topics else min(topics)]
+def the_topic(topics: Mapping[str, Series]) -> Series | None:
+    """Return the messages of a role that a robot has one topic of; None if it has none."""
+    return next(iter(topics.values()), None)
 
 
 def stamp_s(message: Any) -> float:
@@ -367,13 +367,11 @@ def _matrix(transform: Any) -> Floats:
     return matrix
 
 
-SCANS = Request(keep_scan, msgtype="sensor_msgs/msg/LaserScan", dtype=object)
+SCANS = Request(keep_scan, role=SCAN, dtype=object)
 SETUP_TOPICS = {
     "scans": SCANS,
-    "odometry": Request(
-        keep_odometry, msgtype="nav_msgs/msg/Odometry", dtype=object, optional=True
-    ),
-    "frames": Request(keep_frames, "/tf_static", dtype=object, optional=True),
+    "odometry": Request(keep_odometry, role=ODOMETRY, dtype=object, optional=True),
+    "frames": Request(keep_frames, role=STATIC_TRANSFORMS, dtype=object, optional=True),
 }
 
 

@@ -22,6 +22,7 @@ from oracle_pipeline.features.plugin import (
 )
 from oracle_pipeline.features.reduction import largest
 from oracle_pipeline.features.scan_geometry import Floats
+from oracle_pipeline.robots.roles import SCAN
 
 SENSORS = {
     "scan": "sensor_msgs/msg/LaserScan",
@@ -66,7 +67,7 @@ def compute(window: Window) -> Values | Missing:
     held = {
         topic: _held_s(each)
         for topic, each in window.arrivals.items()
-        if each.msgtype in SENSORS.values() and len(each.header_stamps_ns) >= _FEWEST
+        if _sensor(topic, window) and len(each.header_stamps_ns) >= _FEWEST
     }
     if not held:
         return Missing("no sensor's messages with stamps")
@@ -75,7 +76,7 @@ def compute(window: Window) -> Values | Missing:
     jitter = {t: float(np.median(np.abs(each - usual[t]))) for t, each in held.items()}
     values: dict[str, float | Located | Missing] = {}
     for name, msgtype in SENSORS.items():
-        topics = [topic for topic in held if window.arrivals[topic].msgtype == msgtype]
+        topics = [topic for topic in held if _sensor(topic, window) == name]
         none = f"no {msgtype} with stamps"
         values[f"{name}_latency"] = largest({t: usual[t] for t in topics}, none)
         values[f"{name}_jitter"] = largest({t: jitter[t] for t in topics}, none)
@@ -92,6 +93,14 @@ def compute(window: Window) -> Values | Missing:
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of stamps."""
     return [FeaturePlugin("stamps", "stamps", FEATURES, compute)]
+
+
+def _sensor(topic: str, window: Window) -> str:
+    """Return what sensor a topic is of; empty if of none."""
+    if window.roles.has(SCAN, topic):
+        return "scan"
+    msgtype = window.arrivals[topic].msgtype
+    return next((name for name, each in SENSORS.items() if each == msgtype), "")
 
 
 def _over_the_freshest(

@@ -23,6 +23,7 @@ from oracle_pipeline.features.plugin import (
     hookimpl,
 )
 from oracle_pipeline.graphs.views import thesis_view
+from oracle_pipeline.robots.roles import ODOMETRY, SCAN
 
 
 def _of_run(name: str, unit: str, floor: float, description: str, **more: Any) -> Feature:
@@ -98,7 +99,7 @@ def range_variance(message: Any) -> float:
 
 
 def compute_contextual(window: Window) -> Values | Missing:
-    """Compute from ``/odom`` and every topic with "scan" in its name."""
+    """Compute from the robot's odometry and scans; the thesis names topics instead."""
     duration_ns = round((window.end_s - window.start_s) * 1e9) - 1  # the end is exclusive
     if duration_ns == 0:
         return Missing("the bag has no two messages")
@@ -107,10 +108,10 @@ def compute_contextual(window: Window) -> Values | Missing:
         for name in ("odometry", "scans")
     )
     return {
-        "yaw_variance": float(np.var(yaws)) if yaws.size else Missing("no message on /odom"),
+        "yaw_variance": float(np.var(yaws)) if yaws.size else Missing("no odometry"),
         "range_variance": _nan_to_zero(np.mean(variances))
         if variances.size
-        else Missing('no message on a topic with "scan" in its name'),
+        else Missing("no scans"),
         "duration_ns": float(duration_ns),
     }
 
@@ -119,8 +120,8 @@ def compute_contextual(window: Window) -> Values | Missing:
 def register_features() -> list[FeaturePlugin]:
     """Offer the thesis's ten features."""
     topics = {
-        "odometry": Request(wrapped_yaw, "/odom", optional=True),
-        "scans": Request(range_variance, "*scan*", optional=True),
+        "odometry": Request(wrapped_yaw, role=ODOMETRY, optional=True),
+        "scans": Request(range_variance, role=SCAN, optional=True),
     }
     return [
         FeaturePlugin(

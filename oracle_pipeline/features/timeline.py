@@ -34,16 +34,26 @@ class Timeline:
         """From the start to a nanosecond after the end, jumps left out."""
         return sum(self._lengths())
 
-    def times_ns(self, stamps_ns: Stamps, epochs: Stamps) -> Stamps:
-        """Return when messages came, since the start of the recording [ns]."""
+    def times_ns(self, stamps_ns: Stamps, epochs_of: list[Stamps]) -> Stamps:
+        """Return when messages came, since the start of the recording [ns].
+
+        Parameters
+        ----------
+        stamps_ns : ndarray of shape (n,)
+            Topic by topic.
+        epochs_of : list of ndarray
+            Of each topic.
+        """
         times_ns = stamps_ns - self.starts_ns[0]
+        if len(self.starts_ns) == 1:
+            return times_ns
+        epochs = np.concatenate(epochs_of)
         offset_ns = 0
         for epoch, start_ns, end_ns, length_ns in zip(
             self.epochs, self.starts_ns, self.ends_ns, self._lengths(), strict=True
         ):
-            if len(self.starts_ns) > 1:
-                inside = (epochs == epoch) & (stamps_ns >= start_ns) & (stamps_ns <= end_ns)
-                times_ns[inside] = stamps_ns[inside] - start_ns + offset_ns
+            inside = (epochs == epoch) & (stamps_ns >= start_ns) & (stamps_ns <= end_ns)
+            times_ns[inside] = stamps_ns[inside] - start_ns + offset_ns
             offset_ns += length_ns
         return times_ns
 
@@ -74,20 +84,23 @@ def timeline(stamps_ns: list[Stamps], epochs: list[Stamps], start_ns: int, end_n
     start_ns, end_ns : int
         Stamps of the first and the last message, other topics' included.
     """
-    of = np.concatenate([np.zeros(0, dtype=np.int64), *epochs])
-    held = np.concatenate([np.zeros(0, dtype=np.int64), *stamps_ns])
-    last = int(of.max(initial=0))
-    if not last:  # a clock that was set back says nothing of what is first and last
-        of, held = np.zeros(len(of) + 2, dtype=np.int64), np.append(held, [start_ns, end_ns])
+    last = max((int(of.max(initial=0)) for of in epochs), default=0)
+    # A clock that was set back says nothing of what is first and last.
+    ends_ns = np.array([] if last else [start_ns, end_ns], dtype=np.int64)
     spans: list[tuple[int, int, int]] = []
     for epoch in range(last + 1):
-        ordered = np.unique(held[of == epoch])
+        own = [
+            stamps[of == epoch] if last else stamps
+            for stamps, of in zip(stamps_ns, epochs, strict=True)
+        ]
+        ordered = np.concatenate([ends_ns, *own])
         if not ordered.size:
             continue
+        ordered.sort()
         silences = np.diff(ordered)
         longest_ns = _JUMP_NS
         if silences.size and silences.max() > _JUMP_NS:
-            longest_ns = max(_JUMP_NS, _SPARSE * int(np.median(silences)))
+            longest_ns = max(_JUMP_NS, _SPARSE * int(np.median(silences[silences > 0])))
         cuts = np.flatnonzero(silences > longest_ns)
         starts, ends = ordered[[0, *(cuts + 1)]].tolist(), ordered[[*cuts, -1]].tolist()
         spans += [(epoch, start, end) for start, end in zip(starts, ends, strict=True)]
@@ -108,7 +121,7 @@ def epochs(stamps_ns: list[Stamps]) -> list[Stamps]:
     often = [int(steps.sum()) for steps in back if len(steps) >= _FEWEST]
     jumps = int(np.median(often)) if often else 0
     if not jumps or often.count(jumps) * 2 < len(often):
-        return [np.zeros(len(stamps), dtype=np.int64) for stamps in stamps_ns]
+        return [np.broadcast_to(np.int64(0), len(stamps)) for stamps in stamps_ns]
     counted: list[Stamps] = [np.cumsum(steps, dtype=np.int64) for steps in back]
     spans = _spans(stamps_ns, counted, jumps)
     return [

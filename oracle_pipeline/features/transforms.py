@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from oracle_pipeline.features.motion import TRANSFORMS, Edge, edges
+from oracle_pipeline.features.motion import MOVING, Edge, edges
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -23,10 +23,10 @@ from oracle_pipeline.features.plugin import (
 )
 from oracle_pipeline.features.reduction import largest, quantile
 from oracle_pipeline.features.scan_geometry import (
-    SETUP_TOPICS,
     Floats,
     Planar,
     frame,
+    keep_odometry,
     nearest,
     pose_of,
     stamp_s,
@@ -133,12 +133,14 @@ def compute(window: Window) -> Values | Missing:
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of what is told as message and as transform."""
     topics = {
-        "odometry": SETUP_TOPICS["odometry"],
+        "odometry": Request(
+            keep_odometry, msgtype="nav_msgs/msg/Odometry", dtype=object, optional=True
+        ),
         "poses": Request(
             keep_pose, msgtype="geometry_msgs/msg/PoseWithCovarianceStamped", dtype=object,
             optional=True,
         ),
-        "transforms": TRANSFORMS,
+        "transforms": MOVING,
     }  # fmt: skip
     return [FeaturePlugin("transforms", "transforms", FEATURES, compute, topics, prepare=prepare)]
 

@@ -1,8 +1,8 @@
 """Velocity commands, and how much of them the collision monitor let pass.
 
-Nav2's collision monitor takes ``/cmd_vel_raw`` (Humble) or ``/cmd_vel_smoothed`` (since Iron) and
-answers each command on ``/cmd_vel``. After the robot has stood still for a while, it stops
-answering.
+Nav2's collision monitor takes the requested command (``/cmd_vel_raw`` in Humble,
+``/cmd_vel_smoothed`` since Iron) and answers each on ``/cmd_vel``. After the robot has stood still
+for a while, it stops answering.
 """
 
 from typing import Any
@@ -21,9 +21,7 @@ from oracle_pipeline.features.plugin import (
     hookimpl,
 )
 from oracle_pipeline.features.reduction import mean
-
-COMMAND_TOPIC = "/cmd_vel"
-MONITORED_TOPICS = ("/cmd_vel_raw", "/cmd_vel_smoothed")
+from oracle_pipeline.robots.roles import COMMAND, REQUESTED_COMMAND
 
 MONITOR_FEATURES = (
     Feature(
@@ -67,14 +65,11 @@ def keep(message: Any) -> tuple[float, float]:
     return twist.linear.x, twist.angular.z
 
 
-def prepare_monitor(window: Window) -> Series | Missing:
+def prepare_monitor(window: Window) -> Series:
     """Return the share of each command to move that the wheels got."""
-    monitored = window.topics["monitored"]
-    topic = next((name for name in MONITORED_TOPICS if name in monitored), None)
-    if topic is None:
-        return Missing(f"no message on {' or '.join(MONITORED_TOPICS)}")
-    commands = monitored[topic]
-    return passed(commands, window.topics["commands"][COMMAND_TOPIC])
+    (requested,) = window.topics["requested"].values()
+    (commands,) = window.topics["commands"].values()
+    return passed(requested, commands)
 
 
 def compute_monitor(window: Window) -> Values | Missing:
@@ -101,7 +96,7 @@ def passed(asked: Series, answers: Series) -> Series:
 
 def compute_commands(window: Window) -> Values | Missing:
     """Compute from the commands in the window."""
-    times_s, commands = window.topics["commands"][COMMAND_TOPIC]
+    ((times_s, commands),) = window.topics["commands"].values()
     if len(times_s) < 3:
         return Missing("fewer than three commands")
     interval_s = float(np.median(np.diff(times_s)))
@@ -125,14 +120,12 @@ def reversals(turn: NDArray[np.float64]) -> int:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of velocity commands."""
-    commands = {"commands": Request(keep, COMMAND_TOPIC, "geometry_msgs/msg/Twist*")}
-    monitored = {
-        "monitored": Request(keep, "/cmd_vel_*", "geometry_msgs/msg/Twist*", optional=True)
-    }
+    commands = {"commands": Request(keep, role=COMMAND)}
+    requested = {"requested": Request(keep, role=REQUESTED_COMMAND)}
     return [
         FeaturePlugin(
             "collision_monitor", "navigation", MONITOR_FEATURES, compute_monitor,
-            commands | monitored, prepare=prepare_monitor,
+            commands | requested, prepare=prepare_monitor,
         ),
         FeaturePlugin("commands", "navigation", COMMAND_FEATURES, compute_commands, commands),
     ]  # fmt: skip

@@ -51,11 +51,16 @@ class _MemoryBag(BagReader):
         channels = [Channel(t.name, t.msgtype, "cdr", "", "", "", "") for t in self.topics.values()]
         self._types = BagTypes(self.path, channels, {})
         self._messages = messages
+        self._shown = {name: name for name in self.topics}
 
     def batches(self, topics: Collection[str] | None = None) -> Iterator[Messages]:
         """Yield all messages of some topics at once."""
         numbers = {name: number for number, name in enumerate(self.topics)}
-        wanted = [m for m in self._messages if topics is None or m.topic in topics]
+        wanted = [
+            m._replace(topic=shown)
+            for m in self._messages
+            if (shown := self._shown.get(m.topic)) and (topics is None or shown in topics)
+        ]
         sizes = np.array([len(message.data) for message in wanted], dtype=np.int64)
         yield Messages(
             b"".join(message.data for message in wanted),

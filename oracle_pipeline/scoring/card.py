@@ -9,6 +9,7 @@ ZIP notice damage.
 import io
 import json
 import zipfile
+import zlib
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -44,6 +45,7 @@ _OF_WINDOWS = pa.schema(
     ]
 )
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same card gives the same bytes
+_DAMAGE = (zipfile.BadZipFile, zlib.error, RuntimeError)  # what a damaged ZIP raises
 _LARGEST = 1 << 30  # bytes of one member; a card of 840 runs has 40 MB
 
 
@@ -109,7 +111,14 @@ class ReferenceCard:
             raise CardError(
                 f"There is no reference card {path}; make one with `oracle learn`."
             ) from error
-        except (zipfile.BadZipFile, KeyError, ValueError, OSError) as error:
+        except (
+            zipfile.BadZipFile,
+            zlib.error,
+            KeyError,
+            ValueError,
+            RuntimeError,
+            OSError,
+        ) as error:
             raise CardError(
                 f"{path} is no reference card, or is damaged ({error}); make it again with "
                 "`oracle learn`."
@@ -160,7 +169,9 @@ def _member(archive: zipfile.ZipFile, name: str) -> bytes:
 
 def _parquet(rows: list[dict[str, Any]], schema: pa.Schema | None = None) -> bytes:
     sink = io.BytesIO()
-    pq.write_table(pa.Table.from_pylist(rows, schema), sink, compression="zstd")
+    pq.write_table(
+        pa.Table.from_pylist(rows, schema), sink, compression="zstd", use_dictionary=False
+    )
     return sink.getvalue()
 
 
@@ -215,7 +226,8 @@ def _state(model: Pipeline) -> dict[str, Any]:
         "center": scaler.center_,
         "scale": scaler.scale_,
         "location": detector.location_,
-        "precision": precision[np.triu_indices(len(precision))],  # symmetric
+        # Symmetric, and of so many digits.
+        "precision": precision[np.triu_indices(len(precision))].astype(np.float32),
     }
 
 

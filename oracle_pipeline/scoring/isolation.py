@@ -9,7 +9,7 @@ import os
 import resource
 import signal
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext
@@ -21,6 +21,8 @@ from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.features import FeatureManager, FeatureTables, build_manager, extract
 from oracle_pipeline.features.manager import FOLDER_VARIABLE
 from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.robots.robot import find_robots, of_robot
+from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.contract import Observation
 
 T = TypeVar("T")
@@ -40,16 +42,22 @@ DEFAULT_LIMITS = Limits()
 
 
 class Extracted(NamedTuple):
-    """What the other process found."""
+    """What the other process found of one robot."""
 
+    recording: str  # its path, and which robot if there are several
     tables: FeatureTables
     observation: Observation
     has_manifest: bool
 
 
 def extract_apart(
-    path: Path, manager: FeatureManager, limits: Limits = DEFAULT_LIMITS, *, strict: bool = False
-) -> Extracted:
+    path: Path,
+    manager: FeatureManager,
+    limits: Limits = DEFAULT_LIMITS,
+    *,
+    strict: bool = False,
+    choices: RoleChoices | None = None,
+) -> list[Extracted]:
     """Compute the features of a recording in another process.
 
     Parameters
@@ -62,24 +70,37 @@ def extract_apart(
         Of that process.
     strict : bool
         Refuse an incomplete recording.
+    choices : RoleChoices, optional
+        What a roles file says of robots and topics.
 
     Returns
     -------
-    Extracted
-        The features, what the recording shows, and whether it has a manifest.
+    list of Extracted
+        Of each robot the features, what the recording shows, and whether it has a manifest.
 
     Raises
     ------
     OracleError
         If the recording cannot be read, or its process died or went beyond the limits.
     """
-    return apart(partial(_extracted, plugins=manager.folder, strict=strict), path, limits)
+    work = partial(_extracted, plugins=manager.folder, strict=strict, choices=choices)
+    return apart(work, path, limits)
 
 
-def _extracted(path: Path, plugins: Path | None, *, strict: bool) -> Extracted:
+def _extracted(
+    path: Path, plugins: Path | None, *, strict: bool, choices: RoleChoices | None
+) -> list[Extracted]:
     with open_run(path, strict=strict) as run:
-        tables = extract(run, build_manager(plugins))
-        return Extracted(tables, Observation.of(run), run.manifest is not None)
+        manager = build_manager(plugins)
+        return [
+            Extracted(
+                of_robot(str(path), robot.name),
+                extract(run, manager, robot),
+                Observation.of(replace(run, bag=robot.bag)),
+                run.manifest is not None,
+            )
+            for robot in find_robots(run.bag, choices)
+        ]
 
 
 def apart(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT_LIMITS) -> T:

@@ -17,6 +17,7 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import progress_bar
 from oracle_pipeline.detectors import by_family, explain
 from oracle_pipeline.features import FeatureManager, FeatureTables
+from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.alarms import RATE_PER_H, Alarm, AlarmWatch
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.comparable import same_recording, shared_features
@@ -24,7 +25,7 @@ from oracle_pipeline.scoring.conformal import adjusted_for_suite, runs_needed
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.evidence import farthest_features
-from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS, Limits, extract_apart
+from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS, Extracted, Limits, extract_apart
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.verdict import AspectScore, ScoringError, Verdict
 from oracle_pipeline.windows import WINDOW_S
@@ -49,12 +50,13 @@ def score(
     limits: Limits = DEFAULT_LIMITS,
     *,
     strict: bool = False,
+    choices: RoleChoices | None = None,
 ) -> list[Verdict]:
     """Judge recordings by comparison with normal runs.
 
     Several recordings are a suite: `far` is then the share of normal runs among those called
     anomalous (Benjamini-Hochberg). A recording that cannot be judged gets a verdict with the
-    reason, and the others are still judged.
+    reason, and the others are still judged. Each robot of a recording gets a verdict of its own.
 
     Parameters
     ----------
@@ -69,10 +71,13 @@ def score(
         Of the process that computes the features of one recording.
     strict : bool
         Do not judge an incomplete recording.
+    choices : RoleChoices, optional
+        What a roles file says of robots and topics.
     """
     verdicts = [
-        _score_one(path, reference, manager, limits, strict=strict)
+        verdict
         for path in progress_bar(recordings, unit="recording")
+        for verdict in _of_robots(path, reference, manager, limits, strict=strict, choices=choices)
     ]
     return settled(verdicts, far)
 
@@ -130,15 +135,30 @@ def _unsupported(blocks: int, size: int, far: float) -> str:
     return alone + (" Or judge one recording at a time." if size > 1 else "")
 
 
-def _score_one(
-    path: Path, reference: CardSource, manager: FeatureManager, limits: Limits, *, strict: bool
-) -> Verdict:
+def _of_robots(
+    path: Path,
+    reference: CardSource,
+    manager: FeatureManager,
+    limits: Limits,
+    *,
+    strict: bool,
+    choices: RoleChoices | None,
+) -> list[Verdict]:
+    """Return the verdicts on the robots of a recording; one with the error if it has none."""
     try:
-        tables, seen, _ = extract_apart(path, manager, limits, strict=strict)
-        verdict = _scored(str(path), tables, reference.card_for(tables.run), seen)
+        robots = extract_apart(path, manager, limits, strict=strict, choices=choices)
+    except (OracleError, OSError) as error:
+        return [Verdict(str(path), "error", error=str(error))]
+    return [_of_robot(each, reference) for each in robots]
+
+
+def _of_robot(extracted: Extracted, reference: CardSource) -> Verdict:
+    recording, tables, seen, _ = extracted
+    try:
+        verdict = _scored(recording, tables, reference.card_for(tables.run), seen)
         return replace(verdict, notes=(*tables.notes, *verdict.notes))
     except (OracleError, OSError) as error:
-        return Verdict(str(path), "error", error=str(error))
+        return Verdict(recording, "error", error=str(error))
 
 
 def judge(

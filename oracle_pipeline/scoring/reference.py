@@ -14,6 +14,7 @@ from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
 from oracle_pipeline.bags.terminal import progress_bar
 from oracle_pipeline.datasets import KEYS, feature_dataset, read_table, window_dataset
 from oracle_pipeline.features import FeatureManager, FeatureTables
+from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.comparable import listed
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.isolation import extract_apart
@@ -44,7 +45,9 @@ class Reference:
     notes: tuple[str, ...] = ()
 
 
-def read_reference(paths: Sequence[Path], manager: FeatureManager) -> Reference:
+def read_reference(
+    paths: Sequence[Path], manager: FeatureManager, choices: RoleChoices | None = None
+) -> Reference:
     """Read the runs to compare with.
 
     Parameters
@@ -55,6 +58,8 @@ def read_reference(paths: Sequence[Path], manager: FeatureManager) -> Reference:
         label count as normal runs, each as a block of its own.
     manager : FeatureManager
         The plugins to compute with.
+    choices : RoleChoices, optional
+        What a roles file says of robots and topics.
 
     Raises
     ------
@@ -63,7 +68,7 @@ def read_reference(paths: Sequence[Path], manager: FeatureManager) -> Reference:
     """
     path = paths[0]
     if len(paths) > 1:
-        reference = _extracted(paths, manager)
+        reference = _extracted(paths, manager, choices)
     elif path.is_file() and not is_recording(path):
         windows = path.with_name(WINDOWS_FILE)
         known = windows.is_file() and windows != path
@@ -75,7 +80,7 @@ def read_reference(paths: Sequence[Path], manager: FeatureManager) -> Reference:
             window_dataset(read_table(table) for table in of_windows) if of_windows else None,
         )
     else:
-        reference = _extracted(paths, manager)
+        reference = _extracted(paths, manager, choices)
     absent = [key for key in KEYS if key not in reference.table.columns]
     if absent or reference.table["run_id"].duplicated().any():
         raise ScoringError(
@@ -85,22 +90,25 @@ def read_reference(paths: Sequence[Path], manager: FeatureManager) -> Reference:
     return reference
 
 
-def _extracted(paths: Sequence[Path], manager: FeatureManager) -> Reference:
+def _extracted(
+    paths: Sequence[Path], manager: FeatureManager, choices: RoleChoices | None
+) -> Reference:
     """Compute the features of recordings, and of all recordings below folders."""
     tables, windows, observations, notes, unlabelled = [], [], [], [], 0
     recordings = [recording for path in paths for recording in _recordings(path)]
     for path in progress_bar(recordings, unit="recording", desc="reference"):
         try:
-            both, observation, has_manifest = extract_apart(path, manager)
+            robots = extract_apart(path, manager, choices=choices)
         except (OracleError, OSError) as error:
             notes.append(f"{path} is left out of the reference: {error}")
-        else:
+            continue
+        unlabelled += not robots[0].has_manifest
+        for recording, both, observation, has_manifest in robots:
             notes += [f"{path}: {note}" for note in both.notes]
-            if not has_manifest:
-                unlabelled += 1
+            if not has_manifest:  # the robots of one recording are one block
                 both = FeatureTables(
                     *(
-                        table.assign(run_id=str(path), label="normal", block=-unlabelled)
+                        table.assign(run_id=recording, label="normal", block=-unlabelled)
                         for table in both
                     )
                 )

@@ -82,13 +82,13 @@ def grid(
     refresh: bool,
     **options: Any,
 ) -> None:
-    """Record a scenario at several strengths, to see which are detected.
+    """Record a scenario at several strengths (a kill matrix).
 
-    The result is a kill matrix, as in mutation testing: for each value of a parameter and each
-    block, whether the oracle detects the altered run (kills the mutant). oracle_evaluation computes
-    it, and the report shows it. Runs are recorded in closed loop, or with --on computed from
-    recorded ones. grid.json has the value of each run and how many messages were changed; if none,
-    the mutant is equivalent to the original.
+    As in mutation testing, a kill matrix shows for each value of a parameter and each block whether
+    the oracle detects the altered run (kills the mutant). oracle_evaluation computes it, and the
+    report shows it. Runs are recorded in closed loop, or with --on computed from recorded ones.
+    grid.json has the value of each run and how many messages were changed; if none, the mutant is
+    equivalent to the original.
 
     \b
     Examples:

@@ -12,7 +12,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.bags.integrity import hashes_of_files, require_undamaged
@@ -32,6 +32,22 @@ from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.offline import Summary, mutate_bag
 from sim.software import software
 from sim.testbed import Mode
+
+
+class Variant(Protocol):
+    """One run whose parameters are chosen, not drawn."""
+
+    @property
+    def run(self) -> int:
+        """Its number."""
+
+    @property
+    def block(self) -> int:
+        """The block whose start, goals and session it has."""
+
+    @property
+    def given(self) -> Mapping[str, Any]:
+        """The parameters that are not left to the block or the scenario."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +97,7 @@ class Job:
 
     mode: Mode
     root: Path
-    mutant: Mutant
+    mutant: Variant
 
     @property
     def directory(self) -> RunDirectory:
@@ -160,10 +176,11 @@ def write_index(grid: Grid) -> Path:
         changed).
     """
     rows = []
-    for job in grid.jobs():
-        if job.directory.is_complete():
-            changed = sum(change.messages for change in job.directory.manifest().changes)
-            rows.append(_row(job.directory, job.mutant, changed))
+    for mutant in grid.mutants:
+        directory = RunDirectory(grid.root, grid.mode.id, mutant.run)
+        if directory.is_complete():
+            changed = sum(change.messages for change in directory.manifest().changes)
+            rows.append(_row(directory, mutant, changed))
     grid.root.mkdir(parents=True, exist_ok=True)
     path = grid.root / GRID_INDEX
     path.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")

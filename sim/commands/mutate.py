@@ -21,6 +21,7 @@ from sim.commands.parameter_values import typed
 from sim.experiments import recipe_of
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.offline import mutate_bag
+from sim.fuzzing.retargeting import MAIN, retargeted
 from sim.fuzzing.scenario import Scenario
 from sim.modes import find_mode
 
@@ -46,6 +47,11 @@ from sim.modes import find_mode
     "-p", "--parameter", "words", multiple=True, metavar="NAME=VALUE",
     help="A parameter's value in place of its default; may be given more than once.",
 )  # fmt: skip
+@click.option(
+    "--topic", "topics", multiple=True, metavar="[NAME=]TOPIC",
+    help="Alter this topic, of the scenario's type, in place. With NAME: the topic of the "
+    "scenario's source NAME. May be given more than once.",
+)  # fmt: skip
 @allow_actuation_option
 def mutate(
     bag_in: Path,
@@ -55,19 +61,23 @@ def mutate(
     at_s: float | None,
     seed: int | None,
     words: tuple[str, ...],
+    topics: tuple[str, ...],
     allow_actuation: bool,
 ) -> None:
     """Apply a scenario to a recorded bag, without a simulator.
 
     BAG_IN is any rosbag2. BAG_OUT gets all of its topics, the scenario's output and its ground
-    truth. SCENARIO is the name of a built-in scenario or a file (FILE#NAME if it holds several);
-    with --like it is that of the recorded run.
+    truth; with --topic, that topic as the scenario alters it. SCENARIO is the name of a built-in
+    scenario or a file (FILE#NAME if it holds several); with --like it is that of the recorded run.
 
     \b
     Examples:
         oracle-sim mutate data/runs/lidar_passthrough/run000/bag noisy random_noise -p level=0.02
         oracle-sim mutate my_robot_bag spoofed my_scenario.yaml --at 12.5
         oracle-sim mutate my_robot_bag spoofed --like data/runs/fake_object/run000
+        oracle-sim mutate my_robot_bag noisy random_noise --topic /robot1/scan
+        oracle-sim mutate my_robot_bag fooled fake_object --at 9 \\
+            --topic /front/scan --topic odom=/wheel/odom
     """  # noqa: D301 -- click reads the control character
     with errors_told():
         attack = _Attack() if like is None else _Attack.of(like)
@@ -77,6 +87,7 @@ def mutate(
         if chosen is None:
             raise click.UsageError("Say what to apply: a SCENARIO, or --like RUN.")
         program = compile_scenario(chosen, allow_actuation=allow_actuation)
+        program = retargeted(program, _by_name(topics), allow_actuation=allow_actuation)
         known = {name: v for name, v in attack.parameters.items() if name in program.parameters}
         summary = mutate_bag(
             bag_in,
@@ -93,6 +104,12 @@ def mutate(
         f"{program.input_topic} heard, {summary.touched} touched, {summary.published} published "
         f"on {program.output_topic}"
     )
+
+
+def _by_name(words: Iterable[str]) -> dict[str, str]:
+    """Return topics by what the scenario hears them as."""
+    pairs = [word.rpartition("=") for word in words]
+    return {name or MAIN: topic for name, _, topic in pairs}
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,8 @@
 """A scenario over a recorded bag: what the node would have published, without a simulator.
 
 The mutant is the bag with the output topic added, or in place of the one that was recorded, and
-with the scenario's own ground truth. All other topics keep their messages, stamps and QoS.
+with the scenario's own ground truth. All other topics keep their messages, stamps and QoS. A
+scenario that is pointed at a topic (``retargeting``) alters it in place.
 """
 
 import dataclasses
@@ -240,7 +241,8 @@ def _check_topics(reader: BagReader, program: Program) -> None:
             same = [topic.name for topic in reader.topics.values() if topic.msgtype == msgtype]
             raise BagError(
                 f"{reader.path} has no topic {name}, which {program.scenario.id} hears; of type "
-                f"{msgtype} it has {', '.join(same) or 'none'}. Name one of these in the scenario."
+                f"{msgtype} it has {', '.join(same) or 'none'}. Name one of these with "
+                "--topic, or in the scenario."
             )
     spoken = {topic: kind.name for topic, kind in program.outlets.items()}
     for name, msgtype in {**needed, **spoken}.items():

@@ -72,6 +72,20 @@ def test_a_chunk_that_claims_too_much_is_refused(size, named, tmp_path):
 
 
 @pytest.mark.slow
+def test_many_tiny_messages_take_little_memory_each(tmp_path):
+    """A mebibyte for 8,700 of them: as many as fit into 200 MB take less than a gibibyte."""
+    many = 1_000_000
+    for name, count in (("few", 100), ("many", many)):
+        with BagWriter(tmp_path / name) as writer:
+            writer.add_topic("/tick", "std_msgs/msg/Int8", [])
+            for number in range(count):
+                writer.write("/tick", number * 10_000, b"\0\1\0\0\1")
+    (_, base), (said, peak) = (peak_mib(tmp_path / name) for name in ("few", "many"))
+    assert not said
+    assert peak - base < many * 120 / 2**20
+
+
+@pytest.mark.slow
 def test_small_files_that_unfold_stay_below_a_gibibyte(tmp_path):
     """A thousand chunks of zeros: 60 kB on disk, gigabytes of them."""
     path = tmp_path / "a.mcap"
@@ -96,7 +110,7 @@ def test_a_compressed_file_that_becomes_too_large_is_refused(tmp_path, monkeypat
     ("definition", "reason"),
     [
         ("Odd x\n", "contains itself"),
-        ("wstring x\n", "uses my_msgs/msg/wstring, which neither the bag nor we define"),
+        ("Nobody x\n", "uses my_msgs/msg/Nobody, which neither the bag nor we define"),
         (f"L0 x\n{NESTED}{LINE}MSG: my_msgs/L30\nint8 x\n", "MOST_FIELDS"),
         ("int8 x\n" * 100_000, "LARGEST_DEFINITION"),
         (f"Empty[] x\n{LINE}MSG: my_msgs/Empty\nint8 A=1\n", "which has no field"),

@@ -175,13 +175,13 @@ def test_times_of_goals_come_from_the_status_if_it_is_recorded(bag_of, messages)
     )
     assert values["duration"] == pytest.approx(6.0)
     assert values["goals_reached"] == pytest.approx(0.5)
-    assert values["time_per_planned_metre"] == "/plan is not recorded"
+    assert values["time_per_planned_metre"] == "no plan is recorded"
 
 
 def test_without_navigation_there_is_a_reason(bag_of, messages):
     values = of_run(bag_of([(0, "/scan", messages.scan(0, [1.0]))]))
-    assert "neither /navigate_to_pose/_action/status nor /behavior_tree_log" in values["duration"]
-    assert values["total_turning"] == "no topic nav_msgs/msg/Odometry is recorded"
+    assert "neither a goal's status nor a behaviour tree's log" in values["duration"]
+    assert values["total_turning"] == "no topic for the role odometry is recorded"
 
 
 def test_a_goal_under_way_counts_in_each_window(make_run):

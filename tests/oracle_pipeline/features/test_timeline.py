@@ -22,7 +22,9 @@ def clock_of(topics):
     of = epochs(topics)
     stamps = np.concatenate(topics)
     clock = timeline(topics, of, int(stamps.min()), int(stamps.max()))
-    return clock, [clock.times_ns(stamps, epoch) for stamps, epoch in zip(topics, of, strict=True)]
+    return clock, [
+        clock.times_ns(stamps, [epoch]) for stamps, epoch in zip(topics, of, strict=True)
+    ]
 
 
 def steady(start_s, seconds, rate):

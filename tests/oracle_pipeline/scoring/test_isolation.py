@@ -41,7 +41,9 @@ def manager_that(what, folder):
 
 
 def test_features_are_those_of_the_other_process(bag, tmp_path):
-    tables, seen, has_manifest = extract_apart(bag, manager_that("pass", tmp_path / "plugins"))
+    (found,) = extract_apart(bag, manager_that("pass", tmp_path / "plugins"))
+    recording, tables, seen, has_manifest = found
+    assert recording == str(bag)
     assert tables.run["odd.value"].tolist() == [1.0]
     assert not has_manifest
     assert set(seen.topics) == {"/chatter"}
@@ -62,5 +64,5 @@ def test_a_process_that_dies_is_an_error_with_its_reason(what, limits, reason, b
 
 def test_memory_is_limited(bag, tmp_path):
     manager = manager_that("held = bytearray(8 * 2**30)", tmp_path / "plugins")
-    tables, *_ = extract_apart(bag, manager, Limits(gibibytes=2.0))
+    ((_, tables, *_),) = extract_apart(bag, manager, Limits(gibibytes=2.0))
     assert "MemoryError" in tables.run["missing"].iloc[0]  # the plugin's own; the rest is computed

@@ -321,6 +321,28 @@ def test_a_folder_of_bags_is_a_reference_whose_recordings_count_as_normal(bags, 
     assert "with 4 normal runs of 4 blocks." in done.stdout
 
 
+def test_each_robot_of_a_recording_is_judged_by_the_card_of_another(bags, tmp_path):
+    for name in "abcdef":
+        write_bag(tmp_path / "good" / name, drive())
+    # One behaves as the normal ones do, the other spins.
+    both = [
+        (t, f"/{name}{topic}", message)
+        for name, recorded in (("usual", drive()), ("odd", spinning()))
+        for t, topic, message in recorded
+        if not topic.startswith("/_")
+    ]
+    write_bag(tmp_path / "both", sorted(both, key=lambda each: each[0]))
+    junit = tmp_path / "verdicts.xml"
+    options = ("--reference", tmp_path / "good", "--far", 0.4, "--junit", junit)
+    done = oracle_score(tmp_path / "both", *options, "--format", "json", expect=1)
+    found = {each["recording"]: each for each in json.loads(done.stdout)["recordings"]}
+    one, other = (found[f"{tmp_path / 'both'}#{name}"] for name in ("usual", "odd"))
+    assert (one["outcome"], other["outcome"]) == ("normal", "anomalous")
+    assert one["contract"] == other["contract"] == []
+    cases = list(ElementTree.parse(junit).getroot().iter("testcase"))  # noqa: S314 -- ours
+    assert len(cases) == 2
+
+
 def test_a_root_is_read_by_its_feature_tables(normal, bags, tmp_path):
     for row in range(6):
         write_table(normal.iloc[[row]], tmp_path / f"features/run/patrol/run{row:03d}.parquet")

@@ -108,6 +108,43 @@ def test_mutate_says_what_is_wrong_and_writes_nothing(words, expected, foreign_b
     assert not (tmp_path / "out").exists()
 
 
+def test_mutate_points_a_scenario_at_a_topic_and_alters_it_in_place(foreign_bag, tmp_path):
+    noisy, twice = tmp_path / "noisy", tmp_path / "twice"
+    words = ("-p", "level=0.5", "--at", 3.0)
+    done = run("mutate", foreign_bag, noisy, "random_noise", *words, "--topic", "/scan_tom")
+    assert "9 messages of /scan_tom heard, 6 touched, 9 published on /scan_tom" in done.output
+    with BagReader(foreign_bag) as before, BagReader(noisy) as after:
+        assert after.topics.keys() == before.topics.keys()
+        pairs = list(
+            zip(before.messages(["/scan_tom"]), after.messages(["/scan_tom"]), strict=True)
+        )
+    assert [b.data != a.data for b, a in pairs] == [False] * 3 + [True] * 6
+    run("mutate", noisy, twice, "delayed_passthrough", "--at", 3.0, "--topic", "/scan_tom",
+        "--topic", "odom=/reading", expect=1)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["random_noise", "--topic", "/none"], "has no topic /none, which random_noise hears"),
+        (["random_noise", "--topic", "/reading"], "random_noise needs sensor_msgs/msg/LaserScan"),
+        (["fake_object", "--topic", "gps=/fix"], "hears no gps; it hears main, odom"),
+        (["message_mutator", "--topic", "/cmd_vel"], "would alter /cmd_vel, which may move"),
+    ],
+)
+def test_mutate_says_which_topic_does_not_fit(words, expected, foreign_bag, tmp_path):
+    assert expected in run("mutate", foreign_bag, tmp_path / "out", *words, expect=1).output
+
+
+def test_what_a_scenario_does_not_see_yet_stays_as_it_was_recorded(foreign_bag, tmp_path):
+    file = tmp_path / "late.yaml"
+    file.write_text(OWN + "activation: {before: absent}\n")
+    out = tmp_path / "out"
+    run("mutate", foreign_bag, out, file, "--topic", "/scan_tom", "--at", 3.0)
+    before, after = messages(foreign_bag, "/scan_tom"), messages(out, "/scan_tom")
+    assert len(after) == len(before)
+
+
 def test_mutate_takes_one_scenario_of_a_file_that_holds_several(foreign_bag, tmp_path):
     file = tmp_path / "two.yaml"
     file.write_text(OWN + "---\n" + OWN.replace("my_drift", "other"))

@@ -1,0 +1,81 @@
+"""What a planar scanner in a point cloud's place would have seen.
+
+A cloud is cut at the height of its sensor, in the sensor's own frame (x forward, y left, z up). Of
+the points near that plane, the nearest in each direction is a return. A direction without a point
+is unknown rather than free, since drivers and filters leave points out.
+"""
+
+import math
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.errors import BagError
+
+RAYS: Final = 360
+HEIGHT_M: Final = 0.05  # from the plane, or, further away:
+ELEVATION: Final = math.tan(math.radians(1.5))  # over the distance; sensors have a layer each 2 deg
+NEAREST_M, FARTHEST_M = 0.05, 200.0  # of returns that count
+
+_FLOATS = {7: "f4", 8: "f8"}  # by sensor_msgs/msg/PointField
+
+
+class PlanarScan(NamedTuple):
+    """The fields of a ``sensor_msgs/msg/LaserScan`` that tell ranges."""
+
+    header: Any
+    ranges: NDArray[np.float32]  # shape (RAYS,) [m]; NaN: nothing is known
+    angle_min: float = -math.pi
+    angle_max: float = math.pi - 2.0 * math.pi / RAYS
+    angle_increment: float = 2.0 * math.pi / RAYS
+    range_min: float = NEAREST_M
+    range_max: float = FARTHEST_M
+
+
+def sliced(cloud: Any) -> PlanarScan:
+    """Return the scan that is cut out of a ``sensor_msgs/msg/PointCloud2``.
+
+    Raises
+    ------
+    BagError
+        It has no coordinates x, y and z, or fewer bytes than points.
+    """
+    x, y, z = _coordinates(cloud)
+    distance = np.hypot(x, y)
+    with np.errstate(invalid="ignore"):
+        near = np.abs(z) <= np.maximum(HEIGHT_M, ELEVATION * distance)
+        near &= (distance >= NEAREST_M) & (distance <= FARTHEST_M)
+    ray = np.round((np.arctan2(y[near], x[near]) + math.pi) * (RAYS / (2.0 * math.pi)))
+    ranges = np.full(RAYS, np.inf)
+    np.minimum.at(ranges, ray.astype(np.int64) % RAYS, distance[near])
+    ranges[np.isinf(ranges)] = np.nan
+    return PlanarScan(cloud.header, ranges.astype(np.float32))
+
+
+def _coordinates(cloud: Any) -> list[NDArray[np.float64]]:
+    """Return x, y and z of all points [m], shape (n,) each."""
+    fields = {field.name: field for field in cloud.fields}
+    if not {"x", "y", "z"} <= fields.keys():
+        raise BagError("is a point cloud without x, y and z")
+    order, step = ">" if cloud.is_bigendian else "<", int(cloud.point_step)
+    formats = [order + _FLOATS.get(fields[name].datatype, "V0") for name in "xyz"]
+    offsets = [int(fields[name].offset) for name in "xyz"]
+    try:
+        point = np.dtype(
+            {"names": list("xyz"), "formats": formats, "offsets": offsets, "itemsize": step}
+        )
+    except ValueError as error:
+        raise BagError(f"is a point cloud whose points are not laid out: {error}") from error
+    if "V" in "".join(formats):
+        raise BagError("is a point cloud whose x, y and z are not floating-point numbers")
+    data = np.ascontiguousarray(cloud.data, dtype=np.uint8)
+    width, height = int(cloud.width) * step, int(cloud.height)
+    row = width if height == 1 else int(cloud.row_step)
+    if row < width or len(data) < height * row:
+        raise BagError(f"is a point cloud of {height} rows of {row} bytes in {len(data)} bytes")
+    if not width or not height:
+        return [np.zeros(0)] * 3
+    points = np.ascontiguousarray(data[: height * row].reshape(height, row)[:, :width])
+    packed = points.reshape(-1).view(point)
+    return [packed[name].astype(np.float64) for name in "xyz"]

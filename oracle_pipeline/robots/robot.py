@@ -1,0 +1,166 @@
+"""The robots of a recording: which namespaces are robots, and what each of them sees.
+
+A robot sees its topics without its namespace, and the topics that belong to no robot, such as a
+``/map`` or ``/tf`` that all share. So features do not depend on the namespace, and a reference card
+that was learned on one robot scores another.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from oracle_pipeline.bags.reader import BagReader, Topic
+from oracle_pipeline.robots.first_messages import TRANSFORM_TYPES
+from oracle_pipeline.robots.roles import (
+    COMMAND,
+    JOINTS,
+    LASER_SCAN,
+    ODOMETRY,
+    ROLES,
+    Roles,
+    RolesError,
+    find_roles,
+)
+from oracle_pipeline.robots.roles_file import RoleChoices
+
+_SHARED_TYPES = (
+    *TRANSFORM_TYPES, "rosgraph_msgs/msg/Clock", "rcl_interfaces/msg/Log",
+    "rcl_interfaces/msg/ParameterEvent",
+)  # fmt: skip
+
+
+_MOTION = {ODOMETRY, COMMAND}
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """One robot of a recording.
+
+    Attributes
+    ----------
+    name : str
+        Its namespace without the first slash, such as ``robot1``; empty if it is the only one.
+    namespace : str
+        What was taken off the names of its topics, such as ``/robot1``; may be empty.
+    bag : BagReader
+        Its topics and those that all robots share.
+    roles : Roles
+        What they are for.
+    """
+
+    name: str
+    namespace: str
+    bag: BagReader
+    roles: Roles
+
+
+def find_robots(bag: BagReader, choices: RoleChoices | None = None) -> list[Robot]:
+    """Return the robots of a recording, by namespace; at least one.
+
+    Raises
+    ------
+    RolesError
+        The roles file names a robot without topics, or a topic for a role that does not fit it.
+    """
+    choices = choices or RoleChoices()
+    spaces = sorted(_namespaces(bag) if choices.robots is None else choices.robots)
+    for space in spaces:
+        if space and not any(name.startswith(f"{space}/") for name in bag.topics):
+            raise RolesError(
+                f"The roles file names the robot {space}, but {bag.path} has no topic in that "
+                "namespace. Name others, or leave `robots` out to have them found."
+            )
+    robots = []
+    for space in spaces:
+        others = [other for other in spaces if other != space]
+        seen = bag.renamed(_names(bag.topics, space, others))
+        name = space.strip("/") if others else ""
+        robots.append(Robot(name, space, seen, find_roles(seen, choices.topics)))
+    return robots
+
+
+def of_robot(recording: str, name: str) -> str:
+    """Return how a robot of a recording is called.
+
+    Examples
+    --------
+    >>> of_robot("bag", "robot1"), of_robot("bag", "")
+    ('bag#robot1', 'bag')
+    """
+    return f"{recording}#{name}" if name else recording
+
+
+def _names(topics: Iterable[str], space: str, others: Iterable[str]) -> dict[str, str]:
+    """Return what a robot calls the topics that it sees, by their recorded names.
+
+    Of a topic outside of its namespace, what both are in is taken off. Of two that it would call
+    the same, it sees the one that is nearer to its namespace.
+    """
+    foreign = tuple(f"{other}/" for other in others)
+    seen = [(_inside(name, space), name) for name in topics if not name.startswith(foreign)]
+    nearest = dict(sorted(seen, key=lambda each: len(each[1]) - len(each[0])))
+    return {recorded: name for name, recorded in nearest.items()}
+
+
+def _inside(name: str, space: str) -> str:
+    """Return a name without what it shares with a namespace.
+
+    Examples
+    --------
+    >>> _inside("/fleet/robot1/scan", "/fleet/robot1"), _inside("/fleet/map", "/fleet/robot1")
+    ('/scan', '/map')
+    """
+    while not name.startswith(f"{space}/"):
+        space = space.rpartition("/")[0]
+    return name[len(space) :]
+
+
+def _namespaces(bag: BagReader) -> list[str]:
+    """Return the namespaces that are robots; the root, which is empty, if there are none.
+
+    A robot tells how it moves (odometry, or else commands), and something besides. If several
+    namespaces side by side do, and nothing outside of them tells the same, each is a robot. If
+    only one does, and nothing outside of it tells anything of a robot, it is the robot.
+    """
+    own = [topic for topic in bag.topics.values() if topic.msgtype not in _SHARED_TYPES]
+    spaces = _below("", own)
+    if len(spaces) == 1 and len(_names(bag.topics, spaces[0], ())) < len(bag.topics):
+        return [""]  # two topics would have one name
+    return spaces
+
+
+def _below(space: str, topics: list[Topic]) -> list[str]:
+    children: dict[str, list[Topic]] = {}
+    outside: list[Topic] = []
+    for topic in topics:
+        first, slash, _ = topic.name[len(space) + 1 :].partition("/")
+        (children.setdefault(f"{space}/{first}", []) if slash else outside).append(topic)
+    robots = {child: held for child, held in children.items() if _is_robot(held)}
+    if len(children) == 1 and not outside and _kinds(topics) & _MOTION:
+        robots = children
+    for child in children.keys() - robots.keys():
+        outside += children[child]
+    kinds = _kinds(outside)
+    if len(robots) == 1 and not kinds:
+        ((child, held),) = robots.items()
+        return _below(child, held)
+    if len(robots) > 1 and not kinds & _motion(robots.values()):
+        fleets = {child: _below(child, held) for child, held in robots.items()}
+        return [s for child, below in fleets.items() for s in (below if below[1:] else [child])]
+    return [space]
+
+
+def _motion(robots: Iterable[list[Topic]]) -> set[str]:
+    """Return what tells the motion of some robots: odometry, if all have it, or else commands."""
+    return {ODOMETRY} if all(ODOMETRY in _kinds(held) for held in robots) else {ODOMETRY, COMMAND}
+
+
+def _is_robot(topics: Iterable[Topic]) -> bool:
+    kinds = _kinds(topics)
+    return bool(kinds & _MOTION) and len(kinds) > 1
+
+
+def _kinds(topics: Iterable[Topic]) -> set[str]:
+    """Return what topics tell, of what makes a robot."""
+    types = {topic.msgtype for topic in topics}
+    kinds = {kind for kind in (ODOMETRY, COMMAND, JOINTS) if types & set(ROLES[kind].types)}
+    return kinds | ({LASER_SCAN} & types)

@@ -1,0 +1,86 @@
+"""The roles file: a small YAML that names what cannot be found by message type.
+
+::
+
+    robots: [/robot1, /robot2]     # namespaces; / is the whole recording as one robot
+    roles:
+      odometry: /wheel/odometry    # a topic's name as recorded, or without the namespace
+      scan: [/front/scan, /rear/scan]
+      pose: []                     # this robot has none
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Self
+
+from oracle_pipeline.bags import bounded_yaml
+from oracle_pipeline.robots.roles import ROLES, RolesError
+
+_LARGEST = 64 * 1024  # bytes
+
+
+@dataclass(frozen=True, slots=True)
+class RoleChoices:
+    """What a roles file says.
+
+    Attributes
+    ----------
+    robots : tuple of str or None
+        Namespaces without the slash at their ends; the root is empty. None: they are found.
+    topics : mapping of str to tuple of str
+        Topics by role.
+    """
+
+    robots: tuple[str, ...] | None = None
+    topics: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a roles file.
+
+        Raises
+        ------
+        RolesError
+            It is no such file; the error says what is wrong with it.
+        """
+        with path.open("rb") as source:
+            content = source.read(_LARGEST + 1)
+        try:
+            if len(content) > _LARGEST:
+                raise ValueError(f"it is larger than {_LARGEST} bytes")
+            return cls._of(bounded_yaml.load(content.decode()))
+        except (ValueError, UnicodeDecodeError) as error:
+            raise RolesError(
+                f"{path} is no roles file: {error}. See docs/how-to/other-robots.md."
+            ) from error
+
+    @classmethod
+    def _of(cls, document: Any) -> Self:
+        document = _mapping("the file", document, ("robots", "roles"))
+        topics = _mapping("roles", document.get("roles") or {}, tuple(ROLES))
+        names = {role: _names(role, given) for role, given in topics.items()}
+        for role, given in names.items():
+            if len(given) > 1 and not ROLES[role].several:
+                raise ValueError(f"a robot has one {role}, found {', '.join(given)}")
+        robots = document.get("robots")
+        return cls(
+            None if robots is None else tuple(n.rstrip("/") for n in _names("robots", robots)),
+            names,
+        )
+
+
+def _mapping(what: str, given: Any, known: tuple[str, ...]) -> dict[str, Any]:
+    if not isinstance(given, dict):
+        raise ValueError(f"{what} has to be a mapping of {', '.join(known)}")
+    if unknown := [str(key) for key in given if key not in known]:
+        raise ValueError(f"{what} has {', '.join(unknown)}; known are {', '.join(known)}")
+    return given
+
+
+def _names(key: str, given: Any) -> tuple[str, ...]:
+    names = given if isinstance(given, list) else [given]
+    for name in names:
+        if not isinstance(name, str) or not name.startswith("/"):
+            raise ValueError(f"{key} has to be names that begin with a slash, found {name!r}")
+    return tuple(names)

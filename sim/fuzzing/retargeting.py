@@ -1,0 +1,54 @@
+"""A scenario pointed at other topics than its file names, of the same types.
+
+Its main topic is then altered in place: what the scenario makes of a message is recorded instead of
+it, as if the driver that publishes it were compromised.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+
+from sim.fuzzing.actuation import moves_something
+from sim.fuzzing.program import Program
+from sim.fuzzing.scenario import ScenarioError
+
+MAIN = "main"
+
+
+def retargeted(
+    program: Program, topics: Mapping[str, str], *, allow_actuation: bool = False
+) -> Program:
+    """Return a program that hears other topics, and alters the main one in place.
+
+    Parameters
+    ----------
+    program : Program
+        What is done.
+    topics : mapping of str to str
+        Topics by what they are heard as: `MAIN`, or the name of a source.
+    allow_actuation : bool
+        Also alter what may move a robot.
+
+    Raises
+    ------
+    ScenarioError
+        There is no such source, or the main topic may move a robot.
+    """
+    identifier = program.scenario.id
+    if unknown := sorted(topics.keys() - {MAIN, *program.sources}):
+        raise ScenarioError(
+            f"{identifier} hears no {', '.join(unknown)}; it hears "
+            f"{', '.join([MAIN, *program.sources])}."
+        )
+    main = topics.get(MAIN)
+    if main is not None:
+        if moves_something(main, program.type.name) and not allow_actuation:
+            raise ScenarioError(
+                f"{identifier} would alter {main}, which may move the robot; allow it with "
+                "--allow-actuation if you must."
+            )
+        program = dataclasses.replace(program, input_topic=main, output_topic=main)
+    sources = {
+        name: dataclasses.replace(source, topic=topics.get(name, source.topic))
+        for name, source in program.sources.items()
+    }
+    return dataclasses.replace(program, sources=sources)
