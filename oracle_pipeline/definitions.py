@@ -15,10 +15,12 @@ warnings.filterwarnings("ignore", category=dg.BetaWarning)
 warnings.filterwarnings("ignore", category=dg.PreviewWarning)
 
 from assets import (  # noqa: E402
+    arrivals,
     automation,
     evaluation_checks,
     experiment_runs,
     feature_dataset,
+    foreign,
     oracle_evaluation,
     oracle_report,
     run_checks,
@@ -31,6 +33,7 @@ from resources.budget import StorageBudget  # noqa: E402
 from resources.campaign import CampaignSettings  # noqa: E402
 from resources.executor import in_process_executor  # noqa: E402
 from resources.fleet import Fleet  # noqa: E402
+from resources.inbox import Inbox  # noqa: E402
 from resources.no_values import NoValues  # noqa: E402
 from resources.store import RunStore  # noqa: E402
 from sim.campaigns import Campaign  # noqa: E402
@@ -42,7 +45,8 @@ def build_defs(**overrides: object) -> dg.Definitions:
     Parameters
     ----------
     **overrides
-        Resources by name: ``store``, ``fleet``, ``campaign``, ``budget``, ``io_manager``.
+        Resources by name: ``store``, ``fleet``, ``campaign``, ``budget``, ``inbox``,
+        ``io_manager``.
 
     Raises
     ------
@@ -56,18 +60,26 @@ def build_defs(**overrides: object) -> dg.Definitions:
         "budget": StorageBudget(limit=dg.EnvVar("ORACLE_STORAGE_BUDGET"))
         if "ORACLE_STORAGE_BUDGET" in os.environ
         else StorageBudget(),
+        "inbox": Inbox.from_environment(),
         "io_manager": NoValues(),
     }
     if unknown := overrides.keys() - resources.keys():
         raise TypeError(f"No resource is called {sorted(unknown)}; there are {sorted(resources)}.")
     return dg.Definitions(
-        assets=dg.load_assets_from_modules(
-            [experiment_runs, feature_dataset, oracle_evaluation, thesis_method, oracle_report]
-        ),
-        asset_checks=[run_checks.checks_of_runs, evaluation_checks.checks_of_evaluation],
-        jobs=[automation.everything, run_retention.forget_old_runs],
+        assets=[
+            *dg.load_assets_from_modules(
+                [experiment_runs, feature_dataset, oracle_evaluation, thesis_method, oracle_report]
+            ),
+            *foreign.SPECS,
+        ],
+        asset_checks=[
+            run_checks.checks_of_runs,
+            evaluation_checks.checks_of_evaluation,
+            foreign.checks_of_arrivals,
+        ],
+        jobs=[automation.everything, foreign.judge_arrivals, run_retention.forget_old_runs],
         schedules=[automation.nightly, run_retention.weekly],
-        sensors=[scenario_changes.changed_scenarios],
+        sensors=[scenario_changes.changed_scenarios, arrivals.arrived_recordings],
         resources=resources | overrides,
         executor=in_process_executor,  # the assets fan out themselves
     )

@@ -105,7 +105,7 @@ def paragraph(verdict: Verdict, shared: Sequence[str] = ()) -> Iterator[str]:
     yield from (f"    {breach}" for breach in verdict.contract)
     if verdict.outcome != "normal":
         yield from _aligned([HEADINGS, *map(cells, verdict.evidence)])
-        yield from (f"    {_summary(family)}" for family in verdict.families)
+        yield from (f"    {family_summary(family)}" for family in verdict.families)
     yield from (f"    {remark}" for remark in _remarks(verdict) if remark not in shared)
 
 
@@ -123,7 +123,7 @@ def cells(evidence: Evidence) -> tuple[str, ...]:
     )
 
 
-def _summary(family: FamilyDeviation) -> str:
+def family_summary(family: FamilyDeviation) -> str:
     """Return a sentence on the features of one family."""
     return (
         f"{family.family}: {family.unusual} of {family.compared} features outside their usual "

@@ -10,7 +10,7 @@ from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.parts import is_recording
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE
-from oracle_pipeline.bags.terminal import progress_bar
+from oracle_pipeline.bags.terminal import printable, progress_bar
 from oracle_pipeline.datasets import KEYS, feature_dataset, read_table, window_dataset
 from oracle_pipeline.features import FeatureManager, FeatureTables
 from oracle_pipeline.scoring.comparable import listed
@@ -98,7 +98,7 @@ def _extracted(paths: Sequence[Path], manager: FeatureManager) -> Reference:
                 unlabelled += 1
                 both = FeatureTables(
                     *(
-                        table.assign(run_id=str(path), label="normal", block=-unlabelled)
+                        table.assign(run_id=printable(str(path)), label="normal", block=-unlabelled)
                         for table in both
                     )
                 )
