@@ -24,12 +24,12 @@ from sim.fan_out import fan_out, process_pool
 from sim.middleware.geometry import Pose2D, quaternion_yaw
 from sim.middleware.stamps import stamp_ns
 from sim.nav2.navfn import plan
-from sim.pairs import task_effect
 from sim.turtlebot3.drawing import path_length, planning_grid
 from sim.turtlebot3.map import WORLD_IN_MAP
 
 BLOCKS, ATTACKED_BLOCKS = 100, 30
 CONTROL, ATTACK = "lidar_passthrough_odom", "fake_object"
+LONGER = 1.15  # a way this much longer than the control's is an effect
 OTHERS = ("lidar_passthrough", "delayed_passthrough")
 
 
@@ -73,8 +73,20 @@ def rows() -> Iterator[Row]:
         ("fake object against passthrough: task effect", attacked, 80, False),
         ("passthrough against no node: task effect", absent, 5, True),
     ):
-        effects = [task_effect(drives[jobs[b]].manifest, controls[b]) for b in blocks]
+        effects = [_went_otherwise(drives[jobs[b]].manifest, controls[b]) for b in blocks]
         yield Row(name, 100.0 * sum(effects) / len(effects), "%", goal, at_most)
+
+
+def _went_otherwise(run: Manifest, control: Manifest) -> bool:
+    """Tell whether a goal came out differently, or the way to one was longer or took a recovery."""
+    return any(
+        ours is None
+        or theirs is None
+        or ours.outcome != theirs.outcome
+        or ours.driven_m > LONGER * theirs.driven_m
+        or ours.recoveries > theirs.recoveries
+        for ours, theirs in zip(_goals(run), _goals(control), strict=True)
+    )
 
 
 def _goals(manifest: Manifest) -> list[GoalResult | None]:

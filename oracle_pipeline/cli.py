@@ -2,7 +2,8 @@
 
 What a command needs is imported when it runs, so that help is there at once.
 
-Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomalous.
+Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomalous;
+``oracle compare`` adds 1: different.
 """
 
 import json
@@ -15,7 +16,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.bags.terminal import PlainTextGroup
+from oracle_pipeline.bags.terminal import PlainTextGroup, version_option
+from oracle_pipeline.comparison.command import compare
 from oracle_pipeline.replay.command import replay
 
 if TYPE_CHECKING:
@@ -49,11 +51,13 @@ class _Group(PlainTextGroup):
 
 
 @click.group(cls=_Group)
+@version_option
 def main() -> None:
     """Tell normal from anomalous behaviour of a ROS 2 system, using only recordings."""
 
 
 main.add_command(replay)
+main.add_command(compare)
 
 
 def _format_option(*formats: str, text: str) -> Callable[[_Command], _Command]:

@@ -36,7 +36,6 @@ from resources.fleet import Fleet  # noqa: E402
 from resources.inbox import Inbox  # noqa: E402
 from resources.no_values import NoValues  # noqa: E402
 from resources.store import RunStore  # noqa: E402
-from sim.campaigns import Campaign  # noqa: E402
 
 
 def build_defs(**overrides: object) -> dg.Definitions:
@@ -56,7 +55,7 @@ def build_defs(**overrides: object) -> dg.Definitions:
     resources: dict[str, object] = {
         "store": RunStore(root=os.environ.get("ORACLE_HOME") or "data"),
         "fleet": Fleet(address=os.environ.get("ORACLE_DASK", "")),
-        "campaign": CampaignSettings(goals_per_run=Campaign.from_environment().goals_per_run),
+        "campaign": CampaignSettings.from_environment(),
         "budget": StorageBudget(limit=dg.EnvVar("ORACLE_STORAGE_BUDGET"))
         if "ORACLE_STORAGE_BUDGET" in os.environ
         else StorageBudget(),

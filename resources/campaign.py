@@ -1,6 +1,6 @@
 """What all runs of the campaign have in common."""
 
-from typing import Literal
+from typing import Literal, Self
 
 import dagster as dg
 from pydantic import Field
@@ -23,6 +23,33 @@ class CampaignSettings(dg.ConfigurableResource[None]):
         default="mcap", description="Storage of the recorded bags."
     )
 
+    sessions: int | None = Field(
+        default=None,
+        ge=1,
+        description="Blocks take turns in so many sessions; if not set, each has one of its own.",
+    )
+    noise_per_run: bool = Field(
+        default=False,
+        description="Draw sensor noise and latencies for each run instead of each block; an attack "
+        "and its shadow control still share them.",
+    )
+
+    @classmethod
+    def from_environment(cls) -> Self:
+        """Return the settings that the environment asks for."""
+        wanted = Campaign.from_environment()
+        return cls(
+            goals_per_run=wanted.goals_per_run,
+            sessions=wanted.sessions,
+            noise_per_run=wanted.noise_per_run,
+        )
+
     def campaign(self) -> Campaign:
         """Return the campaign that recipes are drawn from."""
-        return Campaign(seed=self.seed, goals_per_run=self.goals_per_run, storage=self.storage)
+        return Campaign(
+            seed=self.seed,
+            goals_per_run=self.goals_per_run,
+            storage=self.storage,
+            sessions=self.sessions,
+            noise_per_run=self.noise_per_run,
+        )

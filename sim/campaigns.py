@@ -44,11 +44,40 @@ class Campaign:
     storage: Storage = "mcap"
     timeout_s: float = 600.0  # of simulated time; air traffic has no goals and always takes it all
     options: Options = Options()
+    sessions: int | None = None  # so many take turns; None: every block has one of its own
+    session: int | None = None  # of all blocks
+    noise_per_run: bool = False  # of sensors and latencies; otherwise a block's runs share it
 
     @classmethod
     def from_environment(cls) -> Self:
-        """Return the default campaign, with ``ORACLE_GOALS_PER_RUN`` goals a run."""
-        text = os.environ.get("ORACLE_GOALS_PER_RUN", "8")
-        if not text.isdecimal() or int(text) < 1:
-            raise RecipeError(f"ORACLE_GOALS_PER_RUN is {text!r}; give a whole number from 1 on.")
-        return cls(goals_per_run=int(text))
+        """Return the default campaign, as far as the environment says nothing else.
+
+        It may say ``ORACLE_GOALS_PER_RUN``, ``ORACLE_SESSIONS`` and ``ORACLE_NOISE_PER_RUN``.
+        """
+        return cls(
+            goals_per_run=_count("ORACLE_GOALS_PER_RUN") or cls().goals_per_run,
+            sessions=_count("ORACLE_SESSIONS"),
+            noise_per_run=_switch("ORACLE_NOISE_PER_RUN"),
+        )
+
+    def session_of(self, block: int) -> int:
+        """Return the session in which the runs of a block are made."""
+        if self.session is not None:
+            return self.session
+        return block if self.sessions is None else block % self.sessions
+
+
+def _count(variable: str) -> int | None:
+    text = os.environ.get(variable)
+    if text is None:
+        return None
+    if not text.isdecimal() or int(text) < 1:
+        raise RecipeError(f"{variable} is {text!r}; give a whole number from 1 on.")
+    return int(text)
+
+
+def _switch(variable: str) -> bool:
+    text = os.environ.get(variable, "0")
+    if text not in ("0", "1"):
+        raise RecipeError(f"{variable} is {text!r}; give 0 or 1.")
+    return text == "1"

@@ -1,35 +1,39 @@
-"""What an attack did to the robot's task: an attacked run against its block's control."""
+"""What an attack did to the robot's task: an attacked run against its block's control.
+
+How large an effect is beyond chance, only the evaluation can tell, from many runs.
+"""
 
 import contextlib
 from typing import Any
 
+from oracle_pipeline.bags.behaviour import behaviour
 from oracle_pipeline.bags.errors import ManifestError, RunDirectoryError
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bags.run_directory import RunDirectory
 
 CONTROL = "lidar_passthrough_odom"  # of attacks that have no pair of their own
-LONGER = 1.15  # a way this much longer than the control's is an effect
 
 
 def judge_pair(directory: RunDirectory) -> None:
     """Note ``task_effect`` in attacked runs that this run is the control of, or in itself.
 
-    Whichever of the two is finished last does it; runs of different campaigns, conditions or
-    wirings are not compared.
+    Whichever of the two is finished last does it; runs of different campaigns, conditions, wirings
+    or noise are not compared. So where each run has noise of its own, the control is the shadow.
     """
     for path in sorted(directory.root.glob(f"runs/*/{directory.run_id}")):
         # A folder that is no mode's, or a manifest that cannot be read, is not this run's trouble.
         with contextlib.suppress(RunDirectoryError, ManifestError):
             other = RunDirectory(directory.root, path.parent.name, directory.run)
             for attack, control in ((directory, other), (other, directory)):
-                if _control_of(attack.mode) == control.mode:
+                if control.mode in _controls_of(attack.mode):
                     _judge(attack, control)
 
 
-def _control_of(mode: str) -> str:
-    """Return the mode whose runs show how an attacked one would have gone."""
-    return next((control for control, attack in PAIRS if attack == mode), CONTROL)
+def _controls_of(mode: str) -> tuple[str, str]:
+    """Return the modes whose runs show how an attacked one would have gone."""
+    paired = next((control for control, attack in PAIRS if attack == mode), CONTROL)
+    return paired, f"{mode}_shadow"
 
 
 def _judge(attack: RunDirectory, control: RunDirectory) -> None:
@@ -49,17 +53,10 @@ def _setting(run: Manifest) -> dict[str, Any]:
     return {key: value for key, value in run.recipe.items() if key not in aside}
 
 
-def task_effect(attacked: Manifest, control: Manifest) -> bool:
-    """Tell whether a run of the same block went another way than its control.
+def task_effect(attacked: Manifest, control: Manifest) -> dict[str, float] | None:
+    """Return how much more an attacked run has of each quantity of behaviour than its control.
 
-    It did if a goal came out differently, or the way to one was more than 1.15 times as long, or
-    took a recovery more.
+    None if what the robot did was not measured in both.
     """
-    if len(attacked.goal_results) != len(control.goal_results):
-        return True
-    return any(
-        ours.outcome != theirs.outcome
-        or ours.driven_m > LONGER * theirs.driven_m
-        or ours.recoveries > theirs.recoveries
-        for ours, theirs in zip(attacked.goal_results, control.goal_results, strict=True)
-    )
+    ours, theirs = behaviour(attacked), behaviour(control)
+    return {name: ours[name] - theirs[name] for name in ours if name in theirs} or None

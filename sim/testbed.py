@@ -37,6 +37,16 @@ class Mode:
         """What it does, in a line."""
         return self.scenario.title
 
+    def noise(self, campaign: Campaign) -> str:
+        """Return whose draws of sensor noise and latencies its runs have.
+
+        Empty: those of their block. If the campaign draws noise for each run, those of this mode,
+        which an attack shares with its shadow control: such pairs stay exact.
+        """
+        if not campaign.noise_per_run:
+            return ""
+        return self.id.removesuffix("_shadow") if self.scenario.control == "shadow" else self.id
+
     def parameters(self, block: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
         """Return a value for every parameter: that given, else the block's, else the default.
 
@@ -76,7 +86,7 @@ class Recipe(Protocol):
         """A value for each parameter of the scenario."""
 
     def generator(self, node: str) -> np.random.Generator:
-        """Return the randomness of one node; the same in every mode of the block."""
+        """Return the randomness of one node; the same in every run of the block and its noise."""
 
     def attack_seed(self) -> int:
         """Return the key of the attack's own, counter-based randomness."""

@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 from oracle_pipeline.cli import main as oracle
 from resources.cli import main as oracle_sim
+from resources.ui.server import main as oracle_ui
 from tests.recorded_runs import copied
 
 pytestmark = pytest.mark.slow
@@ -127,4 +128,13 @@ def test_help_names_every_command_with_a_line_about_it(group):
     assert commands
     for name, about in commands:
         assert len(about) > 20
+        assert about.endswith(".")
+        assert not about.endswith("..."), f"the line about {name} is cut off"
         assert "Example" in CliRunner().invoke(group, [name, "--help"]).stdout
+
+
+@pytest.mark.parametrize("group", [oracle, oracle_sim, oracle_ui])
+def test_every_command_tells_its_version(group):
+    assert (
+        importlib.metadata.version("ros2-behaviour-oracle") in in_process(group, "--version").stdout
+    )

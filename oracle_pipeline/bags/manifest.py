@@ -18,9 +18,11 @@ from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.protocol import run_key
 
-SCHEMA_VERSION = 4
-# What older versions did not have, and what is taken for it.
-_ADDED_SINCE: dict[int, dict[str, Any]] = {2: {"changes": []}, 3: {}}
+SCHEMA_VERSION = 5
+# What older versions did not have, or told otherwise, and what is taken for it.
+_NOT_TOLD: dict[str, Any] = {"drive": None, "task_effect": None}
+_ADDED_SINCE = {2: {"changes": [], **_NOT_TOLD}, 3: _NOT_TOLD, 4: _NOT_TOLD}
+_SEALED_SINCE = 4
 _SEAL = "seal"  # a key of the file; a manifest in memory has none
 
 Label: TypeAlias = Literal["malicious", "normal", "control"]
@@ -57,6 +59,15 @@ class Contact:
 
     stamp_s: float
     piece: str  # name in the world, for example two_two
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Drive:
+    """What the robot really did beside its goals: no feature sees it."""
+
+    clearance_m: float | None  # least distance of its base from any surface; None: no goal was sent
+    commands: int  # to move, that the collision monitor was asked to pass on
+    commands_altered: int  # of these, slowed down or stopped
 
 
 CHANGE_BIN_S = 5.0  # length of the bins in which changes are counted [s]
@@ -117,7 +128,9 @@ class Manifest:
     attack: Mapping[str, Any]  # parameters drawn for it; empty without one
     scenario: str
     scenario_hash: str
-    task_effect: bool | None  # did the attack change what the robot achieved; None: not judged
+    # How much more than its control an attacked run has of each quantity in `behaviour`; None: not
+    # compared.
+    task_effect: Mapping[str, float] | None
     recording_s: float
     contacts: tuple[Contact, ...]
     topics: Mapping[str, TopicCount]
@@ -125,6 +138,7 @@ class Manifest:
     recipe: Mapping[str, Any]  # all that the run is a function of
     software: Software
     measured: Measured
+    drive: Drive | None = None  # None: not measured, as of a system that does not drive
     changes: tuple[Change, ...] = ()  # the five seconds in which anything was changed
     schema_version: int = SCHEMA_VERSION
 
@@ -169,6 +183,8 @@ class Manifest:
                 f"Could not read {path}: {error}. Record the run again, or restore the file."
             ) from error
         if _is_older(document):
+            if document.pop(_SEAL, None) is not None:
+                _check_seal(content, path)
             added = _ADDED_SINCE[document["schema_version"]]
             document |= {"schema_version": SCHEMA_VERSION, **added}
             _validate(document | {_SEAL: seals.BLANK}, path)
@@ -183,6 +199,7 @@ class Manifest:
                 "goals": tuple(Pose(**goal) for goal in document["goals"]),
                 "goal_results": tuple(GoalResult(**goal) for goal in document["goal_results"]),
                 "contacts": tuple(Contact(**contact) for contact in document["contacts"]),
+                "drive": document["drive"] and Drive(**document["drive"]),
                 "changes": tuple(Change(*change) for change in document["changes"]),
                 "topics": {name: TopicCount(**topic) for name, topic in document["topics"].items()},
                 "software": Software(**document["software"]),
@@ -200,10 +217,10 @@ def schema() -> dict[str, Any]:
 
 
 def _is_older(document: Any) -> bool:
-    """Tell whether this is a manifest of an older version, none of which had seals."""
-    if not isinstance(document, dict) or _SEAL in document:
+    """Tell whether this is a manifest of an older version, the oldest of which had no seals."""
+    if not isinstance(document, dict) or document.get("schema_version") not in _ADDED_SINCE:
         return False
-    return document.get("schema_version") in _ADDED_SINCE
+    return bool((_SEAL in document) == (document["schema_version"] >= _SEALED_SINCE))
 
 
 def _check_seal(content: bytes, path: Path) -> None:

@@ -8,13 +8,15 @@ that our commands print passes here, and all that Dagster logs.
 import contextlib
 import logging
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, TextIO, TypeVar, cast
 
 import click
 from tqdm import tqdm
 
 T = TypeVar("T")
+
+version_option = click.version_option(package_name="ros2-behaviour-oracle")
 
 
 class _Printable(dict[int, str | int]):
@@ -33,6 +35,14 @@ _PRINTABLE = _Printable()
 def printable(text: str) -> str:
     """Return text without control, format and lone surrogate characters, which are written out."""
     return text if text.isprintable() else text.translate(_PRINTABLE)
+
+
+def aligned_lines(rows: Sequence[Sequence[str]], *, indent: str = "") -> Iterator[str]:
+    """Yield the rows of a table as lines whose columns begin below each other."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        padded = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        yield f"{indent}{'  '.join(padded)}".rstrip()
 
 
 class _Stream:

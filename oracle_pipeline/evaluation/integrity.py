@@ -1,12 +1,12 @@
 """Integrity checks of the evaluation itself: each with its figure and a sentence.
 
-A check is green, red, or unsupported: the campaign is too small or lacks the runs for it. The
-headline is withheld unless all are green.
+A check is green, red, or unsupported: the campaign lacks the runs for it, or has too few for the
+check to fail. The headline is withheld unless all are green.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from itertools import combinations
+from itertools import combinations, count
 from typing import Literal
 
 import numpy as np
@@ -20,7 +20,7 @@ from oracle_pipeline.datasets import field_metadata, is_hard_negative
 from oracle_pipeline.detectors import Detector, upper_bounds
 from oracle_pipeline.evaluation.audit import blocks_needed, exact_pairs, told_in_pair
 from oracle_pipeline.evaluation.comparisons import RATES, runs_of
-from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
+from oracle_pipeline.evaluation.estimate import NOTHING, Estimate, newcombe_auc
 from oracle_pipeline.evaluation.held_out import (
     HeldOutScores,
     fold_scores,
@@ -69,22 +69,21 @@ def same_between_sessions(
 ) -> IntegrityCheck:
     """A/A: runs of one control mode in two sessions, on disjoint blocks, score alike.
 
+    Where each session has few blocks, the earlier half of the sessions is compared with the later.
     The figure is the AUC that is furthest from 0.5, with its 99.9% interval.
     """
-    name, session = "sessions_score_alike", campaign.features["session"].to_numpy()
-    areas = []
+    name, areas = "sessions_score_alike", []
     for mode, _ in PAIRS:
         members = (campaign.features["mode"] == mode).to_numpy() & np.isfinite(scores.score)
-        for one, other in combinations(np.unique(session[members]), 2):
-            both = members & np.isin(session, [one, other])
+        groups = session_groups(campaign.features, members)
+        for one, other in combinations(groups, 2):
+            both = groups[one] | groups[other]
             runs = runs_of(campaign, both)
-            later = DistinctRuns(runs.first, runs.copies, session[both] == other, runs.block)
+            later = DistinctRuns(runs.first, runs.copies, groups[other][both], runs.block)
             area = auc(scores.score[both], later, rng, SAME)
-            areas.append((abs(area.value - 0.5), f"{mode}, sessions {one} and {other}", area))
+            areas.append((abs(area.value - 0.5), f"{mode}, {one} and {other}", area))
     if not areas:
-        return _unsupported(
-            name, "No control was recorded in two sessions; record 3 blocks or more."
-        )
+        return _unsupported(name, _TOO_FEW_IN_SESSIONS)
     _, where, area = max(areas)
     passed = area.covers(0.5)
     return _found(
@@ -94,6 +93,55 @@ def same_between_sessions(
         sentence=f"{where}: AUC {area} (99.9%) {'holds' if passed else 'does not hold'} 0.5; the "
         f"furthest from it of {len(areas)}.",
     )
+
+
+def blocks_to_separate() -> int:
+    """Return in how many blocks each two sessions must be recorded to be told apart at all.
+
+    Fewer could be separated perfectly, and the interval of `same_between_sessions` would still
+    hold 0.5.
+    """
+    return next(n for n in count(2) if not newcombe_auc(1.0, n, n, SAME).covers(0.5))
+
+
+_TOO_FEW_IN_SESSIONS = (
+    f"Fewer than {blocks_to_separate()} blocks on either side cannot be told apart, however they "
+    f"differ: it takes {blocks_to_separate()} blocks in each of two sessions, or "
+    f"{2 * blocks_to_separate()} in sessions of their own."
+)
+
+
+def session_groups(
+    features: pd.DataFrame, members: NDArray[np.bool_]
+) -> dict[str, NDArray[np.bool_]]:
+    """Return the sessions that can be compared, by name, as masks of shape (n_runs,).
+
+    Parameters
+    ----------
+    features : DataFrame
+        A row a run.
+    members : ndarray of bool, shape (n_runs,)
+        The runs that count.
+
+    Returns
+    -------
+    dict
+        Each session of enough blocks; if there are not two, the earlier and the later half of the
+        sessions; if those have too few blocks, nothing.
+    """
+    session, block = (features[key].to_numpy() for key in ("session", "block"))
+    numbers, half = np.unique(session[members]), len(np.unique(session[members])) // 2
+    alone = {f"session {number}": members & (session == number) for number in numbers}
+    halves = {
+        "earlier sessions": members & np.isin(session, numbers[:half]),
+        "later sessions": members & np.isin(session, numbers[half:]),
+    }
+    for groups in (alone, halves):
+        needed = blocks_to_separate()
+        large = {name: m for name, m in groups.items() if len(np.unique(block[m])) >= needed}
+        if len(large) > 1:
+            return large
+    return {}
 
 
 def equal_graphs(differences: Sequence[str] | None) -> IntegrityCheck:
@@ -122,14 +170,16 @@ def label_above_session(
     name, df = "label_is_predicted_better_than_session", campaign.features
     classifier = upper_bounds(seed)["random_forest"].set_params(n_estimators=TREES)
     label = supervised_scores(df, columns, classifier, folds)
-    sessions = np.unique(df["session"])
-    areas = []
-    for session in sessions if len(sessions) > 2 else sessions[:-1]:
-        target = (df["session"] == session).to_numpy()
-        areas.append(_area(supervised_scores(df, columns, classifier, folds, target), target))
+    targets = list(session_groups(df, np.ones(len(df), dtype=np.bool_)).values())
+    if not targets:
+        return _unsupported(name, _TOO_FEW_IN_SESSIONS)
+    areas = [
+        _area(supervised_scores(df, columns, classifier, folds, target), target)
+        for target in (targets if len(targets) > 2 else targets[:-1])
+    ]
     of_label = _area(label, campaign.malicious)
-    if not areas or np.isnan([*areas, of_label]).any():
-        return _unsupported(name, "It takes two sessions, both classes and three blocks of each.")
+    if np.isnan([*areas, of_label]).any():
+        return _unsupported(name, "It takes both classes in three blocks of each session.")
     of_session = float(np.mean(areas))
     passed = of_session <= of_label - MARGIN
     meaning = "" if passed else " Verdicts need not hold in a session without normal runs."
@@ -196,18 +246,37 @@ def hard_negatives(
     scores: HeldOutScores, campaign: JudgedRuns, rng: np.random.Generator
 ) -> IntegrityCheck:
     """Hard negatives, normal runs with a harmless change, are seldom called anomalous."""
-    name = "hard_negatives_pass"
-    judged = is_hard_negative(campaign.features) & np.isfinite(scores.p)
-    if not judged.any():
+    name, harmless = "hard_negatives_pass", is_hard_negative(campaign.features)
+    judged = harmless & np.isfinite(scores.p)
+    if not harmless.any():
         return _unsupported(name, "There are no hard negatives; record the benign_* modes.")
     rate = share(scores.p[judged] <= RATES[0], campaign.block[judged], rng)
+    passed = rate.value <= FALSE_ALARMS
+    blocks, needed = len(np.unique(campaign.block[judged])), blocks_to_exclude(FALSE_ALARMS)
+    if not len(scores.p[judged]) or (passed and blocks < needed):
+        return _unsupported(
+            name,
+            f"{blocks} blocks of hard negatives have a verdict; even without a false alarm, it "
+            f"takes {needed} to exclude a rate above {FALSE_ALARMS:.0%}.",
+        )
     return _found(
         name,
-        passed=rate.value <= FALSE_ALARMS,
+        passed=passed,
         figure=rate,
         sentence=f"{rate} of {judged.sum()} hard negatives are called anomalous at a nominal "
         f"{RATES[0]:.0%}; at most {FALSE_ALARMS:.0%} may be.",
     )
+
+
+def blocks_to_exclude(rate: float, confidence: float = 0.95) -> int:
+    """Return how many blocks without a false alarm exclude a higher rate of them.
+
+    Examples
+    --------
+    >>> blocks_to_exclude(0.10), blocks_to_exclude(0.05)
+    (29, 59)
+    """
+    return int(np.ceil(np.log(1.0 - confidence) / np.log(1.0 - rate)))
 
 
 def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> IntegrityCheck:

@@ -52,26 +52,31 @@ def block_folds(df: pd.DataFrame, seed: int, n_folds: int = FOLDS) -> list[Fold]
 
 
 def session_folds(df: pd.DataFrame, seed: int, blocks_that_train: int = 0) -> list[Fold]:
-    """Return folds that hold out the blocks of one session each, but for some that train.
+    """Return folds that hold out whole sessions, but for some blocks that train.
 
     Parameters
     ----------
     df : DataFrame
         One row for each run.
     seed : int
-        Of who trains.
+        Of who trains, and of the order in which sessions are dealt if there are more than five.
     blocks_that_train : int
-        Blocks of the tested session that train like any other: runs that were taken on its day.
+        Blocks of a tested session that train like any other: runs that were taken on its day.
         With only one session, or where a session has no further block, there are no folds.
     """
     block, session = _column(df, "block"), _column(df, "session")
     rng = np.random.default_rng([seed, blocks_that_train])
     tested = [
-        np.isin(block, rng.permutation(np.unique(block[session == number]))[blocks_that_train:])
+        (session == number)
+        & np.isin(block, rng.permutation(np.unique(block[session == number]))[blocks_that_train:])
         for number in np.unique(session)
     ]
-    possible = len(tested) > 1 and all(test.any() for test in tested)
-    return _folds(df, tested, np.random.default_rng(seed)) if possible else []
+    if len(tested) < 2 or not all(test.any() for test in tested):
+        return []
+    if len(tested) > FOLDS:
+        hand = rng.permutation(len(tested)) % FOLDS
+        tested = [np.any(np.array(tested)[hand == n], axis=0) for n in range(FOLDS)]
+    return _folds(df, tested, np.random.default_rng(seed))
 
 
 def tested_in(folds: Sequence[Fold]) -> NDArray[np.bool_] | None:
@@ -108,11 +113,16 @@ def _folds(
 def _dealt(
     df: pd.DataFrame, rows: NDArray[np.bool_], hands: int, rng: np.random.Generator
 ) -> NDArray[np.intp]:
-    """Deal the blocks of some rows like cards, session by session; -1 for all other rows."""
+    """Deal the blocks of some rows like cards, session by session; -1 for all other rows.
+
+    Sessions come in a random order: those of a single block are not dealt in turns.
+    """
     blocks, first, member = np.unique(
         _column(df, "block")[rows], return_index=True, return_inverse=True
     )
-    cards = np.lexsort((rng.permutation(len(blocks)), _column(df, "session")[rows][first]))
+    names, session = np.unique(_column(df, "session")[rows][first], return_inverse=True)
+    order = rng.permutation(len(blocks))
+    cards = np.lexsort((order, rng.permutation(len(names))[session]))
     hand = np.full(len(df), -1)
     hand[rows] = (np.argsort(cards) % hands)[member]
     return hand

@@ -38,20 +38,23 @@ TRACK_FEATURES = (
         "domain", per_window=False,
     ),
     Feature(
-        "closest_pair", "m", 50.0, "smallest distance of two tracks, 5th percentile", "domain"
+        "closest_pair", "m", 50.0, "smallest distance of two tracks, 5th percentile", "domain",
+        behaviour=True,
     ),
     Feature(
         "closest_pair_speed", "m/s", 2.0,
         "speed, relative to each other, of the two closest tracks, median", "domain",
+        behaviour=True,
     ),
 )  # fmt: skip
 ADVISORY_FEATURES = (
     Feature(
-        "traffic_advisories", "1/min", 0.5, "traffic advisories to an aircraft, a minute", "domain"
+        "traffic_advisories", "1/min", 0.5, "traffic advisories to an aircraft, a minute", "domain",
+        behaviour=True,
     ),
     Feature(
         "resolution_advisories", "1/min", 0.5, "resolution advisories to an aircraft, a minute",
-        "domain",
+        "domain", behaviour=True,
     ),
 )  # fmt: skip
 

@@ -294,6 +294,7 @@ def _fields(features: Mapping[str, Feature]) -> dict[str, dict[str, str]]:
             "floor": str(feature.floor),
             "origin": feature.origin,
             "shortcut": str(feature.shortcut).lower(),
+            "behaviour": str(feature.behaviour).lower(),
             "description": feature.description,
         }
         for column, feature in features.items()

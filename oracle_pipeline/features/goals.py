@@ -26,15 +26,15 @@ LOG_TOPIC = "/behavior_tree_log"
 PLAN_TOPIC = "/plan"
 
 FEATURES = (
-    Feature("duration", "s", 0.1, "time with a goal under way", "navigation"),
+    Feature("duration", "s", 0.1, "time with a goal under way", "navigation", behaviour=True),
     Feature(
         "goals_reached", "1", 0.01, "share of the goals that were reached", "navigation",
-        per_window=False,
+        per_window=False, behaviour=True,
     ),
     Feature(
         "time_per_planned_metre", "s/m", 0.1,
         "duration of the ended goals over the lengths of their first plans", "navigation",
-        per_window=False,
+        per_window=False, behaviour=True,
     ),
 )  # fmt: skip
 

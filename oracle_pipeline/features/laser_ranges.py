@@ -20,6 +20,7 @@ from oracle_pipeline.features.plugin import (
     hookimpl,
 )
 
+NEAR = 5.0  # percentile over the scans that stands for the nearest return
 _VARIANCE = "variance of a scan's valid ranges, median over its scans, "
 _NON_FINITE = "share of a scan's rays that are inf or NaN, median over its scans, "
 
@@ -28,35 +29,53 @@ FEATURES = (
     Feature("range_variance_max", "m^2", 1e-3, f"{_VARIANCE}largest of the scanners", "domain"),
     Feature("non_finite_mean", "1", 1e-3, f"{_NON_FINITE}mean over the scanners", "domain"),
     Feature("non_finite_max", "1", 1e-3, f"{_NON_FINITE}largest of the scanners", "domain"),
+    Feature(
+        "clearance",
+        "m",
+        0.02,
+        "distance of a scan's nearest return, 5th percentile over its scans, largest of the "
+        "scanners",
+        "domain",
+        behaviour=True,
+    ),
 )
 
 
-def keep(message: Any) -> tuple[float, float]:
-    """Return variance [m^2] and non-finite share of the ranges of a ``sensor_msgs/msg/LaserScan``.
+def keep(message: Any) -> tuple[float, float, float]:
+    """Return variance [m^2], non-finite share and least [m] of the ranges of a ``LaserScan``.
 
-    The variance is over finite ranges in [range_min, range_max], NaN if there is none.
+    Variance and least are over finite ranges in [range_min, range_max], NaN if there is none.
     """
     ranges = np.asarray(message.ranges, dtype=np.float64)
     if ranges.size == 0:
-        return np.nan, np.nan
+        return np.nan, np.nan, np.nan
     valid = ranges[(ranges >= message.range_min) & (ranges <= message.range_max)]
-    variance = float(valid.var()) if valid.size else np.nan
-    return variance, 1.0 - float(np.isfinite(ranges).mean())
+    non_finite = 1.0 - float(np.isfinite(ranges).mean())
+    if not valid.size:
+        return np.nan, non_finite, np.nan
+    return float(valid.var()), non_finite, float(valid.min())
 
 
 def compute(window: Window) -> Values | Missing:
     """Compute over all scan topics."""
     values: dict[str, float | Missing] = {}
+    empty = Missing("no scan has a valid range")
     for column, name in enumerate(("range_variance", "non_finite")):
-        scanners = [
-            float(np.median(kept))
-            for series in window.topics["scans"].values()
-            if (kept := series.values[~np.isnan(series.values[:, column]), column]).size
-        ]
-        empty = Missing("no scan has a valid range")
+        scanners = _of_scanners(window, column, 50.0)
         values[f"{name}_mean"] = float(np.mean(scanners)) if scanners else empty
-        values[f"{name}_max"] = max(scanners) if scanners else empty
+        values[f"{name}_max"] = max(scanners, default=empty)
+    # Of the scanner that sees farthest: another may see a part of the robot.
+    values["clearance"] = max(_of_scanners(window, 2, NEAR), default=empty)
     return values
+
+
+def _of_scanners(window: Window, column: int, percentile: float) -> list[float]:
+    """Return a percentile over the scans of each scanner that has a value."""
+    return [
+        float(np.percentile(kept, percentile))
+        for series in window.topics["scans"].values()
+        if (kept := series.values[~np.isnan(series.values[:, column]), column]).size
+    ]
 
 
 @hookimpl

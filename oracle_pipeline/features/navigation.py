@@ -30,39 +30,41 @@ from oracle_pipeline.features.scan_geometry import Floats, Ints, Points, main_od
 RECOVERY_FEATURES = (
     Feature(
         "recoveries", "1/min", 0.5, "recovery behaviours (spin, back up, wait, drive) begun, a "
-        "minute", "navigation",
+        "minute", "navigation", behaviour=True,
     ),
     Feature(
         "costmap_clearings", "1/min", 0.5, "times that the tree had a costmap cleared, a minute",
-        "navigation",
+        "navigation", behaviour=True,
     ),
 )  # fmt: skip
 PLAN_FEATURES = (
-    Feature("replans", "1/min", 1.0, "plans made to the goals, a minute", "navigation"),
+    Feature(
+        "replans", "1/min", 1.0, "plans made to the goals, a minute", "navigation", behaviour=True,
+    ),
     Feature(
         "plan_lengthening", "m", 0.05,
         "by how much a plan is longer than the one before it to the same goal, 95th percentile",
-        "navigation",
+        "navigation", behaviour=True,
     ),
     Feature(
         "progress", "m/s", 0.01, "how fast the plan to a goal becomes shorter, median",
-        "navigation",
+        "navigation", behaviour=True,
     ),
 )  # fmt: skip
 DRIVE_FEATURES = (
     Feature(
         "path_efficiency", "1", 0.01,
         "length of the first plan over the way driven, of all goals that ended", "navigation",
-        per_window=False,
+        per_window=False, behaviour=True,
     ),
     Feature(
         "stalled", "1", 0.01,
         "share of the time under way in which the robot came less than 0.1 m from where it was "
-        "5 s before", "navigation",
+        "5 s before", "navigation", behaviour=True,
     ),
     Feature(
         "longest_stall", "s", 1.0, "longest time without interruption of the same", "navigation",
-        per_window=False,
+        per_window=False, behaviour=True,
     ),
 )  # fmt: skip
 

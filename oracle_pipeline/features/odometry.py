@@ -1,4 +1,4 @@
-"""How the robot turned, from its odometry.
+"""How the robot drove and turned, from its odometry.
 
 The thesis takes the variance of yaw wrapped to (-pi, pi], which jumps when the robot faces -x;
 here it is the circular one, beside turning and the rate of it.
@@ -21,12 +21,23 @@ from oracle_pipeline.features.scan_geometry import main_odometry, pose_of
 
 FEATURES = (
     Feature(
-        "yaw_variance", "1", 1e-3, "circular variance of yaw, 1 - abs(mean exp(i yaw))", "domain"
+        "yaw_variance", "1", 1e-3, "circular variance of yaw, 1 - abs(mean exp(i yaw))", "domain",
+        behaviour=True,
     ),
-    Feature("total_turning", "rad", 0.05, "sum of the absolute changes of yaw", "domain"),
-    Feature("turning_per_metre", "rad/m", 0.05, "total turning over the path length", "domain"),
-    Feature("yaw_rate_variance", "rad^2/s^2", 1e-4, "variance of the measured yaw rate", "domain"),
-)
+    Feature(
+        "total_turning", "rad", 0.05, "sum of the absolute changes of yaw", "domain",
+        behaviour=True,
+    ),
+    Feature(
+        "turning_per_metre", "rad/m", 0.05, "total turning over the path length", "domain",
+        behaviour=True,
+    ),
+    Feature(
+        "yaw_rate_variance", "rad^2/s^2", 1e-4, "variance of the measured yaw rate", "domain",
+        behaviour=True,
+    ),
+    Feature("speed", "m/s", 0.01, "path length over time", "domain", behaviour=True),
+)  # fmt: skip
 
 _SHORTEST_PATH_M = 0.1  # shorter ones are noise of the odometry
 
@@ -47,6 +58,7 @@ def compute(window: Window) -> Values | Missing:
         "total_turning": turning,
         "turning_per_metre": turning / path_m if path_m >= _SHORTEST_PATH_M else still,
         "yaw_rate_variance": float(rate.var()),
+        "speed": path_m / (window.end_s - window.start_s),
     }
 
 

@@ -58,6 +58,7 @@ class Feature:
     description: str
     origin: Origin = "generic"  # generic: any bag; domain: needs a sensor; navigation: needs Nav2
     shortcut: bool = False  # identifies a run by its nodes and topics, not by its behaviour
+    behaviour: bool = False  # tells what the robot did, not whether messages agree
     per_window: bool = True  # False: makes sense for a whole run only
 
 

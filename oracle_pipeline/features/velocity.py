@@ -29,24 +29,30 @@ MONITOR_FEATURES = (
     Feature(
         "monitor_stopped", "1", 0.01,
         "share of the commands to move that the collision monitor turned into a stop", "navigation",
+        behaviour=True,
     ),
     Feature(
         "monitor_slowed", "1", 0.01, "share of the commands to move that it slowed down",
-        "navigation",
+        "navigation", behaviour=True,
     ),
 )  # fmt: skip
 COMMAND_FEATURES = (
-    Feature("command_zero", "1", 0.01, "share of the commands that are zero", "navigation"),
+    Feature(
+        "command_zero", "1", 0.01, "share of the commands that are zero", "navigation",
+        behaviour=True,
+    ),
     Feature(
         "command_reversals", "1/min", 0.5,
         "how often the commanded turn changes its direction, a minute of commands", "navigation",
+        behaviour=True,
     ),
     Feature(
-        "command_jerk", "m/s^3", 0.1, "mean absolute jerk of the commanded speed", "navigation"
+        "command_jerk", "m/s^3", 0.1, "mean absolute jerk of the commanded speed", "navigation",
+        behaviour=True,
     ),
     Feature(
         "command_angular_jerk", "rad/s^3", 0.5, "mean absolute jerk of the commanded turn",
-        "navigation",
+        "navigation", behaviour=True,
     ),
 )  # fmt: skip
 

@@ -1,16 +1,18 @@
 """P-values that waste no recording: each normal run calibrates a model that did not see it.
 
-The normal runs are dealt into folds. For each fold a scorer is fitted on the other folds and scores
-this one. A new run is scored by every scorer, and is compared with each normal run under the scorer
-that was not fitted on it (cross-conformal prediction [1]_; CV+ in regression [2]_). A split into a
-fitting and a calibrating half needs twice the recordings for the same smallest p-value.
+The normal runs are dealt into folds, whole sessions to one side. For each fold a scorer is fitted
+on the other folds and scores this one. A new run is scored by every scorer, and is compared with
+each normal run under the scorer that was not fitted on it (cross-conformal prediction [1]_; CV+ in
+regression [2]_). A split into a fitting and a calibrating half needs twice the recordings for the
+same smallest p-value.
 
 If the new run is exchangeable with the normal ones, ``p <= alpha`` happens at most with probability
 ``2 alpha`` whatever the scorer, and with about ``alpha`` for scorers that hardly change when one
 fold is left out [2]_. The realised rate is measured in the evaluation.
 
-Runs of one block share start, goals and nuisance, so a block is one unit: its runs share a fold and
-one vote.
+Runs of one session share a day's nuisance, so no scorer calibrates on a session that it was fitted
+on; with fewer than three sessions, whole blocks are dealt instead. Runs of one block share start
+and goals too: they have one vote.
 
 References
 ----------
@@ -42,7 +44,7 @@ class CrossConformalScorer:
     design : Design
         What is looked at.
     folds : int
-        At most; never more than there are blocks.
+        At most; never more than there are sessions, or blocks where those are dealt.
 
     Attributes
     ----------
@@ -70,7 +72,7 @@ class CrossConformalScorer:
         runs : MeasuredRuns
             Normal ones only.
         rng : Generator
-            Deals the blocks into folds.
+            Deals the sessions into folds.
 
         Raises
         ------
@@ -80,7 +82,7 @@ class CrossConformalScorer:
             The detector cannot be fitted on so few runs.
         """
         self.block_ = runs.block
-        self.fold_ = dealt(self.block_, self.folds, rng)
+        self.fold_ = dealt(_held_out_together(runs), self.folds, rng)
         self.scorers_ = []
         by_level: NDArray[np.float64] | None = None
         for fold in range(self.fold_.max() + 1):
@@ -171,9 +173,17 @@ class CrossConformalScorer:
         return np.asarray(((by_level - self.centre_) / self.spread_).max(axis=1), dtype=np.float64)
 
 
-def dealt(block: NDArray[np.int64], folds: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Deal whole blocks into folds of nearly equal numbers of blocks, shape (n_runs,)."""
-    names, number = np.unique(block, return_inverse=True)
+def _held_out_together(runs: MeasuredRuns) -> NDArray[np.int64]:
+    """Return the session of each run, or its block where there are too few sessions."""
+    sessions, of_block = np.unique(runs.session), np.unique(runs.block)
+    pairs = np.unique(np.column_stack([runs.block, runs.session]), axis=0)
+    is_nested = len(pairs) == len(of_block)  # not if tables of two campaigns were joined
+    return runs.session if len(sessions) >= MIN_BLOCKS and is_nested else runs.block
+
+
+def dealt(unit: NDArray[np.int64], folds: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Deal whole sessions or blocks into folds of nearly equal numbers of them, shape (n_runs,)."""
+    names, number = np.unique(unit, return_inverse=True)
     if len(names) < MIN_BLOCKS:
         raise ConformalError(
             f"The normal recordings come from {len(names)} blocks or sessions; learning takes "

@@ -1,7 +1,8 @@
-"""Verdicts on recordings as JUnit XML, for a CI system."""
+"""Outcomes as JUnit XML, for a CI system."""
 
 import re
 from collections.abc import Sequence
+from typing import Literal, NamedTuple
 from xml.etree import ElementTree
 
 from oracle_pipeline.scoring.output import paragraph
@@ -10,24 +11,44 @@ from oracle_pipeline.scoring.verdict import Verdict
 _NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
+class TestCase(NamedTuple):
+    """One test case: passed if nothing is said of it."""
+
+    name: str
+    kind: Literal["", "failure", "error"] = ""
+    text: str = ""
+
+
 def as_junit(verdicts: Sequence[Verdict]) -> bytes:
     """Return JUnit XML: a test case for each recording, anomalous ones are its failures."""
-    outcomes = [verdict.outcome for verdict in verdicts]
+    return junit_document("oracle score", [_test_case(verdict) for verdict in verdicts])
+
+
+def _test_case(verdict: Verdict) -> TestCase:
+    if verdict.outcome == "normal":
+        return TestCase(verdict.recording)
+    kind: Literal["failure", "error"] = "failure" if verdict.outcome == "anomalous" else "error"
+    return TestCase(verdict.recording, kind, "\n".join(paragraph(verdict)))
+
+
+def junit_document(command: str, cases: Sequence[TestCase]) -> bytes:
+    """Return the JUnit XML of one command's test cases; `command` is such as ``oracle score``."""
+    kinds = [case.kind for case in cases]
     suite = ElementTree.Element(
         "testsuite",
-        name="oracle score",
-        tests=str(len(outcomes)),
-        failures=str(outcomes.count("anomalous")),
-        errors=str(outcomes.count("error") + outcomes.count("unsupported")),
+        name=command,
+        tests=str(len(kinds)),
+        failures=str(kinds.count("failure")),
+        errors=str(kinds.count("error")),
     )
-    for verdict in verdicts:
-        name = _xml_text(verdict.recording)
-        case = ElementTree.SubElement(suite, "testcase", classname="oracle.score", name=name)
-        if verdict.outcome == "normal":
-            continue
-        what = "failure" if verdict.outcome == "anomalous" else "error"
-        text = _xml_text("\n".join(paragraph(verdict)))
-        ElementTree.SubElement(case, what, message=text.partition("\n")[0]).text = text
+    for case in cases:
+        element = ElementTree.SubElement(
+            suite, "testcase", classname=command.replace(" ", "."), name=_xml_text(case.name)
+        )
+        if case.kind:
+            text = _xml_text(case.text)
+            message = text.partition("\n")[0]
+            ElementTree.SubElement(element, case.kind, message=message).text = text
     ElementTree.indent(suite)
     document: bytes = ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True)
     return document

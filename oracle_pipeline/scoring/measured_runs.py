@@ -73,6 +73,13 @@ class MeasuredRuns:
         return self.features["block"].to_numpy(dtype=np.int64)
 
     @property
+    def session(self) -> NDArray[np.int64]:
+        """Session of each run, shape (n_runs,); where none is known, its block is one."""
+        if "session" not in self.features:
+            return self.block
+        return self.features["session"].to_numpy(dtype=np.int64)
+
+    @property
     def counts(self) -> NDArray[np.intp]:
         """How many windows each run has, shape (n_runs,)."""
         return np.bincount(self.run, minlength=len(self.features))

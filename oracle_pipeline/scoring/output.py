@@ -4,6 +4,7 @@ import dataclasses
 import json
 from collections.abc import Iterator, Sequence
 
+from oracle_pipeline.bags.terminal import aligned_lines
 from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.conformal import runs_needed
@@ -104,7 +105,7 @@ def paragraph(verdict: Verdict, shared: Sequence[str] = ()) -> Iterator[str]:
     )
     yield from (f"    {breach}" for breach in verdict.contract)
     if verdict.outcome != "normal":
-        yield from _aligned([HEADINGS, *map(cells, verdict.evidence)])
+        yield from aligned_lines([HEADINGS, *map(cells, verdict.evidence)], indent="    ")
         yield from (f"    {family_summary(family)}" for family in verdict.families)
     yield from (f"    {remark}" for remark in _remarks(verdict) if remark not in shared)
 
@@ -134,10 +135,3 @@ def family_summary(family: FamilyDeviation) -> str:
 def _z(z: float, *, capped: bool) -> str:
     """Return a robust z, and whether it is only as large as z may be."""
     return f"{z:+.1f} (capped)" if capped else f"{z:+.1f}"
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        padded = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        yield f"    {'  '.join(padded)}".rstrip()

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bags import layout
@@ -32,7 +33,8 @@ class Reference:
     windows : DataFrame or None
         The features of their windows, if these are known.
     observations : tuple of Observation
-        What the recordings show without looking into messages; empty if only tables were read.
+        What the recordings show without looking into messages, in the order of `table`; empty if
+        only tables were read.
     notes : tuple of str
     """
 
@@ -112,9 +114,11 @@ def _extracted(paths: Sequence[Path], manager: FeatureManager) -> Reference:
         )
     if unlabelled:
         notes.append(f"{unlabelled} reference recordings have no label; they are taken as normal.")
-    return Reference(
-        feature_dataset(tables), window_dataset(windows), tuple(observations), tuple(notes)
-    )
+    table = feature_dataset(tables)
+    row = {run_id: number for number, run_id in enumerate(table["run_id"])}
+    order = np.argsort([row[each["run_id"].iloc[0]] for each in tables])
+    in_order = tuple(observations[number] for number in order)
+    return Reference(table, window_dataset(windows), in_order, tuple(notes))
 
 
 def _recordings(folder: Path) -> Iterator[Path]:

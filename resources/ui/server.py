@@ -23,6 +23,7 @@ from dagster import DagsterInstance
 from dagster_webserver.app import create_app_from_workspace_process_context
 from dagster_webserver.version import __version__
 
+from oracle_pipeline.bags.terminal import version_option
 from resources.run_processes import fail_lost_runs
 from resources.ui.dagster_internals import (
     ProxyServerManager,
@@ -41,6 +42,7 @@ _log = logging.getLogger("dagster.ui")
 
 
 @click.command()
+@version_option
 @click.option(
     "-w", "--workspace", type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="Which code locations to serve.  [default: workspace.yaml here, or that of the project]",

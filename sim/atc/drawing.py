@@ -19,7 +19,6 @@ from sim.middleware.executor import SECOND
 from sim.seeds import generator
 from sim.testbed import Mode
 
-SESSIONS = 3
 FLIGHTS = 10  # of a run
 
 _LOOK_S = 5  # how often it is looked who is in coverage
@@ -40,7 +39,7 @@ def draw(mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any]
     OracleError
         If there is no room for the campaign's flights.
     """
-    session = _draw_session(campaign.seed, run % SESSIONS)
+    session = _draw_session(campaign.seed, campaign.session_of(run))
     flights = _draw_flights(campaign, run, session.wind)
     target = _draw_target(campaign, run, flights, session.wind)
     drawn = {"target_icao24": target.icao24, "target_callsign": target.callsign}
@@ -55,6 +54,7 @@ def draw(mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any]
         flights=flights,
         duration_s=campaign.timeout_s,
         storage=campaign.storage,
+        noise=mode.noise(campaign),
     )
 
 

@@ -41,10 +41,11 @@ class AtcRecipe:
     flights: tuple[Flight, ...]
     duration_s: float
     storage: Storage
+    noise: str  # `Mode.noise`
 
     def generator(self, node: str) -> np.random.Generator:
-        """Return the randomness of one node; the same in every mode of the block."""
-        return node_generator(self.seed, NODE, self.block, node)
+        """Return the randomness of one node; the same in every run of the block and its noise."""
+        return node_generator(self.seed, NODE, self.block, self.noise + node)
 
     def attack_seed(self) -> int:
         """Return the key of the attack's own, counter-based randomness."""
@@ -77,4 +78,7 @@ class AtcRecipe:
 
     def campaign(self) -> Campaign:
         """Return the campaign that the run is of, as far as its block's draws depend on it."""
-        return Campaign(self.seed, storage=self.storage, timeout_s=self.duration_s)
+        return Campaign(
+            self.seed, storage=self.storage, timeout_s=self.duration_s,
+            session=self.session.index, noise_per_run=bool(self.noise),
+        )  # fmt: skip

@@ -4,6 +4,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -42,6 +43,18 @@ _CAMPAIGN_OPTIONS = (
     click.option(
         "--storage", default="mcap", show_default=True, type=click.Choice(["mcap", "sqlite3"]),
         help="Storage of the bag.",
+    ),
+    click.option(
+        "--sessions", default=lambda: Campaign.from_environment().sessions,
+        type=click.IntRange(min=1),
+        help="Blocks take turns in so many sessions (days in the laboratory).  [default: "
+        "$ORACLE_SESSIONS or a session for each block]",
+    ),
+    click.option(
+        "--noise-per-run", is_flag=True,
+        default=lambda: Campaign.from_environment().noise_per_run,
+        help="Draw sensor noise and latencies for each run instead of each block; an attack and "
+        "its shadow control still share them.  [default: $ORACLE_NOISE_PER_RUN or no]",
     ),
     click.option(
         "--wiring", default="additive", show_default=True, type=click.Choice(get_args(Wiring)),
@@ -92,12 +105,15 @@ def campaign_options(command: Command) -> Command:
 
 def campaign(options: Mapping[str, Any]) -> Campaign:
     """Return the campaign that the options of ``campaign_options`` describe."""
-    rest = {k: v for k, v in options.items() if k not in ("seed", "goals", "storage")}
+    names = {item.name for item in fields(Options)}
     return Campaign(
         seed=options["seed"],
         goals_per_run=options["goals"],
         storage=options["storage"],
-        options=Options(**rest),
+        options=Options(**{name: options[name] for name in names}),
+        sessions=options["sessions"],
+        session=options.get("session"),
+        noise_per_run=options["noise_per_run"],
     )
 
 

@@ -63,11 +63,13 @@ def grid(
     refresh: bool,
     **options: Any,
 ) -> None:
-    """Record runs at several parameter values (kill matrix).
+    """Record a scenario at several strengths, to see which are detected.
 
-    A kill matrix shows, for each value and block, whether the oracle detects the scenario. Runs are
-    recorded in closed loop, or with --on computed from recorded ones. grid.json has the value of
-    each run and how many messages were changed; if none, the mutant is equivalent to the original.
+    The result is a kill matrix, as in mutation testing: for each value of a parameter and each
+    block, whether the oracle detects the altered run (kills the mutant). oracle_evaluation computes
+    it, and the report shows it. Runs are recorded in closed loop, or with --on computed from
+    recorded ones. grid.json has the value of each run and how many messages were changed; if none,
+    the mutant is equivalent to the original.
 
     \b
     Examples:

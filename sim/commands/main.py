@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from oracle_pipeline.bags.terminal import PlainTextGroup
+from oracle_pipeline.bags.terminal import PlainTextGroup, version_option
 
 
 class _LazyGroup(PlainTextGroup):
@@ -32,6 +32,7 @@ class _LazyGroup(PlainTextGroup):
 
 
 @click.group(cls=_LazyGroup)
+@version_option
 def main() -> None:
     """Record robot experiments in the simulated testbeds, as rosbag2, and look at them."""
 

@@ -37,6 +37,14 @@ from sim.testbed import Mode
     help="How many runs: run000, run001, ...",
 )  # fmt: skip
 @click.option(
+    "--first-block", default=0, show_default=True, type=click.IntRange(min=0),
+    help="Block of the first run; run007 is of block 7.",
+)  # fmt: skip
+@click.option(
+    "--session", type=click.IntRange(min=0),
+    help="Session of all runs.  [default: as --sessions says]",
+)  # fmt: skip
+@click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
     default=home,
     help="Root of the run directories.  [default: $ORACLE_HOME or ./data]",
@@ -49,6 +57,7 @@ def record(
     scenario: str | None,
     allow_actuation: bool,
     number: int,
+    first_block: int,
     out: Path,
     workers: int,
     refresh: bool,
@@ -56,7 +65,7 @@ def record(
 ) -> None:
     """Record runs of one mode, or of a scenario.
 
-    Run i of every mode has the same start, goals and nuisance (block i), so runs compare across
+    Run i of every mode has the same start, goals and session (block i), so runs compare across
     modes. What is recorded already is left as it is; an interrupted call is completed by the
     next one.
 
@@ -64,13 +73,15 @@ def record(
     Example:
         oracle-sim record -m fake_object -n 3 --out data
         oracle-sim record --scenario sensor_freeze
+        oracle-sim record -m lidar_passthrough -n 14 --first-block 60 --sessions 2
         oracle features 'data/runs/fake_object/run000'
     """  # noqa: D301 -- click reads the control character
     for broken in broken_scenarios():
         click.echo(f"Left out: {broken}", err=True)
     experiment = _experiment(mode, scenario, allow_actuation=allow_actuation)
     job = functools.partial(_record, experiment, campaign(options), out, refresh)
-    make_runs(job, range(number), functools.partial(RunDirectory, out, experiment.id), workers)
+    blocks = range(first_block, first_block + number)
+    make_runs(job, blocks, functools.partial(RunDirectory, out, experiment.id), workers)
 
 
 def _experiment(mode: str | None, scenario: str | None, *, allow_actuation: bool) -> Mode:

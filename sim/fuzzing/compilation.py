@@ -12,6 +12,7 @@ from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from sim.fuzzing.actuation import moves_something
 from sim.fuzzing.compile_context import Budget, CompileContext
+from sim.fuzzing.faults import Faults
 from sim.fuzzing.fields import as_sent
 from sim.fuzzing.grammar import ExpressionError
 from sim.fuzzing.operators import ON_TIMER, compile_operators
@@ -61,16 +62,21 @@ def compile_scenario(
     Raises
     ------
     ScenarioError
-        Naming file, line, key and what was expected there.
+        Naming file, line, key and what was expected there, for each fault that is no consequence
+        of another one.
     """
     document = scenario.document
     main = document["main"]
-    _check_topics(scenario, allow_actuation=allow_actuation)
-    kind = _message_type(scenario, main["type"], ("main", "type"))
+    faults = Faults()
+    with faults.gathered():
+        kind = _message_type(scenario, main["type"], ("main", "type"))
     limits = document.get("limits", {})
-    parameters = _parameters(scenario)
-    constants = _constants(scenario)
-    state_types, state, lifetimes_ns = _state(scenario)
+    parameters = _parameters(scenario, faults)
+    constants = _constants(scenario, faults)
+    state_types, state, lifetimes_ns = _state(scenario, faults)
+    faults.end()  # what follows would only repeat them
+    with faults.gathered():
+        _check_topics(scenario, allow_actuation=allow_actuation)
     given: dict[str, Type] = {
         "p": Record("p", {name: parameter.type for name, parameter in parameters.items()}),
         "c": Record("c", {name: type_ for name, (type_, _) in constants.items()}),
@@ -84,6 +90,7 @@ def compile_scenario(
         limits.get("array", LONGEST),
         itertools.count(ACTIVATION + 1),
         budget or Budget(),
+        faults,
     )
     sources = _sources(scenario, context)
     kept: dict[str, Type] = {
@@ -100,29 +107,32 @@ def compile_scenario(
     if transform.get("always"):
         do = compile_operators(transform["always"], ("transform", "always"), on_message)
         always = Action("always", None, (), do)
-    actions = tuple(
-        _action(action, ("transform", "actions", place), on_message)
-        for place, action in enumerate(transform.get("actions", []))
-    )
+    actions = []
+    for place, action in enumerate(transform.get("actions", [])):
+        with faults.gathered():
+            actions.append(_action(action, ("transform", "actions", place), on_message))
     timer, period = None, None
     if "timer" in transform:
         key = ("transform", "timer")
         spec = transform["timer"]
-        period = context.term(spec["period_s"], (*key, "period_s"), Number)
+        with faults.gathered():
+            period = context.term(spec["period_s"], (*key, "period_s"), Number)
         do = compile_operators(spec["do"], (*key, "do"), on_timer, ON_TIMER)
         timer = Action(spec.get("name", "timer"), None, (), do)
     magnitude = None
     if "ground_truth" in document:
         text = document["ground_truth"]["magnitude"]
         scope = on_timer if timer else on_message
-        magnitude = scope.term(text, ("ground_truth", "magnitude"), Number)
+        with faults.gathered():
+            magnitude = scope.term(text, ("ground_truth", "magnitude"), Number)
+    faults.end()
     parts = [part for part in (always, *actions, timer) if part is not None]
     cost = sum(part.cost for part in parts)
     if cost > MAX_COST:
         raise scenario.error(
             ("transform",),
-            f"expected at most {MAX_COST} elements computed for a message, found up to {cost} "
-            f"with arrays of {context.longest}; set a smaller limits.array, or do less",
+            f"expected at most {MAX_COST:,} array elements computed for each message, found up to "
+            f"{cost:,} with arrays of {context.longest}; set a smaller limits.array, or do less",
         )
     operators = [operator for part in parts for operator in part.do]
     return Program(
@@ -139,7 +149,7 @@ def compile_scenario(
         state=state,
         lifetimes_ns=lifetimes_ns,
         always=always,
-        actions=actions,
+        actions=tuple(actions),
         first_match_only=transform.get("match", "first") == "first",
         period=period,
         timer=timer,
@@ -208,22 +218,27 @@ def _scalar(spec: Mapping[str, Any]) -> Type:
     return _SCALARS.get(spec["type"]) or Text(spec.get("max_len", MAX_TEXT))
 
 
-def _parameters(scenario: Scenario) -> dict[str, Parameter]:
+def _parameters(scenario: Scenario, faults: Faults) -> dict[str, Parameter]:
     parameters = {}
     for name, spec in scenario.document.get("parameters", {}).items():
         key = ("parameters", name)
         parameter = Parameter(
             name, _scalar(spec), spec["default"], spec.get("min"), spec.get("max")
         )
-        try:
-            default = parameter.checked(spec["default"])
-        except ValueError as error:
-            raise scenario.error((*key, "default"), str(error)) from error
-        parameters[name] = dataclasses.replace(parameter, default=default)
+        with faults.gathered():
+            default = _default(scenario, key, parameter)
+            parameters[name] = dataclasses.replace(parameter, default=default)
     return parameters
 
 
-def _constants(scenario: Scenario) -> dict[str, tuple[Type, Any]]:
+def _default(scenario: Scenario, key: Key, parameter: Parameter) -> Any:
+    try:
+        return parameter.checked(parameter.default)
+    except ValueError as error:
+        raise scenario.error((*key, "default"), str(error)) from error
+
+
+def _constants(scenario: Scenario, faults: Faults) -> dict[str, tuple[Type, Any]]:
     constants: dict[str, tuple[Type, Any]] = {}
     for name, value in scenario.document.get("constants", {}).items():
         match value:
@@ -239,14 +254,17 @@ def _constants(scenario: Scenario) -> dict[str, tuple[Type, Any]]:
                 corners = Array(Array(FLOAT, 2, fixed=True), len(value), fixed=True)
                 constants[name] = corners, np.array(value, np.float64)
             case _ if any(isinstance(number, list) for number in value):
-                raise scenario.error(("constants", name), "expected all numbers or all pairs")
+                with faults.gathered():
+                    raise scenario.error(("constants", name), "expected all numbers or all pairs")
             case _:
                 numbers = Array(FLOAT, len(value), fixed=True)
                 constants[name] = numbers, np.array(value, np.float64)
     return constants
 
 
-def _state(scenario: Scenario) -> tuple[dict[str, Type], dict[str, Any], dict[str, int]]:
+def _state(
+    scenario: Scenario, faults: Faults
+) -> tuple[dict[str, Type], dict[str, Any], dict[str, int]]:
     """Return the types of what is kept, what it begins with, and how long rows of tables live."""
     types: dict[str, Type] = {}
     values: dict[str, Any] = {}
@@ -259,10 +277,9 @@ def _state(scenario: Scenario) -> tuple[dict[str, Type], dict[str, Any], dict[st
                 lifetimes_ns[name] = round(spec["ttl_s"] * SECOND)
             continue
         types[name] = _scalar(spec)
-        try:
-            values[name] = Parameter(name, types[name], None, None, None).checked(spec["default"])
-        except ValueError as error:
-            raise scenario.error(("state", name, "default"), str(error)) from error
+        with faults.gathered():
+            beginning = Parameter(name, types[name], spec["default"], None, None)
+            values[name] = _default(scenario, ("state", name), beginning)
     return types, values, lifetimes_ns
 
 

@@ -12,6 +12,7 @@ from typing import Any, Self
 import numpy as np
 
 from sim.fuzzing.expressions import compile_expression
+from sim.fuzzing.faults import Faults, TooMuchError
 from sim.fuzzing.fields import Convert, Field, RefusedMessage, converter, difference
 from sim.fuzzing.grammar import ExpressionError
 from sim.fuzzing.scenario import Key, Scenario, ScenarioError
@@ -53,6 +54,8 @@ class CompileContext:
         Of the operations, in the order of the document.
     budget
         Shared by all that is compiled for the file.
+    faults
+        Those of operators and actions, which do not depend on each other.
 
     Notes
     -----
@@ -67,6 +70,7 @@ class CompileContext:
     longest: int
     numbers: Iterator[int]
     budget: Budget
+    faults: Faults
 
     def term(
         self, text: str | float, key: Key, expected: type | None = None, *, elements: int = 1
@@ -80,10 +84,14 @@ class CompileContext:
             raise self.error(key, error) from error
         self.budget.left -= expression.operations
         if self.budget.left < 0:
-            raise self.scenario.error(
-                key,
-                f"expected at most {MAX_OPERATIONS} operations in all expressions of the file, "
-                "functions counted at each call; split the file, or do less",
+            raise TooMuchError(
+                str(
+                    self.scenario.error(
+                        key,
+                        f"expected at most {MAX_OPERATIONS} operations in all expressions of the "
+                        "file, functions counted at each call; split the file, or do less",
+                    )
+                )
             )
         if expected is not None and not isinstance(expression.type, expected):
             what = expected.__name__.lower()

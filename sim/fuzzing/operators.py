@@ -113,27 +113,33 @@ def compile_operators(
 ) -> tuple[Operator, ...]:
     """Compile the operators of one action.
 
-    Raises
-    ------
-    ScenarioError
-        If one is not allowed there, is wrong, or changes what another one changes as well.
+    One that is not allowed there, is wrong, or changes what another one changes as well is left
+    out, and told by the context's faults.
     """
     operators, changed = [], list[str]()
     for place, spec in enumerate(specs):
         ((name, details),) = spec.items()
         at = (*key, place, name)
-        if name not in allowed:
-            raise context.scenario.error(
-                at, f"expected one of {', '.join(allowed)} here, found {name}"
-            )
-        path = details.get("field")
-        for other in changed:
-            if path and (f"{path}.".startswith(f"{other}.") or f"{other}.".startswith(f"{path}.")):
+        with context.faults.gathered():
+            if name not in allowed:
                 raise context.scenario.error(
-                    (*at, "field"),
-                    f"expected a field that no operator above changes, {other} is changed there: "
-                    "all read the original, so give it an action of its own with match: all",
+                    at, f"expected one of {', '.join(allowed)} here, found {name}"
                 )
-        changed += [path] if path else []
-        operators.append(OPERATORS[name](details, at, context))
+            path = details.get("field")
+            _check_unchanged(path, changed, (*at, "field"), context)
+            changed += [path] if path else []
+            operators.append(OPERATORS[name](details, at, context))
     return tuple(operators)
+
+
+def _check_unchanged(
+    path: str | None, changed: Sequence[str], key: Key, context: CompileContext
+) -> None:
+    """Refuse a field that another operator changes, as a whole or in part."""
+    for other in changed:
+        if path and (f"{path}.".startswith(f"{other}.") or f"{other}.".startswith(f"{path}.")):
+            raise context.scenario.error(
+                key,
+                f"expected a field that no operator above changes, {other} is changed there: "
+                "all read the original, so give it an action of its own with match: all",
+            )

@@ -8,6 +8,7 @@ and expressions is checked in ``sim.fuzzing.program``.
 import dataclasses
 import functools
 import hashlib
+import itertools
 import json
 import math
 import re
@@ -325,11 +326,12 @@ def _faults(document: Any, lines: dict[Key, int], file: str) -> list[str]:
         json_schema.faults(document, schema()),
         key=lambda error: (len(error.absolute_path), lines[tuple(error.absolute_path)]),
     )
-    return [str(_error(file, lines, *_in_words(error))) for error in found[:MAX_FAULTS]]
+    told = (_error(file, lines, *words) for error in found for words in _in_words(error))
+    return list(itertools.islice(dict.fromkeys(map(str, told)), MAX_FAULTS))
 
 
-def _in_words(error: jsonschema.ValidationError) -> tuple[Key, str]:
-    """Return where it went wrong and what was expected there."""
+def _in_words(error: jsonschema.ValidationError) -> Iterator[tuple[Key, str]]:
+    """Yield where it went wrong and what was expected there."""
     key: Key = tuple(error.absolute_path)
     rule, value = error.validator, cast(Any, error.validator_value)
     instance, rules = cast(Any, error.instance), cast(dict[str, Any], error.schema)
@@ -337,34 +339,34 @@ def _in_words(error: jsonschema.ValidationError) -> tuple[Key, str]:
     match rule:
         case "type":
             kinds = [value] if isinstance(value, str) else value
-            return key, f"expected {' or '.join(_KINDS[kind] for kind in kinds)}, {found}"
+            yield key, f"expected {' or '.join(_KINDS[kind] for kind in kinds)}, {found}"
         case "const":
-            return key, f"expected {value}, {found}"
+            yield key, f"expected {value}, {found}"
         case "enum":
-            return key, f"expected one of {', '.join(value)}, {found}"
+            yield key, f"expected one of {', '.join(value)}, {found}"
         case "required":
-            missing = next(name for name in value if name not in instance)
-            return key, f"expected the key {missing}"
+            yield from ((key, f"expected the key {n}") for n in value if n not in instance)
         case "additionalProperties":
             known = list(rules.get("properties", ()))
-            unknown = next(name for name in instance if name not in known)
             there = f"expected one of {', '.join(known)}" if known else "expected nothing"
-            return (*key, unknown), f"{there}, found {_shown(unknown)}"
+            for unknown in (name for name in instance if name not in known):
+                yield (*key, unknown), f"{there}, found {_shown(unknown)}"
         case "pattern":
-            return key, f"expected {_PATTERNS[value]}, {found}"
+            yield key, f"expected {_PATTERNS[value]}, {found}"
         case "minProperties" | "minItems" | "minLength":
-            return key, f"expected at least {value}, {found}"
+            yield key, f"expected at least {value}, {found}"
         case "maxProperties" | "maxItems" | "maxLength":
-            return key, f"expected at most {value}, found {len(instance)}"
+            yield key, f"expected at most {value}, found {len(instance)}"
         case "uniqueItems":
-            return key, f"expected each value once, {found}"
+            yield key, f"expected each value once, {found}"
         case "minimum":
-            return key, f"expected at least {value}, {found}"
+            yield key, f"expected at least {value}, {found}"
         case "exclusiveMinimum":
-            return key, f"expected more than {value}, {found}"
+            yield key, f"expected more than {value}, {found}"
         case "maximum":
-            return key, f"expected at most {value}, {found}"
-    return key, f"expected otherwise: {error.message[:200]}"
+            yield key, f"expected at most {value}, {found}"
+        case _:
+            yield key, f"expected otherwise: {error.message[:200]}"
 
 
 _KINDS = {

@@ -4,6 +4,7 @@ Introspection answers what ``ros2 node list`` and ``ros2 node info`` answer. End
 through ``node``; a sample is serialised at most once, whoever listens.
 """
 
+import functools
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -12,6 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 from rosbags.interfaces import Qos
 
 from oracle_pipeline.bags.types import deserialize, serialize
+from sim.middleware.delays import Delays
 from sim.middleware.executor import Executor
 from sim.middleware.qos import compatible, is_latched
 
@@ -54,6 +56,7 @@ class Subscription:
     callback: Callable[[Any], None] | None
     raw: bool  # the callback takes CDR bytes, in the instant they are sent
     latency_ns: int
+    delays: Delays | None = None  # what is added to the latency
     # Publishers, and what each had sent before it was connected: traffic is counted once, there.
     links: list[tuple["Publisher", int, int]] = field(default_factory=list)
 
@@ -67,10 +70,25 @@ class Subscription:
         """Their CDR bytes, as far as a recorder listened."""
         return sum(publisher.message_bytes - before for publisher, _, before in self.links)
 
+    def due_ns(self, sent_ns: int) -> int:
+        """Return when a sample is heard that is sent now [ns]."""
+        if self.delays is None:
+            return sent_ns + self.latency_ns
+        return self.delays.due_ns(sent_ns, self.latency_ns)
+
     def deliver(self, sample: Sample) -> None:
         """Hand a sample to the callback."""
         if self.callback is not None:
             self.callback(sample.data if self.raw else sample.message)
+
+
+class _Listener(NamedTuple):
+    """A subscription that does something with what it hears, as the publisher looks at it."""
+
+    latency_ns: int
+    delays: Delays | None
+    hear: Callable[[Any], None]  # takes a message
+    deliver: Callable[[Sample], None]
 
 
 @dataclass(slots=True, eq=False)
@@ -87,10 +105,7 @@ class Publisher:
     messages: int = 0
     message_bytes: int = 0  # sent while a recorder listened; else nothing need be serialised
     _recorders: list[Callable[[bytes], None]] = field(default_factory=list)
-    # Latency [ns], and what takes a message and a sample of those that do something with it.
-    _listeners: list[tuple[int, Callable[[Any], None], Callable[[Sample], None]]] = field(
-        default_factory=list
-    )
+    _listeners: list["_Listener"] = field(default_factory=list)
 
     def publish(self, message: Any, data: bytes | None = None) -> None:
         """Send a message object; the caller must not change it afterwards.
@@ -107,8 +122,9 @@ class Publisher:
         if self.retained is not None:
             self.retained.append(Sample(self.msgtype, message, data))
         now_ns, call_at = self.executor.now_ns, self.executor.call_at
-        for latency_ns, hear, _ in self._listeners:
-            call_at(now_ns + latency_ns, hear, message)
+        for latency_ns, delays, hear, _ in self._listeners:
+            due_ns = now_ns + latency_ns if delays is None else delays.due_ns(now_ns, latency_ns)
+            call_at(due_ns, hear, message)
 
     def publish_serialized(self, data: bytes) -> None:
         """Send CDR bytes as they are; they become a message if somebody listens."""
@@ -124,8 +140,9 @@ class Publisher:
         if self.retained is not None:
             self.retained.append(sample)
         now_ns, call_at = self.executor.now_ns, self.executor.call_at
-        for latency_ns, _, deliver in self._listeners:
-            call_at(now_ns + latency_ns, deliver, sample)
+        for latency_ns, delays, _, deliver in self._listeners:
+            due_ns = now_ns + latency_ns if delays is None else delays.due_ns(now_ns, latency_ns)
+            call_at(due_ns, deliver, sample)
 
     def has_subscribers(self) -> bool:
         """Tell whether a sample would reach anyone (Nav2 skips costly messages otherwise)."""
@@ -142,7 +159,11 @@ class Publisher:
         if callback is not None and subscription.raw:
             self._recorders.append(callback)
         elif callback is not None:
-            self._listeners.append((subscription.latency_ns, callback, subscription.deliver))
+            self._listeners.append(
+                _Listener(
+                    subscription.latency_ns, subscription.delays, callback, subscription.deliver
+                )
+            )
         late = list(self.retained or ()) if is_latched(subscription.qos) else []
         size = sum(len(sample.data) for sample in late) if self._recorders else 0
         subscription.links.append((self, self.messages - len(late), self.message_bytes - size))
@@ -150,8 +171,9 @@ class Publisher:
             if subscription.raw:
                 subscription.deliver(sample)
             else:
-                due_ns = self.executor.now_ns + subscription.latency_ns
-                self.executor.call_at(due_ns, subscription.deliver, sample)
+                self.executor.call_at(
+                    subscription.due_ns(self.executor.now_ns), subscription.deliver, sample
+                )
 
 
 @dataclass(slots=True, eq=False)
@@ -184,10 +206,22 @@ class Offer(NamedTuple):
 
 
 class Domain:
-    """Everything that can see each other, as with one ``ROS_DOMAIN_ID``."""
+    """Everything that can see each other, as with one ``ROS_DOMAIN_ID``.
 
-    def __init__(self, executor: Executor) -> None:
+    Parameters
+    ----------
+    executor
+        Simulated time.
+    delays
+        What is added to the latency of a node, by its name; None: nothing. A node without latency
+        hears everything at once.
+    """
+
+    def __init__(
+        self, executor: Executor, delays: Callable[[str], Delays | None] = lambda _: None
+    ) -> None:
         self.executor = executor
+        self._delays = functools.cache(delays)  # all subscriptions of a node share them
         self.revision = 0  # counts publishers: who looks for new ones need not look when it stands
         self.topics: dict[str, str] = {}  # name -> message type, in order of appearance
         self._publishers: dict[str, list[Publisher]] = {}  # by topic
@@ -220,6 +254,8 @@ class Domain:
 
     def add_subscription(self, subscription: Subscription) -> None:
         """Connect a new subscription; latched samples arrive at once."""
+        if subscription.latency_ns:
+            subscription.delays = self._delays(subscription.node)
         self._declare(subscription.topic, subscription.msgtype)
         self._subscriptions[subscription.topic].append(subscription)
         for publisher in self._publishers[subscription.topic]:

@@ -38,6 +38,7 @@ class Nav2:
 
     navigator: BasicNavigator
     managers: tuple[LifecycleManager, ...]
+    collision_monitor: CollisionMonitor
 
     @property
     def is_active(self) -> bool:
@@ -129,7 +130,7 @@ def bring_up(
     BtNavigator(domain, transforms, latency_ns=latency_ns)
     WaypointFollower(domain, latency_ns=latency_ns)
     VelocitySmoother(domain, speed=speed, latency_ns=latency_ns)
-    CollisionMonitor(
+    collision_monitor = CollisionMonitor(
         domain,
         listener("collision_monitor"),
         transforms=transforms,
@@ -157,4 +158,4 @@ def bring_up(
 
     RViz(domain)
     NavigationDialog(domain)
-    return Nav2(BasicNavigator(domain, latency_ns=latency_ns), managers)
+    return Nav2(BasicNavigator(domain, latency_ns=latency_ns), managers, collision_monitor)

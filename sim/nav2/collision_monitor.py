@@ -174,6 +174,7 @@ class CollisionMonitor(LifecycleNode):
         self._seen: list[_Seen] = []
         self._action = ""  # polygon that acts
         self._halted_ns: int | None = None  # since when the robot is told to stand
+        self.commands = self.commands_altered = 0  # to move; of these, slowed down or stopped
 
     def on_configure(self) -> None:
         """Open the topics."""
@@ -214,6 +215,9 @@ class CollisionMonitor(LifecycleNode):
     def _on_command(self, twist: Any) -> None:
         command = (twist.linear.x, twist.angular.z)
         (linear, angular), polygon = self._judge(command, self._points())
+        if command != (0.0, 0.0):
+            self.commands += 1
+            self.commands_altered += bool(polygon)
         if polygon != self._action:
             self.info(
                 f"Robot acts on {polygon}" if polygon else "Robot to continue normal operation"

@@ -1,8 +1,7 @@
 """What is drawn for a run on the TurtleBot3 testbed, from the campaign's seed.
 
-Run i of every mode belongs to block i: same start, goals, fake object and nuisance, so that a mode
-and its control differ in the mode only. Three sessions take turns; a session is a day in the
-laboratory, with its own LiDAR bias, floor and processor load.
+Run i of every mode belongs to block i: same start, goals, fake object and session, so that a mode
+and its control differ in the mode only, and in noise where the campaign draws it for each run.
 """
 
 import functools
@@ -27,14 +26,11 @@ from sim.turtlebot3.arena import RING, clearance
 from sim.turtlebot3.map import RESOLUTION_M, WORLD_IN_MAP, odom_in_map, turtlebot3_world_map
 from sim.turtlebot3.recipes import (
     BLOCK,
-    SESSION,
     Conditions,
     FakeObject,
-    Session,
     TurtleBot3Recipe,
 )
-
-SESSIONS = 3
+from sim.turtlebot3.sessions import draw_session
 
 MIN_CLEARANCE_M = 0.55  # of start and goals from every obstacle; see docs/explanation/navigation.md
 MIN_LEG_M = 1.5  # straight distance from one goal to the next
@@ -42,19 +38,6 @@ FAKE_OBJECT_CLEARANCE_M = 0.6  # of the fake object from start and goals
 MIN_DETOUR = 1.35  # the way around the fake object over the way that it lies across
 _OBJECT_DRAWS = 100
 _FIRST_LATE_LEG = 2  # a delayed attack begins on the second or third leg
-
-
-def draw_session(seed: int, index: int) -> Session:
-    """Draw the conditions of a session."""
-    rng = generator(seed, SESSION, index)
-    return Session(
-        index=index,
-        lidar_bias_m=rng.uniform(-0.01, 0.01),
-        lidar_noise_m=rng.uniform(0.008, 0.015),
-        friction=rng.uniform(0.8, 1.2),
-        mass=rng.uniform(0.9, 1.1),
-        latency_ms=rng.uniform(1.0, 8.0),
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,13 +167,14 @@ def draw(
         run=run,
         block=run,
         seed=campaign.seed,
-        session=draw_session(campaign.seed, run % SESSIONS),
+        session=draw_session(campaign.seed, campaign.session_of(run)),
         start=block.start,
         goals=block.goals,
         fake_object=block.fake_object,
         storage=campaign.storage,
         timeout_s=campaign.timeout_s,
         options=campaign.options,
+        noise=mode.noise(campaign),
     )
 
 

@@ -38,6 +38,7 @@ class WorldParameters:
     friction: float = 1.0  # of the floor, relative to the model
     mass: float = 1.0  # of the robot, relative to the model
     obstacles: Sequence[Cylinder] = ()  # real ones that are on no map
+    wheels: tuple[float, float] = (1.0, 1.0)  # radius of left and right, relative to the model
 
 
 def pieces(parameters: WorldParameters) -> dict[str, str]:
@@ -79,8 +80,8 @@ def mjcf(parameters: WorldParameters, *, with_pieces: bool = True) -> str:
       <geom class="on_floor" type="sphere" size="0.005" pos="-0.177 -0.064 -0.004" mass="0.001"
             condim="1" priority="1"/>
       <site name="imu_link" pos="0 0 0.068"/>
-      {_wheel("wheel_left", 0.144)}
-      {_wheel("wheel_right", -0.144)}
+      {_wheel("wheel_left", 0.144, parameters.wheels[0])}
+      {_wheel("wheel_right", -0.144, parameters.wheels[1])}
     </body>
   </worldbody>
   <actuator>
@@ -95,13 +96,14 @@ def mjcf(parameters: WorldParameters, *, with_pieces: bool = True) -> str:
 </mujoco>"""
 
 
-def _wheel(name: str, y: float) -> str:
+def _wheel(name: str, y: float, size: float) -> str:
+    radius = size * WHEEL_RADIUS_M
     return f"""
       <body name="{name}" pos="0 {y} 0.023">
         <inertial pos="0 0 0" mass="0.1" diaginertia="0.001 0.001 0.001"/>
         <joint name="{name}" axis="0 1 0"/>
-        <geom class="robot" type="cylinder" size="{WHEEL_RADIUS_M} 0.009" euler="90 0 0"/>
-        <geom class="on_floor" type="sphere" size="{WHEEL_RADIUS_M}" mass="0"/>
+        <geom class="robot" type="cylinder" size="{radius} 0.009" euler="90 0 0"/>
+        <geom class="on_floor" type="sphere" size="{radius}" mass="0"/>
       </body>"""
 
 

@@ -17,7 +17,7 @@ from sim.turtlebot3.camera import add_depth_camera
 from sim.turtlebot3.clock import Gazebo
 from sim.turtlebot3.drive import DiffDrivePlugin, JointStatePlugin
 from sim.turtlebot3.robot_state import RobotStatePublisher
-from sim.turtlebot3.sensors import ImuPlugin, LaserPlugin, LidarNoise, RangePlugin, Ranges
+from sim.turtlebot3.sensors import ImuPlugin, LaserPlugin, RangePlugin, Ranges, SensorErrors
 from sim.turtlebot3.wheel_odometry import WheelOdometry
 from sim.turtlebot3.world import World
 
@@ -25,7 +25,7 @@ from sim.turtlebot3.world import World
 def add_robot(
     domain: Domain,
     world: World,
-    lidar_noise: LidarNoise,
+    errors: SensorErrors,
     generator: Callable[[str], np.random.Generator],
     *,
     odometry_source: OdometrySource = "world",
@@ -37,8 +37,8 @@ def add_robot(
     ----------
     domain, world
         The graph, and the physics that its measurements come from.
-    lidar_noise
-        Of both LiDARs.
+    errors
+        How its sensors err.
     generator
         Gives each node, by name, its randomness.
     odometry_source
@@ -49,12 +49,12 @@ def add_robot(
     Gazebo(domain)
     # The LiDARs and the infrared are separate devices: each fires at its own moment.
     lidars = (
-        ("/turtlebot3_laserscan", "/scan", frames.BASE_SCAN, 200),
-        ("/turtlebot3_laserscan_tom", "/scan_tom", frames.BASE_SCAN_TOM, 260),
+        ("/turtlebot3_laserscan", "/scan", frames.BASE_SCAN, errors.scan, 200),
+        ("/turtlebot3_laserscan_tom", "/scan_tom", frames.BASE_SCAN_TOM, errors.scan_tom, 260),
     )
-    for name, topic, mount, phase_ms in lidars:
+    for name, topic, mount, noise, phase_ms in lidars:
         LaserPlugin(
-            domain, name, topic, mount, _rays(world, mount), lidar_noise, generator(name),
+            domain, name, topic, mount, _rays(world, mount), noise, generator(name),
             phase_ms * MILLISECOND,
         )  # fmt: skip
     RangePlugin(
@@ -71,7 +71,7 @@ def add_robot(
         world.command_wheels,
     )
     # After the diff drive: it measures what comes of the command that was just given.
-    ImuPlugin(domain, world.imu, generator("/turtlebot3_imu"))
+    ImuPlugin(domain, world.imu, errors.gyro, generator("/turtlebot3_imu"))
     JointStatePlugin(domain, world.wheel_states)
     add_depth_camera(domain, world, renders=cameras)
     RobotStatePublisher(domain)

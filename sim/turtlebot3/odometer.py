@@ -1,6 +1,9 @@
-"""How far the robot really drove: for the manifest, not for any node."""
+"""Where the robot really was and how far it drove: for the manifest, not for any node."""
 
 from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
 
 from sim.middleware.executor import MILLISECOND, Executor
 from sim.middleware.geometry import Pose2D
@@ -9,7 +12,7 @@ _PERIOD_NS = 100 * MILLISECOND  # a tenth of a second at 0.26 m/s is 3 cm of a s
 
 
 class Odometer:
-    """Adds up the way of the robot, in parts.
+    """Follows the robot, and adds up its way, in parts.
 
     Parameters
     ----------
@@ -23,6 +26,7 @@ class Odometer:
         self._executor = executor
         self._pose = pose
         self._last = pose()
+        self._places: list[tuple[float, float]] = []
         self._total_m = 0.0
         self._marks: list[float] = []
         self._measure()
@@ -36,8 +40,14 @@ class Odometer:
         ends = [*self._marks[1:], self._total_m]
         return [end - begin for begin, end in zip(self._marks, ends, strict=True)]
 
+    def places(self) -> NDArray[np.float64]:
+        """Return where the robot was since the first part began, shape (n, 2) [m]."""
+        return np.array(self._places).reshape(-1, 2)
+
     def _measure(self) -> None:
         here = self._pose()
+        if self._marks:
+            self._places.append((here.x, here.y))
         self._total_m += here.distance_to(self._last)
         self._last = here
         self._executor.call_at(self._executor.now_ns + _PERIOD_NS, self._measure)

@@ -36,11 +36,22 @@ class Session:
     """What stays the same for a day and differs from the next."""
 
     index: int
-    lidar_bias_m: float
-    lidar_noise_m: float  # standard deviation
+    lidar_bias_m: float  # of /scan
+    lidar_noise_m: float  # standard deviation, of both LiDARs
     friction: float  # of the floor, relative to the robot's model
     mass: float  # of the robot, relative to its model
-    latency_ms: float  # of every node that processes messages
+    latency_ms: float  # of every node that processes messages, at least
+    lidar_tom_bias_m: float  # of /scan_tom
+    lidar_dropouts: float  # share of the rays without a return, of both LiDARs
+    latency_jitter_ms: float  # mean of what is added to the latency
+    processor_load: float  # share of the time in which callbacks have to wait
+    wheel_left: float  # radius, relative to the model
+    wheel_right: float
+    gyro_bias_rad_s: float  # about the vertical axis
+    gyro_scale: float
+    map_errors: float  # share of the cells of walls, and beside them, that are wrong
+    start_sd_m: float  # of what localisation is told of the start, each axis
+    start_sd_rad: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +72,11 @@ class TurtleBot3Recipe:
     storage: Storage
     timeout_s: float
     options: Options
+    noise: str  # `Mode.noise`
 
     def generator(self, node: str) -> np.random.Generator:
-        """Return the randomness of one node; the same in every mode of the block."""
-        return node_generator(self.seed, NODE, self.block, node)
+        """Return the randomness of one node; the same in every run of the block and its noise."""
+        return node_generator(self.seed, NODE, self.block, self.noise + node)
 
     def attack_seed(self) -> int:
         """Return the key of the attack's own, counter-based randomness."""
@@ -92,5 +104,6 @@ class TurtleBot3Recipe:
     def campaign(self) -> Campaign:
         """Return the campaign that the run is of, as far as its block's draws depend on it."""
         return Campaign(
-            self.seed, len(self.goals), self.storage, self.timeout_s, options=self.options
-        )
+            self.seed, len(self.goals), self.storage, self.timeout_s, options=self.options,
+            session=self.session.index, noise_per_run=bool(self.noise),
+        )  # fmt: skip

@@ -18,6 +18,7 @@ from oracle_pipeline.bags.writer import BagWriter
 from sim.fuzzing.compilation import compile_document
 from sim.fuzzing.execution import execute
 from sim.fuzzing.node import ScenarioNode
+from sim.middleware.delays import Delays
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.middleware.geometry import Pose2D
@@ -31,7 +32,7 @@ from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.nodes import add_robot
 from sim.turtlebot3.odometer import Odometer
 from sim.turtlebot3.recipes import TurtleBot3Recipe
-from sim.turtlebot3.sensors import LidarNoise
+from sim.turtlebot3.sessions import load, mapped, sensor_errors, told_start
 from sim.turtlebot3.world import World
 
 BRING_UP_NS = 20 * SECOND  # Nav2 must be active by then
@@ -65,19 +66,18 @@ class TurtleBot3Run:
         self._latency_ns = round(session.latency_ms * MILLISECOND)
         self._world = World(_world_parameters(recipe))
         self._executor = Executor(on_advance=self._world.advance_to)
-        self._domain = Domain(self._executor)
-        noise = LidarNoise(session.lidar_noise_m, session.lidar_bias_m)
+        self._domain = Domain(self._executor, self._delays)
         add_robot(
             self._domain,
             self._world,
-            noise,
+            sensor_errors(session),
             recipe.generator,
             odometry_source=options.odometry_source,
             cameras=options.cameras,
         )
         self._nav2 = bring_up(
             self._domain,
-            turtlebot3_world_map(),
+            mapped(turtlebot3_world_map(), recipe.seed, session),
             generator=recipe.generator,
             latency_ns=self._latency_ns,
             run=recipe.run,
@@ -98,7 +98,9 @@ class TurtleBot3Run:
     def go(self) -> None:
         """Bring Nav2 up, record the patrol, write bag and graphs."""
         navigator = self._nav2.navigator
-        navigator.set_initial_pose(self._recipe.start)
+        recipe = self._recipe
+        where = told_start(recipe.start, recipe.session, recipe.generator("/initialpose"))
+        navigator.set_initial_pose(where)
         self._executor.run_until(BRING_UP_NS, stop=lambda: self._nav2.is_active)
         if not self._nav2.is_active:
             raise BringUpError(f"Nav2 was not active after {BRING_UP_NS // SECOND} s; see /rosout.")
@@ -156,6 +158,7 @@ class TurtleBot3Run:
             scenario=scenario.id,
             scenario_hash=scenario.digest,
             task_effect=None,  # until the run and its control are both there
+            drive=self._drive(),
             changes=() if self._node is None else self._node.changes(self._start_ns),
             recording_s=self._seconds(self._end_ns),
             contacts=tuple(
@@ -171,6 +174,14 @@ class TurtleBot3Run:
                 bytes=bytes_on_disk(self._folder),
                 files=hashes_of_files(self._folder),
             ),
+        )
+
+    def _drive(self) -> schema.Drive:
+        monitor, places = self._nav2.collision_monitor, self._odometer.places()
+        return schema.Drive(
+            self._world.clearance(places) if len(places) else None,
+            monitor.commands,
+            monitor.commands_altered,
         )
 
     def _onset_s(self) -> float | None:
@@ -213,6 +224,12 @@ class TurtleBot3Run:
         if self._onset_ns is not None:
             self._node.begin(self._onset_ns)
 
+    def _delays(self, node: str) -> Delays | None:
+        """Return what is added to a node's latency: to that of Nav2's, where they are many."""
+        if node == NODE:  # it must know when what it hears was sent
+            return None
+        return Delays(load(self._recipe.session), self._recipe.generator(f"{node} delays"))
+
     def _receive_clock(self) -> ReceiveClock:
         rng = self._recipe.generator("/rosbag2_recorder")
         return ReceiveClock(self._executor.now_ns, rng)
@@ -245,7 +262,11 @@ def _world_parameters(recipe: TurtleBot3Recipe) -> WorldParameters:
         obstacles = [Cylinder("obstacle", there.x, there.y, drawn.radius)]
     session = recipe.session
     return WorldParameters(
-        to_world.compose(recipe.start), session.friction, session.mass, obstacles
+        to_world.compose(recipe.start),
+        session.friction,
+        session.mass,
+        obstacles,
+        (session.wheel_left, session.wheel_right),
     )
 
 

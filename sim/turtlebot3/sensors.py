@@ -6,7 +6,7 @@ with the rate, frame and QoS of the Humble simulation.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +56,24 @@ class LidarNoise:
 
     sd_m: float = 0.01  # standard deviation of each range
     bias_m: float = 0.0  # of all ranges
+    dropouts: float = 0.0  # share of the rays without a return
+
+
+@dataclass(frozen=True, slots=True)
+class GyroError:
+    """How a gyroscope errs besides its noise."""
+
+    bias_rad_s: float = 0.0  # about the vertical axis
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class SensorErrors:
+    """How the robot's sensors err."""
+
+    scan: LidarNoise = LidarNoise()
+    scan_tom: LidarNoise = LidarNoise()
+    gyro: GyroError = GyroError()
 
 
 class ImuPlugin(Node):
@@ -70,18 +88,28 @@ class ImuPlugin(Node):
         As for `Node`.
     measure
         What an ideal unit measures after now and up to a time [ns].
+    gyro
+        How its gyroscope errs.
     """
 
     def __init__(
-        self, domain: Domain, measure: Callable[[int], ImuSamples], rng: np.random.Generator
+        self,
+        domain: Domain,
+        measure: Callable[[int], ImuSamples],
+        gyro: GyroError,
+        rng: np.random.Generator,
     ) -> None:
         super().__init__(domain, "/turtlebot3_imu", rng=rng)
         self._measure = measure
+        self._bias = np.array([0.0, 0.0, gyro.bias_rad_s])
+        self._scale = gyro.scale
         self._publisher = self.create_publisher(_IMU, "/imu", qos.profile(5))
         self.create_timer(IMU_NS, self._publish, phase_ns=0)
 
     def _publish(self) -> None:
-        samples = self._measure(self.now_ns + IMU_NS)
+        exact = self._measure(self.now_ns + IMU_NS)
+        turning = self._scale * exact.angular_velocities + self._bias
+        samples = replace(exact, angular_velocities=turning)
         noise = self.rng.standard_normal((len(samples.stamps_ns), 6))
         data = imu_bytes(samples, noise)
         call_at, publish = self.domain.executor.call_at, self._publisher.publish_serialized
@@ -216,9 +244,10 @@ class LaserPlugin(Node):
 
 
 def noisy_ranges(exact: Ranges, noise: LidarNoise, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Return what a LiDAR reports of exact ranges [m]; one draw a ray, whatever it hits."""
+    """Return what a LiDAR reports of exact ranges [m]; two draws a ray, whatever it hits."""
     measured = exact + noise.bias_m + noise.sd_m * rng.standard_normal(len(exact))
     measured[measured > SCAN_RANGE_MAX_M] = np.inf
+    measured[rng.random(len(exact)) < noise.dropouts] = np.inf
     measured[measured < SCAN_RANGE_MIN_M] = -np.inf
     return measured.astype(np.float32)
 

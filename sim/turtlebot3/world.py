@@ -14,7 +14,7 @@ from mujoco.rollout import Rollout
 from numpy.typing import NDArray
 
 from sim.middleware.geometry import Pose2D, quaternion_yaw, wrap_angle
-from sim.turtlebot3.arena import BLOCKS, CYLINDERS, RING
+from sim.turtlebot3.arena import BLOCKS, CYLINDERS, RING, clearance
 from sim.turtlebot3.clear_space import ClearSpace
 from sim.turtlebot3.mjcf import STATIC, STEP_NS, WorldParameters, mjcf, pieces
 from sim.turtlebot3.rays import Piece, Rays
@@ -80,6 +80,7 @@ class World:
         self._data = mujoco.MjData(self._model)
         self._alone = mujoco.MjModel.from_xml_string(mjcf(parameters, with_pieces=False))
         self._data_alone = mujoco.MjData(self._alone)
+        self._obstacles = parameters.obstacles
         self._clear = ClearSpace(RING, BLOCKS, (*CYLINDERS, *parameters.obstacles))
         start = parameters.start
         self._data.qpos[:7] = (
@@ -147,6 +148,11 @@ class World:
         vx, vy, _ = state[_VELOCITY]
         yaw = wrap_angle(quaternion_yaw(qx, qy, qz, w) + ahead_s * state[_TURNING])
         return Pose2D(x + ahead_s * vx, y + ahead_s * vy, yaw)
+
+    def clearance(self, places: NDArray[np.float64]) -> float:
+        """Return the least distance of places of shape (n, 2) from any surface [m]."""
+        distances = [clearance(places), *(o.signed_distance(places) for o in self._obstacles)]
+        return float(np.min(distances))
 
     @property
     def twist(self) -> tuple[float, float]:

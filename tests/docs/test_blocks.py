@@ -50,6 +50,8 @@ def reader(lab, recorded_run, tmp_path_factory):
     shutil.copytree(lab / "runs" / NORMAL / "run000", folder / f"data/runs/{NORMAL}/run000")
     for number in range(4):
         shutil.copytree(lab / f"runs/{NORMAL}/run00{number}/bag", folder / f"good_bags/{number}")
+    for build in ("old_build", "new_build"):
+        shutil.copytree(folder / "good_bags", folder / build)
     for place in ("my_robot_bag", "tonight/first"):
         shutil.copytree(lab / f"runs/{NORMAL}/run004/bag", folder / place)
     normal, attacked = (features(folder, mode) for mode in (NORMAL, ATTACKED))

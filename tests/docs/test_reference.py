@@ -37,8 +37,8 @@ def rows(fields: dict, before: str = "") -> list[str]:
     lines = []
     for name, field in fields.items():
         about = field.get("description", "")
-        if field.get("type") == "object" and "properties" in field:
-            lines.append(f"| `{before}{name}` | object | {about} |")
+        if "properties" in field:
+            lines.append(f"| `{before}{name}` | {kind(field)} | {about} |")
             lines += rows(field["properties"], f"{before}{name}.")
         else:
             lines.append(f"| `{before}{name}` | {kind(field)} | {about} |")

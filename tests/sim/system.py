@@ -19,7 +19,7 @@ from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
 from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.nodes import add_robot
 from sim.turtlebot3.run import NODE
-from sim.turtlebot3.sensors import LidarNoise
+from sim.turtlebot3.sensors import SensorErrors
 from sim.turtlebot3.world import World
 from tests.sim import humble
 
@@ -57,7 +57,7 @@ class System:
         def generator(node):
             return np.random.default_rng([run, *node.encode()])
 
-        add_robot(self.domain, self.world, LidarNoise(), generator)
+        add_robot(self.domain, self.world, SensorErrors(), generator)
         self.nav2 = bring_up(
             self.domain,
             turtlebot3_world_map(),

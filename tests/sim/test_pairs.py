@@ -4,7 +4,8 @@ import dataclasses
 
 import pytest
 
-from oracle_pipeline.bags.manifest import GoalResult, Manifest, Measured, Pose, Software
+from oracle_pipeline.bags.behaviour import UNITS
+from oracle_pipeline.bags.manifest import Drive, GoalResult, Manifest, Measured, Pose, Software
 from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bags.run_directory import RunDirectory
 from sim.pairs import judge_pair, task_effect
@@ -19,7 +20,8 @@ def manifest(mode="lidar_passthrough", *goals, **recipe):
         mode=mode, label=LABELS.get(mode, "malicious"), run=0, block=0, session=0, seed=1,
         start=Pose(0.0, 0.0, 0.0),
         goals=(), goal_results=goals or (SUCCEEDED,), outcome="succeeded", onset_s=None, attack={},
-        scenario=mode, scenario_hash="h", task_effect=None, recording_s=30.0, contacts=(),
+        scenario=mode, scenario_hash="h", task_effect=None,
+        drive=Drive(0.5, 100, 0), recording_s=30.0, contacts=(),
         topics={}, content_hash="0" * 64, recipe={**RECIPE, "mode": mode, **recipe},
         software=Software("c", "d", "x"), measured=Measured(1.0, {}),
     )  # fmt: skip
@@ -32,27 +34,24 @@ def place(root, run):
     return directory
 
 
-@pytest.mark.parametrize(
-    ("goal", "effect"),
-    [
-        (SUCCEEDED, False),
-        (dataclasses.replace(SUCCEEDED, driven_m=4.6), False),
-        (dataclasses.replace(SUCCEEDED, driven_m=4.61), True),
-        (dataclasses.replace(SUCCEEDED, driven_m=1.0), False),
-        (dataclasses.replace(SUCCEEDED, recoveries=1), True),
-        (dataclasses.replace(SUCCEEDED, outcome="aborted"), True),
-        (dataclasses.replace(SUCCEEDED, ended_s=90.0), False),
-    ],
-)
-def test_an_effect_is_another_outcome_a_longer_way_or_a_recovery_more(goal, effect):
-    assert task_effect(manifest("random_noise", SUCCEEDED, goal), manifest(
-        "lidar_passthrough", SUCCEEDED, SUCCEEDED
-    )) is effect  # fmt: skip
-
-
-def test_a_goal_that_was_never_sent_is_an_effect():
+def test_an_effect_is_how_much_more_there_is_of_each_quantity():
+    late = GoalResult(25.0, None, "timeout", 6.5, 2)  # the recording ended at 30 s
+    attacked = manifest("random_noise", SUCCEEDED, late)
     control = manifest("lidar_passthrough", SUCCEEDED, SUCCEEDED)
-    assert task_effect(manifest("random_noise", SUCCEEDED), control)
+    attacked = dataclasses.replace(attacked, drive=Drive(0.25, 200, 50))
+    assert task_effect(attacked, control) == {
+        "driven_m": 2.5, "under_way_s": -13.0, "goals_reached": -1.0, "recoveries": 2.0,
+        "commands_altered": 0.25, "clearance_m": -0.25,
+    }  # fmt: skip
+    assert task_effect(control, control) == dict.fromkeys(UNITS, 0.0)
+
+
+def test_what_was_not_measured_is_not_compared():
+    control = manifest("lidar_passthrough")
+    older = dataclasses.replace(manifest("random_noise"), drive=None)
+    assert task_effect(older, control) is None
+    nowhere = dataclasses.replace(manifest("random_noise"), drive=Drive(None, 0, 0))
+    assert "clearance_m" not in task_effect(nowhere, control)
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
@@ -64,7 +63,7 @@ def test_whichever_of_a_pair_comes_last_has_the_effect_noted(tmp_path, pair, ord
         judge_pair(place(tmp_path, runs[index]))
     control, attack = (RunDirectory(tmp_path, mode, 0).manifest() for mode in pair)
     assert control.task_effect is None
-    assert attack.task_effect is True
+    assert attack.task_effect["driven_m"] == 5.0
     assert [file.name for file in RunDirectory(tmp_path, pair[1], 0).path.iterdir()] == [
         "manifest.json"
     ]
@@ -81,7 +80,7 @@ def test_a_bag_kept_in_another_storage_is_compared(tmp_path):
     place(tmp_path, manifest("lidar_passthrough", storage="sqlite3"))
     directory = place(tmp_path, manifest("random_noise"))
     judge_pair(directory)
-    assert directory.manifest().task_effect is False
+    assert directory.manifest().task_effect == dict.fromkeys(UNITS, 0.0)
 
 
 def test_an_attack_without_a_pair_is_judged_against_the_passthrough_that_hears_odometry(tmp_path):
@@ -93,7 +92,7 @@ def test_an_attack_without_a_pair_is_judged_against_the_passthrough_that_hears_o
         RunDirectory(tmp_path, mode, 0).manifest().task_effect
         for mode in ("sensor_freeze", "random_noise_shadow", "lidar_passthrough_odom")
     ]
-    assert effects == [True, None, None]
+    assert effects == [{**dict.fromkeys(UNITS, 0.0), "driven_m": 5.0}, None, None]
 
 
 def test_runs_of_different_wirings_are_not_compared(tmp_path):
@@ -110,4 +109,4 @@ def test_what_else_lies_beside_a_run_does_not_spoil_it(tmp_path, trouble):
     place(tmp_path, manifest("lidar_passthrough_odom"))
     directory = place(tmp_path, manifest("fake_object"))
     judge_pair(directory)
-    assert directory.manifest().task_effect is False
+    assert directory.manifest().task_effect == dict.fromkeys(UNITS, 0.0)

@@ -6,11 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.manifest import (
     LABELS,
     Change,
     Contact,
+    Drive,
     GoalResult,
     Manifest,
     Measured,
@@ -41,7 +43,8 @@ manifests = st.builds(
     onset_s=st.none() | seconds,
     attack=parameters,
     scenario=names, scenario_hash=names,
-    task_effect=st.none() | st.booleans(),
+    task_effect=st.none() | st.dictionaries(names, seconds),
+    drive=st.none() | st.builds(Drive, st.none() | seconds, counts, counts),
     recording_s=seconds,
     contacts=st.lists(st.builds(Contact, seconds, names)).map(tuple),
     topics=st.dictionaries(names, st.builds(TopicCount, names, counts)),
@@ -88,7 +91,7 @@ def test_schema_and_dataclasses_have_the_same_fields():
     for name, definition in zip(("pose", "goal_result", "contact", "topic"), definitions.values(),
                                 strict=True):  # fmt: skip
         assert set(schema()["$defs"][name]["required"]) == names_of(definition)
-    for name, definition in (("software", Software), ("measured", Measured)):
+    for name, definition in (("software", Software), ("measured", Measured), ("drive", Drive)):
         assert set(schema()["properties"][name]["properties"]) == names_of(definition)
 
 
@@ -127,7 +130,7 @@ def test_fields_are_all_there_and_no_others(change, tmp_path):
 def test_another_schema_version_is_told(tmp_path):
     path = tmp_path / "manifest.json"
     path.write_text('{"schema_version": 7}')
-    with pytest.raises(ManifestError, match="schema version 7, this release reads 4"):
+    with pytest.raises(ManifestError, match="schema version 7, this release reads 5"):
         Manifest.load(path)
 
 
@@ -136,11 +139,17 @@ def test_a_run_of_an_older_version_is_read_as_one_that_does_not_tell(version, la
     path = tmp_path / "manifest.json"
     example().save(path)
     document = json.loads(path.read_text())
-    for name in ("seal", *lacks):
+    for name in ("seal", "drive", *lacks):
         del document[name]
     del document["measured"]["files"]
-    path.write_text(json.dumps({**document, "schema_version": version}))
+    older = {**document, "schema_version": version, "task_effect": True}  # it was yes or no
+    path.write_text(json.dumps(older))
     assert Manifest.load(path) == example()
+    content = bytearray(json.dumps({**older, "schema_version": 4, "seal": seals.BLANK}).encode())
+    seals.seal(content)
+    if not lacks:
+        path.write_bytes(content)
+        assert Manifest.load(path) == example()
 
 
 def test_a_manifest_that_lost_its_seal_is_not_taken_for_an_older_one(tmp_path):
@@ -149,6 +158,9 @@ def test_a_manifest_that_lost_its_seal_is_not_taken_for_an_older_one(tmp_path):
     document = json.loads(path.read_text())
     path.write_text(json.dumps({**document, "schema_version": 3}))
     with pytest.raises(ManifestError, match="schema version 3"):
+        Manifest.load(path)
+    path.write_text(json.dumps({**document, "schema_version": 4}))
+    with pytest.raises(ManifestError, match="its content and its seal differ"):
         Manifest.load(path)
     del document["seal"]
     path.write_text(json.dumps(document))

@@ -18,13 +18,14 @@ CONTROLS = {
     "benign_noise": "normal",
     "benign_obstacle": "normal",
 }
-DECLARED = {"origin": "generic", "shortcut": "false"}
+DECLARED = {"origin": "generic", "shortcut": "false", "behaviour": "false"}
+BEHAVIOUR = {**DECLARED, "behaviour": "true"}
 FIELDS = {
     "structural.density": {"unit": "1", "floor": "0.0001", **DECLARED},
     "structural.entropy": {"unit": "1", **DECLARED},
-    "contextual.yaw_variance": {"unit": "1", **DECLARED},
+    "contextual.yaw_variance": {"unit": "1", **BEHAVIOUR},
     "contextual.range_variance": {"unit": "m^2", **DECLARED, "origin": "domain"},
-    "contextual.duration": {"unit": "s", "floor": "0.1", **DECLARED, "origin": "navigation"},
+    "contextual.duration": {"unit": "s", "floor": "0.1", **BEHAVIOUR, "origin": "navigation"},
 }
 ATTACKED = {"structural.entropy": 0.05, "contextual.yaw_variance": 0.1}  # deviations of a run's
 DELAY_S = 30.0

@@ -33,9 +33,40 @@ def test_sessions_that_score_apart_are_red_and_one_session_is_unsupported():
     assert (alike.status, alike.figure.covers(0.5)) == ("green", True)
     apart = integrity.same_between_sessions(scores_of(judged, noise + 9 * session), judged, rng())
     assert (apart.status, apart.figure.value) == ("red", 1.0)
-    alone = synthetic(1)
-    none = integrity.same_between_sessions(scores_of(alone, [0.0] * 11), alone, rng())
-    assert none.status == "unsupported"
+
+
+def in_sessions(blocks, session_of):
+    """Return a campaign whose blocks are in other sessions, without attacks in its features."""
+    features, windows, truth = campaign(blocks)
+    days = [table.assign(session=session_of(table["block"])) for table in (features, windows)]
+    for table, original in zip(days, (features, windows), strict=True):
+        table.attrs = original.attrs
+    return JudgedRuns.of(*days, truth)
+
+
+@pytest.mark.parametrize("session_of", [lambda block: block % 2, lambda block: block])
+def test_sessions_are_compared_only_where_a_difference_could_show(session_of):
+    needed = integrity.blocks_to_separate()
+    for blocks, status in ((2 * needed - 1, "unsupported"), (2 * needed, "red")):
+        judged = in_sessions(blocks, session_of)
+        session = judged.features["session"].to_numpy()
+        later = session > np.median(session)  # the other one of two, or the later half
+        scores = scores_of(judged, rng().normal(size=len(later)) + 99.0 * later)
+        check = integrity.same_between_sessions(scores, judged, rng())
+        assert check.status == status
+        assert status == "red" or f"takes {needed} blocks in each" in check.sentence
+        label = integrity.label_above_session(judged, COLUMNS, block_folds(judged.features, 0), 0)
+        assert (label.status == "unsupported") == (status == "unsupported")
+
+
+def test_sessions_of_a_block_each_that_score_alike_are_green():
+    judged = in_sessions(30, lambda block: block)
+    noise = rng().normal(size=len(judged.features))
+    check = integrity.same_between_sessions(scores_of(judged, noise), judged, rng())
+    assert (check.status, "earlier sessions and later sessions" in check.sentence) == (
+        "green",
+        True,
+    )
 
 
 @pytest.mark.parametrize(
@@ -50,7 +81,7 @@ def test_graphs_are_equal_or_say_where_they_differ(differences, status):
 
 def test_a_session_that_is_told_as_easily_as_the_label_is_red(monkeypatch):
     monkeypatch.setattr(integrity, "TREES", 15)
-    features, windows, truth = campaign(9, effect=12.0)
+    features, windows, truth = campaign(24, effect=12.0)
     judged = JudgedRuns.of(features, windows, truth)
     folds = block_folds(judged.features, 0)
     check = integrity.label_above_session(judged, COLUMNS, folds, 0)
@@ -82,15 +113,25 @@ def test_shuffled_labels_are_chance_unless_a_label_leaks(monkeypatch):
 
 
 def test_hard_negatives_may_be_called_anomalous_one_time_in_ten():
-    judged = synthetic(10)
+    judged = synthetic(30)
     benign = judged.features["mode"].str.startswith("benign_").to_numpy()
     p = np.full(len(benign), 0.5)
-    p[np.flatnonzero(benign)[:2]] = 0.01
+    p[np.flatnonzero(benign)[:6]] = 0.01
     assert integrity.hard_negatives(scores_of(judged, p), judged, rng()).status == "green"
-    p[np.flatnonzero(benign)[:3]] = 0.01
+    p[np.flatnonzero(benign)[:7]] = 0.01
     assert integrity.hard_negatives(scores_of(judged, p), judged, rng()).status == "red"
     no_p = np.full(len(benign), np.nan)
     assert integrity.hard_negatives(scores_of(judged, no_p), judged, rng()).status == "unsupported"
+
+
+def test_hard_negatives_of_too_few_blocks_are_not_green_but_can_be_red():
+    for blocks, status in ((28, "unsupported"), (29, "green")):
+        judged = synthetic(blocks)
+        right = scores_of(judged, np.full(len(judged.features), 0.5))
+        assert integrity.hard_negatives(right, judged, rng()).status == status
+    few = synthetic(4)
+    wrong = scores_of(few, np.full(len(few.features), 0.01))
+    assert integrity.hard_negatives(wrong, few, rng()).status == "red"
 
 
 def test_a_shortcut_behind_the_headline_is_red_and_an_undeclared_feature_unsupported():

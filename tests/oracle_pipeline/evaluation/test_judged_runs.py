@@ -61,6 +61,8 @@ def test_sets_of_features_keep_shortcuts_and_the_thesis_apart():
     sets = feature_sets(features)
     own = {c for c in features if c.startswith(("structural.", "contextual."))}
     assert set(sets["all"]) == own | {"redundancy.residual", "pairs.rate_ratio"}
+    assert sets["misbehaviour"] == ["contextual.yaw_variance", "contextual.duration"]
+    assert sorted(sets["tampering"] + sets["misbehaviour"]) == sorted(sets["all"])
     assert sets["shortcuts"] == ["generic.identity"]
     assert set(sets["without redundancy"]) == own
     assert sets["redundancy"] == ["redundancy.residual"]

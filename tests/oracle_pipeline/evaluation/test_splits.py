@@ -37,6 +37,18 @@ def test_sessions_are_spread_over_folds_and_halves_unless_one_is_held_out():
 
 
 @settings(max_examples=15, deadline=None)
+@given(st.integers(6, 40), st.integers(2, 40), st.integers(0, 9))
+def test_whole_sessions_are_held_out_in_five_folds_at_most(blocks, sessions, seed):
+    df = runs(blocks)
+    df["session"] = df["block"] % sessions
+    folds = session_folds(df, seed)
+    assert len(folds) == min(5, sessions, blocks)
+    assert sum(fold.test.astype(int) for fold in folds).tolist() == [1] * len(df)
+    for fold in folds:
+        assert set(df.loc[fold.test, "session"]).isdisjoint(df.loc[fold.train, "session"])
+
+
+@settings(max_examples=15, deadline=None)
 @given(st.integers(6, 25), st.integers(0, 9), st.integers(1, 4))
 def test_of_a_session_that_is_known_in_part_so_many_blocks_train_and_the_rest_is_tested(
     blocks, seed, known

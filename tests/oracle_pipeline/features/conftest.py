@@ -151,7 +151,7 @@ def manifest_of(directory: RunDirectory, bag: BagWriter, **changes: Any) -> Mani
         "mode": directory.mode, "label": "malicious", "run": directory.run, "block": 3,
         "session": 0, "seed": 1, "start": Pose(0.0, 0.0, 0.0), "goals": (), "goal_results": (),
         "outcome": "timeout", "onset_s": 31.0, "attack": {"radius_m": 0.2}, "scenario": "s",
-        "scenario_hash": "h", "task_effect": True, "recording_s": DURATION_S, "contacts": (),
+        "scenario_hash": "h", "task_effect": None, "recording_s": DURATION_S, "contacts": (),
         "topics": topics, "content_hash": bag.content_hash, "recipe": {"seed": 1},
         "software": Software("0", "0", "x86_64"), "measured": Measured(1.0, {"bag": 1}),
     }  # fmt: skip

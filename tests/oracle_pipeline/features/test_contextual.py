@@ -53,6 +53,10 @@ def test_turning_per_metre_needs_metres():
     assert "less than 0.1 m" in turned([0.0, 1.0])["turning_per_metre"].reason
 
 
+def test_speed_counts_the_time_in_which_the_robot_stands():
+    assert turned([0.0, 0.0, 0.0], x=[0.0, 3.0, 3.0])["speed"] == pytest.approx(0.3)
+
+
 def test_yaw_rate_variance_is_that_of_the_measured_rate():
     assert turned([0, 0, 0, 0], rates=[1, -1, 1, -1])["yaw_rate_variance"] == pytest.approx(1.0)
 
@@ -67,10 +71,10 @@ def test_odometry_is_read_from_the_quaternion(messages):
 @given(st.lists(st.floats(0.25, 3.25, width=32), min_size=1), st.integers(0, 5), st.integers(0, 5))
 def test_rays_without_a_range_are_counted_and_change_nothing_else(messages, valid, infs, nans):
     whole = laser_ranges.keep(messages.scan(0, valid))
-    variance, non_finite = laser_ranges.keep(
+    variance, non_finite, least = laser_ranges.keep(
         messages.scan(0, [*valid, *[np.inf] * infs, *[np.nan] * nans, 9.0, 0.01])
     )
-    assert variance == pytest.approx(whole[0])
+    assert (variance, least) == pytest.approx((whole[0], whole[2]))
     assert variance == pytest.approx(np.var(np.float32(valid).astype(float)), abs=1e-6)
     assert non_finite == pytest.approx((infs + nans) / (len(valid) + infs + nans + 2))
 
@@ -84,6 +88,15 @@ def test_scanners_are_reduced_one_at_a_time(bag_of, messages):
     assert values["range_variance_mean"] == pytest.approx(0.5)
     assert values["non_finite_max"] == pytest.approx(0.5)
     assert values["non_finite_mean"] == pytest.approx(0.25)
+
+
+def test_clearance_is_that_of_the_scanner_that_sees_farthest(bag_of, messages):
+    own_mast = [(t, "/scan", messages.scan(t, [0.3, 3.0])) for t in range(40)]
+    free = [(t, "/scan_tom", messages.scan(t, [0.7, 2.0, np.inf])) for t in range(40)]
+    near = [
+        (40, "/scan_tom", messages.scan(40, [0.4]))
+    ]  # one scan in forty is not the 5th percentile
+    assert of_run(bag_of([*own_mast, *free, *near]))["clearance"] == pytest.approx(0.7)
 
 
 def test_a_scanner_that_sees_nothing_is_no_zero(bag_of, messages):

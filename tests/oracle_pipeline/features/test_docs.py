@@ -22,7 +22,8 @@ def table(manager: FeatureManager) -> str:
     lines = ["| column | unit | floor | origin | windows | what it is |", "| --- " * 6 + "|"]
     for column, feature in manager.features().items():
         windows = "yes" if feature.per_window else "no"
-        origin = f"{feature.origin}, shortcut" if feature.shortcut else feature.origin
+        marks = {"shortcut": feature.shortcut, "behaviour": feature.behaviour}
+        origin = ", ".join([feature.origin, *(mark for mark, given in marks.items() if given)])
         lines.append(
             f"| `{column}` | {feature.unit} | {feature.floor:g} | {origin} | {windows} "
             f"| {feature.description} |"

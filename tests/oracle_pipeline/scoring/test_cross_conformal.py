@@ -1,5 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from oracle_pipeline.datasets import feature_columns, feature_floors
 from oracle_pipeline.detectors import panel
@@ -27,8 +31,8 @@ def design(of, detector="mahalanobis"):
     )
 
 
-def learned(of, seed=0, **options):
-    return CrossConformalScorer(design(of), **options).fit(of, np.random.default_rng(seed))
+def learned(of, seed=0, detector="mahalanobis"):
+    return CrossConformalScorer(design(of, detector)).fit(of, np.random.default_rng(seed))
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +74,26 @@ def test_every_run_calibrates_a_model_that_did_not_see_its_block(normal):
         assert len(set(fold[doubled.block == block])) == 1
 
 
+@settings(max_examples=10, deadline=None)
+@given(st.integers(9, 20), st.integers(1, 25))
+def test_no_session_is_on_two_sides_where_there_are_three(blocks, sessions):
+    of = runs(blocks, 0, {**NORMAL, "lidar_passthrough_odom": "normal"})
+    session = of.block % sessions
+    of = replace(of, features=of.features.assign(session=session))
+    scorer = learned(of, detector="max_z")
+    unit = session if sessions >= 3 else of.block
+    for name in np.unique(unit):
+        assert len(set(scorer.fold_[unit == name])) == 1
+    assert len(scorer.scorers_) == min(10, len(np.unique(unit)))
+
+
+def test_blocks_of_two_joined_campaigns_stay_whole():
+    of = runs(9, 0, {**NORMAL, "lidar_passthrough_odom": "normal"})
+    session = of.block % 3 + 3 * (of.features["mode"] == "lidar_passthrough")  # of two days each
+    scorer = learned(replace(of, features=of.features.assign(session=session)), detector="max_z")
+    assert all(len(set(scorer.fold_[of.block == block])) == 1 for block in range(9))
+
+
 def test_a_run_of_a_known_block_is_judged_by_the_model_that_left_the_block_out(normal, scorer):
     p = scorer.p_values(scorer.scores(normal), normal.block)
     ranks = [(1 + np.sum(np.delete(scorer.held_out_, i) >= scorer.held_out_[i])) / 20
@@ -96,7 +120,7 @@ def test_the_order_of_the_recordings_does_not_matter(normal, scorer):
 def test_runs_alone_can_be_scored_where_windows_have_no_features(normal):
     of = Design(panel(0)["max_z"], feature_columns(normal.features), [], {})
     scorer = CrossConformalScorer(of).fit(normal, np.random.default_rng(0))
-    assert scorer.scores(normal).shape == (10, 20)
+    assert scorer.scores(normal).shape == (3, 20)  # the runs are of three sessions
 
 
 def test_two_blocks_are_refused_with_what_is_missing(normal):

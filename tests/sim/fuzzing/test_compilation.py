@@ -8,6 +8,7 @@ from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.execution import execute
 from sim.fuzzing.scenario import ScenarioError
 from tests.sim.fuzzing.workbench import (
+    SCAN,
     builtin,
     doing,
     program,
@@ -76,6 +77,31 @@ def test_what_does_not_fit_the_types_is_refused_with_its_place(rest, where, expe
     assert expected in reason
 
 
+def faults(rest, msgtype=SCAN):
+    """The places of all that is wrong, in the order in which it is told."""
+    with pytest.raises(ScenarioError) as refused:
+        program(rest, msgtype)
+    return [line.split(": ")[1] for line in str(refused.value).splitlines()]
+
+
+def test_all_faults_that_do_not_depend_on_each_other_are_told_at_once():
+    declared = "parameters: {a: {type: int, default: 1.5}, b: {type: bool, default: 2}}\n"
+    assert faults(declared + "constants: {c: [1, [2, 3]]}\n", "nav_msgs/msg/Nothing") == [
+        "main.type", "parameters.a.default", "parameters.b.default", "constants.c",
+    ]  # fmt: skip
+    wrong = "{set: {field: rangs, value: 1}}, {drop: {}}, {add: {field: angle_min, by: p.a}}"
+    actions = f"{{name: a, when: 1, do: [{{drop: {{}}}}]}}, {{name: b, do: [{wrong}]}}"
+    assert faults(
+        f"transform: {{actions: [{actions}], timer: {{period_s: x, do: [{{drop: {{}}}}]}}}}\n"
+    ) == [
+        "transform.actions[0].when",
+        "transform.actions[1].do[0].set.field",
+        "transform.actions[1].do[2].add.by",
+        "transform.timer.period_s",
+        "transform.timer.do[0].drop",
+    ]
+
+
 @pytest.mark.parametrize(
     "topic",
     ["/cmd_vel", "/cmd_vel_nav", "/robot1/cmd_vel", "/arm/joint_trajectory",
@@ -100,5 +126,7 @@ def test_output_is_neither_what_is_heard_nor_the_ground_truth(topic):
 def test_what_computes_too_much_is_refused_before_it_runs():
     many = [f"map_array: {{field: {f}, as: [r], value: r + 1}}" for f in ("ranges", "intensities")]
     doing(*many)
-    with pytest.raises(ScenarioError, match=r"at most \d+ elements computed .* limits\.array"):
+    with pytest.raises(
+        ScenarioError, match=r"at most [\d,]+ array elements computed .* limits\.array"
+    ):
         doing(*many, more="limits: {array: 4194304}\n")

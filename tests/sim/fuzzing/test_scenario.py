@@ -171,6 +171,15 @@ def test_a_wrong_file_is_refused_with_line_key_and_what_was_expected(text, where
     assert len(str(refused.value)) < 400
 
 
+def test_all_faults_of_a_file_are_told_at_once():
+    text = "colour: red\nsize: big\n" + GOOD.replace("tried", "Tried").replace("schema", "scheme")
+    with pytest.raises(ScenarioError) as refused:
+        parse(text)
+    told = [line.split(": ")[1:3] for line in str(refused.value).splitlines()]
+    assert [place for place, _ in told] == ["(scenario)", "colour", "size", "scheme", "id"]
+    assert told[0][1] == "expected the key schema."
+
+
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(ScenarioError, match=re.escape(str(tmp_path / "none.yaml"))):
         load_scenarios(tmp_path / "none.yaml")

@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,8 +16,9 @@ from sim.middleware.geometry import Pose2D
 from sim.modes import modes
 from sim.testbeds import which_testbed
 from sim.turtlebot3.arena import RING, clearance
-from sim.turtlebot3.drawing import MIN_CLEARANCE_M, MIN_LEG_M, draw_session
+from sim.turtlebot3.drawing import MIN_CLEARANCE_M, MIN_LEG_M
 from sim.turtlebot3.map import WORLD_IN_MAP, odom_in_map
+from sim.turtlebot3.sessions import draw_session
 
 blocks = st.integers(0, 200)
 seeds = st.integers(0, 2**32)
@@ -116,12 +118,47 @@ def test_blocks_sessions_and_nodes_draw_from_seeds_of_their_own():
     assert draw_session(1, 0) != draw_session(1, 1) != draw_session(2, 1)
 
 
-def test_three_sessions_take_turns():
-    sessions = [
-        recipe_for("fake_object", run, Campaign(goals_per_run=1)).session for run in range(6)
-    ]
-    assert [session.index for session in sessions] == [0, 1, 2, 0, 1, 2]
-    assert sessions[:3] == sessions[3:]
+@pytest.mark.parametrize("mode", ["fake_object", "atc_normal"])
+def test_a_block_has_a_session_of_its_own_unless_some_take_turns_or_one_is_asked_for(mode):
+    def sessions(**asked):
+        campaign = Campaign(goals_per_run=1, **asked)
+        return [recipe_for(mode, run, campaign).session for run in range(6)]
+
+    alone, turns, one = sessions(), sessions(sessions=3), sessions(session=4, sessions=3)
+    assert [session.index for session in alone] == [0, 1, 2, 3, 4, 5]
+    assert turns == [*alone[:3], *alone[:3]]
+    assert one == [alone[4]] * 6
+    assert len({replace(session, index=0) for session in alone}) == 6
+
+
+@pytest.mark.parametrize(
+    ("attack", "control", "other"),
+    [
+        ("fake_object", "fake_object_shadow", "lidar_passthrough_odom"),
+        ("atc_deadzone", "atc_deadzone_shadow", "atc_normal"),
+    ],
+)
+def test_noise_for_each_run_is_shared_by_an_attack_and_its_shadow_only(attack, control, other):
+    campaign = Campaign(goals_per_run=1, noise_per_run=True)
+    by_block = Campaign(goals_per_run=1)
+
+    def draw(mode, campaign):
+        return recipe_for(mode, 0, campaign).generator("/scan").random()
+
+    assert draw(attack, campaign) == draw(control, campaign)
+    drawn = [draw(attack, campaign), draw(other, campaign), draw(other, by_block)]
+    assert len(set(drawn)) == 3
+    first, again = (recipe_for(mode, 0, campaign) for mode in (attack, control))
+    assert (first.session, first.attack_seed()) == (again.session, again.attack_seed())
+    assert recipe_for(other, 0, first.campaign()).noise == other
+
+
+def test_a_recipe_names_its_campaign():
+    for campaign in (
+        Campaign(session=7, goals_per_run=2, timeout_s=90.0, noise_per_run=True),
+        Campaign(session=0, seed=4, storage="sqlite3"),
+    ):
+        assert recipe_for("lidar_passthrough", 3, campaign).campaign() == campaign
 
 
 @settings(max_examples=5)
@@ -139,8 +176,19 @@ def test_an_unknown_mode_is_refused_with_those_that_there_are():
         recipe_for("fake", 0, Campaign())
 
 
+@pytest.mark.parametrize("variable", ["ORACLE_GOALS_PER_RUN", "ORACLE_SESSIONS"])
 @pytest.mark.parametrize("text", ["0", "-1", "many", ""])
-def test_goals_per_run_from_the_environment_must_be_a_whole_number(monkeypatch, text):
-    monkeypatch.setenv("ORACLE_GOALS_PER_RUN", text)
-    with pytest.raises(RecipeError, match="ORACLE_GOALS_PER_RUN"):
+def test_counts_from_the_environment_must_be_whole_numbers(monkeypatch, variable, text):
+    monkeypatch.setenv(variable, text)
+    with pytest.raises(RecipeError, match=variable):
+        Campaign.from_environment()
+
+
+def test_the_environment_says_how_to_record(monkeypatch):
+    assert Campaign.from_environment() == Campaign()
+    monkeypatch.setenv("ORACLE_SESSIONS", "3")
+    monkeypatch.setenv("ORACLE_NOISE_PER_RUN", "1")
+    assert Campaign.from_environment() == Campaign(sessions=3, noise_per_run=True)
+    monkeypatch.setenv("ORACLE_NOISE_PER_RUN", "yes")
+    with pytest.raises(RecipeError, match="ORACLE_NOISE_PER_RUN is 'yes'; give 0 or 1"):
         Campaign.from_environment()

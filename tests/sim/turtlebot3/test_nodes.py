@@ -16,7 +16,7 @@ from sim.middleware.tf import TransformListener
 from sim.turtlebot3.drive import next_set_point
 from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.nodes import add_robot
-from sim.turtlebot3.sensors import LidarNoise, noisy_ranges
+from sim.turtlebot3.sensors import LidarNoise, SensorErrors, noisy_ranges
 from sim.turtlebot3.world import World
 
 Twist = message_class("geometry_msgs/msg/Twist")
@@ -44,7 +44,7 @@ class Robot:
         self.executor = Executor(self.world.advance_to)
         self.domain = Domain(self.executor)
         add_robot(
-            self.domain, self.world, LidarNoise(), lambda name: np.random.default_rng(len(name))
+            self.domain, self.world, SensorErrors(), lambda name: np.random.default_rng(len(name))
         )
         self.tester = Node(self.domain, "/tester")
         self.heard = {}

@@ -185,7 +185,7 @@ def test_a_shadow_control_is_the_passthrough_message_for_message(runs, control, 
 def test_what_an_attack_did_to_the_task_is_told_once_its_control_is_there(runs, control, attack):
     right, attacked = runs[control].manifest(), runs[attack].manifest()
     assert right.task_effect is None
-    assert attacked.task_effect is task_effect(attacked, right)
+    assert attacked.task_effect == task_effect(attacked, right)
 
 
 def test_a_delayed_node_appears_30_s_after_the_first_goal(runs):

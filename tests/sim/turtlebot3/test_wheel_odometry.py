@@ -15,7 +15,7 @@ from sim.middleware.tf import TransformListener
 from sim.turtlebot3.map import WORLD_IN_MAP, odom_in_map
 from sim.turtlebot3.mjcf import WHEEL_RADIUS_M, WHEEL_SEPARATION_M, WorldParameters
 from sim.turtlebot3.nodes import add_robot
-from sim.turtlebot3.sensors import LidarNoise
+from sim.turtlebot3.sensors import SensorErrors
 from sim.turtlebot3.wheel_odometry import WheelOdometry
 from sim.turtlebot3.world import World
 
@@ -71,7 +71,7 @@ def drive(source, seconds):
     executor = Executor(world.advance_to)
     domain = Domain(executor)
     add_robot(
-        domain, world, LidarNoise(), lambda _: np.random.default_rng(0), odometry_source=source
+        domain, world, SensorErrors(), lambda _: np.random.default_rng(0), odometry_source=source
     )
     tester = Node(domain, "/tester")
     buffer = TransformListener(domain, "0").buffer

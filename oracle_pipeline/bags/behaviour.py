@@ -1,0 +1,42 @@
+"""What a robot did in one run, in quantities: from the ground truth in its manifest.
+
+The simulator notes how an attacked run differs from its control, the evaluation how any run differs
+from the other runs of its block.
+"""
+
+from collections.abc import Mapping
+
+from oracle_pipeline.bags.manifest import Manifest
+
+UNITS: Mapping[str, str] = {
+    "driven_m": "m",
+    "under_way_s": "s",
+    "clearance_m": "m",
+    "goals_reached": "1",
+    "recoveries": "1",
+    "commands_altered": "1",
+}
+"""The quantities, and their units."""
+
+
+def behaviour(run: Manifest) -> dict[str, float]:
+    """Return the quantities of a run; empty for a system that does not drive.
+
+    The way driven and the time under way, to all goals together; the least distance of the base
+    from any surface; goals that were reached; recoveries that Nav2 tried; and the share of the
+    commands to move that the collision monitor slowed down or stopped.
+    """
+    if run.drive is None:
+        return {}
+    goals, drive = run.goal_results, run.drive
+    ends = [run.recording_s if goal.ended_s is None else goal.ended_s for goal in goals]
+    quantities = {
+        "driven_m": sum(goal.driven_m for goal in goals),
+        "under_way_s": sum(e - goal.accepted_s for e, goal in zip(ends, goals, strict=True)),
+        "goals_reached": float(sum(goal.outcome == "succeeded" for goal in goals)),
+        "recoveries": float(sum(goal.recoveries for goal in goals)),
+        "commands_altered": drive.commands_altered / max(1, drive.commands),
+    }
+    if drive.clearance_m is not None:
+        quantities["clearance_m"] = drive.clearance_m
+    return quantities

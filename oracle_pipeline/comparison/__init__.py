@@ -1,0 +1,1 @@
+"""How two sets of recordings differ: two builds, two days, two robots."""

@@ -1,0 +1,80 @@
+"""``oracle compare``: how two sets of recordings differ.
+
+What it needs is imported when it runs, so that the help of all commands stays fast.
+"""
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("first", metavar="A", type=click.Path(path_type=Path, exists=True))
+@click.argument("second", metavar="B", type=click.Path(path_type=Path, exists=True))
+@click.option(
+    "--level", default=0.05, show_default=True,
+    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
+    help="Chance to report any difference between sets that do not differ.",
+)  # fmt: skip
+@click.option(
+    "--format", "file_format", type=click.Choice(["text", "json"]), default="text",
+    show_default=True, help="Text for reading; one JSON object for programs.",
+)  # fmt: skip
+@click.option(
+    "--junit", type=click.Path(path_type=Path, dir_okay=False),
+    help="File for the outcome as JUnit XML, a test case for each family of features.",
+)  # fmt: skip
+@click.option(
+    "--picture", type=click.Path(path_type=Path, dir_okay=False),
+    help="PNG file for a picture of the features that differ.",
+)  # fmt: skip
+@click.option(
+    "--plugins", type=click.Path(path_type=Path), envvar="ORACLE_PLUGINS",
+    help="Folder of feature plugins.  [default: $ORACLE_PLUGINS, if set]",
+)  # fmt: skip
+@click.pass_context
+def compare(
+    ctx: click.Context,
+    first: Path,
+    second: Path,
+    level: float,
+    file_format: str,
+    junit: Path | None,
+    picture: Path | None,
+    plugins: Path | None,
+) -> None:
+    """Tell how two sets of recordings differ, such as two builds or two days.
+
+    Exit code 0: no difference; 1: they differ; 2: they could not be compared.
+
+    A and B are folders of run directories or bags, or tables of run features. Features, topics,
+    QoS, nodes and edges are compared. If both sets hold the same blocks of simulated runs (equal
+    start and goals), each run is compared with its partner: 6 pairs can show a difference.
+    Otherwise each set needs 4 recordings or more.
+
+    \b
+    Examples:
+        oracle compare monday/ tuesday/
+        oracle compare old_build/ new_build/ --junit compare.xml --picture compare.png
+        oracle compare a/datasets/features.parquet b/datasets/features.parquet --level 0.01
+    """  # noqa: D301 -- click reads the control character
+    from oracle_pipeline.comparison import output
+    from oracle_pipeline.comparison.compare import compare as compare_sets
+    from oracle_pipeline.datasets import replacing
+    from oracle_pipeline.features import build_manager
+    from oracle_pipeline.scoring.reference import read_reference
+
+    manager = build_manager(plugins)
+    left, right = (read_reference([path], manager) for path in (first, second))
+    comparison = compare_sets(left, right, level)
+    show = output.as_json if file_format == "json" else output.as_text
+    click.echo(show(comparison))
+    if junit is not None:
+        with replacing(junit) as sink:
+            sink.write(output.as_junit(comparison))
+    if picture is not None:
+        from oracle_pipeline.comparison.picture import strips
+
+        with replacing(picture) as sink:
+            sink.write(strips(comparison))
+    ctx.exit(output.EXIT_CODES[comparison.outcome])

@@ -1,0 +1,238 @@
+"""Comparing two sets of recordings: which behaviours differ, by how much, and how surely."""
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.comparison.measurements import (
+    aligned,
+    family_of,
+    measurements,
+    resolved_values,
+    unit_of,
+    varying_columns,
+)
+from oracle_pipeline.comparison.permutation import (
+    Design,
+    MatchedPairs,
+    TwoSamples,
+    adjusted_p_values,
+)
+from oracle_pipeline.scoring.reference import Reference
+
+Outcome: TypeAlias = Literal["same", "different", "unsupported"]
+
+SEED = 0  # of the permutations and of the intervals
+RESAMPLES = 2_000  # of the intervals
+
+
+class ComparisonError(OracleError):
+    """Two sets of recordings cannot be compared."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One feature that differs between the sets; numbers are in its unit.
+
+    Attributes
+    ----------
+    first, second : float
+        Medians of the sets.
+    shift, low, high : float
+        Of the second set over the first, with its 95 % interval from resampled recordings.
+    effect : float
+        From -1 (all values of the second set are smaller) to 1 (all are larger).
+    p_value : float
+        Adjusted for all features compared.
+    """
+
+    feature: str
+    unit: str
+    first: float
+    second: float
+    shift: float
+    low: float
+    high: float
+    effect: float
+    p_value: float
+
+    @property
+    def family(self) -> str:
+        """The family of the feature."""
+        return family_of(self.feature)
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """How two sets of recordings differ.
+
+    Attributes
+    ----------
+    outcome : str
+        ``unsupported``: the sets are too small for any difference to be certain.
+    recordings : (int, int)
+        How many there are in each set.
+    pairs : int
+        How many pairs of equal mode and block were compared; 0 if recordings have no partner.
+    level : float
+        Chance of one false difference or more, if the sets do not differ.
+    compared : dict of str to int
+        By family, how many features vary at all.
+    differences : tuple of Difference
+        The largest statistic first, so the smallest p-value too.
+    values : tuple of DataFrame
+        What was compared, a row for each recording (paired: in the same order).
+    """
+
+    outcome: Outcome
+    recordings: tuple[int, int]
+    pairs: int
+    level: float
+    lowest_p: float
+    compared: dict[str, int]
+    differences: tuple[Difference, ...]
+    values: tuple[pd.DataFrame, pd.DataFrame]
+    notes: tuple[str, ...] = ()
+
+
+def compare(first: Reference, second: Reference, level: float = 0.05) -> Comparison:
+    """Compare two sets of recordings.
+
+    If both hold the same blocks of the same modes (same start, goals and arena), each recording is
+    compared with its partner; otherwise set is compared with set.
+
+    Parameters
+    ----------
+    first, second : Reference
+        As `oracle_pipeline.scoring.reference.read_reference` reads them.
+    level : float
+        The chance to report any difference between sets that do not differ.
+
+    Raises
+    ------
+    OracleError
+        A set has fewer than two recordings, or no feature that varies.
+    """
+    sizes = (len(first.table), len(second.table))
+    if min(sizes) < 2:
+        raise ComparisonError(f"A set has {min(sizes)} recording; each needs two or more.")
+    values = aligned(measurements(first), measurements(second))
+    partners = _partners(first.table, second.table)
+    if partners is not None:
+        values = (values[0].iloc[partners[0]], values[1].iloc[partners[1]])
+    resolved = [resolved_values(table, first.table) for table in values]
+    varying = varying_columns(*resolved)
+    if not varying.any():
+        raise ComparisonError("No feature varies between these recordings; name more of them.")
+    left, right = (table[:, varying] for table in resolved)
+    design: Design = TwoSamples(left, right) if partners is None else MatchedPairs(left, right)
+    rng = np.random.default_rng(SEED)
+    columns = values[0].columns[varying].to_list()
+    size = np.abs(design.t(design.real[None])[0])
+    tested = zip(columns, size, design.effect(), adjusted_p_values(design, rng), strict=True)
+    found = [
+        Difference(
+            feature=column,
+            unit=unit_of(column, first.table),
+            **_sizes(values, column, rng, paired=partners is not None),
+            effect=float(effect),
+            p_value=float(p),
+        )
+        for column, _, effect, p in sorted(tested, key=lambda each: -each[1])
+        if p <= level
+    ]
+    unsupported = design.lowest_p > level
+    return Comparison(
+        outcome="unsupported" if unsupported else "different" if found else "same",
+        recordings=sizes,
+        pairs=0 if partners is None else len(partners[0]),
+        level=level,
+        lowest_p=design.lowest_p,
+        compared=dict(Counter(map(family_of, columns))),
+        differences=tuple(found),
+        values=values,
+        notes=tuple(_notes(first, second)),
+    )
+
+
+def fewest(level: float, *, paired: bool) -> int:
+    """Return how many pairs, or recordings in each set, can show a difference at a level."""
+    n = 2
+    while 2.0 / (2**n if paired else math.comb(2 * n, n)) > level:
+        n += 1
+    return n
+
+
+def _partners(
+    first: pd.DataFrame, second: pd.DataFrame
+) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
+    """Return the rows of each set in the order of their blocks; None if these are not the same.
+
+    Modes have to be the same too, unless each block is in each set once.
+    """
+    if min(first["block"].min(), second["block"].min()) < 0:  # of recordings without a manifest
+        return None
+    for keys in (["mode", "block"], ["block"]):
+        left, right = (
+            table[keys].reset_index(drop=True).sort_values(keys) for table in (first, second)
+        )
+        if left.duplicated().any() or len(left) != len(right):
+            continue
+        if np.array_equal(left.to_numpy(), right.to_numpy()):
+            return left.index.to_numpy(dtype=np.intp), right.index.to_numpy(dtype=np.intp)
+    return None
+
+
+def _sizes(
+    values: tuple[pd.DataFrame, pd.DataFrame],
+    column: str,
+    rng: np.random.Generator,
+    *,
+    paired: bool,
+) -> dict[str, float]:
+    """Return the medians of one feature, and the shift between the sets with its interval."""
+    first, second = (table[column].to_numpy(dtype=np.float64) for table in values)
+    drawn = [rng.integers(len(each), size=(RESAMPLES, len(each))) for each in (first, second)]
+    if paired:
+        shift, shifts = np.nanmedian(second - first), _medians((second - first)[drawn[0]])
+    else:
+        shift = np.nanmedian(second) - np.nanmedian(first)
+        shifts = _medians(second[drawn[1]]) - _medians(first[drawn[0]])
+    low, high = np.nanpercentile(shifts, [2.5, 97.5])
+    return {
+        "first": float(np.nanmedian(first)),
+        "second": float(np.nanmedian(second)),
+        "shift": float(shift),
+        "low": float(low),
+        "high": float(high),
+    }
+
+
+def _medians(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the median of each row; NaN where a row has no value."""
+    some = np.isfinite(rows).any(axis=1)
+    medians = np.full(len(rows), np.nan)
+    medians[some] = np.nanmedian(rows[some], axis=1)
+    return medians
+
+
+def _notes(first: Reference, second: Reference) -> Iterator[str]:
+    yield from (*first.notes, *second.notes)
+    if not (first.observations and second.observations):
+        yield (
+            "A set was read from tables, so topics, nodes and edges were not compared. "
+            "Name folders of recordings."
+        )
+    sessions = [set(each.table["session"]) for each in (first, second)]
+    if min(map(len, sessions)) == 1 and not sessions[0] & sessions[1]:
+        yield (
+            "One set comes from a single session that the other does not have: a difference can "
+            "come from the day. Record both sets in the same sessions."
+        )

@@ -1,0 +1,97 @@
+"""What is compared of a recording: its features, and which topics, nodes and edges it has.
+
+The presence of a topic is a feature like any other, 0 or 1. So one test covers behaviour and
+interface.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oracle_pipeline.datasets import feature_columns, feature_floors, field_metadata
+from oracle_pipeline.scoring.contract import Observation
+from oracle_pipeline.scoring.feature_sets import LEFT_OUT
+from oracle_pipeline.scoring.reference import Reference
+
+INTERFACE = "interface"  # family of the presence of topics, nodes and edges
+RATE = "rate"  # family of the rate of each topic
+_UNITS = {INTERFACE: "1", RATE: "Hz"}
+_FLOORS = {INTERFACE: 0.0, RATE: 0.1}
+
+
+def family_of(column: str) -> str:
+    """Return the family of a column."""
+    return column.split(".", 1)[0]
+
+
+def unit_of(column: str, table: pd.DataFrame) -> str:
+    """Return the unit of a column of a feature table, or of one added here."""
+    return field_metadata(table).get(column, {}).get("unit") or _UNITS.get(family_of(column), "1")
+
+
+def measurements(reference: Reference) -> pd.DataFrame:
+    """Return what is compared, a row for each recording in the order of its table."""
+    columns = [c for c in feature_columns(reference.table) if family_of(c) not in LEFT_OUT]
+    features = reference.table[columns].reset_index(drop=True)
+    if not reference.observations:
+        return features
+    return pd.concat([features, _interface(reference.observations)], axis=1)
+
+
+def aligned(first: pd.DataFrame, second: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return both with the same columns.
+
+    What one set lacks is absent (0) for the interface, and unknown (NaN) for features.
+    """
+    columns = list(dict.fromkeys([*first.columns, *second.columns]))
+    return _with(first, columns), _with(second, columns)
+
+
+def resolved_values(table: pd.DataFrame, declared: pd.DataFrame) -> NDArray[np.float64]:
+    """Return the values in steps of each feature's resolution, shape (n_rows, n_columns).
+
+    A difference that means nothing becomes a tie. `declared` is the feature table whose columns
+    declare their resolution.
+    """
+    floors = feature_floors(declared)
+    steps = np.array([floors.get(c, _FLOORS.get(family_of(c), 0.0)) for c in table.columns])
+    values = table.to_numpy(dtype=np.float64)
+    return np.where(steps > 0.0, np.round(values / np.where(steps > 0.0, steps, 1.0)), values)
+
+
+def varying_columns(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which columns have a value in both sets, and more than one value altogether."""
+    lowest, highest = (
+        function([function(rows, axis=0) for rows in (first, second)], axis=0)
+        for function in (np.fmin.reduce, np.fmax.reduce)
+    )
+    in_both = np.isfinite(first).any(axis=0) & np.isfinite(second).any(axis=0)
+    return np.asarray(in_both & (lowest < highest), dtype=np.bool_)
+
+
+def _with(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
+    table = table.reindex(columns=list(columns))
+    interface = [column for column in columns if family_of(column) == INTERFACE]
+    table[interface] = table[interface].fillna(0.0)
+    return table
+
+
+def _interface(observations: Sequence[Observation]) -> pd.DataFrame:
+    rows = [{**dict.fromkeys(_elements(seen), 1.0), **_rates(seen)} for seen in observations]
+    table = pd.DataFrame(rows, dtype=np.float64)
+    return _with(table, list(table.columns))
+
+
+def _elements(seen: Observation) -> list[str]:
+    topics = [f"topic {name} ({kind})" for name, (kind, _, _) in seen.topics.items()]
+    qos = [
+        f"topic {name}, QoS {words}" for name, (_, all_qos, _) in seen.topics.items()
+        for words in all_qos
+    ]  # fmt: skip
+    return [f"{INTERFACE}.{element}" for element in (*topics, *qos, *sorted(seen.graph or ()))]
+
+
+def _rates(seen: Observation) -> dict[str, float]:
+    return {f"{RATE}.{name}": hz for name, (_, _, hz) in seen.topics.items() if hz is not None}

@@ -1,0 +1,51 @@
+"""The faults of a scenario, told together."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from sim.fuzzing.scenario import MAX_FAULTS, ScenarioError
+
+
+class TooMuchError(ScenarioError):
+    """There is more than may be compiled, so that looking for further faults must end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """Gathers what is wrong with parts that do not depend on each other.
+
+    Examples
+    --------
+    >>> faults = Faults()
+    >>> for line in ("one", "two"):
+    ...     with faults.gathered():
+    ...         raise ScenarioError(line)
+    >>> faults.end()
+    Traceback (most recent call last):
+    sim.fuzzing.scenario.ScenarioError: one
+    two
+    """
+
+    _found: list[str] = field(default_factory=list)
+
+    @contextmanager
+    def gathered(self) -> Iterator[None]:
+        """Keep the fault of one part, and go on behind it."""
+        try:
+            yield
+        except TooMuchError:
+            raise
+        except ScenarioError as error:
+            self._found.append(str(error))
+
+    def end(self) -> None:
+        """Refuse the scenario if there was a fault; at what needs all parts before it.
+
+        Raises
+        ------
+        ScenarioError
+            With a line for each of the first faults.
+        """
+        if self._found:
+            raise ScenarioError("\n".join(self._found[:MAX_FAULTS]))

@@ -1,0 +1,103 @@
+"""Comparing sets: pairs where blocks are the same, resolution, and words about what limits it."""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from oracle_pipeline.comparison.compare import ComparisonError, compare, fewest
+from oracle_pipeline.comparison.measurements import resolved_values
+from oracle_pipeline.comparison.permutation import MatchedPairs, TwoSamples
+from oracle_pipeline.datasets import Fields
+from oracle_pipeline.scoring.contract import Observation
+from oracle_pipeline.scoring.reference import Reference
+
+
+def reference(values: Any, *, mode: str = "m", first_block: int = 0, session: int = 0) -> Reference:
+    n = len(values)
+    table = pd.DataFrame(
+        {
+            "run_id": [f"{mode}|{first_block + i}" for i in range(n)],
+            "mode": mode,
+            "block": np.arange(n) + first_block,
+            "session": session,
+            "drive.path": np.asarray(values, dtype=np.float64),
+        }
+    )
+    table.attrs["fields"] = Fields({"drive.path": {"unit": "m", "floor": "0.5"}})
+    return Reference(table)
+
+
+def test_a_set_does_not_differ_from_itself() -> None:
+    normal = reference(np.arange(8.0))
+    assert compare(normal, normal).outcome == "same"
+
+
+def test_equal_blocks_are_compared_in_pairs_in_whatever_order_they_come() -> None:
+    goals = np.array([3.0, 40.0, 12.0, 7.0, 25.0, 18.0])  # blocks differ far more than the sets
+    first, second = reference(goals), reference(goals + 1.0, mode="other")
+    shuffled = Reference(second.table.sample(frac=1.0, random_state=3))
+    for other in (second, shuffled):
+        comparison = compare(first, other)
+        assert comparison.pairs == 6
+        assert comparison.outcome == "different"
+        (difference,) = comparison.differences
+        assert (difference.shift, difference.effect, difference.unit) == (1.0, 1.0, "m")
+    assert compare(first, reference(goals + 1.0, first_block=6)).outcome == "same"
+
+
+def test_recordings_without_a_manifest_have_no_partners() -> None:
+    values = np.arange(6.0)
+    comparison = compare(reference(values, first_block=-6), reference(values, first_block=-6))
+    assert comparison.pairs == 0
+
+
+def test_a_difference_below_the_resolution_is_none() -> None:
+    table = reference([0.0, 0.1, 0.2, 10.0]).table
+    steps = resolved_values(table[["drive.path"]], table)
+    assert steps[:, 0].tolist() == [0.0, 0.0, 0.0, 20.0]
+
+
+@pytest.mark.parametrize(
+    ("seen", "element"),
+    [
+        ({"/map": ("nav_msgs/msg/OccupancyGrid", (), None)}, "interface.topic /map"),
+        ({"/map": ("nav_msgs/msg/OccupancyGrid", ("reliable, volatile",), 1.0)}, "QoS reliable"),
+    ],
+)
+def test_a_topic_that_one_set_lacks_is_a_difference(seen: Any, element: str) -> None:
+    sets = [
+        Reference(
+            reference(np.arange(5.0), first_block=-9).table,
+            observations=tuple(Observation(topics, None) for _ in range(5)),
+        )
+        for topics in ({}, seen)
+    ]
+    features = [each.feature for each in compare(*sets).differences]
+    assert any(element in feature for feature in features)
+
+
+@pytest.mark.parametrize("paired", [False, True])
+def test_the_number_that_is_said_to_be_needed_is_the_fewest_that_can_differ(
+    *, paired: bool
+) -> None:
+    def lowest_p(n: int) -> float:
+        rows = np.arange(n, dtype=np.float64)[:, None]
+        return (MatchedPairs if paired else TwoSamples)(rows, rows + 1.0).lowest_p
+
+    for level in (0.1, 0.05, 0.01):
+        n = fewest(level, paired=paired)
+        assert lowest_p(n) <= level < lowest_p(n - 1)
+
+
+def test_sets_of_one_session_each_are_told_to_differ_by_day() -> None:
+    comparison = compare(reference(np.arange(6.0)), reference(np.arange(6.0), session=1))
+    assert any("can come from the day" in note for note in comparison.notes)
+
+
+def test_sets_that_show_nothing_are_refused() -> None:
+    with pytest.raises(ComparisonError, match="No feature varies"):
+        compare(reference(np.zeros(6)), reference(np.zeros(6)))
+    with pytest.raises(ComparisonError, match="1 recording"):
+        compare(reference(np.zeros(6)), reference(np.zeros(1)))

@@ -1,0 +1,99 @@
+"""Permutation tests: exact for one feature, and right about all of them together."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.stats import permutation_test
+
+from oracle_pipeline.comparison.permutation import (
+    DRAWN,
+    Design,
+    MatchedPairs,
+    TwoSamples,
+    adjusted_p_values,
+)
+
+DISTINCT = st.integers(3, 6).flatmap(
+    lambda n: arrays(np.float64, 2 * n, elements=st.integers(-999, 999), unique=True)
+)
+
+
+def p_values(design: Design) -> np.ndarray:
+    return adjusted_p_values(design, np.random.default_rng(0))
+
+
+@given(DISTINCT)
+def test_one_feature_has_the_exact_p_value_of_two_samples(values: np.ndarray) -> None:
+    first, second = np.split(values, 2)
+    (p,) = p_values(TwoSamples(first[:, None], second[:, None]))
+    exact = permutation_test((first, second), _distance, n_resamples=np.inf, alternative="less")
+    assert p == pytest.approx(exact.pvalue)
+
+
+@given(arrays(np.float64, st.integers(3, 7), elements=st.integers(-999, 999)))
+def test_one_feature_has_the_exact_p_value_of_pairs(shift: np.ndarray) -> None:
+    (p,) = p_values(MatchedPairs(np.zeros((len(shift), 1)), shift[:, None]))
+    exact = permutation_test(
+        (shift, np.zeros(len(shift))),
+        _distance,
+        permutation_type="samples",
+        n_resamples=np.inf,
+        alternative="less",
+    )
+    assert p == pytest.approx(exact.pvalue)
+
+
+def _distance(first: np.ndarray, second: np.ndarray) -> float:
+    """Of the means, as whole numbers: equal distances stay equal."""
+    return -abs(float(np.sum(second) - np.sum(first)))  # scipy asks which are smaller
+
+
+@given(arrays(np.float64, (8, 5), elements=st.integers(0, 4)), st.sampled_from([-1.0, 1.0]))
+def test_neither_the_order_of_the_sets_nor_a_scale_matters(values: np.ndarray, sign: float) -> None:
+    first, second = values[:4], values[4:]
+    forward, backward = TwoSamples(first, second), TwoSamples(sign * 3 * second, sign * 3 * first)
+    np.testing.assert_allclose(p_values(forward), p_values(backward))
+    np.testing.assert_allclose(forward.effect(), -sign * backward.effect(), atol=1e-12)
+
+
+@given(arrays(np.float64, (8, 6), elements=st.integers(0, 3) | st.just(math.nan)))
+def test_no_adjusted_p_value_is_below_that_of_the_feature_alone(values: np.ndarray) -> None:
+    first, second = values[:4], values[4:]
+    together = p_values(TwoSamples(first, second))
+    alone = [p_values(TwoSamples(first[:, [j]], second[:, [j]]))[0] for j in range(6)]
+    assert np.all(together >= np.array(alone) - 1e-12)
+
+
+def test_a_feature_without_values_or_without_spread_never_differs() -> None:
+    values = np.column_stack([np.full(8, np.nan), np.full(8, 2.0), np.arange(8.0)])
+    p = p_values(TwoSamples(values[:4], values[4:]))
+    assert p.tolist() == [1.0, 1.0, pytest.approx(2 / math.comb(8, 4))]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("paired", [False, True])
+def test_equal_sets_differ_no_more_often_than_the_level_says(*, paired: bool) -> None:
+    rng = np.random.default_rng(4)
+    false = 0
+    for _ in range(200):  # features depend on each other, have ties and gaps
+        values = rng.normal(size=(20, 3)) @ rng.normal(size=(3, 60)) + rng.normal(size=(20, 60))
+        values = np.round(values, 1)
+        values[rng.random(values.shape) < 0.05] = np.nan
+        first, second = values[:10], values[10:]
+        design = MatchedPairs(first, second) if paired else TwoSamples(first, second)
+        false += bool(adjusted_p_values(design, rng).min() <= 0.05)
+    assert false <= 17  # 10 are expected; more than 17 happen to a right test once in 90
+
+
+def test_a_shift_of_one_feature_among_many_is_found_and_no_other() -> None:
+    rng = np.random.default_rng(1)
+    first, second = rng.normal(size=(10, 200)), rng.normal(size=(10, 200))
+    second[:, 7] += 4.0
+    design = TwoSamples(first, second)
+    assert design.size > DRAWN  # so assignments are drawn
+    assert np.flatnonzero(p_values(design) <= 0.05).tolist() == [7]
+    assert design.effect()[7] == 1.0

@@ -1,0 +1,112 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from oracle_pipeline.scoring.alarms import (
+    MEMORY,
+    REPEAT_S,
+    AlarmError,
+    AlarmRule,
+    AlarmWatch,
+    NormalWindows,
+    Statistic,
+    statistics_of,
+)
+from oracle_pipeline.windows import HOP_S, WINDOW_S
+
+RULE = AlarmRule(allowance=1.0, threshold=3.0)
+
+
+def recordings(rng, number, windows=36, runs_of_block=1):
+    """Normal recordings whose windows depend on each other, and on their block."""
+    block = np.repeat(np.arange(number), runs_of_block)
+    run = np.repeat(np.arange(len(block)), windows)
+    noise = rng.standard_t(3, size=(len(block), windows + 1))
+    level = rng.exponential(size=number)[block]
+    scores = level[:, None] + noise[:, 1:] + noise[:, :-1]  # windows overlap by half
+    start_s = np.tile(HOP_S * np.arange(windows), len(block))
+    return NormalWindows(scores.ravel(), start_s, run, block)
+
+
+def watched(rule, windows, run):
+    watch, of_run = AlarmWatch(rule), windows.run == run
+    fed = zip(windows.start_s[of_run] + WINDOW_S, windows.scores[of_run], strict=True)
+    return [alarm for alarm in (watch.feed(*each) for each in fed) if alarm]
+
+
+@given(st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=40))
+def test_window_by_window_the_statistic_is_that_of_all_windows_at_once(scores):
+    statistic = Statistic(1.0)
+    fed = [statistic.feed(score) for score in scores]
+    run = np.zeros(len(scores), dtype=np.intp)
+    np.testing.assert_allclose(statistics_of(np.array(scores), run, 1.0), fed, atol=1e-9)
+
+
+def test_a_recording_does_not_begin_with_what_the_one_before_left():
+    scores, run = np.array([9.0, 9.0, 2.0, 2.0]), np.array([0, 0, 1, 1])
+    np.testing.assert_allclose(statistics_of(scores, run, 1.0), [8.0, 16.0, 1.0, 2.0])
+
+
+def test_one_window_far_out_raises_an_alarm_at_once_and_small_ones_raise_it_slowly():
+    watch = AlarmWatch(RULE)
+    alarm = watch.feed(10.0, 9.0)
+    assert (alarm.time_s, alarm.statistic, alarm.threshold) == (10.0, 8.0, 3.0)
+    slowly = AlarmWatch(RULE)
+    assert [slowly.feed(5.0 * n, 2.0) is not None for n in range(5)].index(True) == 3
+
+
+def test_a_minute_after_the_last_unusual_window_all_is_forgotten():
+    statistic = Statistic(1.0)
+    assert statistic.feed(1e6) > 1e5
+    assert max([statistic.feed(0.5) for _ in range(MEMORY)][-1:]) < 0.0
+
+
+def test_after_an_alarm_there_is_none_for_ten_minutes():
+    watch = AlarmWatch(RULE)
+    ends = np.arange(10.0, 10.0 + 3 * REPEAT_S, HOP_S)
+    raised = [end for end in ends if watch.feed(end, 9.0)]
+    np.testing.assert_allclose(np.diff(raised), REPEAT_S)
+
+
+@pytest.mark.parametrize("runs_of_block", [1, 4])
+def test_a_new_recording_gives_at_most_the_promised_alarms_an_hour(runs_of_block):
+    rng, per_hour = np.random.default_rng(0), 1.0
+    raised, hours = [], 0.0
+    for _ in range(150):
+        all_of = recordings(rng, 45, runs_of_block=runs_of_block)
+        rule = all_of.without(0).rule(per_hour)
+        raised.append(len(watched(rule, all_of, 0)))
+        hours += 37 * HOP_S / 3600.0
+    error = np.std(raised) * np.sqrt(len(raised)) / hours
+    assert 0.0 < sum(raised) / hours <= per_hour + 2.0 * error
+
+
+def test_what_is_watched_live_is_what_was_counted_in_calibration():
+    windows = recordings(np.random.default_rng(1), 60)
+    rule = windows.rule(2.0)
+    raised = sum(len(watched(rule, windows, run)) for run in range(60))
+    hours = 60 * 36 * HOP_S / 3600.0
+    assert 0 < raised <= 2.0 * hours - 1
+    lower = AlarmRule(rule.allowance, rule.threshold - 0.5)
+    assert sum(len(watched(lower, windows, run)) for run in range(60)) > raised
+
+
+def test_too_few_hours_support_no_such_rate_and_it_is_said_how_many_are_missing():
+    few = recordings(np.random.default_rng(2), 20)
+    assert few.lowest_rate() == pytest.approx(1.0)
+    few.rule(1.01)
+    with pytest.raises(AlarmError, match=r"20 blocks.*1 h.*below 1 false.*0\.5 takes 1 h more"):
+        few.rule(0.5)
+
+
+def test_a_block_has_one_vote_however_many_recordings_it_has():
+    once = recordings(np.random.default_rng(3), 50)
+    again = 40 * [0]
+    copies = NormalWindows(
+        np.r_[once.scores, np.tile(once.scores[:36], 40)],
+        np.r_[once.start_s, np.tile(once.start_s[:36], 40)],
+        np.r_[once.run, 50 + np.repeat(np.arange(40), 36)],
+        np.r_[once.block, again],
+    )
+    assert copies.lowest_rate() == pytest.approx(once.lowest_rate())
