@@ -36,7 +36,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dask,dev,docs,postgres,s3]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dask,dev,docs,live,postgres,s3]'
 	@touch $@
 
 run: setup ## Simulate the small campaign, analyse it, and say where the report is

@@ -18,6 +18,7 @@ import click
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import PlainTextGroup, version_option
 from oracle_pipeline.comparison.command import compare
+from oracle_pipeline.live.command import watch
 from oracle_pipeline.replay.command import replay
 
 if TYPE_CHECKING:
@@ -58,6 +59,7 @@ def main() -> None:
 
 main.add_command(replay)
 main.add_command(compare)
+main.add_command(watch)
 
 
 def _format_option(*formats: str, text: str) -> Callable[[_Command], _Command]:

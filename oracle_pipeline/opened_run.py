@@ -1,7 +1,7 @@
-"""A run directory or a foreign bag, opened and checked.
+"""A run directory, a live recording or a foreign bag, opened and checked.
 
-A run directory has a manifest, a bag and graphs; a foreign bag has neither manifest nor
-graphs, and what needs them raises an error.
+A run directory has a manifest, a bag and graphs; a recording that ``oracle watch`` made has a bag
+and graphs; a foreign bag has neither manifest nor graphs, and what needs them raises an error.
 """
 
 import logging
@@ -13,7 +13,12 @@ from oracle_pipeline.bags.errors import BagError, RunDirectoryError
 from oracle_pipeline.bags.integrity import require_undamaged
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.reader import BagReader
-from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, MANIFEST_FILE
+from oracle_pipeline.bags.run_directory import (
+    BAG_FOLDER,
+    GRAPHS_FOLDER,
+    MANIFEST_FILE,
+    RECORDING_FILE,
+)
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.graphs.intervals import Interval, read_intervals
 
@@ -26,7 +31,7 @@ class OpenedRun:
 
     path: Path
     bag: BagReader
-    manifest: Manifest | None  # None: a foreign bag
+    manifest: Manifest | None  # None: a live recording or a foreign bag
     intervals: tuple[Interval, ...]  # empty: a foreign bag
 
     @property
@@ -42,13 +47,13 @@ class OpenedRun:
 
 
 def open_run(path: Path, *, strict: bool = False) -> OpenedRun:
-    """Open a run directory, or a foreign bag.
+    """Open a run directory, a live recording or a foreign bag.
 
     Parameters
     ----------
     path : Path
-        ``<root>/runs/<mode>/run003``, the folder of a rosbag2, a single ``.mcap`` or ``.db3``
-        file, or a ROS 1 ``.bag``.
+        ``<root>/runs/<mode>/run003``, what ``oracle watch`` recorded, the folder of a rosbag2, a
+        single ``.mcap`` or ``.db3`` file, or a ROS 1 ``.bag``.
 
     The files of a run directory are compared with the hashes in its manifest first. A run that an
     older release recorded has none; it is opened with a warning.
@@ -60,6 +65,9 @@ def open_run(path: Path, *, strict: bool = False) -> OpenedRun:
     """
     if (path / MANIFEST_FILE).is_file():
         return _open_run_directory(path)
+    if (path / RECORDING_FILE).is_file():
+        intervals = read_intervals(path / GRAPHS_FOLDER)
+        return OpenedRun(path, BagReader(path / BAG_FOLDER, strict=strict), None, intervals)
     if any((path / part).exists() for part in (BAG_FOLDER, GRAPHS_FOLDER)):
         raise RunDirectoryError(
             f"{path} looks like a run directory but has no {MANIFEST_FILE}, so the run is not "

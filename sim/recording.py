@@ -11,12 +11,20 @@ from typing import Any
 import networkx as nx
 import numpy as np
 
-from oracle_pipeline.bags.graph_files import Kind, RosGraph, vertex_id, write_gexf, write_graphml
-from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S
+from oracle_pipeline.bags.graph_files import (
+    Kind,
+    RosGraph,
+    add_traffic,
+    vertex_id,
+    write_gexf,
+    write_graphml,
+)
+from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S, is_hidden
+from oracle_pipeline.bags.qos_profiles import is_latched, is_reliable
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.bags.writer import BagWriter
 from sim.middleware import qos
-from sim.middleware.domain import Domain, Offer, Publisher, Subscription, is_hidden
+from sim.middleware.domain import Domain, Offer, Publisher, Subscription
 from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.node import Node
 
@@ -82,8 +90,8 @@ class Recorder(Node):
         return self._hidden_topics or topic == GROUND_TRUTH_TOPIC or not is_hidden(topic)
 
     def _subscribe(self, topic: str, msgtype: str, offered: list[Any]) -> None:
-        reliable = all(qos.is_reliable(profile) for profile in offered)
-        latched = all(qos.is_latched(profile) for profile in offered)
+        reliable = all(is_reliable(profile) for profile in offered)
+        latched = all(is_latched(profile) for profile in offered)
         requested = qos.profile(10, reliable=reliable, latched=latched)
 
         executor, clock, store = self.domain.executor, self._receive_clock, self._writer.write
@@ -165,7 +173,7 @@ class GraphRecorder:
             write_gexf(graph, self._folder / f"{second:06d}.gexf")
         self._run.add_nodes_from(graph.nodes(data=True))
         for source, target, traffic in graph.edges(data=True):
-            _count(self._run, source, target, traffic["messages"], traffic["bytes"])
+            add_traffic(self._run, source, target, traffic["messages"], traffic["bytes"])
 
     def _snapshot(self) -> RosGraph:
         graph: RosGraph = nx.DiGraph()
@@ -177,7 +185,7 @@ class GraphRecorder:
         for endpoint in self._endpoints():
             node, topic = vertex_id("node", endpoint.node), vertex_id("topic", endpoint.topic)
             ends = (node, topic) if isinstance(endpoint, Publisher) else (topic, node)
-            _count(graph, *ends, *self._traffic(endpoint))
+            add_traffic(graph, *ends, *self._traffic(endpoint))
         return graph
 
     def _full(self) -> RosGraph:
@@ -197,9 +205,9 @@ class GraphRecorder:
                     continue
                 vertex = vertex_id(kind, offer.name)
                 graph.add_node(vertex, kind=kind, type=offer.type, label=offer.name)
-                _count(graph, vertex, vertex_id("node", offer.server), 0, 0)
+                add_traffic(graph, vertex, vertex_id("node", offer.server), 0, 0)
                 for client in offer.clients:
-                    _count(graph, vertex_id("node", client), vertex, 0, 0)
+                    add_traffic(graph, vertex_id("node", client), vertex, 0, 0)
         return graph
 
     def _endpoints(self) -> Iterator[Publisher | Subscription]:
@@ -211,12 +219,3 @@ class GraphRecorder:
         messages, size = self._seen.get(endpoint, (0, 0))
         self._seen[endpoint] = (endpoint.messages, endpoint.message_bytes)
         return endpoint.messages - messages, endpoint.message_bytes - size
-
-
-def _count(graph: RosGraph, source: str, target: str, messages: int, size: int) -> None:
-    """Add traffic to an edge; several endpoints of one node on one topic are one edge."""
-    if not graph.has_edge(source, target):
-        graph.add_edge(source, target, messages=0, bytes=0)
-    edge = graph.edges[source, target]
-    edge["messages"] += messages
-    edge["bytes"] += size

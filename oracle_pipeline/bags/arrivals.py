@@ -15,9 +15,10 @@ from typing import NamedTuple
 
 from oracle_pipeline.bags.mcap import MAGIC
 from oracle_pipeline.bags.parts import METADATA, is_recording
-from oracle_pipeline.bags.run_directory import MANIFEST_FILE
+from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
 from oracle_pipeline.bags.terminal import printable
 
+_LAST = (METADATA, MANIFEST_FILE, RECORDING_FILE)  # written when all else is there
 MOST_FILES = 10_000  # of one recording that are looked at; rosbag2 splits into far fewer
 _PLAIN = re.compile(r"[A-Za-z0-9_](?:\.?[A-Za-z0-9_-])*")
 _OTHER = re.compile(r"[^A-Za-z0-9_]+")
@@ -96,7 +97,7 @@ def _looked_at(path: Path) -> Arrival | None:
     if stat.S_ISDIR(status.st_mode):
         files = sorted(_files(path), key=os.fsencode)
         holds_one = any(file.name == MANIFEST_FILE or is_recording(file) for file in files)
-        finished = any((path / name).is_file() for name in (METADATA, MANIFEST_FILE))
+        finished = any((path / name).is_file() for name in _LAST)
         finished = finished or all(_ends(file) for file in files if is_recording(file))
     else:
         files = [path]

@@ -19,3 +19,7 @@ class RunDirectoryError(OracleError):
 
 class GraphError(OracleError):
     """A GEXF or GraphML file is unreadable or not one of ours."""
+
+
+class DdsError(OracleError):
+    """A DDS domain cannot be joined, or a topic not be heard or published there."""

@@ -38,6 +38,15 @@ def vertex_id(kind: Kind, name: str) -> str:
     return f"{kind}:{name}"
 
 
+def add_traffic(graph: RosGraph, source: str, target: str, messages: int, size: int) -> None:
+    """Add traffic to an edge; several endpoints of one node on one topic are one edge."""
+    if not graph.has_edge(source, target):
+        graph.add_edge(source, target, messages=0, bytes=0)
+    edge = graph.edges[source, target]
+    edge["messages"] += messages
+    edge["bytes"] += size
+
+
 def write_gexf(graph: RosGraph, path: Path) -> None:
     """Write GEXF 1.2, which Gephi and NetworkX open.
 

@@ -14,6 +14,11 @@ MIN_INTERVAL_S = 5
 """A last, partial interval shorter than this is dropped [s]."""
 
 
+def is_hidden(topic: str) -> bool:
+    """Tell whether a name is hidden by the ROS convention (a token starts with ``_``)."""
+    return "/_" in topic
+
+
 def run_key(mode: str, run: int) -> str:
     """Return the name of a run below a root, its partition key: ``fake_object|run003``."""
     return f"{mode}|run{run:03d}"

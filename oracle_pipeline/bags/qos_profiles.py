@@ -1,5 +1,6 @@
-"""QoS profiles as a bag keeps them: YAML in a text, of numbers (Humble) or words (Jazzy and later).
+"""QoS profiles: which of them talk to each other, and how a bag keeps them.
 
+In a bag they are YAML in a text, of numbers (Humble) or words (Jazzy and later).
 A bag has sixty topics and a handful of distinct profiles, so each text is parsed once.
 """
 
@@ -36,6 +37,22 @@ def parse(profiles: str) -> tuple[Qos, ...]:
     if not isinstance(listed, list) or not all(isinstance(each, dict) for each in listed):
         raise ValueError("QoS profiles are no list of profiles")
     return tuple(_profile(each) for each in listed)
+
+
+def is_latched(qos: Qos) -> bool:
+    """Tell whether a late subscriber gets the last samples."""
+    return qos.durability is QosDurability.TRANSIENT_LOCAL
+
+
+def is_reliable(qos: Qos) -> bool:
+    """Tell whether lost samples are sent again."""
+    return qos.reliability is not QosReliability.BEST_EFFORT
+
+
+def compatible(offered: Qos, requested: Qos) -> bool:
+    """Tell whether a publisher's offer meets a subscriber's request (the DDS rule)."""
+    too_lossy = is_reliable(requested) and not is_reliable(offered)
+    return not too_lossy and (is_latched(offered) or not is_latched(requested))
 
 
 def _profile(given: dict[Any, Any]) -> Qos:

@@ -27,6 +27,7 @@ from oracle_pipeline.bags.scratch import beside, lock, remove_left, scratch_besi
 MANIFEST_FILE = "manifest.json"
 BAG_FOLDER = "bag"
 GRAPHS_FOLDER = "graphs"
+RECORDING_FILE = "recording.json"  # of what `oracle watch` recorded, in place of a manifest
 
 _MODE = re.compile(r"[a-z0-9_]+")
 _RUN = re.compile(r"run(\d{3,})")

@@ -125,6 +125,32 @@ def extract(run: OpenedRun, manager: FeatureManager) -> FeatureTables:
     return tables
 
 
+def extract_window(run: OpenedRun, manager: FeatureManager, start_s: float) -> pd.DataFrame:
+    """Compute the features of one window of a recording that goes on.
+
+    Parameters
+    ----------
+    run : OpenedRun
+        The recording until the end of the window; it may begin some time before the window.
+    manager : FeatureManager
+        The plugins to use.
+    start_s : float
+        When the window begins, since the start of what is given [s].
+
+    Returns
+    -------
+    DataFrame of one row
+        As in the table of windows.
+    """
+    recording = KeptMessages.read(run.bag, manager.plugins)
+    extraction = _Extraction(run, manager, recording, Span(0, recording.duration_ns))
+    span = Span(round(start_s * 1e9), recording.duration_ns)
+    row = extraction.row(span, per_window=True)
+    windowed = {c: f for c, f in manager.features().items() if f.per_window}
+    fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}
+    return _table(_keys(run), {WINDOW_START: [start_s]}, windowed, [row], fields)
+
+
 def families(tables: FeatureTables) -> dict[str, dict[str, Any]]:
     """Return by family how many features of the run could be computed, and what is missing."""
     row = tables.run.iloc[0]

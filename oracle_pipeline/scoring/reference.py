@@ -10,7 +10,7 @@ import pandas as pd
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.parts import is_recording
-from oracle_pipeline.bags.run_directory import MANIFEST_FILE
+from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
 from oracle_pipeline.bags.terminal import printable, progress_bar
 from oracle_pipeline.datasets import KEYS, feature_dataset, read_table, window_dataset
 from oracle_pipeline.features import FeatureManager, FeatureTables
@@ -123,7 +123,8 @@ def _extracted(paths: Sequence[Path], manager: FeatureManager) -> Reference:
 
 def _recordings(folder: Path) -> Iterator[Path]:
     """Find the run directories and bags below a folder, in order."""
-    if (folder / MANIFEST_FILE).is_file() or is_recording(folder):
+    is_run = any((folder / name).is_file() for name in (MANIFEST_FILE, RECORDING_FILE))
+    if is_run or is_recording(folder):
         yield folder
     elif folder.is_dir():
         for entry in sorted(folder.iterdir()):

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple, TypeVar
 
 from rosbags.interfaces import Qos
 
+from oracle_pipeline.bags.qos_profiles import compatible, is_latched
 from oracle_pipeline.bags.types import deserialize, serialize
 from sim.middleware.delays import Delays
 from sim.middleware.executor import Executor
-from sim.middleware.qos import compatible, is_latched
 
 _Endpoint = TypeVar("_Endpoint")
 
@@ -350,11 +350,6 @@ class Domain:
         for action in self._action_servers.values():
             clients = [node for node, name, _ in self._action_clients if name == action.name]
             yield Offer(action.name, action.action_type, action.node, clients)
-
-
-def is_hidden(topic: str) -> bool:
-    """Tell whether a name is hidden by the ROS convention (a token starts with ``_``)."""
-    return "/_" in topic
 
 
 def _endpoints(by_topic: Mapping[str, list[_Endpoint]], topic: str | None) -> Iterator[_Endpoint]:

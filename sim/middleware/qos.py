@@ -1,4 +1,4 @@
-"""Quality-of-service profiles that Nav2 and Gazebo use, and which of them talk to each other.
+"""Quality-of-service profiles that Nav2 and Gazebo use.
 
 A profile is ``rosbags.interfaces.Qos``, so what an endpoint offers is what a bag records.
 """
@@ -45,19 +45,3 @@ ROSOUT = profile(1000, latched=True, lifespan=QosTime(10, 0))
 PARAMETER_EVENTS = profile(1000)
 CLOCK = profile(1, reliable=False)
 TF = profile(100)
-
-
-def is_latched(qos: Qos) -> bool:
-    """Tell whether a late subscriber gets the last samples."""
-    return qos.durability is QosDurability.TRANSIENT_LOCAL
-
-
-def is_reliable(qos: Qos) -> bool:
-    """Tell whether lost samples are sent again."""
-    return qos.reliability is not QosReliability.BEST_EFFORT
-
-
-def compatible(offered: Qos, requested: Qos) -> bool:
-    """Tell whether a publisher's offer meets a subscriber's request (the DDS rule)."""
-    too_lossy = is_reliable(requested) and not is_reliable(offered)
-    return not too_lossy and (is_latched(offered) or not is_latched(requested))

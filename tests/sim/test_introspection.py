@@ -8,11 +8,11 @@ import pytest
 from rosbags.interfaces import QosTime
 
 from oracle_pipeline.bags.graph_files import read_gexf, vertex_id
+from oracle_pipeline.bags.protocol import is_hidden
+from oracle_pipeline.bags.qos_profiles import is_latched, is_reliable
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE
 from oracle_pipeline.bags.writer import BagWriter
 from sim.campaigns import Campaign
-from sim.middleware.domain import is_hidden
-from sim.middleware.qos import is_latched, is_reliable
 from tests.sim import humble
 from tests.sim.system import ADDED_NODES, LESS, MORE, NODES, RUN, System
 

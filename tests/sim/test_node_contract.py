@@ -8,10 +8,11 @@ from dataclasses import fields, is_dataclass
 
 import pytest
 
+from oracle_pipeline.bags.protocol import is_hidden
 from oracle_pipeline.bags.types import deserialize, message_class, serialize
 from oracle_pipeline.bags.writer import BagWriter
 from sim.middleware import qos
-from sim.middleware.domain import Subscription, is_hidden
+from sim.middleware.domain import Subscription
 from sim.middleware.geometry import Pose2D
 from sim.middleware.stamps import stamp_ns
 from sim.nav2.amcl import TRANSFORM_TOLERANCE_NS

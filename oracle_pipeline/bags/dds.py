@@ -1,0 +1,357 @@
+"""Raw messages on a DDS domain, through Eclipse Cyclone DDS and without ROS.
+
+Types are built at run time from the type store. Endpoints here take and give CDR bytes as they are:
+nothing is decoded. All that is used of the inside of cyclonedds-python stands in this module;
+the package is the optional extra ``live``.
+"""
+
+import ctypes
+import functools
+import os
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple, TypeAlias
+
+from rosbags.interfaces import (
+    Nodetype,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.typesys.store import Typestore
+
+from oracle_pipeline.bags import types
+from oracle_pipeline.bags.dds_names import dds_type, from_wire, to_wire
+from oracle_pipeline.bags.errors import DdsError
+
+try:
+    from cyclonedds import _clayer, builtin, core, domain, pub, sub, topic
+    from cyclonedds.idl import make_idl_struct
+    from cyclonedds.idl import types as idl
+    from cyclonedds.qos import Policy
+    from cyclonedds.qos import Qos as DdsQos
+except ImportError as error:
+    raise DdsError(
+        "Eclipse Cyclone DDS is not installed; install it with "
+        "`python -m pip install 'ros2-behaviour-oracle[live]'`."
+    ) from error
+
+DOMAIN_VARIABLE = "ROS_DOMAIN_ID"  # of the environment: the domain that ROS 2 takes
+
+Participant: TypeAlias = domain.DomainParticipant
+
+_PRIMITIVES: dict[str, Any] = {
+    "bool": bool,
+    "byte": idl.byte,
+    "octet": idl.byte,
+    "char": idl.uint8,
+    "float32": idl.float32,
+    "float64": idl.float64,
+    "int8": idl.int8,
+    "int16": idl.int16,
+    "int32": idl.int32,
+    "int64": idl.int64,
+    "uint8": idl.uint8,
+    "uint16": idl.uint16,
+    "uint32": idl.uint32,
+    "uint64": idl.uint64,
+}
+_IDL: Any = idl  # what its types make of brackets, type checkers do not know
+_EVERYTHING = core.SampleState.Any | core.ViewState.Any | core.InstanceState.Any
+_INFINITE_NS = 2**63 - 1
+_SECOND_NS = 1_000_000_000
+_MOST_AT_ONCE = 256  # samples of a reader that are taken in one call
+
+
+def default_domain() -> int:
+    """Return the domain that ROS 2 would take.
+
+    Raises
+    ------
+    DdsError
+        If ``ROS_DOMAIN_ID`` is no number.
+    """
+    text = os.environ.get(DOMAIN_VARIABLE) or "0"
+    if not text.isdecimal():
+        raise DdsError(f"{DOMAIN_VARIABLE} is {text!r}; give a whole number from 0 on.")
+    return int(text)
+
+
+def join(number: int) -> Participant:
+    """Join a domain.
+
+    Raises
+    ------
+    DdsError
+        If there is no such domain, or no usable network interface.
+    """
+    try:
+        return domain.DomainParticipant(number)
+    except core.DDSException as error:
+        raise DdsError(
+            f"Could not join the DDS domain {number}: {error}. Choose a domain from 0 to 232 with "
+            "--domain, and check the network interfaces that CYCLONEDDS_URI allows."
+        ) from error
+
+
+@functools.cache
+def idl_type(msgtype: str, store: Typestore) -> Any:
+    """Return the DDS type of a message type, with the name that ROS 2 gives it.
+
+    Raises
+    ------
+    DdsError
+        If the type is not known, or has a kind of field that is not supported (``wstring``).
+    """
+    if msgtype not in store.fielddefs:
+        raise DdsError(f"The message type {msgtype} is not known.")
+    _, fields = store.fielddefs[msgtype]
+    name = dds_type(msgtype)
+    members = {field: _member(kind, what, store) for field, (kind, what) in fields}
+    return make_idl_struct(name.rpartition("::")[2], name, members)
+
+
+def _member(kind: Nodetype, what: Any, store: Typestore) -> Any:
+    if kind is Nodetype.ARRAY:
+        (element_kind, element_type), length = what
+        return _IDL.array[_member(element_kind, element_type, store), length]
+    if kind is Nodetype.SEQUENCE:
+        (element_kind, element_type), bound = what
+        element = _member(element_kind, element_type, store)
+        return _IDL.sequence[element, bound] if bound else _IDL.sequence[element]
+    if kind is Nodetype.NAME:
+        return idl_type(what, store)
+    base, bound = what
+    if base == "string":
+        return _IDL.bounded_str[bound] if bound else str
+    if base not in _PRIMITIVES:
+        raise DdsError(f"A field of type {base} cannot travel on DDS here.")
+    return _PRIMITIVES[base]
+
+
+class Raw(NamedTuple):
+    """A message as it was on DDS."""
+
+    data: bytes  # CDR with its encapsulation header
+    source_ns: int  # when it was sent, by the sender's clock [ns since 1970]
+    writer: int  # instance handle of the writer that sent it
+
+
+class RawReader:
+    """Takes the messages of a topic as bytes.
+
+    Parameters
+    ----------
+    participant
+        Where it lives.
+    name : str
+        DDS name of the topic.
+    msgtype : str
+    qos : Qos
+        What it requests.
+    store : Typestore, optional
+        Defines the type; ours by default.
+    """
+
+    def __init__(
+        self,
+        participant: Participant,
+        name: str,
+        msgtype: str,
+        qos: Qos,
+        store: Typestore | None = None,
+    ) -> None:
+        try:
+            definition = idl_type(msgtype, store or types.typestore())
+            self.topic = topic.Topic(participant, name, definition)
+            self.entity = sub.DataReader(participant, self.topic, dds_qos(qos))
+        except (core.DDSException, RuntimeError) as error:
+            raise DdsError(f"Could not subscribe to {name} ({msgtype}): {error}.") from error
+
+    @property
+    def guid(self) -> bytes:
+        """Its identifier on the network, 16 bytes."""
+        return self.entity.guid.bytes
+
+    def take(self) -> list[Raw]:
+        """Return some of the messages that have come; none if there is none."""
+        taken = _clayer.ddspy_take(self.entity._ref, _EVERYTHING, _MOST_AT_ONCE)
+        if isinstance(taken, int):
+            raise DdsError(f"Could not take messages of {self.topic.name}: code {taken}.")
+        return [
+            Raw(from_wire(data), info.source_timestamp, info.publication_handle)
+            for data, info in taken
+            if info.valid_data
+        ]
+
+
+class RawWriter:
+    """Sends bytes as the messages of a topic; the parameters are as for `RawReader`."""
+
+    def __init__(self, participant: Participant, name: str, msgtype: str, qos: Qos) -> None:
+        try:
+            self._topic = topic.Topic(participant, name, idl_type(msgtype, types.typestore()))
+            self._entity = pub.DataWriter(participant, self._topic, dds_qos(qos))
+        except (core.DDSException, RuntimeError) as error:
+            raise DdsError(f"Could not publish {name} ({msgtype}): {error}.") from error
+
+    @property
+    def guid(self) -> bytes:
+        """Its identifier on the network, 16 bytes."""
+        return self._entity.guid.bytes
+
+    def write(self, data: bytes) -> None:
+        """Send CDR bytes, encapsulation header included."""
+        code = _clayer.ddspy_write(self._entity._ref, to_wire(data))
+        if code:
+            raise DdsError(f"Could not send a message on {self._topic.name}: code {code}.")
+
+
+class ReadyReaders:
+    """Waits until any of its readers has messages, and tells which."""
+
+    def __init__(self, participant: Participant) -> None:
+        self._waitset = core.WaitSet(participant)
+        self._readers: dict[int, RawReader] = {}  # by the address that DDS gives back
+        self._kept: list[Any] = []  # what must not be freed while DDS knows its address
+
+    def add(self, reader: RawReader) -> None:
+        """Wait for a reader too; may be called while another thread waits."""
+        condition = core.ReadCondition(reader.entity, _EVERYTHING)
+        self._waitset.attach(condition)
+        mark = self._waitset.attached[-1][1]
+        self._readers[ctypes.addressof(mark)] = reader
+        self._kept.append(condition)
+
+    def wait(self, timeout_s: float) -> Iterable[RawReader]:
+        """Return the readers that have messages, within some time."""
+        size = len(self._readers) + 1
+        marks = (ctypes.c_void_p * size)()
+        count = self._waitset._waitset_wait(
+            self._waitset._ref, marks, size, round(timeout_s * _SECOND_NS)
+        )
+        found = (self._readers.get(mark or 0) for mark in marks[: min(count, size)])
+        return [reader for reader in found if reader is not None]
+
+
+def dds_qos(qos: Qos) -> "DdsQos":
+    """Return a profile as DDS knows it."""
+    depth = max(1, qos.depth)
+    kept = Policy.History.KeepLast(depth)
+    if qos.history is QosHistory.KEEP_ALL:
+        kept = Policy.History.KeepAll
+    policies = [
+        kept,
+        Policy.Reliability.BestEffort
+        if qos.reliability is QosReliability.BEST_EFFORT
+        else Policy.Reliability.Reliable(_SECOND_NS // 10),
+        Policy.Liveliness.Automatic(_nanoseconds(qos.liveliness_lease_duration)),
+        Policy.Deadline(_nanoseconds(qos.deadline)),
+        Policy.Lifespan(_nanoseconds(qos.lifespan)),
+    ]
+    if qos.durability is QosDurability.TRANSIENT_LOCAL:
+        policies += [
+            Policy.Durability.TransientLocal,
+            # What a writer keeps for late readers; Cyclone DDS does not take it from the history.
+            Policy.DurabilityService(0, kept, -1, -1, -1),
+        ]
+    return DdsQos(*policies)
+
+
+def ros_qos(qos: "DdsQos") -> Qos:
+    """Return the profile that an endpoint told others; some do not tell their history."""
+    history, depth = QosHistory.UNKNOWN, 0
+    if isinstance(kept := qos[Policy.History], Policy.History.KeepLast):
+        history, depth = QosHistory.KEEP_LAST, kept.depth
+    reliable = isinstance(qos[Policy.Reliability], Policy.Reliability.Reliable)
+    latched = qos[Policy.Durability] == Policy.Durability.TransientLocal
+    liveliness = qos[Policy.Liveliness]
+    return Qos(
+        history=history,
+        depth=depth,
+        reliability=QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
+        durability=QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+        deadline=_time(qos[Policy.Deadline].deadline if qos[Policy.Deadline] else _INFINITE_NS),
+        lifespan=_time(qos[Policy.Lifespan].lifespan if qos[Policy.Lifespan] else _INFINITE_NS),
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=_time(
+            liveliness.lease_duration if liveliness is not None else _INFINITE_NS
+        ),
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+def _nanoseconds(time: QosTime) -> int:
+    """Return a duration; what a bag has as 0 is no limit."""
+    return min(time.sec * _SECOND_NS + time.nsec, _INFINITE_NS) or _INFINITE_NS
+
+
+def _time(duration_ns: int) -> QosTime:
+    return QosTime(*divmod(duration_ns, _SECOND_NS))
+
+
+class Discovered(NamedTuple):
+    """What a built-in topic of DDS says of a participant or an endpoint."""
+
+    handle: int
+    alive: bool  # if not, only the handle is told
+    guid: bytes = b""
+    participant: bytes = b""
+    topic: str = ""
+    type: str = ""
+    qos: Qos = ros_qos(DdsQos())
+
+
+class BuiltinReaders:
+    """Hears who comes and goes; each method returns what is new since it was called last."""
+
+    def __init__(self, participant: Participant) -> None:
+        self._participants = builtin.BuiltinDataReader(
+            participant, builtin.BuiltinTopicDcpsParticipant
+        )
+        self._publications = builtin.BuiltinDataReader(
+            participant, builtin.BuiltinTopicDcpsPublication
+        )
+        self._subscriptions = builtin.BuiltinDataReader(
+            participant, builtin.BuiltinTopicDcpsSubscription
+        )
+
+    def participants(self) -> Iterator[Discovered]:
+        """Yield participants."""
+        for sample, handle, alive in _taken(self._participants):
+            yield Discovered(handle, alive, sample.key.bytes if alive else b"")
+
+    def publications(self) -> Iterator[Discovered]:
+        """Yield writers."""
+        return _endpoints(self._publications)
+
+    def subscriptions(self) -> Iterator[Discovered]:
+        """Yield readers."""
+        return _endpoints(self._subscriptions)
+
+
+def _endpoints(reader: Any) -> Iterator[Discovered]:
+    for sample, handle, alive in _taken(reader):
+        if not alive:
+            yield Discovered(handle, alive)
+            continue
+        yield Discovered(
+            handle,
+            alive,
+            sample.key.bytes,
+            sample.participant_key.bytes,
+            sample.topic_name,
+            sample.type_name,
+            ros_qos(sample.qos),
+        )
+
+
+def _taken(reader: Any) -> Iterator[tuple[Any, int, bool]]:
+    """Yield samples of a built-in topic, each with its handle and whether it is still there."""
+    while samples := reader.take(_MOST_AT_ONCE):
+        for sample in samples:
+            info = sample.sample_info
+            alive = info.valid_data and info.instance_state == core.InstanceState.Alive
+            yield sample, info.instance_handle, alive

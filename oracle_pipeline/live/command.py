@@ -1,0 +1,139 @@
+"""``oracle watch``: a DDS domain as it is watched, in words."""
+
+import dataclasses
+import json
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from oracle_pipeline.live.watch import Event, Watch
+
+
+@click.command()
+@click.option(
+    "--reference", metavar="CARD", type=click.Path(path_type=Path, dir_okay=False),
+    help="Reference card, from `oracle learn`. Without one, nothing is judged.",
+)  # fmt: skip
+@click.option(
+    "--domain", type=click.IntRange(0, 232),
+    help="DDS domain to watch.  [default: $ROS_DOMAIN_ID, else 0]",
+)  # fmt: skip
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False),
+    help="Folder that the recording goes into. Without one, nothing is recorded.",
+)  # fmt: skip
+@click.option(
+    "--far", default=0.05, show_default=True,
+    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
+    help="False positive rate: the share of normal recordings that may raise an alarm.",
+)  # fmt: skip
+@click.option(
+    "--format", "file_format", type=click.Choice(["text", "json"]), default="text",
+    show_default=True, help="Text for reading; one JSON object a line for programs.",
+)  # fmt: skip
+@click.option(
+    "--duration", type=click.FloatRange(0.0, min_open=True),
+    help="Seconds until it ends by itself.  [default: when Ctrl-C is pressed]",
+)  # fmt: skip
+@click.option(
+    "--plugins", type=click.Path(path_type=Path), envvar="ORACLE_PLUGINS",
+    help="Folder of feature plugins.  [default: $ORACLE_PLUGINS, if set]",
+)  # fmt: skip
+@click.pass_context
+def watch(
+    ctx: click.Context,
+    reference: Path | None,
+    domain: int | None,
+    out: Path | None,
+    far: float,
+    file_format: str,
+    duration: float | None,
+    plugins: Path | None,
+) -> None:
+    """Watch a running robot: record it, and judge it as it goes.
+
+    It joins a DDS domain without ROS, takes the ROS graph every 10 s, and judges windows of 10 s as
+    they end. It never publishes. Ctrl-C ends the recording properly; `oracle score` then judges it
+    as a whole, and Foxglove opens its bag.
+
+    Exit code 0: no alarm; 1: at least one; 2: it could not watch.
+
+    \b
+    Examples:
+        oracle watch
+        oracle watch --reference robot.card --out recordings/
+        oracle watch --reference robot.card --domain 7 --format json | jq .alarm
+    """  # noqa: D301 -- click reads the control character
+    from oracle_pipeline.bags.dds import default_domain
+    from oracle_pipeline.live.watch import Alarm, Watch
+
+    number = default_domain() if domain is None else domain
+    name = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+    alarms = 0
+    with Watch(number, card=reference, folder=out, name=name, far=far, plugins=plugins) as watching:
+        signal.signal(signal.SIGINT, lambda *_: watching.stop())
+        signal.signal(signal.SIGTERM, lambda *_: watching.stop())
+        if duration is not None:
+            signal.signal(signal.SIGALRM, lambda *_: watching.stop())
+            signal.setitimer(signal.ITIMER_REAL, duration)
+        click.echo(f"Watching domain {number}; Ctrl-C ends it.", err=True)
+        for event in watching:
+            alarms += isinstance(event, Alarm)
+            told = _as_json(event) if file_format == "json" else _as_text(event, watching)
+            for line in told:
+                click.echo(line)
+    click.echo(f"{watching.heard} messages heard, {watching.dropped} dropped.", err=True)
+    if watching.recording is not None:
+        click.echo(f"Recording: {watching.recording.path}", err=True)
+    ctx.exit(1 if alarms else 0)
+
+
+def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
+    """Yield the lines that a person reads of an event."""
+    from oracle_pipeline.bags.terminal import aligned_lines
+    from oracle_pipeline.live.watch import Alarm, GraphTaken, Note
+    from oracle_pipeline.live.window_scorer import WindowVerdict
+    from oracle_pipeline.scoring.output import HEADINGS, cells
+
+    if isinstance(event, GraphTaken):
+        kinds = [kind for _, kind in event.graph.nodes(data="kind")]
+        yield (
+            f"{event.start_s:6d} s  graph: {kinds.count('node')} nodes, "
+            f"{kinds.count('topic')} topics; {watching.heard} messages so far"
+        )
+    elif isinstance(event, WindowVerdict):
+        shown = "ANOMALOUS" if event.alarm else "normal"
+        yield (
+            f"{event.end_s:6.0f} s  {shown.ljust(9)} p = {event.p_value:.3g}, "
+            f"score {event.score:.3g}"
+        )
+    elif isinstance(event, Alarm):
+        verdict = event.verdict
+        yield f"ALARM in the window from {verdict.start_s:g} s to {verdict.end_s:g} s:"
+        yield from aligned_lines([HEADINGS, *map(cells, verdict.evidence)], indent="    ")
+    elif isinstance(event, Note):
+        yield event.text
+
+
+def _as_json(event: "Event") -> Iterator[str]:
+    """Yield one object with one key that says what it is; messages are left out."""
+    from oracle_pipeline.live.watch import Alarm, GraphTaken, Note
+    from oracle_pipeline.live.window_scorer import WindowVerdict
+
+    document: dict[str, Any]
+    if isinstance(event, GraphTaken):
+        document = {"graph": {"start_s": event.start_s, "elements": len(event.graph)}}
+    elif isinstance(event, WindowVerdict):
+        document = {"window": dataclasses.asdict(event)}
+    elif isinstance(event, Alarm):
+        document = {"alarm": dataclasses.asdict(event.verdict)}
+    elif isinstance(event, Note):
+        document = {"note": event.text}
+    else:
+        return
+    yield json.dumps(document, allow_nan=False)

@@ -1,0 +1,143 @@
+"""Who is on a DDS domain: ROS nodes, and what each publishes and subscribes to.
+
+DDS knows participants and endpoints. Which of them are a node's, ROS 2 tells on
+``ros_discovery_info``. A participant that vanishes without goodbye is gone when its lease ends.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability
+from rosbags.interfaces import QosTime as _QosTime
+from rosbags.typesys import Stores, get_typestore
+
+from oracle_pipeline.bags import dds, types
+from oracle_pipeline.bags.dds_names import ENTITIES_TOPIC, ENTITIES_TYPE, ros_topic, ros_type
+
+UNKNOWN_NODE = "/_NODE_NAME_UNKNOWN_"  # ROS 2's name for an endpoint that no node claims
+
+_GUID = 16  # bytes; ROS 2 pads them to 24 up to Humble
+_NO_LIMIT = _QosTime(9223372036, 854775807)
+_ENTITIES_QOS = Qos(
+    QosHistory.KEEP_ALL, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL,
+    _NO_LIMIT, _NO_LIMIT, QosLiveliness.AUTOMATIC, _NO_LIMIT, False,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """A publisher or a subscription of a ROS topic."""
+
+    guid: bytes
+    handle: int  # by which DDS tells who sent a message
+    participant: bytes
+    topic: str
+    msgtype: str
+    qos: Qos
+    publishes: bool
+
+
+class Discovery:
+    """Keeps the picture of a domain.
+
+    Parameters
+    ----------
+    participant
+        Ours; its own endpoints are left out.
+
+    Attributes
+    ----------
+    endpoints : dict of int to Endpoint
+        Those that are there now, by handle.
+    revision : int
+        Counts the changes.
+    """
+
+    def __init__(self, participant: dds.Participant) -> None:
+        self._own = participant.guid.bytes
+        self._builtin = dds.BuiltinReaders(participant)
+        # Up to Humble identifiers have 24 bytes, later 16; a reader gets what is of its own type.
+        self._stores = (types.typestore(), get_typestore(Stores.ROS2_JAZZY))
+        self._entities = [
+            dds.RawReader(participant, ENTITIES_TOPIC, ENTITIES_TYPE, _ENTITIES_QOS, store)
+            for store in self._stores
+        ]
+        self._participants: dict[int, bytes] = {}  # by handle
+        self._nodes: dict[bytes, dict[str, frozenset[bytes]]] = {}  # of each participant
+        self.endpoints: dict[int, Endpoint] = {}
+        self.revision = 0
+
+    def update(self) -> bool:
+        """Take what is new; tell whether anything changed."""
+        before = self.revision
+        for sample in self._builtin.participants():
+            self._participant(sample)
+        for publishes, samples in (
+            (True, self._builtin.publications()),
+            (False, self._builtin.subscriptions()),
+        ):
+            for sample in samples:
+                self._endpoint(sample, publishes=publishes)
+        for reader, store in zip(self._entities, self._stores, strict=True):
+            while raw := reader.take():
+                for message in raw:
+                    self._claim(store.deserialize_cdr(message.data, ENTITIES_TYPE))
+        return self.revision != before
+
+    def node_names(self) -> list[str]:
+        """Return the full name of every node, as ``ros2 node list`` does."""
+        claimed = {name for nodes in self._here() for name in nodes}
+        return sorted(claimed | {node for _, node in self.owned() if node == UNKNOWN_NODE})
+
+    def owned(self) -> Iterator[tuple[Endpoint, str]]:
+        """Yield the endpoints, each with the name of its node."""
+        owner = {guid: name for nodes in self._here() for name, of in nodes.items() for guid in of}
+        for endpoint in self.endpoints.values():
+            yield endpoint, owner.get(endpoint.guid, UNKNOWN_NODE)
+
+    def topics(self) -> dict[str, list[Endpoint]]:
+        """Return the publishers of each topic that has any."""
+        publishers: dict[str, list[Endpoint]] = {}
+        for endpoint in self.endpoints.values():
+            if endpoint.publishes:
+                publishers.setdefault(endpoint.topic, []).append(endpoint)
+        return publishers
+
+    def _here(self) -> Iterator[Mapping[str, frozenset[bytes]]]:
+        """Yield the nodes of the participants that are there."""
+        for participant in self._participants.values():
+            yield self._nodes.get(participant, {})
+
+    def _participant(self, sample: dds.Discovered) -> None:
+        self.revision += 1
+        if sample.alive:
+            self._participants[sample.handle] = sample.guid
+        elif gone := self._participants.pop(sample.handle, None):
+            self._nodes.pop(gone, None)
+
+    def _endpoint(self, sample: dds.Discovered, *, publishes: bool) -> None:
+        if not sample.alive:
+            self.revision += self.endpoints.pop(sample.handle, None) is not None
+            return
+        topic, msgtype = ros_topic(sample.topic), ros_type(sample.type)
+        if topic is None or msgtype is None or sample.participant == self._own:
+            return
+        self.revision += 1
+        self.endpoints[sample.handle] = Endpoint(
+            sample.guid, sample.handle, sample.participant, topic, msgtype, sample.qos, publishes
+        )
+
+    def _claim(self, message: Any) -> None:
+        """Take what a participant says of its nodes; the last word counts."""
+        self.revision += 1
+        nodes: dict[str, frozenset[bytes]] = {}
+        for node in message.node_entities_info_seq:
+            name = f"{node.node_namespace.rstrip('/')}/{node.node_name}"
+            own = map(_guid, (*node.reader_gid_seq, *node.writer_gid_seq))
+            nodes[name] = nodes.get(name, frozenset()).union(own)
+        self._nodes[_guid(message.gid)] = nodes
+
+
+def _guid(gid: Any) -> bytes:
+    return bytes(gid.data[:_GUID])

@@ -1,0 +1,141 @@
+"""Messages of a DDS domain as they come, as bytes, in a queue that cannot grow without bound.
+
+A thread of its own waits for them, so that each gets its time of arrival at once. If nobody takes
+them fast enough, the newest are dropped and counted. Robots never wait for us: readers keep the
+last messages only, so a full queue here fills no queue there.
+"""
+
+import threading
+import time
+from collections import Counter
+from typing import NamedTuple
+
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability
+from rosbags.interfaces import QosTime as _QosTime
+
+from oracle_pipeline.bags import dds
+from oracle_pipeline.bags.dds_names import dds_topic
+from oracle_pipeline.bags.errors import DdsError
+
+QUEUE_BYTES = 64 * 2**20  # of messages that wait at most
+_DEPTH = 500  # messages of a topic that wait in DDS, until the thread takes them
+_WAIT_S = 0.2  # at most, until the thread looks for new readers or its end
+_NO_LIMIT = _QosTime(9223372036, 854775807)
+
+
+class Received(NamedTuple):
+    """A message as it came."""
+
+    topic: str
+    wall_ns: int  # when it came [ns since 1970]
+    writer: int  # handle of the endpoint that sent it
+    data: bytes  # CDR with its encapsulation header
+
+
+class Intake:
+    """Hears topics.
+
+    Parameters
+    ----------
+    participant
+        Where the readers live.
+    queue_bytes : int
+        What may wait in the queue.
+
+    Attributes
+    ----------
+    topics : dict of str to str
+        What is heard: topic -> message type.
+    """
+
+    def __init__(self, participant: dds.Participant, queue_bytes: int = QUEUE_BYTES) -> None:
+        self.topics: dict[str, str] = {}
+        self._participant = participant
+        self._most_bytes = queue_bytes
+        self._ready = dds.ReadyReaders(participant)
+        self._names: dict[dds.RawReader, str] = {}
+        self._queue: list[Received] = []
+        self._bytes = 0
+        self._dropped: Counter[str] = Counter()
+        self._changed = threading.Condition()
+        self._ended = False
+        self._error: DdsError | None = None
+        self._thread = threading.Thread(target=self._run, name="intake", daemon=True)
+        self._thread.start()
+
+    def hear(self, topic: str, msgtype: str, *, reliable: bool, latched: bool) -> None:
+        """Subscribe to a topic.
+
+        Raises
+        ------
+        DdsError
+            If its type is not known.
+        """
+        qos = Qos(
+            QosHistory.KEEP_LAST,
+            _DEPTH,
+            QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
+            QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+            _NO_LIMIT,
+            _NO_LIMIT,
+            QosLiveliness.AUTOMATIC,
+            _NO_LIMIT,
+            avoid_ros_namespace_conventions=False,
+        )
+        reader = dds.RawReader(self._participant, dds_topic(topic), msgtype, qos)
+        self.topics[topic] = msgtype
+        self._names[reader] = topic
+        self._ready.add(reader)
+
+    def take(self, timeout_s: float) -> list[Received]:
+        """Return what has come, in order of arrival; wait for it, but not longer than said.
+
+        Raises
+        ------
+        DdsError
+            If messages can no longer be received.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._queue or self._error, timeout_s)
+            if self._error is not None and not self._queue:
+                raise self._error
+            taken, self._queue, self._bytes = self._queue, [], 0
+        return taken
+
+    def dropped(self) -> Counter[str]:
+        """Return how many messages of each topic were dropped since this was last asked."""
+        with self._changed:
+            dropped, self._dropped = self._dropped, Counter()
+        return dropped
+
+    def close(self) -> None:
+        """Stop; what was not taken stays in the queue."""
+        self._ended = True
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            while not self._ended:
+                ready = self._ready.wait(_WAIT_S)
+                wall_ns = time.time_ns()
+                came = [
+                    (raw.source_ns, Received(self._names[reader], wall_ns, raw.writer, raw.data))
+                    for reader in ready
+                    for raw in reader.take()
+                ]
+                came.sort(key=lambda each: each[0])  # as they were sent, if senders' clocks agree
+                self._put([received for _, received in came])
+        except DdsError as error:
+            with self._changed:
+                self._error = error
+                self._changed.notify()
+
+    def _put(self, came: list[Received]) -> None:
+        with self._changed:
+            for received in came:
+                if self._bytes + len(received.data) > self._most_bytes:
+                    self._dropped[received.topic] += 1
+                else:
+                    self._queue.append(received)
+                    self._bytes += len(received.data)
+            self._changed.notify()

@@ -1,0 +1,167 @@
+"""Judges windows in a process of its own, so that messages never wait for features.
+
+The watch sends what it hears as it comes, and says when a window has ended; verdicts come back.
+"""
+
+import multiprocessing
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import TypeAlias
+
+from rosbags.interfaces import Qos
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.features import build_manager
+from oracle_pipeline.features.extraction import extract_window
+from oracle_pipeline.graphs.intervals import Interval
+from oracle_pipeline.live.recent import RecentMessages, Stamped
+from oracle_pipeline.live.window_scorer import WindowScorer, WindowVerdict
+from oracle_pipeline.scoring.card import ReferenceCard
+
+_END_S = 5.0  # that the process gets to end by itself
+_SECOND_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class _Topic:
+    """A topic, or more publishers of one."""
+
+    name: str
+    msgtype: str
+    qos: tuple[Qos, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Window:
+    """A window that has ended; times are stamps [ns]."""
+
+    recording_ns: int  # when the recording began
+    start_ns: int
+    end_ns: int
+    running: Interval | None  # the graph so far of an interval that has not ended
+    ended_at: float  # by the monotonic clock of the machine [s]
+
+
+_Told: TypeAlias = _Topic | _Window | Interval | list[Stamped] | None
+_Answer: TypeAlias = WindowVerdict | OracleError
+
+
+class Judge:
+    """The other process.
+
+    Parameters
+    ----------
+    card : Path
+        The reference card.
+    far : float
+        False positive rate.
+    plugins : Path, optional
+        Folder of feature plugins.
+    """
+
+    def __init__(self, card: Path, far: float, plugins: Path | None = None) -> None:
+        WindowScorer(ReferenceCard.load(card), far)  # a bad card is told at once
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(
+            target=_work, args=(theirs, card, far, plugins), name="judge", daemon=True
+        )
+        self._process.start()
+        theirs.close()
+
+    def add_topic(self, name: str, msgtype: str, qos: tuple[Qos, ...]) -> None:
+        """Announce a topic, or more publishers of it."""
+        self._tell(_Topic(name, msgtype, qos))
+
+    def add(self, messages: list[Stamped]) -> None:
+        """Hand messages over, in order of time."""
+        self._tell(messages)
+
+    def add_graph(self, interval: Interval) -> None:
+        """Hand the graph of an interval over."""
+        self._tell(interval)
+
+    def end_window(
+        self, recording_ns: int, start_ns: int, end_ns: int, running: Interval | None
+    ) -> None:
+        """Ask for the verdict on a window that has ended."""
+        self._tell(_Window(recording_ns, start_ns, end_ns, running, time.monotonic()))
+
+    def verdicts(self, timeout_s: float = 0.0) -> Iterator[WindowVerdict]:
+        """Yield the verdicts that are there, or come within some time.
+
+        Raises
+        ------
+        OracleError
+            If the process died, or a window could not be judged.
+        """
+        try:
+            while self._pipe.poll(timeout_s):
+                answer: _Answer = self._pipe.recv()
+                if isinstance(answer, OracleError):
+                    raise answer
+                yield answer
+        except EOFError:
+            raise self._death() from None
+
+    def close(self) -> list[WindowVerdict]:
+        """End the process; return the verdicts on windows that had ended before."""
+        last = []
+        try:
+            self._pipe.send(None)
+            while self._pipe.poll(_END_S):
+                answer = self._pipe.recv()
+                if isinstance(answer, WindowVerdict):
+                    last.append(answer)
+        except (EOFError, OSError):
+            pass  # it has ended
+        self._process.join(_END_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._pipe.close()
+        return last
+
+    def _tell(self, told: _Told) -> None:
+        try:
+            self._pipe.send(told)
+        except OSError:
+            raise self._death() from None
+
+    def _death(self) -> OracleError:
+        self._process.join(_END_S)
+        return OracleError(
+            f"The process that judges windows died (exit code {self._process.exitcode}); perhaps "
+            "there was not enough memory for it. What was recorded is kept."
+        )
+
+
+def _work(pipe: Connection, card: Path, far: float, plugins: Path | None) -> None:
+    """Judge in the other process, until it is told to end."""
+    try:
+        manager = build_manager(plugins)
+        scorer = WindowScorer(ReferenceCard.load(card), far)
+        recent = RecentMessages()
+        while (told := pipe.recv()) is not None:
+            if isinstance(told, list):
+                recent.add(told)
+            elif isinstance(told, Interval):
+                recent.add_graph(told)
+            elif isinstance(told, _Topic):
+                recent.add_topic(told.name, told.msgtype, told.qos)
+            else:
+                run = recent.until(told.recording_ns, told.end_ns, told.running)
+                begin_s = (told.start_ns - run.bag.start_ns) / _SECOND_NS
+                row = extract_window(run, manager, max(0.0, begin_s))
+                row["window_start_s"] = (told.start_ns - told.recording_ns) / _SECOND_NS
+                verdict = scorer.judge(row, (told.end_ns - told.recording_ns) / _SECOND_NS)
+                pipe.send(replace(verdict, latency_s=time.monotonic() - told.ended_at))
+    except OracleError as error:
+        pipe.send(error)
+    except (EOFError, KeyboardInterrupt):
+        pass  # the watch is gone, or will say the end itself
+    finally:
+        pipe.close()

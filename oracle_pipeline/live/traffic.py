@@ -1,0 +1,61 @@
+"""The ROS graph of a domain, in the form that the recorder of the testbeds writes."""
+
+from collections.abc import Mapping
+
+import networkx as nx
+
+from oracle_pipeline.bags.graph_files import RosGraph, add_traffic, vertex_id
+from oracle_pipeline.bags.protocol import is_hidden
+from oracle_pipeline.bags.qos_profiles import compatible
+from oracle_pipeline.live.discovery import Discovery
+
+
+class Traffic:
+    """Counts what each publisher sent during an interval."""
+
+    def __init__(self) -> None:
+        self._sent: dict[int, tuple[int, int]] = {}
+
+    def count(self, writer: int, size: int) -> None:
+        """Count a message by the handle of who sent it, and its size in bytes."""
+        messages, total = self._sent.get(writer, (0, 0))
+        self._sent[writer] = messages + 1, total + size
+
+    def sent(self) -> dict[int, tuple[int, int]]:
+        """Return messages and bytes by handle."""
+        return dict(self._sent)
+
+    def begin(self) -> None:
+        """Begin the next interval."""
+        self._sent.clear()
+
+
+def snapshot(discovery: Discovery, sent: Mapping[int, tuple[int, int]]) -> RosGraph:
+    """Return who is there now, and what went over each edge; hidden topics are left out.
+
+    Parameters
+    ----------
+    discovery : Discovery
+    sent : mapping of int to tuple
+        Messages and bytes, by the handle of the publisher. A subscription got what the publishers
+        of its topic sent with whom its profile fits.
+    """
+    graph: RosGraph = nx.DiGraph()
+    for name in discovery.node_names():
+        graph.add_node(vertex_id("node", name), kind="node", type="", label=name)
+    publishers = discovery.topics()
+    for endpoint, owner in discovery.owned():
+        if is_hidden(endpoint.topic):
+            continue
+        node, topic = vertex_id("node", owner), vertex_id("topic", endpoint.topic)
+        graph.add_node(topic, kind="topic", type=endpoint.msgtype, label=endpoint.topic)
+        if endpoint.publishes:
+            add_traffic(graph, node, topic, *sent.get(endpoint.handle, (0, 0)))
+            continue
+        heard = [
+            sent.get(publisher.handle, (0, 0))
+            for publisher in publishers.get(endpoint.topic, ())
+            if compatible(publisher.qos, endpoint.qos)
+        ]
+        add_traffic(graph, topic, node, sum(m for m, _ in heard), sum(b for _, b in heard))
+    return graph

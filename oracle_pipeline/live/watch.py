@@ -1,0 +1,333 @@
+"""A domain that is watched: what comes is recorded and judged, and told as it happens.
+
+``Watch`` is what ``oracle watch`` and live views are made of. It only ever reads: it has no writer
+on the domain.
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic, time_ns
+from types import TracebackType
+from typing import Self, TypeAlias
+
+from oracle_pipeline.bags import dds
+from oracle_pipeline.bags.errors import DdsError
+from oracle_pipeline.bags.graph_files import RosGraph
+from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S, is_hidden
+from oracle_pipeline.bags.qos_profiles import is_latched, is_reliable
+from oracle_pipeline.graphs.intervals import Interval
+from oracle_pipeline.live.discovery import Discovery, Endpoint
+from oracle_pipeline.live.intake import QUEUE_BYTES, Intake, Received
+from oracle_pipeline.live.judge import Judge
+from oracle_pipeline.live.recent import Stamped
+from oracle_pipeline.live.recording import LiveRecording
+from oracle_pipeline.live.time_base import CLOCK_TOPIC, SimulatedTime, WallTime
+from oracle_pipeline.live.traffic import Traffic, snapshot
+from oracle_pipeline.live.window_scorer import WindowVerdict
+from oracle_pipeline.windows import HOP_S, WINDOW_S
+
+SETTLE_S = 2.0  # until those who are on the domain are known
+_DISCOVERY_S = 0.1  # rosbag2 looks for new topics this often
+_TAKE_S = 0.1  # at most, that a look for messages waits
+_SECOND_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class MessageHeard:
+    """A message, as it was on DDS."""
+
+    topic: str
+    msgtype: str
+    stamp_ns: int  # in the recording's time
+    data: bytes  # CDR with its encapsulation header
+
+
+@dataclass(frozen=True, slots=True)
+class GraphTaken:
+    """The ROS graph of an interval that has ended."""
+
+    start_s: int  # since the start of the recording
+    graph: RosGraph
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """Behaviour turned anomalous: the first such verdict after normal ones."""
+
+    verdict: WindowVerdict
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """What a person should know: what is dropped, or cannot be heard."""
+
+    text: str
+
+
+Event: TypeAlias = MessageHeard | GraphTaken | WindowVerdict | Alarm | Note
+
+
+class Watch:
+    """Watches a domain; a context manager, and an iterator over what happens.
+
+    Parameters
+    ----------
+    domain : int
+        Which DDS domain.
+    card : Path, optional
+        Reference card to judge windows by; without one, nothing is judged.
+    folder : Path, optional
+        Where to keep the recording; without one, nothing is recorded.
+    name : str
+        Of the recording.
+    far : float
+        False positive rate of a verdict.
+    plugins : Path, optional
+        Folder of feature plugins.
+    queue_bytes : int
+        Messages that may wait to be dealt with.
+
+    Attributes
+    ----------
+    dropped : int
+        Messages that were lost because they came faster than they could be dealt with.
+    heard : int
+        Messages that were dealt with.
+    recording : LiveRecording or None
+
+    Examples
+    --------
+    >>> with Watch(0, folder=Path("recordings"), name="today") as watch:
+    ...     for event in watch:
+    ...         print(event)
+    """
+
+    def __init__(
+        self,
+        domain: int,
+        *,
+        card: Path | None = None,
+        folder: Path | None = None,
+        name: str = "recording",
+        far: float = 0.05,
+        plugins: Path | None = None,
+        queue_bytes: int = QUEUE_BYTES,
+    ) -> None:
+        self.dropped = self.heard = 0
+        self._domain = domain
+        self._stopped = False
+        self._judge = None if card is None else Judge(card, far, plugins)
+        self.recording = None if folder is None else LiveRecording(folder, name)
+        participant = dds.join(domain)
+        self.discovery = Discovery(participant)
+        self._intake = Intake(participant, queue_bytes)
+        self._traffic = Traffic()
+        self._announced: dict[str, int] = {}  # publishers whose profile was told on, by topic
+        self._unheard: set[str] = set()  # topics that were said not to be heard
+        self._time: WallTime | SimulatedTime = WallTime()
+        self._start_ns: int | None = None
+        self._now_ns = 0
+        self._interval = 0  # number of the one that goes on
+        self._window = 0  # number of the next that ends
+        self._alarmed = False
+        self._pending: deque[Event] = deque()
+
+    def stop(self) -> None:
+        """Let the iteration end soon; may be called by a signal handler or another thread."""
+        self._stopped = True
+
+    @property
+    def duration_s(self) -> float:
+        """How long the recording is so far [s]."""
+        return 0.0 if self._start_ns is None else (self._now_ns - self._start_ns) / _SECOND_NS
+
+    def __enter__(self) -> Self:
+        if self.recording is not None:
+            self.recording.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc_value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._intake.close()
+        if self._judge is not None:
+            self._judge.close()
+        if self.recording is not None:
+            self.recording.facts = {
+                "domain": self._domain,
+                "time": "wall" if isinstance(self._time, WallTime) else "simulated",
+                "start_ns": self._start_ns,
+                "recording_s": self.duration_s,
+                "dropped": self.dropped,
+            }
+            self.recording.__exit__(exc_type, exc_value, traceback)
+
+    def __iter__(self) -> Iterator[Event]:
+        """Yield what happens, until `stop` is called."""
+        self._settle()
+        waiting: list[Received] = []  # until the time is known
+        looked = 0.0
+        while not self._stopped:
+            before_ns = time_ns()
+            came = self._intake.take(_TAKE_S)
+            if monotonic() - looked >= _DISCOVERY_S:
+                looked = monotonic()
+                self._discover()
+            waiting += came
+            for received in came:
+                if received.topic == CLOCK_TOPIC:
+                    self._time.hear(received.wall_ns, received.data)
+            if self._time.is_ready:
+                yield from self._deal_with(waiting)
+                if not came and self._start_ns is not None:
+                    self._pass_to(self._time.stamp_ns(before_ns))
+                waiting = []
+            self._collect()
+            while self._pending:
+                yield self._pending.popleft()
+        yield from self._finish()
+
+    def _settle(self) -> None:
+        """Wait until those who are there are known, and choose the time."""
+        until = monotonic() + SETTLE_S
+        while monotonic() < until and not self._stopped:
+            self.discovery.update()
+            self._intake.take(_TAKE_S)  # nothing is heard yet; this only waits
+        if CLOCK_TOPIC in self.discovery.topics():
+            self._time = SimulatedTime()
+        self._discover(force=True)
+
+    def _discover(self, *, force: bool = False) -> None:
+        """Subscribe to topics that are new."""
+        if not self.discovery.update() and not force:
+            return
+        for topic, publishers in self.discovery.topics().items():
+            if is_hidden(topic) or topic in self._unheard:
+                continue
+            known = self._announced.get(topic, 0)
+            if not known:
+                self._subscribe(topic, publishers)
+            if topic in self._intake.topics and len(publishers) > known:
+                self._announce(topic, publishers[known:])
+            self._announced[topic] = max(known, len(publishers))
+
+    def _subscribe(self, topic: str, publishers: list[Endpoint]) -> None:
+        try:
+            self._intake.hear(
+                topic,
+                publishers[0].msgtype,
+                reliable=all(is_reliable(each.qos) for each in publishers),
+                latched=all(is_latched(each.qos) for each in publishers),
+            )
+        except DdsError as error:
+            self._unheard.add(topic)
+            self._pending.append(Note(f"{topic} is not heard: {error}"))
+
+    def _announce(self, topic: str, publishers: list[Endpoint]) -> None:
+        msgtype, profiles = self._intake.topics[topic], tuple(each.qos for each in publishers)
+        if self.recording is not None:
+            self.recording.add_topic(topic, msgtype, profiles)
+        if self._judge is not None:
+            self._judge.add_topic(topic, msgtype, profiles)
+
+    def _deal_with(self, came: list[Received]) -> Iterator[Event]:
+        """Record messages, count them, and hand them on, up to the end of each window."""
+        fresh: list[Stamped] = []
+        for received in came:
+            stamp_ns = self._time.stamp_ns(received.wall_ns)
+            if self._start_ns is None:
+                self._start_ns = stamp_ns
+            if self._is_due(stamp_ns):
+                self._hand_on(fresh)
+                fresh = []
+                self._pass_to(stamp_ns)
+            self._now_ns = stamp_ns
+            self.heard += 1
+            self._traffic.count(received.writer, len(received.data))
+            if self.recording is not None:
+                self.recording.write(received.topic, stamp_ns, received.data)
+            fresh.append(Stamped(received.topic, stamp_ns, received.data))
+            msgtype = self._intake.topics[received.topic]
+            yield MessageHeard(received.topic, msgtype, stamp_ns, received.data)
+        self._hand_on(fresh)
+
+    def _hand_on(self, fresh: list[Stamped]) -> None:
+        if self._judge is not None and fresh:
+            self._judge.add(fresh)
+
+    def _is_due(self, stamp_ns: int) -> bool:
+        """Tell whether a window has ended; every interval ends with one."""
+        return stamp_ns >= self._window_end_ns
+
+    @property
+    def _window_end_ns(self) -> int:
+        assert self._start_ns is not None  # noqa: S101 -- windows are cut once there is a message
+        return self._start_ns + round((self._window * HOP_S + WINDOW_S) * _SECOND_NS)
+
+    def _pass_to(self, stamp_ns: int) -> None:
+        """Let time pass: end the intervals and windows that are over."""
+        while self._is_due(stamp_ns):
+            end_ns = self._window_end_ns
+            assert self._start_ns is not None  # noqa: S101
+            end_s = (end_ns - self._start_ns) / _SECOND_NS
+            if end_s >= (self._interval + 1) * INTERVAL_S:
+                self._end_interval()
+            if self._judge is not None:
+                start_ns = end_ns - round(WINDOW_S * _SECOND_NS)
+                self._judge.end_window(self._start_ns, start_ns, end_ns, self._running(end_s))
+            self._window += 1
+        self._now_ns = max(self._now_ns, stamp_ns)
+
+    def _running(self, now_s: float) -> Interval | None:
+        """Return the graph so far of the interval that goes on, if it has just begun: None."""
+        start_s = float(self._interval * INTERVAL_S)
+        if now_s <= start_s:
+            return None
+        return Interval(start_s, snapshot(self.discovery, self._traffic.sent()))
+
+    def _end_interval(self) -> None:
+        start_s = self._interval * INTERVAL_S
+        graph = snapshot(self.discovery, self._traffic.sent())
+        self._traffic.begin()
+        self._interval += 1
+        if self.recording is not None:
+            self.recording.write_graph(start_s, graph)
+        if self._judge is not None:
+            self._judge.add_graph(Interval(float(start_s), graph))
+        self._pending.append(GraphTaken(start_s, graph))
+
+    def _collect(self) -> None:
+        """Take verdicts that have come, and count what was dropped."""
+        if dropped := self._intake.dropped():
+            self.dropped += dropped.total()
+            listed = ", ".join(f"{topic} {count}" for topic, count in dropped.most_common(5))
+            self._pending.append(
+                Note(f"{dropped.total()} messages were dropped: they came too fast ({listed}).")
+            )
+        if self._judge is not None:
+            for verdict in self._judge.verdicts():
+                self._tell(verdict)
+
+    def _tell(self, verdict: WindowVerdict) -> None:
+        self._pending.append(verdict)
+        if verdict.alarm and not self._alarmed:
+            self._pending.append(Alarm(verdict))
+        self._alarmed = verdict.alarm
+
+    def _finish(self) -> Iterator[Event]:
+        """End the last interval if it is long enough, and wait for the last verdicts."""
+        if self._start_ns is not None:
+            rest_s = self.duration_s - self._interval * INTERVAL_S
+            if rest_s >= MIN_INTERVAL_S:
+                self._end_interval()
+        if self._judge is not None:
+            for verdict in self._judge.close():
+                self._tell(verdict)
+            self._judge = None
+        while self._pending:
+            yield self._pending.popleft()

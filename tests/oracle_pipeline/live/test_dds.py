@@ -1,0 +1,78 @@
+"""Bytes and names on a DDS domain: what is sent comes as it was sent."""
+
+import hypothesis.strategies as st
+import pytest
+from hypothesis import given
+
+from oracle_pipeline.bags import dds
+from oracle_pipeline.bags.dds_names import (
+    dds_topic,
+    dds_type,
+    from_wire,
+    ros_topic,
+    ros_type,
+    to_wire,
+)
+from oracle_pipeline.bags.errors import DdsError
+from oracle_pipeline.bags.types import message_class, serialize, typestore
+from sim.middleware.qos import DEFAULT, LATCHED
+from tests.oracle_pipeline.live.robots import STRING
+
+names = st.from_regex(r"/[a-z][a-z0-9_]{0,8}(/[a-z][a-z0-9_]{0,8}){0,2}", fullmatch=True)
+
+
+@given(names)
+def test_the_name_of_a_topic_comes_back(topic):
+    assert ros_topic(dds_topic(topic)) == topic
+
+
+@pytest.mark.parametrize("name", ["rq/add_twoRequest", "rr/add_twoReply", "DCPSTopic", "rt", "rt/"])
+def test_what_is_no_ros_topic_has_no_name(name):
+    assert ros_topic(name) is None
+
+
+def test_the_name_of_every_known_type_comes_back():
+    assert all(ros_type(dds_type(msgtype)) == msgtype for msgtype in typestore().fielddefs)
+    assert ros_type("Temperature") is None
+
+
+@given(st.binary(max_size=40))
+def test_bytes_come_back_whatever_padding_they_need(content):
+    data = b"\0\1\0\0" + content
+    assert len(to_wire(data)) % 4 == 0
+    assert from_wire(to_wire(data)) == data
+
+
+def test_every_known_message_type_is_a_dds_type():
+    for msgtype in typestore().fielddefs:
+        assert dds.idl_type(msgtype, typestore()).__idl_typename__ == dds_type(msgtype)
+
+
+def test_an_unknown_type_is_refused():
+    with pytest.raises(DdsError, match="no_msgs/msg/None"):
+        dds.idl_type("no_msgs/msg/None", typestore())
+
+
+def test_messages_come_with_the_bytes_that_were_sent(domain, eventually):
+    participant = dds.join(domain)
+    writer = dds.RawWriter(participant, "rt/words", STRING, LATCHED)
+    reader = dds.RawReader(participant, "rt/words", STRING, DEFAULT)
+    ready = dds.ReadyReaders(participant)
+    ready.add(reader)
+    sent = [serialize(message_class(STRING)("x" * size), STRING) for size in range(9)]
+    for data in sent:
+        writer.write(data)
+    assert eventually(lambda: list(ready.wait(1.0))) == [reader]
+    assert [raw.data for raw in reader.take()] == sent
+    assert list(ready.wait(0.0)) == []
+
+
+def test_a_profile_comes_back_from_dds():
+    for profile in (DEFAULT, LATCHED):
+        assert dds.ros_qos(dds.dds_qos(profile)) == profile
+
+
+def test_a_domain_that_cannot_be_is_refused(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "seven")
+    with pytest.raises(DdsError, match="seven"):
+        dds.default_domain()

@@ -1,0 +1,136 @@
+"""A watch hears, counts, records and draws what is said on a domain, and says nothing itself."""
+
+import threading
+import time
+from collections import Counter
+
+import pytest
+
+from oracle_pipeline.bags import dds
+from oracle_pipeline.bags.graph_files import vertex_id
+from oracle_pipeline.bags.types import message_class, serialize
+from oracle_pipeline.live.watch import GraphTaken, MessageHeard, Note, Watch
+from oracle_pipeline.opened_run import open_run
+from sim.middleware.qos import CLOCK
+from tests.oracle_pipeline.live.robots import TEXT, Robot
+
+CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
+_Clock = message_class(CLOCK_TYPE)
+_Time = message_class("builtin_interfaces/msg/Time")
+
+
+def tick(seconds):
+    whole, rest = divmod(round(seconds * 1e9), 10**9)
+    return serialize(_Clock(_Time(whole, rest)), CLOCK_TYPE)
+
+
+class Speaker(threading.Thread):
+    """A robot that speaks in a thread, with a simulated clock that runs faster than the wall's."""
+
+    def __init__(self, domain, *, speed=10.0):
+        super().__init__(daemon=True)
+        self.robot = Robot(domain).node("talker", publishes=["/words"]).tell()
+        self.clock = dds.RawWriter(self.robot.participant, "rt/clock", CLOCK_TYPE, CLOCK)
+        self.speed, self.sent, self.ended = speed, 0, False
+
+    def run(self):
+        step = 0
+        while not self.ended:
+            self.clock.write(tick(100.0 + step * 0.02 * self.speed))
+            self.robot.writers["talker", "/words"].write(TEXT)
+            self.sent += 1
+            step += 1
+            time.sleep(0.02)
+
+
+@pytest.fixture
+def speaker(domain):
+    speaker = Speaker(domain)
+    yield speaker
+    speaker.ended = True
+    if speaker.ident:
+        speaker.join()
+
+
+def watched(watch, until):
+    """Return the events of a watch until a condition on them holds."""
+    events = []
+    for event in watch:
+        events.append(event)
+        if until(events):
+            watch.stop()
+    return events
+
+
+def graphs(events):
+    return [event for event in events if isinstance(event, GraphTaken)]
+
+
+@pytest.mark.slow
+def test_what_is_heard_is_recorded_with_its_graphs_by_the_robots_own_time(
+    domain, speaker, tmp_path
+):
+    speaker.start()
+    with Watch(domain, folder=tmp_path, name="today") as watch:
+        events = watched(watch, lambda so_far: len(graphs(so_far)) == 2)
+    heard = Counter(event.topic for event in events if isinstance(event, MessageHeard))
+    with open_run(tmp_path / "today", strict=True) as run:
+        assert {name: topic.count for name, topic in run.bag.topics.items()} == heard
+        words = list(run.bag.messages(["/words"]))
+        assert {message.data for message in words} == {TEXT}
+        assert [interval.start_s for interval in run.intervals[:2]] == [0.0, 10.0]
+        assert 100.0 < run.bag.start_ns / 1e9 < 200.0
+        edge = vertex_id("node", "/talker"), vertex_id("topic", "/words")
+        counted = [interval.graph.edges[edge]["messages"] for interval in run.intervals]
+    assert counted == [event.graph.edges[edge]["messages"] for event in graphs(events)]
+    assert sum(counted) <= heard["/words"]
+    assert sum(counted) >= 0.9 * heard["/words"]
+    assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.slow
+def test_a_watch_has_no_writer_on_the_domain(domain, speaker, tmp_path):
+    speaker.start()
+    own = dds.join(domain)
+    builtin = dds.BuiltinReaders(own)
+    with Watch(domain, folder=tmp_path) as watch:
+        watched(watch, lambda so_far: len(so_far) > 20)
+        writers = {each.topic for each in builtin.publications() if each.alive}
+        readers = {each.topic for each in builtin.subscriptions() if each.alive}
+    assert writers == {"rt/words", "rt/clock", "ros_discovery_info"}  # all are the robot's
+    assert {"rt/words", "rt/clock"} <= readers  # it was there
+
+
+@pytest.mark.slow
+def test_messages_that_come_too_fast_are_dropped_counted_and_told(domain, speaker):
+    speaker.start()
+    with Watch(domain, queue_bytes=3 * len(TEXT)) as watch:
+        events = []
+        for event in watch:
+            events.append(event)
+            time.sleep(0.1)
+            if watch.dropped > 5:
+                watch.stop()
+    notes = [event.text for event in events if isinstance(event, Note)]
+    assert sum(int(note.split()[0]) for note in notes) == watch.dropped
+    assert all("/words" in note or "/clock" in note for note in notes)
+
+
+@pytest.mark.slow
+def test_a_topic_of_an_unknown_type_is_told_once_and_costs_no_other(domain, speaker):
+    other = Robot(domain)
+    stranger = dds.topic.Topic(other.participant, "rt/odd", _unknown_type())
+    writer = dds.pub.DataWriter(other.participant, stranger)
+    speaker.start()
+    with Watch(domain) as watch:
+        events = watched(
+            watch, lambda so_far: sum(isinstance(event, MessageHeard) for event in so_far) > 10
+        )
+    (note,) = [event.text for event in events if isinstance(event, Note)]
+    assert "/odd" in note
+    assert "odd_msgs/msg/Odd" in note
+    assert writer
+
+
+def _unknown_type():
+    return dds.make_idl_struct("Odd_", "odd_msgs::msg::dds_::Odd_", {"number": dds.idl.int32})
