@@ -101,7 +101,7 @@ def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
     from oracle_pipeline.scoring.output import HEADINGS, cells
 
     if isinstance(event, GraphTaken):
-        kinds = [kind for _, kind in event.graph.nodes(data="kind")]
+        kinds = [data["kind"] for _, data in event.graph.nodes(data=True)]
         yield (
             f"{event.start_s:6d} s  graph: {kinds.count('node')} nodes, "
             f"{kinds.count('topic')} topics; {watching.heard} messages so far"
