@@ -18,6 +18,7 @@ from rclpy.qos import (
 )
 from rosidl_runtime_py.utilities import get_message
 
+from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.protocol import is_hidden
 from oracle_pipeline.graphs.rclpy_graphs import IntervalGraphs, Traffic, full_name, snapshot
 
@@ -74,7 +75,7 @@ class GraphRecorder(Node):
 
         self.create_subscription(message_class, topic, count, requested, raw=True)
 
-    def _take(self, traffic: Traffic):
+    def _take(self, traffic: Traffic) -> RosGraph:
         def compatible(offered: QoSProfile, requested: QoSProfile) -> bool:
             return qos_check_compatible(offered, requested)[0] != QoSCompatibility.ERROR
 
