@@ -17,8 +17,8 @@ LAST := delayed_fakeobject|run002
 COMPILE := pip-compile --quiet --strip-extras --no-header --no-annotate \
 	--no-emit-index-url --no-emit-trusted-host --no-emit-find-links
 
-.PHONY: help setup setup-dev run campaign ui test test-quick test-browser lint types architecture docs pictures bench \
-	soak constraints requirements image sbom clean
+.PHONY: help setup setup-dev run campaign ui test test-quick test-browser lint types architecture docs \
+	pictures wheel bench soak constraints requirements image sbom clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list
@@ -36,7 +36,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dask,dev,docs,live,postgres,s3]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dask,dev,dg,docs,live,postgres,s3]'
 	@touch $@
 
 run: setup ## Simulate the small campaign, analyse it, and say where the report is
@@ -81,6 +81,14 @@ docs: setup-dev ## Check words, spelling and links of the docs, and build their 
 pictures: setup-dev ## Draw the pictures of the docs; of a campaign's report with CAMPAIGN=data/campaign
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
 	python docs/pictures.py $(CAMPAIGN)
+
+# The environment has the dependencies, and the wheel's packages come before those of the checkout.
+wheel: export PYTHONPATH = $(CURDIR)/dist/tried
+wheel: setup ## Build a wheel into dist/, and try the commands of the README with what is in it
+	rm -rf dist/*.whl dist/tried
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
+	$(BIN)/python -m pip install --quiet --no-deps --target dist/tried dist/*.whl
+	scripts/try_commands.sh dist/tried/bin
 
 constraints: setup-dev ## Pin the newest versions that fit pyproject.toml
 	$(COMPILE) --upgrade --all-extras --output-file constraints.txt pyproject.toml

@@ -31,9 +31,9 @@ def oracle_evaluation(
     """How well the oracle separates attacked from normal runs, on held-out blocks.
 
     The detector panel on every set of features, with intervals: AUC, detection rate at a calibrated
-    false positive rate, the realised false positive rate, time to detect. The headline is withheld
-    unless all integrity checks are green. Grids below `<root>/grids`, recorded with `oracle-sim
-    grid`, add the kill matrix.
+    false positive rate, the realised false positive rate, time to detect. An AUC is
+    claimed once all integrity checks are green. Grids below `<root>/grids`, recorded with
+    `oracle-sim grid`, add the kill matrix.
     """
     from oracle_pipeline.datasets import read_table
     from oracle_pipeline.evaluation.campaign_evaluation import evaluate

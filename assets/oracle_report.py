@@ -13,6 +13,7 @@ from assets import presentation
 from assets.aggregates import DATASET, aggregate, run_table, testbed_of, windows_of
 from assets.feature_dataset import feature_dataset
 from assets.oracle_evaluation import oracle_evaluation
+from assets.record_command import record_command
 from assets.thesis_method import (
     clustering_grid_search,
     how_rows_were_drawn,
@@ -46,16 +47,23 @@ GHOST = "atc_ghost_static"  # the mode of which the report shows the radar displ
     freshness_policy=FRESH,
 )
 def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
-    """Everything as one self-contained HTML file, `<root>/report/index.html`.
+    """Show what was found in `<root>/report/index.html`, and each run on a page of its own.
 
-    Detection with integrity checks, curves, alarms, detectors and feature families, one run of each
-    attack explained beside its control, and the thesis's method compared with its printed results
-    and with results on meaningless labels.
+    The first screen says what was recorded, what was found, and what these runs do not support yet.
+    Below it are detection, what gives each attack away, one run of each attack beside its control;
+    behind folds are integrity checks, detectors, and the thesis's method. A run's page shows its
+    map, when it was unusual, evidence, goals and outcome. Links are relative: the folder may move.
     """
+    from oracle_pipeline.bags.remote import published
     from oracle_pipeline.datasets import KEYS, read_table
+    from oracle_pipeline.evaluation.giveaways import deviations_of_runs, giveaways
+    from oracle_pipeline.evaluation.unusual_windows import unusual_windows
+    from oracle_pipeline.replay.picture import FILM
     from oracle_pipeline.reporting import html, thesis_reports
     from oracle_pipeline.reporting.explanation import drawn, explanations
     from oracle_pipeline.reporting.report import Report
+    from oracle_pipeline.reporting.run_pages import ShownRuns, write_run_pages
+    from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
     def draw(run: str) -> bytes:
         from oracle_pipeline.replay.picture import kept_picture
@@ -66,15 +74,17 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
         evaluation = Report.load(store.results("oracle_evaluation"))
         judged = evaluation.tables["runs"]
         df = run_table(store, testbed_of(judged["mode"].iloc[0]))
-        attacked = windows_of(store, df[df["label"] == "malicious"])
-        explained = explanations(df, attacked, judged, draw)
+        measured = MeasuredRuns.ordered(df, windows_of(store, df))
+        explained = explanations(df, measured.windows, judged, draw)
+        deviations = deviations_of_runs(df)
         keys = read_table(store.dataset(DATASET), columns=KEYS)
         radar, _ = drawn(_ghost_and_control(keys), draw)
         rows, rate, seed, _ = how_rows_were_drawn(store)
         page = html.render(
-            df,
             evaluation=evaluation,
             explained=explained,
+            giveaways=giveaways(df, deviations),
+            record=record_command,
             grid=Report.load(store.results("clustering_grid_search")),
             rates=Report.load(store.results("malicious_rate_report")),
             pairs=Report.load(store.results("pairwise_report")),
@@ -85,6 +95,18 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
             provenance=html.provenance(df),
         )
         html.write_page(page, store.report)
+        shown = ShownRuns(
+            measured=measured,
+            judged=judged,
+            deviations=deviations,
+            unusual=unusual_windows(measured),
+            path=lambda run: store.run(run).path,
+            film=FILM,
+            manifest=lambda run: store.run(run).manifest(),
+            picture=draw,
+        )
+        with published(store.run_pages, last="index.html") as folder:
+            pages = write_run_pages(shown, folder)
     pictures = {run: png for each in explained for run, png in each.pictures.items()}
     return dg.MaterializeResult(
         metadata={
@@ -92,6 +114,7 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
             "url": dg.MetadataValue.url(store.report.as_uri()),
             "bytes": store.report.stat().st_size,
             "runs": len(df),
+            "run_pages": pages,
             "headline": str(evaluation.summary["headline"]),
             **presentation.pictures(pictures),
         }

@@ -9,6 +9,7 @@ from bench import (
     features,
     instance,
     ladder,
+    live,
     navigation,
     scenarios,
     storage,
@@ -26,6 +27,7 @@ BENCHMARKS = {
     "campaign": campaign.rows,
     "instance": instance.rows,
     "ladder": ladder.rows,
+    "live": live.rows,
 }
 DEFAULT = ("testbed", "scenarios")  # speed, size and memory; the others take longer
 

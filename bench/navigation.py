@@ -24,6 +24,7 @@ from sim.fan_out import fan_out, process_pool
 from sim.middleware.geometry import Pose2D, quaternion_yaw
 from sim.middleware.stamps import stamp_ns
 from sim.nav2.navfn import plan
+from sim.turtlebot3.arena import Arena
 from sim.turtlebot3.drawing import path_length, planning_grid
 from sim.turtlebot3.map import WORLD_IN_MAP
 
@@ -116,7 +117,7 @@ def _drive_one(job: _Job) -> _Drive:
     finally:
         shutil.rmtree(root)
     stops = [manifest.start, *manifest.goals]
-    grid = planning_grid()
+    grid = planning_grid(Arena.from_dict(manifest.recipe["arena"]))
     detours = []
     for result, begin, end in zip(manifest.goal_results, stops, stops[1:], strict=False):
         path = plan(grid, (begin.x, begin.y), (end.x, end.y))

@@ -58,8 +58,8 @@ def main() -> None:
 
 
 main.add_command(replay)
-main.add_command(compare)
 main.add_command(watch)
+main.add_command(compare)
 
 
 def _format_option(*formats: str, text: str) -> Callable[[_Command], _Command]:
@@ -179,6 +179,7 @@ def _json(table: "pd.DataFrame", tables: "FeatureTables") -> str:
 )  # fmt: skip
 @_format_option("text", "json", text="Text for reading; one JSON object for programs.")
 @_output_option("--junit", "File for the verdicts as JUnit XML, for a CI system.")
+@_output_option("--page", "File for a page (HTML) with the verdicts, their evidence and pictures.")
 @click.option(
     "--time-limit", default=900.0, show_default=True, type=click.FloatRange(0.0, min_open=True),
     help="Seconds that the features of one recording may take.",
@@ -197,6 +198,7 @@ def score(
     far: float,
     file_format: str,
     junit: Path | None,
+    page: Path | None,
     time_limit: float,
     memory_limit: float,
     plugins: Path | None,
@@ -215,6 +217,7 @@ def score(
     \b
     Examples:
         oracle score tonight/* --reference robot.card --far 0.1 --junit verdicts.xml
+        oracle score tonight/* --reference robot.card --far 0.1 --page verdicts.html
         oracle score data/runs/fake_object/run003 --reference data/datasets/features.parquet
         oracle score my_robot_bag/ --reference data --format json \\
             | jq '.recordings[0].evidence[0]'
@@ -249,6 +252,11 @@ def score(
     show = output.as_json if file_format == "json" else output.as_text
     click.echo(show(verdicts, far, normal.notes))
     write_junit(verdicts)
+    if page is not None:
+        from oracle_pipeline.reporting import verdict_page
+
+        verdict_page.write(page, verdicts, far, (*normal.notes,), manager, limits)
+        click.echo(f"Page: {page.resolve().as_uri()}", err=True)
     ctx.exit(output.exit_code(verdicts))
 
 

@@ -27,7 +27,7 @@ from oracle_pipeline.bags.manifest import LABELS
 from oracle_pipeline.bags.remote import is_local
 from oracle_pipeline.bags.scratch import scratch_beside
 
-KEYS = ("run_id", "mode", "label", "block", "session")
+KEYS = ("run_id", "mode", "label", "block", "session", "world")
 WINDOW_START = "window_start_s"  # one more key where a row is a window [s of the recording]
 WHERE = "where"  # the column with the topic, pair or edge at which a feature was attained
 _SEAL = "oracle.seal"  # key in the metadata of a Parquet schema

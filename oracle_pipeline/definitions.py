@@ -14,28 +14,31 @@ import dagster as dg
 warnings.filterwarnings("ignore", category=dg.BetaWarning)
 warnings.filterwarnings("ignore", category=dg.PreviewWarning)
 
-from assets import (  # noqa: E402
-    arrivals,
-    automation,
-    evaluation_checks,
-    experiment_runs,
-    feature_dataset,
-    foreign,
-    oracle_evaluation,
-    oracle_report,
-    run_checks,
-    run_retention,
-    scenario_changes,
-    thesis_method,
-)
 from oracle_pipeline.bags.terminal import escape_logs  # noqa: E402
-from resources.budget import StorageBudget  # noqa: E402
-from resources.campaign import CampaignSettings  # noqa: E402
-from resources.executor import in_process_executor  # noqa: E402
-from resources.fleet import Fleet  # noqa: E402
-from resources.inbox import Inbox  # noqa: E402
-from resources.no_values import NoValues  # noqa: E402
-from resources.store import RunStore  # noqa: E402
+from oracle_pipeline.programs import clashes_explained  # noqa: E402
+
+with clashes_explained():
+    from assets import (
+        arrivals,
+        automation,
+        evaluation_checks,
+        experiment_runs,
+        feature_dataset,
+        foreign,
+        oracle_evaluation,
+        oracle_report,
+        run_checks,
+        run_retention,
+        scenario_changes,
+        thesis_method,
+    )
+    from resources.budget import StorageBudget
+    from resources.campaign import CampaignSettings
+    from resources.executor import in_process_executor
+    from resources.fleet import Fleet
+    from resources.inbox import Inbox
+    from resources.no_values import NoValues
+    from resources.store import RunStore
 
 
 def build_defs(**overrides: object) -> dg.Definitions:

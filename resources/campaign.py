@@ -5,7 +5,7 @@ from typing import Literal, Self
 import dagster as dg
 from pydantic import Field
 
-from sim.campaigns import DEFAULT_SEED, Campaign
+from sim.campaigns import DEFAULT_SEED, ArenaChoice, Campaign, Options
 
 
 class CampaignSettings(dg.ConfigurableResource[None]):
@@ -22,7 +22,10 @@ class CampaignSettings(dg.ConfigurableResource[None]):
     storage: Literal["mcap", "sqlite3"] = Field(
         default="mcap", description="Storage of the recorded bags."
     )
-
+    arena: ArenaChoice = Field(
+        default="drawn",
+        description="World of the runs; drawn: hexagon, house and random arenas take turns.",
+    )
     sessions: int | None = Field(
         default=None,
         ge=1,
@@ -42,6 +45,7 @@ class CampaignSettings(dg.ConfigurableResource[None]):
             goals_per_run=wanted.goals_per_run,
             sessions=wanted.sessions,
             noise_per_run=wanted.noise_per_run,
+            arena=wanted.options.arena,
         )
 
     def campaign(self) -> Campaign:
@@ -50,6 +54,7 @@ class CampaignSettings(dg.ConfigurableResource[None]):
             seed=self.seed,
             goals_per_run=self.goals_per_run,
             storage=self.storage,
+            options=Options(arena=self.arena),
             sessions=self.sessions,
             noise_per_run=self.noise_per_run,
         )

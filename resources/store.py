@@ -83,5 +83,10 @@ class RunStore(dg.ConfigurableResource[None]):
 
     @property
     def report(self) -> Path:
-        """The report: one HTML file."""
+        """The report's main page."""
         return layout.report_page(self.path)
+
+    @property
+    def run_pages(self) -> Path:
+        """The folder with the report's pages of single runs."""
+        return layout.report_run_pages(self.path)

@@ -2,13 +2,17 @@
 
 import os
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Literal, Self, cast, get_args
 
 from oracle_pipeline.bags.errors import OracleError
 
 Storage = Literal["mcap", "sqlite3"]
 Wiring = Literal["additive", "replace", "absent"]
 OdometrySource = Literal["world", "encoder"]  # gazebo_ros_diff_drive's two
+# Tuned to the narrow gaps of the hexagon, or as Nav2 ships them.
+Navigation = Literal["tuned", "stock"]
+# Drawn: block 0 is in the hexagon, 1 in a house, 2 in a random arena, 3 in the hexagon, ...
+ArenaChoice = Literal["drawn", "hexagon", "house", "random"]
 
 DEFAULT_SEED = 20260101
 
@@ -29,6 +33,8 @@ class Options:
     # that it mutates. Absent: there is no such node.
     wiring: Wiring = "additive"
     odometry_source: OdometrySource = "world"
+    arena: ArenaChoice = "drawn"
+    nav2: Navigation = "tuned"
     cameras: bool = False  # images and points of the depth camera, 15 MB a second
     debug_topics: bool = False  # /evaluation and /marker, 20 MB a second while driving
     hidden_topics: bool = False  # feedback and status of actions
@@ -52,10 +58,12 @@ class Campaign:
     def from_environment(cls) -> Self:
         """Return the default campaign, as far as the environment says nothing else.
 
-        It may say ``ORACLE_GOALS_PER_RUN``, ``ORACLE_SESSIONS`` and ``ORACLE_NOISE_PER_RUN``.
+        It may say ``ORACLE_GOALS_PER_RUN``, ``ORACLE_ARENA``, ``ORACLE_SESSIONS`` and
+        ``ORACLE_NOISE_PER_RUN``.
         """
         return cls(
             goals_per_run=_count("ORACLE_GOALS_PER_RUN") or cls().goals_per_run,
+            options=Options(arena=_arena("ORACLE_ARENA")),
             sessions=_count("ORACLE_SESSIONS"),
             noise_per_run=_switch("ORACLE_NOISE_PER_RUN"),
         )
@@ -81,3 +89,11 @@ def _switch(variable: str) -> bool:
     if text not in ("0", "1"):
         raise RecipeError(f"{variable} is {text!r}; give 0 or 1.")
     return text == "1"
+
+
+def _arena(variable: str) -> ArenaChoice:
+    text = os.environ.get(variable, "drawn")
+    choices = get_args(ArenaChoice)
+    if text not in choices:
+        raise RecipeError(f"{variable} is {text!r}; give one of {', '.join(choices)}.")
+    return cast("ArenaChoice", text)

@@ -1,7 +1,7 @@
 """Runs of any mode: their recipes, and how each becomes a run directory, whole or not at all."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 from oracle_pipeline.bags.errors import RunDirectoryError
@@ -13,7 +13,7 @@ from sim.campaigns import Campaign, RecipeError
 from sim.modes import modes
 from sim.pairs import judge_pair
 from sim.software import software
-from sim.testbed import Mode, Recipe
+from sim.testbed import Mode, Recipe, TestbedRun
 from sim.testbeds import TESTBEDS, which_testbed
 
 Comparison = Literal["same messages", "other software", "other recipe", "unexplained"]
@@ -48,7 +48,13 @@ def recipe_for(
     return TESTBEDS[which_testbed(mode.scenario)].draw(mode, run, campaign, parameters or {})
 
 
-def record_run(recipe: Recipe, directory: RunDirectory, *, refresh: bool = False) -> Manifest:
+def record_run(
+    recipe: Recipe,
+    directory: RunDirectory,
+    *,
+    refresh: bool = False,
+    accompany: Callable[[TestbedRun], None] = lambda _: None,
+) -> Manifest:
     """Make one run on the testbed that its recipe is for, whole or not at all.
 
     Parameters
@@ -59,6 +65,8 @@ def record_run(recipe: Recipe, directory: RunDirectory, *, refresh: bool = False
         Where; its mode and run are the recipe's.
     refresh
         Simulate again what is there already.
+    accompany
+        Called when the testbed has come up, before the run is made.
 
     Returns
     -------
@@ -75,7 +83,7 @@ def record_run(recipe: Recipe, directory: RunDirectory, *, refresh: bool = False
     """
     if directory.is_complete() and not refresh:
         return _verified(directory, recipe)
-    return _make(recipe, directory)
+    return _make(recipe, directory, accompany=accompany)
 
 
 def remake_run(former: Manifest, directory: RunDirectory) -> Manifest:
@@ -145,12 +153,18 @@ def compared(former: Manifest, again: Manifest) -> Comparison:
     return "unexplained" if again.recipe == former.recipe else "other recipe"
 
 
-def _make(recipe: Recipe, directory: RunDirectory, former: Manifest | None = None) -> Manifest:
+def _make(
+    recipe: Recipe,
+    directory: RunDirectory,
+    former: Manifest | None = None,
+    accompany: Callable[[TestbedRun], None] = lambda _: None,
+) -> Manifest:
     """Make a run, whole or not at all; it takes the place of one that is there."""
     testbed = next(bed for bed in TESTBEDS.values() if isinstance(recipe, bed.recipe))
     with directory.staged() as scratch:
         started = time.perf_counter()  # only for ``measured``: nothing that is recorded sees it
         run = testbed.bring_up(recipe, scratch)
+        accompany(run)
         run.go()
         manifest = run.manifest(time.perf_counter() - started, software())
         if former is not None:

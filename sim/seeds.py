@@ -15,6 +15,11 @@ def generator(seed: int, *branch: int) -> np.random.Generator:
     return np.random.default_rng(sequence(seed, *branch))
 
 
+def attack_seed(seed: int, branch: int, block: int) -> int:
+    """Return the key of the counter-based randomness of a block's attacks, 64 bits."""
+    return int(sequence(seed, branch, block).generate_state(1, np.uint64)[0])
+
+
 def node_generator(seed: int, branch: int, block: int, node: str) -> np.random.Generator:
     """Return the randomness of one node of a block, by the node's name."""
     return generator(seed, branch, block, zlib.crc32(node.encode()))

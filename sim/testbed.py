@@ -12,7 +12,10 @@ import numpy as np
 
 from oracle_pipeline.bags.manifest import Label, Manifest, Software
 from sim.campaigns import Campaign
+from sim.fuzzing.drawn_parameters import drawn_values
+from sim.fuzzing.node import ScenarioNode
 from sim.fuzzing.scenario import Scenario
+from sim.middleware.domain import Domain
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +50,12 @@ class Mode:
             return ""
         return self.id.removesuffix("_shadow") if self.scenario.control == "shadow" else self.id
 
-    def parameters(self, block: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a value for every parameter: that given, else the block's, else the default.
+    def parameters(
+        self, block: Mapping[str, Any], given: Mapping[str, Any], run_seed: int
+    ) -> dict[str, Any]:
+        """Return a value for every parameter.
+
+        That given, else the block's, else one that is drawn for the run, else the default.
 
         Parameters
         ----------
@@ -56,6 +63,8 @@ class Mode:
             What the block has drawn.
         given
             Values by name of parameter; whether they fit is seen when the scenario is run.
+        run_seed
+            What the scenario's own draws go by.
 
         Raises
         ------
@@ -73,13 +82,21 @@ class Mode:
                     f"expected what a block of this testbed has, {', '.join(block)}, found {what}",
                 )
         of_block = {name: block[what] for name, what in self.scenario.drawn.items()}
-        return {**defaults, **of_block, **given}
+        return {**defaults, **drawn_values(self.scenario, run_seed), **of_block, **given}
 
 
 class Recipe(Protocol):
     """All that a run is a function of; a frozen dataclass of numbers, texts and others like it."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def mode(self) -> str:
+        """Name of the mode."""
+
+    @property
+    def scenario(self) -> Mapping[str, Any]:
+        """The scenario's document."""
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -103,7 +120,18 @@ class Recipe(Protocol):
 
 
 class TestbedRun(Protocol):
-    """A testbed that has come up, and the one run that is made in it."""
+    """A testbed that has come up, and the one run that is made in it.
+
+    Attributes
+    ----------
+    domain : Domain
+        The system's graph.
+    node : ScenarioNode or None
+        The mode's node; None as long as it is not there.
+    """
+
+    domain: Domain
+    node: ScenarioNode | None
 
     def go(self) -> None:
         """Make the run; write bag and graphs."""

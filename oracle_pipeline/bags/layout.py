@@ -65,6 +65,11 @@ def foreign_page(root: Path) -> Path:
     return root / REPORT / "foreign.html"
 
 
+def report_run_pages(root: Path) -> Path:
+    """Return ``<root>/report/runs``, the folder with a page for each run."""
+    return root / REPORT / RUNS
+
+
 def grid_root(root: Path, name: str) -> Path:
     """Return ``<root>/grids/<name>``, itself a root with the runs of one grid."""
     return root / GRIDS / name

@@ -18,9 +18,16 @@ from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.protocol import run_key
 
+UNKNOWN_WORLD = "unknown"  # of runs of older releases
+
 SCHEMA_VERSION = 5
 # What older versions did not have, or told otherwise, and what is taken for it.
-_NOT_TOLD: dict[str, Any] = {"drive": None, "task_effect": None}
+_NOT_TOLD: dict[str, Any] = {
+    "attack_seed": None,
+    "drive": None,
+    "task_effect": None,
+    "world": UNKNOWN_WORLD,
+}
 _ADDED_SINCE = {2: {"changes": [], **_NOT_TOLD}, 3: _NOT_TOLD, 4: _NOT_TOLD}
 _SEALED_SINCE = 4
 _SEAL = "seal"  # a key of the file; a manifest in memory has none
@@ -119,13 +126,14 @@ class Manifest:
     run: int
     block: int  # runs of one block share start, goals and nuisance
     session: int
+    world: str  # where it was made: equal for equal worlds
     seed: int
     start: Pose
     goals: tuple[Pose, ...]
     goal_results: tuple[GoalResult, ...]
     outcome: Outcome  # the worst of the goals'
     onset_s: float | None  # when the attack began; None: never
-    attack: Mapping[str, Any]  # parameters drawn for it; empty without one
+    attack: Mapping[str, Any]  # all parameters of the scenario; empty without any
     scenario: str
     scenario_hash: str
     # How much more than its control an attacked run has of each quantity in `behaviour`; None: not
@@ -140,6 +148,7 @@ class Manifest:
     measured: Measured
     drive: Drive | None = None  # None: not measured, as of a system that does not drive
     changes: tuple[Change, ...] = ()  # the five seconds in which anything was changed
+    attack_seed: int | None = None  # the key of the attack's own draws; None: an older release's
     schema_version: int = SCHEMA_VERSION
 
     @property

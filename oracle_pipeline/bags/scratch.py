@@ -45,6 +45,19 @@ def scratch_beside(
             remove(scratch)
 
 
+@contextlib.contextmanager
+def replaced_folder(place: Path) -> Iterator[Path]:
+    """Give an empty folder that takes the place of another, in one step, when the block ends."""
+    with scratch_beside(place, Path.mkdir) as scratch:
+        new, old = scratch / "new", scratch / "old"
+        new.mkdir()
+        yield new
+        with lock(place.parent):  # against somebody who makes the same folder
+            if place.exists():
+                place.rename(old)
+            new.rename(place)
+
+
 def beside(place: Path) -> Path:
     """Return a unique hidden path beside a place."""
     return place.with_name(f".{place.name}.{secrets.token_hex(4)}")

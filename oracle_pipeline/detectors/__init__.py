@@ -6,7 +6,13 @@ into verdicts with a known false-alarm rate.
 
 from oracle_pipeline.detectors.base import Detector, DetectorError
 from oracle_pipeline.detectors.distances import Mahalanobis
-from oracle_pipeline.detectors.explain import Deviation, FamilyDeviation, by_family, explain
+from oracle_pipeline.detectors.explain import (
+    Deviation,
+    FamilyDeviation,
+    UsualRanges,
+    by_family,
+    explain,
+)
 from oracle_pipeline.detectors.panel import DEFAULT_DETECTOR, panel, pipeline, upper_bounds
 
 __all__ = [
@@ -16,6 +22,7 @@ __all__ = [
     "Deviation",
     "FamilyDeviation",
     "Mahalanobis",
+    "UsualRanges",
     "by_family",
     "explain",
     "panel",

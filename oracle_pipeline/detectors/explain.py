@@ -37,48 +37,63 @@ class FamilyDeviation(NamedTuple):
     capped: bool
 
 
-def explain(normal: pd.DataFrame, row: pd.DataFrame, columns: Sequence[str]) -> list[Deviation]:
-    """Rank the features of one run that are outside their usual range, the farthest first.
-
-    Range, median and scale are those of the same normal runs. Each feature is looked at alone,
-    whatever the detector; a run can be odd by a combination of which no part is.
+class UsualRanges:
+    """What is usual for each feature among some normal runs: range, median and scale.
 
     Parameters
     ----------
     normal : DataFrame
         Features of the runs to compare with.
-    row : DataFrame of one row
-        Features that are NaN are left out.
     columns : sequence of str
         The features to look at.
-
-    Returns
-    -------
-    list of Deviation
-        Largest distance first, whether it is capped or not.
     """
-    scaler = FlooredRobustScaler(feature_floors(normal)).fit(normal[list(columns)])
-    units = {feature: field.get("unit", "") for feature, field in field_metadata(row).items()}
-    values = row[scaler.kept_].iloc[0].to_numpy(dtype=np.float64)
-    known = normal[scaler.kept_].replace([np.inf, -np.inf], np.nan)
-    low, high = np.nanpercentile(known.to_numpy(dtype=np.float64), USUAL, axis=0)
-    distance = (values - scaler.center_) / scaler.scale_
-    unusual = ((values < low) | (values > high)) & (np.abs(distance) >= LEAST_Z)
-    found = np.flatnonzero(np.isfinite(values) & unusual)
-    farthest = found[np.argsort(-np.abs(distance[found]), kind="stable")]
-    return [
-        Deviation(
-            scaler.kept_[j],
-            float(np.clip(distance[j], -CLIP, CLIP)),
-            bool(abs(distance[j]) > CLIP),
-            float(values[j]),
-            float(scaler.center_[j]),
-            float(low[j]),
-            float(high[j]),
-            units.get(scaler.kept_[j], ""),
-        )
-        for j in farthest.tolist()
-    ]
+
+    def __init__(self, normal: pd.DataFrame, columns: Sequence[str]) -> None:
+        self.scaler = FlooredRobustScaler(feature_floors(normal)).fit(normal[list(columns)])
+        known = normal[self.scaler.kept_].replace([np.inf, -np.inf], np.nan)
+        self.low, self.high = np.nanpercentile(known.to_numpy(dtype=np.float64), USUAL, axis=0)
+
+    def deviations(self, row: pd.DataFrame) -> list[Deviation]:
+        """Rank the features of one run that are outside their usual range, the farthest first.
+
+        Each feature is looked at alone, whatever the detector; a run can be odd by a combination of
+        which no part is.
+
+        Parameters
+        ----------
+        row : DataFrame of one row
+            Features that are NaN are left out.
+
+        Returns
+        -------
+        list of Deviation
+            Largest distance first, whether it is capped or not.
+        """
+        scaler = self.scaler
+        units = {feature: field.get("unit", "") for feature, field in field_metadata(row).items()}
+        values = row[scaler.kept_].iloc[0].to_numpy(dtype=np.float64)
+        distance = (values - scaler.center_) / scaler.scale_
+        unusual = ((values < self.low) | (values > self.high)) & (np.abs(distance) >= LEAST_Z)
+        found = np.flatnonzero(np.isfinite(values) & unusual)
+        farthest = found[np.argsort(-np.abs(distance[found]), kind="stable")]
+        return [
+            Deviation(
+                scaler.kept_[j],
+                float(np.clip(distance[j], -CLIP, CLIP)),
+                bool(abs(distance[j]) > CLIP),
+                float(values[j]),
+                float(scaler.center_[j]),
+                float(self.low[j]),
+                float(self.high[j]),
+                units.get(scaler.kept_[j], ""),
+            )
+            for j in farthest.tolist()
+        ]
+
+
+def explain(normal: pd.DataFrame, row: pd.DataFrame, columns: Sequence[str]) -> list[Deviation]:
+    """Rank the features of one run that are outside the usual range of normal ones."""
+    return UsualRanges(normal, columns).deviations(row)
 
 
 def by_family(deviations: Sequence[Deviation], columns: Sequence[str]) -> list[FamilyDeviation]:

@@ -1,46 +1,67 @@
-"""Alarms during a run: one verdict per window, time to detect, and false alarms per hour.
+"""Alarms during a run, as ``oracle score`` and the live monitor raise them.
 
-A window's p-value is its rank among the *oddest* windows of calibration runs: anywhere in a normal
-run, ``p <= alpha`` is reached with a probability of about alpha.
+Each run is watched window by window, by the headline's scorer that did not see its block and with
+a threshold in which its block has no vote (``oracle_pipeline.scoring.alarms``). What was promised,
+false alarms an hour, is measured here, and how soon an attack is detected.
 """
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bootstrap import DistinctRuns
-from oracle_pipeline.evaluation.comparisons import RATES, ComparedRuns
+from oracle_pipeline.evaluation.comparisons import ComparedRuns
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import auc, events_per_hour, quantile, share
-from oracle_pipeline.evaluation.splits import Fold
-from oracle_pipeline.scoring.conformal import p_values
-from oracle_pipeline.scoring.run_scorer import common_length
+from oracle_pipeline.scoring.alarms import RATE_PER_H, AlarmWatch
+from oracle_pipeline.scoring.conformal import ConformalError
+from oracle_pipeline.scoring.learning import learned_scorer
+from oracle_pipeline.scoring.verdict import ScoringError
 
 
-def window_p(
-    scores: NDArray[np.float64], campaign: JudgedRuns, folds: Sequence[Fold]
-) -> NDArray[np.float64]:
-    """Return the p-value of each window of tested runs, shape (n_windows,).
+@dataclass(frozen=True, eq=False, slots=True)
+class WatchedRuns:
+    """What was raised while the runs of a campaign were watched; arrays of shape (n_windows,).
 
-    Parameters
+    Attributes
     ----------
-    scores : ndarray of shape (n_folds, n_windows)
-        As of `scoring.window_scores`.
-    campaign : Campaign
-    folds : sequence of Fold
-        Over runs.
+    score : ndarray
+        Of each window; NaN where there are too few blocks to learn from.
+    alarm : ndarray of bool
+        Whether the window raised an alarm.
+    per_hour : float
+        False alarms an hour that were promised at most; NaN without scores.
     """
-    counts, place = campaign.counts, campaign.place
-    p = np.full(len(campaign.run), np.nan)
-    for number, fold in enumerate(folds):
-        common = np.isfinite(scores[number]) & (place < common_length(counts[fold.fit]))
-        oddest = np.full(len(counts), -np.inf)
-        np.maximum.at(oddest, campaign.run[common], scores[number, common])
-        tested = fold.test[campaign.run] & np.isfinite(scores[number])
-        calibration = oddest[fold.calibrate]
-        p[tested] = p_values(calibration[np.isfinite(calibration)], scores[number, tested])
-    return p
+
+    score: NDArray[np.float64]
+    alarm: NDArray[np.bool_]
+    per_hour: float
+
+
+def watched(campaign: JudgedRuns) -> WatchedRuns:
+    """Watch all runs of a campaign, at `RATE_PER_H` or the lowest rate that it supports."""
+    score, alarm = np.full(len(campaign.run), np.nan), np.zeros(len(campaign.run), dtype=np.bool_)
+    try:
+        scorer = learned_scorer(campaign.where(~campaign.malicious))
+    except (ConformalError, ScoringError):  # too few blocks or no feature
+        return WatchedRuns(score, alarm, np.nan)
+    if scorer.windows_ is None:
+        return WatchedRuns(score, alarm, np.nan)
+    block = campaign.block[campaign.run]
+    score[:] = scorer.window_scores(campaign.windows, block)
+    promised = []
+    for name in np.unique(block):
+        normal = scorer.windows_.without(name)
+        rule = normal.rule(max(RATE_PER_H, normal.lowest_rate()))
+        promised.append(rule.per_hour)
+        of_block = np.flatnonzero(block == name)
+        for run in np.unique(campaign.run[of_block]):
+            watch = AlarmWatch(rule)
+            for window in of_block[campaign.run[of_block] == run].tolist():
+                raised = watch.feed(float(campaign.end_s[window]), float(score[window]))
+                alarm[window] = raised is not None
+    return WatchedRuns(score, alarm, max(promised))
 
 
 def times_to_detect(alarm: NDArray[np.bool_], campaign: JudgedRuns) -> NDArray[np.float64]:
@@ -57,16 +78,8 @@ def times_to_detect(alarm: NDArray[np.bool_], campaign: JudgedRuns) -> NDArray[n
     return first
 
 
-def alarms_raised(alarm: NDArray[np.bool_], campaign: JudgedRuns) -> NDArray[np.int64]:
-    """Return how often an alarm begins in each run, shape (n_runs,); neighbours are one alarm."""
-    goes_on = np.append(False, alarm[:-1] & (campaign.run[1:] == campaign.run[:-1]))
-    begun = campaign.run[alarm & ~goes_on]
-    return np.bincount(begun, minlength=len(campaign.features))
-
-
 def judge_alarms(
-    score: NDArray[np.float64],
-    p: NDArray[np.float64],
+    watched_runs: WatchedRuns,
     campaign: JudgedRuns,
     scope: ComparedRuns,
     rng: np.random.Generator,
@@ -78,15 +91,15 @@ def judge_alarms(
 
     Parameters
     ----------
-    score, p : ndarray of shape (n_windows,)
-        Higher scores are more anomalous; NaN where not tested, or no verdict is supported.
-    campaign : Campaign
-    scope : Scope
+    watched_runs : WatchedRuns
+    campaign : JudgedRuns
+    scope : ComparedRuns
     rng : Generator
         Draws the resamples behind the intervals.
     """
-    scored, ranked = np.isfinite(score), np.isfinite(p)
-    tested = np.isin(np.arange(len(campaign.features)), campaign.run[ranked])
+    score, alarm = watched_runs.score, watched_runs.alarm
+    scored = np.isfinite(score)
+    judged = scope.runs & np.isfinite(watched_runs.per_hour)
     attacked, malicious = campaign.attacked_windows(), campaign.malicious
     compared = scope.runs[campaign.run] & scored & (attacked | ~malicious[campaign.run])
     first = np.flatnonzero(compared)
@@ -96,18 +109,20 @@ def judge_alarms(
         attacked[first],
         campaign.block[campaign.run[first]],
     )
-    alarm = ranked & (p <= RATES[0])
-    hit, normal = scope.runs & malicious & tested, scope.runs & ~malicious & tested
-    late, raised = times_to_detect(alarm, campaign)[hit], alarms_raised(alarm, campaign)[normal]
+    hit, normal = judged & malicious, judged & ~malicious
+    late = times_to_detect(alarm, campaign)[hit]
+    raised = np.bincount(campaign.run[alarm], minlength=len(malicious))[normal]
     lengths, block = campaign.truth["recording_s"].to_numpy(dtype=np.float64), campaign.block
     return {
         "attacked_windows": int(windows.malicious.sum()),
         "normal_windows": int((~windows.malicious).sum()),
         **auc(score[first], windows, rng).columns("auc"),
         "attacked_runs": int(hit.sum()),
+        "normal_runs": int(normal.sum()),
         **share(np.isinf(late), block[hit], rng).columns("missed"),
         **quantile(late, block[hit], 0.5, rng).columns("time_to_detect_median_s"),
         **quantile(late, block[hit], 0.9, rng).columns("time_to_detect_90_s"),
+        "promised_per_h": watched_runs.per_hour,
         **events_per_hour(raised, lengths[normal], block[normal], rng).columns(
             "false_alarms_per_h"
         ),

@@ -15,10 +15,12 @@ from oracle_pipeline.clustering.tree import ClusteringError
 from oracle_pipeline.datasets import is_hard_negative
 from oracle_pipeline.detectors import DetectorError, panel, upper_bounds
 from oracle_pipeline.evaluation import integrity
-from oracle_pipeline.evaluation.alarms import judge_alarms, window_p
+from oracle_pipeline.evaluation.alarms import judge_alarms, watched
+from oracle_pipeline.evaluation.aspects import aspects_table, by_mode, quadrants
 from oracle_pipeline.evaluation.comparisons import (
     ALL_MODES,
     HEADLINE,
+    OF_CARD,
     RATES,
     ComparedRuns,
     Scorer,
@@ -32,26 +34,26 @@ from oracle_pipeline.evaluation.effort import small_clusters_table
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
 from oracle_pipeline.evaluation.held_out import (
     HeldOutScores,
-    calibration_runs,
     held_out,
-    of_tested,
-    standardised,
     supervised_scores,
-    window_scores,
 )
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.kill_rates import kill_matrix
+from oracle_pipeline.evaluation.open_claims import OpenClaim, open_claims
 from oracle_pipeline.evaluation.reference_scores import reference_scores
 from oracle_pipeline.evaluation.splits import (
     BLOCK,
     HARMLESS,
     SESSION,
+    WORLD,
     Fold,
     block_folds,
     session_folds,
     tested_in,
     untaught,
+    world_folds,
 )
+from oracle_pipeline.evaluation.task_effects import task_effects
 from oracle_pipeline.scoring.conformal import runs_needed
 from oracle_pipeline.scoring.feature_sets import feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
@@ -74,7 +76,9 @@ class CampaignEvaluation:
     headline: HeldOutScores  # of the headline's scorer
     table: pd.DataFrame  # a row for each scorer, split and comparison, the headline first
     checks: list[integrity.IntegrityCheck]
-    alarms: pd.DataFrame  # of the headline's detector, window by window
+    open_claims: list[OpenClaim]  # what cannot be claimed yet
+    alarms: pd.DataFrame  # of the headline's scorer, window by window
+    aspects: dict[str, pd.DataFrame]  # tampering and misbehaviour, by table
     small_clusters: pd.DataFrame
     curves: HeadlineCurves | None  # None while only one class of runs has scores
     kills: pd.DataFrame | None  # None without a grid
@@ -118,7 +122,8 @@ def evaluate(
     headline = _supported(steps.score(HEADLINE, steps.folds))
     table = steps.table(headline)
     checks = steps.checks(headline, table, graph_differences)
-    alarms, small_clusters = steps.alarms(), steps.small_clusters()
+    alarms, aspects = steps.alarms(), steps.aspects()
+    small_clusters = steps.small_clusters()
     progress("curves")
     curves = headline_curves(headline, steps.campaign, steps.compared, steps.rng)
     kills = None
@@ -132,7 +137,9 @@ def evaluate(
         headline=headline,
         table=table,
         checks=checks,
+        open_claims=open_claims(steps.campaign.features, checks),
         alarms=alarms,
+        aspects=aspects,
         small_clusters=small_clusters,
         curves=curves,
         kills=kills,
@@ -161,8 +168,9 @@ class _Steps:
 
     def score(self, scorer: Scorer, folds: Sequence[Fold]) -> HeldOutScores:
         self.progress(f"{scorer.detector}, {scorer.features}, {scorer.level}")
-        if scorer == HEADLINE:
-            return reference_scores(self.campaign, None if folds is self.folds else folds)
+        if scorer in OF_CARD:
+            refolded = None if folds is self.folds else folds
+            return reference_scores(self.campaign, refolded, scorer.features)
         detector, columns = self.detectors[scorer.detector], self.sets.get(scorer.features, [])
         return held_out(self.campaign, columns, detector, folds, scorer.level)
 
@@ -177,6 +185,8 @@ class _Steps:
         for blocks in BLOCKS_OF_SESSION:
             if folds := session_folds(df, self.seed, blocks):
                 rows += self._scored(HEADLINE, f"{SESSION} but {blocks} blocks", folds)
+        if folds := world_folds(df, self.seed):
+            rows += self._scored(HEADLINE, WORLD, folds)
         if is_hard_negative(df).any():
             rows += self._scored(HEADLINE, HARMLESS, untaught(df, self.folds))
         self.progress(f"{UPPER_BOUND}, with labels")
@@ -212,19 +222,30 @@ class _Steps:
         ]
 
     def alarms(self) -> pd.DataFrame:
-        """Judge the headline's detector window by window."""
+        """Judge the alarms that the headline's scorer raises window by window."""
         self.progress("alarms")
-        columns, detector = self.sets.get(HEADLINE.features, []), self.detectors[HEADLINE.detector]
-        raw = window_scores(self.campaign, columns, detector, self.folds)
-        of_windows = [fold.of(self.campaign.run) for fold in self.folds]
-        score = of_tested(standardised(raw, of_windows), of_windows)
-        p = window_p(raw, self.campaign, self.folds)
-        if calibration_runs(self.folds) < runs_needed(RATES[0]):
-            p[:] = np.nan
+        watched_runs = watched(self.campaign)
         return pd.DataFrame(
-            {"scope": each.name, **judge_alarms(score, p, self.campaign, each, self.rng)}
+            {"scope": each.name, **judge_alarms(watched_runs, self.campaign, each, self.rng)}
             for each in self.compared
         )
+
+    def aspects(self) -> dict[str, pd.DataFrame]:
+        """Judge the scores of tampering and of misbehaviour, each by its own truth."""
+        self.progress("tampering and misbehaviour")
+        effects = task_effects(self.campaign)
+        scores = {
+            scorer.features: _supported(self.score(scorer, self.folds))
+            for scorer in OF_CARD[1:]
+            if scorer.features in self.sets
+        }
+        of_all = (self.campaign, effects)
+        return {
+            "aspects": aspects_table(scores, *of_all, self.compared, self.rng),
+            "aspects_by_mode": by_mode(scores, *of_all, self.rng),
+            "quadrants": quadrants(scores, *of_all, self.rng),
+            "task_uncertainty": effects.table(),
+        }
 
     def small_clusters(self) -> pd.DataFrame:
         """Judge the small-cluster protocol, all runs at once."""

@@ -20,6 +20,7 @@ from oracle_pipeline.evaluation.held_out import HeldOutScores, Level
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import auc, average_precision, matthews, only, share
 from oracle_pipeline.scoring.conformal import runs_needed
+from oracle_pipeline.scoring.feature_sets import ASPECTS
 
 RATES = (0.05, 0.01)  # false-alarm rates a verdict is asked to keep; the first is the usual one
 BLOCKS_NEEDED = {0.01: 250}  # two in five calibrate, so that even one mode alone gives 99 runs
@@ -40,6 +41,8 @@ class Scorer(NamedTuple):
 
 
 HEADLINE = Scorer(DEFAULT_DETECTOR, "all", "both")
+# What a reference card holds, in the order in which `oracle score` prints it.
+OF_CARD = (HEADLINE, *(Scorer(DEFAULT_DETECTOR, aspect, "both") for aspect in ASPECTS))
 
 
 def scorers(detectors: Iterable[str], sets: Iterable[str]) -> list[Scorer]:
@@ -84,24 +87,32 @@ def comparisons(df: pd.DataFrame) -> list[ComparedRuns]:
     return [ComparedRuns(name, np.asarray(df["mode"].isin(of))) for name, of in named.items()]
 
 
-def runs_of(campaign: JudgedRuns, members: NDArray[np.bool_]) -> DistinctRuns:
-    """Return the runs of a scope as metrics take them."""
+def runs_of(
+    campaign: JudgedRuns, members: NDArray[np.bool_], positive: NDArray[np.bool_] | None = None
+) -> DistinctRuns:
+    """Return the runs of a scope as metrics take them; those to be found are the attacked ones."""
     first = np.flatnonzero(members)
+    found = campaign.malicious if positive is None else positive
     return DistinctRuns(
-        first, np.ones(len(first), dtype=np.int64), campaign.malicious[first], campaign.block[first]
+        first, np.ones(len(first), dtype=np.int64), found[first], campaign.block[first]
     )
 
 
 def judge(
-    scores: HeldOutScores, campaign: JudgedRuns, scope: ComparedRuns, rng: np.random.Generator
+    scores: HeldOutScores,
+    campaign: JudgedRuns,
+    scope: ComparedRuns,
+    rng: np.random.Generator,
+    positive: NDArray[np.bool_] | None = None,
 ) -> dict[str, float | int | str]:
     """Return the figures of one comparison as table columns, an estimate as three.
 
     Besides areas: at each nominal false-alarm rate the detection rate, the realised rate and the
     one-sided 95% lower bound of that, Matthews' correlation and balanced accuracy; nothing at a
-    rate that the campaign is too small for.
+    rate that the campaign is too small for. `positive` runs, of shape (n_runs,), are to be found;
+    by default the attacked ones.
     """
-    runs = runs_of(campaign, scope.runs)
+    runs = runs_of(campaign, scope.runs, positive)
     score, p = scores.score[runs.first], scores.p[runs.first]
     row: dict[str, float | int | str] = {
         "malicious": int(runs.malicious.sum()),

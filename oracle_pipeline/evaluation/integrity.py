@@ -1,7 +1,7 @@
 """Integrity checks of the evaluation itself: each with its figure and a sentence.
 
 A check is green, red, or unsupported: the campaign lacks the runs for it, or has too few for the
-check to fail. The headline is withheld unless all are green.
+check to fail. The report claims an AUC once all are green.
 """
 
 from collections.abc import Callable, Sequence

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.datasets import DatasetError, is_hard_negative
 from oracle_pipeline.detectors import DetectorError, panel
-from oracle_pipeline.evaluation.comparisons import HEADLINE, RATES, Scorer, scorers
+from oracle_pipeline.evaluation.comparisons import HEADLINE, OF_CARD, RATES, Scorer, scorers
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate, clopper_pearson
 from oracle_pipeline.evaluation.held_out import calibration_runs, held_out
 from oracle_pipeline.evaluation.reference_scores import reference_scores
@@ -82,8 +82,8 @@ def kill_matrix(
         try:
             columns, detector = sets[scorer.features], detectors[scorer.detector]
             scores = (
-                reference_scores(runs, folds)
-                if scorer == HEADLINE
+                reference_scores(runs, folds, scorer.features)
+                if scorer in OF_CARD
                 else held_out(runs, columns, detector, folds, scorer.level)
             )
         except DetectorError:

@@ -18,7 +18,9 @@ from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.verdict import ScoringError
 
 
-def reference_scores(runs: MeasuredRuns, folds: Sequence[Fold] | None = None) -> HeldOutScores:
+def reference_scores(
+    runs: MeasuredRuns, folds: Sequence[Fold] | None = None, features: str = "all"
+) -> HeldOutScores:
     """Score runs by a reference learned from normal runs of other blocks.
 
     Parameters
@@ -27,6 +29,8 @@ def reference_scores(runs: MeasuredRuns, folds: Sequence[Fold] | None = None) ->
     folds : sequence of Fold, optional
         In each, the tested runs are scored by a reference learned from the normal runs that fit and
         calibrate. By default there is one reference, learned from all normal runs.
+    features : str
+        Name of the set that the scorer looks at: ``all``, or an aspect of the card.
 
     Returns
     -------
@@ -46,7 +50,7 @@ def reference_scores(runs: MeasuredRuns, folds: Sequence[Fold] | None = None) ->
     blocks = []
     for normal, tested in rounds:
         try:
-            scorer = learned_scorer(runs.where(normal))
+            scorer = learned_scorer(runs.where(normal), features)
         except (ConformalError, ScoringError):  # too few blocks or no feature: the row says so
             continue
         of_folds, own_block = scorer.scores(runs.where(tested)), runs.block[tested]

@@ -17,7 +17,7 @@ from oracle_pipeline.datasets import is_hard_negative, is_malicious
 FOLDS = 5
 MIN_BLOCKS = 3  # one to fit, one to calibrate, one to test
 # What a detector has not seen of the runs that it is tested on.
-BLOCK, SESSION, HARMLESS = "block", "session", "block and hard negatives"
+BLOCK, SESSION, WORLD, HARMLESS = "block", "session", "world", "block and hard negatives"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -77,6 +77,24 @@ def session_folds(df: pd.DataFrame, seed: int, blocks_that_train: int = 0) -> li
         hand = rng.permutation(len(tested)) % FOLDS
         tested = [np.any(np.array(tested)[hand == n], axis=0) for n in range(FOLDS)]
     return _folds(df, tested, np.random.default_rng(seed))
+
+
+def world_folds(df: pd.DataFrame, seed: int, n_folds: int = FOLDS) -> list[Fold]:
+    """Return folds that hold out all blocks of a share of the worlds each.
+
+    Parameters
+    ----------
+    df : DataFrame
+        One row for each run.
+    seed : int
+        Of the order in which worlds are dealt.
+    n_folds : int
+        At most; a world a fold if there are fewer worlds. With only one world there are no folds.
+    """
+    worlds, member = np.unique(df["world"].to_numpy(dtype=str), return_inverse=True)
+    rng = np.random.default_rng(seed)
+    hand = (rng.permutation(len(worlds)) % n_folds)[member]
+    return _folds(df, [hand == n for n in range(n_folds)], rng) if len(worlds) > 1 else []
 
 
 def tested_in(folds: Sequence[Fold]) -> NDArray[np.bool_] | None:

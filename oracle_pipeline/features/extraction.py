@@ -20,6 +20,7 @@ import pandas as pd
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.limits import MOST_WINDOWS
+from oracle_pipeline.bags.manifest import UNKNOWN_WORLD
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.datasets import (
@@ -288,9 +289,19 @@ class _Extraction:
 def _keys(run: OpenedRun) -> dict[str, Any]:
     manifest = run.manifest
     if manifest is None:
-        values: tuple[Any, ...] = (printable(run.path.resolve().name), "foreign", "unknown", -1, -1)
+        values: tuple[Any, ...] = (
+            printable(run.path.resolve().name),
+            "foreign",
+            "unknown",
+            -1,
+            -1,
+            UNKNOWN_WORLD,
+        )
     else:
-        values = (manifest.key, manifest.mode, manifest.label, manifest.block, manifest.session)
+        values = (
+            manifest.key, manifest.mode, manifest.label, manifest.block, manifest.session,
+            manifest.world,
+        )  # fmt: skip
     return dict(zip(KEYS, values, strict=True))
 
 

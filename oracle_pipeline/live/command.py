@@ -139,7 +139,7 @@ def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
     from oracle_pipeline.scoring.output import HEADINGS, cells
 
     if isinstance(event, GraphTaken):
-        kinds = [data["kind"] for _, data in event.graph.nodes(data=True)]
+        kinds = [vertex.partition(":")[0] for vertex in event.graph]
         yield (
             f"{event.start_s:6d} s  graph: {kinds.count('node')} nodes, "
             f"{kinds.count('topic')} topics; {watching.heard} messages so far"

@@ -57,7 +57,7 @@ class Intake:
         self._queue: list[Received] = []
         self._bytes = 0
         self._dropped: Counter[str] = Counter()
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
         self._ended = False
         self._error: DdsError | None = None
         self._thread = threading.Thread(target=self._run, name="intake", daemon=True)
@@ -87,16 +87,15 @@ class Intake:
         self._names[reader] = topic
         self._ready.add(reader)
 
-    def take(self, timeout_s: float) -> list[Received]:
-        """Return what has come, in order of arrival; wait for it, but not longer than said.
+    def take(self) -> list[Received]:
+        """Return what has come, in order of arrival.
 
         Raises
         ------
         DdsError
             If messages can no longer be received.
         """
-        with self._changed:
-            self._changed.wait_for(lambda: self._queue or self._error, timeout_s)
+        with self._lock:
             if self._error is not None and not self._queue:
                 raise self._error
             taken, self._queue, self._bytes = self._queue, [], 0
@@ -104,7 +103,7 @@ class Intake:
 
     def dropped(self) -> Counter[str]:
         """Return how many messages of each topic were dropped since this was last asked."""
-        with self._changed:
+        with self._lock:
             dropped, self._dropped = self._dropped, Counter()
         return dropped
 
@@ -126,16 +125,14 @@ class Intake:
                 came.sort(key=lambda each: each[0])  # as they were sent, if senders' clocks agree
                 self._put([received for _, received in came])
         except DdsError as error:
-            with self._changed:
+            with self._lock:
                 self._error = error
-                self._changed.notify()
 
     def _put(self, came: list[Received]) -> None:
-        with self._changed:
+        with self._lock:
             for received in came:
                 if self._bytes + len(received.data) > self._most_bytes:
                     self._dropped[received.topic] += 1
                 else:
                     self._queue.append(received)
                     self._bytes += len(received.data)
-            self._changed.notify()

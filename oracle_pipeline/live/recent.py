@@ -21,7 +21,7 @@ from oracle_pipeline.bags.reader import BagReader, Topic
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.opened_run import OpenedRun
 
-CONTEXT_S = 30.0  # that are kept: features look back, and pair messages of several topics
+CONTEXT_S = 20.0  # that are kept: features look back, and pair messages of several topics
 _LATCHED = 20  # last messages of a latched topic that are kept
 _SECOND_NS = 1_000_000_000
 
@@ -42,9 +42,7 @@ class _MemoryBag(BagReader):
         self.notes, self.losses = [], []
         counts = Counter(message.topic for message in messages)
         self.topics = {
-            name: Topic(name, msgtype, counts[name], qos)
-            for name, (msgtype, qos) in topics.items()
-            if counts[name]
+            name: Topic(name, msgtype, counts[name], qos) for name, (msgtype, qos) in topics.items()
         }
         self.message_count = len(messages)
         self.start_ns = messages[0].stamp_ns if messages else 0

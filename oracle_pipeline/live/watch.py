@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from time import monotonic, time_ns
+from time import monotonic, sleep, time_ns
 from types import TracebackType
 from typing import Self, TypeAlias
 
@@ -28,9 +28,9 @@ from oracle_pipeline.live.traffic import Traffic, snapshot
 from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
-SETTLE_S = 2.0  # until those who are on the domain are known
+SETTLE_S = 2.0  # from the first topic on, until those who are on the domain are known
 _DISCOVERY_S = 0.1  # rosbag2 looks for new topics this often
-_TAKE_S = 0.1  # at most, that a look for messages waits
+_PAUSE_S = 0.05  # between two looks for messages; to wake up for each of them costs more
 _SECOND_NS = 1_000_000_000
 
 
@@ -173,8 +173,9 @@ class Watch:
         waiting: list[Received] = []  # until the time is known
         looked = 0.0
         while not self._stopped:
+            sleep(_PAUSE_S)
             before_ns = time_ns()
-            came = self._intake.take(_TAKE_S)
+            came = self._intake.take()
             if monotonic() - looked >= _DISCOVERY_S:
                 looked = monotonic()
                 self._discover()
@@ -193,11 +194,13 @@ class Watch:
         yield from self._finish()
 
     def _settle(self) -> None:
-        """Wait until those who are there are known, and choose the time."""
-        until = monotonic() + SETTLE_S
-        while monotonic() < until and not self._stopped:
+        """Wait until there is somebody, and those who are there are known; choose the time."""
+        until = None
+        while (until is None or monotonic() < until) and not self._stopped:
             self.discovery.update()
-            self._intake.take(_TAKE_S)  # nothing is heard yet; this only waits
+            if until is None and self.discovery.topics():
+                until = monotonic() + SETTLE_S
+            sleep(_PAUSE_S)
         if CLOCK_TOPIC in self.discovery.topics():
             self._time = SimulatedTime()
         self._discover(force=True)

@@ -72,7 +72,7 @@ class WindowScorer:
         windows = pd.concat(self._last, ignore_index=True)
         one = pd.DataFrame({"run_id": ["live"], "block": [-1]})
         runs = MeasuredRuns(one, windows, np.zeros(len(windows), dtype=np.intp))
-        own = np.stack([scorer.score_windows(runs) for scorer in self._scorer.scorers_])
+        own = np.stack([scorer.score_windows(windows) for scorer in self._scorer.scorers_])
         means = np.stack([top_windows(scores, runs, TOP_WINDOWS) for scores in own])
         (p,) = self._scorer.p_values((means - self._centre) / self._spread)
         newest = float(np.median((own[:, -1] - self._centre) / self._spread))

@@ -7,7 +7,7 @@ from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.remote import fetched
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, MANIFEST_FILE
 from oracle_pipeline.datasets import replacing
-from oracle_pipeline.opened_run import OpenedRun
+from oracle_pipeline.opened_run import OpenedRun, open_run
 from oracle_pipeline.replay.radar import has_tracks, plan_view, radar_display
 from oracle_pipeline.replay.scene import top_down
 from oracle_pipeline.replay.story import run_scene
@@ -32,7 +32,23 @@ def kept_picture(path: Path) -> bytes:
         fetched(path / BAG_FOLDER) as bag,
         OpenedRun(path, BagReader(bag), manifest, ()) as run,  # graphs are not in it
     ):
-        png = plan_view(radar_display(run)) if has_tracks(run) else top_down(run_scene(run))
+        png = _drawn(run)
     with replacing(place) as sink:
         sink.write(png)
     return png
+
+
+def picture(run_or_bag: Path) -> bytes:
+    """Return the picture of a run directory or a bag, as PNG.
+
+    Raises
+    ------
+    OracleError
+        If it cannot be read or drawn.
+    """
+    with open_run(run_or_bag) as run:
+        return _drawn(run)
+
+
+def _drawn(run: OpenedRun) -> bytes:
+    return plan_view(radar_display(run)) if has_tracks(run) else top_down(run_scene(run))

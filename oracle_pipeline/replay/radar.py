@@ -29,7 +29,6 @@ from oracle_pipeline.features.atc_reports import (
 from oracle_pipeline.features.plugin import Series
 from oracle_pipeline.features.wgs84 import Site, cartesian
 from oracle_pipeline.opened_run import OpenedRun
-from oracle_pipeline.replay.scene import compact
 from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, drawing
 from oracle_pipeline.reporting.report import ReportError
 
@@ -130,7 +129,7 @@ def plan_view(display: Display) -> bytes:
         axes.set(xlabel="east of the radar [km]", ylabel="north of the radar [km]")
         axes.set_title(display.title)
         axes.figure.legend(loc="outside lower center", ncols=3, fontsize="small", markerscale=1.2)
-    return compact(png)
+    return png.getvalue()
 
 
 def _heard(run: OpenedRun, instant_s: float) -> Mapping[str, list[Any]]:

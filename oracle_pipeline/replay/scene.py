@@ -4,7 +4,6 @@
 """
 
 from dataclasses import dataclass, field
-from io import BytesIO
 from typing import Any
 
 import numpy as np
@@ -14,14 +13,12 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Circle
 from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
-from PIL import Image
 
 from oracle_pipeline.bags.manifest import GoalResult
 from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, drawing
 
 MARGIN_M = 0.3  # around what is shown
 OCCUPIED = 65  # occupancy from which the map server calls a cell an obstacle [%]
-PALETTE = 128  # colours of a picture; they make it a third as large
 
 # A colour for each byte of an occupancy grid: 0 free to 100, 255 unknown.
 _PAPER = np.zeros((256, 4))
@@ -30,6 +27,7 @@ _PAPER[OCCUPIED:101, 3], _PAPER[101:, 3] = 1.0, 0.12
 MAP_COLORS = ListedColormap(_PAPER)
 
 FAKE_OBJECT: dict[str, Any] = {"color": COLORS["malicious"], "alpha": 0.55, "lw": 0}
+OBSTACLE: dict[str, Any] = {**FAKE_OBJECT, "color": AMBER}
 REACHED: dict[str, Any] = {"color": AMBER, "marker": "*", "ls": "", "ms": 11}
 NOT_REACHED: dict[str, Any] = {**REACHED, "mfc": to_rgba(AMBER, 0.15), "mec": AMBER}
 LABEL_AWAY = 9.0  # number of a goal from its middle [points]
@@ -84,7 +82,8 @@ class ReplayScene:
     results: tuple[GoalResult, ...] = ()  # of the first goals
     onset_s: float | None = None  # of the attack
     disc: tuple[float, float, float] | None = None  # x, y, radius of an object that is not there
-    scan: NDArray[np.float64] | None = None  # (m, 2), points of one attacked scan
+    obstacle: tuple[float, float, float] | None = None  # x, y, radius of a real one on no map
+    scan: NDArray[np.float64] | None = None  # (m, 2), points of one scan: attacked, if any was
     moments: tuple[Moment, ...] = ()  # in time order; empty where only a picture is wanted
 
     def reached(self, time_s: float = np.inf) -> NDArray[np.bool_]:
@@ -127,7 +126,9 @@ def top_down(scene: ReplayScene) -> bytes:
     with drawing(4.7, 5.0) as (axes, png):
         draw_ground(axes, scene)
         if scene.scan is not None:
-            axes.plot(*scene.scan.T, ".", color=COLORS["malicious"], ms=2, label="attacked scan")
+            attacked = scene.onset_s is not None
+            ink, name = ("malicious", "attacked scan") if attacked else ("control", "scan")
+            axes.plot(*scene.scan.T, ".", color=COLORS[ink], ms=2, label=name)
         axes.plot(*scene.path.T, color=COLORS["normal"], lw=1.6, label="path")
         axes.plot(*scene.start, "s", color=COLORS["control"], ms=8, label="start")
         if len(goals):
@@ -137,10 +138,13 @@ def top_down(scene: ReplayScene) -> bytes:
         if scene.disc is not None:
             x, y, radius = scene.disc
             axes.add_patch(Circle((x, y), radius, label="fake object", **FAKE_OBJECT))
+        if scene.obstacle is not None:
+            x, y, radius = scene.obstacle
+            axes.add_patch(Circle((x, y), radius, label="real obstacle", **OBSTACLE))
         axes.set(xlabel=f"x in {scene.frame} [m]", ylabel=f"y in {scene.frame} [m]")
         axes.set_title(scene.title)
         axes.figure.legend(loc="outside lower center", ncols=3, fontsize="small", markerscale=0.8)
-    return compact(png)
+    return png.getvalue()
 
 
 def draw_ground(axes: Axes, scene: ReplayScene) -> None:
@@ -183,12 +187,3 @@ def _label_offset(point: NDArray[np.float64], others: NDArray[np.float64]) -> tu
     far = np.hypot(*away.T)
     x, y = (0.7, 0.7) if not far.size or far.min() == 0.0 else away[far.argmin()] / far.min()
     return LABEL_AWAY * x, LABEL_AWAY * y
-
-
-def compact(png: BytesIO) -> bytes:
-    """Reduce a picture to a palette: many pictures lie in Dagster's event log."""
-    compact = BytesIO()
-    with Image.open(png) as picture:
-        palette = picture.quantize(PALETTE, method=Image.Quantize.FASTOCTREE)
-        palette.save(compact, "png", optimize=True)
-    return compact.getvalue()

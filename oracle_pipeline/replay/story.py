@@ -14,10 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.replay.scene import DrawnGrid, Moment, ReplayScene
 from oracle_pipeline.reporting.report import ReportError
 
+MAP_FRAME = "map"  # REP 105; recipes are drawn in it
 MAP, ODOMETRY, TF, TF_STATIC = "/map", "/odom", "/tf", "/tf_static"
 SCAN, ATTACKED = "/scan", "/scan_fakeobject"
 PLAN, COSTMAP, BEHAVIORS = "/plan", "/local_costmap/costmap", "/behavior_tree_log"
@@ -57,7 +59,7 @@ class _Story:
     """The state of a run, updated by its messages in the order of recording.
 
     Of the attacked scans that from nearest to the fake object is kept or, where there is none, the
-    one nearest to halfway through the recording.
+    one nearest to halfway through the recording; of a run without an attack, the plain scan there.
     """
 
     def __init__(self, run: OpenedRun, moments_per_s: float | None) -> None:
@@ -83,9 +85,10 @@ class _Story:
         }
         if attacked:
             self._hearers[ATTACKED] = self._hear_attacked_scan
+        if moments_per_s or not attacked:
+            self._hearers[SCAN] = self._hear_scan
         if moments_per_s:
             self._hearers |= {
-                SCAN: self._hear_scan,
                 PLAN: self._hear_plan,
                 COSTMAP: self._hear_costmap,
                 BEHAVIORS: self._hear_behaviors,
@@ -140,6 +143,7 @@ class _Story:
             results=manifest.goal_results,
             onset_s=self._onset_s,
             disc=self._disc(),
+            obstacle=self._obstacle(manifest),
             scan=None if self._closest_scan is None else _xy(self._closest_scan),
         )
 
@@ -169,13 +173,19 @@ class _Story:
 
     def _hear_scan(self, message: Any) -> None:
         self._scan = self._hits(message)
+        if ATTACKED not in self._hearers:
+            self._keep_closest(self._scan)
 
     def _hear_attacked_scan(self, message: Any) -> None:
         self._attacked = self._hits(message)
+        self._keep_closest(self._attacked)
+
+    def _keep_closest(self, scan: _Points) -> None:
+        """Keep a scan if it is the closest to what the picture shows."""
         fake, halfway_s = self._fake_object(), self._run.duration_s / 2
         off = abs(self._now_ns * 1e-9 - halfway_s) if fake is None else abs(self._robot[0] - fake)
-        if len(self._attacked) and off < self._closest:
-            self._closest, self._closest_scan = off, self._attacked
+        if len(scan) and off < self._closest:
+            self._closest, self._closest_scan = off, scan
 
     def _hear_plan(self, message: Any) -> None:
         if (placed := self._placed(message.header.frame_id)) is not None:
@@ -242,6 +252,14 @@ class _Story:
     def _disc(self) -> tuple[float, float, float] | None:
         fake = self._fake_object()
         return None if fake is None else (fake.real, fake.imag, self._attack["radius"])
+
+    def _obstacle(self, manifest: Manifest) -> tuple[float, float, float] | None:
+        """Return where a real obstacle was put that is on no map, by the recipe."""
+        drawn, there = manifest.recipe.get("fake_object"), self._placed(MAP_FRAME)
+        if drawn is None or there is None or not manifest.recipe["conditions"].get("obstacle"):
+            return None
+        place = there[0] + there[1] * complex(drawn["x"], drawn["y"])
+        return place.real, place.imag, drawn["radius"]
 
     def _remember(self, time_s: float) -> None:
         if not self._way:

@@ -6,13 +6,15 @@ Everything shown is measured in ``oracle_pipeline.evaluation.campaign_evaluation
 import numpy as np
 import pandas as pd
 
-from oracle_pipeline.datasets import content_hash
+from oracle_pipeline.datasets import KEYS, content_hash, is_malicious
 from oracle_pipeline.evaluation import integrity
 from oracle_pipeline.evaluation.campaign_evaluation import CampaignEvaluation
-from oracle_pipeline.evaluation.comparisons import HEADLINE
+from oracle_pipeline.evaluation.comparisons import HEADLINE, RATES
 from oracle_pipeline.evaluation.curves import Curve, HeadlineCurves
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.kill_rates import minimum_detectable, mutation_scores
+from oracle_pipeline.evaluation.open_claims import as_table
+from oracle_pipeline.evaluation.ranking import Ranking, standing
 from oracle_pipeline.reporting import figures
 from oracle_pipeline.reporting.report import Report, facts
 
@@ -21,8 +23,9 @@ def evaluation_report(evaluation: CampaignEvaluation) -> Report:
     """Return the report on an evaluation.
 
     The table has a row for each scorer, split and comparison, the headline first; the tables
-    ``alarms``, ``small_clusters``, ``checks``, ``runs`` and, with a grid, ``kills``,
-    ``mutation_scores`` and ``minimum_detectable`` the rest.
+    ``alarms``, ``aspects``, ``aspects_by_mode``, ``quadrants``, ``task_uncertainty``,
+    ``small_clusters``, ``checks``, ``open_claims``, ``runs``, ``standing`` and, with a grid,
+    ``kills``, ``mutation_scores`` and ``minimum_detectable`` the rest.
     """
     return Report(
         evaluation.table, _pictures(evaluation), _summary(evaluation), _tables(evaluation)
@@ -30,13 +33,16 @@ def evaluation_report(evaluation: CampaignEvaluation) -> Report:
 
 
 def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
-    headline, kills = evaluation.headline, evaluation.kills
-    runs = evaluation.campaign.features[["run_id", "mode", "label", "block", "session"]]
+    kills = evaluation.kills
+    runs = _judged(evaluation)
     tables = {
         "alarms": evaluation.alarms,
+        **evaluation.aspects,
         "small_clusters": evaluation.small_clusters,
         "checks": pd.DataFrame([check.columns() for check in evaluation.checks]),
-        "runs": runs.assign(score=headline.score, p=headline.p),
+        "open_claims": as_table(evaluation.open_claims),
+        "runs": runs,
+        "standing": standing(runs),
     }
     if kills is not None:
         tables |= {
@@ -47,12 +53,25 @@ def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
     return tables
 
 
+def _judged(evaluation: CampaignEvaluation) -> pd.DataFrame:
+    """Return a row for each run: its keys, its score and p-value, and how it ended."""
+    campaign, headline = evaluation.campaign, evaluation.headline
+    features = campaign.features
+    keys = [name for name in features.columns if name in (*KEYS, "world")]
+    ended = ["recording_s", "onset_s", "outcome"]
+    return features[keys].assign(
+        score=headline.score, p=headline.p, **{name: campaign.truth[name] for name in ended}
+    )
+
+
 def _summary(evaluation: CampaignEvaluation) -> dict[str, float | int | str]:
     campaign, first_row = evaluation.campaign, evaluation.table.iloc[0]
     area = Estimate.of_row(first_row, "auc")
     doubts = integrity.banner(evaluation.checks)
+    runs = _judged(evaluation)
     return {
-        "headline": f"Withheld. {doubts}" if doubts else in_words(area),
+        "headline": in_words(area) if area_is_claimed(evaluation) else ranked(Ranking.of(runs)),
+        "verdicts": verdicts(runs),
         "banner": doubts,
         "scorer": f"{HEADLINE.detector} on {HEADLINE.features} features, level {HEADLINE.level}",
         "malicious_runs": int(campaign.malicious.sum()),
@@ -67,6 +86,49 @@ def _summary(evaluation: CampaignEvaluation) -> dict[str, float | int | str]:
     }
 
 
+def area_is_claimed(evaluation: CampaignEvaluation) -> bool:
+    """Return whether there is an AUC and every integrity check is green."""
+    return bool(np.isfinite(evaluation.table["auc"].iloc[0])) and not integrity.banner(
+        evaluation.checks
+    )
+
+
+def ranked(ranking: Ranking) -> str:
+    """Return how attacked runs rank, which claims nothing about other runs.
+
+    Examples
+    --------
+    >>> ranked(Ranking(attacked=9, normal=9, on_top=9, by_chance=4.5))
+    'All 9 attacked runs score higher than all 9 normal runs.'
+    >>> ranked(Ranking(attacked=9, normal=18, on_top=7, by_chance=3.0))
+    'Of the 9 highest scores, 7 belong to the 9 attacked runs; by chance it would be about 3.'
+    """
+    if not ranking.attacked or not ranking.normal:
+        return "Nothing can be compared yet: it takes attacked and normal runs with a score."
+    if ranking.on_top == ranking.attacked:
+        return (
+            f"All {ranking.attacked} attacked runs score higher than all {ranking.normal} "
+            "normal runs."
+        )
+    return (
+        f"Of the {ranking.attacked} highest scores, {ranking.on_top} belong to the "
+        f"{ranking.attacked} attacked runs; by chance it would be about {ranking.by_chance:.0f}."
+    )
+
+
+def verdicts(runs: pd.DataFrame) -> str:
+    """Return how many runs are called anomalous at the usual rate; empty without p-values."""
+    judged = runs[runs["p"].notna()]
+    if judged.empty:
+        return ""
+    called, attacked = judged["p"] <= RATES[0], is_malicious(judged)
+    return (
+        f"At a nominal false positive rate of {RATES[0]:.0%}, {int(called[attacked].sum())} of "
+        f"{attacked.sum()} attacked and {int(called[~attacked].sum())} of {(~attacked).sum()} "
+        "normal runs are called anomalous."
+    )
+
+
 def in_words(area: Estimate) -> str:
     """Return the claim that an AUC with its interval supports.
 
@@ -75,8 +137,6 @@ def in_words(area: Estimate) -> str:
     >>> in_words(Estimate(0.55, 0.41, 0.68))
     'Attacked and normal runs cannot be distinguished: AUC 0.55 [0.41, 0.68] contains 0.5 (chance).'
     """
-    if np.isnan(area.value):
-        return "Nothing could be measured; the notes give the reasons."
     if area.covers(0.5):
         return (
             f"Attacked and normal runs cannot be distinguished: AUC {area} contains 0.5 (chance)."

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import jinja2
 
 from oracle_pipeline.scoring.kept_verdicts import KeptVerdict
-from oracle_pipeline.scoring.output import HEADINGS, cells, family_summary
+from oracle_pipeline.scoring.output import HEADINGS, cells, family_as_text
 from oracle_pipeline.scoring.verdict import Judgement
 
 _IN_WORDS: dict[Judgement, str] = {
@@ -29,7 +29,7 @@ def foreign_page(verdicts: Sequence[KeptVerdict]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"cells": cells, "family": family_summary}
+    environment.filters |= {"cells": cells, "family": family_as_text}
     return environment.get_template("foreign.html.j2").render(
         verdicts=verdicts,
         summary=summary(verdicts),

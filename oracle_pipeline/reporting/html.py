@@ -1,40 +1,31 @@
-"""The report: one self-contained HTML file that loads nothing from the network.
+"""The report's main page: the first screen, the evidence, and behind folds the method.
 
-Its content comes from ``evaluation_report`` and ``thesis_reports`` beside this module; its tables
-are chosen in ``page_tables``; the page itself is ``templates/report.html.j2``.
+It loads nothing from the network. Its content comes from ``evaluation_report`` and
+``thesis_reports`` beside this module; the first screen is put together in ``first_screen``, tables
+are chosen in ``page_tables``; the page itself is ``templates/report.html.j2``. The pages of single
+runs are made in ``run_pages``.
 """
 
-import base64
 import platform
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-import jinja2
 import pandas as pd
 
-from oracle_pipeline.datasets import content_hash, is_malicious, replacing
+from oracle_pipeline.datasets import content_hash, replacing
 from oracle_pipeline.evaluation.estimate import Estimate
-from oracle_pipeline.evaluation.limits import limits
 from oracle_pipeline.evaluation.metrics import RESAMPLES
 from oracle_pipeline.reporting import page_tables
 from oracle_pipeline.reporting.explanation import Explanation
-from oracle_pipeline.reporting.figures import DPI
-from oracle_pipeline.reporting.page_tables import THESIS, PageTable
+from oracle_pipeline.reporting.first_screen import Recorder, first_screen, run_page
+from oracle_pipeline.reporting.page import Picture, picture, run_picture, template
+from oracle_pipeline.reporting.page_tables import PageTable
 from oracle_pipeline.reporting.report import Report
 
 LIBRARIES = ("numpy", "scipy", "scikit-learn", "pandas", "networkx", "matplotlib", "mujoco")
 NO_STORAGE = pd.DataFrame()
-
-
-class Picture(NamedTuple):
-    """A picture inside the page."""
-
-    alt: str
-    caption: str
-    uri: str
-    width: int  # [CSS px]
 
 
 class CheckLine(NamedTuple):
@@ -49,6 +40,7 @@ class ExplainedRun(NamedTuple):
     """One run explained."""
 
     run_id: str
+    page: str
     verdict: str
     table: PageTable
     notes: Sequence[str]
@@ -58,14 +50,14 @@ class ExplainedRun(NamedTuple):
 # Of each section that is shown: its anchor and its heading.
 _SECTIONS = {
     "verdicts": "What is detected",
-    "integrity": "Integrity checks",
-    "limits": "What these runs cannot support",
-    "curves": "Detection against false alarms",
+    "giveaways": "What gives each attack away",
+    "explained": "Attacked runs explained",
     "alarms": "Time to detect",
+    "curves": "Detection against false alarms",
+    "integrity": "Integrity checks",
     "scorers": "Detectors and families of features",
     "magnitude": "How weak an attack is still detected",
     "effort": "Inspection effort",
-    "explained": "Attacked runs explained",
     "radar": "A radar display with and without a ghost",
     "trees": "Dendrograms",
     "thesis": "The thesis's method on these runs",
@@ -111,10 +103,11 @@ _CAPTIONS = {
 
 
 def render(
-    df: pd.DataFrame,
     *,
     evaluation: Report,
     explained: Sequence[Explanation],
+    giveaways: pd.DataFrame,
+    record: Recorder,
     grid: Report,
     rates: Report,
     pairs: Report,
@@ -128,12 +121,14 @@ def render(
 
     Parameters
     ----------
-    df : DataFrame
-        The distinct runs, a row each.
     evaluation : Report
         Of `oracle_pipeline.reporting.evaluation_report`.
     explained : sequence of Explanation
         Attacked runs, each with its evidence.
+    giveaways : DataFrame
+        Of `oracle_pipeline.evaluation.giveaways`.
+    record : callable
+        Gives the command that records further runs.
     grid, rates, pairs, side_by_side, null_model : Report
         Of the functions of ``oracle_pipeline.reporting.thesis_reports``.
     radar : mapping of str to bytes
@@ -143,13 +138,6 @@ def render(
     storage : DataFrame
         What the storage plan kept of each mode.
     """
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("oracle_pipeline.reporting"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     tables = {
         **page_tables.of_evaluation(evaluation),
         **page_tables.of_thesis(
@@ -159,20 +147,20 @@ def render(
             side_by_side=side_by_side,
             null_model=null_model,
         ),
+        "giveaways": page_tables.of_giveaways(giveaways),
         "storage": page_tables.of_any("What was kept", storage),
     }
     content = {
-        "limits": limits(df),
+        "giveaways": len(giveaways) > 0,
         "curves": _charts(evaluation, "roc", "detection"),
         "magnitude": "kills" in tables,
         "explained": [_explained(each) for each in explained],
-        "radar": [_run_picture(run, png) for run, png in radar.items()],
+        "radar": [run_picture(run, png) for run, png in radar.items()],
         "trees": [*_dendrograms(grid), *_dendrograms(pairs)],
         "storage": len(storage) > 0,
     }
-    return environment.get_template("report.html.j2").render(
-        campaign=_campaign(df),
-        answer=_answer(evaluation),
+    return template("report.html.j2").render(
+        screen=first_screen(evaluation, record),
         scorer=evaluation.summary["scorer"],
         checks=_checks(evaluation),
         sections={name: title for name, title in _SECTIONS.items() if content.get(name, True)},
@@ -190,7 +178,6 @@ def render(
         null_headline=null_model.summary["headline"],
         reading=_thesis_reading(pairs.table.iloc[0]),
         provenance={**provenance, **_draws(pairs, evaluation)},
-        THESIS=THESIS,
     )
 
 
@@ -207,23 +194,6 @@ def provenance(df: pd.DataFrame) -> dict[str, str]:
         "Python": platform.python_version(),
         **{library: version(library) for library in LIBRARIES},
     }
-
-
-def _campaign(df: pd.DataFrame) -> str:
-    malicious = int(is_malicious(df).sum())
-    return (
-        f"{len(df)} runs of {df['mode'].nunique()} modes in {df['block'].nunique()} blocks and "
-        f"{df['session'].nunique()} sessions: {malicious} attacked, {len(df) - malicious} normal."
-    )
-
-
-def _answer(evaluation: Report) -> str:
-    """Return the headline, or that it is withheld."""
-    if not evaluation.summary["banner"]:
-        return str(evaluation.summary["headline"])
-    checks = evaluation.tables["checks"]
-    doubtful = int((checks["status"] != "green").sum())
-    return f"The headline is withheld: {doubtful} of {len(checks)} integrity checks are not green."
 
 
 def _checks(evaluation: Report) -> list[CheckLine]:
@@ -254,10 +224,11 @@ def _thesis_reading(row: pd.Series) -> str:
 def _explained(explanation: Explanation) -> ExplainedRun:
     return ExplainedRun(
         explanation.run_id,
+        run_page(explanation.run_id),
         explanation.verdict,
         page_tables.of_explanation(explanation),
         explanation.notes,
-        [_run_picture(run, png) for run, png in explanation.pictures.items()],
+        [run_picture(run, png) for run, png in explanation.pictures.items()],
     )
 
 
@@ -269,7 +240,7 @@ def _charts(report: Report, *kinds: str) -> list[Picture]:
         for name in _named(report.figures, kind):
             which = name.removeprefix(kind).lstrip("_").replace("_", " ")
             detail = f": {which}" if which else ""
-            charts.append(_picture(f"{alt}{detail}", f"{caption}{detail}", report.figures[name]))
+            charts.append(picture(f"{alt}{detail}", f"{caption}{detail}", report.figures[name]))
     return charts
 
 
@@ -281,16 +252,6 @@ def _dendrograms(report: Report) -> list[Picture]:
     kind = "dendrogram_"
     names = sorted(name for name in report.figures if name.startswith(kind))
     return [
-        _picture(f"Dendrogram, {of}", of, report.figures[f"{kind}{of}"])
+        picture(f"Dendrogram, {of}", of, report.figures[f"{kind}{of}"])
         for of in (name.removeprefix(kind) for name in names)
     ]
-
-
-def _run_picture(run: str, png: bytes) -> Picture:
-    return _picture(f"{run} seen from above", run, png)
-
-
-def _picture(alt: str, caption: str, png: bytes) -> Picture:
-    pixels = int.from_bytes(png[16:20], "big")  # the width in a PNG's header
-    uri = f"data:image/png;base64,{base64.b64encode(png).decode()}"
-    return Picture(alt, caption, uri, round(pixels * 100 / DPI))

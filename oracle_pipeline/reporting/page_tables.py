@@ -9,12 +9,14 @@ from typing import NamedTuple
 
 import pandas as pd
 
+from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.evaluation.comparisons import ALL_MODES, HARD_NEGATIVES, HEADLINE
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.splits import BLOCK
 from oracle_pipeline.reporting.explanation import Explanation
 from oracle_pipeline.reporting.report import Report
 from oracle_pipeline.scoring.output import HEADINGS, cells
+from oracle_pipeline.scoring.verdict import Evidence
 
 NO_FIGURE = "n/a"
 
@@ -74,7 +76,35 @@ _ALARMS = (
     PageColumn("missed", "missed"),
     PageColumn("median", "time_to_detect_median_s", "time to detect [s]", ".1f"),
     PageColumn("90th percentile", "time_to_detect_90_s", "time to detect [s]", ".1f"),
-    PageColumn("false alarms an hour", "false_alarms_per_h"),
+    PageColumn("promised at most", "promised_per_h", "false alarms an hour", ".2g"),
+    PageColumn("realised", "false_alarms_per_h", "false alarms an hour"),
+)
+_CALLED = (
+    PageColumn("tampered", "called_tampering", "share called, at 5%"),
+    PageColumn("misbehaved", "called_misbehaviour", "share called, at 5%"),
+)
+_QUADRANTS = (
+    PageColumn("tampered", "tampered", "truth"),
+    PageColumn("misbehaved", "misbehaved", "truth"),
+    PageColumn("runs", "runs"),
+    *_CALLED,
+)
+_ASPECTS_BY_MODE = (
+    PageColumn("mode", "mode"),
+    PageColumn("runs compared", "runs"),
+    PageColumn("misbehaved", "misbehaved", "truth"),
+    PageColumn("task effect over its uncertainty, median", "effect_median", "truth", ".2f"),
+    *_CALLED,
+)
+_ASPECTS = (
+    PageColumn("score", "aspect"),
+    PageColumn("comparison", "scope"),
+    PageColumn("runs to find", "malicious"),
+    PageColumn("others", "normal"),
+    PageColumn("AUC", "auc"),
+    PageColumn("detection rate", "detection_rate_5", _AT_5),
+    PageColumn("realised false alarms", "false_alarm_rate_5", _AT_5),
+    _NOTE,
 )
 _SCORER = (
     PageColumn("detector", "detector"),
@@ -89,6 +119,19 @@ _OVER_ALL = (
     PageColumn("realised false alarms", "false_alarm_rate_5", _AT_5),
     PageColumn("MCC", "mcc_5", _AT_5),
     _NOTE,
+)
+_GIVEAWAYS = (
+    PageColumn("mode", "mode"),
+    PageColumn("feature", "feature"),
+    PageColumn("attacked runs outside", "outside"),
+    PageColumn("normal runs outside", "normal"),
+    PageColumn("median z", "median_z", spec="+.1f"),
+)
+_FAMILIES = (
+    PageColumn("family", "family"),
+    PageColumn("features outside", "outside"),
+    PageColumn("farthest", "farthest"),
+    PageColumn("z", "z", spec="+.1f"),
 )
 _SMALL_CLUSTERS = (
     PageColumn("linkage", "linkage"),
@@ -184,10 +227,18 @@ def of_evaluation(evaluation: Report) -> dict[str, PageTable]:
         "scorers": grid(
             "Over all modes", table[table["scope"] == ALL_MODES], (*_SCORER, *_OVER_ALL)
         ),
+        "families": grid(
+            "AUC of each attack by one family",
+            _areas(table[_is_by_family(table)], against),
+            (PageColumn("features", "features"), *areas),
+        ),
         "areas": grid("AUC of each attack", _areas(table, against), (*_SCORER, *areas)),
         "small_clusters": grid("Small clusters", more["small_clusters"], _SMALL_CLUSTERS),
     }
     for name, title, columns in (
+        ("quadrants", "What was altered, and what the robot did", _QUADRANTS),
+        ("aspects_by_mode", "The same, by mode", _ASPECTS_BY_MODE),
+        ("aspects", "Each score by its own truth", _ASPECTS),
         ("minimum_detectable", "Smallest magnitude that is detected", _MAGNITUDES),
         ("mutation_scores", "Mutation scores", _MUTATION_SCORES),
         ("kills", f"Kills by {HEADLINE.detector} on {HEADLINE.features} features", _KILLS),
@@ -214,11 +265,37 @@ def of_thesis(
 
 def of_explanation(explanation: Explanation) -> PageTable:
     """Return what gave a run away, one feature in each row."""
+    return of_evidence(f"What is unusual in {explanation.run_id}", explanation.evidence)
+
+
+def of_evidence(title: str, evidence: Iterable[Evidence]) -> PageTable:
+    """Return pieces of evidence, one feature in each row."""
     columns = [PageColumn(heading, heading) for heading in HEADINGS]
-    rows = [[PageCell(text) for text in cells(each)] for each in explanation.evidence]
-    return PageTable(
-        f"What is unusual in {explanation.run_id}", [("", len(columns))], columns, rows
+    rows = [[PageCell(text) for text in cells(each)] for each in evidence]
+    return PageTable(title, [("", len(columns))], columns, rows)
+
+
+def of_families(families: Iterable[FamilyDeviation]) -> PageTable:
+    """Return how many features of each family are unusual."""
+    table = pd.DataFrame(
+        [
+            (each.family, f"{each.unusual} of {each.compared}", each.feature, each.z)
+            for each in families
+        ],
+        columns=["family", "outside", "farthest", "z"],
     )
+    return grid("Families of features", table, _FAMILIES)
+
+
+def of_giveaways(giveaways: pd.DataFrame) -> PageTable:
+    """Return the features that give each attacked mode away; a mode is named in its first row."""
+    again = giveaways.duplicated("mode")
+    shown = giveaways.assign(
+        mode=giveaways["mode"].mask(again, ""),
+        outside=giveaways["outside"].astype(str) + " of " + giveaways["runs"].astype(str),
+        normal=giveaways["outside_normal"].astype(str) + " of " + giveaways["normal"].astype(str),
+    )
+    return grid("Features that give attacks away", shown, _GIVEAWAYS)
 
 
 def of_any(title: str, table: pd.DataFrame) -> PageTable:
@@ -261,6 +338,12 @@ def _of_headline(table: pd.DataFrame) -> pd.DataFrame:
 
 def _is_headline(table: pd.DataFrame) -> pd.Series:
     return (table[list(HEADLINE._fields)] == list(HEADLINE)).all(axis=1)
+
+
+def _is_by_family(table: pd.DataFrame) -> pd.Series:
+    """Return the rows of the headline's detector and level, held out by block."""
+    fixed = ["detector", "level", "split"]
+    return (table[fixed] == [HEADLINE.detector, HEADLINE.level, BLOCK]).all(axis=1)
 
 
 def _areas(table: pd.DataFrame, scopes: Sequence[str]) -> pd.DataFrame:

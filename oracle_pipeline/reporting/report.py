@@ -10,7 +10,7 @@ import pandas as pd
 
 from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.bags.scratch import lock, scratch_beside
+from oracle_pipeline.bags.scratch import replaced_folder
 from oracle_pipeline.datasets import read_table, write_table
 from oracle_pipeline.evaluation.estimate import Estimate
 
@@ -36,9 +36,8 @@ class Report:
 
         It is written beside its place and renamed into it, so that no reader sees half of it.
         """
-        with scratch_beside(directory, Path.mkdir) as scratch:
-            new, old = scratch / "new", scratch / "old"
-            (new / FIGURES).mkdir(parents=True)
+        with replaced_folder(directory) as new:
+            (new / FIGURES).mkdir()
             write_table(self.table, new / TABLE)
             for name, table in self.tables.items():
                 write_table(table, new / TABLES / f"{name}.parquet")
@@ -49,10 +48,6 @@ class Report:
             summary = bytearray(text.encode())
             seals.seal(summary)
             (new / SUMMARY).write_bytes(summary)
-            with lock(directory.parent):  # against somebody who makes the same report
-                if directory.exists():
-                    directory.rename(old)
-                new.rename(directory)
 
     @classmethod
     def load(cls, directory: Path) -> "Report":

@@ -19,7 +19,6 @@ References
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +38,8 @@ class AlarmError(ConformalError):
     """The normal recordings are too few hours for the promised rate of alarms."""
 
 
-class Alarm(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Alarm:
     """The statistic has passed the threshold."""
 
     time_s: float  # end of the window that raised it [s of the recording]
@@ -57,10 +57,13 @@ class AlarmRule:
         Score up to which a window adds nothing.
     threshold : float
         An alarm is raised above it.
+    per_hour : float
+        False alarms an hour that are promised at most.
     """
 
     allowance: float
     threshold: float
+    per_hour: float
 
 
 class Statistic:
@@ -95,7 +98,7 @@ class AlarmWatch:
 
     Examples
     --------
-    >>> watch = AlarmWatch(AlarmRule(allowance=1.0, threshold=3.0))
+    >>> watch = AlarmWatch(AlarmRule(allowance=1.0, threshold=3.0, per_hour=0.5))
     >>> [watch.feed(end_s, score) is not None
     ...  for end_s, score in ((10.0, 0.5), (15.0, 3.0), (20.0, 3.0), (25.0, 9.0))]
     [False, False, True, False]
@@ -175,7 +178,7 @@ class NormalWindows:
                 high = middle
             else:
                 low = middle + 1
-        return AlarmRule(allowance, float(candidates[low]))
+        return AlarmRule(allowance, float(candidates[low]), per_hour)
 
     def lowest_rate(self) -> float:
         """Return the lowest rate of false alarms that these recordings support [1/h]."""

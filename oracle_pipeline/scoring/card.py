@@ -1,34 +1,48 @@
 """The reference card: everything that scoring needs, learned once and kept in one file.
 
 A card is a ZIP of JSON and Parquet: ``card.json`` says what it holds, ``runs.parquet`` has the
-features of the normal recordings, ``models.parquet`` the fitted scorers. Nothing in it is executed
-when it is read, and the checksums of the ZIP notice damage.
+features of the normal recordings, ``models.parquet`` the fitted scorers, ``windows.parquet`` the
+scores of the normal windows. Nothing in it is executed when it is read, and the checksums of the
+ZIP notice damage.
 """
 
 import io
 import json
 import zipfile
+from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 from sklearn.pipeline import Pipeline
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import parse_table, replacing, table_bytes
 from oracle_pipeline.detectors import Mahalanobis, pipeline
+from oracle_pipeline.scoring.alarms import NormalWindows
 from oracle_pipeline.scoring.contract import Contract
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.run_scorer import Design, RunScorer
 
-VERSION = 1
+VERSION = 2
 SUFFIX = ".card"
 _FACTS, _RUNS, _MODELS = "card.json", "runs.parquet", "models.parquet"
+_WINDOWS = "windows.parquet"
+_HEADLINE = "all"  # the scorer that makes the verdict
+_OfScorers: TypeAlias = dict[str, list[dict[str, Any]]]  # rows of a table, by scorer
+_OF_WINDOWS = pa.schema(
+    [
+        ("scorer", pa.string()),
+        ("scores", pa.list_(pa.float64())),
+        ("start_s", pa.list_(pa.float64())),
+    ]
+)
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same card gives the same bytes
 _LARGEST = 1 << 30  # bytes of one member; a card of 840 runs has 40 MB
 
@@ -50,20 +64,28 @@ class ReferenceCard:
         Of the recordings' topics and graphs; None if the card was learned from tables.
     notes : tuple of str
         What a reader of a verdict should know, such as recordings that were left out.
+    aspects : mapping of str to CrossConformalScorer
+        Scorers of ``tampering`` and ``misbehaviour``, as far as the recordings have such features.
     """
 
     scorer: CrossConformalScorer
     runs: pd.DataFrame
     contract: Contract | None = None
     notes: tuple[str, ...] = ()
+    aspects: Mapping[str, CrossConformalScorer] = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
         """Write the card; a reader sees all of it or the old one."""
-        members = {_RUNS: table_bytes(self.runs), _MODELS: _models(self.scorer)}
+        scorers = {_HEADLINE: self.scorer, **self.aspects}
+        members = {
+            _RUNS: table_bytes(self.runs),
+            _MODELS: _parquet(_models(scorers)),
+            _WINDOWS: _parquet(_windows(scorers), _OF_WINDOWS),
+        }
         facts = {
             "version": VERSION,
-            "design": _design(self.scorer.design),
-            "calibration": _calibration(self.scorer),
+            "floors": dict(self.scorer.design.floors),
+            "scorers": {name: _described(scorer) for name, scorer in scorers.items()},
             "contract": None if self.contract is None else self.contract.to_dict(),
             "notes": list(self.notes),
         }
@@ -82,7 +104,7 @@ class ReferenceCard:
             There is none, it is damaged, or it is of another release.
         """
         try:
-            facts, runs, models = _read(path)
+            facts, runs, models, windows = _read(path)
         except FileNotFoundError as error:
             raise CardError(
                 f"There is no reference card {path}; make one with `oracle learn`."
@@ -93,11 +115,16 @@ class ReferenceCard:
                 "`oracle learn`."
             ) from error
         contract = facts["contract"]
+        scorers = {
+            name: _scorer(described, facts["floors"], models[name], windows[name])
+            for name, described in facts["scorers"].items()
+        }
         return cls(
-            _scorer(facts, models),
+            scorers.pop(_HEADLINE),
             runs,
             None if contract is None else Contract.from_dict(contract),
             tuple(facts["notes"]),
+            scorers,
         )
 
     def card_for(self, _row: pd.DataFrame) -> "ReferenceCard":
@@ -110,7 +137,9 @@ def is_card(path: Path) -> bool:
     return path.suffix == SUFFIX
 
 
-def _read(path: Path) -> tuple[dict[str, Any], pd.DataFrame, list[dict[str, Any]]]:
+def _read(
+    path: Path,
+) -> tuple[dict[str, Any], pd.DataFrame, _OfScorers, _OfScorers]:
     with path.open("rb") as source, zipfile.ZipFile(source) as archive:
         facts = json.loads(_member(archive, _FACTS))
         if facts["version"] != VERSION:
@@ -119,8 +148,8 @@ def _read(path: Path) -> tuple[dict[str, Any], pd.DataFrame, list[dict[str, Any]
                 "make it again with `oracle learn`."
             )
         runs = parse_table(_member(archive, _RUNS), f"{path}/{_RUNS}")
-        models = pq.read_table(io.BytesIO(_member(archive, _MODELS))).to_pylist()
-    return facts, runs, models
+        models, windows = (_rows(_member(archive, name)) for name in (_MODELS, _WINDOWS))
+    return facts, runs, models, windows
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> bytes:
@@ -129,17 +158,25 @@ def _member(archive: zipfile.ZipFile, name: str) -> bytes:
     return archive.read(name)
 
 
-def _design(design: Design) -> dict[str, Any]:
+def _parquet(rows: list[dict[str, Any]], schema: pa.Schema | None = None) -> bytes:
+    sink = io.BytesIO()
+    pq.write_table(pa.Table.from_pylist(rows, schema), sink, compression="zstd")
+    return sink.getvalue()
+
+
+def _rows(content: bytes) -> _OfScorers:
+    """Return the rows of a Parquet table by the scorer that they belong to."""
+    rows: _OfScorers = defaultdict(list)
+    for row in pq.read_table(io.BytesIO(content)).to_pylist():
+        rows[row.pop("scorer")].append(row)
+    return rows
+
+
+def _described(scorer: CrossConformalScorer) -> dict[str, Any]:
     return {
         "detector": "mahalanobis",
-        "run_features": list(design.run_features),
-        "window_features": list(design.window_features),
-        "floors": dict(design.floors),
-    }
-
-
-def _calibration(scorer: CrossConformalScorer) -> dict[str, Any]:
-    return {
+        "run_features": list(scorer.design.run_features),
+        "window_features": list(scorer.design.window_features),
         "fold": scorer.fold_.tolist(),
         "block": scorer.block_.tolist(),
         "held_out": scorer.held_out_.tolist(),
@@ -149,16 +186,24 @@ def _calibration(scorer: CrossConformalScorer) -> dict[str, Any]:
     }
 
 
-def _models(scorer: CrossConformalScorer) -> bytes:
-    """Return the fitted scalers and detectors as a table, a row a fold and level."""
-    rows = [
-        {"fold": fold, "level": level, **_state(model)}
+def _models(scorers: Mapping[str, CrossConformalScorer]) -> list[dict[str, Any]]:
+    """Return the fitted scalers and detectors, a row a scorer, fold and level."""
+    return [
+        {"scorer": name, "fold": fold, "level": level, **_state(model)}
+        for name, scorer in scorers.items()
         for fold, of_fold in enumerate(scorer.scorers_)
         for level, model in of_fold.models_.items()
     ]
-    sink = io.BytesIO()
-    pq.write_table(pa.Table.from_pylist(rows), sink, compression="zstd")
-    return sink.getvalue()
+
+
+def _windows(scorers: Mapping[str, CrossConformalScorer]) -> list[dict[str, Any]]:
+    """Return the held-out scores of the normal windows, a row a scorer and recording."""
+    return [
+        {"scorer": name, "scores": known.scores[mine], "start_s": known.start_s[mine]}
+        for name, scorer in scorers.items()
+        if (known := scorer.windows_) is not None
+        for mine in (known.run == run for run in range(len(known.block)))
+    ]
 
 
 def _state(model: Pipeline) -> dict[str, Any]:
@@ -188,28 +233,35 @@ def _restored(state: Mapping[str, Any], floors: Mapping[str, float]) -> Pipeline
     return model
 
 
-def _scorer(facts: Mapping[str, Any], models: list[dict[str, Any]]) -> CrossConformalScorer:
-    design, calibration = facts["design"], facts["calibration"]
+def _scorer(
+    described: Mapping[str, Any],
+    floors: Mapping[str, float],
+    models: list[dict[str, Any]],
+    windows: list[dict[str, Any]],
+) -> CrossConformalScorer:
+    run_features, window_features = described["run_features"], described["window_features"]
     scorer = CrossConformalScorer(
-        Design(
-            Mahalanobis(),
-            tuple(design["run_features"]),
-            tuple(design["window_features"]),
-            design["floors"],
-        )
+        Design(Mahalanobis(), tuple(run_features), tuple(window_features), floors)
     )
-    scorer.fold_ = np.array(calibration["fold"], dtype=np.intp)
-    scorer.block_ = np.array(calibration["block"], dtype=np.int64)
-    scorer.held_out_ = np.array(calibration["held_out"])
-    scorer.centre_, scorer.spread_ = (np.array(calibration[n]) for n in ("centre", "spread"))
+    scorer.fold_ = np.array(described["fold"], dtype=np.intp)
+    scorer.block_ = np.array(described["block"], dtype=np.int64)
+    scorer.held_out_ = np.array(described["held_out"])
+    scorer.centre_, scorer.spread_ = (np.array(described[n]) for n in ("centre", "spread"))
     scorer.scorers_ = []
-    for fold, counted in enumerate(calibration["windows_counted"]):
+    for fold, counted in enumerate(described["windows_counted"]):
         of_fold = RunScorer(scorer.design)
         of_fold.windows_counted_ = counted
         of_fold.models_ = {
-            state["level"]: _restored(state, design["floors"])
-            for state in models
-            if state["fold"] == fold
+            state["level"]: _restored(state, floors) for state in models if state["fold"] == fold
         }
         scorer.scorers_.append(of_fold)
+    scorer.windows_ = _normal_windows(windows, scorer.block_) if window_features else None
     return scorer
+
+
+def _normal_windows(rows: list[dict[str, Any]], block: NDArray[np.int64]) -> NormalWindows:
+    run = np.repeat(np.arange(len(rows)), [len(row["scores"]) for row in rows])
+    scores, start_s = (
+        np.concatenate([row[name] for row in rows]) for name in ("scores", "start_s")
+    )
+    return NormalWindows(scores, start_s, run, block)

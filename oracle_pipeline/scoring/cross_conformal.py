@@ -25,9 +25,11 @@ References
 from typing import Self
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
+from oracle_pipeline.scoring.alarms import NormalWindows
 from oracle_pipeline.scoring.conformal import ConformalError
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.run_scorer import Design, RunScorer
@@ -58,6 +60,8 @@ class CrossConformalScorer:
         Median and scaled MAD of the held-out scores: what brings the levels to one scale.
     held_out_ : ndarray of shape (n_runs,)
         Score of each normal run by the scorer that did not see it.
+    windows_ : NormalWindows or None
+        The same of their windows; None if windows have no features.
     """
 
     def __init__(self, design: Design, folds: int = FOLDS) -> None:
@@ -85,19 +89,25 @@ class CrossConformalScorer:
         self.fold_ = dealt(_held_out_together(runs), self.folds, rng)
         self.scorers_ = []
         by_level: NDArray[np.float64] | None = None
+        of_windows = np.empty(len(runs.run))
         for fold in range(self.fold_.max() + 1):
             out = self.fold_ == fold
-            scorer = RunScorer(self.design).fit(runs.where(~out))
-            scores = scorer.score(runs.where(out))
+            held_out, scorer = runs.where(out), RunScorer(self.design).fit(runs.where(~out))
+            scores = scorer.score(held_out)
             if by_level is None:
                 by_level = np.empty((len(out), scores.shape[1]))
             by_level[out] = scores
+            if self.design.window_features:
+                of_windows[out[runs.run]] = scorer.score_windows(held_out.windows)
             self.scorers_.append(scorer)
         assert by_level is not None  # noqa: S101 -- `dealt` gives three folds at least
         self.centre_ = np.median(by_level, axis=0)
         deviation = MAD_TO_DEVIATION * np.median(np.abs(by_level - self.centre_), axis=0)
         self.spread_ = np.where(deviation > 0.0, deviation, 1.0)
         self.held_out_ = self._combined(by_level)
+        self.windows_ = None
+        if self.design.window_features:
+            self.windows_ = NormalWindows(of_windows, runs.start_s, runs.run, runs.block)
         return self
 
     def scores(self, runs: MeasuredRuns) -> NDArray[np.float64]:
@@ -157,11 +167,31 @@ class CrossConformalScorer:
             The median over the folds; for a run of a known block, the score of the scorer that did
             not see it.
         """
-        own = np.median(scores, axis=0)
-        for run, name in enumerate(() if block is None else block):
-            if len(of_block := self.fold_[self.block_ == name]):
-                own[run] = scores[of_block[0], run]
-        return np.asarray(own, dtype=np.float64)
+        own = np.asarray(np.median(scores, axis=0), dtype=np.float64)
+        if block is not None:
+            names, first = np.unique(self.block_, return_index=True)
+            place = np.minimum(np.searchsorted(names, block), len(names) - 1)
+            (known,) = np.nonzero(names[place] == block)
+            own[known] = scores[self.fold_[first[place[known]]], known]
+        return own
+
+    def window_scores(
+        self, windows: pd.DataFrame, block: NDArray[np.int64] | None = None
+    ) -> NDArray[np.float64]:
+        """Return one score for each window, shape (n_windows,): what `AlarmWatch` is fed.
+
+        A window is scored by itself, so those of a running robot can be scored one by one.
+
+        Parameters
+        ----------
+        windows : DataFrame
+            A row for each window; features that it lacks are missing.
+        block : ndarray of int, shape (n_windows,), optional
+            As for `p_values`, of each window.
+        """
+        known = windows.reindex(columns=list(self.design.window_features))
+        of_folds = np.stack([scorer.score_windows(known) for scorer in self.scorers_])
+        return self.own_score(of_folds, block)
 
     @property
     def smallest_p(self) -> float:

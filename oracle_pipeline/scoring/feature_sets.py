@@ -6,6 +6,7 @@ import pandas as pd
 from oracle_pipeline.datasets import feature_columns, field_metadata
 
 LEFT_OUT = ("thesis",)  # families that are no part of our oracle
+ASPECTS = ("tampering", "misbehaviour")  # what a recording is scored by besides all features
 REDUNDANT = ("redundancy", "pairs")  # families that compare sensors, or a topic and its relay
 
 

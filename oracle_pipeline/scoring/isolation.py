@@ -1,4 +1,4 @@
-"""Features of one recording, computed in a process of its own, within limits.
+"""Work on one recording in a process of its own, within limits.
 
 Whatever a recording does to its process, the others of a suite get their verdicts. Processes are
 forked from a server that has imported everything once.
@@ -8,19 +8,22 @@ import multiprocessing
 import os
 import resource
 import signal
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeVar
 
 from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.features import FeatureManager, FeatureTables, build_manager, extract
 from oracle_pipeline.features.manager import FOLDER_VARIABLE
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.contract import Observation
+
+T = TypeVar("T")
 
 _GIB = 2**30
 
@@ -42,9 +45,6 @@ class Extracted(NamedTuple):
     tables: FeatureTables
     observation: Observation
     has_manifest: bool
-
-
-_Answer: TypeAlias = Extracted | OracleError
 
 
 def extract_apart(
@@ -73,14 +73,38 @@ def extract_apart(
     OracleError
         If the recording cannot be read, or its process died or went beyond the limits.
     """
+    return apart(partial(_extracted, plugins=manager.folder, strict=strict), path, limits)
+
+
+def _extracted(path: Path, plugins: Path | None, *, strict: bool) -> Extracted:
+    with open_run(path, strict=strict) as run:
+        tables = extract(run, build_manager(plugins))
+        return Extracted(tables, Observation.of(run), run.manifest is not None)
+
+
+def apart(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT_LIMITS) -> T:
+    """Return what a function makes of a recording, in another process.
+
+    Parameters
+    ----------
+    work : callable
+        From the path to something picklable; picklable itself.
+    path : Path
+        A run directory or a bag.
+    limits : Limits
+        Of the process.
+
+    Raises
+    ------
+    OracleError
+        If the function raised anything, or the process died or went beyond the limits.
+    """
     receiver, sender = _context().Pipe(duplex=False)
-    process = _context().Process(
-        target=_work, args=(sender, path, manager.folder, limits, strict), daemon=True
-    )
+    process = _context().Process(target=_work, args=(sender, work, path, limits), daemon=True)
     process.start()
     sender.close()  # so that the end of the process is the end of the pipe
     try:
-        answer = _received(receiver, process, path, limits)
+        answer: T | OracleError = _received(receiver, process, path, limits)
     finally:
         process.kill()
         process.join()
@@ -90,35 +114,30 @@ def extract_apart(
     return answer
 
 
-def _received(receiver: Connection, process: BaseProcess, path: Path, limits: Limits) -> _Answer:
+def _received(receiver: Connection, process: BaseProcess, path: Path, limits: Limits) -> Any:
     if not receiver.poll(limits.seconds):
         raise BagError(
             f"{path} took longer than {limits.seconds:g} s, the limit (--time-limit); raise it, "
             "or cut the recording into shorter ones."
         )
     try:
-        answer: _Answer = receiver.recv()
+        return receiver.recv()
     except EOFError:
         process.join()
         raise BagError(
             f"The process that read {path} died ({_death(process.exitcode)}); perhaps there was "
             "not enough memory for it. Please report the recording."
         ) from None
-    return answer
 
 
-def _work(
-    sender: Connection, path: Path, plugins: Path | None, limits: Limits, strict: bool
-) -> None:
-    """Compute in the other process, and send the result."""
+def _work(sender: Connection, work: Callable[[Path], object], path: Path, limits: Limits) -> None:
+    """Work in the other process, and send the result."""
     size = int(limits.gibibytes * _GIB)
     resource.setrlimit(resource.RLIMIT_DATA, (size, size))
     os.environ.pop(FOLDER_VARIABLE, None)  # the server may have an older one
-    answer: _Answer
+    answer: object
     try:
-        with open_run(path, strict=strict) as run:
-            tables = extract(run, build_manager(plugins))
-            answer = Extracted(tables, Observation.of(run), run.manifest is not None)
+        answer = work(path)
     except MemoryError:
         answer = BagError(
             f"{path} needs more than {limits.gibibytes:g} GiB of memory, the limit "

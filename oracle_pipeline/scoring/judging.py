@@ -17,14 +17,17 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import progress_bar
 from oracle_pipeline.detectors import by_family, explain
 from oracle_pipeline.features import FeatureManager, FeatureTables
+from oracle_pipeline.scoring.alarms import RATE_PER_H, Alarm, AlarmWatch
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.comparable import same_recording, shared_features
 from oracle_pipeline.scoring.conformal import adjusted_for_suite, runs_needed
 from oracle_pipeline.scoring.contract import Observation
+from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.evidence import farthest_features
 from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS, Limits, extract_apart
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.scoring.verdict import ScoringError, Verdict
+from oracle_pipeline.scoring.verdict import AspectScore, ScoringError, Verdict
+from oracle_pipeline.windows import WINDOW_S
 
 
 class CardSource(Protocol):
@@ -80,6 +83,7 @@ def settled(verdicts: Sequence[Verdict], far: float) -> list[Verdict]:
     With few normal runs the correction can make an alarm on one recording impossible, however
     unusual it is. Then a recording that is not anomalous is unsupported, not normal.
     """
+    verdicts = _aspects_in_suite(verdicts)
     scored = [verdict for verdict in verdicts if verdict.p_value is not None]
     p = np.array([verdict.p_value for verdict in scored], dtype=np.float64)
     adjusted = iter(adjusted_for_suite(p).tolist() if len(p) else [])
@@ -87,6 +91,18 @@ def settled(verdicts: Sequence[Verdict], far: float) -> list[Verdict]:
         verdict if verdict.p_value is None else _in_suite(verdict, next(adjusted), len(scored), far)
         for verdict in verdicts
     ]
+
+
+def _aspects_in_suite(verdicts: Sequence[Verdict]) -> list[Verdict]:
+    """Correct the p-values of each aspect for the recordings that are judged together."""
+    corrected = list(verdicts)
+    for name in dict.fromkeys(name for verdict in verdicts for name in verdict.aspects):
+        places = [n for n, verdict in enumerate(verdicts) if name in verdict.aspects]
+        p = np.array([verdicts[n].aspects[name].p_value for n in places])
+        for n, adjusted in zip(places, adjusted_for_suite(p).tolist(), strict=True):
+            aspect = replace(corrected[n].aspects[name], suite_p_value=adjusted)
+            corrected[n] = replace(corrected[n], aspects={**corrected[n].aspects, name: aspect})
+    return corrected
 
 
 def _in_suite(verdict: Verdict, p: float, size: int, far: float) -> Verdict:
@@ -153,10 +169,10 @@ def _scored(
     """
     columns, notes = shared_features(tables.run, card.runs, card.scorer.design.run_features)
     block = _known_block(tables.run, card)
-    scores = card.scorer.scores(_measured(tables, card))
-    known = None if block is None else np.array([block])
-    (p,) = card.scorer.p_values(scores, known)
+    measured = _measured(tables, card)
+    headline = _by(card.scorer, measured, block)
     votes = len(np.unique(card.scorer.block_)) - (block is not None)
+    alarms, per_hour = _alarms(card.scorer, measured, block)
     if block is not None:
         notes.append("It is of a block of the reference: all runs of that block are left out.")
     others = card.runs if block is None else card.runs[card.runs["block"] != block]
@@ -165,9 +181,12 @@ def _scored(
         recording,
         "unsupported",  # until it is settled at a rate, alone or in a suite
         contract=_breaches(card, seen),
-        p_value=float(p),
-        suite_p_value=float(p),
-        score=float(card.scorer.own_score(scores, known)[0]),
+        p_value=headline.p_value,
+        suite_p_value=headline.p_value,
+        score=headline.score,
+        aspects={name: _by(scorer, measured, block) for name, scorer in card.aspects.items()},
+        alarms=alarms,
+        alarms_per_h=per_hour,
         features=len(columns),
         normal_runs=len(others),
         normal_blocks=votes,
@@ -175,6 +194,31 @@ def _scored(
         families=tuple(by_family(deviations, columns)),
         notes=tuple(notes),
     )
+
+
+def _by(scorer: CrossConformalScorer, measured: MeasuredRuns, block: int | None) -> AspectScore:
+    """Return p-value and score of one recording."""
+    scores, known = scorer.scores(measured), None if block is None else np.array([block])
+    p = float(scorer.p_values(scores, known)[0])
+    return AspectScore(p, p, float(scorer.own_score(scores, known)[0]))
+
+
+def _alarms(
+    scorer: CrossConformalScorer, measured: MeasuredRuns, block: int | None
+) -> tuple[tuple[Alarm, ...], float | None]:
+    """Return the alarms of one recording, and how many false ones an hour are promised at most."""
+    if scorer.windows_ is None:
+        return (), None
+    normal = scorer.windows_ if block is None else scorer.windows_.without(block)
+    rule = normal.rule(max(RATE_PER_H, normal.lowest_rate()))
+    watch, known = (
+        AlarmWatch(rule),
+        None if block is None else np.full(len(measured.windows), block),
+    )
+    scores = scorer.window_scores(measured.windows, known)
+    ends_s = measured.start_s + WINDOW_S
+    raised = (watch.feed(*each) for each in zip(ends_s.tolist(), scores.tolist(), strict=True))
+    return tuple(alarm for alarm in raised if alarm is not None), rule.per_hour
 
 
 def _breaches(card: ReferenceCard, seen: Observation | None) -> tuple[str, ...]:

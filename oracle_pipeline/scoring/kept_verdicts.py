@@ -11,7 +11,8 @@ from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.detectors import FamilyDeviation
-from oracle_pipeline.scoring.verdict import Evidence, Verdict
+from oracle_pipeline.scoring.alarms import Alarm
+from oracle_pipeline.scoring.verdict import AspectScore, Evidence, Verdict
 
 VERSION = 1
 
@@ -69,6 +70,8 @@ def _verdict(document: Mapping[str, Any]) -> Verdict:
         **{
             **document,
             "contract": tuple(document["contract"]),
+            "aspects": {name: AspectScore(**of) for name, of in document["aspects"].items()},
+            "alarms": tuple(Alarm(**each) for each in document["alarms"]),
             "evidence": tuple(Evidence(**each) for each in document["evidence"]),
             "families": tuple(FamilyDeviation(*each) for each in document["families"]),
             "notes": tuple(document["notes"]),

@@ -11,7 +11,7 @@ from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.comparable import same_kind, shared_features
 from oracle_pipeline.scoring.contract import Contract
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
-from oracle_pipeline.scoring.feature_sets import feature_sets
+from oracle_pipeline.scoring.feature_sets import ASPECTS, feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.reference import Reference
 from oracle_pipeline.scoring.run_scorer import Design
@@ -43,24 +43,33 @@ def learn(reference: Reference) -> ReferenceCard:
         windows = pd.DataFrame({"run_id": table["run_id"], "window_start_s": 0.0})
     runs = MeasuredRuns.ordered(table, windows)
     scorer = learned_scorer(runs)
+    sets = feature_sets(runs.features)
+    aspects = {name: learned_scorer(runs, name) for name in ASPECTS if name in sets}
     contract = Contract.learned(reference.observations) if reference.observations else None
-    return ReferenceCard(scorer, runs.features, contract, tuple(notes))
+    return ReferenceCard(scorer, runs.features, contract, tuple(notes), aspects)
 
 
-def learned_scorer(normal: MeasuredRuns) -> CrossConformalScorer:
+def learned_scorer(normal: MeasuredRuns, features: str = "all") -> CrossConformalScorer:
     """Return the scorer that learns from these normal runs.
+
+    Parameters
+    ----------
+    normal : MeasuredRuns
+    features : str
+        Name of the set that it looks at (`feature_sets`).
 
     Raises
     ------
     OracleError
         They are too few, or have no feature.
     """
-    return CrossConformalScorer(design(normal)).fit(normal, np.random.default_rng(SEED))
+    looked_at = design(normal, features)
+    return CrossConformalScorer(looked_at).fit(normal, np.random.default_rng(SEED))
 
 
-def design(runs: MeasuredRuns) -> Design:
-    """Return what the oracle looks at: all its features that these runs and their windows have."""
-    columns = feature_sets(runs.features).get("all", [])
+def design(runs: MeasuredRuns, features: str = "all") -> Design:
+    """Return what is looked at: the features of a set that these runs and their windows have."""
+    columns = feature_sets(runs.features).get(features, [])
     if not columns:
         raise ScoringError("The normal runs have no feature with a value; extract them again.")
     of_windows = set(feature_columns(runs.windows))

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from oracle_pipeline.bags.terminal import aligned_lines
 from oracle_pipeline.detectors import FamilyDeviation
+from oracle_pipeline.scoring.alarms import RATE_PER_H
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.conformal import runs_needed
 from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
@@ -50,6 +51,11 @@ def as_text(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> st
     if judged:
         over = f", adjusted for a suite of {len(judged)} (Benjamini-Hochberg)"
         lines += ["", f"Anomalous: p <= {far:g}{over if len(judged) > 1 else ''}."]
+        if any(verdict.aspects for verdict in verdicts):
+            lines.append(
+                "Tampering (what messages say) and misbehaviour (what the robot did) each have a "
+                f"p-value <= {far:g} in so many normal recordings."
+            )
     return "\n".join([*lines, *shared, *notes])
 
 
@@ -62,6 +68,8 @@ def card_as_text(card: ReferenceCard) -> str:
         f"{runs['session'].nunique()} sessions.",
         f"Features: {len(scorer.design.run_features)} of recordings, "
         f"{len(scorer.design.window_features)} of windows.",
+        f"Scores beside the verdict: {', '.join(card.aspects) or 'none'}.",
+        _alarms_as_text(card),
         _contract_as_text(card),
         *(_support(blocks, rate) for rate in RATES),
         *card.notes,
@@ -74,6 +82,20 @@ def _support(blocks: int, rate: float) -> str:
     if blocks >= needed:
         return f"Supports verdicts at a false positive rate of {rate:.0%}."
     return f"Supports no verdict at {rate:.0%}: {needed} blocks are needed, {needed - blocks} more."
+
+
+def _alarms_as_text(card: ReferenceCard) -> str:
+    """Return which rate of false alarms the hours of the recordings support."""
+    windows = card.scorer.windows_
+    if windows is None:
+        return "No alarms within a recording: the recordings have no features of windows."
+    lowest = windows.lowest_rate()
+    if lowest <= RATE_PER_H:
+        return f"Supports alarms within a recording, with at most {RATE_PER_H:g} false an hour."
+    return (
+        f"Supports alarms within a recording, with at most {lowest:.2g} false an hour; "
+        f"{RATE_PER_H:g} takes {lowest / RATE_PER_H:.1f} times as many hours of normal blocks."
+    )
 
 
 def _contract_as_text(card: ReferenceCard) -> str:
@@ -104,10 +126,31 @@ def paragraph(verdict: Verdict, shared: Sequence[str] = ()) -> Iterator[str]:
         f"p = {verdict.suite_p_value:.3g}{suite}, score {verdict.score:.3g}"
     )
     yield from (f"    {breach}" for breach in verdict.contract)
+    yield from (f"    {line}" for line in (*_aspects(verdict), *_alarms(verdict)))
     if verdict.outcome != "normal":
         yield from aligned_lines([HEADINGS, *map(cells, verdict.evidence)], indent="    ")
-        yield from (f"    {family_summary(family)}" for family in verdict.families)
+        yield from (f"    {family_as_text(family)}" for family in verdict.families)
     yield from (f"    {remark}" for remark in _remarks(verdict) if remark not in shared)
+
+
+def _aspects(verdict: Verdict) -> Iterator[str]:
+    """Yield a line on what was altered and what the robot did, each with a p-value of its own."""
+    scored = [
+        f"{name} p = {aspect.suite_p_value:.3g} (score {aspect.score:.3g})"
+        for name, aspect in verdict.aspects.items()
+    ]
+    if scored:
+        yield f"{', '.join(scored).capitalize()}."
+
+
+def _alarms(verdict: Verdict) -> Iterator[str]:
+    """Yield a line on the alarms within the recording."""
+    if verdict.alarms:
+        times = ", ".join(f"{alarm.time_s:g} s" for alarm in verdict.alarms)
+        yield (
+            f"Alarm at {times} (at most {verdict.alarms_per_h:.2g} false alarms an hour are "
+            "promised)."
+        )
 
 
 def cells(evidence: Evidence) -> tuple[str, ...]:
@@ -124,7 +167,7 @@ def cells(evidence: Evidence) -> tuple[str, ...]:
     )
 
 
-def family_summary(family: FamilyDeviation) -> str:
+def family_as_text(family: FamilyDeviation) -> str:
     """Return a sentence on the features of one family."""
     return (
         f"{family.family}: {family.unusual} of {family.compared} features outside their usual "

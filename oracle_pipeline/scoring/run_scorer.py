@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline
@@ -87,14 +88,16 @@ class RunScorer:
             if level == "run":
                 scores.append(-model.score_samples(runs.features[list(self.design.run_features)]))
             else:
-                scores.append(top_windows(self.score_windows(runs), runs, self.windows_counted_))
+                scores.append(
+                    top_windows(self.score_windows(runs.windows), runs, self.windows_counted_)
+                )
         return np.column_stack(scores)
 
-    def score_windows(self, runs: MeasuredRuns) -> NDArray[np.float64]:
-        """Return the score of each window, shape (n_windows,)."""
+    def score_windows(self, windows: pd.DataFrame) -> NDArray[np.float64]:
+        """Return the score of each row of a window table, shape (n_windows,)."""
         columns = list(self.design.window_features)
         return np.asarray(
-            -self.models_["windows"].score_samples(runs.windows[columns]), dtype=np.float64
+            -self.models_["windows"].score_samples(windows[columns]), dtype=np.float64
         )
 
 

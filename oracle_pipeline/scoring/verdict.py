@@ -1,10 +1,12 @@
 """The verdict on one recording: normal or anomalous, with p-values and evidence."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.detectors import FamilyDeviation
+from oracle_pipeline.scoring.alarms import Alarm
 
 # Unsupported: there is a score, but too few normal runs for a verdict at the rate asked for.
 Judgement: TypeAlias = Literal["normal", "anomalous", "unsupported", "error"]
@@ -30,6 +32,15 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True)
+class AspectScore:
+    """How unusual a recording is in one aspect: what its messages say, or what the robot did."""
+
+    p_value: float  # among the normal blocks, by the features of the aspect alone
+    suite_p_value: float  # adjusted for the recordings judged together
+    score: float
+
+
+@dataclass(frozen=True, slots=True)
 class Verdict:
     """The judgement of one recording and all that it rests on; an error has no numbers."""
 
@@ -39,6 +50,9 @@ class Verdict:
     p_value: float | None = None  # share of normal blocks that score at least as high
     suite_p_value: float | None = None  # adjusted for the recordings judged together
     score: float | None = None  # 0 is the median of normal runs, 1 their spread; higher is odder
+    aspects: Mapping[str, AspectScore] = field(default_factory=dict)  # of these it has features
+    alarms: tuple[Alarm, ...] = ()  # in the order of time
+    alarms_per_h: float | None = None  # false ones that are promised at most; None: not watched
     features: int = 0
     normal_runs: int = 0
     normal_blocks: int = 0  # that vote

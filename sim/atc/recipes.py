@@ -8,7 +8,7 @@ import numpy as np
 
 from sim.atc.airspace import Flight, Waypoint
 from sim.campaigns import Campaign, Storage
-from sim.seeds import node_generator, sequence
+from sim.seeds import attack_seed, node_generator
 
 SETTLING_S = 15.0  # three turns of the radars, before the recording begins
 
@@ -49,7 +49,7 @@ class AtcRecipe:
 
     def attack_seed(self) -> int:
         """Return the key of the attack's own, counter-based randomness."""
-        return int(sequence(self.seed, ATTACK, self.block).generate_state(1, np.uint64)[0])
+        return attack_seed(self.seed, ATTACK, self.block)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the recipe as JSON knows it."""

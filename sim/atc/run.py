@@ -50,19 +50,21 @@ class AtcRun:
     ----------
     domain : Domain
         The system's graph.
+    node : ScenarioNode or None
+        The mode's node; None as long as it is not there.
     """
 
     def __init__(self, recipe: AtcRecipe, folder: Path) -> None:
         self._recipe = recipe
         self._program = compile_document(recipe.mode, recipe.scenario)
         activation = self._program.activation
-        if activation.after == "goal_accepted":
+        if activation.after == "goal_accepted" or activation.until_goal is not None:
             raise self._program.scenario.error(
-                ("activation", "onset", "after"), "expected start: air traffic has no goals"
+                ("activation",), "expected no goal: air traffic has none; count from the start"
             )
         self._start_ns = round(SETTLING_S * SECOND)  # of the recording
         self._onset_ns = self._start_ns + round(activation.seconds * SECOND)
-        self._node: ScenarioNode | None = None
+        self.node: ScenarioNode | None = None
         self._folder = folder
         self._air = AirSpace(recipe.flights, recipe.session.wind)
         self._executor = Executor(on_advance=self._air.advance_to)
@@ -80,8 +82,8 @@ class AtcRun:
     def _start_node(self) -> None:
         """Put the mode's node into the graph."""
         execution = execute(self._program, self._recipe.attack_seed(), self._recipe.parameters)
-        self._node = ScenarioNode(self.domain, NODE, execution, latency_ns=self._latency_ns)
-        self._node.begin(self._onset_ns)
+        self.node = ScenarioNode(self.domain, NODE, execution, latency_ns=self._latency_ns)
+        self.node.begin(self._onset_ns)
 
     def _add_sensors(self) -> None:
         recipe, domain, air = self._recipe, self.domain, self._air
@@ -129,6 +131,7 @@ class AtcRun:
             run=recipe.run,
             block=recipe.block,
             session=recipe.session.index,
+            world="airspace",
             seed=recipe.seed,
             start=schema.Pose(0.0, 0.0, 0.0),
             goals=(),
@@ -136,10 +139,11 @@ class AtcRun:
             outcome="succeeded",
             onset_s=onset_s if onset_s <= recipe.duration_s else None,
             attack=recipe.parameters,
+            attack_seed=recipe.attack_seed(),
             scenario=scenario.id,
             scenario_hash=scenario.digest,
             task_effect=None,  # there is no task that could come out otherwise
-            changes=() if self._node is None else self._node.changes(self._start_ns),
+            changes=() if self.node is None else self.node.changes(self._start_ns),
             recording_s=recipe.duration_s,
             contacts=(),
             topics=self._bag.topics,

@@ -13,7 +13,15 @@ import click
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
-from sim.campaigns import DEFAULT_SEED, Campaign, OdometrySource, Options, Wiring
+from sim.campaigns import (
+    DEFAULT_SEED,
+    ArenaChoice,
+    Campaign,
+    Navigation,
+    OdometrySource,
+    Options,
+    Wiring,
+)
 from sim.commands.progress import RunProgress
 from sim.fan_out import fan_out, process_pool
 
@@ -65,6 +73,17 @@ _CAMPAIGN_OPTIONS = (
         "--odometry-source", default="world", show_default=True,
         type=click.Choice(get_args(OdometrySource)),
         help="Source of /odom: ground truth, as on Humble, or the wheel encoders.",
+    ),
+    click.option(
+        "--arena", default=lambda: Campaign.from_environment().options.arena,
+        type=click.Choice(get_args(ArenaChoice)),
+        help="World of the runs; drawn: hexagon, house and random arenas take turns, block by "
+        "block.  [default: $ORACLE_ARENA or drawn]",
+    ),
+    click.option(
+        "--nav2", default="tuned", show_default=True, type=click.Choice(get_args(Navigation)),
+        help="Settings of Nav2: tuned to the narrow gaps of the hexagon, or stock, with which the "
+        "collision monitor slows the robot down near walls.",
     ),
     click.option("--cameras", is_flag=True, help="Depth camera on: 15 MB a second."),
     click.option(

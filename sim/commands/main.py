@@ -43,4 +43,5 @@ main.places |= {
     "mutate": "sim.commands.mutate:mutate",
     "record": "sim.commands.record:record",
     "scenario": "sim.commands.scenario:scenario",
+    "serve": "sim.commands.serve:serve",
 }

@@ -1,32 +1,47 @@
 """``oracle-sim mutate``: a scenario over a recorded bag."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Self
 
 import click
 
+from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.reader import RawMessage
+from oracle_pipeline.bags.run_directory import MANIFEST_FILE
 from oracle_pipeline.bags.terminal import progress_bar
+from sim.campaigns import DEFAULT_SEED
 from sim.commands.batch import (
     allow_actuation_option,
     errors_told,
-    seed_option,
 )
 from sim.commands.parameter_values import typed
+from sim.experiments import recipe_of
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.offline import mutate_bag
+from sim.fuzzing.scenario import Scenario
 from sim.modes import find_mode
 
 
 @click.command("mutate")
 @click.argument("bag_in", type=click.Path(path_type=Path))
 @click.argument("bag_out", type=click.Path(path_type=Path))
-@click.argument("scenario", metavar="SCENARIO")
+@click.argument("scenario", metavar="[SCENARIO]", required=False)
+@click.option(
+    "--like", metavar="RUN", type=click.Path(path_type=Path, file_okay=False, exists=True),
+    help="Repeat the attack of a recorded run: its scenario (unless SCENARIO is another), its "
+    "parameters, seed, onset and end.",
+)  # fmt: skip
 @click.option(
     "--at", "at_s", type=click.FloatRange(min=0), metavar="SECONDS",
     help="Onset in seconds of the recording.  [default: what the scenario says]",
 )  # fmt: skip
-@seed_option
+@click.option(
+    "--seed", type=click.IntRange(min=0),
+    help=f"What all randomness comes from.  [default: that of --like, or {DEFAULT_SEED}]",
+)  # fmt: skip
 @click.option(
     "-p", "--parameter", "words", multiple=True, metavar="NAME=VALUE",
     help="A parameter's value in place of its default; may be given more than once.",
@@ -35,31 +50,85 @@ from sim.modes import find_mode
 def mutate(
     bag_in: Path,
     bag_out: Path,
-    scenario: str,
+    scenario: str | None,
+    like: Path | None,
     at_s: float | None,
-    seed: int,
+    seed: int | None,
     words: tuple[str, ...],
     allow_actuation: bool,
 ) -> None:
     """Apply a scenario to a recorded bag, without a simulator.
 
     BAG_IN is any rosbag2. BAG_OUT gets all of its topics, the scenario's output and its ground
-    truth. SCENARIO is the name of a built-in scenario or a file (FILE#NAME if it holds several).
+    truth. SCENARIO is the name of a built-in scenario or a file (FILE#NAME if it holds several);
+    with --like it is that of the recorded run.
 
     \b
     Examples:
         oracle-sim mutate data/runs/lidar_passthrough/run000/bag noisy random_noise -p level=0.02
         oracle-sim mutate my_robot_bag spoofed my_scenario.yaml --at 12.5
+        oracle-sim mutate my_robot_bag spoofed --like data/runs/fake_object/run000
     """  # noqa: D301 -- click reads the control character
     with errors_told():
-        mode = find_mode(scenario, allow_actuation=allow_actuation)
-        program = compile_scenario(mode.scenario, allow_actuation=allow_actuation)
-        summary = mutate_bag(bag_in, bag_out, program, seed, at_s, typed(program, words), _bar)
+        attack = _Attack() if like is None else _Attack.of(like)
+        chosen = attack.scenario
+        if scenario is not None:
+            chosen = find_mode(scenario, allow_actuation=allow_actuation).scenario
+        if chosen is None:
+            raise click.UsageError("Say what to apply: a SCENARIO, or --like RUN.")
+        program = compile_scenario(chosen, allow_actuation=allow_actuation)
+        known = {name: v for name, v in attack.parameters.items() if name in program.parameters}
+        summary = mutate_bag(
+            bag_in,
+            bag_out,
+            program,
+            attack.seed if seed is None else seed,
+            attack.onset_s if at_s is None else at_s,
+            {**known, **typed(program, words)},
+            _bar,
+            attack.goals_s,
+        )
     click.echo(
         f"{bag_out}: onset at {summary.onset_s:.1f} s, {summary.heard} messages of "
         f"{program.input_topic} heard, {summary.touched} touched, {summary.published} published "
         f"on {program.output_topic}"
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Attack:
+    """What of a recorded run its attack is repeated from."""
+
+    scenario: Scenario | None = None
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = DEFAULT_SEED
+    onset_s: float | None = None
+    goals_s: tuple[float, ...] | None = None
+
+    @classmethod
+    def of(cls, run: Path) -> Self:
+        """Return the attack of a run directory.
+
+        Raises
+        ------
+        OracleError
+            If there is no manifest, it holds no recipe, or the attack never began.
+        """
+        manifest = Manifest.load(run / MANIFEST_FILE)
+        recipe = recipe_of(manifest)
+        if manifest.onset_s is None:
+            raise RunDirectoryError(
+                f"In {run}, {manifest.scenario} never began, so there is no attack to repeat; "
+                "name another run, or a SCENARIO and --at."
+            )
+        document = manifest.recipe["scenario"]
+        return cls(
+            Scenario(f"recipe of {manifest.key}", document, {(): 1}),
+            recipe.parameters,
+            recipe.attack_seed(),
+            manifest.onset_s,
+            tuple(result.accepted_s for result in manifest.goal_results),
+        )
 
 
 def _bar(messages: Iterable[RawMessage], total: int) -> Iterable[RawMessage]:

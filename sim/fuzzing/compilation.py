@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -70,6 +71,10 @@ def compile_scenario(
     faults = Faults()
     with faults.gathered():
         kind = _message_type(scenario, main["type"], ("main", "type"))
+        outputs = {
+            name: (spec["topic"], _message_type(scenario, spec["type"], ("outputs", name, "type")))
+            for name, spec in document.get("outputs", {}).items()
+        }
     limits = document.get("limits", {})
     parameters = _parameters(scenario, faults)
     constants = _constants(scenario, faults)
@@ -85,7 +90,7 @@ def compile_scenario(
         scenario,
         _scope(scenario, given),
         kind,
-        kind,
+        {"": (main["output"], kind), **outputs},
         Record("state", state_types),
         limits.get("array", LONGEST),
         itertools.count(ACTIVATION + 1),
@@ -141,9 +146,10 @@ def compile_scenario(
         as_sent=as_sent(kind),
         input_topic=main["input"],
         output_topic=main["output"],
+        further_outputs=dict(outputs.values()),
         sources=sources,
         parameters=parameters,
-        activation=_activation(document.get("activation", {})),
+        activation=_activation(scenario),
         cost=cost,
         constants={name: value for name, (_, value) in constants.items()},
         state=state,
@@ -161,20 +167,26 @@ def compile_scenario(
 
 def _check_topics(scenario: Scenario, *, allow_actuation: bool) -> None:
     main = scenario.document["main"]
-    output, key = main["output"], ("main", "output")
-    heard = [main["input"], *(s["topic"] for s in scenario.document.get("sources", {}).values())]
-    if output in heard:
-        raise scenario.error(
-            key, f"expected a topic that the scenario does not hear, found {output}"
-        )
-    if GROUND_TRUTH_TOPIC in (output, *heard):
+    sources = [spec["topic"] for spec in scenario.document.get("sources", {}).values()]
+    spoken: list[tuple[Key, str, str]] = [(("main", "output"), main["output"], main["type"])]
+    for name, spec in scenario.document.get("outputs", {}).items():
+        spoken.append((("outputs", name, "topic"), spec["topic"], spec["type"]))
+    topics = [topic for _, topic, _ in spoken]
+    for place, (key, topic, kind) in enumerate(spoken):
+        if topic in sources or (place and topic == main["input"]):
+            raise scenario.error(
+                key, f"expected a topic that the scenario does not hear, found {topic}"
+            )
+        if topic in topics[:place]:
+            raise scenario.error(key, f"expected a topic of its own, {topic} stands above")
+        if moves_something(topic, kind) and not allow_actuation:
+            raise scenario.error(
+                key,
+                f"expected a topic that moves nothing, found {topic}; allow actuation if you must: "
+                f"{kind} there may move the robot",
+            )
+    if GROUND_TRUTH_TOPIC in (main["input"], *topics, *sources):
         raise scenario.error(("main",), f"expected no use of {GROUND_TRUTH_TOPIC}")
-    if moves_something(output, main["type"]) and not allow_actuation:
-        raise scenario.error(
-            key,
-            f"expected a topic that moves nothing, found {output}; allow actuation if you must: "
-            f"{main['type']} there may move the robot",
-        )
 
 
 def _message_type(scenario: Scenario, name: str, key: Key) -> Message:
@@ -209,9 +221,22 @@ def _action(spec: Mapping[str, Any], key: Key, context: CompileContext) -> Actio
     return Action(spec["name"], when, let, compile_operators(spec["do"], (*key, "do"), inner))
 
 
-def _activation(spec: Mapping[str, Any]) -> Activation:
+def _activation(scenario: Scenario) -> Activation:
+    spec = scenario.document.get("activation", {})
     rest = {key: value for key, value in spec.items() if key != "onset"}
-    return Activation(**spec.get("onset", {}), **rest)
+    activation = Activation(**spec.get("onset", {}), **rest)
+    if "goal" in spec.get("onset", {}) and activation.after != "goal_accepted":
+        raise scenario.error(
+            ("activation", "onset", "goal"), "expected after: goal_accepted beside the goal"
+        )
+    begins = activation.goal if activation.after == "goal_accepted" else 1
+    if activation.until_goal is not None and activation.until_goal <= begins:
+        raise scenario.error(
+            ("activation", "until_goal"),
+            f"expected a goal after the one at which it begins, {begins}, "
+            f"found {activation.until_goal}",
+        )
+    return activation
 
 
 def _scalar(spec: Mapping[str, Any]) -> Type:
@@ -222,6 +247,8 @@ def _parameters(scenario: Scenario, faults: Faults) -> dict[str, Parameter]:
     parameters = {}
     for name, spec in scenario.document.get("parameters", {}).items():
         key = ("parameters", name)
+        with faults.gathered():
+            _check_draw(scenario, spec, key)
         parameter = Parameter(
             name, _scalar(spec), spec["default"], spec.get("min"), spec.get("max")
         )
@@ -229,6 +256,25 @@ def _parameters(scenario: Scenario, faults: Faults) -> dict[str, Parameter]:
             default = _default(scenario, key, parameter)
             parameters[name] = dataclasses.replace(parameter, default=default)
     return parameters
+
+
+def _check_draw(scenario: Scenario, spec: Mapping[str, Any], key: Key) -> None:
+    """Refuse a parameter that says it is drawn and not from what."""
+    how = spec.get("draw")
+    if how is None:
+        return
+    at = (*key, "draw")
+    if spec["type"] not in ("float", "int"):
+        raise scenario.error(at, f"expected a number to be drawn, found a {spec['type']}")
+    if "drawn" in spec:
+        raise scenario.error(at, "expected either draw or drawn: the block gives the value already")
+    low, high = spec.get("min"), spec.get("max")
+    if low is None or high is None or not low <= high:
+        raise scenario.error(at, "expected a min and a max that is not below it")
+    if how == "log" and low <= 0:
+        raise scenario.error(at, f"expected a min above 0 for equal ratios, found {low}")
+    if spec["type"] == "int" and math.ceil(low) > math.floor(high):
+        raise scenario.error(at, f"expected a whole number from {low} to {high}, there is none")
 
 
 def _default(scenario: Scenario, key: Key, parameter: Parameter) -> Any:

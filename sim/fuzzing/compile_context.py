@@ -44,8 +44,8 @@ class CompileContext:
         What expressions may name.
     root
         What paths of fields begin at.
-    output
-        The type that is emitted.
+    outputs
+        Where messages can be emitted: name -> topic and type; the main output has no name.
     state
         What is kept from message to message.
     longest
@@ -65,7 +65,7 @@ class CompileContext:
     scenario: Scenario
     scope: Scope
     root: Message
-    output: Message
+    outputs: Mapping[str, tuple[str, Message]]
     state: Record
     longest: int
     numbers: Iterator[int]

@@ -6,12 +6,14 @@ where it has none), never by what came before, and times are those at which mess
 published, which is what a recorder notes.
 """
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from sim.fuzzing.drawn_parameters import drawn_values
 from sim.fuzzing.fields import RefusedMessage
 from sim.fuzzing.ground_truth import GroundTruth
 from sim.fuzzing.program import Program
@@ -34,6 +36,7 @@ class Output(NamedTuple):
 
     due_ns: int
     message: Any
+    topic: str
 
 
 class Result(NamedTuple):
@@ -55,7 +58,7 @@ def execute(
     run_seed
         With the scenario's own seed, the key of all draws.
     parameters
-        Values that are to be others than the defaults.
+        Values that are to be others than those drawn for the run, or the defaults.
 
     Raises
     ------
@@ -63,6 +66,7 @@ def execute(
         If there is no such parameter, or it cannot have that value.
     """
     values = {name: parameter.default for name, parameter in program.parameters.items()}
+    values |= drawn_values(program.scenario, run_seed)
     for name, value in (parameters or {}).items():
         if name not in values:
             known = ", ".join(values) or "none"
@@ -90,6 +94,8 @@ class Execution:
     ----------
     timer_period_ns : int or None
         How often ``on_timer`` is due, first one period after the onset.
+    ends_s : float
+        From the onset to the goal at which the scenario ends, once that is known.
     """
 
     def __init__(self, program: Program, draws: Draws, parameters: Mapping[str, Any]) -> None:
@@ -104,6 +110,8 @@ class Execution:
         self._source_ns: dict[str, int] = {}
         self._recent: deque[Any] = deque(maxlen=program.memory + 1)
         self._memory: dict[int, Any] = {}
+        self.ends_s = math.inf
+        self._acted = 0
         self._heard = 0
         self._published = 0
         self._frame_id = ""
@@ -176,12 +184,13 @@ class Execution:
                 operation = self._transform(step)
             except RefusedMessage as refused:
                 reason = str(refused)
+        self._acted += operation != PASSTHROUGH
         if reason is None and self.program.scenario.control != "shadow":
             if step.message is sent:  # it keeps its identity and its bytes
                 step.message = message
             outputs = self._outputs(step)
         else:
-            outputs = [Output(stamp_ns, message)]
+            outputs = [Output(stamp_ns, message, self.program.output_topic)]
         if reason is not None:
             step.magnitude, step.notes = 0.0, [reason]
         return Result(outputs, self._truth(step, truth_ns, operation, outputs))
@@ -198,7 +207,7 @@ class Execution:
             From the onset to ``now_ns``.
         """
         timer, control = self.program.timer, self.program.scenario.control
-        is_active = control != "passthrough" and self.program.activation.includes(t_s)
+        is_active = control != "passthrough" and self._is_active(t_s)
         if timer is None or not is_active or self._missing_source(now_ns):
             return Result([], None)
         step = self._step(now_ns, now_ns, {"state": self._state, "src": self._sources, "t": t_s})
@@ -209,6 +218,7 @@ class Execution:
         timer(step)
         if not step.emitted:
             return Result([], None)
+        self._acted += 1
         outputs = [] if control == "shadow" else self._outputs(step)
         return Result(outputs, self._truth(step, now_ns, timer.name, outputs))
 
@@ -242,12 +252,18 @@ class Execution:
         program = self.program
         if program.scenario.control == "passthrough":
             return "unchanged"
-        if not program.activation.includes(t_s):
+        if not self._is_active(t_s):
             return "not active"
         share = program.activation.probability
         if share < 1.0 and step.generator(ACTIVATION).random() >= share:
             return "spared"
         return None
+
+    def _is_active(self, t_s: float) -> bool:
+        activation = self.program.activation
+        if not activation.includes(t_s) or t_s >= self.ends_s:
+            return False
+        return activation.messages is None or self._acted < activation.messages
 
     def _missing_source(self, stamp_ns: int) -> tuple[str, str] | None:
         """Return what is not known of a source, and what is to be done then."""
@@ -296,8 +312,9 @@ class Execution:
         if not step.dropped:
             for copy in range(step.copies):
                 later_s = step.delay_s + copy * step.spacing_s
-                outputs.append(Output(step.stamp_ns + round(later_s * SECOND), step.message))
-        outputs += [Output(step.stamp_ns, message) for message in step.emitted]
+                due_ns = step.stamp_ns + round(later_s * SECOND)
+                outputs.append(Output(due_ns, step.message, self.program.output_topic))
+        outputs += [Output(step.stamp_ns, message, topic) for topic, message in step.emitted]
         return outputs[: self.program.outputs]
 
     def _truth(

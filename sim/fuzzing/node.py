@@ -1,7 +1,9 @@
 """The node that a scenario is: it stands between the topic that it hears and the one it speaks on.
 
-What is published instead is worked out in ``sim.fuzzing.execution``, for this node and for a
-recorded bag alike. What it changed it tells on the hidden ground-truth topic.
+A scenario whose output is its input is no node: what is published there is altered at its source,
+and everybody hears the altered one. What is published instead is worked out in
+``sim.fuzzing.execution``, for the simulator and for a recorded bag alike. What was changed is told
+on the hidden ground-truth topic.
 """
 
 import functools
@@ -15,12 +17,12 @@ from sim.fuzzing.ground_truth import in_bins
 from sim.fuzzing.program import Program
 from sim.fuzzing.scenario import Key
 from sim.middleware import qos
-from sim.middleware.domain import Domain
+from sim.middleware.domain import Domain, Publisher, Sample, Subscription
 from sim.middleware.executor import SECOND
-from sim.middleware.node import Node
+from sim.middleware.node import Node, Timer
 
 
-class ScenarioNode(Node):
+class ScenarioNode:
     """Run a scenario.
 
     It hears what was published ``latency_ns`` ago and publishes that much later than its scenario
@@ -31,11 +33,12 @@ class ScenarioNode(Node):
     domain
         Where the node lives; what it hears is there already.
     name
-        The same for every scenario of a testbed, so that no graph tells them apart.
+        The same for every scenario of a testbed, so that no graph tells them apart. In place there
+        is no node: who publishes the topic publishes and hears what the scenario does.
     execution
         One run of a program.
     latency_ns
-        From the publication of a message to the answer.
+        From the publication of a message to the answer; in place there is none.
 
     Raises
     ------
@@ -46,37 +49,95 @@ class ScenarioNode(Node):
     def __init__(
         self, domain: Domain, name: str, execution: Execution, *, latency_ns: int = 0
     ) -> None:
-        program = execution.program
+        self._program = program = execution.program
         _check_topics(domain, program)
-        super().__init__(domain, name, latency_ns=latency_ns)
+        self._domain = domain
+        self._executor = domain.executor
         self._execution = execution
         self._onset_ns: int | None = None
+        self._timer: Timer | None = None
         self._changes: list[tuple[int, float]] = []  # when, and how much at most
-        self._output = self.create_publisher(program.type.name, program.output_topic)
-        self._truth = self.create_publisher(GROUND_TRUTH_TYPE, GROUND_TRUTH_TOPIC)
+        self._latency_ns = 0 if program.is_in_place else latency_ns
+        if program.is_in_place:
+            altered = list(domain.publishers(program.input_topic))
+            self._owner = altered[0].node
+            self._outputs = {program.output_topic: altered[0].send}
+        else:
+            self._owner = name
+            Node(domain, name, latency_ns=latency_ns)
+            self._outputs = {
+                program.output_topic: self._publisher(program.output_topic, program.type.name)
+            }
+        self._tell = self._publisher(GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE)
+        for topic, kind in program.further_outputs.items():
+            self._outputs[topic] = self._publisher(topic, kind.name)
         for source, spec in program.sources.items():
-            hear = functools.partial(self._on_source, source)
-            self.create_subscription(spec.type.name, spec.topic, hear, qos.SENSOR_DATA)
-        self.create_subscription(
-            program.type.name, program.input_topic, self._on_message, qos.SENSOR_DATA
-        )
+            self._hear(spec.topic, spec.type.name, functools.partial(self._on_source, source))
+        if program.is_in_place:
+            for publisher in altered:
+                publisher.alter = functools.partial(self._on_publication, publisher)
+        else:
+            self._hear(program.input_topic, program.type.name, self._on_message)
 
     def begin(self, onset_ns: int) -> None:
         """Let the scenario act from ``onset_ns`` on; until then every message is handed on."""
         self._onset_ns = onset_ns
         period_ns = self._execution.timer_period_ns
         if period_ns is not None:
-            first_ns = onset_ns + period_ns + self.latency_ns
-            self.create_timer(period_ns, self._on_timer, phase_ns=first_ns - self.now_ns)
+            first_ns = onset_ns + period_ns + self._latency_ns
+            self._timer = Timer(self._domain, period_ns, self._on_timer, first_ns)
+
+    def end(self, end_ns: int) -> None:
+        """Let the scenario act no more from ``end_ns`` on."""
+        self._execution.ends_s = -math.inf
+        if self._onset_ns is not None:
+            self._execution.ends_s = (end_ns - self._onset_ns) / SECOND
+
+    def switch(self, execution: Execution) -> None:
+        """Run another scenario from now on, with its onset now.
+
+        Raises
+        ------
+        ScenarioError
+            If it hears or publishes what this node does not.
+        """
+        program, now = execution.program, self._execution.program
+        known = {(name, source.topic, source.type.name) for name, source in now.sources.items()}
+        asked = {(name, source.topic, source.type.name) for name, source in program.sources.items()}
+        main = (program.input_topic, program.output_topic, program.type.name)
+        further = program.further_outputs.keys() - self._outputs.keys()
+        same = main == (now.input_topic, now.output_topic, now.type.name)
+        if not same or further or not asked <= known:
+            raise program.scenario.error(
+                ("main",),
+                f"expected a scenario from {now.input_topic} to {now.output_topic} with no other "
+                f"sources than {', '.join(now.sources) or 'none'}, as that of the node is, found "
+                f"{program.input_topic} to {program.output_topic} with "
+                f"{', '.join(program.sources) or 'none'}",
+            )
+        if self._timer is not None:
+            self._timer.cancel()
+        self._execution = execution
+        self.begin(self._executor.now_ns)
 
     def changes(self, start_ns: int) -> tuple[Change, ...]:
         """Return what was changed since ``start_ns``, in bins of five seconds from there."""
         return in_bins(self._changes, start_ns)
 
+    def _publisher(self, topic: str, msgtype: str) -> Any:
+        return self._domain.add_publisher(self._owner, msgtype, topic, qos.DEFAULT).publish
+
+    def _hear(self, topic: str, msgtype: str, callback: Any) -> None:
+        self._domain.add_subscription(
+            Subscription(
+                self._owner, topic, msgtype, qos.SENSOR_DATA, callback, False, self._latency_ns
+            )
+        )
+
     @property
     def _heard_ns(self) -> int:
         """When what is heard now was published."""
-        return self.now_ns - self.latency_ns
+        return self._executor.now_ns - self._latency_ns
 
     @property
     def _t_s(self) -> float:
@@ -86,25 +147,40 @@ class ScenarioNode(Node):
         return (self._heard_ns - self._onset_ns) / SECOND
 
     def _on_source(self, source: str, message: Any) -> None:
-        self._execution.on_source(source, message, self._heard_ns)
+        if source in self._execution.program.sources:  # it may have been switched to one with less
+            self._execution.on_source(source, message, self._heard_ns)
 
     def _on_message(self, message: Any) -> None:
         self._publish(self._execution.on_message(message, self._heard_ns, self._t_s))
 
+    def _on_publication(self, publisher: Publisher, sample: Sample) -> None:
+        """Alter a message at its source; one that stays as it is keeps its bytes."""
+        message = sample.message
+        result = self._execution.on_message(message, self._heard_ns, self._t_s)
+        if len(result.outputs) == 1 and result.outputs[0].message is message:
+            output = result.outputs[0]
+            if output.due_ns == self._heard_ns:
+                publisher.send(message, sample.data)
+                result = result._replace(outputs=[])
+        self._publish(result, publisher)
+
     def _on_timer(self) -> None:
         self._publish(self._execution.on_timer(self._heard_ns, self._t_s))
 
-    def _publish(self, result: Result) -> None:
-        for due_ns, message in result.outputs:
+    def _publish(self, result: Result, source: Publisher | None = None) -> None:
+        for due_ns, message, topic in result.outputs:
+            send = self._outputs[topic]
+            if source is not None and topic == source.topic:
+                send = source.send
             if due_ns > self._heard_ns:
-                self.call_later(due_ns - self._heard_ns, self._output.publish, message)
+                self._executor.call_at(due_ns + self._latency_ns, send, message)
             else:
-                self._output.publish(message)
+                send(message)
         truth = result.truth
         if truth is not None:
-            self._truth.publish(truth.message())
+            self._tell(truth.message())
             if truth.magnitude > 0.0:
-                self._changes.append((self.now_ns, truth.magnitude))
+                self._changes.append((self._executor.now_ns, truth.magnitude))
 
 
 def _check_topics(domain: Domain, program: Program) -> None:
@@ -122,9 +198,14 @@ def _check_topics(domain: Domain, program: Program) -> None:
                 f"expected a topic of type {msgtype} that is there ({', '.join(same) or 'none'}), "
                 f"found {topic}",
             )
-    output = domain.topics.get(program.output_topic, program.type.name)
-    if output != program.type.name:
+    if program.is_in_place and not any(domain.publishers(program.input_topic)):
         raise program.scenario.error(
             ("main", "output"),
-            f"expected a topic that is no {output}, found {program.output_topic}",
+            f"expected a topic that somebody publishes, found {program.input_topic}",
         )
+    spoken = {program.output_topic: program.type, **program.further_outputs}
+    for topic, kind in spoken.items():
+        known = domain.topics.get(topic, kind.name)
+        if known != kind.name:
+            key = ("main", "output") if topic == program.output_topic else ("outputs",)
+            raise program.scenario.error(key, f"expected a topic that is no {known}, found {topic}")

@@ -7,7 +7,7 @@ with the scenario's own ground truth. All other topics keep their messages, stam
 import dataclasses
 import heapq
 import itertools
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -62,6 +62,7 @@ def mutate_bag(
     at_s: float | None = None,
     parameters: Mapping[str, Any] | None = None,
     track: Track = _untracked,
+    goals_s: Sequence[float] | None = None,
 ) -> Summary:
     """Run a program over a bag.
 
@@ -79,9 +80,11 @@ def mutate_bag(
         Onset in seconds of the recording; by default what the scenario says, for which the bag
         may have to show when a goal was accepted.
     parameters : mapping, optional
-        Values that are to be others than the defaults.
+        Values that are to be others than those drawn by the seed, or the defaults.
     track : callable, optional
         Gets the bag's messages and their number, and gives them back one by one: a progress bar.
+    goals_s : sequence of float, optional
+        When each goal was accepted, in seconds of the recording; by default as the bag shows.
 
     Raises
     ------
@@ -93,7 +96,11 @@ def mutate_bag(
     execution = execute(program, run_seed, parameters)
     with BagReader(bag_in) as reader:
         _check_topics(reader, program)
-        onset_ns = _onset_ns(reader, program, at_s)
+        goals = _Goals(reader, goals_s)
+        onset_ns = _onset_ns(reader, program, goals, at_s)
+        until = program.activation.until_goal
+        if until is not None and (end_ns := goals.accepted_ns(until)) is not None:
+            execution.ends_s = (end_ns - onset_ns) / SECOND
         with BagWriter(bag_out, _storage(bag_in)) as writer:
             run = _Run(reader, writer, execution, onset_ns)
             for message in track(reader.messages(), reader.message_count):
@@ -136,8 +143,10 @@ class _Run:
         for topic in reader.topics.values():
             defined = reader.definition(topic.msgtype)
             writer.add_topic(topic.name, topic.msgtype, topic.qos, defined)
-        if program.output_topic not in reader.topics:
-            writer.add_topic(program.output_topic, program.type.name, [qos.DEFAULT])
+        outputs = {program.output_topic: program.type, **program.further_outputs}
+        for name, kind in outputs.items():
+            if name not in reader.topics:
+                writer.add_topic(name, kind.name, [qos.DEFAULT])
         writer.add_topic(GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE, [qos.DEFAULT])
 
     def take(self, raw: RawMessage) -> None:
@@ -146,6 +155,8 @@ class _Run:
         if raw.topic != self._program.output_topic:
             self._writer.write(*raw)
         if raw.stamp_ns < self._onset_ns and self._program.activation.before == "absent":
+            if self._program.is_in_place and raw.topic == self._program.input_topic:
+                self._writer.write(*raw)  # by who publishes it, as long as nothing alters it
             return
         for name in self._source_names.get(raw.topic, ()):
             self._execution.on_source(name, self._decode(raw), raw.stamp_ns)
@@ -176,14 +187,9 @@ class _Run:
 
     def _publish(self, result: Result, now_ns: int, message: Any = None, data: bytes = b"") -> None:
         """Put what a message or a beat led to in the queue; what came keeps its bytes."""
-        program = self._program
-        for due_ns, output in result.outputs:
+        for due_ns, output, topic in result.outputs:
             same = output is message
-            self._put(
-                due_ns,
-                program.output_topic,
-                data if same else serialize(output, program.type.name),
-            )
+            self._put(due_ns, topic, data if same else serialize(output, output.__msgtype__))
         if result.truth is not None:
             self.touched += result.truth.operation != PASSTHROUGH
             if result.truth.magnitude > 0.0:
@@ -235,7 +241,8 @@ def _check_topics(reader: BagReader, program: Program) -> None:
                 f"{reader.path} has no topic {name}, which {program.scenario.id} hears; of type "
                 f"{msgtype} it has {', '.join(same) or 'none'}. Name one of these in the scenario."
             )
-    for name, msgtype in {**needed, program.output_topic: program.type.name}.items():
+    spoken = {topic: kind.name for topic, kind in program.further_outputs.items()}
+    for name, msgtype in {**needed, **spoken, program.output_topic: program.type.name}.items():
         if name in reader.topics and reader.topics[name].msgtype != msgtype:
             raise BagError(
                 f"{reader.path} has {name} as {reader.topics[name].msgtype}, "
@@ -243,35 +250,54 @@ def _check_topics(reader: BagReader, program: Program) -> None:
             )
 
 
-def _onset_ns(reader: BagReader, program: Program, at_s: float | None) -> int:
+class _Goals:
+    """When goals were accepted during a recording."""
+
+    def __init__(self, reader: BagReader, accepted_s: Sequence[float] | None) -> None:
+        self._reader = reader
+        self._stamps_ns: list[int] | None = None
+        if accepted_s is not None:
+            self._stamps_ns = [reader.start_ns + round(s * SECOND) for s in accepted_s]
+
+    def accepted_ns(self, number: int) -> int | None:
+        """Return when a goal was accepted, counted from 1; None if the recording shows none."""
+        if self._stamps_ns is None:
+            self._stamps_ns = list(_goals_ns(self._reader))
+        return self._stamps_ns[number - 1] if number <= len(self._stamps_ns) else None
+
+
+def _onset_ns(reader: BagReader, program: Program, goals: _Goals, at_s: float | None) -> int:
     activation = program.activation
     if at_s is not None:
         return reader.start_ns + round(at_s * SECOND)
     begin_ns: int | None = reader.start_ns
     if activation.after == "goal_accepted":
-        begin_ns = _first_goal_ns(reader)
+        begin_ns = goals.accepted_ns(activation.goal)
     if begin_ns is None:
         raise BagError(
-            f"{reader.path} does not show when a goal was accepted ({_STATUS_TOPIC}, "
-            f"{_LOG_TOPIC}); say when {program.scenario.id} is to begin, in seconds of the "
-            "recording."
+            f"{reader.path} does not show when goal {activation.goal} was accepted "
+            f"({_STATUS_TOPIC}, {_LOG_TOPIC}); say when {program.scenario.id} is to begin, in "
+            "seconds of the recording."
         )
     return begin_ns + round(activation.seconds * SECOND)
 
 
-def _first_goal_ns(reader: BagReader) -> int | None:
-    """Return when the first goal was under way, by the action's status or else by the tree's."""
+def _goals_ns(reader: BagReader) -> Iterator[int]:
+    """Yield when each goal was under way, by the action's status or else by the tree's."""
     status = reader.topics.get(_STATUS_TOPIC)
     if status is not None and status.count:
+        known = set[bytes]()
         for raw in reader.messages([_STATUS_TOPIC]):
-            goals = reader.deserialize(raw).status_list
-            if any(goal.status in _UNDER_WAY for goal in goals):
-                return raw.stamp_ns
+            for goal in reader.deserialize(raw).status_list:
+                name = bytes(goal.goal_info.goal_id.uuid)
+                if goal.status in _UNDER_WAY and name not in known:
+                    known.add(name)
+                    yield raw.stamp_ns
+        return
     for raw in reader.messages([_LOG_TOPIC]):
         for change in reader.deserialize(raw).event_log:
             if change.node_name == _ROOT and change.current_status == "RUNNING":
-                return raw.stamp_ns
-    return None
+                yield raw.stamp_ns
 
 
 def _storage(path: Path) -> Literal["mcap", "sqlite3"]:

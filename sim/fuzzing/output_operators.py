@@ -8,7 +8,8 @@ from sim.fuzzing.compile_context import CompileContext, Spec
 from sim.fuzzing.fields import Convert, Field, converter, with_fields, zero
 from sim.fuzzing.scenario import Key
 from sim.fuzzing.step import Step, Term
-from sim.fuzzing.value_types import Message, Number
+from sim.fuzzing.value_types import Message, Number, has_header
+from sim.middleware.stamps import header as make_header
 
 MAX_OUTPUTS = 1000  # for one message
 
@@ -126,6 +127,7 @@ class Emit:
     """Publish one message more: a copy of the one that came, or a new one."""
 
     is_copy: bool
+    topic: str
     output: Message
     fields: tuple[tuple[Field, Convert, Term], ...]
     cost: int
@@ -133,25 +135,37 @@ class Emit:
     @classmethod
     def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
         """Check and compile."""
-        is_copy = "copy" in spec
+        is_copy, to = "copy" in spec, spec.get("to", "")
+        if to not in context.outputs:
+            known = ", ".join(name for name in context.outputs if name) or "none"
+            raise context.scenario.error((*key, "to"), f"expected one of {known}, found {to}")
+        topic, output = context.outputs[to]
+        if is_copy and output != context.outputs[""][1]:
+            raise context.scenario.error(
+                (*key, "copy"), f"expected no copy: {to} is of another type"
+            )
         if is_copy and "msg" not in context.scope.names:
             raise context.scenario.error((*key, "copy"), "expected no copy: a timer has no message")
         fields = []
         for path, text in spec["fields"].items():
             place = (*key, "fields", path)
-            field = context.field_at(path, place, context.output)
+            field = context.field_at(path, place, output)
             value = context.term(text, place)
             context.check_fits(value, field, place)
             fields.append((field, converter(field.type), value))
         cost = 1 + sum(value.cost + context.width(field.type) for field, _, value in fields)
-        return cls(is_copy, context.output, tuple(fields), cost)
+        return cls(is_copy, topic, output, tuple(fields), cost)
 
     def __call__(self, step: Step) -> None:
         """Do it."""
-        message = step.original if self.is_copy else restamped(zero(self.output), step.header)
+        message = step.original
+        if not self.is_copy:
+            message = zero(self.output)
+            if has_header(self.output):
+                message = restamped(message, step.header or make_header(step.stamp_ns, ""))
         for place, convert, value in self.fields:
             message = place.replaced(message, convert(value(step), place.read(message)))
-        step.emitted.append(message)
+        step.emitted.append((self.topic, message))
         step.note(1.0, "1 emitted")
 
 

@@ -8,9 +8,7 @@ import numpy as np
 
 from sim.fuzzing.scenario import Scenario
 from sim.fuzzing.step import Operator, Step, Term
-from sim.fuzzing.value_types import Boolean, Message, Number, Record, Text, Type
-
-_HEADER = "std_msgs/msg/Header"
+from sim.fuzzing.value_types import Boolean, Message, Number, Record, Text, Type, has_header
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +70,12 @@ class Activation:
     """When a scenario acts."""
 
     after: Literal["start", "goal_accepted"] = "start"
+    goal: int = 1  # which one, counted from 1
     seconds: float = 0.0  # from then to the onset
     before: Literal["forward", "absent"] = "forward"  # absent: the node appears at the onset
     duration_s: float | None = None  # None: to the end
+    messages: int | None = None  # it acts on so many, beats of the timer included
+    until_goal: int | None = None  # it ends when this one is accepted
     probability: float = 1.0  # that a message is touched
 
     def includes(self, t_s: float) -> bool:
@@ -123,6 +124,7 @@ class Program:
     as_sent: Callable[[Any], Any]  # takes its messages as a recorder sees them
     input_topic: str
     output_topic: str
+    further_outputs: Mapping[str, Message]  # topic -> type
     sources: Mapping[str, Source]
     parameters: Mapping[str, Parameter]
     activation: Activation
@@ -142,5 +144,9 @@ class Program:
     @property
     def has_header(self) -> bool:
         """Whether messages carry a stamp."""
-        header = self.type.fields.get("header")
-        return isinstance(header, Message) and header.name == _HEADER
+        return has_header(self.type)
+
+    @property
+    def is_in_place(self) -> bool:
+        """Whether messages are altered at their source."""
+        return self.input_topic == self.output_topic

@@ -35,7 +35,7 @@ class Step:
     delay_s: float = 0.0
     copies: int = 1
     spacing_s: float = 0.0
-    emitted: list[Any] = field(default_factory=list)
+    emitted: list[tuple[str, Any]] = field(default_factory=list)  # by topic
     magnitude: float = 0.0
     notes: list[str] = field(default_factory=list)
     branch: int = 0

@@ -210,3 +210,9 @@ def listable(kind: Type) -> Type | None:
             return Array(FLOAT, length, fixed=True)
         case _:
             return None
+
+
+def has_header(kind: Message) -> bool:
+    """Tell whether messages of a type carry a stamp."""
+    header = kind.fields.get("header")
+    return isinstance(header, Message) and header.name == "std_msgs/msg/Header"

@@ -104,6 +104,8 @@ class Publisher:
     retained: deque[Sample] | None = None  # for late subscribers, when latched
     messages: int = 0
     message_bytes: int = 0  # sent while a recorder listened; else nothing need be serialised
+    # Takes what is published, and sends what it likes instead; the graph does not show it.
+    alter: Callable[[Sample], None] | None = None
     _recorders: list[Callable[[bytes], None]] = field(default_factory=list)
     _listeners: list["_Listener"] = field(default_factory=list)
 
@@ -112,6 +114,13 @@ class Publisher:
 
         ``data`` are its CDR bytes, if the caller has them cheaper than by serialising.
         """
+        if self.alter is None:
+            self.send(message, data)
+        else:
+            self.alter(Sample(self.msgtype, message, data))
+
+    def send(self, message: Any, data: bytes | None = None) -> None:
+        """Send a message object as it is, even where what is published is altered."""
         self.messages += 1
         if self._recorders:
             if data is None:
@@ -127,7 +136,10 @@ class Publisher:
             call_at(due_ns, hear, message)
 
     def publish_serialized(self, data: bytes) -> None:
-        """Send CDR bytes as they are; they become a message if somebody listens."""
+        """Send CDR bytes; they become a message if somebody listens."""
+        if self.alter is not None:
+            self.alter(Sample(self.msgtype, data=data))
+            return
         self.messages += 1
         if self._recorders:
             self.message_bytes += len(data)
@@ -143,6 +155,15 @@ class Publisher:
         for latency_ns, delays, _, deliver in self._listeners:
             due_ns = now_ns + latency_ns if delays is None else delays.due_ns(now_ns, latency_ns)
             call_at(due_ns, deliver, sample)
+
+    def tap(self, callback: Callable[[bytes], None]) -> None:
+        """Hand on the bytes of each message from now on, and of those that are kept for late ones.
+
+        Who taps is no subscriber: nothing in the domain changes.
+        """
+        self._recorders.append(callback)
+        for sample in self.retained or ():
+            callback(sample.data)
 
     def has_subscribers(self) -> bool:
         """Tell whether a sample would reach anyone (Nav2 skips costly messages otherwise)."""

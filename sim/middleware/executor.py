@@ -37,6 +37,16 @@ class Executor:
         heapq.heappush(self._queue, (time_ns, self._scheduled, callback, arguments))
         self._scheduled += 1
 
+    def accompany(self, on_advance: Callable[[int], None]) -> None:
+        """Call another function, too, whenever the clock moves; it must not change what runs."""
+        first = self._on_advance
+
+        def both(now_ns: int) -> None:
+            first(now_ns)
+            on_advance(now_ns)
+
+        self._on_advance = both
+
     def run_until(self, time_ns: int, stop: Callable[[], bool] | None = None) -> None:
         """Run everything due up to and including ``time_ns``.
 

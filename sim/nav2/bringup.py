@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim.campaigns import Navigation
 from sim.middleware.domain import Domain
 from sim.middleware.node import Node
 from sim.middleware.tf import TransformListener
@@ -17,10 +18,16 @@ from sim.nav2.amcl import Amcl
 from sim.nav2.basic_navigator import BasicNavigator
 from sim.nav2.behavior_server import BehaviorServer
 from sim.nav2.bt_navigator import BtNavigator
-from sim.nav2.collision_monitor import SOURCES, CollisionMonitor, Source
+from sim.nav2.collision_monitor import (
+    POLYGONS,
+    SOURCES,
+    STOCK_POLYGONS,
+    CollisionMonitor,
+    Source,
+)
 from sim.nav2.controller_server import ControllerServer
-from sim.nav2.costmap_node import GlobalCostmap, LocalCostmap
-from sim.nav2.dwb_sampling import Parameters
+from sim.nav2.costmap_node import GlobalCostmap, LocalCostmap, StockGlobalCostmap
+from sim.nav2.dwb_sampling import STOCK_SIM_TIME, Parameters
 from sim.nav2.lifecycle import LifecycleManager
 from sim.nav2.map_server import MapServer, OccupancyMap
 from sim.nav2.planner_server import PlannerServer
@@ -55,6 +62,7 @@ def bring_up(
     run: int = 0,
     monitored: Sequence[Source] = SOURCES,
     speed: float = 1.0,
+    settings: Navigation = "tuned",
 ) -> Nav2:
     """Put Nav2 into a domain; it becomes active once AMCL was told where the robot starts.
 
@@ -74,7 +82,10 @@ def bring_up(
         Topics that the collision monitor takes its points from.
     speed
         Share of its maximal speed that the robot may drive and turn at.
+    settings
+        Tuned to narrow gaps, or stock; docs/explanation/navigation.md lists what differs.
     """
+    is_stock = settings == "stock"
 
     def listener(owner: str) -> str:
         """Return what stands for the heap address of a node's transform listener."""
@@ -102,7 +113,7 @@ def bring_up(
         transforms=transforms,
         latency_ns=latency_ns,
     )
-    global_costmap = GlobalCostmap(
+    global_costmap = (StockGlobalCostmap if is_stock else GlobalCostmap)(
         domain,
         listener("global_costmap"),
         OBSTACLE_SOURCES,
@@ -110,7 +121,7 @@ def bring_up(
         transforms=transforms,
         latency_ns=latency_ns,
     )
-    dwb = Parameters()
+    dwb = Parameters(sim_time=STOCK_SIM_TIME) if is_stock else Parameters()
     ControllerServer(
         domain,
         local_costmap,
@@ -118,6 +129,7 @@ def bring_up(
         parameters=dwb._replace(
             max_vel_x=speed * dwb.max_vel_x, max_vel_theta=speed * dwb.max_vel_theta
         ),
+        faces_paths=not is_stock,
         latency_ns=latency_ns,
     )
     SmootherServer(
@@ -134,6 +146,7 @@ def bring_up(
         domain,
         listener("collision_monitor"),
         transforms=transforms,
+        polygons=STOCK_POLYGONS if is_stock else POLYGONS,
         sources=monitored,
         latency_ns=latency_ns,
     )

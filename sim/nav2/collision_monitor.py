@@ -7,7 +7,7 @@ robot, slows it down or lets it approach, as Nav2's collision monitor does on Hu
 import contextlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -83,6 +83,12 @@ POLYGON_SLOW = Polygon(
     "slowdown",
     slowdown_ratio=0.3,
 )
+# As in Humble's parameters: also beside and behind the robot, so that it acts near every wall.
+POLYGON_SLOW_STOCK = replace(
+    POLYGON_SLOW, vertices=0.4 * np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)])
+)
+POLYGONS = (POLYGON_STOP, POLYGON_SLOW)
+STOCK_POLYGONS = (POLYGON_STOP, POLYGON_SLOW_STOCK)
 # Not among the polygons of a run, as in Humble's parameters, where it is defined but not listed.
 FOOTPRINT_APPROACH = Polygon("FootprintApproach", None, FOOTPRINT, "approach", max_points=5)
 
@@ -163,7 +169,7 @@ class CollisionMonitor(LifecycleNode):
         listener: str,
         *,
         transforms: TransformBuffer | None = None,
-        polygons: Sequence[Polygon] = (POLYGON_STOP, POLYGON_SLOW),
+        polygons: Sequence[Polygon] = POLYGONS,
         sources: Sequence[Source] = SOURCES,
         latency_ns: int = 0,
     ) -> None:

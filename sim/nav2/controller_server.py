@@ -19,7 +19,7 @@ from sim.middleware.node import Timer
 from sim.middleware.stamps import stamp_ns
 from sim.middleware.tf import TransformBuffer, TransformError
 from sim.nav2.costmap import Costmap2D
-from sim.nav2.dwb import Cycle
+from sim.nav2.dwb import Cycle, LocalPlanner
 from sim.nav2.dwb_critics import CostGrid
 from sim.nav2.dwb_debug import DebugTopics
 from sim.nav2.dwb_sampling import Parameters
@@ -104,6 +104,8 @@ class ControllerServer(LifecycleNode):
         Transforms from the path's frame into the costmap's.
     parameters
         Of the DWB planner.
+    faces_paths
+        Whether the robot turns towards a new path before DWB takes over (`rotation_shim`).
     """
 
     def __init__(
@@ -113,12 +115,13 @@ class ControllerServer(LifecycleNode):
         transforms: TransformBuffer,
         *,
         parameters: Parameters | None = None,
+        faces_paths: bool = True,
         latency_ns: int = 0,
     ) -> None:
         super().__init__(domain, "/controller_server", latency_ns=latency_ns)
         self._costmap = costmap
         self._transforms = transforms
-        self._planner = RotationShim(parameters)
+        self._planner = RotationShim(parameters) if faces_paths else LocalPlanner(parameters)
         self._progress = ProgressChecker()
         self._goal_checker = GoalChecker()
         self._velocity = (0.0, 0.0)

@@ -359,6 +359,12 @@ class GlobalCostmap(CostmapNode):
         self.set_grid(Costmap2D(costs, meta.resolution, corner.x, corner.y, self.frame))
 
 
+class StockGlobalCostmap(GlobalCostmap):
+    """The same, inflated as Nav2's parameters say."""
+
+    cost_scaling = COST_SCALING
+
+
 def _points32(points: Points) -> list[float]:
     """Return points of shape (n, 2) as ``geometry_msgs/msg/Point32`` has them: x, y, z of each."""
     return [number for x, y in points.tolist() for number in (x, y, 0.0)]

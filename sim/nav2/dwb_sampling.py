@@ -13,12 +13,13 @@ from sim.jit import jit
 from sim.nav2.paths import Poses
 
 _EPSILON = 1e-5
+STOCK_SIM_TIME = 1.7  # [s]
 
 
 class Parameters(NamedTuple):
     """The Waffle's values in ``nav2_params.yaml``; names as there.
 
-    Only ``sim_time`` is ours (there: 1.7 s); why is in docs/explanation/navigation.md.
+    Only ``sim_time`` is ours (there: `STOCK_SIM_TIME`); why is in docs/explanation/navigation.md.
     """
 
     max_vel_x: float = 0.26  # [m/s]; the robot never drives backwards

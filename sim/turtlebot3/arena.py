@@ -1,17 +1,20 @@
-"""The turtlebot3_world: a hexagonal ring, five hexagonal blocks and nine pillars, as geometry.
+"""An arena: what stands where, as geometry; and the turtlebot3_world as the first of them.
 
-Metres in the world frame (x right, y up, seen from above). Physics and rays are in ``world``; the
-map that a robot would have made of it is in ``map``.
+Metres in the world frame (x right, y up, seen from above). Further arenas are drawn in
+``floor_plans``; physics and rays are in ``world``, the map that a robot would have made in ``map``.
 """
 
 import functools
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 Points = NDArray[np.float64]
+ArenaKind = Literal["hexagon", "house", "random"]
 
 _NUMBERS = ("one", "two", "three")
 
@@ -31,6 +34,16 @@ class Hexagon:
     def apothem(self) -> float:
         """Distance of a side from the centre [m]."""
         return self.circumradius * math.sqrt(3.0) / 2.0
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """How far it extends from its centre along x and along y [m]."""
+        return self.circumradius, self.apothem
+
+    def slabs(self) -> Points:
+        """Return the strips that it is the intersection of, as `Box.slabs` does."""
+        angles = (math.pi / 6, math.pi / 2, 5 * math.pi / 6)
+        return np.array([(math.cos(a), math.sin(a), self.apothem) for a in angles])
 
     def corners(self) -> Points:
         """Return the corners, counter-clockwise, shape (6, 2) [m]."""
@@ -52,6 +65,42 @@ class Hexagon:
         distance: NDArray[np.float64] = np.where(
             out > 0.0, np.sqrt(out * out + beyond_corner * beyond_corner), out
         )
+        return distance
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """An upright cuboid that stands on the floor."""
+
+    name: str
+    x: float  # of its centre [m]
+    y: float  # [m]
+    half_x: float  # half its length along its own x axis [m]
+    half_y: float  # [m]
+    yaw: float = 0.0  # counter-clockwise [rad]
+    height: float = 1.0  # [m]
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """How far it extends from its centre along x and along y [m]."""
+        c, s = abs(math.cos(self.yaw)), abs(math.sin(self.yaw))
+        return c * self.half_x + s * self.half_y, s * self.half_x + c * self.half_y
+
+    def slabs(self) -> Points:
+        """Return the strips that it is the intersection of, shape (3, 3).
+
+        Each has the x and y of its unit normal and half its width [m]; the last one is everywhere.
+        """
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return np.array([(c, s, self.half_x), (-s, c, self.half_y), (0.0, 0.0, math.inf)])
+
+    def signed_distance(self, points: Points) -> NDArray[np.float64]:
+        """Return how far points of shape (n, 2) are outside; negative inside [m]."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        x, y = points[:, 0] - self.x, points[:, 1] - self.y
+        along, across = np.abs(c * x + s * y) - self.half_x, np.abs(c * y - s * x) - self.half_y
+        beyond = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
+        distance: NDArray[np.float64] = beyond + np.minimum(np.maximum(along, across), 0.0)
         return distance
 
 
@@ -95,20 +144,62 @@ CYLINDERS: tuple[Cylinder, ...] = tuple(
 )
 
 
-def clearance(points: Points) -> NDArray[np.float64]:
-    """Return the distance of each point to the nearest surface of the world.
+Block: TypeAlias = Hexagon | Box
 
-    Parameters
-    ----------
-    points : ndarray of shape (n, 2)
-        In the world frame [m].
 
-    Returns
-    -------
-    ndarray of shape (n,)
-        Positive where a robot could be, negative inside an obstacle and outside the ring [m].
-    """
-    distances = [-RING.signed_distance(points)]
-    distances += [block.signed_distance(points) for block in BLOCKS]
-    distances += [cylinder.signed_distance(points) for cylinder in CYLINDERS]
-    return functools.reduce(np.minimum, distances)
+@dataclass(frozen=True, slots=True)
+class Arena:
+    """What a robot drives in; an arena without obstacles is its boundary alone."""
+
+    kind: ArenaKind
+    seed: int  # what it was drawn from; 0 where nothing is drawn
+    boundary: Block  # the inside of the wall around
+    blocks: tuple[Block, ...]
+    pillars: tuple[Cylinder, ...]
+
+    @property
+    def id(self) -> str:
+        """Kind and seed: equal for equal worlds."""
+        return f"{self.kind}-{self.seed}"
+
+    def clearance(self, points: Points) -> NDArray[np.float64]:
+        """Return the distance of each point to the nearest surface.
+
+        Parameters
+        ----------
+        points : ndarray of shape (n, 2)
+            In the world frame [m].
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            Positive where a robot could be, negative inside an obstacle and outside the wall [m].
+        """
+        distances = [-self.boundary.signed_distance(points)]
+        distances += [block.signed_distance(points) for block in self.blocks]
+        distances += [pillar.signed_distance(points) for pillar in self.pillars]
+        return functools.reduce(np.minimum, distances)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the arena as JSON knows it."""
+        blocks, pillars = map(asdict, self.blocks), map(asdict, self.pillars)
+        return {**asdict(self), "blocks": list(blocks), "pillars": list(pillars)}
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> Self:
+        """Return the arena that ``to_dict`` gave."""
+        return cls(
+            **{
+                **document,
+                "boundary": _block(document["boundary"]),
+                "blocks": tuple(map(_block, document["blocks"])),
+                "pillars": tuple(Cylinder(**pillar) for pillar in document["pillars"]),
+            }
+        )
+
+
+def _block(document: Mapping[str, Any]) -> Block:
+    return Hexagon(**document) if "circumradius" in document else Box(**document)
+
+
+HEXAGON = Arena("hexagon", 0, RING, BLOCKS, CYLINDERS)

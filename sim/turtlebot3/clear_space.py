@@ -5,20 +5,18 @@ shadow on the floor meets no piece, there is no contact but with the floor.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.jit import jit
-from sim.turtlebot3.arena import Cylinder, Hexagon
+from sim.turtlebot3.arena import Arena, Block, Cylinder
 
 # The ball: its centre in the robot's frame [m], and its radius with 1 cm to spare [m]. Farthest
 # from the centre are the treads of the wheels, 0.193 m.
 CENTRE_X, CENTRE_Z = -0.064, 0.05
 RADIUS = 0.205
-
-_SIDES = np.array([(math.cos(a), math.sin(a)) for a in (math.pi / 6, math.pi / 2, 5 * math.pi / 6)])
 
 
 class ClearSpace:
@@ -26,17 +24,16 @@ class ClearSpace:
 
     Parameters
     ----------
-    ring
-        The wall around, by its inside.
-    blocks, pillars
-        What stands in it.
+    arena
+        The wall around, and what stands in it.
+    obstacles
+        What stands in it besides.
     """
 
-    def __init__(
-        self, ring: Hexagon, blocks: Sequence[Hexagon], pillars: Sequence[Cylinder]
-    ) -> None:
-        self._ring = ring.apothem
-        self._blocks = np.array([(b.x, b.y, b.apothem) for b in blocks]).reshape(-1, 3)
+    def __init__(self, arena: Arena, obstacles: Sequence[Cylinder] = ()) -> None:
+        self._boundary = _rows([arena.boundary])
+        self._blocks = _rows(arena.blocks)
+        pillars = (*arena.pillars, *obstacles)
         self._pillars = np.array([(p.x, p.y, p.radius) for p in pillars]).reshape(-1, 3)
 
     def holds(self, poses: NDArray[np.float64]) -> bool:
@@ -47,13 +44,18 @@ class ClearSpace:
         poses
             Shape (n, 7): x, y, z of ``base_footprint`` [m], and its quaternion w, x, y, z.
         """
-        return _all_clear(poses, self._ring, self._blocks, self._pillars)
+        return _all_clear(poses, self._boundary, self._blocks, self._pillars)
+
+
+def _rows(blocks: Iterable[Block]) -> NDArray[np.float64]:
+    """Return x and y of each block's centre, then its three slabs, shape (n, 11)."""
+    return np.array([(b.x, b.y, *b.slabs().ravel()) for b in blocks]).reshape(-1, 11)
 
 
 @jit
 def _all_clear(
     poses: NDArray[np.float64],
-    ring: float,
+    boundary: NDArray[np.float64],
     blocks: NDArray[np.float64],
     pillars: NDArray[np.float64],
 ) -> bool:
@@ -63,7 +65,7 @@ def _all_clear(
         x += 2.0 * (qx * qz + w * qy) * CENTRE_Z
         y = poses[i, 1] + 2.0 * (qx * qy + w * qz) * CENTRE_X + 2.0 * (qy * qz - w * qx) * CENTRE_Z
         if not (
-            _from_centre(x, y) < ring - RADIUS  # also false for what is not a number
+            _beyond(x, y, boundary[0]) < -RADIUS  # also false for what is not a number
             and _is_outside(x, y, blocks)
             and _is_away(x, y, pillars)
         ):
@@ -72,18 +74,19 @@ def _all_clear(
 
 
 @jit
-def _from_centre(x: float, y: float) -> float:
-    """Return how far a point is out along the axis of a hexagon's sides that is farthest."""
-    out = 0.0
-    for i in range(len(_SIDES)):
-        out = max(out, abs(_SIDES[i, 0] * x + _SIDES[i, 1] * y))
+def _beyond(x: float, y: float, block: NDArray[np.float64]) -> float:
+    """Return how far a point is outside the slab of a block that it is farthest from."""
+    out = -np.inf
+    for i in range(2, 11, 3):
+        along = block[i] * (x - block[0]) + block[i + 1] * (y - block[1])
+        out = max(out, abs(along) - block[i + 2])
     return out
 
 
 @jit
 def _is_outside(x: float, y: float, blocks: NDArray[np.float64]) -> bool:
-    for i in range(len(blocks)):
-        if _from_centre(x - blocks[i, 0], y - blocks[i, 1]) < blocks[i, 2] + RADIUS:
+    for i in range(len(blocks)):  # noqa: SIM110 -- numba has no generators of this kind
+        if _beyond(x, y, blocks[i]) < RADIUS:
             return False
     return True
 

@@ -1,7 +1,7 @@
 """What is drawn for a run on the TurtleBot3 testbed, from the campaign's seed.
 
-Run i of every mode belongs to block i: same start, goals, fake object and session, so that a mode
-and its control differ in the mode only, and in noise where the campaign draws it for each run.
+Run i of every mode belongs to block i: same arena, start, goals, fake object and session, so that a
+mode and its control differ in the mode only, and in noise where the campaign draws it for each run.
 """
 
 import functools
@@ -13,18 +13,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.campaigns import Campaign, Options, RecipeError
+from sim.campaigns import ArenaChoice, Campaign, Options, RecipeError
 from sim.middleware.geometry import Pose2D
 from sim.nav2.costmap import LETHAL, Costmap2D
 from sim.nav2.costmap_layers import static_costs
+from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.footprint import INSCRIBED_RADIUS
 from sim.nav2.inflation import GLOBAL_COST_SCALING, InflationLayer
 from sim.nav2.navfn import plan
-from sim.seeds import generator
+from sim.seeds import attack_seed, generator, sequence
 from sim.testbed import Mode
-from sim.turtlebot3.arena import RING, clearance
-from sim.turtlebot3.map import RESOLUTION_M, WORLD_IN_MAP, odom_in_map, turtlebot3_world_map
+from sim.turtlebot3.arena import Arena
+from sim.turtlebot3.floor_plans import KINDS, draw_arena
+from sim.turtlebot3.map import RESOLUTION_M, WORLD_IN_MAP, occupancy_map, odom_in_map
 from sim.turtlebot3.recipes import (
+    ARENA,
+    ATTACK,
     BLOCK,
     Conditions,
     FakeObject,
@@ -34,6 +38,13 @@ from sim.turtlebot3.sessions import draw_session
 
 MIN_CLEARANCE_M = 0.55  # of start and goals from every obstacle; see docs/explanation/navigation.md
 MIN_LEG_M = 1.5  # straight distance from one goal to the next
+# How much nearer a path must come, along the axes, to the end of what the controller sees of it,
+# for each metre driven. DWB measures that distance through walls: where a path first leads away,
+# as in a turn around the end of a wall, the robot stays where it is.
+MIN_APPROACH = 0.2
+_SEEN_M = 1.5  # half a side of the local costmap
+_FOLLOWED_M = Parameters().forward_prune_distance
+_LOOK_AHEAD_M = 0.3
 FAKE_OBJECT_CLEARANCE_M = 0.6  # of the fake object from start and goals
 MIN_DETOUR = 1.35  # the way around the fake object over the way that it lies across
 _OBJECT_DRAWS = 100
@@ -44,43 +55,66 @@ _FIRST_LATE_LEG = 2  # a delayed attack begins on the second or third leg
 class Block:
     """What the runs of one block share, in the map frame."""
 
+    arena: Arena
     start: Pose2D
     goals: tuple[Pose2D, ...]
     fake_object: FakeObject
 
 
 @functools.cache  # all modes of a block share it
-def draw_block(seed: int, block: int, goals: int) -> Block:
-    """Draw a patrol that can be driven, and a fake object across it.
+def draw_block(seed: int, block: int, goals: int, choice: ArenaChoice = "drawn") -> Block:
+    """Draw an arena, a patrol that can be driven in it, and a fake object across it.
 
     Start and goals keep ``MIN_CLEARANCE_M`` from every obstacle, lie ``MIN_LEG_M`` apart, and the
-    planner finds a path between them.
+    planner finds a path between them that the controller can follow.
     """
+    kind = KINDS[block % len(KINDS)] if choice == "drawn" else choice
+    arena = draw_arena(kind, int(sequence(seed, ARENA, block).generate_state(1)[0]))
     rng = generator(seed, BLOCK, block)
-    grid = planning_grid()
-    stops = [_draw_free_pose(rng)]
+    grid = planning_grid(arena)
+    stops = [_draw_free_pose(rng, arena)]
     legs: list[NDArray[np.float64]] = []
     while len(legs) < goals:
-        stop = _draw_free_pose(rng)
+        stop = _draw_free_pose(rng, arena)
         if stop.distance_to(stops[-1]) < MIN_LEG_M:
             continue
         path = plan(grid, (stops[-1].x, stops[-1].y), (stop.x, stop.y))
-        if path is not None:
+        if path is not None and can_be_followed(path):
             stops.append(stop)
             legs.append(path)
-    return Block(stops[0], tuple(stops[1:]), _draw_fake_object(rng, legs, stops))
+    return Block(arena, stops[0], tuple(stops[1:]), _draw_fake_object(rng, arena, legs, stops))
 
 
-def _draw_free_pose(rng: np.random.Generator) -> Pose2D:
+def can_be_followed(path: NDArray[np.float64]) -> bool:
+    """Tell whether a path of shape (n, 2) in the map frame leads on everywhere (`MIN_APPROACH`)."""
+    driven = np.concatenate([[0.0], np.hypot(*np.diff(path, axis=0).T).cumsum()])
+    for i in range(0, len(path), 4):
+        ahead = driven[i:] - driven[i]
+        beyond = (np.hypot(*(path[i:] - path[i]).T) > _SEEN_M) | (ahead > _FOLLOWED_M)
+        end = int(beyond.argmax()) if beyond.any() else len(ahead) - 1
+        step = int(np.searchsorted(ahead, _LOOK_AHEAD_M))
+        if step >= end:
+            return True  # the goal is near
+        left = np.abs(path[i + end] - path[[i, i + step]]).sum(axis=1)
+        if left[0] - left[1] < MIN_APPROACH * ahead[step]:
+            return False
+    return True
+
+
+def _draw_free_pose(rng: np.random.Generator, arena: Arena) -> Pose2D:
     """Draw a pose in the map frame that keeps clear of everything."""
+    reach = max(arena.boundary.reach)
     while True:
-        x, y = rng.uniform(-RING.circumradius, RING.circumradius, 2).tolist()
-        if clearance(np.array([[x, y]]))[0] >= MIN_CLEARANCE_M:
+        x, y = rng.uniform(-reach, reach, 2).tolist()
+        if arena.clearance(np.array([[x, y]]))[0] >= MIN_CLEARANCE_M:
             return WORLD_IN_MAP.compose(Pose2D(x, y, rng.uniform(-math.pi, math.pi)))
 
 
 def _draw_fake_object(
-    rng: np.random.Generator, legs: list[NDArray[np.float64]], stops: list[Pose2D]
+    rng: np.random.Generator,
+    arena: Arena,
+    legs: list[NDArray[np.float64]],
+    stops: list[Pose2D],
 ) -> FakeObject:
     """Draw a cylinder across the path of a late leg, where the way around it is a detour.
 
@@ -97,15 +131,16 @@ def _draw_fake_object(
         x, y = (middle[rng.integers(len(middle))] + rng.normal(0.0, 0.05, 2)).tolist()
         there = FakeObject(x, y, radius=rng.uniform(0.15, 0.25))
         is_clear = np.hypot(*(avoid - (x, y)).T).min() >= FAKE_OBJECT_CLEARANCE_M
-        detour = _detour(leg, stops[index], stops[index + 1], there) if is_clear else 0.0
+        around = planning_grid(arena, there)
+        detour = _detour(leg, stops[index], stops[index + 1], around) if is_clear else 0.0
         drawn.append((detour, there))
     _, chosen = max(drawn, key=lambda draw: draw[0])
     return chosen
 
 
-def _detour(leg: NDArray[np.float64], begin: Pose2D, end: Pose2D, obstacle: FakeObject) -> float:
-    """Return how many times as long as a leg the way around an obstacle is; 0 if there is none."""
-    around = plan(planning_grid(obstacle), (begin.x, begin.y), (end.x, end.y))
+def _detour(leg: NDArray[np.float64], begin: Pose2D, end: Pose2D, grid: Costmap2D) -> float:
+    """Return how many times as long as a leg the way in another grid is; 0 if there is none."""
+    around = plan(grid, (begin.x, begin.y), (end.x, end.y))
     return 0.0 if around is None else path_length(around) / path_length(leg)
 
 
@@ -117,17 +152,17 @@ def path_length(path: NDArray[np.float64]) -> float:
 _INFLATION = InflationLayer(RESOLUTION_M, INSCRIBED_RADIUS, GLOBAL_COST_SCALING)
 
 
-@functools.cache
-def _empty_world() -> Costmap2D:
-    world = turtlebot3_world_map()
+@functools.lru_cache(maxsize=8)  # see `occupancy_map`
+def _empty_world(arena: Arena) -> Costmap2D:
+    world = occupancy_map(arena)
     costs = static_costs(world.data)
     _INFLATION.add_to(costs)
     return Costmap2D(costs, world.resolution, *world.origin, "map")
 
 
-def planning_grid(obstacle: FakeObject | None = None) -> Costmap2D:
-    """Return the global costmap of the world, empty or with an obstacle in it."""
-    empty = _empty_world()
+def planning_grid(arena: Arena, obstacle: FakeObject | None = None) -> Costmap2D:
+    """Return the global costmap of an arena, without or with an obstacle that is on no map."""
+    empty = _empty_world(arena)
     grid = replace(empty, costs=empty.costs.copy())
     if obstacle is not None:
         rows, columns = (np.arange(cells) + 0.5 for cells in grid.costs.shape)
@@ -158,16 +193,19 @@ def draw(
     """
     if campaign.options.wiring == "absent" and mode.label == "malicious":
         raise RecipeError(f"{mode.id} without its node is no attack; take a passthrough mode.")
-    block = draw_block(campaign.seed, run, campaign.goals_per_run)
+    block = draw_block(campaign.seed, run, campaign.goals_per_run, campaign.options.arena)
     return TurtleBot3Recipe(
         mode=mode.id,
         scenario=mode.scenario.document,
-        parameters=mode.parameters(_drawn(block, campaign.options), parameters),
+        parameters=mode.parameters(
+            _drawn(block, campaign.options), parameters, attack_seed(campaign.seed, ATTACK, run)
+        ),
         conditions=Conditions(**mode.conditions),
         run=run,
         block=run,
         seed=campaign.seed,
         session=draw_session(campaign.seed, campaign.session_of(run)),
+        arena=block.arena,
         start=block.start,
         goals=block.goals,
         fake_object=block.fake_object,

@@ -1,7 +1,8 @@
-"""The map that Nav2 ships for this world, as an occupancy grid, and what lies where in it.
+"""The map of an arena, as an occupancy grid, and what lies where in it.
 
-The original was made by SLAM: walls are one or two cells thick, what no ray reached is unknown,
-and the whole is turned and shifted a little against the world. Figures: docs/explanation/world.md.
+As the map that Nav2 ships for the turtlebot3_world, which was made by SLAM: walls are one or two
+cells thick, what no ray reached is unknown, and the whole is turned and shifted a little against
+the world. Figures: docs/explanation/world.md.
 """
 
 import functools
@@ -13,11 +14,12 @@ from numpy.typing import NDArray
 from sim.campaigns import OdometrySource
 from sim.middleware.geometry import Pose2D
 from sim.nav2.map_server import OccupancyMap
-from sim.turtlebot3.arena import clearance
+from sim.turtlebot3.arena import Arena
 
 RESOLUTION_M = 0.05
 CELLS = 384  # a side
 ORIGIN_M = -10.0  # of both axes
+MARGIN_M = 0.5  # of the map of a drawn arena, around its walls
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1  # nav_msgs/msg/OccupancyGrid
 
@@ -28,20 +30,35 @@ WORLD_IN_MAP = Pose2D(0.030, -0.002, math.radians(-1.05))
 _BEFORE_M, _BEHIND_M = 0.025, 0.065
 
 
-@functools.cache
-def turtlebot3_world_map() -> OccupancyMap:
-    """Return the map of the world without additional obstacles; treat it as read-only."""
-    centres = ORIGIN_M + RESOLUTION_M * (np.arange(CELLS) + 0.5)
-    x, y = np.meshgrid(centres, centres)
-    points = WORLD_IN_MAP.inverse().apply(np.column_stack([x.ravel(), y.ravel()]))
-    distance = clearance(points).reshape(CELLS, CELLS)
-    reachable = distance > 0.0  # one piece: a robot gets everywhere where there is room
+# A campaign goes through its arenas block by block.
+@functools.lru_cache(maxsize=8)
+def occupancy_map(arena: Arena) -> OccupancyMap:
+    """Return the map of an arena without additional obstacles; treat it as read-only."""
+    origin, (width, height) = _extent(arena)
+    x, y = (
+        o + RESOLUTION_M * (np.arange(n) + 0.5)
+        for o, n in zip(origin, (width, height), strict=True)
+    )
+    centres = np.column_stack([axis.ravel() for axis in np.meshgrid(x, y)])
+    distance = arena.clearance(WORLD_IN_MAP.inverse().apply(centres)).reshape(height, width)
+    reachable = distance > 0.0
     seen = _widened(reachable, 2)
-    data = np.full((CELLS, CELLS), UNKNOWN, np.int8)
+    data = np.full((height, width), UNKNOWN, np.int8)
     data[reachable] = FREE
     data[seen & (distance <= _BEFORE_M) & (distance > -_BEHIND_M)] = OCCUPIED
     data.flags.writeable = False
-    return OccupancyMap(data, RESOLUTION_M, (ORIGIN_M, ORIGIN_M))
+    return OccupancyMap(data, RESOLUTION_M, origin)
+
+
+def _extent(arena: Arena) -> tuple[tuple[float, float], tuple[int, int]]:
+    """Return the outer corner of cell (0, 0) [m], and how many cells there are along x and y."""
+    if arena.kind == "hexagon":  # as in the original, most of which is unknown
+        return (ORIGIN_M, ORIGIN_M), (CELLS, CELLS)
+    reach = np.array(arena.boundary.reach) + MARGIN_M
+    corners = WORLD_IN_MAP.apply(np.array([(i, j) for i in (-1, 1) for j in (-1, 1)]) * reach)
+    cells = np.ceil(np.abs(corners).max(axis=0) / RESOLUTION_M).astype(int).tolist()
+    origin = (-RESOLUTION_M * cells[0], -RESOLUTION_M * cells[1])
+    return origin, (2 * cells[0], 2 * cells[1])
 
 
 def _widened(cells: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:

@@ -9,13 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sim.middleware.geometry import Pose2D
-from sim.turtlebot3.arena import BLOCKS, CYLINDERS, RING, RING_THICKNESS, Cylinder, Hexagon
+from sim.turtlebot3.arena import HEXAGON, RING_THICKNESS, Arena, Block, Box, Cylinder, Hexagon
 
 STEP_NS = 5_000_000
 
 WHEEL_RADIUS_M = 0.033
 WHEEL_SEPARATION_M = 0.287  # the diff drive's figure; the model's geometry says 0.288
 MAX_WHEEL_TORQUE_NM = 20.0
+WALL_THICKNESS = 0.15  # of the walls around a drawn arena [m]
 # A stiffer motor would reach its set-point within one step, and kick the robot off the floor.
 _MOTOR_GAIN = 0.2  # [N m s/rad]
 
@@ -39,14 +40,16 @@ class WorldParameters:
     mass: float = 1.0  # of the robot, relative to the model
     obstacles: Sequence[Cylinder] = ()  # real ones that are on no map
     wheels: tuple[float, float] = (1.0, 1.0)  # radius of left and right, relative to the model
+    arena: Arena = HEXAGON
 
 
 def pieces(parameters: WorldParameters) -> dict[str, str]:
     """Return name -> geoms of every piece of the world."""
+    arena = parameters.arena
     return {
-        **{hexagon.name: _block(hexagon) for hexagon in BLOCKS},
-        RING.name: _ring(),
-        **{c.name: _cylinder(c) for c in (*CYLINDERS, *parameters.obstacles)},
+        **{block.name: _block(block) for block in arena.blocks},
+        arena.boundary.name: _wall_around(arena.boundary),
+        **{c.name: _cylinder(c) for c in (*arena.pillars, *parameters.obstacles)},
     }
 
 
@@ -116,27 +119,48 @@ def _touch_sensor(piece: str) -> str:
     return f'<contact subtree1="base_footprint" body2="{piece}" data="found"/>'
 
 
-def _block(hexagon: Hexagon) -> str:
-    """Return a hexagon: the union of the three boxes that join its opposite sides."""
-    half = (hexagon.apothem, hexagon.circumradius / 2.0, (hexagon.z_max - hexagon.z_min) / 2.0)
+def _block(block: Block) -> str:
+    """Return a box, or a hexagon: the union of the three boxes that join its opposite sides."""
+    if isinstance(block, Box):
+        half = (block.half_x, block.half_y, block.height / 2.0)
+        return _box(block.name, block.x, block.y, half[2], half, math.degrees(block.yaw))
+    half = (block.apothem, block.circumradius / 2.0, (block.z_max - block.z_min) / 2.0)
     return "".join(
-        _box(
-            f"{hexagon.name}#{i}", hexagon.x, hexagon.y, hexagon.z_min + half[2], half, 30 + 60 * i
-        )
+        _box(f"{block.name}#{i}", block.x, block.y, block.z_min + half[2], half, 30 + 60 * i)
         for i in range(3)
     )
 
 
-def _ring() -> str:
-    """Return six walls, long enough to close the corners behind the inner faces."""
-    height = (RING.z_max - RING.z_min) / 2.0
-    half = (RING_THICKNESS / 2.0, RING.circumradius * 9.0 / 16.0, height)
-    distance = RING.apothem + half[0]
+def _wall_around(boundary: Block) -> str:
+    """Return walls behind the inner faces, long enough to close the corners."""
+    if isinstance(boundary, Box):
+        return _four_walls(boundary)
+    return _ring(boundary)
+
+
+def _four_walls(room: Box) -> str:
+    thick, height = WALL_THICKNESS / 2.0, room.height / 2.0
+    sides = (room.half_x + thick, room.half_y + thick)
+    walls = []
+    for i in range(4):
+        axis, sign = i % 2, 1 - i // 2 * 2
+        half = (thick, sides[1] + thick) if axis == 0 else (sides[0] + thick, thick)
+        x, y = (
+            (room.x + sign * sides[0], room.y) if axis == 0 else (room.x, room.y + sign * sides[1])
+        )
+        walls.append(_box(f"{room.name}#{i}", x, y, height, (*half, height), 0.0))
+    return "".join(walls)
+
+
+def _ring(ring: Hexagon) -> str:
+    height = (ring.z_max - ring.z_min) / 2.0
+    half = (RING_THICKNESS / 2.0, ring.circumradius * 9.0 / 16.0, height)
+    distance = ring.apothem + half[0]
     walls = []
     for i in range(6):
         degrees = 30 + 60 * i
         x, y = (distance * f(math.radians(degrees)) for f in (math.cos, math.sin))
-        walls.append(_box(f"{RING.name}#{i}", x, y, RING.z_min + height, half, degrees))
+        walls.append(_box(f"{ring.name}#{i}", x, y, ring.z_min + height, half, degrees))
     return "".join(walls)
 
 

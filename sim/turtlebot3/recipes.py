@@ -8,10 +8,11 @@ import numpy as np
 
 from sim.campaigns import Campaign, Options, Storage
 from sim.middleware.geometry import Pose2D
-from sim.seeds import node_generator, sequence
+from sim.seeds import attack_seed, node_generator
+from sim.turtlebot3.arena import Arena
 
 # Branches of the seed: what is drawn on one does not move what is drawn on another.
-SESSION, BLOCK, NODE, ATTACK = range(4)
+SESSION, BLOCK, NODE, ATTACK, ARENA = range(5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +67,7 @@ class TurtleBot3Recipe:
     block: int
     seed: int
     session: Session
+    arena: Arena
     start: Pose2D
     goals: tuple[Pose2D, ...]
     fake_object: FakeObject
@@ -80,11 +82,12 @@ class TurtleBot3Recipe:
 
     def attack_seed(self) -> int:
         """Return the key of the attack's own, counter-based randomness."""
-        return int(sequence(self.seed, ATTACK, self.block).generate_state(1, np.uint64)[0])
+        return attack_seed(self.seed, ATTACK, self.block)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the recipe as JSON knows it."""
-        return {**asdict(self), "goals": [asdict(goal) for goal in self.goals]}
+        goals = [asdict(goal) for goal in self.goals]
+        return {**asdict(self), "arena": self.arena.to_dict(), "goals": goals}
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:
@@ -94,6 +97,7 @@ class TurtleBot3Recipe:
                 **document,
                 "conditions": Conditions(**document["conditions"]),
                 "session": Session(**document["session"]),
+                "arena": Arena.from_dict(document["arena"]),
                 "start": Pose2D(**document["start"]),
                 "goals": tuple(Pose2D(**goal) for goal in document["goals"]),
                 "fake_object": FakeObject(**document["fake_object"]),

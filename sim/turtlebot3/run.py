@@ -27,7 +27,7 @@ from sim.nav2.bringup import bring_up
 from sim.nav2.collision_monitor import SOURCES
 from sim.recording import DEBUG_TOPICS, GraphRecorder, ReceiveClock, Recorder
 from sim.turtlebot3.arena import Cylinder
-from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
+from sim.turtlebot3.map import WORLD_IN_MAP, occupancy_map
 from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.nodes import add_robot
 from sim.turtlebot3.odometer import Odometer
@@ -56,6 +56,13 @@ class TurtleBot3Run:
         What to make.
     folder
         Existing and empty; gets ``bag`` and ``graphs``.
+
+    Attributes
+    ----------
+    domain : Domain
+        The system's graph.
+    node : ScenarioNode or None
+        The mode's node; None as long as it is not there.
     """
 
     def __init__(self, recipe: TurtleBot3Recipe, folder: Path) -> None:
@@ -66,9 +73,9 @@ class TurtleBot3Run:
         self._latency_ns = round(session.latency_ms * MILLISECOND)
         self._world = World(_world_parameters(recipe))
         self._executor = Executor(on_advance=self._world.advance_to)
-        self._domain = Domain(self._executor, self._delays)
+        self.domain = Domain(self._executor, self._delays)
         add_robot(
-            self._domain,
+            self.domain,
             self._world,
             sensor_errors(session),
             recipe.generator,
@@ -76,24 +83,30 @@ class TurtleBot3Run:
             cameras=options.cameras,
         )
         self._nav2 = bring_up(
-            self._domain,
-            mapped(turtlebot3_world_map(), recipe.seed, session),
+            self.domain,
+            mapped(occupancy_map(recipe.arena), recipe.seed, session),
             generator=recipe.generator,
             latency_ns=self._latency_ns,
             run=recipe.run,
             monitored=[
                 source
                 for source in SOURCES
-                if not (options.wiring == "replace" and source.topic == self._program.input_topic)
+                if not (
+                    options.wiring == "replace"
+                    and source.topic == self._program.input_topic
+                    and not self._program.is_in_place
+                )
             ],
             speed=recipe.conditions.speed,
+            settings=options.nav2,
         )
         self._odometer = Odometer(self._executor, lambda: self._world.pose)
         self._patrol_over = False
         self._start_ns = 0  # of the recording
         self._end_ns = 0
-        self._node: ScenarioNode | None = None
+        self.node: ScenarioNode | None = None
         self._onset_ns: int | None = None
+        self._attack_end_ns: int | None = None
 
     def go(self) -> None:
         """Bring Nav2 up, record the patrol, write bag and graphs."""
@@ -116,13 +129,13 @@ class TurtleBot3Run:
         with BagWriter(self._folder / BAG_FOLDER, self._recipe.storage) as self._bag:
             options = self._recipe.options
             Recorder(
-                self._domain,
+                self.domain,
                 self._bag,
                 leave_out=() if options.debug_topics else DEBUG_TOPICS,
                 hidden_topics=options.hidden_topics,
                 receive_clock=self._receive_clock() if options.receive_stamps else None,
             )
-            graph = GraphRecorder(self._domain, graphs)
+            graph = GraphRecorder(self.domain, graphs)
             self._executor.run_until(self._start_ns + BEFORE_FIRST_GOAL_NS)
             navigator.follow(self._recipe.goals, self._on_patrol_over, self._on_goal_accepted)
             timeout_ns = self._start_ns + round(self._recipe.timeout_s * SECOND)
@@ -148,6 +161,7 @@ class TurtleBot3Run:
             run=recipe.run,
             block=recipe.block,
             session=recipe.session.index,
+            world=recipe.arena.id,
             seed=recipe.seed,
             start=_pose(recipe.start),
             goals=tuple(map(_pose, recipe.goals)),
@@ -155,11 +169,12 @@ class TurtleBot3Run:
             outcome=worst,
             onset_s=self._onset_s(),
             attack=self._attack(),
+            attack_seed=recipe.attack_seed(),
             scenario=scenario.id,
             scenario_hash=scenario.digest,
             task_effect=None,  # until the run and its control are both there
             drive=self._drive(),
-            changes=() if self._node is None else self._node.changes(self._start_ns),
+            changes=() if self.node is None else self.node.changes(self._start_ns),
             recording_s=self._seconds(self._end_ns),
             contacts=tuple(
                 schema.Contact(self._seconds(touch.stamp_ns), touch.piece)
@@ -186,7 +201,7 @@ class TurtleBot3Run:
 
     def _onset_s(self) -> float | None:
         """Return when the node was there and its scenario began to act; None if it never did."""
-        if self._node is None or self._onset_ns is None or self._onset_ns > self._end_ns:
+        if self.node is None or self._onset_ns is None or self._onset_ns > self._end_ns:
             return None
         return self._seconds(self._onset_ns)
 
@@ -201,9 +216,13 @@ class TurtleBot3Run:
 
     def _on_goal_accepted(self, _result: GoalResult) -> None:
         self._odometer.mark()
-        first = len(self._nav2.navigator.results) == 1
-        if first and self._program.activation.after == "goal_accepted":
+        activation, number = self._program.activation, len(self._nav2.navigator.results)
+        if activation.after == "goal_accepted" and number == activation.goal:
             self._set_onset(self._executor.now_ns)
+        if number == activation.until_goal:
+            self._attack_end_ns = self._executor.now_ns
+            if self.node is not None:
+                self.node.end(self._attack_end_ns)
 
     def _set_onset(self, after_ns: int) -> None:
         """Let the scenario act so long after ``after_ns`` as it says."""
@@ -211,8 +230,8 @@ class TurtleBot3Run:
         self._onset_ns = after_ns + round(activation.seconds * SECOND)
         if activation.before == "absent":
             self._executor.call_at(self._onset_ns, self._start_node)
-        elif self._node is not None:
-            self._node.begin(self._onset_ns)
+        elif self.node is not None:
+            self.node.begin(self._onset_ns)
 
     def _start_node(self) -> None:
         """Put the mode's node into the graph."""
@@ -220,9 +239,11 @@ class TurtleBot3Run:
         if recipe.options.wiring == "absent":
             return
         execution = execute(self._program, recipe.attack_seed(), recipe.parameters)
-        self._node = ScenarioNode(self._domain, NODE, execution, latency_ns=self._latency_ns)
+        self.node = ScenarioNode(self.domain, NODE, execution, latency_ns=self._latency_ns)
         if self._onset_ns is not None:
-            self._node.begin(self._onset_ns)
+            self.node.begin(self._onset_ns)
+        if self._attack_end_ns is not None:
+            self.node.end(self._attack_end_ns)
 
     def _delays(self, node: str) -> Delays | None:
         """Return what is added to a node's latency: to that of Nav2's, where they are many."""
@@ -267,6 +288,7 @@ def _world_parameters(recipe: TurtleBot3Recipe) -> WorldParameters:
         session.mass,
         obstacles,
         (session.wheel_left, session.wheel_right),
+        recipe.arena,
     )
 
 

@@ -14,7 +14,6 @@ from mujoco.rollout import Rollout
 from numpy.typing import NDArray
 
 from sim.middleware.geometry import Pose2D, quaternion_yaw, wrap_angle
-from sim.turtlebot3.arena import BLOCKS, CYLINDERS, RING, clearance
 from sim.turtlebot3.clear_space import ClearSpace
 from sim.turtlebot3.mjcf import STATIC, STEP_NS, WorldParameters, mjcf, pieces
 from sim.turtlebot3.rays import Piece, Rays
@@ -80,8 +79,9 @@ class World:
         self._data = mujoco.MjData(self._model)
         self._alone = mujoco.MjModel.from_xml_string(mjcf(parameters, with_pieces=False))
         self._data_alone = mujoco.MjData(self._alone)
+        self._arena = parameters.arena
         self._obstacles = parameters.obstacles
-        self._clear = ClearSpace(RING, BLOCKS, (*CYLINDERS, *parameters.obstacles))
+        self._clear = ClearSpace(parameters.arena, parameters.obstacles)
         start = parameters.start
         self._data.qpos[:7] = (
             start.x, start.y, 0.010, math.cos(start.yaw / 2.0), 0.0, 0.0, math.sin(start.yaw / 2.0)
@@ -151,7 +151,10 @@ class World:
 
     def clearance(self, places: NDArray[np.float64]) -> float:
         """Return the least distance of places of shape (n, 2) from any surface [m]."""
-        distances = [clearance(places), *(o.signed_distance(places) for o in self._obstacles)]
+        distances = [
+            self._arena.clearance(places),
+            *(o.signed_distance(places) for o in self._obstacles),
+        ]
         return float(np.min(distances))
 
     @property

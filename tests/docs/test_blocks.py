@@ -85,6 +85,7 @@ def around(row: pd.DataFrame) -> pd.DataFrame:
     table.insert(2, "label", "normal")
     table.insert(3, "block", np.arange(40))
     table.insert(4, "session", np.arange(40) % 3)
+    table.insert(5, "world", "hexagon-0")
     table["where"] = table["missing"] = "{}"
     table.attrs = dict(row.attrs)
     return table

@@ -8,7 +8,10 @@ from oracle_pipeline.bags.integrity import hashes_of_files
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, RunDirectory
 from oracle_pipeline.bags.writer import BagWriter
+from tests.dds_domains import domain, eventually
 from tests.manifests import rewrite
+
+__all__ = ["domain", "eventually"]
 
 
 @pytest.fixture(scope="session")

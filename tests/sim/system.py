@@ -15,7 +15,8 @@ from sim.middleware.geometry import Pose2D
 from sim.nav2.bringup import bring_up
 from sim.recording import DEBUG_TOPICS, Recorder
 from sim.scenarios import builtin_scenarios
-from sim.turtlebot3.map import WORLD_IN_MAP, turtlebot3_world_map
+from sim.turtlebot3.arena import HEXAGON
+from sim.turtlebot3.map import WORLD_IN_MAP, occupancy_map
 from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.nodes import add_robot
 from sim.turtlebot3.run import NODE
@@ -60,7 +61,7 @@ class System:
         add_robot(self.domain, self.world, SensorErrors(), generator)
         self.nav2 = bring_up(
             self.domain,
-            turtlebot3_world_map(),
+            occupancy_map(HEXAGON),
             generator=generator,
             latency_ns=LATENCY_NS,
             run=run,

@@ -17,7 +17,8 @@ RECIPE = {"mode": "lidar_passthrough", "seed": 1, "storage": "mcap"}
 
 def manifest(mode="lidar_passthrough", *goals, **recipe):
     return Manifest(
-        mode=mode, label=LABELS.get(mode, "malicious"), run=0, block=0, session=0, seed=1,
+        mode=mode, label=LABELS.get(mode, "malicious"), run=0, block=0,
+        session=0, world="hexagon-0", seed=1,
         start=Pose(0.0, 0.0, 0.0),
         goals=(), goal_results=goals or (SUCCEEDED,), outcome="succeeded", onset_s=None, attack={},
         scenario=mode, scenario_hash="h", task_effect=None,

@@ -30,7 +30,7 @@ def run(tmp_path):
             for number in range(20):
                 bag.write("/clock", number, clock(number))
         Manifest(
-            mode="fake_object", label="normal", run=3, block=3, session=0, seed=1,
+            mode="fake_object", label="normal", run=3, block=3, session=0, world="w", seed=1,
             start=Pose(0.0, 0.0, 0.0), goals=(), goal_results=(), outcome="succeeded",
             onset_s=None, attack={}, scenario="s", scenario_hash="h", task_effect=None,
             recording_s=2.0, contacts=(), topics={"/clock": TopicCount(CLOCK, 20)},

@@ -10,6 +10,7 @@ from oracle_pipeline.bags import seals
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.manifest import (
     LABELS,
+    UNKNOWN_WORLD,
     Change,
     Contact,
     Drive,
@@ -33,7 +34,7 @@ manifests = st.builds(
     Manifest,
     mode=st.from_regex(r"[a-z0-9_]+", fullmatch=True),
     label=st.sampled_from(LABELS),
-    run=counts, block=counts, session=counts, seed=counts,
+    run=counts, block=counts, session=counts, world=names, seed=counts,
     start=poses,
     goals=st.lists(poses).map(tuple),
     goal_results=st.lists(
@@ -41,7 +42,7 @@ manifests = st.builds(
     ).map(tuple),
     outcome=outcomes,
     onset_s=st.none() | seconds,
-    attack=parameters,
+    attack=parameters, attack_seed=st.none() | st.integers(0, 2**64 - 1),
     scenario=names, scenario_hash=names,
     task_effect=st.none() | st.dictionaries(names, seconds),
     drive=st.none() | st.builds(Drive, st.none() | seconds, counts, counts),
@@ -63,7 +64,7 @@ manifests = st.builds(
 
 def example() -> Manifest:
     return Manifest(
-        mode="fake_object", label="malicious", run=3, block=3, session=0, seed=7,
+        mode="fake_object", label="malicious", run=3, block=3, session=0, world="house-7", seed=7,
         start=Pose(-2.0, -0.5, 0.0), goals=(Pose(1.0, 0.5, 0.0),),
         goal_results=(GoalResult(1.0, 21.5, "succeeded", 4.2, 0),), outcome="succeeded",
         onset_s=31.0,
@@ -134,7 +135,7 @@ def test_another_schema_version_is_told(tmp_path):
         Manifest.load(path)
 
 
-@pytest.mark.parametrize(("version", "lacks"), [(3, ()), (2, ("changes",))])
+@pytest.mark.parametrize(("version", "lacks"), [(3, ("world",)), (2, ("world", "changes"))])
 def test_a_run_of_an_older_version_is_read_as_one_that_does_not_tell(version, lacks, tmp_path):
     path = tmp_path / "manifest.json"
     example().save(path)
@@ -144,12 +145,13 @@ def test_a_run_of_an_older_version_is_read_as_one_that_does_not_tell(version, la
     del document["measured"]["files"]
     older = {**document, "schema_version": version, "task_effect": True}  # it was yes or no
     path.write_text(json.dumps(older))
-    assert Manifest.load(path) == example()
+    expected = dataclasses.replace(example(), world=UNKNOWN_WORLD)
+    assert Manifest.load(path) == expected
     content = bytearray(json.dumps({**older, "schema_version": 4, "seal": seals.BLANK}).encode())
     seals.seal(content)
-    if not lacks:
+    if "changes" not in lacks:
         path.write_bytes(content)
-        assert Manifest.load(path) == example()
+        assert Manifest.load(path) == expected
 
 
 def test_a_manifest_that_lost_its_seal_is_not_taken_for_an_older_one(tmp_path):

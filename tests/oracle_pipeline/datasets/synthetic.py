@@ -1,5 +1,7 @@
 """Features of a campaign as it would give them, with as much of an attack in them as asked for."""
 
+import json
+
 import numpy as np
 import pandas as pd
 
@@ -53,6 +55,7 @@ def run_features(
                     "label": label,
                     "block": run,
                     "session": run % 3,
+                    "world": f"random-{run // 2}",
                     "structural.density": 0.02 + 1e-4 * density,
                     "structural.entropy": 2.0 + 0.05 * (entropy + shift),
                     "contextual.yaw_variance": 0.5 + 0.1 * (turning + shift),
@@ -65,6 +68,13 @@ def run_features(
     table = pd.DataFrame(rows)
     table.attrs["fields"] = FIELDS
     return table
+
+
+def _behaviour(features: pd.DataFrame, effect: float) -> list[str]:
+    """Return what robots did: attacked ones drive a tenth of a metre more for each deviation."""
+    attacked = (features["label"] == "malicious").to_numpy()
+    driven_m = 10.0 + features["block"].to_numpy() + 0.1 * effect * attacked
+    return [json.dumps({"driven_m": float(metres), "under_way_s": 60.0}) for metres in driven_m]
 
 
 def campaign(
@@ -95,7 +105,8 @@ def campaign(
             "run_id": features["run_id"],
             "onset_s": onsets,
             "recording_s": lengths,
-            "task_effect": None,
+            "behaviour": _behaviour(features, effect),
+            "conditions": "{}",
             "outcome": "succeeded",
             "attack": "{}",
             "changes": "[]",

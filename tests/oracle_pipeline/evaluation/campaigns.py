@@ -16,6 +16,7 @@ def by_hand(*runs):
             "label": MODES.get(mode, "normal"),
             "block": block,
             "session": block % 3,
+            "world": "hexagon-0",
         }
         for mode, block, *_ in runs
     ]

@@ -1,15 +1,13 @@
 import numpy as np
 import pytest
 
-from oracle_pipeline.evaluation.alarms import (
-    alarms_raised,
-    judge_alarms,
-    times_to_detect,
-    window_p,
-)
+from oracle_pipeline.evaluation.alarms import WatchedRuns, judge_alarms, times_to_detect, watched
 from oracle_pipeline.evaluation.comparisons import ComparedRuns
-from oracle_pipeline.evaluation.splits import Fold
-from tests.oracle_pipeline.evaluation.campaigns import by_hand
+from oracle_pipeline.features import FeatureTables
+from oracle_pipeline.scoring.judging import judge
+from oracle_pipeline.scoring.learning import Cards
+from oracle_pipeline.scoring.reference import Reference
+from tests.oracle_pipeline.evaluation.campaigns import by_hand, synthetic
 
 JUDGED = by_hand(
     ("delayed_fakeobject", 0, 40.0, 17.0, "[]"),  # windows end at 10, 15, ..., 40
@@ -28,29 +26,48 @@ def test_detection_counts_from_the_onset_to_the_end_of_the_first_window_that_ala
     assert np.isnan(late[2])
 
 
-def test_neighbouring_alarms_are_one_and_do_not_run_from_run_to_run():
-    assert alarms_raised(alarms(0, 1, 3, 6, 7), JUDGED).tolist() == [3, 1, 0]
-    assert alarms_raised(alarms(), JUDGED).tolist() == [0, 0, 0]
-
-
-def test_a_window_is_ranked_among_the_oddest_windows_of_calibration_runs():
-    def mask(*rows):
-        return np.isin(np.arange(3), rows)
-
-    fold = Fold(mask(2), mask(1, 2), mask(0), mask(1, 2))
-    scores = np.concatenate([np.arange(7.0), [9, 1, 1, 1, 1, 1, 1], [3, 1, 1, 1, 1, 1, 1]])[None]
-    p = window_p(scores, JUDGED, [fold])
-    assert p[:7].tolist() == pytest.approx([1, 1, 1, 1, 2 / 3, 2 / 3, 2 / 3])
-    assert np.isnan(p[7:]).all()
-
-
 def test_the_figures_of_alarms_by_hand():
-    p = np.where(alarms(3, 15, 17), 0.01, 0.5)
-    score = np.where(JUDGED.attacked_windows(), 1.0, 0.0)
+    raised = WatchedRuns(
+        np.where(JUDGED.attacked_windows(), 1.0, 0.0), alarms(3, 15, 17), per_hour=0.5
+    )
     everything = ComparedRuns("all modes", np.ones(3, dtype=bool))
-    row = judge_alarms(score, p, JUDGED, everything, np.random.default_rng(0))
+    row = judge_alarms(raised, JUDGED, everything, np.random.default_rng(0))
     assert (row["attacked_windows"], row["normal_windows"], row["auc"]) == (10, 7, 1.0)
-    assert (row["attacked_runs"], row["missed"]) == (2, 0.5)
+    assert (row["attacked_runs"], row["normal_runs"], row["missed"]) == (2, 1, 0.5)
     assert (row["time_to_detect_median_s"], row["time_to_detect_90_s"]) == (8.0, np.inf)
+    assert row["promised_per_h"] == 0.5
     assert row["false_alarms_per_h"] == pytest.approx(2 * 3600 / 40)
     assert row["false_alarms_per_h_low"] < 60 < 500 < row["false_alarms_per_h_high"]
+
+
+def test_normal_runs_raise_no_more_alarms_than_promised_and_planted_attacks_are_found():
+    planted = synthetic(20, effect=15.0)
+    raised = watched(planted)
+    assert 0.5 < raised.per_hour < 3.0  # too few hours for the usual rate
+    row = judge_alarms(
+        raised, planted, ComparedRuns("all", np.ones(len(planted.features), dtype=bool)),
+        np.random.default_rng(0),
+    )  # fmt: skip
+    assert row["false_alarms_per_h"] <= row["promised_per_h"]
+    assert row["missed"] < 0.05
+    assert row["auc"] > 0.95
+
+
+def test_oracle_score_raises_the_alarms_of_the_evaluation():
+    planted = synthetic(8, effect=15.0)
+    raised = watched(planted)
+    cards = Cards(Reference(planted.features, planted.windows))
+    for row in range(0, len(planted.features), 7):
+        of_run = planted.run == row
+        tables = FeatureTables(planted.features.iloc[[row]], planted.windows[of_run])
+        verdict = judge("run", tables, cards.card_for(tables.run), 0.5)
+        expected = planted.end_s[of_run & raised.alarm]
+        # The end of the last window is not in the tables: it may be cut off.
+        assert [alarm.time_s for alarm in verdict.alarms] == pytest.approx(expected, abs=5.0)
+
+
+def test_two_blocks_teach_nothing_and_raise_nothing():
+    raised = watched(synthetic(2))
+    assert np.isnan(raised.score).all()
+    assert np.isnan(raised.per_hour)
+    assert not raised.alarm.any()

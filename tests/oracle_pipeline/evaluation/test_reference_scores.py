@@ -6,6 +6,7 @@ import pytest
 from oracle_pipeline.evaluation.reference_scores import reference_scores
 from oracle_pipeline.evaluation.splits import session_folds
 from oracle_pipeline.features import FeatureTables
+from oracle_pipeline.scoring.feature_sets import ASPECTS
 from oracle_pipeline.scoring.judging import judge
 from oracle_pipeline.scoring.learning import Cards
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
@@ -24,6 +25,7 @@ def test_oracle_score_gives_the_p_values_of_the_evaluation(tables):
     features, windows = tables
     runs = MeasuredRuns.ordered(features, windows)
     measured = reference_scores(runs)
+    of_aspects = {name: reference_scores(runs, features=name) for name in ASPECTS}
     cards = Cards(Reference(features, windows))
     for row in range(0, len(features), 3):
         run = runs.features.iloc[[row]]
@@ -31,6 +33,9 @@ def test_oracle_score_gives_the_p_values_of_the_evaluation(tables):
         verdict = judge("run", FeatureTables(run, of_run), cards.card_for(run), 0.5)
         assert verdict.p_value == pytest.approx(measured.p[row])
         assert verdict.score == pytest.approx(measured.score[row])
+        for name, scores in of_aspects.items():
+            assert verdict.aspects[name].p_value == pytest.approx(scores.p[row])
+            assert verdict.aspects[name].score == pytest.approx(scores.score[row])
 
 
 def test_a_held_out_session_is_judged_by_what_others_taught(tables):

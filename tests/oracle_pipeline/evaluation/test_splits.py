@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oracle_pipeline.datasets import is_malicious
-from oracle_pipeline.evaluation.splits import block_folds, session_folds, untaught
+from oracle_pipeline.evaluation.splits import block_folds, session_folds, untaught, world_folds
 from tests.oracle_pipeline.datasets.synthetic import CONTROLS, MODES, run_features
 
 
@@ -25,6 +25,20 @@ def test_no_block_is_on_two_sides_and_every_run_is_tested_once(blocks, seed, spl
         assert sum(map(len, sides)) == len(set().union(*sides))
         assert not is_malicious(df)[fold.fit | fold.calibrate].any()
         assert set(block[fold.train]).isdisjoint(sides[2])
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(4, 25), st.integers(0, 9))
+def test_no_world_is_on_two_sides_and_every_run_is_tested_once(blocks, seed):
+    df = runs(blocks)
+    world = df["world"].to_numpy()
+    folds = world_folds(df, seed)
+    assert len(folds) > 1
+    assert sum(fold.test.astype(int) for fold in folds).tolist() == [1] * len(df)
+    for fold in folds:
+        assert set(world[fold.test]).isdisjoint(world[fold.train])
+        assert not (fold.fit & ~fold.train).any()
+    assert world_folds(df.assign(world="hexagon-0"), seed) == []
 
 
 def test_sessions_are_spread_over_folds_and_halves_unless_one_is_held_out():

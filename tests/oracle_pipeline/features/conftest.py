@@ -149,7 +149,8 @@ def manifest_of(directory: RunDirectory, bag: BagWriter, **changes: Any) -> Mani
     topics = {name: TopicCount("any", count) for name, count in bag.counts.items()}
     fields: dict[str, Any] = {
         "mode": directory.mode, "label": "malicious", "run": directory.run, "block": 3,
-        "session": 0, "seed": 1, "start": Pose(0.0, 0.0, 0.0), "goals": (), "goal_results": (),
+        "session": 0, "seed": 1, "world": "hexagon-0",
+        "start": Pose(0.0, 0.0, 0.0), "goals": (), "goal_results": (),
         "outcome": "timeout", "onset_s": 31.0, "attack": {"radius_m": 0.2}, "scenario": "s",
         "scenario_hash": "h", "task_effect": None, "recording_s": DURATION_S, "contacts": (),
         "topics": topics, "content_hash": bag.content_hash, "recipe": {"seed": 1},

@@ -10,9 +10,12 @@ from PIL import Image
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.evaluation import campaign_evaluation, integrity, kill_rates, metrics
+from oracle_pipeline.evaluation.giveaways import deviations_of_runs, giveaways
+from oracle_pipeline.evaluation.ranking import standing
 from oracle_pipeline.reporting import html, thesis_reports
 from oracle_pipeline.reporting.evaluation_report import evaluation_report
 from oracle_pipeline.reporting.explanation import explanations
+from oracle_pipeline.reporting.report import Report
 from tests.oracle_pipeline.datasets.synthetic import campaign
 from tests.oracle_pipeline.evaluation.test_kill_rates import grid_of
 
@@ -50,8 +53,16 @@ def draw(run):
     return png.getvalue()
 
 
-def page_of(df, windows, truth, *, mutants=None, differences=None, **more):
-    """Return the page of a campaign; `more` is said in its provenance or passed on."""
+def record(modes, blocks):
+    """Return what stands for the command that records runs."""
+    return f"record {' '.join(modes)} in {blocks} blocks"
+
+
+def page_of(df, windows, truth, *, mutants=None, differences=None, change=lambda _: _, **more):
+    """Return the page of a campaign; `more` is said in its provenance or passed on.
+
+    `change` may make another report of its evaluation.
+    """
     passed_on = {name: more.pop(name) for name in ("radar", "storage") if name in more}
     with quickly():
         evaluation = campaign_evaluation.evaluate(
@@ -60,9 +71,10 @@ def page_of(df, windows, truth, *, mutants=None, differences=None, **more):
         judged = evaluation_report(evaluation)
         drawn = thesis_reports.bootstrapped_dataset(df, ROWS)
         return html.render(
-            df,
-            evaluation=judged,
+            evaluation=change(judged),
             explained=explanations(df, windows, judged.tables["runs"], draw),
+            giveaways=giveaways(df, deviations_of_runs(df)),
+            record=record,
             grid=thesis_reports.clustering_grid_search(drawn.table),
             rates=thesis_reports.malicious_rate_report(df, ROWS),
             pairs=thesis_reports.pairwise_report(df, ROWS),
@@ -73,17 +85,44 @@ def page_of(df, windows, truth, *, mutants=None, differences=None, **more):
         )
 
 
+def oracle_report_of(df, windows, truth):
+    """Return the evaluation's report of a campaign."""
+    with quickly():
+        return evaluation_report(campaign_evaluation.evaluate(df, windows, truth))
+
+
+def with_many_runs(report, runs=60):
+    """Return an evaluation's report with so many runs of each mode and three modes more."""
+    few = report.tables["runs"]
+    of_mode = [rows for _, rows in few.groupby("mode", sort=False)]
+    more = [of_mode[0].assign(mode=f"benign_{name}") for name in ("drop", "median", "slow")]
+    drawn = [rows.sample(runs, replace=True, random_state=0) for rows in (*of_mode, *more)]
+    numbered = [
+        rows.assign(run_id=[f"{mode}|run{n:03d}" for n, mode in enumerate(rows["mode"])])
+        for rows in drawn
+    ]
+    many = pd.concat(numbered, ignore_index=True)
+    tables = {**report.tables, "runs": many, "standing": standing(many)}
+    return Report(report.table, report.figures, report.summary, tables)
+
+
 @cache
 def whole_page():
     """Return a page with every section, of a campaign in which attacks are plain to see."""
     return page_of(
-        *campaign(20, effect=20.0),  # as many blocks as a verdict at 5 % takes
-        mutants=grid_of([1.0, 40.0], 2, used=20),
+        *campaign(30, effect=20.0),  # as many blocks as all checks take
+        mutants=grid_of([1.0, 40.0], 2, used=30),
         differences=[],
         radar={run: draw(run) for run in (GHOST, WITHOUT)},
         storage=pd.DataFrame({"mode": ["fake_object"], "full_bags": [9]}),
         Note="<script>alert(1)</script>",
     )
+
+
+@cache
+def large_page():
+    """Return the page of 840 runs."""
+    return page_of(*campaign(20, effect=20.0), differences=[], change=with_many_runs)
 
 
 @cache

@@ -167,6 +167,7 @@ def manifest(label="malicious", attack=FAKE_OBJECT, **changes):
         run=3,
         block=3,
         session=0,
+        world="hexagon-0",
         seed=0,
         start=Pose(10.0, 0.0, QUARTER),
         goals=(Pose(10.0, 2.0, 0.0),),

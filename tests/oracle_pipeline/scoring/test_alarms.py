@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,7 +17,7 @@ from oracle_pipeline.scoring.alarms import (
 )
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
-RULE = AlarmRule(allowance=1.0, threshold=3.0)
+RULE = AlarmRule(allowance=1.0, threshold=3.0, per_hour=1.0)
 
 
 def recordings(rng, number, windows=36, runs_of_block=1):
@@ -88,7 +90,7 @@ def test_what_is_watched_live_is_what_was_counted_in_calibration():
     raised = sum(len(watched(rule, windows, run)) for run in range(60))
     hours = 60 * 36 * HOP_S / 3600.0
     assert 0 < raised <= 2.0 * hours - 1
-    lower = AlarmRule(rule.allowance, rule.threshold - 0.5)
+    lower = replace(rule, threshold=rule.threshold - 0.5)
     assert sum(len(watched(lower, windows, run)) for run in range(60)) > raised
 
 

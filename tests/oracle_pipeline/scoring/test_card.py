@@ -5,6 +5,8 @@ import pandas as pd
 import pytest
 
 from oracle_pipeline.scoring.card import CardError, ReferenceCard
+from oracle_pipeline.scoring.feature_sets import ASPECTS
+from oracle_pipeline.scoring.learning import learned_scorer
 from tests.oracle_pipeline.scoring.test_contract import CONTRACT
 from tests.oracle_pipeline.scoring.test_cross_conformal import ATTACKED, learned, runs
 
@@ -14,7 +16,8 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def card():
     normal = runs(12, seed=0)
-    return ReferenceCard(learned(normal), normal.features, CONTRACT, ("a note",))
+    aspects = {name: learned_scorer(normal, name) for name in ASPECTS}
+    return ReferenceCard(learned(normal), normal.features, CONTRACT, ("a note",), aspects)
 
 
 @pytest.fixture
@@ -28,6 +31,12 @@ def test_a_card_that_was_read_scores_as_the_one_that_was_written(card, file):
     scores = card.scorer.scores(new)
     np.testing.assert_array_equal(read.scorer.scores(new), scores)
     np.testing.assert_array_equal(read.scorer.p_values(scores), card.scorer.p_values(scores))
+    windows = card.scorer.window_scores(new.windows)
+    np.testing.assert_array_equal(read.scorer.window_scores(new.windows), windows)
+    assert read.scorer.windows_.rule(4.0) == card.scorer.windows_.rule(4.0)
+    assert list(read.aspects) == list(ASPECTS)
+    for name, scorer in card.aspects.items():
+        np.testing.assert_array_equal(read.aspects[name].scores(new), scorer.scores(new))
     pd.testing.assert_frame_equal(read.runs, card.runs)
     assert read.runs.attrs == card.runs.attrs
     assert read.contract == card.contract

@@ -123,6 +123,15 @@ def test_runs_alone_can_be_scored_where_windows_have_no_features(normal):
     assert scorer.scores(normal).shape == (3, 20)  # the runs are of three sessions
 
 
+def test_a_window_has_the_same_score_alone_and_among_others(normal, scorer):
+    attacked = runs(2, seed=1, modes=ATTACKED, effect=3.0).windows
+    together = scorer.window_scores(attacked)
+    alone = [scorer.window_scores(attacked.iloc[[row]])[0] for row in range(len(attacked))]
+    np.testing.assert_allclose(alone, together)
+    held_out = scorer.window_scores(normal.windows, normal.block[normal.run])
+    np.testing.assert_array_equal(held_out, scorer.windows_.scores)
+
+
 def test_two_blocks_are_refused_with_what_is_missing(normal):
     with pytest.raises(ConformalError, match="come from 2 blocks"):
         learned(normal.where(normal.block < 2))

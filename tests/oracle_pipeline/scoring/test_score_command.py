@@ -1,6 +1,7 @@
 """``oracle score``: real recordings against tables of normal runs made from their features."""
 
 import json
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -10,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from oracle_pipeline.cli import main
-from oracle_pipeline.datasets import feature_columns, feature_floors, write_table
+from oracle_pipeline.datasets import KEYS, feature_columns, feature_floors, write_table
 from oracle_pipeline.features import FeatureTables, build_manager, extract
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.judging import judge
@@ -69,6 +70,7 @@ def around(row: pd.DataFrame, blocks: int = 40, runs: int = 2, seed: int = 0) ->
     table.insert(2, "label", "normal")
     table.insert(3, "block", np.repeat(np.arange(blocks), runs))
     table.insert(4, "session", table["block"] % 3)
+    table.insert(5, "world", "hexagon-0")
     table["where"] = table["missing"] = "{}"
     table.attrs = dict(row.attrs)
     return table
@@ -97,8 +99,11 @@ def test_a_recording_like_the_reference_passes(bags, reference):
 
 def test_an_odd_recording_is_told_with_what_gave_it_away_and_when(bags, reference, extracted):
     done = oracle_score(bags["spinning"], "--reference", reference, expect=1)
-    verdict, _, first, *_ = done.stdout.splitlines()
+    verdict, aspects, *lines = done.stdout.splitlines()
     assert verdict.startswith("ANOMALOUS")
+    assert aspects.startswith("    Tampering p = ")
+    assert "misbehaviour p = " in aspects
+    first = lines[next(n for n, line in enumerate(lines) if "usual (5-95 %)" in line) + 1]
     assert FIRST in done.stdout
     assert f"{extracted['spinning'].run[FIRST].iloc[0]:.4g} rad" in done.stdout
     assert "from 15 s" in done.stdout
@@ -114,6 +119,10 @@ def test_json_is_one_object_with_all_that_the_verdict_rests_on(bags, reference, 
     assert document["false_alarm_rate"] == 0.05
     assert found["p_value"] == found["suite_p_value"] == pytest.approx(1 / 41)
     assert (found["normal_runs"], found["normal_blocks"]) == (80, 40)
+    assert set(found["aspects"]) == {"tampering", "misbehaviour"}
+    for aspect in found["aspects"].values():
+        assert 1 / 41 <= aspect["p_value"] == aspect["suite_p_value"] <= 1.0
+    assert (found["alarms"], found["alarms_per_h"]) == ([], None)  # the table has no windows
     z = [abs(evidence["z"]) for evidence in found["evidence"]]
     assert z == sorted(z, reverse=True)
     (turning,) = [e for e in found["evidence"] if e["feature"] == FIRST]
@@ -226,7 +235,7 @@ def test_units_that_differ_are_refused(normal, extracted):
 
 
 def test_a_system_without_a_common_feature_is_not_judged(normal, extracted):
-    told = normal[["run_id", "mode", "label", "block", "session"]].assign(**{"atc.tracks": 1.0})
+    told = normal[[*KEYS]].assign(**{"atc.tracks": 1.0})
     with pytest.raises(ScoringError, match="none of the features"):
         judged(extracted["usual"], told)
 
@@ -280,6 +289,15 @@ def test_recordings_that_end_their_process_are_errors_in_junit(bags, reference, 
     cases = list(ElementTree.parse(junit).getroot().iter("testcase"))  # noqa: S314 -- ours
     assert [[result.tag for result in case] for case in cases] == [[], ["error"], ["failure"]]
     assert "died (exit code 7)" in ElementTree.tostring(cases[1], encoding="unicode")
+
+
+def test_a_page_shows_the_same_verdicts(bags, reference, tmp_path):
+    page = tmp_path / "verdicts.html"
+    done = oracle_score(*bags.values(), "--reference", reference, "--page", page, expect=1)
+    assert page.as_uri() in done.stderr
+    html = page.read_text("utf-8")
+    for path, headline in zip(bags.values(), ("Normal", "Anomalous"), strict=True):
+        assert re.search(rf">{headline}</span>\s*<h2>{path}</h2>", html)
 
 
 def test_junit_is_written_without_a_reference(bags, tmp_path):

@@ -97,7 +97,7 @@ def test_mutate_copies_what_it_does_not_touch_even_of_types_that_nobody_knows(
         (["no_such"], "neither a scenario nor a file no_such"),
         (["random_noise", "-p", "level=2"], "level: expected 0.0 to 1.0, found 2.0"),
         (["odometry_spoof"], "has no topic /odom, which odometry_spoof hears"),
-        (["sensor_freeze"], "does not show when a goal was accepted"),
+        (["sensor_freeze"], "does not show when goal 1 was accepted"),
         (["command_injection"], "main.output: expected a topic that moves nothing"),
     ],
 )

@@ -44,7 +44,7 @@ def test_the_same_run_gives_the_same_bytes_and_another_seed_may_not(name):
 
     def told(seed):
         found = results(compiled, examples(compiled), seed)
-        return [[(due, data(m)) for due, m in r.outputs] + [r.truth] for r in found]
+        return [[(due, data(m)) for due, m, _ in r.outputs] + [r.truth] for r in found]
 
     assert told(1) == told(1)
     noise = {"random_noise", "random_noise_thesis", "benign_noise"}
@@ -59,7 +59,7 @@ def test_a_shadow_does_the_same_work_and_publishes_what_came(name):
     messages = examples(attack)
     done, withheld = results(attack, messages), results(shadow, messages)
     for number, message in enumerate(messages):
-        ((due_ns, output),) = withheld[number].outputs
+        ((due_ns, output, _),) = withheld[number].outputs
         assert due_ns == stamp(number)
         assert output is message
         truth = withheld[number].truth
@@ -75,7 +75,7 @@ def test_what_becomes_of_a_message_does_not_depend_on_those_lost_before(name, lo
     execution = start(compiled)
     for number, message in enumerate(messages):
         if number not in lost:
-            ((_, output),) = execution.on_message(message, stamp(number), 0.2 * number).outputs
+            ((_, output, _),) = execution.on_message(message, stamp(number), 0.2 * number).outputs
             assert data(output) == data(whole[number].outputs[0].message)
 
 
@@ -83,7 +83,7 @@ def test_what_becomes_of_a_message_does_not_depend_on_those_lost_before(name, lo
 def test_before_its_onset_a_program_hands_on_what_comes(name):
     execution = start(builtin(name))
     (message,) = examples(execution.program, 1)
-    ((_, output),) = execution.on_message(message, stamp(0), -0.1).outputs
+    ((_, output, _),) = execution.on_message(message, stamp(0), -0.1).outputs
     assert output is message
     assert execution.on_timer(stamp(0), -0.1).outputs == []
 

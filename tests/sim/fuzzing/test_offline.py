@@ -253,7 +253,7 @@ def test_a_topic_of_another_type_is_refused(tmp_path):
 def test_a_bag_that_shows_no_goal_needs_an_onset(tmp_path):
     (scan,) = scans(1)
     bag = write(tmp_path / "bag", ("/scan_tom", scan))
-    with pytest.raises(BagError, match="does not show when a goal was accepted"):
+    with pytest.raises(BagError, match="does not show when goal 1 was accepted"):
         mutate_bag(bag, tmp_path / "mutant", builtin("sensor_freeze"), 1)
     assert mutate_bag(bag, tmp_path / "mutant", builtin("sensor_freeze"), 1, at_s=0.0).touched == 1
 

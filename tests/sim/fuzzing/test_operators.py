@@ -243,7 +243,7 @@ def test_an_emitted_message_follows_the_one_that_came():
     came = scan()
     compiled = doing("emit: {copy: msg, fields: {header.frame_id: \"'ghost'\", range_max: 1.0}}")
     (result,) = results(compiled, [came])
-    (_, first), (_, second) = result.outputs
+    (_, first, _), (_, second, _) = result.outputs
     assert first is came
     assert (second.header.frame_id, second.range_max) == ("ghost", 1.0)
     assert second.ranges is came.ranges
@@ -252,7 +252,7 @@ def test_an_emitted_message_follows_the_one_that_came():
 def test_a_new_message_has_the_header_of_the_one_that_came_and_zeros():
     came = scan()
     (result,) = results(doing("drop: {}", "emit: {fields: {range_min: 0.5}}"), [came])
-    ((_, made),) = result.outputs
+    ((_, made, _),) = result.outputs
     assert made.header is came.header
     blank = dataclasses.replace(made, range_min=0.0)
     assert data(blank) == data(dataclasses.replace(zero(message_type("sensor_msgs/msg/LaserScan")),

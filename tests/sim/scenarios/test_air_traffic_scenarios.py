@@ -21,7 +21,7 @@ def reports(name, *messages, **parameters):
 
 
 def published(found):
-    return [[output for _, output in result.outputs] for result in found]
+    return [[output for _, output, _ in result.outputs] for result in found]
 
 
 def test_deletion_by_address_takes_one_aircraft_only():
@@ -50,7 +50,7 @@ def test_a_static_ghost_is_reported_every_second_under_new_stamps():
     real = report(0, "REAL")
     assert execution.on_message(real, stamp(0), 0.0).outputs[0].message is real
     assert execution.timer_period_ns == 1_000_000_000
-    ((_, ghost),) = execution.on_timer(stamp(9), 1.8).outputs
+    ((_, ghost, _),) = execution.on_timer(stamp(9), 1.8).outputs
     assert (ghost.icao24, ghost.latitude, ghost.altitude_m) == ("GHOST1", 44.25, 1500.0)
     assert ghost.header == report(9).header
 

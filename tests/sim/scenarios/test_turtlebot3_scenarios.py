@@ -60,7 +60,7 @@ def noise_number(compiled):
 def test_passthrough_hands_on_the_very_object(name, values):
     message = scan(0, values)
     (result,) = results(builtin(name), [message])
-    ((due_ns, output),) = result.outputs
+    ((due_ns, output, _),) = result.outputs
     assert due_ns == stamp(0)
     assert output is message
     assert (result.truth.operation, result.truth.magnitude) == ("passthrough", 0.0)
@@ -129,7 +129,7 @@ def test_fake_object_is_a_disc_in_the_odometry_frame(values, pose, centre, radiu
     execution = execute(compiled, 1, {"x": centre[0], "y": centre[1], "radius": radius})
     execution.on_source("odom", odometry(0, *pose), stamp(0))
     message = scan(1, values)
-    ((_, heard),) = execution.on_message(message, stamp(1), 0.2).outputs
+    ((_, heard, _),) = execution.on_message(message, stamp(1), 0.2).outputs
     x, y, yaw = pose
     ahead, left, _ = frames.BASE_SCAN_TOM.xyz
     assert left == 0.0
@@ -190,7 +190,7 @@ def test_lost_scans_are_about_as_many_as_asked_for():
 
 def test_late_scans_are_late_by_the_delay_and_its_jitter():
     for n, result in enumerate(results(builtin("sensor_delay"), list(scans(50)))):
-        ((due_ns, _),) = result.outputs
+        ((due_ns, _, _),) = result.outputs
         late_s = (due_ns - stamp(n)) / 1e9
         assert 0.5 <= late_s <= 0.55
         assert result.truth.magnitude == pytest.approx(late_s, abs=1e-9)
@@ -223,15 +223,17 @@ def test_injected_commands_come_from_the_timer_alone():
     assert execution.timer_period_ns == 50_000_000
     (command,) = examples(execution.program, 1)
     assert execution.on_message(command, stamp(0), 0.0).outputs == []
-    ((due_ns, sent),) = execution.on_timer(stamp(1), 0.2).outputs
+    ((due_ns, sent, _),) = execution.on_timer(stamp(1), 0.2).outputs
     assert (due_ns, sent.linear.x, sent.angular.z) == (stamp(1), 0.1, 0.5)
 
 
 def test_a_flood_is_the_same_scan_many_times():
     message = scan()
     (result,) = results(builtin("topic_flood"), [message], copies=7, spacing=0.01)
-    assert [due_ns for due_ns, _ in result.outputs] == [stamp(0) + 10_000_000 * n for n in range(7)]
-    assert all(output is message for _, output in result.outputs)
+    assert [output.due_ns for output in result.outputs] == [
+        stamp(0) + 10_000_000 * n for n in range(7)
+    ]
+    assert all(output.message is message for output in result.outputs)
 
 
 def test_a_held_object_is_before_the_robot_wherever_it_looks():

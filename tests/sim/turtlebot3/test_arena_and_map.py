@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from sim.turtlebot3.arena import BLOCKS, CYLINDERS, RING, RING_THICKNESS, clearance
+from sim.turtlebot3.arena import BLOCKS, CYLINDERS, HEXAGON, RING, RING_THICKNESS
 from sim.turtlebot3.map import (
     CELLS,
     FREE,
@@ -15,7 +15,7 @@ from sim.turtlebot3.map import (
     RESOLUTION_M,
     UNKNOWN,
     WORLD_IN_MAP,
-    turtlebot3_world_map,
+    occupancy_map,
 )
 
 # From the meshes and poses of the original world, as the fact sheet lists them.
@@ -79,11 +79,11 @@ def test_distance_to_a_hexagon_is_the_distance_to_its_nearest_side(x, y, hexagon
     ],
 )
 def test_clearance_of_places_worked_out_by_hand(point, expected):
-    assert clearance(np.array([point]))[0] == pytest.approx(expected, abs=2e-3)
+    assert HEXAGON.clearance(np.array([point]))[0] == pytest.approx(expected, abs=2e-3)
 
 
 def test_the_map_has_the_size_and_about_the_cells_of_the_original():
-    world = turtlebot3_world_map()
+    world = occupancy_map(HEXAGON)
     assert world.data.shape == (CELLS, CELLS) == (384, 384)
     counts = {value: int((world.data == value).sum()) for value in (OCCUPIED, FREE, UNKNOWN)}
     assert counts[OCCUPIED] == pytest.approx(870, rel=0.05)
@@ -92,15 +92,15 @@ def test_the_map_has_the_size_and_about_the_cells_of_the_original():
 
 
 def test_occupied_cells_lie_on_surfaces_seen_through_the_bias_of_the_map():
-    rows, columns = np.nonzero(turtlebot3_world_map().data == OCCUPIED)
+    rows, columns = np.nonzero(occupancy_map(HEXAGON).data == OCCUPIED)
     in_map = ORIGIN_M + RESOLUTION_M * (np.column_stack([columns, rows]) + 0.5)
-    distance = np.abs(clearance(WORLD_IN_MAP.inverse().apply(in_map)))
+    distance = np.abs(HEXAGON.clearance(WORLD_IN_MAP.inverse().apply(in_map)))
     assert distance.max() < 0.10
     assert np.median(distance) < 0.03
 
 
 def test_free_space_is_one_piece_shut_in_by_occupied_cells():
-    data = turtlebot3_world_map().data
+    data = occupancy_map(HEXAGON).data
     _, pieces = ndimage.label(data == FREE)
     assert pieces == 1
     beside = ndimage.binary_dilation(data == FREE) & (data != FREE)

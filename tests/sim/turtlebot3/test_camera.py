@@ -10,7 +10,7 @@ from sim.middleware.executor import SECOND, Executor
 from sim.middleware.geometry import Pose2D
 from sim.middleware.node import Node
 from sim.turtlebot3 import camera
-from sim.turtlebot3.arena import RING, clearance
+from sim.turtlebot3.arena import HEXAGON, RING
 from sim.turtlebot3.camera import HEIGHT, WIDTH, add_depth_camera, in_depth_range
 from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.world import World
@@ -83,7 +83,7 @@ def test_what_nobody_hears_is_not_published():
 @settings(max_examples=10)
 @given(st.floats(-2.5, 2.5), st.floats(-2.4, 2.4), st.floats(-math.pi, math.pi))
 def test_every_point_lies_on_the_floor_or_on_a_surface_of_the_arena(x, y, yaw):
-    if clearance(np.array([[x, y]]))[0] < 0.3:
+    if HEXAGON.clearance(np.array([[x, y]]))[0] < 0.3:
         return
     start = Pose2D(x, y, yaw)
     (cloud,) = Rig(start).shoot(POINTS)
@@ -93,7 +93,7 @@ def test_every_point_lies_on_the_floor_or_on_a_surface_of_the_arena(x, y, yaw):
     ground = start.compose(Pose2D(X, Y)).apply(np.column_stack([forward, -right])[seen])
     height = Z - down[seen]
     on_floor = np.abs(height) < 1e-3
-    on_surface = np.abs(clearance(ground)) < 1e-3
+    on_surface = np.abs(HEXAGON.clearance(ground)) < 1e-3
     over_the_wall = height > RING.z_max  # some blocks are higher and go on behind it
     assert (on_floor | on_surface | over_the_wall).all()
     assert height.min() > -1e-3

@@ -8,25 +8,34 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.middleware.geometry import Pose2D
-from sim.turtlebot3.arena import BLOCKS, CYLINDERS, RING, Cylinder, clearance
+from sim.turtlebot3.arena import HEXAGON, Arena, Cylinder
 from sim.turtlebot3.clear_space import CENTRE_X, RADIUS, ClearSpace
+from sim.turtlebot3.floor_plans import draw_arena
 from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.world import World
 
-SPACE = ClearSpace(RING, BLOCKS, CYLINDERS)
+SPACE = ClearSpace(HEXAGON)
 
 
 def pose(x: float, y: float, yaw: float) -> np.ndarray:
     return np.array([[x, y, 0.01, math.cos(yaw / 2.0), 0.0, 0.0, math.sin(yaw / 2.0)]])
 
 
-@given(st.floats(-4.0, 4.0), st.floats(-4.0, 4.0), st.floats(-math.pi, math.pi))
-def test_where_it_is_clear_the_body_is_off_every_surface(x: float, y: float, yaw: float) -> None:
+@given(
+    st.sampled_from([HEXAGON, draw_arena("house", 1), draw_arena("random", 2)]),
+    st.floats(-4.0, 4.0),
+    st.floats(-4.0, 4.0),
+    st.floats(-math.pi, math.pi),
+)
+def test_where_it_is_clear_the_body_is_off_every_surface(
+    arena: Arena, x: float, y: float, yaw: float
+) -> None:
     centre = np.array([[x + CENTRE_X * math.cos(yaw), y + CENTRE_X * math.sin(yaw)]])
-    if SPACE.holds(pose(x, y, yaw)):
-        assert clearance(centre)[0] >= RADIUS - 0.012  # the centre stands 5 cm above the floor
+    clearance = arena.clearance(centre)[0]
+    if ClearSpace(arena).holds(pose(x, y, yaw)):
+        assert clearance >= RADIUS - 0.012  # the centre stands 5 cm above the floor
     elif np.hypot(x, y) < 3.0:  # farther out the corners of blocks and ring are cut generously
-        assert clearance(centre)[0] < RADIUS + 0.2
+        assert clearance < RADIUS + 0.2
 
 
 def test_a_tilted_robot_is_where_its_body_is() -> None:

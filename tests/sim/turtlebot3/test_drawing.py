@@ -15,7 +15,6 @@ from sim.experiments import recipe_for
 from sim.middleware.geometry import Pose2D
 from sim.modes import modes
 from sim.testbeds import which_testbed
-from sim.turtlebot3.arena import RING, clearance
 from sim.turtlebot3.drawing import MIN_CLEARANCE_M, MIN_LEG_M
 from sim.turtlebot3.map import WORLD_IN_MAP, odom_in_map
 from sim.turtlebot3.sessions import draw_session
@@ -31,12 +30,12 @@ def in_world(poses):
 @pytest.mark.slow
 @settings(max_examples=20)
 @given(seeds, blocks, st.integers(1, 8))
-def test_start_and_goals_are_clear_of_obstacles_inside_the_ring_and_apart(seed, run, goals):
+def test_start_and_goals_are_clear_of_obstacles_inside_the_arena_and_apart(seed, run, goals):
     recipe = recipe_for("fake_object", run, Campaign(seed=seed, goals_per_run=goals))
     stops = [recipe.start, *recipe.goals]
     assert len(recipe.goals) == goals
-    assert (clearance(in_world(stops)) >= MIN_CLEARANCE_M - 1e-9).all()
-    assert (RING.signed_distance(in_world(stops)) < 0.0).all()
+    assert (recipe.arena.clearance(in_world(stops)) >= MIN_CLEARANCE_M - 1e-9).all()
+    assert (recipe.arena.boundary.signed_distance(in_world(stops)) < 0.0).all()
     assert all(a.distance_to(b) >= MIN_LEG_M for a, b in pairwise(stops))
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import networkx as nx
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
@@ -16,10 +17,12 @@ from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.graphs.differences import graph_differences
 from oracle_pipeline.graphs.intervals import read_intervals
 from sim.campaigns import Campaign
+from sim.commands.main import main
 from sim.experiments import recipe_for, record_run
 from sim.fan_out import fan_out, process_pool
-from sim.fuzzing.compilation import compile_document
+from sim.fuzzing.compilation import compile_document, compile_scenario
 from sim.fuzzing.offline import mutate_bag
+from sim.fuzzing.scenario import parse_scenarios
 from sim.middleware.geometry import Pose2D, quaternion_yaw
 from sim.middleware.stamps import stamp_ns
 from sim.modes import find_mode, modes
@@ -225,19 +228,47 @@ def test_ground_truth_tells_what_was_changed_and_only_attacks_change_anything(ru
         assert bins == {5.0 * (second // 5) for second in changed}
 
 
-@pytest.mark.parametrize("mode", ["fake_object", "random_noise", "benign_drop"])
-def test_the_recipes_scenario_over_the_bag_gives_what_the_node_published(runs, mode, tmp_path):
+@pytest.mark.parametrize(
+    "mode", ["fake_object", "random_noise", "delayed_fakeobject", "benign_drop"]
+)
+def test_a_runs_own_attack_over_its_bag_gives_what_the_node_published(runs, mode, tmp_path):
     directory = runs[mode]
     recipe = TurtleBot3Recipe.from_dict(directory.manifest().recipe)
     program = compile_document(recipe.mode, recipe.scenario)
     bag, mutant = directory.bag, tmp_path / "mutant"
-    mutate_bag(bag, mutant, program, recipe.attack_seed(), parameters=recipe.parameters)
+    done = CliRunner().invoke(
+        main, ["mutate", str(bag), str(mutant), "--like", str(directory.path)]
+    )
+    assert done.exit_code == 0, done.output
     online, offline = (by_stamp(path, program.output_topic) for path in (bag, mutant))
     both = online.keys() & offline.keys()
     assert len(both) > 100
     assert {stamp: online[stamp] for stamp in both} == {stamp: offline[stamp] for stamp in both}
     # One may have been under way at the beginning, and at the end.
     assert len(online.keys() ^ offline.keys()) <= 2
+
+
+def test_a_bag_shows_when_each_goal_was_accepted(runs, tmp_path):
+    directory = runs["delayed_passthrough"]
+    text = """\
+schema: mutant/v1
+id: between_goals
+label: malicious
+main: {type: sensor_msgs/msg/LaserScan, input: /scan_tom, output: /scan_fakeobject}
+activation: {onset: {after: goal_accepted, goal: GOAL}UNTIL}
+transform: {actions: [{name: up, do: [{add: {field: ranges, by: 1.0}}]}]}
+"""
+    first, second = (goal.accepted_s for goal in directory.manifest().goal_results)
+    for goal, until, begin, end in ((1, ", until_goal: 2", first, second), (2, "", second, 1e9)):
+        (scenario,) = parse_scenarios(
+            text.replace("GOAL", str(goal)).replace("UNTIL", until).encode(), "goals.yaml"
+        )
+        summary = mutate_bag(directory.bag, tmp_path / f"goal{goal}", compile_scenario(scenario), 1)
+        assert summary.onset_s == pytest.approx(begin, abs=0.3)
+        acted = [change.start_s for change in summary.changes]
+        assert begin - 5.0 < acted[0] <= begin + 0.3
+        assert acted[-1] <= end + 0.3
+        assert len(acted) >= 2
 
 
 def by_stamp(bag, topic):
@@ -253,6 +284,9 @@ def test_the_manifest_holds_what_the_attack_was(runs):
     assert attack.keys() == {"frame", "x", "y", "radius"}
     assert runs["random_noise"].manifest().attack == {"level": 0.1}
     assert runs["lidar_passthrough"].manifest().attack == {}
+    for directory in runs.values():
+        manifest = directory.manifest()
+        assert manifest.attack_seed == TurtleBot3Recipe.from_dict(manifest.recipe).attack_seed()
     assert len({directory.manifest().scenario_hash for directory in runs.values()}) == len(runs)
 
 

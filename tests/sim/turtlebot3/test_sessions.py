@@ -12,7 +12,8 @@ from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.middleware.geometry import Pose2D
 from sim.middleware.node import Node
-from sim.turtlebot3.map import FREE, OCCUPIED, UNKNOWN, turtlebot3_world_map
+from sim.turtlebot3.arena import HEXAGON
+from sim.turtlebot3.map import FREE, OCCUPIED, UNKNOWN, occupancy_map
 from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.sensors import (
     SCAN_RANGE_MAX_M,
@@ -62,7 +63,7 @@ def test_dropouts_are_rays_without_a_return():
 
 
 def test_a_map_errs_at_walls_only_and_is_the_same_all_session():
-    world, session = turtlebot3_world_map(), replace(draw_session(0, 3), map_errors=0.3)
+    world, session = occupancy_map(HEXAGON), replace(draw_session(0, 3), map_errors=0.3)
     drawn = mapped(world, 0, session)
     wrong = drawn.data != world.data
     walls = world.data == OCCUPIED

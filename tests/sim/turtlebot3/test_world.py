@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from sim.middleware.executor import SECOND
 from sim.middleware.geometry import Pose2D, wrap_angle
-from sim.turtlebot3.arena import BLOCKS, CYLINDERS, RING, Cylinder, clearance
+from sim.turtlebot3.arena import BLOCKS, CYLINDERS, HEXAGON, RING, Cylinder
+from sim.turtlebot3.floor_plans import draw_arena
 from sim.turtlebot3.mjcf import WHEEL_RADIUS_M, WHEEL_SEPARATION_M, WorldParameters
 from sim.turtlebot3.world import World
 
@@ -24,12 +25,12 @@ def drive(world, forward, turning, seconds):
     world.advance_to(world.time_ns + round(seconds * SECOND))
 
 
-def slow_ray(sensor, bearing):
+def slow_ray(arena, sensor, bearing):
     """March along one ray until a surface is reached: obvious, and good to a tenth of a mm."""
     direction = np.array([math.cos(sensor.yaw + bearing), math.sin(sensor.yaw + bearing)])
     distance = 0.0
     while distance < 20.0:
-        free = clearance((np.array([sensor.x, sensor.y]) + distance * direction)[None])[0]
+        free = arena.clearance((np.array([sensor.x, sensor.y]) + distance * direction)[None])[0]
         if free < 1e-4:
             return distance
         distance += free
@@ -38,15 +39,18 @@ def slow_ray(sensor, bearing):
 
 @pytest.mark.slow
 @settings(max_examples=25)
-@given(st.floats(-2.5, 2.5), st.floats(-2.4, 2.4), st.floats(-math.pi, math.pi))
-def test_rays_end_where_a_slow_march_through_the_geometry_ends(x, y, yaw):
-    if clearance(np.array([[x, y]]))[0] < 0.3:
+@given(
+    st.sampled_from([HEXAGON, draw_arena("house", 1), draw_arena("random", 2)]),
+    st.floats(-2.5, 2.5), st.floats(-2.4, 2.4), st.floats(-math.pi, math.pi),
+)  # fmt: skip
+def test_rays_end_where_a_slow_march_through_the_geometry_ends(arena, x, y, yaw):
+    if arena.clearance(np.array([[x, y]]))[0] < 0.3:
         return
-    world = World(WorldParameters(Pose2D(x, y, yaw)))
+    world = World(WorldParameters(Pose2D(x, y, yaw), arena=arena))
     mount = Pose2D(-0.064, 0.0, 0.0)
     measured = world.scan(mount, HEIGHT_M, BEARINGS, 20.0)
     sensor = world.pose.compose(mount)
-    expected = [slow_ray(sensor, bearing) for bearing in BEARINGS]
+    expected = [slow_ray(arena, sensor, bearing) for bearing in BEARINGS]
     # A ray that grazes an edge may end on either side of it.
     agree = np.abs(measured - expected) < 5e-3
     assert agree.mean() >= 0.97
@@ -99,7 +103,7 @@ def last_imu(world):
 
 def test_touching_a_pillar_is_one_episode_with_its_name_and_time():
     world = World(WorldParameters(Pose2D(-2.0, 0.0, 0.0)))
-    assert clearance(np.array([[-2.0, 0.0]]))[0] > 0.3
+    assert HEXAGON.clearance(np.array([[-2.0, 0.0]]))[0] > 0.3
     drive(world, 0.2, 0.0, 8.0)
     (touch,) = world.touches
     assert touch.piece == "one_two"
@@ -187,6 +191,7 @@ def test_every_piece_of_the_arena_stands_in_the_physics():
 FINGERPRINT = """
 import hashlib
 from sim.middleware.geometry import Pose2D
+from sim.turtlebot3.floor_plans import draw_arena
 from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.world import World
 world = World(WorldParameters(Pose2D(-2.0, -0.5, 0.1), 0.9, 1.05))

@@ -1,0 +1,36 @@
+"""The command that records further runs, ready to be pasted into a terminal."""
+
+import os
+import shlex
+from collections.abc import Sequence
+
+from assets.partitions import run_count
+from sim.modes import modes
+
+# Settings that decide which runs are recorded and where; the command repeats those that are set.
+REPEATED = ("ORACLE_HOME", "ORACLE_GOALS_PER_RUN", "ORACLE_SCENARIOS")
+
+
+def record_command(wanted: Sequence[str], blocks: int) -> str:
+    """Return the command that records the first so many blocks of modes, and analyses them.
+
+    A range of partitions is one of neighbouring modes; runs that are there already are verified.
+
+    Parameters
+    ----------
+    wanted : sequence of str
+        Modes; ``benign_*`` stands for all that begin so.
+    blocks : int
+        How many, from the first.
+    """
+    beginnings = tuple(name[:-1] for name in wanted if name.endswith("*"))
+    chosen = [mode for mode in modes() if mode in wanted or mode.startswith(beginnings)]
+    settings = {name: os.environ[name] for name in REPEATED if os.environ.get(name)}
+    if blocks > run_count(os.environ) or os.environ.get("ORACLE_RUNS"):
+        settings["ORACLE_RUNS"] = str(max(blocks, run_count(os.environ)))
+    words = [f"{name}={shlex.quote(value)}" for name, value in settings.items()]
+    keys = f"{chosen[0]}|run000...{chosen[-1]}|run{blocks - 1:03d}"
+    return " ".join(
+        [*words, "dagster asset materialize -m oracle_pipeline.definitions --select '*'",
+         f"--partition-range '{keys}'"]
+    )  # fmt: skip

@@ -1,0 +1,126 @@
+"""Tampering and misbehaviour: two truths about a run, and the two scores that are to find them.
+
+A run is *tampered* if an attack altered messages, and *misbehaved* if the robot did something else
+than in unaltered runs of its block (``oracle_pipeline.evaluation.task_effects``). Each truth is
+measured against the score of the same name on the reference card.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oracle_pipeline.evaluation.comparisons import RATES, ComparedRuns, judge
+from oracle_pipeline.evaluation.estimate import NOTHING
+from oracle_pipeline.evaluation.held_out import HeldOutScores
+from oracle_pipeline.evaluation.judged_runs import JudgedRuns
+from oracle_pipeline.evaluation.metrics import share
+from oracle_pipeline.evaluation.task_effects import TaskEffects
+
+Row = dict[str, float | int | str]
+
+
+def aspects_table(
+    scores: Mapping[str, HeldOutScores],
+    campaign: JudgedRuns,
+    effects: TaskEffects,
+    compared: Sequence[ComparedRuns],
+    rng: np.random.Generator,
+) -> pd.DataFrame:
+    """Return a row for each aspect and comparison, with the figures of `judge`.
+
+    Parameters
+    ----------
+    scores : mapping of str to HeldOutScores
+        By aspect: ``tampering``, ``misbehaviour``.
+    campaign : JudgedRuns
+    effects : TaskEffects
+    compared : sequence of ComparedRuns
+    rng : Generator
+        Draws the resamples behind the intervals.
+    """
+    truth = {
+        "tampering": (campaign.malicious, np.ones_like(campaign.malicious)),
+        "misbehaviour": (effects.misbehaved, effects.known),
+    }
+    rows: list[Row] = []
+    for aspect, of_aspect in scores.items():
+        positive, known = truth[aspect]
+        for each in compared:
+            scope = ComparedRuns(each.name, each.runs & known)
+            if scope.runs.any():
+                figures = judge(of_aspect, campaign, scope, rng, positive)
+                rows.append({"aspect": aspect, "scope": each.name, **figures})
+    return pd.DataFrame(rows)
+
+
+def by_mode(
+    scores: Mapping[str, HeldOutScores],
+    campaign: JudgedRuns,
+    effects: TaskEffects,
+    rng: np.random.Generator,
+) -> pd.DataFrame:
+    """Return a row for each mode: how many of its runs misbehaved, and what they were called."""
+    mode = campaign.features["mode"].to_numpy()
+    rows = []
+    for name in dict.fromkeys(campaign.features["mode"]):
+        of_mode = (mode == name) & effects.known
+        sizes = effects.size[of_mode]
+        rows.append(
+            {
+                "mode": name,
+                "runs": int(of_mode.sum()),
+                **share(effects.misbehaved[of_mode], campaign.block[of_mode], rng).columns(
+                    "misbehaved"
+                ),
+                "effect_median": float(np.median(sizes)) if len(sizes) else np.nan,
+                **_called(scores, campaign, mode == name, rng),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def quadrants(
+    scores: Mapping[str, HeldOutScores],
+    campaign: JudgedRuns,
+    effects: TaskEffects,
+    rng: np.random.Generator,
+) -> pd.DataFrame:
+    """Return a row for each of tampered or not, misbehaved or not, and what the runs were called.
+
+    Runs of which it is not known whether they misbehaved are left out.
+    """
+    rows = []
+    for tampered in (False, True):
+        for misbehaved in (False, True):
+            members = (
+                effects.known
+                & (campaign.malicious == tampered)
+                & (effects.misbehaved == misbehaved)
+            )
+            rows.append(
+                {
+                    "tampered": "yes" if tampered else "no",
+                    "misbehaved": "yes" if misbehaved else "no",
+                    "runs": int(members.sum()),
+                    **_called(scores, campaign, members, rng),
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def _called(
+    scores: Mapping[str, HeldOutScores],
+    campaign: JudgedRuns,
+    members: NDArray[np.bool_],
+    rng: np.random.Generator,
+) -> dict[str, float]:
+    """Return the share of some runs that each score calls anomalous, at the usual rate."""
+    columns: dict[str, float] = {}
+    for aspect, of_aspect in scores.items():
+        judged = members & np.isfinite(of_aspect.p)
+        called = of_aspect.p[judged] <= RATES[0]
+        rate = share(called, campaign.block[judged], rng) if judged.any() else NOTHING
+        columns |= rate.columns(f"called_{aspect}")
+    return columns

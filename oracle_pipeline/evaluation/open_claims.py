@@ -1,0 +1,132 @@
+"""What a campaign cannot support yet, why, and which runs to record for it."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from math import ceil
+
+import numpy as np
+import pandas as pd
+
+from oracle_pipeline.bags.protocol import PAIRS
+from oracle_pipeline.bootstrap import lacking
+from oracle_pipeline.datasets import HARD_NEGATIVE, feature_columns, is_malicious
+from oracle_pipeline.evaluation.audit import blocks_needed
+from oracle_pipeline.evaluation.comparisons import BLOCKS_NEEDED, RATES, SHADOW
+from oracle_pipeline.evaluation.integrity import (
+    FALSE_ALARMS,
+    IntegrityCheck,
+    blocks_to_exclude,
+    blocks_to_separate,
+)
+from oracle_pipeline.evaluation.splits import MIN_BLOCKS
+from oracle_pipeline.scoring.conformal import runs_needed
+
+
+@dataclass(frozen=True, slots=True)
+class OpenClaim:
+    """Something that nobody may say of these runs yet."""
+
+    claim: str
+    reason: str
+    modes: tuple[str, ...] = ()  # to record; ending in ``*``: all that begin so
+    blocks: int = 0  # in which to record them, counted from the first; 0: more runs do not help
+
+
+def open_claims(df: pd.DataFrame, checks: Sequence[IntegrityCheck]) -> list[OpenClaim]:
+    """Return what these runs cannot support, the most basic claim first.
+
+    Parameters
+    ----------
+    df : DataFrame
+        Distinct runs, a row each.
+    checks : sequence of IntegrityCheck
+        Of their evaluation; an AUC is claimed when all of them are green.
+    """
+    if missing := lacking(df):
+        side = 0 if is_malicious(df).any() else 1
+        absent = tuple(pair[side] for pair in PAIRS)
+        blocks = max(1, df["block"].nunique())
+        return [OpenClaim("Any comparison", f"There are {missing}.", absent, blocks)]
+    return [
+        *_verdicts(df),
+        *_area(df, [check for check in checks if check.status != "green"]),
+        *_unused(df),
+    ]
+
+
+def as_table(claims: Iterable[OpenClaim]) -> pd.DataFrame:
+    """Return claims as a table, modes joined by blanks."""
+    rows = [{**asdict(claim), "modes": " ".join(claim.modes)} for claim in claims]
+    return pd.DataFrame(rows, columns=list(OpenClaim.__dataclass_fields__))
+
+
+def _verdicts(df: pd.DataFrame) -> list[OpenClaim]:
+    """Return the next false positive rate that is out of reach."""
+    normal = df[~is_malicious(df)]
+    modes = tuple(dict.fromkeys(df["mode"]))
+    runs, blocks = len(normal), normal["block"].nunique()
+    usual, strict = RATES
+    needed = runs_needed(usual) + 1  # a run's own block has no vote on it
+    if blocks < needed:
+        reason = (
+            f"It needs normal recordings of {needed} blocks; you have {runs} recordings of "
+            f"{blocks}. Record {needed - blocks} more blocks."
+        )
+        return [OpenClaim(f"A false positive rate of {usual:.0%}", reason, modes, needed)]
+    to_show = blocks_to_exclude(usual)
+    if runs < to_show:
+        bound = 1.0 - usual ** (1.0 / runs)
+        reason = (
+            f"{runs} normal recordings without a false positive would still allow a rate of "
+            f"{bound:.1%}; {to_show} are needed."
+        )
+        needed = ceil(to_show * blocks / runs)
+        return [OpenClaim(f"Proof that the rate is at most {usual:.0%}", reason, modes, needed)]
+    needed = BLOCKS_NEEDED[strict]
+    if blocks < needed:
+        reason = f"It needs {needed} blocks; you have {blocks}. Record {needed - blocks} more."
+        return [OpenClaim(f"A false positive rate of {strict:.0%}", reason, modes, needed)]
+    return []
+
+
+def _area(df: pd.DataFrame, doubts: Sequence[IntegrityCheck]) -> list[OpenClaim]:
+    """Return what keeps an AUC from being claimed: first what more runs would settle."""
+    claims = []
+    lacks = [check for check in doubts if check.status == "unsupported"]
+    if lacks:
+        needs = [_need(check.name, df) for check in lacks]
+        modes = tuple(dict.fromkeys(mode for of_check, _ in needs for mode in of_check))
+        blocks = max(blocks for _, blocks in needs)
+        reason = f"These checks lack runs: {', '.join(map(_named, lacks))}."
+        everything = tuple(dict.fromkeys([*df["mode"], *modes]))
+        claims.append(OpenClaim("An AUC", reason, everything, blocks))
+    if failed := [check for check in doubts if check.status == "red"]:
+        reason = f"These checks fail: {', '.join(map(_named, failed))}."
+        claims.append(OpenClaim("An AUC for other recordings than these", reason))
+    return claims
+
+
+def _named(check: IntegrityCheck) -> str:
+    return check.name.replace("_", " ")
+
+
+def _need(check: str, df: pd.DataFrame) -> tuple[tuple[str, ...], int]:
+    """Return the modes that a check lacks, and in how many blocks it takes them."""
+    if check == "hard_negatives_pass":
+        return (f"{HARD_NEGATIVE}*",), blocks_to_exclude(FALSE_ALARMS)
+    if check == "unaltered_runs_are_alike":
+        shadows = tuple(f"{attacked}{SHADOW}" for _, attacked in PAIRS)
+        return shadows, blocks_needed(len(feature_columns(df)))
+    if check in ("sessions_score_alike", "label_is_predicted_better_than_session"):
+        return (), 2 * blocks_to_separate()
+    if check == "graphs_of_pairs_are_equal":
+        return tuple(mode for pair in PAIRS for mode in pair), max(1, df["block"].nunique())
+    return (), MIN_BLOCKS
+
+
+def _unused(df: pd.DataFrame) -> list[OpenClaim]:
+    empty = [name for name in feature_columns(df) if not np.isfinite(df[name]).any()]
+    if not empty:
+        return []
+    named = ", ".join(empty)
+    return [OpenClaim("Anything by features without a value", f"No run has {named}.")]

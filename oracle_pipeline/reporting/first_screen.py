@@ -1,0 +1,107 @@
+"""The first screen: what was recorded, what was found, what cannot be claimed yet and what to do.
+
+It holds no figure of its own; all are of ``oracle_evaluation``.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from oracle_pipeline.datasets import is_malicious
+from oracle_pipeline.reporting.report import Report
+from oracle_pipeline.reporting.strip_plot import StripPlot, strip_plot
+
+HIGHEST = 3  # runs that are named
+
+# From modes, where ``*`` ends the beginning of names, and blocks to the command that records them.
+Recorder = Callable[[Sequence[str], int], str]
+
+
+class RunLink(NamedTuple):
+    """A run and its page."""
+
+    run: str
+    page: str  # relative to the folder of the report
+    score: str
+
+
+class ClaimLine(NamedTuple):
+    """What cannot be claimed yet."""
+
+    claim: str
+    reason: str
+    command: str  # empty: more runs do not help
+
+
+class FirstScreen(NamedTuple):
+    """What the first screen shows."""
+
+    answer: str
+    recorded: str
+    verdicts: str
+    highest: Sequence[RunLink]
+    highest_normal: RunLink | None
+    claims: Sequence[ClaimLine]
+    plot: StripPlot | None
+
+
+def first_screen(evaluation: Report, record: Recorder) -> FirstScreen:
+    """Return the first screen of an evaluation's report."""
+    runs = evaluation.tables["runs"]
+    scored = runs[np.isfinite(runs["score"])].sort_values("score", ascending=False)
+    return FirstScreen(
+        answer=str(evaluation.summary["headline"]),
+        recorded=_recorded(runs),
+        verdicts=str(evaluation.summary["verdicts"]),
+        highest=_links(scored.head(HIGHEST)),
+        highest_normal=next(iter(_links(scored[~is_malicious(scored)].head(1))), None),
+        claims=[
+            ClaimLine(
+                row["claim"],
+                row["reason"],
+                record(row["modes"].split(), row["blocks"]) if row["blocks"] else "",
+            )
+            for _, row in evaluation.tables["open_claims"].iterrows()
+        ],
+        plot=strip_plot(runs, evaluation.tables["standing"], run_page),
+    )
+
+
+def run_page(run: str) -> str:
+    """Return the page of a run, relative to the folder of the report.
+
+    Examples
+    --------
+    >>> run_page("fake_object|run003")
+    'runs/fake_object/run003.html'
+    """
+    return f"runs/{run.replace('|', '/')}.html"
+
+
+def _links(runs: pd.DataFrame) -> list[RunLink]:
+    return [
+        RunLink(run["run_id"], run_page(run["run_id"]), f"{run['score']:.3g}")
+        for _, run in runs.iterrows()
+    ]
+
+
+def _recorded(runs: pd.DataFrame) -> str:
+    """Return what was recorded, in numbers."""
+    attacked = int(is_malicious(runs).sum())
+    hours = runs["recording_s"].sum() / 3600.0
+    of = [
+        _count(runs["mode"].nunique(), "mode"),
+        _count(runs["block"].nunique(), "block"),
+        _count(runs["session"].nunique(), "session"),
+        *([_count(runs["world"].nunique(), "world")] if "world" in runs else []),
+    ]
+    return (
+        f"{_count(len(runs), 'run')}: {attacked} attacked, {len(runs) - attacked} normal. "
+        f"{', '.join(of)}, {hours:.1f} hours."
+    )
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"

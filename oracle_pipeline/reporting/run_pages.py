@@ -1,0 +1,247 @@
+"""A page for each run, and one that lists them all: ``runs/<mode>/<run>.html``.
+
+A page shows what was kept when the run was recorded (manifest, picture, tables), so it is made
+without the bag. Each is one file that needs no other.
+"""
+
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.behaviour import UNITS, behaviour
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.scratch import replaced_folder
+from oracle_pipeline.detectors import Deviation, by_family
+from oracle_pipeline.evaluation.comparisons import RATES
+from oracle_pipeline.evaluation.unusual_windows import UnusualWindows
+from oracle_pipeline.features import FeatureTables
+from oracle_pipeline.reporting import page_tables
+from oracle_pipeline.reporting.first_screen import run_page
+from oracle_pipeline.reporting.heat_strip import HeatStrip, heat_strip
+from oracle_pipeline.reporting.page import Picture, run_picture, template
+from oracle_pipeline.reporting.page_tables import PageTable
+from oracle_pipeline.scoring.evidence import farthest_features
+from oracle_pipeline.scoring.feature_sets import feature_sets
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+
+UP = "../../"  # from a run's page to the folder of the report
+BAGS = {
+    "full": "whole",
+    "trimmed": "trimmed to the topics that features need",
+    "recipe": "dropped to save space; the page shows what was kept, and the recipe makes it again",
+}
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class ShownRuns:
+    """All that the pages of runs are made of."""
+
+    measured: MeasuredRuns
+    judged: pd.DataFrame  # the table ``runs`` of `oracle_evaluation`
+    deviations: Mapping[str, Sequence[Deviation]]  # by run
+    unusual: UnusualWindows | None  # of the windows of `measured`; None: too few blocks
+    path: Callable[[str], Path]  # of a run's folder
+    film: str  # name of the film there, if one was made
+    manifest: Callable[[str], Manifest]
+    picture: Callable[[str], bytes]  # PNG; an `OracleError` says why there is none
+
+
+class RunLine(NamedTuple):
+    """A run in the list of all runs."""
+
+    run: str
+    page: str  # relative to the list
+    label: str
+    cells: Sequence[str]
+
+
+LIST = ("score", "p", "block", "session", "ended", "recorded")
+
+
+def write_run_pages(shown: ShownRuns, folder: Path) -> int:
+    """Write the pages of all runs, in place of those that are there; return how many.
+
+    Parameters
+    ----------
+    shown : ShownRuns
+    folder : Path
+        The folder ``runs`` of the report, on this machine.
+    """
+    with replaced_folder(folder) as new:
+        for run, page in _pages(shown):
+            place = new / run_page(run).removeprefix("runs/")
+            place.parent.mkdir(exist_ok=True)
+            place.write_text(page, encoding="utf-8")
+        listing = template("runs.html.j2").render(heads=LIST, lines=_lines(shown.judged))
+        (new / "index.html").write_text(listing, encoding="utf-8")
+    return len(shown.measured.features)
+
+
+def _lines(judged: pd.DataFrame) -> list[RunLine]:
+    """Return the runs by falling score."""
+    return [
+        RunLine(
+            run["run_id"],
+            run_page(run["run_id"]).removeprefix("runs/"),
+            run["label"],
+            (
+                _number(run["score"]),
+                _number(run["p"]),
+                str(run["block"]),
+                str(run["session"]),
+                run["outcome"],
+                f"{run['recording_s']:.0f} s",
+            ),
+        )
+        for _, run in judged.sort_values("score", ascending=False).iterrows()
+    ]
+
+
+def _number(value: float) -> str:
+    return page_tables.NO_FIGURE if np.isnan(value) else f"{value:.3g}"
+
+
+def _pages(shown: ShownRuns) -> Iterator[tuple[str, str]]:
+    """Yield each run and its page."""
+    measured, judged = shown.measured, shown.judged
+    features = measured.features
+    ranks = judged.assign(rank=judged["score"].rank(ascending=False)).set_index("run_id")
+    scored = int(judged["score"].notna().sum())
+    blocks = features.groupby("block")["run_id"].agg(list)
+    windows_of = np.split(np.arange(len(measured.run)), np.cumsum(measured.counts)[:-1])
+    columns = feature_sets(features).get("all", [])
+    for number, run in enumerate(features["run_id"]):
+        row, of_run = features.iloc[[number]], windows_of[number]
+        manifest = shown.manifest(run)
+        deviations = shown.deviations.get(run, ())
+        tables = FeatureTables(row, measured.windows.iloc[of_run])
+        picture, why_not = _picture(shown, run)
+        yield (
+            run,
+            template("run.html.j2").render(
+                run=run,
+                up=UP,
+                manifest=manifest,
+                verdict=_verdict(ranks.loc[run] if run in ranks.index else None, scored),
+                facts=_facts(manifest, row),
+                goals=_goals(manifest),
+                picture=picture,
+                why_not=why_not,
+                strip=_strip(shown, of_run, manifest),
+                evidence=page_tables.of_evidence(
+                    f"What is unusual in {run}", farthest_features(deviations, tables)
+                ),
+                families=page_tables.of_families(by_family(deviations, columns)),
+                film=_film(shown.path(run), shown.film),
+                replay=f"oracle replay {shlex.quote(str(shown.path(run)))}",
+                beside=[
+                    (other, UP + run_page(other))
+                    for other in blocks[row["block"].iloc[0]]
+                    if other != run
+                ],
+            ),
+        )
+
+
+def _picture(shown: ShownRuns, run: str) -> tuple[Picture | None, str]:
+    """Return the picture of a run, or why there is none."""
+    try:
+        return run_picture(run, shown.picture(run)), ""
+    except (OracleError, OSError) as error:
+        return None, f"It is not drawn: {error}"
+
+
+def _verdict(judged: pd.Series | None, scored: int) -> str:
+    """Return the verdict on a run and where it ranks."""
+    if judged is None:
+        return "Not judged: it ended before its attack began."
+    if np.isnan(judged["score"]):
+        return "Not judged: a score takes normal runs of three blocks."
+    where = f"Score {judged['score']:.3g}, number {judged['rank']:.0f} of {scored} from the top."
+    if np.isnan(judged["p"]):
+        return f"{where} No verdict: there are too few normal blocks for one at {RATES[0]:.0%}."
+    called = "Anomalous" if judged["p"] <= RATES[0] else "Not anomalous"
+    return f"{called} at a false positive rate of {RATES[0]:.0%}: p = {judged['p']:.3g}. {where}"
+
+
+def _facts(manifest: Manifest, row: pd.DataFrame) -> dict[str, str]:
+    """Return what is known of a run, by name."""
+    reached = sum(goal.outcome == "succeeded" for goal in manifest.goal_results)
+    changed = sum(change.messages for change in manifest.changes)
+    facts = {
+        "outcome": f"{manifest.outcome}; {reached} of {len(manifest.goals)} goals reached",
+        "recorded": f"{manifest.recording_s:.1f} s",
+        "block, session": f"{manifest.block}, {manifest.session}",
+        "contacts": ", ".join(dict.fromkeys(c.piece for c in manifest.contacts)) or "none",
+    }
+    if "world" in row:
+        facts["world"] = str(row["world"].iloc[0])
+    if manifest.label == "malicious":
+        began = "never" if manifest.onset_s is None else f"at {manifest.onset_s:.1f} s"
+        facts["attack began"] = f"{began}; {changed} messages changed"
+    if done := behaviour(manifest):
+        facts["what the robot did"] = _quantities(done, ".3g")
+    if manifest.task_effect:
+        facts["more than its control"] = _quantities(manifest.task_effect, "+.3g")
+    if manifest.attack:
+        facts["attack"] = ", ".join(f"{k} {_value(v)}" for k, v in manifest.attack.items())
+    facts["bag"] = BAGS[manifest.measured.kept]
+    return facts
+
+
+def _quantities(quantities: Mapping[str, float], spec: str) -> str:
+    """Return quantities of `behaviour` in words, with their units."""
+    return ", ".join(
+        f"{name.rpartition('_')[0] if unit != '1' else name} {value:{spec}}"
+        f"{f' {unit}' if unit != '1' else ''}".replace("_", " ")
+        for name, value in quantities.items()
+        for unit in [UNITS[name]]
+    )
+
+
+def _value(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _goals(manifest: Manifest) -> PageTable:
+    """Return what became of each goal."""
+    table = pd.DataFrame(
+        [
+            (
+                number,
+                goal.outcome,
+                f"{goal.accepted_s:.1f}",
+                page_tables.NO_FIGURE if goal.ended_s is None else f"{goal.ended_s:.1f}",
+                f"{goal.driven_m:.1f}",
+                goal.recoveries,
+            )
+            for number, goal in enumerate(manifest.goal_results, start=1)
+        ],
+        columns=["goal", "outcome", "accepted [s]", "ended [s]", "driven [m]", "recoveries"],
+    )
+    return page_tables.of_any("Goals", table)
+
+
+def _strip(shown: ShownRuns, windows: NDArray[np.intp], manifest: Manifest) -> HeatStrip | None:
+    if shown.unusual is None or not len(windows):
+        return None
+    return heat_strip(
+        shown.unusual.where(windows),
+        manifest.recording_s,
+        manifest.onset_s if manifest.label == "malicious" else None,
+        [goal.ended_s for goal in manifest.goal_results if goal.ended_s is not None],
+    )
+
+
+def _film(path: Path, name: str) -> str:
+    """Return the film of a run, relative to its page; empty if none was made."""
+    if not (path / name).is_file():
+        return ""
+    return f"{UP}../runs/{path.parent.name}/{path.name}/{name}"

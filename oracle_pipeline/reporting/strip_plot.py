@@ -1,0 +1,122 @@
+"""Every run as a mark on a line, its mode's: at a glance, whether attacked runs fall apart.
+
+The page draws it as inline SVG in its own inks, so that one drawing reads in light and in dark and
+text keeps its size on a phone. Places are in per cent of the width.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from oracle_pipeline.datasets import is_malicious
+from oracle_pipeline.evaluation.comparisons import RATES
+
+MARGIN = 2.5  # left and right of the marks [%]
+APART = 8.0  # least distance of two ticks [%]
+TICKS = (0, 1, 3, 10, 30, 100, 300, 1000, 3000, 10_000)
+HEIGHTS = ((10, 26), (20, 19))  # of a line, up to so many modes [px]; more modes: the least
+LEAST_HEIGHT = 14
+SWAY = (0, -1, 1, -2, 2)  # off the middle of the line, so that equal scores do not hide each other
+
+
+class Mark(NamedTuple):
+    """One run."""
+
+    x: float  # [%]
+    y: float  # [px]
+    page: str
+    name: str  # run and score, in words
+    called: bool  # anomalous, or there are no verdicts
+
+
+class Strip(NamedTuple):
+    """The runs of one mode."""
+
+    mode: str
+    label: str
+    marks: Sequence[Mark]
+    note: str
+    description: str
+
+
+class StripPlot(NamedTuple):
+    """The whole drawing."""
+
+    strips: Sequence[Strip]
+    height: int  # of a line [px]
+    ticks: Sequence[tuple[float, str]]  # place [%] and text
+    highest_normal: float | None  # [%]
+    with_verdicts: bool
+
+
+def strip_plot(
+    runs: pd.DataFrame, standing: pd.DataFrame, page_of: Callable[[str], str]
+) -> StripPlot | None:
+    """Return the drawing, None if no run has a score.
+
+    Parameters
+    ----------
+    runs : DataFrame
+        ``run_id``, ``mode``, ``label``, ``score`` and ``p``, a row each.
+    standing : DataFrame
+        Modes, in the order of their lines (`oracle_pipeline.evaluation.ranking.standing`).
+    page_of : callable
+        From a run to the address of its page.
+    """
+    runs = runs[np.isfinite(runs["score"])]
+    if runs.empty:
+        return None
+    place = _Scale(runs["score"])
+    height = next((px for modes, px in HEIGHTS if len(standing) <= modes), LEAST_HEIGHT)
+    with_verdicts = bool(runs["p"].notna().any())
+    strips = []
+    for _, mode in standing.iterrows():
+        of_mode = runs[runs["mode"] == mode["mode"]]
+        marks = [
+            Mark(
+                round(place(run.score), 2),
+                height / 2 + SWAY[number % len(SWAY)] * height / 10,
+                page_of(run.run_id),
+                f"{run.run_id}: {run.score:.3g}",
+                bool(run.p <= RATES[0]) or not with_verdicts,
+            )
+            for number, run in enumerate(of_mode.itertuples())
+        ]
+        strips.append(Strip(mode["mode"], mode["label"], marks, *_words(mode, of_mode)))
+    normal = runs.loc[~is_malicious(runs), "score"]
+    highest = None if normal.empty else round(place(normal.max()), 2)
+    return StripPlot(strips, height, place.ticks(), highest, with_verdicts)
+
+
+def _words(mode: pd.Series, runs: pd.DataFrame) -> tuple[str, str]:
+    """Return the note beside a line, and what the line shows."""
+    note = f"{mode['runs']}"
+    if mode["judged"]:
+        note = f"{mode['called']}/{mode['judged']}"
+    span = ""
+    if len(runs):
+        span = f", scores from {runs['score'].min():.3g} to {runs['score'].max():.3g}"
+    called = f", {mode['called']} of {mode['judged']} called anomalous" if mode["judged"] else ""
+    return note, f"{mode['mode']}: {mode['runs']} {mode['label']} runs{span}{called}"
+
+
+class _Scale:
+    """From scores to places: linear about 0, logarithmic far from it (asinh)."""
+
+    def __init__(self, scores: pd.Series) -> None:
+        self._low, self._high = np.arcsinh([min(scores.min(), -1.0), max(scores.max(), 3.0)])
+
+    def __call__(self, score: float) -> float:
+        share = (np.arcsinh(score) - self._low) / (self._high - self._low)
+        return float(MARGIN + share * (100.0 - 2 * MARGIN))
+
+    def ticks(self) -> list[tuple[float, str]]:
+        """Return places and texts of what the axis names."""
+        named: list[tuple[float, str]] = []
+        for tick in TICKS:
+            x = self(tick)
+            if x <= 100.0 - MARGIN / 2 and (not named or x - named[-1][0] >= APART):
+                named.append((round(x, 2), f"{tick:,}"))
+        return named

@@ -1,0 +1,119 @@
+"""The page of `oracle score --page`: each verdict with its picture and its evidence.
+
+One self-contained HTML file that loads nothing from the network. Names and texts of a recording are
+escaped, and pictures are drawn in processes of their own, as its features are computed.
+"""
+
+import base64
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import jinja2
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.terminal import printable
+from oracle_pipeline.datasets import replacing
+from oracle_pipeline.features import FeatureManager
+from oracle_pipeline.replay.picture import picture
+from oracle_pipeline.scoring.isolation import Limits, apart
+from oracle_pipeline.scoring.output import HEADINGS, cells, family_as_text
+from oracle_pipeline.scoring.verdict import Judgement, Verdict
+
+_HEADLINES: dict[Judgement, str] = {
+    "normal": "Normal",
+    "anomalous": "Anomalous",
+    "unsupported": "No verdict",
+    "error": "Could not be judged",
+}
+
+
+class _Row(NamedTuple):
+    """One piece of evidence: its cells, and what the feature is."""
+
+    cells: Sequence[str]
+    meaning: str
+
+
+class _Judged(NamedTuple):
+    """One recording as the page shows it."""
+
+    name: str
+    outcome: Judgement
+    headline: str
+    sentence: str
+    picture: str  # data URI; empty if it could not be drawn
+    rows: Sequence[_Row]
+    remarks: Sequence[str]
+
+
+def write(
+    path: Path,
+    verdicts: Sequence[Verdict],
+    far: float,
+    notes: Sequence[str],
+    manager: FeatureManager,
+    limits: Limits,
+) -> None:
+    """Write the page.
+
+    Parameters
+    ----------
+    path : Path
+        Its place.
+    verdicts : sequence of Verdict
+    far : float
+        The false positive rate that they were judged at.
+    notes : sequence of str
+        What a reader should know of the reference.
+    manager : FeatureManager
+        That knows what the features are.
+    limits : Limits
+        Of each process that draws a recording.
+    """
+    meanings = {name: feature.description for name, feature in manager.features().items()}
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("oracle_pipeline.reporting"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    page = environment.get_template("verdicts.html.j2").render(
+        judged=[_judged(verdict, far, meanings, limits) for verdict in verdicts],
+        headings=HEADINGS,
+        far=far,
+        notes=notes,
+    )
+    with replacing(path) as sink:
+        sink.write(printable(page).encode())
+
+
+def _judged(verdict: Verdict, far: float, meanings: Mapping[str, str], limits: Limits) -> _Judged:
+    remarks, uri = [*verdict.contract, *verdict.notes], ""
+    if verdict.outcome != "error":
+        try:
+            png = apart(picture, Path(verdict.recording), limits)
+            uri = f"data:image/png;base64,{base64.b64encode(png).decode()}"
+        except OracleError as error:
+            remarks.append(f"It is not drawn: {error}")
+    return _Judged(
+        verdict.recording,
+        verdict.outcome,
+        _HEADLINES[verdict.outcome],
+        _sentence(verdict, far),
+        uri,
+        [_Row(cells(each), meanings.get(each.feature, "")) for each in verdict.evidence],
+        [*map(family_as_text, verdict.families), *remarks],
+    )
+
+
+def _sentence(verdict: Verdict, far: float) -> str:
+    """Return what the p-value means."""
+    if verdict.p_value is None or verdict.suite_p_value is None:
+        return verdict.error
+    farther = round(verdict.p_value * (verdict.normal_blocks + 1)) - 1
+    return (
+        f"Of {verdict.normal_blocks} normal recordings, {farther} are at least as unusual "
+        f"(p = {verdict.suite_p_value:.3g}; anomalous from {far:g} down)."
+    )

@@ -1,0 +1,165 @@
+"""``oracle-sim serve``: a testbed on a DDS domain, in real time.
+
+The wall clock is here and nowhere else in ``sim``: it holds the run back, and changes nothing in
+it.
+"""
+
+import contextlib
+import queue
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.run_directory import RunDirectory
+from sim.campaigns import Campaign
+from sim.commands.batch import seed_option
+from sim.experiments import recipe_for, record_run
+from sim.middleware.executor import SECOND
+from sim.modes import find_mode, modes
+from sim.testbed import TestbedRun
+
+if TYPE_CHECKING:
+    from sim.serving import ServedDomain
+
+DEFAULT_MODE = "lidar_passthrough_odom"  # its node can be switched to every built-in attack on it
+_TIMEOUT_S = 120.0  # of simulated time, for each goal
+_HEAD_START_S = 4.0  # that others get to find the nodes before anything is said
+_PATIENCE_S = 0.002  # that simulated time may be ahead; shorter sleeps cost more than they are
+_HELP = "Type `attack NAME` (a mode or a scenario file), `attack off`, or Ctrl-C."
+
+
+@click.command()
+@click.option(
+    "-m", "--mode", type=click.Choice(list(modes())), default=DEFAULT_MODE, show_default=True,
+    help="Which experiment.",
+)  # fmt: skip
+@click.option(
+    "--speed", default=1.0, show_default=True, type=click.FloatRange(0.0, min_open=True),
+    help="Simulated seconds a second, as far as the machine can.",
+)  # fmt: skip
+@click.option(
+    "--domain", type=click.IntRange(0, 232),
+    help="DDS domain.  [default: $ROS_DOMAIN_ID, else 0]",
+)  # fmt: skip
+@click.option("--run", default=0, show_default=True, type=click.IntRange(min=0),
+              help="Which run of the campaign: its start, goals and nuisance.")  # fmt: skip
+@click.option("--goals", default=20, show_default=True, type=click.IntRange(min=1),
+              help="Goals of the patrol; it ends after the last.")  # fmt: skip
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False),
+    help="Root to keep the run in too, as `oracle-sim record` would. Without one, it is not kept.",
+)  # fmt: skip
+@seed_option
+def serve(
+    mode: str, speed: float, domain: int | None, run: int, goals: int, out: Path | None, seed: int
+) -> None:
+    """Run a testbed on a real DDS domain, in real time.
+
+    All topics are there with ROS names and profiles, `/clock` too, and the nodes on
+    `ros_discovery_info`; so `oracle watch` and ROS 2 tools can look at it. Services are not.
+
+    While it runs, a line on standard input switches an attack on or off:
+
+    \b
+        attack random_noise
+        attack off
+
+    \b
+    Examples:
+        oracle-sim serve
+        oracle-sim serve -m random_noise --speed 2 --domain 7
+    """  # noqa: D301 -- click reads the control character
+    try:
+        _serve(mode, speed, domain, run, goals, out, seed)
+    except OracleError as error:
+        raise click.ClickException(str(error)) from error
+
+
+def _serve(
+    mode: str, speed: float, domain: int | None, run: int, goals: int, out: Path | None, seed: int
+) -> None:
+    from oracle_pipeline.bags.dds import default_domain
+
+    campaign = Campaign(seed=seed, goals_per_run=goals, timeout_s=_TIMEOUT_S * goals)
+    recipe = recipe_for(mode, run, campaign)
+    number = default_domain() if domain is None else domain
+    with contextlib.ExitStack() as stack:
+        root = out or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        directory = RunDirectory(root, mode, run)
+        if directory.is_complete():
+            raise click.ClickException(f"{directory.path} is there already; choose another --out.")
+        session = _Session(speed, number, mode, run, campaign, is_kept=out is not None)
+        try:
+            record_run(recipe, directory, accompany=session.begin)
+        except KeyboardInterrupt:
+            click.echo("Ended; the run is not kept.", err=True)
+        else:
+            click.echo(f"The patrol is over.{f' Run: {directory.path}' if out else ''}", err=True)
+
+
+class _Session:
+    """Goes along with a run: paces it, serves its domain, and does what is typed."""
+
+    def __init__(
+        self, speed: float, number: int, mode: str, run: int, campaign: Campaign, *, is_kept: bool
+    ) -> None:
+        self._speed, self._number, self._mode, self._is_kept = speed, number, mode, is_kept
+        self._run_number, self._campaign = run, campaign
+        self._typed: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._run: TestbedRun | None = None
+        self._served: ServedDomain | None = None
+        self._started = 0.0
+
+    def begin(self, run: TestbedRun) -> None:
+        """Go along with a run from now on."""
+        from sim.serving import ServedDomain
+
+        self._run = run
+        self._served = ServedDomain(run.domain, self._number)
+        self._served.look(run.domain.executor.now_ns)
+        time.sleep(_HEAD_START_S)
+        self._started = time.monotonic()
+        run.domain.executor.accompany(self._advance)
+        threading.Thread(target=self._read, name="stdin", daemon=True).start()
+        click.echo(f"Serving {self._mode} on domain {self._number}. {_HELP}", err=True)
+
+    def _read(self) -> None:
+        for line in sys.stdin:
+            self._typed.put(line)
+
+    def _advance(self, now_ns: int) -> None:
+        """Wait until the wall has come as far as the simulation."""
+        assert self._served is not None  # noqa: S101 -- `begin` made it
+        self._served.look(now_ns)
+        while not self._typed.empty():
+            self._do(self._typed.get())
+        ahead_s = now_ns / SECOND / self._speed - (time.monotonic() - self._started)
+        if ahead_s > _PATIENCE_S:
+            time.sleep(ahead_s)
+
+    def _do(self, line: str) -> None:
+        from sim.serving import switch
+
+        words = line.split()
+        if not words:
+            return
+        if len(words) != 2 or words[0] != "attack":
+            click.echo(_HELP, err=True)
+            return
+        if self._is_kept:
+            click.echo("A run that is kept is what its recipe says; serve without --out.", err=True)
+            return
+        assert self._run is not None  # noqa: S101 -- `begin` was called with it
+        name = self._mode if words[1] == "off" else words[1]
+        try:
+            switch(self._run, recipe_for(find_mode(name), self._run_number, self._campaign))
+        except OracleError as error:
+            click.echo(str(error), err=True)
+        else:
+            click.echo(f"The node now does what it does in {name}.", err=True)

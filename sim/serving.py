@@ -1,0 +1,113 @@
+"""A testbed's domain on a real DDS domain: what its nodes are, and all that they say, as bytes.
+
+It goes along with a run and changes nothing in it. Requests of services travel inside the
+simulation only, so services are not on DDS; neither is the ground truth.
+"""
+
+import numpy as np
+
+from oracle_pipeline.bags import dds
+from oracle_pipeline.bags.dds_names import ENTITIES_TOPIC, ENTITIES_TYPE, dds_topic
+from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, message_class, serialize
+from sim.fuzzing.compilation import compile_document
+from sim.fuzzing.execution import execute
+from sim.middleware import qos
+from sim.middleware.domain import Domain, Publisher, Subscription
+from sim.middleware.executor import MILLISECOND
+from sim.recording import DEBUG_TOPICS
+from sim.testbed import Recipe, TestbedRun
+
+_LOOK_NS = 100 * MILLISECOND  # how often it is looked for new endpoints
+_GID_BYTES = 24  # of an identifier on Humble, 16 of which DDS gives
+
+_Gid = message_class("rmw_dds_common/msg/Gid")
+_Node = message_class("rmw_dds_common/msg/NodeEntitiesInfo")
+_Participant = message_class("rmw_dds_common/msg/ParticipantEntitiesInfo")
+
+
+class ServedDomain:
+    """Puts the nodes, endpoints and messages of a domain on DDS.
+
+    Each publisher has a writer with its profile there, and each subscription a reader that nobody
+    reads. As in a ROS 2 container, all nodes share one participant. The controller's debug topics
+    are there without their messages, as they are in no bag.
+
+    Parameters
+    ----------
+    domain : Domain
+        Of the testbed.
+    number : int
+        Of the DDS domain.
+    """
+
+    def __init__(self, domain: Domain, number: int) -> None:
+        self._domain = domain
+        self._participant = dds.join(number)
+        self._entities = dds.RawWriter(
+            self._participant, ENTITIES_TOPIC, ENTITIES_TYPE, qos.LATCHED
+        )
+        self._writers: dict[Publisher, dds.RawWriter] = {}
+        self._readers: dict[Subscription, dds.RawReader] = {}
+        self._nodes: list[str] = []
+        self._looked_ns: int | None = None
+
+    def look(self, now_ns: int) -> None:
+        """Put on DDS what is new; to be called whenever simulated time moves."""
+        if self._looked_ns is not None and now_ns - self._looked_ns < _LOOK_NS:
+            return
+        self._looked_ns = now_ns
+        before = len(self._writers), len(self._readers), self._nodes
+        self._nodes = self._domain.node_names()
+        for publisher in self._domain.publishers():
+            if publisher not in self._writers and publisher.topic != GROUND_TRUTH_TOPIC:
+                self._writers[publisher] = dds.RawWriter(
+                    self._participant, dds_topic(publisher.topic), publisher.msgtype, publisher.qos
+                )
+                if publisher.topic not in DEBUG_TOPICS:
+                    publisher.tap(self._writers[publisher].write)
+        for subscription in self._domain.subscriptions():
+            if subscription not in self._readers and subscription.topic != GROUND_TRUTH_TOPIC:
+                self._readers[subscription] = dds.RawReader(
+                    self._participant,
+                    dds_topic(subscription.topic),
+                    subscription.msgtype,
+                    subscription.qos,
+                )
+        if (len(self._writers), len(self._readers), self._nodes) != before:
+            self._tell()
+
+    def _tell(self) -> None:
+        """Tell which endpoints are whose, as every ROS 2 process does."""
+        heard: dict[str, list[object]] = {}
+        said: dict[str, list[object]] = {}
+        for subscription, reader in self._readers.items():
+            heard.setdefault(subscription.node, []).append(_gid(reader.guid))
+        for publisher, writer in self._writers.items():
+            said.setdefault(publisher.node, []).append(_gid(writer.guid))
+        nodes = []
+        for full_name in self._nodes:
+            namespace, _, name = full_name.rpartition("/")
+            own = heard.get(full_name, []), said.get(full_name, [])
+            nodes.append(_Node(namespace or "/", name, *own))
+        message = _Participant(_gid(self._participant.guid.bytes), nodes)
+        self._entities.write(serialize(message, ENTITIES_TYPE))
+
+
+def switch(run: TestbedRun, recipe: Recipe) -> None:
+    """Let the mode's node do at once what it does in another recipe of the same testbed.
+
+    The run is no longer what its own recipe says.
+
+    Raises
+    ------
+    ScenarioError
+        If the node is not there yet, or hears or publishes other topics in that recipe.
+    """
+    program = compile_document(recipe.mode, recipe.scenario)
+    if run.node is None:
+        raise program.scenario.error((), "expected the mode's node to be there; it is not yet")
+    run.node.switch(execute(program, recipe.attack_seed(), recipe.parameters))
+
+
+def _gid(guid: bytes) -> object:
+    return _Gid(np.frombuffer(guid.ljust(_GID_BYTES, b"\0"), dtype=np.uint8))

@@ -1,0 +1,49 @@
+"""The command that records further runs, as the report prints it."""
+
+import re
+import shlex
+
+import dagster as dg
+import pytest
+
+from assets.partitions import runs_of_modes
+from assets.record_command import record_command
+from sim.modes import modes
+
+SIX = list(modes())[:6]
+
+
+def keys_of(command: str) -> list[str]:
+    """Return the partitions that a command asks for, under the settings that it makes."""
+    words = shlex.split(command)
+    runs = next((word.partition("=")[2] for word in words if word.startswith("ORACLE_RUNS")), "15")
+    first, last = words[words.index("--partition-range") + 1].split("...")
+    chosen = dg.PartitionKeyRange(first, last)
+    return [str(key) for key in runs_of_modes(int(runs)).get_partition_keys_in_range(chosen)]
+
+
+@pytest.fixture(autouse=True)
+def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("ORACLE_HOME", "ORACLE_RUNS", "ORACLE_GOALS_PER_RUN", "ORACLE_SCENARIOS"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.mark.parametrize("blocks", [3, 20])
+def test_the_command_asks_for_every_run_that_is_needed(blocks: int) -> None:
+    keys = keys_of(record_command(SIX, blocks))
+    assert keys == [f"{mode}|run{run:03d}" for mode in SIX for run in range(blocks)]
+
+
+def test_a_beginning_of_names_stands_for_all_modes_that_have_it() -> None:
+    benign = [mode for mode in modes() if mode.startswith("benign_")]
+    asked_for = {key.partition("|")[0] for key in keys_of(record_command(["benign_*"], 2))}
+    assert asked_for == set(benign)
+
+
+def test_settings_of_the_campaign_are_said_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ORACLE_HOME", "my campaign")
+    monkeypatch.setenv("ORACLE_GOALS_PER_RUN", "4")
+    monkeypatch.setenv("ORACLE_RUNS", "60")
+    command = record_command(SIX, 20)
+    assert "ORACLE_HOME='my campaign' ORACLE_GOALS_PER_RUN=4 ORACLE_RUNS=60 dagster" in command
+    assert re.search(r"run000\.\.\.delayed_fakeobject\|run019", command)

@@ -1,0 +1,68 @@
+"""A DDS domain for each test that asks for one, on the loopback interface only."""
+
+import contextlib
+import fcntl
+import os
+import random
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+LOOPBACK = """
+<CycloneDDS><Domain>
+  <General>
+    <Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>
+    <AllowMulticast>false</AllowMulticast>
+  </General>
+  <Discovery>
+    <ParticipantIndex>auto</ParticipantIndex>
+    <MaxAutoParticipantIndex>40</MaxAutoParticipantIndex>
+    <Peers><Peer address="127.0.0.1"/></Peers>
+    <LeaseDuration>2 s</LeaseDuration>
+  </Discovery>
+</Domain></CycloneDDS>
+"""
+
+os.environ["CYCLONEDDS_URI"] = LOOPBACK  # before any domain is joined in this process
+
+
+@contextlib.contextmanager
+def a_free_domain():
+    """Yield the number of a domain that no other test process has now."""
+    for number in random.SystemRandom().sample(range(1, 233), 232):
+        path = Path(tempfile.gettempdir(), f"dds-domain-{number}.lock")
+        with path.open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            yield number
+            return
+
+
+@pytest.fixture
+def domain():
+    with a_free_domain() as number:
+        yield number
+
+
+@pytest.fixture
+def other_domain():
+    with a_free_domain() as number:
+        yield number
+
+
+@pytest.fixture
+def eventually():
+    """Wait until a condition holds; fail if it does not within some seconds."""
+
+    def wait(condition, seconds=15.0):
+        until = time.monotonic() + seconds
+        while not (found := condition()):
+            assert time.monotonic() < until, "it did not happen in time"
+            time.sleep(0.02)
+        return found
+
+    return wait

@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+
+from oracle_pipeline.evaluation.estimate import NOTHING
+from oracle_pipeline.evaluation.integrity import IntegrityCheck
+from oracle_pipeline.evaluation.open_claims import as_table, open_claims
+from tests.oracle_pipeline.datasets.synthetic import CONTROLS, MODES, run_features
+
+
+def check(name, status):
+    return IntegrityCheck(name, status, NOTHING, "a sentence")
+
+
+def first(df, *checks):
+    return open_claims(df, checks)[0]
+
+
+def test_a_campaign_that_supports_every_claim_has_none_left():
+    assert open_claims(run_features(runs=250), [check("hard_negatives_pass", "green")]) == []
+
+
+@pytest.mark.parametrize(
+    ("runs", "claim", "reason", "blocks"),
+    [
+        (3, "A false positive rate of 5%", "20 blocks; you have 9 recordings of 3", 20),
+        (19, "A false positive rate of 5%", "Record 1 more blocks", 20),
+        (20, "A false positive rate of 1%", "you have 20. Record 230 more", 250),
+    ],
+)
+def test_the_next_rate_out_of_reach_is_named_with_the_blocks_it_takes(runs, claim, reason, blocks):
+    said = first(run_features(runs=runs))
+    assert said.claim == claim
+    assert reason in said.reason
+    assert (said.modes, said.blocks) == (tuple(MODES), blocks)
+
+
+def test_one_normal_run_a_block_gives_a_verdict_before_it_shows_the_rate():
+    df = run_features(runs=20).query("mode in ('lidar_passthrough', 'random_noise')")
+    said = first(df)
+    assert said.claim == "Proof that the rate is at most 5%"
+    assert "a rate of 13.9%; 59 are needed" in said.reason
+    assert said.blocks == 59
+
+
+@pytest.mark.parametrize(
+    ("label", "missing", "mode"),
+    [("normal", "no malicious runs", "fake_object"), ("malicious", "no normal runs", "lidar_pa")],
+)
+def test_with_one_kind_of_run_the_other_is_to_be_recorded(label, missing, mode):
+    (said,) = open_claims(run_features().query(f"label == '{label}'"), [])
+    assert missing in said.reason
+    assert any(name.startswith(mode) for name in said.modes)
+    assert said.blocks == 15
+
+
+def test_checks_that_lack_runs_name_the_modes_they_take_and_failed_ones_ask_for_nothing():
+    df = run_features(runs=250)
+    lacks = [check("hard_negatives_pass", "unsupported"),
+             check("unaltered_runs_are_alike", "unsupported")]  # fmt: skip
+    red = check("label_is_predicted_better_than_session", "red")
+    lacking, failed = open_claims(df, [*lacks, red])
+    assert {"benign_*", "fake_object_shadow", *MODES} <= set(lacking.modes)
+    assert lacking.blocks == 29  # without a false alarm these exclude a rate above 10 %
+    assert "label is predicted better than session" in failed.reason
+    assert failed.blocks == 0
+
+
+def test_a_feature_without_a_value_is_named():
+    df = run_features(runs=250).assign(**{"structural.entropy": np.nan})
+    assert "structural.entropy" in first(df).reason
+
+
+def test_the_table_holds_every_claim():
+    table = as_table(open_claims(run_features(3, modes=MODES | CONTROLS), []))
+    assert table["modes"].iloc[0].split() == [*MODES, *CONTROLS]
+    assert len(as_table([])) == 0

@@ -1,0 +1,86 @@
+import json
+
+import numpy as np
+import pytest
+
+from oracle_pipeline.evaluation.aspects import aspects_table, by_mode, quadrants
+from oracle_pipeline.evaluation.comparisons import comparisons
+from oracle_pipeline.evaluation.held_out import HeldOutScores
+from oracle_pipeline.evaluation.task_effects import LEAST, task_effects
+from tests.oracle_pipeline.evaluation.campaigns import synthetic
+
+
+def campaign(blocks=30, seed=0, metres=0.0, spread=0.2, conditions=None):
+    """Runs that drive ten metres, more or less; attacked ones so much more."""
+    judged = synthetic(blocks)
+    rng = np.random.default_rng(seed)
+    driven = 10.0 + judged.block + rng.normal(0.0, spread, len(judged.features))
+    driven += metres * judged.malicious
+    judged.truth["behaviour"] = [json.dumps({"driven_m": value}) for value in driven]
+    if conditions is not None:
+        slow = judged.features["mode"] == "benign_noise"
+        judged.truth["conditions"] = np.where(slow, conditions, "{}")
+    return judged
+
+
+def test_unaltered_runs_are_seldom_called_misbehaved_whatever_their_spread():
+    for seed, spread in enumerate((0.01, 0.2, 3.0)):
+        effects = task_effects(campaign(seed=seed, spread=spread))
+        assert effects.known.all()
+        assert effects.misbehaved.mean() <= 0.03
+        assert effects.uncertainty["driven_m"] >= LEAST["driven_m"]
+
+
+@pytest.mark.parametrize(("metres", "found"), [(0.3, False), (3.0, True), (-3.0, True)])
+def test_an_effect_beyond_the_spread_of_repeats_is_misbehaviour(metres, found):
+    judged = campaign(metres=metres)
+    effects = task_effects(judged)
+    attacked = effects.misbehaved[judged.malicious].mean()
+    assert attacked > 0.95 if found else attacked < 0.2
+    difference = effects.differences["driven_m"][judged.malicious].median()
+    assert difference == pytest.approx(metres, abs=0.1)
+
+
+def test_an_exact_repetition_says_nothing_about_chance():
+    judged = campaign(spread=0.0)
+    effects = task_effects(judged)
+    assert np.isnan(effects.uncertainty["driven_m"])
+    assert not effects.known.any()
+
+
+def test_a_run_under_other_conditions_has_no_repeats():
+    judged = campaign(conditions='{"speed": 0.6}')
+    effects = task_effects(judged)
+    slow = (judged.features["mode"] == "benign_noise").to_numpy()
+    assert not effects.known[slow].any()
+    assert effects.known[~slow].all()
+
+
+def test_few_repeats_give_no_uncertainty_and_no_verdict():
+    effects = task_effects(campaign(blocks=3))
+    assert np.isnan(effects.uncertainty["driven_m"])
+    assert not effects.known.any()
+    assert not effects.misbehaved.any()
+
+
+def test_each_truth_is_measured_against_its_own_score():
+    judged = campaign(metres=3.0)
+    effects = task_effects(judged)
+    right = HeldOutScores(effects.size, np.where(effects.misbehaved, 0.01, 0.5), 29)
+    constant = HeldOutScores(np.zeros_like(effects.size), np.full_like(effects.size, 0.5), 29)
+    scores = {"tampering": constant, "misbehaviour": right}
+    rng = np.random.default_rng(0)
+    compared = comparisons(judged.features)
+    table = aspects_table(scores, judged, effects, compared, rng).set_index(["aspect", "scope"])
+    assert table.loc[("misbehaviour", "all modes"), "auc"] == 1.0
+    assert table.loc[("misbehaviour", "all modes"), "malicious"] == effects.misbehaved.sum()
+    assert table.loc[("tampering", "all modes"), "auc"] == 0.5
+    assert table.loc[("tampering", "all modes"), "malicious"] == judged.malicious.sum()
+    cells = quadrants(scores, judged, effects, rng)
+    assert cells["runs"].sum() == len(judged.features)
+    misbehaved = cells[(cells["misbehaved"] == "yes") & (cells["runs"] > 0)]
+    assert (misbehaved["called_misbehaviour"] == 1.0).all()
+    assert (cells["called_tampering"].dropna() == 0.0).all()
+    modes = by_mode(scores, judged, effects, rng).set_index("mode")
+    assert modes.loc["fake_object", "misbehaved"] > 0.95
+    assert modes.loc["lidar_passthrough", "misbehaved"] < 0.2

@@ -1,0 +1,99 @@
+"""`oracle-sim serve` and `oracle watch`, each a process of its own, on one domain."""
+
+import signal
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from oracle_pipeline.bags.writer import BagWriter
+from oracle_pipeline.datasets import feature_columns, field_metadata
+from oracle_pipeline.features import build_manager, extract
+from oracle_pipeline.opened_run import open_run
+
+pytestmark = pytest.mark.slow
+
+BIN = Path(sys.executable).parent
+SPEED = "5"  # what takes a millisecond on the way is 5 ms late by the robot's clock
+# Features of when messages come. On the way there they take some milliseconds, differently long.
+TIMING = ("generic.", "stamps.", "kinematics.turn_residual", "navigation.command_", "traffic.")
+TOLERANCE = 0.05  # of a value, or the feature's own resolution
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory):
+    """The same patrol, as the testbed recorded it and as it was watched."""
+    from tests.dds_domains import a_free_domain
+
+    root = tmp_path_factory.mktemp("both")
+    with a_free_domain() as domain:
+        watch = subprocess.Popen(
+            [BIN / "oracle", "watch", "--domain", str(domain), "--out", root / "live"],
+            stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        assert "Watching" in watch.stderr.readline()
+        subprocess.run(
+            [BIN / "oracle-sim", "serve", "--domain", str(domain), "--speed", SPEED,
+             "--goals", "1", "--out", root / "own"],
+            check=True, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, timeout=120,
+        )  # fmt: skip
+        watch.send_signal(signal.SIGINT)
+        _, said = watch.communicate(timeout=60)
+    assert watch.returncode == 0, said
+    assert " 0 dropped" in said
+    (own,) = (root / "own").glob("runs/*/run000")
+    (live,) = (root / "live").iterdir()
+    with open_run(own) as first, open_run(live, strict=True) as second:
+        yield first, second
+
+
+def test_the_graph_of_every_interval_is_the_testbeds_own(recordings):
+    own, live = (
+        [(set(each.graph.nodes(data="type")), set(each.graph.edges)) for each in run.intervals]
+        for run in recordings
+    )
+    assert len(live) >= 2
+    assert all(graph == own[-1] for graph in live)
+
+
+def test_the_messages_are_there_with_the_bytes_that_were_sent(recordings):
+    own, live = (Counter((m.topic, m.data) for m in run.bag.messages()) for run in recordings)
+    missing = own - live
+    assert missing.total() <= 0.001 * own.total()
+
+
+def test_features_are_those_of_the_testbeds_own_recording(recordings, tmp_path):
+    own, live = recordings
+    _cut_to(own.bag, live.bag, tmp_path / "cut")
+    manager = build_manager(None)
+    with open_run(own.path / "bag") as run, open_run(tmp_path / "cut") as cut:
+        first, second = extract(run, manager).run, extract(cut, manager).run
+    fields = field_metadata(first)
+    columns = [c for c in feature_columns(first) if not c.startswith(TIMING)]
+    known = [c for c in columns if np.isfinite(first[c].iloc[0])]
+    differing = {
+        column: (first[column].iloc[0], second[column].iloc[0])
+        for column in known
+        if not np.isclose(
+            second[column].iloc[0], first[column].iloc[0], TOLERANCE, float(fields[column]["floor"])
+        )
+    }
+    assert len(known) > 80
+    assert not differing
+
+
+def _cut_to(own, live, path):
+    """Write of a live recording what was said during the testbed's own, latched messages first."""
+    early_ns = 20_000_000
+    latched = {(m.topic, m.data) for m in own.messages() if m.stamp_ns == own.start_ns}
+    with BagWriter(path) as bag:
+        for topic in own.topics.values():
+            bag.add_topic(topic.name, topic.msgtype, topic.qos)
+        for message in live.messages(own.topics):
+            is_inside = own.start_ns - early_ns <= message.stamp_ns <= own.end_ns + early_ns
+            if is_inside or (message.topic, message.data) in latched:
+                latched.discard((message.topic, message.data))
+                bag.write(message.topic, max(message.stamp_ns, own.start_ns), message.data)

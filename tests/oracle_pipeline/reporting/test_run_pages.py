@@ -1,0 +1,168 @@
+"""The pages of single runs, written into the report's folder and read back."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.manifest import Change, Manifest, Measured
+from oracle_pipeline.evaluation.giveaways import deviations_of_runs
+from oracle_pipeline.evaluation.unusual_windows import UnusualWindows, unusual_windows
+from oracle_pipeline.reporting.first_screen import run_page
+from oracle_pipeline.reporting.heat_strip import heat_strip
+from oracle_pipeline.reporting.run_pages import ShownRuns, write_run_pages
+from oracle_pipeline.reporting.strip_plot import strip_plot
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+from tests.oracle_pipeline.datasets.synthetic import DELAY_S, campaign
+from tests.oracle_pipeline.reporting.pages import draw, oracle_report_of
+from tests.oracle_pipeline.reporting.recordings import manifest
+
+ATTACKED, NORMAL, DROPPED = "delayed_fakeobject|run001", "benign_noise|run002", "fake_object|run004"
+
+
+def shown_runs(tmp_path, blocks=5):
+    features, windows, truth = campaign(blocks, effect=20.0)
+    judged = oracle_report_of(features, windows, truth).tables["runs"]
+    measured = MeasuredRuns.ordered(features, windows)
+    labels = dict(zip(features["run_id"], features["label"], strict=True))
+
+    def of_run(run) -> Manifest:
+        mode, number = run.split("|run")
+        kept = Measured(1.0, {"bag": 1}, kept="recipe" if run == DROPPED else "full")
+        told = manifest(label=labels[run], onset_s=DELAY_S, changes=(Change(30.0, 12, 1.0),))
+        return replace(told, mode=mode, run=int(number), recording_s=90.0, measured=kept)
+
+    def picture(run):
+        if run == DROPPED:
+            raise OracleError("<no bag>")
+        return draw(ATTACKED)
+
+    (tmp_path / "runs" / "benign_noise" / "run002").mkdir(parents=True)
+    (tmp_path / "runs" / "benign_noise" / "run002" / "replay.gif").write_bytes(b"GIF89a")
+    return ShownRuns(
+        measured=measured,
+        judged=judged,
+        deviations=deviations_of_runs(features),
+        unusual=unusual_windows(measured),
+        path=lambda run: tmp_path / "runs" / run.replace("|", "/"),
+        film="replay.gif",
+        manifest=of_run,
+        picture=picture,
+    )
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    root = tmp_path_factory.mktemp("root")
+    shown = shown_runs(root)
+    (root / "report" / "runs" / "stale").mkdir(parents=True)
+    assert write_run_pages(shown, root / "report" / "runs") == 55
+    return root / "report"
+
+
+def page(report, run):
+    return (report / run_page(run)).read_text(encoding="utf-8")
+
+
+def test_there_is_a_page_for_every_run_and_no_other(report):
+    pages = sorted(path.relative_to(report) for path in (report / "runs").rglob("*.html"))
+    assert len(pages) == 55 + 1
+    assert not (report / "runs" / "stale").exists()
+
+
+def test_every_link_is_relative_and_leads_to_a_page_or_a_file(report):
+    for path in (report / "runs").rglob("*.html"):
+        links = re.findall(r'href="([^"]+)"', path.read_text(encoding="utf-8"))
+        assert links
+        for link in links:
+            assert not link.startswith(("/", "http", "file:"))
+            target = (path.parent / link).resolve()
+            assert target.is_file() or target == (report / "index.html").resolve()
+
+
+def test_a_page_loads_nothing_and_stays_small(report):
+    text = page(report, ATTACKED)
+    assert "<script" not in text
+    assert all(uri.startswith("data:") for uri in re.findall(r'src="([^"]+)"', text))
+    assert len(text.encode()) < 100_000
+
+
+def test_an_attacked_run_is_shown_with_verdict_evidence_and_onset(report):
+    text = page(report, ATTACKED)
+    assert "attacked" in text
+    assert re.search(r"Score [\d.]+, number \d+ of 55 from the top", text)
+    assert "attack begins" in text
+    assert "at 30.0 s; 12 messages changed" in text
+    assert re.search(r'<th scope="row">(structural.entropy|contextual.yaw_variance)</th>', text)
+
+
+def test_a_normal_run_says_nothing_of_an_attack_and_links_its_film(report):
+    text = page(report, NORMAL)
+    assert "attack begins" not in text
+    assert 'href="../../../runs/benign_noise/run002/replay.gif"' in text
+    assert "oracle replay" not in text
+
+
+def test_a_run_without_a_bag_or_picture_says_so_and_has_the_rest(report):
+    text = page(report, DROPPED)
+    assert "It is not drawn: &lt;no bag&gt;" in text
+    assert "dropped to save space" in text
+    assert "oracle replay" in text
+    assert 'class="heat"' in text
+
+
+def test_runs_of_one_block_lead_to_each_other(report):
+    others = re.findall(r'href="\.\./\.\./runs/(\w+)/run001.html"', page(report, ATTACKED))
+    assert len(set(others)) == 10
+
+
+def test_the_list_has_every_run_the_highest_score_first(report):
+    text = (report / "runs" / "index.html").read_text(encoding="utf-8")
+    rows = re.findall(r'<a href="(\w+/run\d{3}).html">([^<]+)</a></th><td[^>]*>(\w+)', text)
+    assert len(rows) == 55
+    assert {label for _, _, label in rows[:15]} == {"malicious"}
+
+
+def strip(distance, **more):
+    distance = np.atleast_2d(np.asarray(distance, dtype=np.float64)).T
+    names = np.full(distance.shape, "scan.innovation", dtype=object)
+    start_s = 5.0 * np.arange(len(distance))
+    unusual = UnusualWindows(["scan"], np.array([2.0]), distance, names, start_s)
+    return heat_strip(unusual, **{"recording_s": 25.0, "onset_s": None, "goal_ends_s": [], **more})
+
+
+def test_only_windows_outside_the_usual_range_are_cells_and_farther_ones_are_deeper():
+    (row,) = strip([1.9, 2.1, 8.0, 50.0, np.nan]).rows
+    assert [cell.x for cell in row.cells] == [20.0, 40.0, 60.0]
+    assert [cell.width for cell in row.cells] == [20.0] * 3
+    faint, deep, deepest = (cell.opacity for cell in row.cells)
+    assert faint < deep < deepest == 1.0
+    assert row.cells[2].words == "15 to 25 s: scan.innovation, z 50.0 or more"
+    assert row.usual == "≤ 2.0"
+
+
+def test_onset_and_goals_are_where_they_were_in_the_recording():
+    drawn = strip([1.0] * 5, onset_s=12.5, goal_ends_s=[5.0, 25.0])
+    assert (drawn.onset, drawn.goals) == (50.0, [20.0, 100.0])
+    assert drawn.words == "No window of 5 is outside the usual range"
+
+
+def test_scores_keep_their_order_on_the_line_and_the_highest_normal_run_is_marked(tmp_path):
+    judged = shown_runs(tmp_path).judged
+    standing = judged.groupby("mode", sort=False).first().reset_index()
+    standing = standing.assign(runs=5, judged=0, called=0)
+    plot = strip_plot(judged, standing, run_page)
+    marks = {mark.page: mark.x for each in plot.strips for mark in each.marks}
+    ordered = judged.sort_values("score")["run_id"].map(lambda run: marks[run_page(run)])
+    assert ordered.is_monotonic_increasing
+    assert ordered.between(0.0, 100.0).all()
+    normal = judged.loc[judged["label"] != "malicious"].nlargest(1, "score")["run_id"].iloc[0]
+    assert plot.highest_normal == marks[run_page(normal)]
+    assert plot.ticks[0][1] == "0"
+
+
+def test_without_a_score_there_is_nothing_to_draw(tmp_path):
+    judged = shown_runs(tmp_path).judged.assign(score=np.nan)
+    assert strip_plot(judged, judged, run_page) is None

@@ -1,0 +1,244 @@
+"""Where a scenario speaks, when it begins and ends, and what each run draws."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from oracle_pipeline.bags.manifest import Change
+from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
+from oracle_pipeline.bags.writer import BagWriter
+from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.drawn_parameters import drawn_values
+from sim.fuzzing.execution import execute
+from sim.fuzzing.node import ScenarioNode
+from sim.fuzzing.offline import mutate_bag
+from sim.fuzzing.scenario import ScenarioError, parse_scenarios
+from sim.middleware.domain import Domain
+from sim.middleware.executor import SECOND, Executor
+from sim.middleware.node import Node
+from sim.recording import Recorder
+from tests.sim.fuzzing.workbench import SCAN, program, results, scan, scans, scenario, stamp
+
+BEGIN_NS, ONSET_S = SECOND, 2.1
+ODD = (
+    "transform: {actions: [{name: odd, "
+    "do: [{noise: {field: ranges, dist: gauss, absolute: 0.1}}]}]}"
+)
+
+
+def in_place(rest):
+    text = (
+        "schema: mutant/v1\nid: tried\nlabel: malicious\n"
+        f"main: {{type: {SCAN}, input: /scan, output: /scan}}\n{rest}"
+    )
+    (parsed,) = parse_scenarios(text.encode(), "tried.yaml")
+    return compile_scenario(parsed)
+
+
+def record(compiled, path, onset_s=ONSET_S):
+    """Record scans, and a scenario at work on them if there is one; return the domain and node."""
+    executor = Executor()
+    domain = Domain(executor)
+    publisher = Node(domain, "/lidar").create_publisher(SCAN, "/scan")
+    node = None
+    executor.run_until(BEGIN_NS)
+    with BagWriter(path, "mcap") as writer:
+        if compiled is not None:
+            node = ScenarioNode(domain, "/mutant", execute(compiled, 1), latency_ns=3_000_000)
+            node.begin(BEGIN_NS + round(onset_s * SECOND))
+        Recorder(domain, writer)
+        for number, message in enumerate(scans(40)):
+            executor.call_at(BEGIN_NS + number * 200_000_000, publisher.publish, message)
+        executor.run_until(BEGIN_NS + 9 * SECOND)
+    return domain, node
+
+
+def on(path, topic):
+    with BagReader(path) as bag:
+        return [(m.stamp_ns, m.data) for m in bag.messages([topic])]
+
+
+@pytest.mark.parametrize("more", [
+    ODD,
+    "transform: {actions: [{name: lost, when: bernoulli(0.3), do: [{drop: {}}]}]}",
+    "transform: {actions: [{name: late, do: [{delay: {seconds: 0.5}}]}]}",
+    "transform: {timer: {period_s: 0.517, do: [{emit: {fields: {range_max: 1.0}}}]}}",
+    "activation: {messages: 7}\n" + ODD,
+])  # fmt: skip
+def test_in_place_everybody_hears_the_altered_topic_and_no_node_is_added(more, tmp_path):
+    compiled = in_place(more)
+    domain, node = record(compiled, tmp_path / "altered")
+    plain, _ = record(None, tmp_path / "plain")
+    assert domain.node_names() == plain.node_names()
+    assert {p.topic for p in domain.publishers()} - {GROUND_TRUTH_TOPIC} == {
+        p.topic for p in plain.publishers()
+    }
+    mutate_bag(tmp_path / "plain", tmp_path / "mutant", compiled, 1, at_s=ONSET_S)
+    altered, mutant = (on(tmp_path / bag, "/scan") for bag in ("altered", "mutant"))
+    assert altered[: len(mutant)] == mutant  # what is due after the end is not in the mutant
+    assert len(mutant) > 20
+    assert mutant != on(tmp_path / "plain", "/scan")
+    assert sum(change.messages for change in node.changes(BEGIN_NS)) > 0
+
+
+def test_in_place_a_message_that_stays_keeps_its_bytes_and_its_time(tmp_path):
+    compiled = in_place("control: passthrough\n" + ODD)
+    record(compiled, tmp_path / "altered")
+    record(None, tmp_path / "plain")
+    assert on(tmp_path / "altered", "/scan") == on(tmp_path / "plain", "/scan")
+    absent = in_place("activation: {before: absent}\n" + ODD)
+    mutate_bag(tmp_path / "plain", tmp_path / "mutant", absent, 1, at_s=ONSET_S)
+    before = [data for at, data in on(tmp_path / "plain", "/scan") if at < BEGIN_NS + 2.1 * SECOND]
+    assert [data for _, data in on(tmp_path / "mutant", "/scan")][: len(before)] == before
+    assert len(on(tmp_path / "mutant", "/scan")) == 40
+
+
+def test_messages_are_emitted_on_other_topics_of_other_types(tmp_path):
+    compiled = in_place("""\
+outputs:
+  alarm: {type: std_msgs/msg/String, topic: /alarm}
+  ghost: {type: nav_msgs/msg/Odometry, topic: /ghost}
+transform:
+  actions:
+    - name: told
+      do:
+        - emit: {to: alarm, fields: {data: "'near'"}}
+        - emit: {to: ghost, fields: {pose.pose.position.x: "msg.ranges[0]"}}
+""")
+    domain, _ = record(compiled, tmp_path / "online")
+    record(None, tmp_path / "plain")
+    mutate_bag(tmp_path / "plain", tmp_path / "offline", compiled, 1, at_s=ONSET_S)
+    for topic in ("/alarm", "/ghost"):
+        told = on(tmp_path / "online", topic)
+        assert told == on(tmp_path / "offline", topic)
+        assert len(told) == 29
+    assert domain.publishers_of("/lidar").keys() >= {"/alarm", "/ghost"}
+    with BagReader(tmp_path / "online") as bag:
+        first = bag.deserialize(next(bag.messages(["/ghost"])))
+    assert (first.header.stamp.sec, first.header.frame_id) == (2, "base_scan_tom")
+
+
+@pytest.mark.parametrize(
+    ("rest", "expected"),
+    [
+        ("transform: {always: [{emit: {to: gone, fields: {}}}]}", r"emit.to: expected one of"),
+        ("outputs: {a: {type: std_msgs/msg/String, topic: /in}}", r"outputs.a.topic: .*not hear"),
+        ("outputs: {a: {type: std_msgs/msg/String, topic: /out}}", r"outputs.a.topic: .*its own"),
+        ("outputs: {a: {type: geometry_msgs/msg/Twist, topic: /b}}", r"outputs.a.topic: .*moves"),
+        ("outputs: {a: {type: std_msgs/msg/Strin, topic: /b}}", r"outputs.a.type: "),
+        ("outputs: {a: {type: std_msgs/msg/String, topic: /_oracle/ground_truth}}", "no use of"),
+        (
+            "outputs: {a: {type: std_msgs/msg/String, topic: /b}}\n"
+            "transform: {always: [{emit: {to: a, copy: msg, fields: {}}}]}",
+            r"emit.copy: expected no copy: a is of another type",
+        ),
+        ("activation: {onset: {goal: 2}}", r"onset.goal: expected after: goal_accepted"),
+        (
+            "activation: {onset: {after: goal_accepted, goal: 2}, until_goal: 2}",
+            r"until_goal: expected a goal after the one at which it begins, 2, found 2",
+        ),
+        ("parameters: {a: {type: bool, default: true, draw: even}}", r"a.draw: expected a number"),
+        ("parameters: {a: {type: int, default: 1, draw: even}}", r"a.draw: expected a min"),
+        ("parameters: {a: {type: float, default: 1, min: 0, max: 2, draw: log}}", r"min above 0"),
+        (
+            "parameters: {a: {type: int, default: 1, min: 0.2, max: 0.8, draw: even}}",
+            r"a.draw: expected a whole number",
+        ),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused_where_it_stands(rest, expected):
+    with pytest.raises(ScenarioError, match=rf"tried\.yaml:\d+: .*{expected}"):
+        program(rest)
+
+
+def touched(compiled, count=30):
+    return [n for n, result in enumerate(results(compiled, list(scans(count))))
+            if result.truth.operation != "passthrough"]  # fmt: skip
+
+
+def test_a_scenario_ends_after_so_many_messages_a_duration_or_at_a_goal():
+    assert touched(program("activation: {messages: 5}\n" + ODD)) == [0, 1, 2, 3, 4]
+    assert touched(program("activation: {duration_s: 0.9}\n" + ODD)) == [0, 1, 2, 3, 4]
+    spared = touched(program("activation: {messages: 5, probability: 0.5}\n" + ODD))
+    assert len(spared) == 5
+    assert spared != [0, 1, 2, 3, 4]
+    execution = execute(program("activation: {until_goal: 2}\n" + ODD), 1)
+    execution.ends_s = 0.9
+    acted = [execution.on_message(scan(n), stamp(n), 0.2 * n).truth for n in range(8)]
+    assert [truth.operation for truth in acted] == ["odd"] * 5 + ["passthrough"] * 3
+
+
+def test_beats_of_a_timer_count_as_messages(tmp_path):
+    compiled = in_place(
+        "activation: {messages: 3}\n"
+        "transform: {timer: {period_s: 1.0, do: [{emit: {fields: {range_max: 1.0}}}]}}"
+    )
+    record(compiled, tmp_path / "bag", onset_s=0.0)
+    told = on(tmp_path / "bag", "/scan")
+    assert 0 < len(told) - 40 <= 3
+
+
+@given(
+    st.integers(0, 2**64 - 1), st.floats(0.001, 5.0), st.floats(1.0, 20.0),
+    st.sampled_from(["even", "log"]), st.sampled_from(["float", "int"]),
+)  # fmt: skip
+@settings(max_examples=50)
+def test_a_drawn_parameter_is_a_function_of_the_run_and_within_its_bounds(
+    seed, low, ratio, how, kind
+):
+    high = max(low * ratio, low + 1.0)
+    low, high = (float(f"{bound:.6f}") for bound in (low, high))
+    compiled = program(
+        f"parameters: {{a: {{type: {kind}, default: {int(high)}, min: {low}, max: {high}, "
+        f"draw: {how}}}}}"
+    )
+    values = drawn_values(compiled.scenario, seed)
+    assert values == drawn_values(compiled.scenario.as_shadow(), seed)
+    assert low <= values["a"] <= high
+    assert type(values["a"]) is {"float": float, "int": int}[kind]
+
+
+def test_draws_are_spread_as_they_say_and_a_given_value_goes_before():
+    def drawn(how, kind, low, high):
+        text = (
+            f"parameters: {{a: {{type: {kind}, default: {low}, min: {low}, max: {high}, "
+            f"draw: {how}}}}}"
+        )
+        return [drawn_values(scenario(text), seed)["a"] for seed in range(400)]
+
+    assert np.median(drawn("even", "float", 1.0, 101.0)) == pytest.approx(51.0, abs=8.0)
+    assert np.median(drawn("log", "float", 0.01, 1.0)) == pytest.approx(0.1, rel=0.4)
+    assert set(drawn("even", "int", 1, 4)) == {1, 2, 3, 4}
+    text = (
+        "parameters: {a: {type: float, default: 1.0, min: 0.0, max: 9.0, draw: even}}\n"
+        "transform: {actions: [{name: set, do: [{set: {field: range_max, value: p.a}}]}]}"
+    )
+    (given,) = results(program(text), [scan()], a=2.5)
+    assert given.outputs[0].message.range_max == 2.5
+    (one,), (other,) = (results(program(text), [scan()], seed=seed) for seed in (1, 2))
+    assert one.outputs[0].message.range_max != other.outputs[0].message.range_max
+
+
+def test_in_place_of_nobody_is_refused():
+    domain = Domain(Executor())
+    node = Node(domain, "/reader")
+    node.create_subscription(SCAN, "/scan", None)
+    with pytest.raises(
+        ScenarioError, match="main.output: expected a topic that somebody publishes"
+    ):
+        ScenarioNode(domain, "/mutant", execute(in_place(ODD), 1))
+
+
+def test_an_end_that_comes_before_the_onset_leaves_all_as_it_is(tmp_path):
+    executor = Executor()
+    domain = Domain(executor)
+    publisher = Node(domain, "/lidar").create_publisher(SCAN, "/scan")
+    node = ScenarioNode(domain, "/mutant", execute(in_place(ODD), 1))
+    node.end(0)
+    node.begin(0)
+    for number, message in enumerate(scans(5)):
+        executor.call_at(number, publisher.publish, message)
+    executor.run_until(10)
+    assert node.changes(0) == tuple[Change, ...]()

@@ -1,0 +1,103 @@
+"""A testbed on DDS is the testbed: its run is what it is without, and what it says is there."""
+
+import pytest
+
+from oracle_pipeline.bags import dds
+from oracle_pipeline.bags.graph_files import vertex_id
+from oracle_pipeline.bags.protocol import is_hidden
+from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.live.discovery import Discovery
+from oracle_pipeline.live.traffic import snapshot
+from sim.experiments import recipe_for, record_run
+from sim.fuzzing.scenario import ScenarioError
+from sim.middleware.executor import SECOND
+from sim.serving import ServedDomain, switch
+from tests.recorded_runs import ONE_GOAL
+
+MODE = "lidar_passthrough_odom"
+
+
+@pytest.mark.slow
+def test_a_served_run_is_what_it_is_alone_and_its_graph_is_on_dds(
+    domain, eventually, recorded_run, tmp_path
+):
+    compared = []
+
+    def accompany(run):
+        served = ServedDomain(run.domain, domain)
+        discovery = Discovery(dds.join(domain))
+
+        def look(now_ns):
+            served.look(now_ns)
+            if now_ns > 20 * SECOND and not compared:
+                expected = graph_of(run.domain)
+                eventually(lambda: discovery.update() or graph_on(discovery) == expected)
+                compared.append(expected)
+
+        run.domain.executor.accompany(look)
+
+    served = record_run(
+        recipe_for(MODE, 0, ONE_GOAL), RunDirectory(tmp_path, MODE, 0), accompany=accompany
+    )
+    assert served.content_hash == recorded_run(MODE).manifest().content_hash
+    assert compared
+
+
+def graph_on(discovery):
+    graph = snapshot(discovery, {})
+    return set(graph.nodes(data="type")), set(graph.edges)
+
+
+def graph_of(domain):
+    """Return vertices with their types, and edges, by the domain's own introspection."""
+    topics = {t: kind for t, kind in domain.topics.items() if not is_hidden(t)}
+    nodes = {vertex_id("node", name): "" for name in domain.node_names()}
+    nodes |= {vertex_id("topic", topic): kind for topic, kind in topics.items()}
+    edges = {
+        (vertex_id("node", p.node), vertex_id("topic", p.topic))
+        for p in domain.publishers()
+        if p.topic in topics
+    } | {
+        (vertex_id("topic", s.topic), vertex_id("node", s.node))
+        for s in domain.subscriptions()
+        if s.topic in topics
+    }
+    return set(nodes.items()), edges
+
+
+@pytest.mark.slow
+def test_an_attack_that_is_switched_on_changes_messages_from_then_on(recorded_run, tmp_path):
+    switched_ns = 8 * SECOND
+    done = []
+
+    def accompany(run):
+        def advance(now_ns):
+            if now_ns >= switched_ns and not done:
+                done.append(now_ns)
+                switch(run, recipe_for("random_noise", 0, ONE_GOAL))
+
+        run.domain.executor.accompany(advance)
+
+    made = record_run(recipe_for(MODE, 0, ONE_GOAL), RunDirectory(tmp_path, MODE, 0),
+                      accompany=accompany)  # fmt: skip
+    assert not recorded_run(MODE).manifest().changes
+    onset_s = switched_ns / SECOND - 2.1  # of the recording
+    assert made.changes
+    assert all(change.start_s >= onset_s - 5.0 for change in made.changes)
+
+
+@pytest.mark.slow
+def test_a_scenario_on_other_topics_is_refused(tmp_path):
+    refused = []
+
+    def accompany(run):
+        def advance(now_ns):
+            if run.node is not None and not refused:
+                with pytest.raises(ScenarioError, match="scan") as error:
+                    switch(run, recipe_for("atc_normal", 0, ONE_GOAL))
+                refused.append(error)
+
+        run.domain.executor.accompany(advance)
+
+    record_run(recipe_for(MODE, 0, ONE_GOAL), RunDirectory(tmp_path, MODE, 0), accompany=accompany)
+    assert refused

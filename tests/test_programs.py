@@ -1,0 +1,61 @@
+"""A package of somebody else that has the name of one of ours is told as what it is."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+PROGRAM = (
+    "import sys; from oracle_pipeline.programs import {0}; sys.argv = ['{0}', '--help']; {0}()"
+)
+
+
+def python(text, hidden):
+    """Do something where another folder's packages come first."""
+    return subprocess.run(
+        [sys.executable, "-c", text], cwd=hidden, env=os.environ | {"PYTHONPATH": str(hidden)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("resources", PROGRAM.format("oracle_sim")),
+        ("sim", PROGRAM.format("oracle_sim")),
+        ("resources", PROGRAM.format("oracle_ui")),
+        ("assets", "import oracle_pipeline.definitions"),
+        ("resources", "import oracle_pipeline.definitions"),
+    ],
+)
+def test_a_clash_of_names_is_told_with_the_place_and_what_to_do(name, text, tmp_path):
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "__init__.py").touch()
+    done = python(text, tmp_path)
+    assert done.returncode == 1
+    told = done.stderr.strip().splitlines()[-1]
+    assert f"the package {name!r} of ros2-behaviour-oracle in {tmp_path / name} instead of" in told
+    assert "virtual environment of its own" in told
+
+
+def test_a_module_in_place_of_a_package_is_told_as_well(tmp_path):
+    (tmp_path / "sim.py").touch()
+    done = python(PROGRAM.format("oracle_sim"), tmp_path)
+    assert done.returncode == 1
+    assert f"in {tmp_path / 'sim.py'} instead of" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_an_import_that_fails_for_another_reason_is_left_as_it_is(tmp_path):
+    (tmp_path / "dagster.py").touch()
+    done = python("import oracle_pipeline.definitions", tmp_path)
+    assert "virtual environment of its own" not in done.stderr
+    assert done.returncode == 1
+
+
+def test_the_programs_work_where_nothing_clashes(tmp_path):
+    for name in ("oracle_sim", "oracle_ui"):
+        assert python(PROGRAM.format(name), tmp_path).returncode == 0
