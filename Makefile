@@ -119,6 +119,7 @@ soak: setup-dev ## Kill everything at random moments, fill the disk, flip bits, 
 	python -m soak.full_disk
 	python -m soak.flips
 	python -m soak.budget
+	python -m soak.watching
 
 clean: ## Remove the environment and all caches; recorded data stay
 	rm -rf $(VENV) $(VENV)-sbom .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -25,7 +25,6 @@ ATTACKED = 5
 NORMAL = 3
 GOALS = 4  # of each patrol: about 80 s
 SPEED = 3.0  # of the robot, for all that the card is of; the share of a core is taken at 1
-FAR = 0.1  # what ten recordings support
 ONSET_S = 45.0  # after the patrol began, by the robot's clock
 LATER_S = 30.0  # that an attack is watched
 ATTACK = "random_noise"
@@ -98,7 +97,7 @@ def _watched(
     out: Path, run: int, speed: float, card: Path | None = None, *, attacked: bool = False
 ) -> Watched:
     """Watch one patrol from before its beginning to after its end."""
-    reference = [] if card is None else ["--reference", str(card), "--far", str(FAR)]
+    reference = [] if card is None else ["--reference", str(card)]
     watch: Any = subprocess.Popen(
         [_BIN / "oracle", "watch", "--domain", str(DOMAIN), "--out", str(out), "--format", "json",
          *reference],

@@ -5,9 +5,11 @@ nothing is decoded. All that is used of the inside of cyclonedds-python stands i
 the package is the optional extra ``live``.
 """
 
+import atexit
 import ctypes
 import functools
 import os
+import weakref
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple, TypeAlias
 
@@ -59,6 +61,7 @@ _PRIMITIVES: dict[str, Any] = {
     "uint64": idl.uint64,
 }
 _IDL: Any = idl  # what its types make of brackets, type checkers do not know
+_joined: weakref.WeakSet[Participant] = weakref.WeakSet()
 _EVERYTHING = core.SampleState.Any | core.ViewState.Any | core.InstanceState.Any
 _INFINITE_NS = 2**63 - 1
 _SECOND_NS = 1_000_000_000
@@ -88,12 +91,28 @@ def join(number: int) -> Participant:
         If there is no such domain, or no usable network interface.
     """
     try:
-        return domain.DomainParticipant(number)
+        participant = domain.DomainParticipant(number)
     except core.DDSException as error:
         raise DdsError(
             f"Could not join the DDS domain {number}: {error}. Choose a domain from 0 to 232 with "
             "--domain, and check the network interfaces that CYCLONEDDS_URI allows."
         ) from error
+    _joined.add(participant)
+    return participant
+
+
+def leave(participant: Participant) -> None:
+    """Leave a domain: delete a participant with all that lives there."""
+    if participant in _joined:
+        _joined.remove(participant)
+        participant.__del__()
+
+
+@atexit.register
+def _leave_all() -> None:
+    """Leave while the interpreter is whole: later, a thread of DDS could wait for it for ever."""
+    for participant in list(_joined):
+        leave(participant)
 
 
 @functools.cache
@@ -190,9 +209,17 @@ class RawReader:
 class RawWriter:
     """Sends bytes as the messages of a topic; the parameters are as for `RawReader`."""
 
-    def __init__(self, participant: Participant, name: str, msgtype: str, qos: Qos) -> None:
+    def __init__(
+        self,
+        participant: Participant,
+        name: str,
+        msgtype: str,
+        qos: Qos,
+        store: Typestore | None = None,
+    ) -> None:
         try:
-            self._topic = topic.Topic(participant, name, idl_type(msgtype, types.typestore()))
+            definition = idl_type(msgtype, store or types.typestore())
+            self._topic = topic.Topic(participant, name, definition)
             self._entity = pub.DataWriter(participant, self._topic, dds_qos(qos))
         except (core.DDSException, RuntimeError) as error:
             raise DdsError(f"Could not publish {name} ({msgtype}): {error}.") from error

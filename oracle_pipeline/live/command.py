@@ -31,9 +31,8 @@ if TYPE_CHECKING:
     help="Folder that the recording goes into. Without one, nothing is recorded.",
 )  # fmt: skip
 @click.option(
-    "--far", default=0.05, show_default=True,
-    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
-    help="False positive rate: the share of normal recordings that may raise an alarm.",
+    "--alarms-per-hour", type=click.FloatRange(0.0, min_open=True),
+    help="False alarms an hour that may be raised.  [default: 0.5, or what the card supports]",
 )  # fmt: skip
 @click.option(
     "--format", "file_format", type=click.Choice(["text", "json"]), default="text",
@@ -61,7 +60,7 @@ def watch(
     reference: Path | None,
     domain: int | None,
     out: Path | None,
-    far: float,
+    alarms_per_hour: float | None,
     file_format: str,
     duration: float | None,
     view: int | None,
@@ -92,7 +91,14 @@ def watch(
     with contextlib.ExitStack() as stack:
         views = list(_views(stack, view, foxglove))
         watching = stack.enter_context(
-            Watch(number, card=reference, folder=out, name=name, far=far, plugins=plugins)
+            Watch(
+                number,
+                card=reference,
+                folder=out,
+                name=name,
+                alarms_per_h=alarms_per_hour,
+                plugins=plugins,
+            )
         )
         signal.signal(signal.SIGINT, lambda *_: watching.stop())
         signal.signal(signal.SIGTERM, lambda *_: watching.stop())
@@ -145,10 +151,10 @@ def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
             f"{kinds.count('topic')} topics; {watching.heard} messages so far"
         )
     elif isinstance(event, WindowVerdict):
-        shown = "ANOMALOUS" if event.alarm else "normal"
+        shown = "usual" if event.is_usual else "UNUSUAL"
         yield (
-            f"{event.end_s:6.0f} s  {shown.ljust(9)} p = {event.p_value:.3g}, "
-            f"score {event.score:.3g}"
+            f"{event.end_s:6.0f} s  {shown.ljust(7)} score {event.score:.3g}, "
+            f"p = {event.p_value:.3g} among normal windows"
         )
     elif isinstance(event, Alarm):
         verdict = event.verdict

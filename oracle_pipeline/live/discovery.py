@@ -4,6 +4,7 @@ DDS knows participants and endpoints. Which of them are a node's, ROS 2 tells on
 ``ros_discovery_info``. A participant that vanishes without goodbye is gone when its lease ends.
 """
 
+import contextlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -82,7 +83,8 @@ class Discovery:
         for reader, store in zip(self._entities, self._stores, strict=True):
             while raw := reader.take():
                 for message in raw:
-                    self._claim(store.deserialize_cdr(message.data, ENTITIES_TYPE))
+                    with contextlib.suppress(ValueError):  # names that are no text
+                        self._claim(store.deserialize_cdr(message.data, ENTITIES_TYPE))
         return self.revision != before
 
     def node_names(self) -> list[str]:

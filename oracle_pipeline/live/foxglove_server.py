@@ -27,7 +27,7 @@ WINDOW_SCHEMA = {
     "title": "oracle.Window",
     "properties": {
         **{name: {"type": "number"} for name in ("start_s", "end_s", "score", "p_value")},
-        "alarm": {"type": "boolean"},
+        **{name: {"type": "boolean"} for name in ("usual", "alarm")},
     },
 }
 
@@ -92,6 +92,7 @@ class FoxgloveServer:
                     "end_s": event.end_s,
                     "score": event.score if math.isfinite(event.score) else None,
                     "p_value": event.p_value,
+                    "usual": event.is_usual,
                     "alarm": event.alarm,
                 },
                 log_time=self._stamp_ns(event.end_s),

@@ -16,6 +16,7 @@ from rosbags.interfaces import QosTime as _QosTime
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.dds_names import dds_topic
 from oracle_pipeline.bags.errors import DdsError
+from oracle_pipeline.bags.qos_profiles import compatible
 
 QUEUE_BYTES = 64 * 2**20  # of messages that wait at most
 _DEPTH = 500  # messages of a topic that wait in DDS, until the thread takes them
@@ -53,6 +54,7 @@ class Intake:
         self._participant = participant
         self._most_bytes = queue_bytes
         self._ready = dds.ReadyReaders(participant)
+        self._requested: dict[str, Qos] = {}
         self._names: dict[dds.RawReader, str] = {}
         self._queue: list[Received] = []
         self._bytes = 0
@@ -84,8 +86,13 @@ class Intake:
         )
         reader = dds.RawReader(self._participant, dds_topic(topic), msgtype, qos)
         self.topics[topic] = msgtype
+        self._requested[topic] = qos
         self._names[reader] = topic
         self._ready.add(reader)
+
+    def hears(self, topic: str, offered: Qos) -> bool:
+        """Tell whether a publisher's profile fits what we asked for."""
+        return compatible(offered, self._requested[topic])
 
     def take(self) -> list[Received]:
         """Return what has come, in order of arrival.

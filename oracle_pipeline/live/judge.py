@@ -3,7 +3,11 @@
 The watch sends what it hears as it comes, and says when a window has ended; verdicts come back.
 """
 
+import contextlib
 import multiprocessing
+import queue
+import signal
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -22,6 +26,7 @@ from oracle_pipeline.live.window_scorer import WindowScorer, WindowVerdict
 from oracle_pipeline.scoring.card import ReferenceCard
 
 _END_S = 5.0  # that the process gets to end by itself
+_INBOX = 10_000  # what may wait to be worked on
 _SECOND_NS = 1_000_000_000
 
 
@@ -56,18 +61,18 @@ class Judge:
     ----------
     card : Path
         The reference card.
-    far : float
-        False positive rate.
+    alarms_per_h : float or None
+        As for `WindowScorer`.
     plugins : Path, optional
         Folder of feature plugins.
     """
 
-    def __init__(self, card: Path, far: float, plugins: Path | None = None) -> None:
-        WindowScorer(ReferenceCard.load(card), far)  # a bad card is told at once
+    def __init__(self, card: Path, alarms_per_h: float | None, plugins: Path | None = None) -> None:
+        WindowScorer(ReferenceCard.load(card), alarms_per_h)  # a bad card is told at once
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
-            target=_work, args=(theirs, card, far, plugins), name="judge", daemon=True
+            target=_work, args=(theirs, card, alarms_per_h, plugins), name="judge", daemon=True
         )
         self._process.start()
         theirs.close()
@@ -104,7 +109,7 @@ class Judge:
                 if isinstance(answer, OracleError):
                     raise answer
                 yield answer
-        except EOFError:
+        except (EOFError, ConnectionError):
             raise self._death() from None
 
     def close(self) -> list[WindowVerdict]:
@@ -126,10 +131,8 @@ class Judge:
         return last
 
     def _tell(self, told: _Told) -> None:
-        try:
+        with contextlib.suppress(OSError):  # it has died; `verdicts` says so
             self._pipe.send(told)
-        except OSError:
-            raise self._death() from None
 
     def _death(self) -> OracleError:
         self._process.join(_END_S)
@@ -139,13 +142,17 @@ class Judge:
         )
 
 
-def _work(pipe: Connection, card: Path, far: float, plugins: Path | None) -> None:
+def _work(pipe: Connection, card: Path, alarms_per_h: float | None, plugins: Path | None) -> None:
     """Judge in the other process, until it is told to end."""
+    # The pipe is emptied while a window is worked on, so that the watch need not wait.
+    inbox: queue.Queue[_Told] = queue.Queue(_INBOX)
+    threading.Thread(target=_receive, args=(pipe, inbox), daemon=True).start()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the watch, which says the end
     try:
         manager = build_manager(plugins)
-        scorer = WindowScorer(ReferenceCard.load(card), far)
+        scorer = WindowScorer(ReferenceCard.load(card), alarms_per_h)
         recent = RecentMessages()
-        while (told := pipe.recv()) is not None:
+        while (told := inbox.get()) is not None:
             if isinstance(told, list):
                 recent.add(told)
             elif isinstance(told, Interval):
@@ -161,7 +168,18 @@ def _work(pipe: Connection, card: Path, far: float, plugins: Path | None) -> Non
                 pipe.send(replace(verdict, latency_s=time.monotonic() - told.ended_at))
     except OracleError as error:
         pipe.send(error)
-    except (EOFError, KeyboardInterrupt):
-        pass  # the watch is gone, or will say the end itself
+    except BrokenPipeError:
+        pass  # the watch is gone
     finally:
         pipe.close()
+
+
+def _receive(pipe: Connection, inbox: "queue.Queue[_Told]") -> None:
+    """Receive until the end, or until the watch is gone."""
+    told: _Told = []
+    while told is not None:
+        try:
+            told = pipe.recv()
+        except (EOFError, OSError):
+            told = None
+        inbox.put(told)

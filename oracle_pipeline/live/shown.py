@@ -162,6 +162,7 @@ def _verdict(event: WindowVerdict) -> Part:
         "end_s": event.end_s,
         "score": event.score if math.isfinite(event.score) else None,
         "p_value": event.p_value,
+        "usual": event.is_usual,
         "alarm": event.alarm,
     }
 

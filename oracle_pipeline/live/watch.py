@@ -13,8 +13,9 @@ from types import TracebackType
 from typing import Self, TypeAlias
 
 from oracle_pipeline.bags import dds
-from oracle_pipeline.bags.errors import DdsError
+from oracle_pipeline.bags.errors import DdsError, OracleError
 from oracle_pipeline.bags.graph_files import RosGraph
+from oracle_pipeline.bags.limits import MOST_CHANNELS
 from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S, is_hidden
 from oracle_pipeline.bags.qos_profiles import is_latched, is_reliable
 from oracle_pipeline.graphs.intervals import Interval
@@ -54,7 +55,7 @@ class GraphTaken:
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """Behaviour turned anomalous: the first such verdict after normal ones."""
+    """The rule of the card raised an alarm with this window."""
 
     verdict: WindowVerdict
 
@@ -82,8 +83,8 @@ class Watch:
         Where to keep the recording; without one, nothing is recorded.
     name : str
         Of the recording.
-    far : float
-        False positive rate of a verdict.
+    alarms_per_h : float, optional
+        False alarms an hour that may be raised; by default what the card promises.
     plugins : Path, optional
         Folder of feature plugins.
     queue_bytes : int
@@ -111,18 +112,18 @@ class Watch:
         card: Path | None = None,
         folder: Path | None = None,
         name: str = "recording",
-        far: float = 0.05,
+        alarms_per_h: float | None = None,
         plugins: Path | None = None,
         queue_bytes: int = QUEUE_BYTES,
     ) -> None:
         self.dropped = self.heard = 0
         self._domain = domain
         self._stopped = False
-        self._judge = None if card is None else Judge(card, far, plugins)
+        self._judge = None if card is None else Judge(card, alarms_per_h, plugins)
         self.recording = None if folder is None else LiveRecording(folder, name)
-        participant = dds.join(domain)
-        self.discovery = Discovery(participant)
-        self._intake = Intake(participant, queue_bytes)
+        self._participant = dds.join(domain)
+        self.discovery = Discovery(self._participant)
+        self._intake = Intake(self._participant, queue_bytes)
         self._traffic = Traffic()
         self._announced: dict[str, int] = {}  # publishers whose profile was told on, by topic
         self._unheard: set[str] = set()  # topics that were said not to be heard
@@ -131,7 +132,6 @@ class Watch:
         self._now_ns = 0
         self._interval = 0  # number of the one that goes on
         self._window = 0  # number of the next that ends
-        self._alarmed = False
         self._pending: deque[Event] = deque()
 
     def stop(self) -> None:
@@ -155,6 +155,7 @@ class Watch:
         traceback: TracebackType | None,
     ) -> None:
         self._intake.close()
+        dds.leave(self._participant)
         if self._judge is not None:
             self._judge.close()
         if self.recording is not None:
@@ -210,7 +211,7 @@ class Watch:
         if not self.discovery.update() and not force:
             return
         for topic, publishers in self.discovery.topics().items():
-            if is_hidden(topic) or topic in self._unheard:
+            if is_hidden(topic) or topic in self._unheard or len(self._announced) >= MOST_CHANNELS:
                 continue
             known = self._announced.get(topic, 0)
             if not known:
@@ -232,6 +233,13 @@ class Watch:
             self._pending.append(Note(f"{topic} is not heard: {error}"))
 
     def _announce(self, topic: str, publishers: list[Endpoint]) -> None:
+        if not all(self._intake.hears(topic, each.qos) for each in publishers):
+            self._pending.append(
+                Note(
+                    f"{topic} has a publisher that came later and offers less than the first ones; "
+                    "its messages are not heard. Start the watch again to hear all."
+                )
+            )
         msgtype, profiles = self._intake.topics[topic], tuple(each.qos for each in publishers)
         if self.recording is not None:
             self.recording.add_topic(topic, msgtype, profiles)
@@ -313,14 +321,18 @@ class Watch:
                 Note(f"{dropped.total()} messages were dropped: they came too fast ({listed}).")
             )
         if self._judge is not None:
-            for verdict in self._judge.verdicts():
-                self._tell(verdict)
+            try:
+                for verdict in self._judge.verdicts():
+                    self._tell(verdict)
+            except OracleError as error:  # the recording goes on
+                self._judge.close()
+                self._judge = None
+                self._pending.append(Note(str(error)))
 
     def _tell(self, verdict: WindowVerdict) -> None:
         self._pending.append(verdict)
-        if verdict.alarm and not self._alarmed:
+        if verdict.alarm:
             self._pending.append(Alarm(verdict))
-        self._alarmed = verdict.alarm
 
     def _finish(self) -> Iterator[Event]:
         """End the last interval if it is long enough, and wait for the last verdicts."""

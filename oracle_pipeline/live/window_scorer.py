@@ -1,11 +1,9 @@
-"""The windows of a recording that goes on, judged by the scorer of a reference card as they end.
+"""The windows of a recording that goes on, judged by a reference card as they end.
 
-A card's p-value is that of a recording, whose most unusual windows stand for it. Here the last
-``TOP_WINDOWS`` windows do. Their mean never exceeds that of the most unusual ones, so over a time
-as long as the card's recordings an alarm is no more frequent than the p-value says.
+Score and rule of alarms are the card's own: a recording that has ended gets the same alarms from
+``oracle score``.
 """
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,10 +12,9 @@ import pandas as pd
 from oracle_pipeline.clustering.scaling import CLIP
 from oracle_pipeline.datasets import WINDOW_START, field_metadata
 from oracle_pipeline.detectors.explain import LEAST_Z
+from oracle_pipeline.scoring.alarms import RATE_PER_H, AlarmWatch
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.evidence import SHOWN
-from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.scoring.run_scorer import TOP_WINDOWS, top_windows
 from oracle_pipeline.scoring.verdict import Evidence, ScoringError
 
 _LEVEL = "windows"
@@ -26,14 +23,15 @@ _USUAL = 1.645  # scales from the median within which nine of ten values of a no
 
 @dataclass(frozen=True, slots=True)
 class WindowVerdict:
-    """The judgement of the last windows of a recording that goes on."""
+    """The judgement of one window of a recording that goes on."""
 
-    start_s: float  # of the newest window, since the start of the recording
+    start_s: float  # since the start of the recording
     end_s: float
-    score: float  # of that window; 0 is the median of normal recordings, 1 their spread
-    p_value: float  # of the last windows together, among the normal recordings
-    alarm: bool
-    evidence: tuple[Evidence, ...] = ()  # what is farthest from usual in the newest window
+    score: float  # higher is more anomalous
+    p_value: float  # share of normal windows that score at least as high
+    is_usual: bool  # it adds nothing to an alarm
+    alarm: bool  # it raised one
+    evidence: tuple[Evidence, ...] = ()  # what is farthest from usual
     latency_s: float = 0.0  # from the end of the window to the verdict, by the wall
 
 
@@ -43,41 +41,48 @@ class WindowScorer:
     Parameters
     ----------
     card : ReferenceCard
-    far : float
-        False positive rate: an alarm is a p-value that is not larger.
+    alarms_per_h : float, optional
+        False alarms an hour that may be raised; by default ``RATE_PER_H``, or the lowest rate that
+        the card supports.
+
+    Attributes
+    ----------
+    alarms_per_h : float
+        The rate that is promised.
 
     Raises
     ------
     ScoringError
         If the card knows nothing of windows.
+    AlarmError
+        If it has too few hours of normal recordings for the rate.
     """
 
-    def __init__(self, card: ReferenceCard, far: float) -> None:
-        self._scorer, self._far = card.scorer, far
-        self.columns = list(card.scorer.design.window_features)
-        if not self.columns:
+    def __init__(self, card: ReferenceCard, alarms_per_h: float | None = None) -> None:
+        normal = card.scorer.windows_
+        if normal is None:
             raise ScoringError(
                 "The card holds no features of windows, so nothing can be judged before a "
                 "recording has ended; learn it from recordings, or from tables with windows."
             )
-        self._last: deque[pd.DataFrame] = deque(maxlen=TOP_WINDOWS)
-        levels = list(self._scorer.scorers_[0].models_)
-        self._centre = self._scorer.centre_[levels.index(_LEVEL)]
-        self._spread = self._scorer.spread_[levels.index(_LEVEL)]
+        self._scorer = card.scorer
+        self._normal = np.sort(normal.scores)
+        self.alarms_per_h = alarms_per_h or max(RATE_PER_H, normal.lowest_rate())
+        self._watch = AlarmWatch(normal.rule(self.alarms_per_h))
 
     def judge(self, row: pd.DataFrame, end_s: float) -> WindowVerdict:
-        """Judge the last windows, of which a row of features is the newest."""
-        start_s = float(row[WINDOW_START].iloc[0])
-        self._last.append(row.reindex(columns=self.columns))
-        windows = pd.concat(self._last, ignore_index=True)
-        one = pd.DataFrame({"run_id": ["live"], "block": [-1]})
-        runs = MeasuredRuns(one, windows, np.zeros(len(windows), dtype=np.intp))
-        own = np.stack([scorer.score_windows(windows) for scorer in self._scorer.scorers_])
-        means = np.stack([top_windows(scores, runs, TOP_WINDOWS) for scores in own])
-        (p,) = self._scorer.p_values((means - self._centre) / self._spread)
-        newest = float(np.median((own[:, -1] - self._centre) / self._spread))
+        """Judge a window by its row of features."""
+        score = float(self._scorer.window_scores(row)[0])
+        higher = len(self._normal) - int(np.searchsorted(self._normal, score))
+        alarm = self._watch.feed(end_s, score)
         return WindowVerdict(
-            start_s, end_s, newest, float(p), bool(p <= self._far), self._evidence(row)
+            start_s=float(row[WINDOW_START].iloc[0]),
+            end_s=end_s,
+            score=score,
+            p_value=(1 + higher) / (1 + len(self._normal)),
+            is_usual=score <= self._watch.rule.allowance,
+            alarm=alarm is not None,
+            evidence=self._evidence(row),
         )
 
     def _evidence(self, row: pd.DataFrame) -> tuple[Evidence, ...]:

@@ -23,7 +23,10 @@ def verdict(number: int, *, alarm: bool = False) -> WindowVerdict:
     start_s = 5.0 * number
     evidence = (EVIDENCE,) if alarm else ()
     score, p = (9.0, 0.01) if alarm else (0.1 * number, 0.6)
-    return WindowVerdict(start_s, start_s + 10.0, score, p, alarm, evidence)
+    return WindowVerdict(
+        start_s=start_s, end_s=start_s + 10.0, score=score, p_value=p, is_usual=not alarm,
+        alarm=alarm, evidence=evidence,
+    )  # fmt: skip
 
 
 def graph() -> GraphTaken:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from rosbags.typesys import Stores, get_typestore
 
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.dds_names import ENTITIES_TOPIC, ENTITIES_TYPE, dds_topic
@@ -12,10 +13,6 @@ from sim.middleware.qos import DEFAULT, LATCHED
 STRING = "std_msgs/msg/String"
 TEXT = serialize(message_class(STRING)("hello"), STRING)
 
-_Gid = message_class("rmw_dds_common/msg/Gid")
-_Node = message_class("rmw_dds_common/msg/NodeEntitiesInfo")
-_Participant = message_class("rmw_dds_common/msg/ParticipantEntitiesInfo")
-
 
 @dataclass
 class Robot:
@@ -23,12 +20,16 @@ class Robot:
 
     domain: int
     namespace: str = ""
+    release: Stores = Stores.ROS2_HUMBLE
     writers: dict = field(default_factory=dict)  # by node and topic
     readers: dict = field(default_factory=dict)
 
     def __post_init__(self):
         self.participant = dds.join(self.domain)
-        self._told = dds.RawWriter(self.participant, ENTITIES_TOPIC, ENTITIES_TYPE, LATCHED)
+        self.store = get_typestore(self.release)
+        self._told = dds.RawWriter(
+            self.participant, ENTITIES_TOPIC, ENTITIES_TYPE, LATCHED, self.store
+        )
 
     def node(self, name, *, publishes=(), hears=(), qos=DEFAULT):
         """Add a node and its endpoints; topics are of strings."""
@@ -46,7 +47,7 @@ class Robot:
         """Tell whose the endpoints are, as every ROS 2 process does."""
         names = {name: None for name, _ in (*self.writers, *self.readers)}
         nodes = [
-            _Node(
+            self._type("NodeEntitiesInfo")(
                 self.namespace or "/",
                 name,
                 self._of(self.readers, name),
@@ -54,13 +55,19 @@ class Robot:
             )
             for name in names
         ]
-        gid = _gid(self.participant.guid.bytes)
-        self._told.write(serialize(_Participant(gid, nodes), ENTITIES_TYPE))
+        message = self._type("ParticipantEntitiesInfo")
+        told = message(self._gid(self.participant.guid.bytes), nodes)
+        self._told.write(bytes(self.store.serialize_cdr(told, ENTITIES_TYPE)))
         return self
 
     def _of(self, endpoints, name):
-        return [_gid(endpoint.guid) for (node, _), endpoint in endpoints.items() if node == name]
+        return [
+            self._gid(endpoint.guid) for (node, _), endpoint in endpoints.items() if node == name
+        ]
 
+    def _type(self, name):
+        return self.store.types[f"rmw_dds_common/msg/{name}"]
 
-def _gid(guid):
-    return _Gid(np.frombuffer(guid.ljust(24, b"\0"), dtype=np.uint8))
+    def _gid(self, guid):
+        size = 24 if self.release is Stores.ROS2_HUMBLE else 16
+        return self._type("Gid")(np.frombuffer(guid.ljust(size, b"\0"), dtype=np.uint8))

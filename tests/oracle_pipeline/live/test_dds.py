@@ -1,5 +1,8 @@
 """Bytes and names on a DDS domain: what is sent comes as it was sent."""
 
+import subprocess
+import sys
+
 import hypothesis.strategies as st
 import pytest
 from hypothesis import given
@@ -76,3 +79,14 @@ def test_a_domain_that_cannot_be_is_refused(monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", "seven")
     with pytest.raises(DdsError, match="seven"):
         dds.default_domain()
+
+
+@pytest.mark.slow
+def test_a_process_that_is_on_a_domain_ends(domain):
+    code = (
+        "from oracle_pipeline.bags import dds; from sim.middleware.qos import DEFAULT;"
+        f"here = dds.join({domain}); there = dds.join({domain});"
+        f"readers = [dds.RawReader(here, f'rt/t{{n}}', '{STRING}', DEFAULT) for n in range(50)]"
+    )
+    for _ in range(3):
+        subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -3,6 +3,7 @@
 import multiprocessing
 
 import pytest
+from rosbags.typesys import Stores
 
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.graph_files import vertex_id
@@ -26,8 +27,10 @@ def edge(*ends):
     return tuple(vertex_id(*end.split(":", 1)) for end in ends)
 
 
-def test_nodes_and_their_endpoints_are_found(domain, discovery, eventually):
-    robot = Robot(domain).node("talker", publishes=["/words"], qos=LATCHED).tell()
+@pytest.mark.parametrize("release", [Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY])
+def test_nodes_and_their_endpoints_are_found(domain, discovery, eventually, release):
+    robot = Robot(domain, release=release)
+    robot.node("talker", publishes=["/words"], qos=LATCHED).tell()
     robot.node("listener", hears=["/words"], qos=LATCHED).tell()
     expected = {
         edge("node:/talker", "topic:/words"),

@@ -107,7 +107,8 @@ def test_a_verdict_stands_at_the_end_of_its_window(server: FoxgloveServer, clien
     began = next(messages()).stamp_ns
     assert _MESSAGE.unpack_from(data)[2] == began + 25_000_000_000
     assert json.loads(data[_MESSAGE.size :]) == {
-        "start_s": 15.0, "end_s": 25.0, "score": 9.0, "p_value": 0.01, "alarm": True
+        "start_s": 15.0, "end_s": 25.0, "score": 9.0, "p_value": 0.01, "usual": False,
+        "alarm": True,
     }  # fmt: skip
 
 

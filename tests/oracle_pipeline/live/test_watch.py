@@ -11,7 +11,7 @@ from oracle_pipeline.bags.graph_files import vertex_id
 from oracle_pipeline.bags.types import message_class, serialize
 from oracle_pipeline.live.watch import GraphTaken, MessageHeard, Note, Watch
 from oracle_pipeline.opened_run import open_run
-from sim.middleware.qos import CLOCK
+from sim.middleware.qos import CLOCK, SENSOR_DATA
 from tests.oracle_pipeline.live.robots import TEXT, Robot
 
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
@@ -134,3 +134,21 @@ def test_a_topic_of_an_unknown_type_is_told_once_and_costs_no_other(domain, spea
 
 def _unknown_type():
     return dds.make_idl_struct("Odd_", "odd_msgs::msg::dds_::Odd_", {"number": dds.idl.int32})
+
+
+@pytest.mark.slow
+def test_a_later_publisher_that_cannot_be_heard_is_told(domain, speaker):
+    speaker.start()
+    with Watch(domain) as watch:
+        late = []
+
+        def until(events):
+            if len(events) > 20 and not late:
+                late.append(
+                    Robot(domain).node("late", publishes=["/words"], qos=SENSOR_DATA).tell()
+                )
+            return any(isinstance(event, Note) for event in events)
+
+        events = watched(watch, until)
+    (note,) = [event.text for event in events if isinstance(event, Note)]
+    assert "/words" in note
