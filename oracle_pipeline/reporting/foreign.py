@@ -6,8 +6,7 @@ One self-contained HTML file beside the report; the page itself is ``templates/f
 from collections import Counter
 from collections.abc import Sequence
 
-import jinja2
-
+from oracle_pipeline.reporting.page import template
 from oracle_pipeline.scoring.kept_verdicts import KeptVerdict
 from oracle_pipeline.scoring.output import HEADINGS, cells, family_as_text
 from oracle_pipeline.scoring.verdict import Judgement
@@ -22,19 +21,13 @@ _IN_WORDS: dict[Judgement, str] = {
 
 def foreign_page(verdicts: Sequence[KeptVerdict]) -> str:
     """Return the page, verdicts in the order given."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("oracle_pipeline.reporting"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"cells": cells, "family": family_as_text}
-    return environment.get_template("foreign.html.j2").render(
+    return template("foreign.html.j2").render(
         verdicts=verdicts,
         summary=summary(verdicts),
         words=_IN_WORDS,
         headings=HEADINGS,
+        cells=cells,
+        family=family_as_text,
     )
 
 

@@ -60,9 +60,20 @@ class KeptVerdict:
 
 
 def kept_verdicts(root: Path) -> list[KeptVerdict]:
-    """Return all verdicts on foreign recordings below a root, the newest first."""
-    verdicts = [KeptVerdict.load(path) for path in layout.foreign_verdicts(root)]
+    """Return all verdicts on foreign recordings below a root, the newest first.
+
+    A file that holds no verdict counts as a recording that could not be judged, and hides no other.
+    """
+    verdicts = [_or_error(path) for path in layout.foreign_verdicts(root)]
     return sorted(verdicts, key=lambda kept: kept.judged_at, reverse=True)
+
+
+def _or_error(path: Path) -> KeptVerdict:
+    try:
+        return KeptVerdict.load(path)
+    except KeptVerdictError as error:
+        key = path.parent.name
+        return KeptVerdict(key, "", Verdict(key, "error", error=str(error)), 0.0, "", "")
 
 
 def _verdict(document: Mapping[str, Any]) -> Verdict:

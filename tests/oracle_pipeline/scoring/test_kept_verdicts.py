@@ -34,7 +34,9 @@ def test_all_verdicts_of_a_root_are_found_the_newest_first(tmp_path):
         kept(key, WHOLE, f"2026-11-2{number}T10:00:00+00:00").save(
             layout.foreign(tmp_path, key) / layout.VERDICT
         )
-    assert [each.key for each in kept_verdicts(tmp_path)] == ["c", "b", "a"]
+    (layout.foreign(tmp_path, "b") / layout.VERDICT).write_text("{}")
+    assert [each.key for each in kept_verdicts(tmp_path)] == ["c", "a", "b"]
+    assert kept_verdicts(tmp_path)[-1].verdict.outcome == "error"
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", json.dumps({"version": 99})])
