@@ -17,7 +17,7 @@ LAST := delayed_fakeobject|run002
 COMPILE := pip-compile --quiet --strip-extras --no-header --no-annotate \
 	--no-emit-index-url --no-emit-trusted-host --no-emit-find-links
 
-.PHONY: help setup setup-dev run campaign ui test test-quick test-browser lint types architecture docs \
+.PHONY: help setup setup-dev demo demo-card run campaign ui test test-quick test-browser lint types architecture docs \
 	pictures wheel bench soak constraints requirements image sbom clean
 .DEFAULT_GOAL := help
 
@@ -38,6 +38,15 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 $(VENV)/.ready-dev: $(VENV)/.ready
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dask,dev,dg,docs,live,postgres,s3]'
 	@touch $@
+
+demo: setup ## Record a normal and an attacked run, and judge both by the shipped reference card
+	python scripts/demo.py
+
+# The card holds the features of 40 runs, each of another block: verdicts at 5 % take 19.
+demo-card: setup ## Learn the demo's reference card again, after a change of simulation or features
+	oracle-sim record -m lidar_passthrough_odom -n 40 --goals 1 --refresh \
+		--out $${ORACLE_HOME:-data}/demo-card
+	oracle learn $${ORACLE_HOME:-data}/demo-card --output demo/normal.card
 
 run: setup ## Simulate the small campaign, analyse it, and say where the report is
 	dagster asset materialize -m oracle_pipeline.definitions --select '*' \

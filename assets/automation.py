@@ -1,4 +1,4 @@
-"""The job over all assets, and the nightly schedule that re-simulates one block.
+"""A job for each purpose, and the nightly schedule that re-simulates one block.
 
 All automation is off by default. The sensor is in ``assets.scenario_changes``, the job that deletes
 old Dagster runs in ``assets.run_retention``. How to use them: docs/how-to/automation.md.
@@ -6,13 +6,40 @@ old Dagster runs in ``assets.run_retention``. How to use them: docs/how-to/autom
 
 import dagster as dg
 
+from assets.experiment_runs import SPECS
+from assets.feature_dataset import feature_dataset
+from assets.oracle_evaluation import oracle_evaluation
 from assets.partitions import RUNS
+from assets.thesis_method import (
+    bootstrapped_dataset,
+    clustering_grid_search,
+    malicious_rate_report,
+    pairwise_report,
+)
+
+THESIS = (bootstrapped_dataset, clustering_grid_search, malicious_rate_report, pairwise_report)
 
 everything = dg.define_asset_job(
     "everything",
     selection="*",
     description="All assets, from the runs of the chosen partitions to the report over all runs.",
 )
+simulate = dg.define_asset_job(
+    "simulate",
+    selection=[spec.key for spec in SPECS],
+    description="Record the runs of the chosen partitions and compute their features.",
+)
+evaluate = dg.define_asset_job(
+    "evaluate",
+    selection=[feature_dataset, oracle_evaluation],
+    description="Measure how well the oracle tells the recorded runs apart.",
+)
+thesis = dg.define_asset_job(
+    "thesis",
+    selection=[feature_dataset, *THESIS],
+    description="Repeat the thesis's method on the recorded runs.",
+)
+JOBS = (everything, simulate, evaluate, thesis)
 
 
 def refreshed_runs(first: str, last: str, run_key: str | None = None) -> dg.RunRequest:

@@ -23,6 +23,7 @@ from assets.thesis_method import (
 )
 from resources.failures import clear_failures
 from resources.store import RunStore
+from resources.ui.report import REPORT_PATH
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -114,7 +115,7 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
     return dg.MaterializeResult(
         metadata={
             "path": dg.MetadataValue.path(str(store.report)),
-            "url": dg.MetadataValue.url(store.report.as_uri()),
+            "url": dg.MetadataValue.url(f"{REPORT_PATH}/"),
             "bytes": store.report.stat().st_size,
             "runs": len(df),
             "run_pages": pages,

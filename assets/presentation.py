@@ -93,6 +93,7 @@ def report(result: "Report") -> Metadata:
     return {
         **facts(result.summary),
         "table": table(result.table),
-        "table_rows": dg.MetadataValue.int(len(result.table)),
+        "dagster/row_count": dg.MetadataValue.int(len(result.table)),
+        "dagster/column_schema": dg.MetadataValue.table_schema(columns(result.table)),
         **pictures(result.figures),
     }

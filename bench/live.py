@@ -21,8 +21,8 @@ from typing import Any
 from bench.figures import Row, median, spread
 
 LEARNED = 10  # recordings that the card is learned from
-ATTACKED = 5
-NORMAL = 3
+ATTACKED = 3
+NORMAL = 1
 GOALS = 4  # of each patrol: about 80 s
 SPEED = 3.0  # of the robot, for all that the card is of; the share of a core is taken at 1
 ONSET_S = 45.0  # after the patrol began, by the robot's clock

@@ -253,9 +253,10 @@ def score(
     click.echo(show(verdicts, far, normal.notes))
     write_junit(verdicts)
     if page is not None:
+        from oracle_pipeline.replay.picture import picture
         from oracle_pipeline.reporting import verdict_page
 
-        verdict_page.write(page, verdicts, far, (*normal.notes,), manager, limits)
+        verdict_page.write(page, verdicts, far, (*normal.notes,), manager, limits, picture)
         click.echo(f"Page: {page.resolve().as_uri()}", err=True)
     ctx.exit(output.exit_code(verdicts))
 

@@ -79,7 +79,7 @@ def build_defs(**overrides: object) -> dg.Definitions:
             evaluation_checks.checks_of_evaluation,
             foreign.checks_of_arrivals,
         ],
-        jobs=[automation.everything, foreign.judge_arrivals, run_retention.forget_old_runs],
+        jobs=[*automation.JOBS, foreign.judge_arrivals, run_retention.forget_old_runs],
         schedules=[automation.nightly, run_retention.weekly],
         sensors=[scenario_changes.changed_scenarios, arrivals.arrived_recordings],
         resources=resources | overrides,

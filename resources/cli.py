@@ -1,8 +1,9 @@
-"""``oracle-sim`` with the commands that know what is stored; ``sim`` may not import those."""
+"""``oracle-sim`` with the commands that know more than ``sim``: what is stored, and verdicts."""
 
 from sim.commands.main import main
 
 main.places |= {
+    "search": "resources.search.commands:search",
     "remake": "resources.storage.commands:remake",
     "storage": "resources.storage.commands:storage",
 }

@@ -277,7 +277,7 @@ def _features(job: RunJob, manifest: Manifest) -> dict[str, AssetOfRun]:
         version = content_hash(df)
         figures: Figures = {
             "status": "made" if extracted else "verified",
-            "rows": len(df),
+            "dagster/row_count": len(df),
             "features": len(feature_columns(df)),
             "missing": sum(len(row) for row in reasons),
             "missing_features": ", ".join(absent),

@@ -56,17 +56,20 @@ def single(X: Floats) -> Joins:
     return Joins(order[rows], np.sqrt(squares))
 
 
-def complete(X: Floats) -> Joins:
-    """Join rows by complete linkage, to which it makes no difference how often a row counts."""
-    return Joins(*_chain(_distances(X), np.ones(len(X)), _COMPLETE))
+def complete(distances: Floats) -> Joins:
+    """Join rows by complete linkage, to which it makes no difference how often a row counts.
+
+    The `distances` are overwritten.
+    """
+    return Joins(*_chain(distances, np.ones(len(distances)), _COMPLETE))
 
 
-def average(X: Floats, copies: Counts) -> Joins:
-    """Join rows by average linkage (UPGMA)."""
-    return Joins(*_chain(_distances(X), 0.5 / copies, _AVERAGE))
+def average(distances: Floats, copies: Counts) -> Joins:
+    """Join rows by average linkage (UPGMA); the `distances` are overwritten."""
+    return Joins(*_chain(distances, 0.5 / copies, _AVERAGE))
 
 
-def _distances(X: Floats) -> Floats:
+def distances_of(X: Floats) -> Floats:
     """Return the distances (n, n) of all rows, none being near itself."""
     distances = cdist(X, X)
     np.fill_diagonal(distances, np.inf)

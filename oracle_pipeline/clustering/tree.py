@@ -4,12 +4,14 @@ The joins are computed in ``oracle_pipeline.clustering.agglomeration``; verdicts
 in ``oracle_pipeline.clustering.scores``.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster
+from scipy.spatial.distance import cdist
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.clustering import agglomeration
@@ -96,10 +98,35 @@ def grow_tree(
         case "single":
             joins = agglomeration.single(X)
         case "complete":
-            joins = agglomeration.complete(X)
+            joins = agglomeration.complete(agglomeration.distances_of(X))
         case "average":
-            joins = agglomeration.average(X, copies)
+            joins = agglomeration.average(agglomeration.distances_of(X), copies)
     return Tree(method, _merges(joins), copies)
+
+
+def trees_with(
+    reference: NDArray[np.float64], X: NDArray[np.float64], method: Linkage
+) -> Iterator[Tree]:
+    """Yield the tree of the reference rows and one more row, for each row of `X`.
+
+    As `grow_tree`, errors included; the distances of the reference rows are computed once.
+    """
+    n = len(reference)
+    if method in ("ward", "single") or n >= MATRIX_ROWS or not reference.size:
+        yield from (grow_tree(np.vstack([reference, x]), method) for x in X)
+        return
+    known = np.full((n + 1, n + 1), np.inf)
+    known[:n, :n] = agglomeration.distances_of(reference)
+    copies = np.ones(n + 1, dtype=np.int64)
+    for to_reference in cdist(X, reference):
+        distances = known.copy()
+        distances[n, :n] = distances[:n, n] = to_reference
+        joins = (
+            agglomeration.complete(distances)
+            if method == "complete"
+            else agglomeration.average(distances, copies)
+        )
+        yield Tree(method, _merges(joins), copies)
 
 
 def _merges(joins: agglomeration.Joins) -> NDArray[np.float64]:

@@ -43,7 +43,7 @@ def compare(
     picture: Path | None,
     plugins: Path | None,
 ) -> None:
-    """Tell how two sets of recordings differ, such as two builds or two days.
+    """Tell how two sets of recordings differ, such as two builds.
 
     Exit code 0: no difference; 1: they differ; 2: they could not be compared.
 

@@ -14,7 +14,7 @@ from sklearn.cluster import HDBSCAN
 from sklearn.neighbors import NearestNeighbors
 
 from oracle_pipeline.clustering.scores import hac_height, small_cluster_score
-from oracle_pipeline.clustering.tree import Linkage, Tree, grow_tree
+from oracle_pipeline.clustering.tree import Linkage, Tree, grow_tree, trees_with
 from oracle_pipeline.detectors.base import DetectorError, OwnDetector
 
 LARGE = 0.1  # share of the normal runs that a cluster must hold to stand for a behaviour
@@ -31,7 +31,7 @@ class _InTree(OwnDetector):
     def _in_trees(
         self, X: NDArray[np.float64], of_last: Callable[[Tree], float]
     ) -> NDArray[np.float64]:
-        trees = (grow_tree(np.vstack([self.reference_, x]), self.linkage) for x in X)
+        trees = trees_with(self.reference_, X, self.linkage)
         return np.fromiter((of_last(tree) for tree in trees), dtype=np.float64, count=len(X))
 
 

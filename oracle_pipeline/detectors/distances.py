@@ -43,8 +43,9 @@ class Mahalanobis(OwnDetector):
         shrunk = LedoitWolf(store_precision=False).fit(X)
         raised = np.maximum(0.0, 1.0 - np.diag(shrunk.covariance_))
         self.location_ = shrunk.location_
-        inverse = np.linalg.inv(shrunk.covariance_ + np.diag(raised))
-        self.precision_ = (inverse + inverse.T) / 2.0  # symmetric to the last bit: kept as half
+        inverse = np.linalg.inv(shrunk.covariance_ + np.diag(raised)).astype(np.float32)
+        # Symmetric to the last bit and of seven digits: a reference card keeps half of it.
+        self.precision_ = ((inverse + inverse.T) / 2).astype(np.float64)
 
     def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
         away = X - self.location_

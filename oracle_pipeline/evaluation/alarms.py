@@ -48,7 +48,7 @@ def watched(campaign: JudgedRuns) -> WatchedRuns:
         return WatchedRuns(score, alarm, np.nan)
     if scorer.windows_ is None:
         return WatchedRuns(score, alarm, np.nan)
-    block = campaign.block[campaign.run]
+    block, ends_s = campaign.block[campaign.run], campaign.end_s
     score[:] = scorer.window_scores(campaign.windows, block)
     promised = []
     for name in np.unique(block):
@@ -59,7 +59,7 @@ def watched(campaign: JudgedRuns) -> WatchedRuns:
         for run in np.unique(campaign.run[of_block]):
             watch = AlarmWatch(rule)
             for window in of_block[campaign.run[of_block] == run].tolist():
-                raised = watch.feed(float(campaign.end_s[window]), float(score[window]))
+                raised = watch.feed(float(ends_s[window]), float(score[window]))
                 alarm[window] = raised is not None
     return WatchedRuns(score, alarm, max(promised))
 

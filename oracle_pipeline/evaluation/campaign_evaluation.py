@@ -17,6 +17,7 @@ from oracle_pipeline.detectors import DetectorError, panel, upper_bounds
 from oracle_pipeline.evaluation import integrity
 from oracle_pipeline.evaluation.alarms import judge_alarms, watched
 from oracle_pipeline.evaluation.aspects import aspects_table, by_mode, quadrants
+from oracle_pipeline.evaluation.audit import audit
 from oracle_pipeline.evaluation.comparisons import (
     ALL_MODES,
     HEADLINE,
@@ -80,6 +81,7 @@ class CampaignEvaluation:
     alarms: pd.DataFrame  # of the headline's scorer, window by window
     aspects: dict[str, pd.DataFrame]  # tampering and misbehaviour, by table
     small_clusters: pd.DataFrame
+    audit: pd.DataFrame  # features of the headline that tell unaltered runs apart
     curves: HeadlineCurves | None  # None while only one class of runs has scores
     kills: pd.DataFrame | None  # None without a grid
 
@@ -124,6 +126,8 @@ def evaluate(
     checks = steps.checks(headline, table, graph_differences)
     alarms, aspects = steps.alarms(), steps.aspects()
     small_clusters = steps.small_clusters()
+    progress("audit")
+    told = audit(steps.campaign.features, steps.sets.get(HEADLINE.features, []))
     progress("curves")
     curves = headline_curves(headline, steps.campaign, steps.compared, steps.rng)
     kills = None
@@ -141,6 +145,7 @@ def evaluate(
         alarms=alarms,
         aspects=aspects,
         small_clusters=small_clusters,
+        audit=told,
         curves=curves,
         kills=kills,
     )

@@ -26,6 +26,7 @@ def deviations_of_runs(df: pd.DataFrame) -> dict[str, list[Deviation]]:
     dict of str to list of Deviation
         By run. Empty without a normal run of another block.
     """
+    df = df.copy()  # in one piece, which pandas cuts rows from in half the time
     columns = feature_sets(df).get("all", [])
     normal = df[~is_malicious(df)]
     found: dict[str, list[Deviation]] = {}

@@ -24,7 +24,7 @@ from oracle_pipeline.scoring.conformal import runs_needed
 
 @dataclass(frozen=True, slots=True)
 class OpenClaim:
-    """Something that nobody may say of these runs yet."""
+    """A claim that these runs do not support yet."""
 
     claim: str
     reason: str

@@ -24,8 +24,8 @@ def evaluation_report(evaluation: CampaignEvaluation) -> Report:
 
     The table has a row for each scorer, split and comparison, the headline first; the tables
     ``alarms``, ``aspects``, ``aspects_by_mode``, ``quadrants``, ``task_uncertainty``,
-    ``small_clusters``, ``checks``, ``open_claims``, ``runs``, ``standing`` and, with a grid,
-    ``kills``, ``mutation_scores`` and ``minimum_detectable`` the rest.
+    ``audit``, ``small_clusters``, ``checks``, ``open_claims``, ``runs``, ``standing`` and, with a
+    grid, ``kills``, ``mutation_scores`` and ``minimum_detectable`` the rest.
     """
     return Report(
         evaluation.table, _pictures(evaluation), _summary(evaluation), _tables(evaluation)
@@ -38,6 +38,7 @@ def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
     tables = {
         "alarms": evaluation.alarms,
         **evaluation.aspects,
+        "audit": evaluation.audit,
         "small_clusters": evaluation.small_clusters,
         "checks": pd.DataFrame([check.columns() for check in evaluation.checks]),
         "open_claims": as_table(evaluation.open_claims),
@@ -57,9 +58,8 @@ def _judged(evaluation: CampaignEvaluation) -> pd.DataFrame:
     """Return a row for each run: its keys, its score and p-value, and how it ended."""
     campaign, headline = evaluation.campaign, evaluation.headline
     features = campaign.features
-    keys = [name for name in features.columns if name in (*KEYS, "world")]
     ended = ["recording_s", "onset_s", "outcome"]
-    return features[keys].assign(
+    return features[[*KEYS]].assign(
         score=headline.score, p=headline.p, **{name: campaign.truth[name] for name in ended}
     )
 

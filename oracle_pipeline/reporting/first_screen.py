@@ -95,7 +95,7 @@ def _recorded(runs: pd.DataFrame) -> str:
         _count(runs["mode"].nunique(), "mode"),
         _count(runs["block"].nunique(), "block"),
         _count(runs["session"].nunique(), "session"),
-        *([_count(runs["world"].nunique(), "world")] if "world" in runs else []),
+        _count(runs["world"].nunique(), "world"),
     ]
     return (
         f"{_count(len(runs), 'run')}: {attacked} attacked, {len(runs) - attacked} normal. "

@@ -130,7 +130,7 @@ def _pages(shown: ShownRuns) -> Iterator[tuple[str, str]]:
                 up=UP,
                 manifest=manifest,
                 verdict=_verdict(ranks.loc[run] if run in ranks.index else None, scored),
-                facts=_facts(manifest, row),
+                facts=_facts(manifest),
                 goals=_goals(manifest),
                 picture=picture,
                 why_not=why_not,
@@ -171,18 +171,16 @@ def _verdict(judged: pd.Series | None, scored: int) -> str:
     return f"{called} at a false positive rate of {RATES[0]:.0%}: p = {judged['p']:.3g}. {where}"
 
 
-def _facts(manifest: Manifest, row: pd.DataFrame) -> dict[str, str]:
+def _facts(manifest: Manifest) -> dict[str, str]:
     """Return what is known of a run, by name."""
     reached = sum(goal.outcome == "succeeded" for goal in manifest.goal_results)
     changed = sum(change.messages for change in manifest.changes)
     facts = {
         "outcome": f"{manifest.outcome}; {reached} of {len(manifest.goals)} goals reached",
         "recorded": f"{manifest.recording_s:.1f} s",
-        "block, session": f"{manifest.block}, {manifest.session}",
+        "block, session, world": f"{manifest.block}, {manifest.session}, {manifest.world}",
         "contacts": ", ".join(dict.fromkeys(c.piece for c in manifest.contacts)) or "none",
     }
-    if "world" in row:
-        facts["world"] = str(row["world"].iloc[0])
     if manifest.label == "malicious":
         began = "never" if manifest.onset_s is None else f"at {manifest.onset_s:.1f} s"
         facts["attack began"] = f"{began}; {changed} messages changed"

@@ -5,17 +5,15 @@ escaped, and pictures are drawn in processes of their own, as its features are c
 """
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
-
-import jinja2
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.features import FeatureManager
-from oracle_pipeline.replay.picture import picture
+from oracle_pipeline.reporting.page import template
 from oracle_pipeline.scoring.isolation import Limits, apart
 from oracle_pipeline.scoring.output import HEADINGS, cells, family_as_text
 from oracle_pipeline.scoring.verdict import Judgement, Verdict
@@ -54,6 +52,7 @@ def write(
     notes: Sequence[str],
     manager: FeatureManager,
     limits: Limits,
+    draw: Callable[[Path], bytes],
 ) -> None:
     """Write the page.
 
@@ -70,17 +69,12 @@ def write(
         That knows what the features are.
     limits : Limits
         Of each process that draws a recording.
+    draw : callable
+        A function of a module, from the place of a recording to its picture, PNG.
     """
     meanings = {name: feature.description for name, feature in manager.features().items()}
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("oracle_pipeline.reporting"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    page = environment.get_template("verdicts.html.j2").render(
-        judged=[_judged(verdict, far, meanings, limits) for verdict in verdicts],
+    page = template("verdicts.html.j2").render(
+        judged=[_judged(verdict, far, meanings, limits, draw) for verdict in verdicts],
         headings=HEADINGS,
         far=far,
         notes=notes,
@@ -89,11 +83,17 @@ def write(
         sink.write(printable(page).encode())
 
 
-def _judged(verdict: Verdict, far: float, meanings: Mapping[str, str], limits: Limits) -> _Judged:
+def _judged(
+    verdict: Verdict,
+    far: float,
+    meanings: Mapping[str, str],
+    limits: Limits,
+    draw: Callable[[Path], bytes],
+) -> _Judged:
     remarks, uri = [*verdict.contract, *verdict.notes], ""
     if verdict.outcome != "error":
         try:
-            png = apart(picture, Path(verdict.recording), limits)
+            png = apart(draw, Path(verdict.recording), limits)
             uri = f"data:image/png;base64,{base64.b64encode(png).decode()}"
         except OracleError as error:
             remarks.append(f"It is not drawn: {error}")

@@ -169,7 +169,8 @@ class NormalWindows:
             )
         allowance = float(np.quantile(self.scores, USUAL))
         statistic = statistics_of(self.scores, self.run, allowance)
-        candidates = np.unique(np.append(statistic, 0.0))
+        lowest = self._lowest_threshold(statistic, per_hour * hours - most)
+        candidates = np.unique(np.append(statistic[statistic > lowest], lowest))
         low, high = 0, len(candidates) - 1  # above the highest there is no alarm at all
         while low < high:
             middle = (low + high) // 2
@@ -198,6 +199,18 @@ class NormalWindows:
         """Return the vote of each recording: those of a block share one."""
         _, number, size = np.unique(self.block, return_inverse=True, return_counts=True)
         return np.asarray(1.0 / size[number], dtype=np.float64)
+
+    def _lowest_threshold(self, statistic: Floats, allowed: float) -> float:
+        """Return the threshold above which recordings of no more than `allowed` votes come at all.
+
+        A recording gives one alarm at least if its statistic passes the threshold.
+        """
+        highest = np.zeros(len(self.block))
+        np.maximum.at(highest, self.run, statistic)
+        order = np.argsort(highest)
+        above = np.cumsum(self._votes()[order][::-1])[::-1] - self._votes()[order]
+        enough = above <= allowed + 1e-9
+        return float(highest[order][enough.argmax()])
 
     def _hours(self) -> Floats:
         """Return how long each recording was watched, from its start to its last window [h]."""

@@ -160,7 +160,9 @@ def _member(archive: zipfile.ZipFile, name: str) -> bytes:
 
 def _parquet(rows: list[dict[str, Any]], schema: pa.Schema | None = None) -> bytes:
     sink = io.BytesIO()
-    pq.write_table(pa.Table.from_pylist(rows, schema), sink, compression="zstd")
+    pq.write_table(
+        pa.Table.from_pylist(rows, schema), sink, compression="zstd", use_dictionary=False
+    )
     return sink.getvalue()
 
 
@@ -215,7 +217,8 @@ def _state(model: Pipeline) -> dict[str, Any]:
         "center": scaler.center_,
         "scale": scaler.scale_,
         "location": detector.location_,
-        "precision": precision[np.triu_indices(len(precision))],  # symmetric
+        # Symmetric, and of so many digits.
+        "precision": precision[np.triu_indices(len(precision))].astype(np.float32),
     }
 
 

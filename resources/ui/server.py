@@ -26,6 +26,7 @@ from dagster_webserver.version import __version__
 from oracle_pipeline.bags.terminal import version_option
 from oracle_pipeline.web_guard import VARIABLE, Guard, OriginError, parse_origins
 from resources.run_processes import fail_lost_runs
+from resources.store import RunStore
 from resources.ui.dagster_internals import (
     ProxyServerManager,
     WorkspaceFileTarget,
@@ -33,6 +34,7 @@ from resources.ui.dagster_internals import (
     configure_loggers,
     get_instance_for_cli,
 )
+from resources.ui.report import report_route
 
 PORT = 3000  # Dagster's own default
 DAEMON_ENDS_S = 60
@@ -120,7 +122,11 @@ def _web_server(instance: DagsterInstance, workspace: Path) -> Iterator[uvicorn.
         raise click.UsageError(str(error)) from error
     target = WorkspaceFileTarget(paths=[str(workspace)])
     with WorkspaceProcessContext(instance, target, version=__version__) as context:
-        app = Guard(create_app_from_workspace_process_context(context), origins)
+        dagster = create_app_from_workspace_process_context(context)
+        store = RunStore(root=os.environ.get("ORACLE_HOME") or "data")
+        if store.is_local:
+            dagster.router.routes.insert(0, report_route(store.report.parent))
+        app = Guard(dagster, origins)
         yield uvicorn.Server(
             uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=CONNECTIONS_END_S)
         )

@@ -63,7 +63,8 @@ class AtcRun:
                 ("activation",), "expected no goal: air traffic has none; count from the start"
             )
         self._start_ns = round(SETTLING_S * SECOND)  # of the recording
-        self._onset_ns = self._start_ns + round(activation.seconds * SECOND)
+        delay_s = activation.delay_s(recipe.attack_seed())
+        self._onset_ns = self._start_ns + round(delay_s * SECOND)
         self.node: ScenarioNode | None = None
         self._folder = folder
         self._air = AirSpace(recipe.flights, recipe.session.wind)

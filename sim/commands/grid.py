@@ -1,7 +1,7 @@
 """``oracle-sim grid``: the runs of a kill matrix."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,7 @@ import click
 
 from oracle_pipeline.bags.layout import grid_root
 from oracle_pipeline.bags.manifest import Manifest
-from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.bags.run_directory import MANIFEST_FILE
 from sim.commands.batch import (
     allow_actuation_option,
     campaign,
@@ -20,17 +20,35 @@ from sim.commands.batch import (
     refresh_option,
     workers_option,
 )
-from sim.commands.kill_matrix import Mutant, derive_mutant, mutants, record_mutant, write_index
+from sim.commands.kill_matrix import (
+    Grid,
+    Job,
+    derive_mutant,
+    mutants,
+    record_mutant,
+    write_index,
+)
+from sim.commands.magnitudes import BUILT_IN, sweeps_of
 from sim.commands.parameter_values import sweep
+from sim.fuzzing.actuation import moves_something
 from sim.modes import find_mode
+from sim.scenarios import builtin_scenarios
+from sim.testbed import Mode
+from sim.testbeds import TESTBEDS, which_testbed
 
 
 @click.command("grid")
-@click.argument("scenario", metavar="SCENARIO")
+@click.argument("scenario", metavar="[SCENARIO]", required=False)
 @click.option(
-    "--over", "texts", required=True, multiple=True, metavar="NAME=LOW:HIGH:COUNT[:log]",
+    "--all", "all_attacks", is_flag=True,
+    help="All built-in attacks that have a magnitude, each over its own range of it; with --on "
+    "those on the testbed of these runs, with --allow-actuation also those that send commands.",
+)  # fmt: skip
+@click.option(
+    "--over", "texts", multiple=True, metavar="NAME=LOW:HIGH:COUNT[:log]",
     help="A parameter and the values it takes, equal steps or (:log) equal ratios apart. Given "
-    "more than once, each parameter is swept by itself.",
+    "more than once, each parameter is swept by itself.  [default: the magnitude of a built-in "
+    "attack, or else each number with a min and a max in 8 steps]",
 )  # fmt: skip
 @click.option(
     "--blocks", default=5, show_default=True, type=click.IntRange(min=1),
@@ -45,15 +63,16 @@ from sim.modes import find_mode
 )  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
-    help="Root of the run directories and place of grid.json.  [default: grids/SCENARIO below "
-    "$ORACLE_HOME or ./data]",
+    help="Root of the run directories and place of grid.json; with --all, of a folder for each "
+    "attack.  [default: grids/SCENARIO below $ORACLE_HOME or ./data]",
 )  # fmt: skip
 @allow_actuation_option
 @campaign_options
 @workers_option
 @refresh_option
 def grid(
-    scenario: str,
+    scenario: str | None,
+    all_attacks: bool,
     texts: tuple[str, ...],
     blocks: int,
     controls: Path | None,
@@ -63,30 +82,64 @@ def grid(
     refresh: bool,
     **options: Any,
 ) -> None:
-    """Record a scenario at several strengths, to see which are detected.
+    """Record a scenario at several strengths (a kill matrix).
 
-    The result is a kill matrix, as in mutation testing: for each value of a parameter and each
-    block, whether the oracle detects the altered run (kills the mutant). oracle_evaluation computes
-    it, and the report shows it. Runs are recorded in closed loop, or with --on computed from
-    recorded ones. grid.json has the value of each run and how many messages were changed; if none,
-    the mutant is equivalent to the original.
+    As in mutation testing, a kill matrix shows for each value of a parameter and each block whether
+    the oracle detects the altered run (kills the mutant). oracle_evaluation computes it, and the
+    report shows it. Runs are recorded in closed loop, or with --on computed from recorded ones.
+    grid.json has the value of each run and how many messages were changed; if none, the mutant is
+    equivalent to the original.
 
     \b
     Examples:
         oracle-sim grid random_noise --over level=0.005:0.2:8:log --blocks 5
         oracle-sim grid random_noise --over level=0.005:0.2:8:log --on data/runs/lidar_passthrough
+        oracle-sim grid --all --on data/runs/lidar_passthrough_odom --blocks 20
     """  # noqa: D301 -- click reads the control character
+    if (scenario is None) != all_attacks or (all_attacks and texts):
+        raise click.UsageError("Name a SCENARIO, or give --all without --over.")
     with errors_told():
-        mode = find_mode(scenario, allow_actuation=allow_actuation)
-        made = mutants([sweep(mode, text) for text in texts], blocks)
-    root = out or grid_root(home(), mode.id)
-    make: Callable[[Mutant], Manifest]
+        names = [scenario] if scenario else _attacks(controls, allow_actuation=allow_actuation)
+        modes = [find_mode(name, allow_actuation=allow_actuation) for name in names]
+        grids = [_grid(mode, texts, blocks, _root(out, mode, all_attacks)) for mode in modes]
+    make: Callable[[Job], Manifest]
     if controls is None:
-        make = functools.partial(record_mutant, mode, campaign(options), root, refresh)
+        make = functools.partial(record_mutant, campaign(options), refresh)
     else:
-        make = functools.partial(derive_mutant, mode, controls, root, refresh)
+        make = functools.partial(derive_mutant, controls, refresh)
+    jobs = [job for grid in grids for job in grid.jobs()]
     try:
-        make_runs(make, made, lambda mutant: RunDirectory(root, mode.id, mutant.run), workers)
+        make_runs(make, jobs, lambda job: job.directory, workers)
     finally:
-        index = write_index(root, mode, made)
-    click.echo(f"{index}: {len(made)} mutants")
+        for grid in grids:
+            click.echo(f"{write_index(grid)}: {len(grid.mutants)} mutants")
+
+
+def _attacks(controls: Path | None, *, allow_actuation: bool) -> list[str]:
+    """Return the built-in attacks that have a magnitude and may be run, or mutate these runs."""
+    beds = list(TESTBEDS)
+    if controls is not None:
+        recipe = Manifest.load(controls / "run000" / MANIFEST_FILE).recipe
+        beds = [name for name, testbed in TESTBEDS.items() if testbed.made(recipe)]
+    return [
+        name
+        for name, scenario in builtin_scenarios().items()
+        if name in BUILT_IN
+        and which_testbed(scenario) in beds
+        and (allow_actuation or not moves_something(*_output(scenario.document["main"])))
+    ]
+
+
+def _output(main: Mapping[str, str]) -> tuple[str, str]:
+    return main["output"], main["type"]
+
+
+def _grid(mode: Mode, texts: Sequence[str], blocks: int, root: Path) -> Grid:
+    sweeps = [sweep(mode, text) for text in texts] or sweeps_of(mode)
+    return Grid(mode, root, tuple(mutants(sweeps, blocks)))
+
+
+def _root(out: Path | None, mode: Mode, is_one_of_many: bool) -> Path:
+    if out is None:
+        return grid_root(home(), mode.id)
+    return out / mode.id if is_one_of_many else out

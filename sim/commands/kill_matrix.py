@@ -12,7 +12,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.bags.integrity import hashes_of_files, require_undamaged
@@ -32,6 +32,22 @@ from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.offline import Summary, mutate_bag
 from sim.software import software
 from sim.testbed import Mode
+
+
+class Variant(Protocol):
+    """One run whose parameters are chosen, not drawn."""
+
+    @property
+    def run(self) -> int:
+        """Its number."""
+
+    @property
+    def block(self) -> int:
+        """The block whose start, goals and session it has."""
+
+    @property
+    def given(self) -> Mapping[str, Any]:
+        """The parameters that are not left to the block or the scenario."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,21 +78,42 @@ def mutants(sweeps: Sequence[Sweep], blocks: int) -> list[Mutant]:
     ]
 
 
-def record_mutant(
-    mode: Mode, campaign: Campaign, root: Path, refresh: bool, mutant: Mutant
-) -> Manifest:
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """The mutants of one scenario, and where they go."""
+
+    mode: Mode
+    root: Path
+    mutants: tuple[Mutant, ...]
+
+    def jobs(self) -> list["Job"]:
+        """Return the work on each mutant."""
+        return [Job(self.mode, self.root, mutant) for mutant in self.mutants]
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """The work on one mutant."""
+
+    mode: Mode
+    root: Path
+    mutant: Variant
+
+    @property
+    def directory(self) -> RunDirectory:
+        """Where the mutant goes."""
+        return RunDirectory(self.root, self.mode.id, self.mutant.run)
+
+
+def record_mutant(campaign: Campaign, refresh: bool, job: Job) -> Manifest:
     """Record a mutant in closed loop; raises as ``record_run`` does."""
-    recipe = recipe_for(mode, mutant.block, campaign, mutant.given)
-    return record_run(
-        dataclasses.replace(recipe, run=mutant.run),
-        RunDirectory(root, mode.id, mutant.run),
-        refresh=refresh,
-    )
+    mutant = job.mutant
+    recipe = recipe_for(job.mode, mutant.block, campaign, mutant.given)
+    recipe = dataclasses.replace(recipe, run=mutant.run)
+    return record_run(recipe, job.directory, refresh=refresh)
 
 
-def derive_mutant(
-    mode: Mode, controls: Path, root: Path, refresh: bool, mutant: Mutant
-) -> Manifest:
+def derive_mutant(controls: Path, refresh: bool, job: Job) -> Manifest:
     """Make a mutant from the run of its block below ``controls``.
 
     Raises
@@ -86,13 +123,14 @@ def derive_mutant(
     OracleError
         If the run is not there, does not have what the scenario hears, or cannot be mutated.
     """
+    mode, mutant = job.mode, job.mutant
     control = controls / f"run{mutant.block:03d}"
     original = Manifest.load(control / MANIFEST_FILE)
     require_undamaged(control, original)
     recipe = recipe_for(mode, original.block, recipe_of(original).campaign(), mutant.given)
     recipe = dataclasses.replace(recipe, run=mutant.run)
     document = {**recipe.to_dict(), "mutant_of": original.content_hash}
-    directory = RunDirectory(root, mode.id, mutant.run)
+    directory = job.directory
     if directory.is_complete() and not refresh:
         found = directory.manifest()
         if found.recipe != document:
@@ -114,6 +152,7 @@ def derive_mutant(
         manifest = dataclasses.replace(
             _mutated(original, mode, summary),
             run=mutant.run,
+            attack_seed=recipe.attack_seed(),
             attack={"frame": "odom", **recipe.parameters}
             if mode.scenario.has_object
             else dict(recipe.parameters),
@@ -126,7 +165,7 @@ def derive_mutant(
     return manifest
 
 
-def write_index(root: Path, mode: Mode, mutants: Sequence[Mutant]) -> Path:
+def write_index(grid: Grid) -> Path:
     """Write which mutant is what, as far as they are there.
 
     Returns
@@ -137,13 +176,12 @@ def write_index(root: Path, mode: Mode, mutants: Sequence[Mutant]) -> Path:
         changed).
     """
     rows = []
-    for mutant in mutants:
-        directory = RunDirectory(root, mode.id, mutant.run)
-        if directory.is_complete():
-            changed = sum(change.messages for change in directory.manifest().changes)
-            rows.append(_row(directory, mutant, changed))
-    root.mkdir(parents=True, exist_ok=True)
-    path = root / GRID_INDEX
+    for job in grid.jobs():
+        if job.directory.is_complete():
+            changed = sum(change.messages for change in job.directory.manifest().changes)
+            rows.append(_row(job.directory, job.mutant, changed))
+    grid.root.mkdir(parents=True, exist_ok=True)
+    path = grid.root / GRID_INDEX
     path.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
     return path
 

@@ -1,7 +1,6 @@
 """Scenarios compiled: what a file says, checked against the types of the messages."""
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -9,33 +8,28 @@ from typing import Any
 
 import numpy as np
 
-from oracle_pipeline.bags.errors import BagError
-from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
-from sim.fuzzing.actuation import moves_something
-from sim.fuzzing.compile_context import Budget, CompileContext
+from sim.fuzzing.compile_context import Budget, CompileContext, Numbers
 from sim.fuzzing.faults import Faults
 from sim.fuzzing.fields import as_sent
 from sim.fuzzing.grammar import ExpressionError
+from sim.fuzzing.lanes import check_names, compile_actions, playback, with_further_topics
 from sim.fuzzing.operators import ON_TIMER, compile_operators
-from sim.fuzzing.output_operators import Playback
 from sim.fuzzing.program import Action, Activation, Parameter, Program, Source
 from sim.fuzzing.scenario import Key, Scenario, ScenarioError, load_scenarios
 from sim.fuzzing.scopes import Function, Scope
 from sim.fuzzing.step import ACTIVATION
+from sim.fuzzing.topics import MAIN, check_topics, type_of
 from sim.fuzzing.value_types import (
     BOOLEAN,
     FLOAT,
     INTEGER,
     MAX_TEXT,
     Array,
-    Boolean,
-    Message,
     Number,
     Record,
     Table,
     Text,
     Type,
-    message_type,
 )
 from sim.middleware.executor import SECOND
 
@@ -70,18 +64,19 @@ def compile_scenario(
     main = document["main"]
     faults = Faults()
     with faults.gathered():
-        kind = _message_type(scenario, main["type"], ("main", "type"))
+        kind = type_of(scenario, main["type"], ("main", "type"))
         outputs = {
-            name: (spec["topic"], _message_type(scenario, spec["type"], ("outputs", name, "type")))
+            name: (spec["topic"], type_of(scenario, spec["type"], ("outputs", name, "type")))
             for name, spec in document.get("outputs", {}).items()
         }
+    with faults.gathered():
+        activation = _activation(scenario)
     limits = document.get("limits", {})
     parameters = _parameters(scenario, faults)
     constants = _constants(scenario, faults)
     state_types, state, lifetimes_ns = _state(scenario, faults)
     faults.end()  # what follows would only repeat them
-    with faults.gathered():
-        _check_topics(scenario, allow_actuation=allow_actuation)
+    check_topics(scenario, faults, allow_actuation=allow_actuation)
     given: dict[str, Type] = {
         "p": Record("p", {name: parameter.type for name, parameter in parameters.items()}),
         "c": Record("c", {name: type_ for name, (type_, _) in constants.items()}),
@@ -93,7 +88,7 @@ def compile_scenario(
         {"": (main["output"], kind), **outputs},
         Record("state", state_types),
         limits.get("array", LONGEST),
-        itertools.count(ACTIVATION + 1),
+        Numbers(ACTIVATION + 1),
         budget or Budget(),
         faults,
     )
@@ -112,10 +107,8 @@ def compile_scenario(
     if transform.get("always"):
         do = compile_operators(transform["always"], ("transform", "always"), on_message)
         always = Action("always", None, (), do)
-    actions = []
-    for place, action in enumerate(transform.get("actions", [])):
-        with faults.gathered():
-            actions.append(_action(action, ("transform", "actions", place), on_message))
+    check_names(on_message)
+    actions, numbers = compile_actions(MAIN, on_message, {})
     timer, period = None, None
     if "timer" in transform:
         key = ("transform", "timer")
@@ -130,17 +123,8 @@ def compile_scenario(
         scope = on_timer if timer else on_message
         with faults.gathered():
             magnitude = scope.term(text, ("ground_truth", "magnitude"), Number)
-    faults.end()
     parts = [part for part in (always, *actions, timer) if part is not None]
-    cost = sum(part.cost for part in parts)
-    if cost > MAX_COST:
-        raise scenario.error(
-            ("transform",),
-            f"expected at most {MAX_COST:,} array elements computed for each message, found up to "
-            f"{cost:,} with arrays of {context.longest}; set a smaller limits.array, or do less",
-        )
-    operators = [operator for part in parts for operator in part.do]
-    return Program(
+    program = Program(
         scenario=scenario,
         type=kind,
         as_sent=as_sent(kind),
@@ -149,51 +133,31 @@ def compile_scenario(
         further_outputs=dict(outputs.values()),
         sources=sources,
         parameters=parameters,
-        activation=_activation(scenario),
-        cost=cost,
+        activation=activation,
+        cost=sum(part.cost for part in parts),
         constants={name: value for name, (_, value) in constants.items()},
         state=state,
         lifetimes_ns=lifetimes_ns,
         always=always,
-        actions=tuple(actions),
+        actions=actions,
         first_match_only=transform.get("match", "first") == "first",
         period=period,
         timer=timer,
         magnitude=magnitude,
         outputs=limits.get("outputs", OUTPUTS),
-        memory=max((o.messages for o in operators if isinstance(o, Playback)), default=0),
+        memory=playback(parts),
     )
-
-
-def _check_topics(scenario: Scenario, *, allow_actuation: bool) -> None:
-    main = scenario.document["main"]
-    sources = [spec["topic"] for spec in scenario.document.get("sources", {}).values()]
-    spoken: list[tuple[Key, str, str]] = [(("main", "output"), main["output"], main["type"])]
-    for name, spec in scenario.document.get("outputs", {}).items():
-        spoken.append((("outputs", name, "topic"), spec["topic"], spec["type"]))
-    topics = [topic for _, topic, _ in spoken]
-    for place, (key, topic, kind) in enumerate(spoken):
-        if topic in sources or (place and topic == main["input"]):
-            raise scenario.error(
-                key, f"expected a topic that the scenario does not hear, found {topic}"
-            )
-        if topic in topics[:place]:
-            raise scenario.error(key, f"expected a topic of its own, {topic} stands above")
-        if moves_something(topic, kind) and not allow_actuation:
-            raise scenario.error(
-                key,
-                f"expected a topic that moves nothing, found {topic}; allow actuation if you must: "
-                f"{kind} there may move the robot",
-            )
-    if GROUND_TRUTH_TOPIC in (main["input"], *topics, *sources):
-        raise scenario.error(("main",), f"expected no use of {GROUND_TRUTH_TOPIC}")
-
-
-def _message_type(scenario: Scenario, name: str, key: Key) -> Message:
-    try:
-        return message_type(name)
-    except BagError as error:
-        raise scenario.error(key, str(error).removesuffix(".")) from error
+    with faults.gathered():
+        program = with_further_topics(program, on_message, numbers)
+    faults.end()
+    if program.cost > MAX_COST:
+        raise scenario.error(
+            ("transform",),
+            f"expected at most {MAX_COST:,} array elements computed for each message, found up to "
+            f"{program.cost:,} with arrays of {context.longest}; set a smaller limits.array, or do "
+            "less",
+        )
+    return program
 
 
 def _scope(scenario: Scenario, names: Mapping[str, Type]) -> Scope:
@@ -213,19 +177,19 @@ def _rescoped(context: CompileContext, names: Mapping[str, Type]) -> CompileCont
     return dataclasses.replace(context, scope=dataclasses.replace(context.scope, names=names))
 
 
-def _action(spec: Mapping[str, Any], key: Key, context: CompileContext) -> Action:
-    when = None
-    if "when" in spec:
-        when = context.term(spec["when"], (*key, "when"), Boolean)
-    inner, let = context.let(spec, key)
-    return Action(spec["name"], when, let, compile_operators(spec["do"], (*key, "do"), inner))
-
-
 def _activation(scenario: Scenario) -> Activation:
     spec = scenario.document.get("activation", {})
     rest = {key: value for key, value in spec.items() if key != "onset"}
-    activation = Activation(**spec.get("onset", {}), **rest)
-    if "goal" in spec.get("onset", {}) and activation.after != "goal_accepted":
+    onset = dict(spec.get("onset", {}))
+    if isinstance(seconds := onset.get("seconds"), list):
+        onset["seconds"] = earliest, latest = float(seconds[0]), float(seconds[1])
+        if earliest > latest:
+            raise scenario.error(
+                ("activation", "onset", "seconds"),
+                f"expected the earliest onset before the latest, found {earliest} and {latest}",
+            )
+    activation = Activation(**onset, **rest)
+    if "goal" in onset and activation.after != "goal_accepted":
         raise scenario.error(
             ("activation", "onset", "goal"), "expected after: goal_accepted beside the goal"
         )
@@ -333,7 +297,7 @@ def _sources(scenario: Scenario, context: CompileContext) -> dict[str, Source]:
     sources = {}
     for name, spec in scenario.document.get("sources", {}).items():
         key = ("sources", name)
-        kind = _message_type(scenario, spec["type"], (*key, "type"))
+        kind = type_of(scenario, spec["type"], (*key, "type"))
         names = {"msg": kind, **context.scope.names, "now": FLOAT}
         _, let = _rescoped(context, names).let(spec, key)
         age = spec.get("max_age")

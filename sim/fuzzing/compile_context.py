@@ -32,6 +32,18 @@ class Budget:
     left: int = MAX_OPERATIONS
 
 
+class Numbers(Iterator[int]):
+    """Numbers of operations: whole numbers in turn, from any on."""
+
+    def __init__(self, upcoming: int) -> None:
+        self.upcoming = upcoming
+
+    def __next__(self) -> int:
+        """Return the next one."""
+        self.upcoming += 1
+        return self.upcoming - 1
+
+
 @dataclass(frozen=True, slots=True)
 class CompileContext:
     """What operators are compiled against.
@@ -68,7 +80,7 @@ class CompileContext:
     outputs: Mapping[str, tuple[str, Message]]
     state: Record
     longest: int
-    numbers: Iterator[int]
+    numbers: Numbers
     budget: Budget
     faults: Faults
 

@@ -9,6 +9,7 @@ published, which is what a recorder notes.
 import math
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -78,6 +79,19 @@ def execute(
     return Execution(program, Draws(run_seed, program.scenario.seed), values)
 
 
+@dataclass(slots=True)
+class _Shared:
+    """What the topics of a scenario that are altered together have in common."""
+
+    state: dict[str, Any]
+    sources: dict[str, Any]
+    source_ns: dict[str, int]
+    acted: int = 0  # messages and beats so far
+    ends_s: float = math.inf
+    index: int = 0  # what the draws of the last main message went by
+    main_ns: int | None = None  # when it was published
+
+
 class Execution:
     """One run of a program, begun by ``execute``: all that it remembers from message to message.
 
@@ -89,34 +103,56 @@ class Execution:
         Its randomness.
     parameters
         A checked value for each of them.
+    main
+        The execution of the main topic, if this is that of a further one.
 
     Attributes
     ----------
+    lanes : tuple of Execution
+        One for each topic that is altered, this first.
     timer_period_ns : int or None
         How often ``on_timer`` is due, first one period after the onset.
-    ends_s : float
-        From the onset to the goal at which the scenario ends, once that is known.
     """
 
-    def __init__(self, program: Program, draws: Draws, parameters: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        program: Program,
+        draws: Draws,
+        parameters: Mapping[str, Any],
+        main: "Execution | None" = None,
+    ) -> None:
         self.program = program
         self._draws = draws
         self._known = {"p": dict(parameters), "c": program.constants}
-        self._state = {
-            name: dict(value) if isinstance(value, dict) else value
-            for name, value in program.state.items()
-        }
-        self._sources = {name: source.value.missing for name, source in program.sources.items()}
-        self._source_ns: dict[str, int] = {}
+        self._is_main = main is None
+        self._shared: _Shared = (
+            main._shared
+            if main
+            else _Shared(
+                {
+                    name: dict(value) if isinstance(value, dict) else value
+                    for name, value in program.state.items()
+                },
+                {name: source.value.missing for name, source in program.sources.items()},
+                {},
+            )
+        )
+        self._state = self._shared.state
+        self._sources = self._shared.sources
+        self._source_ns = self._shared.source_ns
         self._recent: deque[Any] = deque(maxlen=program.memory + 1)
         self._memory: dict[int, Any] = {}
-        self.ends_s = math.inf
-        self._acted = 0
         self._heard = 0
         self._published = 0
         self._frame_id = ""
         self._has_header = program.has_header
         self.timer_period_ns = self._period_ns()
+        further = (Execution(lane, draws, parameters, self) for lane in program.also)
+        self.lanes = (self, *further)
+
+    def end(self, t_s: float) -> None:
+        """Act no more from so long after the onset on."""
+        self._shared.ends_s = t_s
 
     @_QUIETLY
     def on_source(self, name: str, message: Any, stamp_ns: int) -> None:
@@ -169,6 +205,7 @@ class Execution:
             self._frame_id = header.frame_id
             if stamp := nanoseconds(header.stamp):
                 truth_ns = index = stamp
+        index = self._synchronised(index, stamp_ns)
         sent = self.program.as_sent(message)
         self._recent.append(sent)
         step = self._step(
@@ -184,7 +221,7 @@ class Execution:
                 operation = self._transform(step)
             except RefusedMessage as refused:
                 reason = str(refused)
-        self._acted += operation != PASSTHROUGH
+        self._shared.acted += operation != PASSTHROUGH
         if reason is None and self.program.scenario.control != "shadow":
             if step.message is sent:  # it keeps its identity and its bytes
                 step.message = message
@@ -218,7 +255,7 @@ class Execution:
         timer(step)
         if not step.emitted:
             return Result([], None)
-        self._acted += 1
+        self._shared.acted += 1
         outputs = [] if control == "shadow" else self._outputs(step)
         return Result(outputs, self._truth(step, now_ns, timer.name, outputs))
 
@@ -261,9 +298,18 @@ class Execution:
 
     def _is_active(self, t_s: float) -> bool:
         activation = self.program.activation
-        if not activation.includes(t_s) or t_s >= self.ends_s:
+        if not activation.includes(t_s) or t_s >= self._shared.ends_s:
             return False
-        return activation.messages is None or self._acted < activation.messages
+        return activation.messages is None or self._shared.acted < activation.messages
+
+    def _synchronised(self, index: int, stamp_ns: int) -> int:
+        """Return what the draws go by: on a further topic, those of the main message before."""
+        shared = self._shared
+        if self._is_main:
+            shared.index, shared.main_ns = index, stamp_ns
+        elif shared.main_ns is not None and stamp_ns - shared.main_ns <= self.program.within_ns:
+            return shared.index
+        return index
 
     def _missing_source(self, stamp_ns: int) -> tuple[str, str] | None:
         """Return what is not known of a source, and what is to be done then."""

@@ -8,6 +8,7 @@ on the hidden ground-truth topic.
 
 import functools
 import math
+from collections.abc import Callable
 from typing import Any
 
 from oracle_pipeline.bags.manifest import Change
@@ -58,26 +59,27 @@ class ScenarioNode:
         self._timer: Timer | None = None
         self._changes: list[tuple[int, float]] = []  # when, and how much at most
         self._latency_ns = 0 if program.is_in_place else latency_ns
+        self._outputs: dict[str, Callable[[Any], None]] = {}
+        self._owner = name
         if program.is_in_place:
-            altered = list(domain.publishers(program.input_topic))
-            self._owner = altered[0].node
-            self._outputs = {program.output_topic: altered[0].send}
+            self._owner = next(domain.publishers(program.input_topic)).node
+            for lane in program.lanes:
+                self._outputs[lane.output_topic] = next(domain.publishers(lane.input_topic)).send
         else:
-            self._owner = name
             Node(domain, name, latency_ns=latency_ns)
-            self._outputs = {
-                program.output_topic: self._publisher(program.output_topic, program.type.name)
-            }
+        for topic, kind in program.outlets.items():
+            if topic not in self._outputs:
+                self._outputs[topic] = self._publisher(topic, kind.name)
         self._tell = self._publisher(GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE)
-        for topic, kind in program.further_outputs.items():
-            self._outputs[topic] = self._publisher(topic, kind.name)
         for source, spec in program.sources.items():
             self._hear(spec.topic, spec.type.name, functools.partial(self._on_source, source))
-        if program.is_in_place:
-            for publisher in altered:
-                publisher.alter = functools.partial(self._on_publication, publisher)
-        else:
-            self._hear(program.input_topic, program.type.name, self._on_message)
+        for number, lane in enumerate(program.lanes):
+            if not program.is_in_place:
+                hear = functools.partial(self._on_message, number)
+                self._hear(lane.input_topic, lane.type.name, hear)
+                continue
+            for publisher in domain.publishers(lane.input_topic):
+                publisher.alter = functools.partial(self._on_publication, number, publisher)
 
     def begin(self, onset_ns: int) -> None:
         """Let the scenario act from ``onset_ns`` on; until then every message is handed on."""
@@ -89,9 +91,8 @@ class ScenarioNode:
 
     def end(self, end_ns: int) -> None:
         """Let the scenario act no more from ``end_ns`` on."""
-        self._execution.ends_s = -math.inf
-        if self._onset_ns is not None:
-            self._execution.ends_s = (end_ns - self._onset_ns) / SECOND
+        begun = self._onset_ns is not None
+        self._execution.end((end_ns - (self._onset_ns or 0)) / SECOND if begun else -math.inf)
 
     def switch(self, execution: Execution) -> None:
         """Run another scenario from now on, with its onset now.
@@ -104,10 +105,12 @@ class ScenarioNode:
         program, now = execution.program, self._execution.program
         known = {(name, source.topic, source.type.name) for name, source in now.sources.items()}
         asked = {(name, source.topic, source.type.name) for name, source in program.sources.items()}
-        main = (program.input_topic, program.output_topic, program.type.name)
+        ours, theirs = (
+            [(lane.input_topic, lane.output_topic, lane.type.name) for lane in each.lanes]
+            for each in (now, program)
+        )
         further = program.further_outputs.keys() - self._outputs.keys()
-        same = main == (now.input_topic, now.output_topic, now.type.name)
-        if not same or further or not asked <= known:
+        if ours != theirs or further or not asked <= known:
             raise program.scenario.error(
                 ("main",),
                 f"expected a scenario from {now.input_topic} to {now.output_topic} with no other "
@@ -150,13 +153,15 @@ class ScenarioNode:
         if source in self._execution.program.sources:  # it may have been switched to one with less
             self._execution.on_source(source, message, self._heard_ns)
 
-    def _on_message(self, message: Any) -> None:
-        self._publish(self._execution.on_message(message, self._heard_ns, self._t_s))
+    def _on_message(self, number: int, message: Any) -> None:
+        lane = self._execution.lanes[number]
+        self._publish(lane.on_message(message, self._heard_ns, self._t_s))
 
-    def _on_publication(self, publisher: Publisher, sample: Sample) -> None:
+    def _on_publication(self, number: int, publisher: Publisher, sample: Sample) -> None:
         """Alter a message at its source; one that stays as it is keeps its bytes."""
         message = sample.message
-        result = self._execution.on_message(message, self._heard_ns, self._t_s)
+        lane = self._execution.lanes[number]
+        result = lane.on_message(message, self._heard_ns, self._t_s)
         if len(result.outputs) == 1 and result.outputs[0].message is message:
             output = result.outputs[0]
             if output.due_ns == self._heard_ns:
@@ -189,7 +194,12 @@ def _check_topics(domain: Domain, program: Program) -> None:
         (("sources", name), source.topic, source.type.name)
         for name, source in program.sources.items()
     ]
-    heard.append((("main", "input"), program.input_topic, program.type.name))
+    names = ["main", *program.scenario.document.get("also", {})]
+    keys: list[Key] = [(name,) if name == "main" else ("also", name) for name in names]
+    heard += [
+        ((*key, "input"), lane.input_topic, lane.type.name)
+        for key, lane in zip(keys, program.lanes, strict=True)
+    ]
     for key, topic, msgtype in heard:
         if domain.topics.get(topic) != msgtype:
             same = [name for name, kind in domain.topics.items() if kind == msgtype]
@@ -198,14 +208,15 @@ def _check_topics(domain: Domain, program: Program) -> None:
                 f"expected a topic of type {msgtype} that is there ({', '.join(same) or 'none'}), "
                 f"found {topic}",
             )
-    if program.is_in_place and not any(domain.publishers(program.input_topic)):
-        raise program.scenario.error(
-            ("main", "output"),
-            f"expected a topic that somebody publishes, found {program.input_topic}",
-        )
-    spoken = {program.output_topic: program.type, **program.further_outputs}
-    for topic, kind in spoken.items():
+    for key, lane in zip(keys, program.lanes, strict=True):
+        if program.is_in_place and not any(domain.publishers(lane.input_topic)):
+            raise program.scenario.error(
+                (*key, "output"),
+                f"expected a topic that somebody publishes, found {lane.input_topic}",
+            )
+    outputs: list[Key] = [(*key, "output") for key in keys]
+    outputs += [("outputs", name, "topic") for name in program.scenario.document.get("outputs", {})]
+    for key, (topic, kind) in zip(outputs, program.outlets.items(), strict=True):
         known = domain.topics.get(topic, kind.name)
         if known != kind.name:
-            key = ("main", "output") if topic == program.output_topic else ("outputs",)
             raise program.scenario.error(key, f"expected a topic that is no {known}, found {topic}")

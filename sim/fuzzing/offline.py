@@ -97,10 +97,10 @@ def mutate_bag(
     with BagReader(bag_in) as reader:
         _check_topics(reader, program)
         goals = _Goals(reader, goals_s)
-        onset_ns = _onset_ns(reader, program, goals, at_s)
+        onset_ns = _onset_ns(reader, program, goals, at_s, run_seed)
         until = program.activation.until_goal
         if until is not None and (end_ns := goals.accepted_ns(until)) is not None:
-            execution.ends_s = (end_ns - onset_ns) / SECOND
+            execution.end((end_ns - onset_ns) / SECOND)
         with BagWriter(bag_out, _storage(bag_in)) as writer:
             run = _Run(reader, writer, execution, onset_ns)
             for message in track(reader.messages(), reader.message_count):
@@ -110,7 +110,7 @@ def mutate_bag(
         onset_s=(onset_ns - reader.start_ns) / SECOND,
         heard=run.heard,
         touched=run.touched,
-        published=writer.counts[program.output_topic],
+        published=sum(writer.counts[lane.output_topic] for lane in program.lanes),
         changes=in_bins(run.changes, reader.start_ns),
         topics=writer.topics,
         content_hash=writer.content_hash,
@@ -143,8 +143,9 @@ class _Run:
         for topic in reader.topics.values():
             defined = reader.definition(topic.msgtype)
             writer.add_topic(topic.name, topic.msgtype, topic.qos, defined)
-        outputs = {program.output_topic: program.type, **program.further_outputs}
-        for name, kind in outputs.items():
+        self._lanes = {lane.program.input_topic: lane for lane in execution.lanes}
+        self._replaced = {lane.output_topic for lane in program.lanes}
+        for name, kind in program.outlets.items():
             if name not in reader.topics:
                 writer.add_topic(name, kind.name, [qos.DEFAULT])
         writer.add_topic(GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE, [qos.DEFAULT])
@@ -152,18 +153,18 @@ class _Run:
     def take(self, raw: RawMessage) -> None:
         """Take the next message of the bag."""
         self._advance(raw.stamp_ns)
-        if raw.topic != self._program.output_topic:
+        if raw.topic not in self._replaced:
             self._writer.write(*raw)
         if raw.stamp_ns < self._onset_ns and self._program.activation.before == "absent":
-            if self._program.is_in_place and raw.topic == self._program.input_topic:
+            if self._program.is_in_place and raw.topic in self._lanes:
                 self._writer.write(*raw)  # by who publishes it, as long as nothing alters it
             return
         for name in self._source_names.get(raw.topic, ()):
             self._execution.on_source(name, self._decode(raw), raw.stamp_ns)
-        if raw.topic == self._program.input_topic:
+        if (lane := self._lanes.get(raw.topic)) is not None:
             self.heard += 1
             message = self._decode(raw)
-            result = self._execution.on_message(message, raw.stamp_ns, self._t_s(raw.stamp_ns))
+            result = lane.on_message(message, raw.stamp_ns, self._t_s(raw.stamp_ns))
             self._publish(result, raw.stamp_ns, message, raw.data)
             self._write_due(raw.stamp_ns)
 
@@ -233,7 +234,7 @@ def _check_topics(reader: BagReader, program: Program) -> None:
     if reader.serialization != "cdr":
         raise BagError(f"{reader.path} is a ROS 1 bag; convert it with `rosbags-convert` first.")
     needed = {source.topic: source.type.name for source in program.sources.values()}
-    needed[program.input_topic] = program.type.name
+    needed |= {lane.input_topic: lane.type.name for lane in program.lanes}
     for name, msgtype in needed.items():
         if name not in reader.topics:
             same = [topic.name for topic in reader.topics.values() if topic.msgtype == msgtype]
@@ -241,8 +242,8 @@ def _check_topics(reader: BagReader, program: Program) -> None:
                 f"{reader.path} has no topic {name}, which {program.scenario.id} hears; of type "
                 f"{msgtype} it has {', '.join(same) or 'none'}. Name one of these in the scenario."
             )
-    spoken = {topic: kind.name for topic, kind in program.further_outputs.items()}
-    for name, msgtype in {**needed, **spoken, program.output_topic: program.type.name}.items():
+    spoken = {topic: kind.name for topic, kind in program.outlets.items()}
+    for name, msgtype in {**needed, **spoken}.items():
         if name in reader.topics and reader.topics[name].msgtype != msgtype:
             raise BagError(
                 f"{reader.path} has {name} as {reader.topics[name].msgtype}, "
@@ -266,7 +267,9 @@ class _Goals:
         return self._stamps_ns[number - 1] if number <= len(self._stamps_ns) else None
 
 
-def _onset_ns(reader: BagReader, program: Program, goals: _Goals, at_s: float | None) -> int:
+def _onset_ns(
+    reader: BagReader, program: Program, goals: _Goals, at_s: float | None, run_seed: int
+) -> int:
     activation = program.activation
     if at_s is not None:
         return reader.start_ns + round(at_s * SECOND)
@@ -279,7 +282,7 @@ def _onset_ns(reader: BagReader, program: Program, goals: _Goals, at_s: float | 
             f"({_STATUS_TOPIC}, {_LOG_TOPIC}); say when {program.scenario.id} is to begin, in "
             "seconds of the recording."
         )
-    return begin_ns + round(activation.seconds * SECOND)
+    return begin_ns + round(activation.delay_s(run_seed) * SECOND)
 
 
 def _goals_ns(reader: BagReader) -> Iterator[int]:

@@ -71,12 +71,18 @@ class Activation:
 
     after: Literal["start", "goal_accepted"] = "start"
     goal: int = 1  # which one, counted from 1
-    seconds: float = 0.0  # from then to the onset
+    seconds: float | tuple[float, float] = 0.0  # from then to the onset; two: drawn between them
     before: Literal["forward", "absent"] = "forward"  # absent: the node appears at the onset
     duration_s: float | None = None  # None: to the end
     messages: int | None = None  # it acts on so many, beats of the timer included
     until_goal: int | None = None  # it ends when this one is accepted
     probability: float = 1.0  # that a message is touched
+
+    def delay_s(self, run_seed: int) -> float:
+        """Return the time to the onset, which runs of the same seed share."""
+        if isinstance(self.seconds, tuple):
+            return np.random.default_rng(run_seed).uniform(*self.seconds)
+        return self.seconds
 
     def includes(self, t_s: float) -> bool:
         """Tell whether the scenario acts so long after its onset."""
@@ -124,7 +130,7 @@ class Program:
     as_sent: Callable[[Any], Any]  # takes its messages as a recorder sees them
     input_topic: str
     output_topic: str
-    further_outputs: Mapping[str, Message]  # topic -> type
+    further_outputs: dict[str, Message]  # topic -> type
     sources: Mapping[str, Source]
     parameters: Mapping[str, Parameter]
     activation: Activation
@@ -140,11 +146,23 @@ class Program:
     magnitude: Term | None
     outputs: int  # at most, for one message
     memory: int  # how many messages are kept to be played back
+    also: tuple["Program", ...] = ()  # one for each further topic that is altered together
+    within_ns: int = 0  # of a further topic: how far it may be behind the main one it belongs to
 
     @property
     def has_header(self) -> bool:
         """Whether messages carry a stamp."""
         return has_header(self.type)
+
+    @property
+    def lanes(self) -> tuple["Program", ...]:
+        """The program of each topic that is altered, the main one first."""
+        return (self, *self.also)
+
+    @property
+    def outlets(self) -> Mapping[str, Message]:
+        """All topics that it publishes on, with their types."""
+        return {lane.output_topic: lane.type for lane in self.lanes} | self.further_outputs
 
     @property
     def is_in_place(self) -> bool:

@@ -93,7 +93,7 @@ class TurtleBot3Run:
                 for source in SOURCES
                 if not (
                     options.wiring == "replace"
-                    and source.topic == self._program.input_topic
+                    and source.topic in {lane.input_topic for lane in self._program.lanes}
                     and not self._program.is_in_place
                 )
             ],
@@ -227,7 +227,7 @@ class TurtleBot3Run:
     def _set_onset(self, after_ns: int) -> None:
         """Let the scenario act so long after ``after_ns`` as it says."""
         activation = self._program.activation
-        self._onset_ns = after_ns + round(activation.seconds * SECOND)
+        self._onset_ns = after_ns + round(activation.delay_s(self._recipe.attack_seed()) * SECOND)
         if activation.before == "absent":
             self._executor.call_at(self._onset_ns, self._start_node)
         elif self.node is not None:

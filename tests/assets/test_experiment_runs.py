@@ -35,8 +35,8 @@ def test_figures_tell_what_a_run_was(campaign: Laboratory) -> None:
     graphs = campaign.figures("interval_graphs", KEY)
     assert graphs["intervals"] == round(manifest.recording_s / 10)
     assert min(graphs["nodes"], graphs["topics"], graphs["edges"]) > 0
-    assert campaign.figures("run_features", KEY)["rows"] == 1
-    assert campaign.figures("window_features", KEY)["rows"] > 1
+    assert campaign.figures("run_features", KEY)["dagster/row_count"] == 1
+    assert campaign.figures("window_features", KEY)["dagster/row_count"] > 1
 
 
 def test_a_run_is_seen_from_above_where_its_outcome_is(campaign: Laboratory) -> None:

@@ -8,10 +8,12 @@ from PIL import Image
 from playwright.sync_api import Browser, sync_playwright
 
 from oracle_pipeline.reporting.html import write_page
+from oracle_pipeline.reporting.run_pages import write_run_pages
 from tests.browser.chromium import CHROMIUM
-from tests.oracle_pipeline.reporting.pages import poor_page, whole_page
+from tests.oracle_pipeline.reporting.pages import large_page, poor_page, whole_page
+from tests.oracle_pipeline.reporting.test_run_pages import ATTACKED, shown_runs
 
-DESK, PHONE = {"width": 1200, "height": 900}, {"width": 360, "height": 780}
+DESK, PHONE = {"width": 1280, "height": 800}, {"width": 360, "height": 780}
 PAPER = {"width": 687, "height": 1010}  # A4 less its margins, at 96 pixels an inch
 
 
@@ -23,10 +25,20 @@ def browser():
         chromium.close()
 
 
-@pytest.fixture(scope="module", params=[whole_page, poor_page], ids=["whole", "poor"])
+MADE = {"whole": whole_page, "poor": poor_page, "large": large_page}
+
+
+@pytest.fixture(scope="module")
+def run_page(tmp_path_factory):
+    root = tmp_path_factory.mktemp("runs")
+    write_run_pages(shown_runs(root), root / "report" / "runs")
+    return root / "report" / "runs" / f"{ATTACKED.replace('|', '/')}.html"
+
+
+@pytest.fixture(scope="module", params=list(MADE))
 def report(request, tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / "index.html"
-    write_page(request.param(), path)
+    write_page(MADE[request.param](), path)
     return path
 
 
@@ -61,9 +73,49 @@ def test_the_page_says_nothing_to_the_console_and_asks_for_nothing_but_itself(br
 
 def test_every_picture_is_there_and_has_words_in_its_place(browser, report):
     pictures = Visit(browser, report).page.locator("img")
-    assert pictures.count() > 10
+    assert pictures.count() >= 10
     shown = pictures.evaluate_all("all => all.map(img => [img.alt, img.naturalWidth])")
     assert all(alt and width > 0 for alt, width in shown)
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_the_first_screen_answers_without_scrolling(browser, report, size):
+    page = Visit(browser, report, size).page
+    answers = [page.locator(".answer"), *page.locator(".first section").all()]
+    plot = page.locator(".strips .strip svg[role=img]")
+    assert all(answer.inner_text().strip() for answer in answers)
+    ends = [answer.bounding_box() for answer in answers]
+    assert all(box["y"] + box["height"] <= size["height"] for box in ends)
+    if size is DESK and plot.count():
+        last = plot.last.bounding_box()
+        assert last["y"] + last["height"] <= size["height"]
+
+
+def test_a_mark_leads_to_the_page_of_its_run(browser, report):
+    marks = Visit(browser, report).page.locator(".strip svg a")
+    if marks.count():
+        assert marks.first.get_attribute("href").startswith("runs/")
+        assert marks.first.locator("title").text_content()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_the_page_of_a_run_reads_on_any_screen(browser, run_page, size, scheme):
+    visit = Visit(browser, run_page, size, scheme)
+    assert visit.said == []
+    assert [url for url in visit.asked if not url.startswith("data:")] == [run_page.as_uri()]
+    assert visit.overflow() == 0
+    assert (visit.brightness() > 0.8) == (scheme == "light")
+    cells = visit.page.locator(".heat .hot")
+    assert cells.count() > 5
+    assert cells.first.bounding_box()["width"] > 2
+
+
+def test_the_pages_of_runs_lead_to_each_other_and_to_the_list(browser, run_page):
+    page = Visit(browser, run_page).page
+    page.get_by_role("link", name="runs", exact=True).click()
+    page.get_by_role("link", name=ATTACKED).click()
+    assert page.url == run_page.as_uri()
 
 
 def test_light_is_light_and_dark_is_dark(browser, report):

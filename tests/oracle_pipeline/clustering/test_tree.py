@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from oracle_pipeline.clustering.tree import LINKAGES, ClusteringError, grow_tree
+from oracle_pipeline.clustering.tree import LINKAGES, ClusteringError, grow_tree, trees_with
 
 
 def copied_rows(seed):
@@ -21,6 +21,15 @@ def test_there_are_at_most_as_many_clusters_as_asked_for(method, t):
 def test_a_tree_counts_copies(method):
     X, copies = np.arange(4.0)[:, None] ** 2, np.array([1, 5, 2, 1])
     assert grow_tree(X, method, copies).copies is copies
+
+
+@pytest.mark.parametrize("method", LINKAGES)
+def test_a_row_beside_known_ones_grows_the_tree_of_all_of_them(method):
+    rng = np.random.default_rng(1)
+    reference, rows = rng.normal(size=(30, 4)), rng.normal(size=(5, 4))
+    for row, tree in zip(rows, trees_with(reference, rows, method), strict=True):
+        expected = grow_tree(np.vstack([reference, row]), method)
+        np.testing.assert_array_equal(tree.merges, expected.merges)
 
 
 @pytest.mark.parametrize("shape", [(1, 3), (0, 3), (5, 0)])

@@ -8,6 +8,7 @@ import pytest
 
 from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.features import build_manager
+from oracle_pipeline.replay.picture import picture
 from oracle_pipeline.reporting import verdict_page
 from oracle_pipeline.scoring.isolation import Limits
 from oracle_pipeline.scoring.verdict import Evidence, Verdict
@@ -32,7 +33,7 @@ def anomalous(recording, **more):
 def page(tmp_path):
     def write(*verdicts, notes=()):
         place = tmp_path / "page.html"
-        verdict_page.write(place, verdicts, 0.05, notes, build_manager(), Limits())
+        verdict_page.write(place, verdicts, 0.05, notes, build_manager(), Limits(), picture)
         return place.read_text("utf-8")
 
     return write

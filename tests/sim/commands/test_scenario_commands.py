@@ -19,9 +19,10 @@ from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.types import TypeDefinition, serialize
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.opened_run import open_run
-from sim.commands.kill_matrix import Mutant, derive_mutant, mutants
+from sim.commands.kill_matrix import Job, Mutant, derive_mutant, mutants
+from sim.commands.magnitudes import BUILT_IN, WITHOUT, sweeps_of
 from sim.commands.main import main
-from sim.commands.parameter_values import Sweep
+from sim.commands.parameter_values import ParameterError, Sweep
 from sim.fuzzing.scenario import parse_scenarios
 from sim.modes import FOLDER, find_mode
 from sim.scenarios import builtin_scenarios
@@ -200,7 +201,7 @@ def test_a_grid_is_indexed_as_far_as_there_are_runs_with_its_equivalent_mutants(
 def test_a_mutant_of_a_run_is_a_run_of_its_block(controls, tmp_path):
     mode = find_mode("fake_object")
     cell = Mutant(7, 0, "radius", 0.3)
-    manifest = derive_mutant(mode, controls, tmp_path, False, cell)
+    manifest = derive_mutant(controls, False, Job(mode, tmp_path, cell))
     original = Manifest.load(controls / "run000" / "manifest.json")
     with open_run(tmp_path / "runs/fake_object/run007") as opened:
         assert opened.manifest == manifest
@@ -218,12 +219,55 @@ def test_a_mutant_of_a_run_is_a_run_of_its_block(controls, tmp_path):
 def test_a_mutant_that_is_there_is_kept_and_another_is_not_put_in_its_place(controls, tmp_path):
     mode = find_mode("sensor_drop")
     cell = Mutant(0, 0, "share", 0.5)
-    made = derive_mutant(mode, controls, tmp_path, False, cell)
-    assert derive_mutant(mode, controls, tmp_path, False, cell) == made  # wall time included
+    made = derive_mutant(controls, False, Job(mode, tmp_path, cell))
+    again = derive_mutant(controls, False, Job(mode, tmp_path, cell))
+    assert again == made  # wall time included
     other = Mutant(0, 0, "share", 0.6)
     with pytest.raises(RunDirectoryError, match="is another mutant"):
-        derive_mutant(mode, controls, tmp_path, False, other)
-    assert derive_mutant(mode, controls, tmp_path, True, other).attack == {"share": 0.6}
+        derive_mutant(controls, False, Job(mode, tmp_path, other))
+    remade = derive_mutant(controls, True, Job(mode, tmp_path, other))
+    assert remade.attack == {"share": 0.6}
+    assert remade.attack_seed == made.attack_seed
+
+
+@pytest.mark.parametrize("name", [
+    name for name, scenario in builtin_scenarios().items() if scenario.label == "malicious"
+])  # fmt: skip
+def test_every_built_in_attack_has_magnitudes_or_there_is_nothing_to_be_more_of(name):
+    mode = find_mode(name, allow_actuation=True)
+    if name in WITHOUT:
+        assert name not in BUILT_IN
+        with pytest.raises(ParameterError, match=f"{name} has no magnitude"):
+            sweeps_of(mode)
+        return
+    (found,) = sweeps_of(mode)
+    assert len(found.values) >= 5
+    assert list(found.values) == sorted(set(found.values))
+
+
+def test_a_scenario_of_ones_own_is_swept_in_each_number_with_bounds(tmp_path):
+    file = tmp_path / "own.yaml"
+    file.write_text(OWN.replace("min: 0.0", "min: 0.01, max: 0.5"))
+    (found,) = sweeps_of(find_mode(str(file)))
+    assert (found.parameter, found.values[0], found.values[-1]) == ("rate", 0.01, 0.5)
+    assert len(found.values) == 8
+    file.write_text(OWN)
+    with pytest.raises(ParameterError, match="no number with a min and a max"):
+        sweeps_of(find_mode(str(file)))
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "expected"),
+    [
+        ([], 2, "Name a SCENARIO, or give --all"),
+        (["random_noise", "--all"], 2, "Name a SCENARIO, or give --all"),
+        (["--all", "--over", "level=0:1:2"], 2, "--all without --over"),
+        (["sensor_freeze"], 1, "sensor_freeze has no magnitude"),
+        (["--all", "--on", "."], 1, "Could not read run000"),
+    ],
+)
+def test_a_grid_that_is_not_asked_for_rightly_says_what_it_takes(words, code, expected):
+    assert expected in run("grid", *words, expect=code).stderr
 
 
 def test_fuzzed_runs_tell_what_was_drawn_and_are_not_made_twice(tmp_path):

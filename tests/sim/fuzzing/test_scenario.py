@@ -56,7 +56,7 @@ def test_a_delayed_mode_differs_from_the_other_in_name_and_activation_only():
             for name in (delayed, at_once)
         )
         assert one.pop("activation") == {
-            "onset": {"after": "goal_accepted", "seconds": 30},
+            "onset": {"after": "goal_accepted", "seconds": [25, 35]},
             "before": "absent",
         }
         assert one == other

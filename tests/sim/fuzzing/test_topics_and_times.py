@@ -1,5 +1,7 @@
 """Where a scenario speaks, when it begins and ends, and what each run draws."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,8 +20,19 @@ from sim.fuzzing.scenario import ScenarioError, parse_scenarios
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND, Executor
 from sim.middleware.node import Node
+from sim.middleware.stamps import header
 from sim.recording import Recorder
-from tests.sim.fuzzing.workbench import SCAN, program, results, scan, scans, scenario, stamp
+from tests.sim.fuzzing.workbench import (
+    ODOMETRY,
+    SCAN,
+    odometry,
+    program,
+    results,
+    scan,
+    scans,
+    scenario,
+    stamp,
+)
 
 BEGIN_NS, ONSET_S = SECOND, 2.1
 ODD = (
@@ -165,7 +178,7 @@ def test_a_scenario_ends_after_so_many_messages_a_duration_or_at_a_goal():
     assert len(spared) == 5
     assert spared != [0, 1, 2, 3, 4]
     execution = execute(program("activation: {until_goal: 2}\n" + ODD), 1)
-    execution.ends_s = 0.9
+    execution.end(0.9)
     acted = [execution.on_message(scan(n), stamp(n), 0.2 * n).truth for n in range(8)]
     assert [truth.operation for truth in acted] == ["odd"] * 5 + ["passthrough"] * 3
 
@@ -242,3 +255,127 @@ def test_an_end_that_comes_before_the_onset_leaves_all_as_it_is(tmp_path):
         executor.call_at(number, publisher.publish, message)
     executor.run_until(10)
     assert node.changes(0) == tuple[Change, ...]()
+
+
+TOGETHER = f"""\
+schema: mutant/v1
+id: tried
+label: malicious
+main: {{type: {SCAN}, input: /scan, output: /scan_a}}
+also:
+  tom: {{type: {SCAN}, input: /scan_tom, output: /tom_a}}
+  odom: {{type: nav_msgs/msg/Odometry, input: /odom, output: /odom_a}}
+parameters: {{by: {{type: float, default: 1.0, min: 0.5, max: 2.0, draw: even}}}}
+transform:
+  match: all
+  actions:
+    - name: nearer
+      on: [main, tom]
+      do:
+        - set: {{field: range_max, value: "uniform(0.0, 1.0)"}}
+    - name: ahead
+      on: [odom]
+      do:
+        - add: {{field: pose.pose.position.x, by: p.by}}
+"""
+
+
+def together(text=TOGETHER):
+    (parsed,) = parse_scenarios(text.encode(), "tried.yaml")
+    return compile_scenario(parsed)
+
+
+def record_three(compiled, path):
+    """Record two LiDARs, one 60 ms behind the other, and odometry, altered together."""
+    executor = Executor()
+    domain = Domain(executor)
+    driver = Node(domain, "/drivers")
+    speak = {
+        topic: driver.create_publisher(kind, topic).publish
+        for topic, kind in (("/scan", SCAN), ("/scan_tom", SCAN), ("/odom", ODOMETRY))
+    }
+    executor.run_until(BEGIN_NS)
+    with BagWriter(path, "mcap") as writer:
+        node = ScenarioNode(domain, "/mutant", execute(compiled, 1), latency_ns=3_000_000)
+        node.begin(BEGIN_NS + round(ONSET_S * SECOND))
+        Recorder(domain, writer)
+        for number, message in enumerate(scans(30)):
+            at_ns = BEGIN_NS + number * 200_000_000
+            later = replace(message, header=header(stamp(number) + 60_000_000, "tom"))
+            executor.call_at(at_ns, speak["/scan"], message)
+            executor.call_at(at_ns + 20_000_000, speak["/odom"], odometry(number))
+            executor.call_at(at_ns + 60_000_000, speak["/scan_tom"], later)
+        executor.run_until(BEGIN_NS + 7 * SECOND)
+    return domain
+
+
+def test_topics_are_altered_together_with_the_draws_of_the_main_message_before(tmp_path):
+    compiled = together()
+    domain = record_three(compiled, tmp_path / "bag")
+    mutate_bag(tmp_path / "bag", tmp_path / "mutant", compiled, 1, at_s=ONSET_S)
+    for topic in ("/scan_a", "/tom_a", "/odom_a"):
+        online = [data for _, data in on(tmp_path / "bag", topic)]
+        assert online == [data for _, data in on(tmp_path / "mutant", topic)]
+        assert len(online) == 30
+    drawn = {}
+    with BagReader(tmp_path / "bag") as bag:
+        for topic in ("/scan_a", "/tom_a"):
+            read = [bag.deserialize(raw).range_max for raw in bag.messages([topic])]
+            drawn[topic] = read[11:]  # 2.1 s are between the tenth and the eleventh
+        moved = [bag.deserialize(raw).pose.pose.position.x for raw in bag.messages(["/odom_a"])]
+    assert drawn["/scan_a"] == drawn["/tom_a"]
+    assert len(set(drawn["/scan_a"])) == 19
+    by = drawn_values(compiled.scenario, 1)["by"]
+    assert moved == [0.0] * 11 + [pytest.approx(by)] * 19
+    assert domain.publishers_of("/mutant").keys() >= {"/scan_a", "/tom_a", "/odom_a"}
+
+
+def test_too_far_behind_a_message_has_draws_of_its_own(tmp_path):
+    near = TOGETHER.replace("output: /tom_a}", "output: /tom_a, within_s: 0.05}")
+    record_three(together(near), tmp_path / "bag")
+    with BagReader(tmp_path / "bag") as bag:
+        one, other = (
+            [bag.deserialize(raw).range_max for raw in bag.messages([topic])][11:]
+            for topic in ("/scan_a", "/tom_a")
+        )
+    assert set(one).isdisjoint(other)
+
+
+def test_several_topics_can_be_altered_in_place(tmp_path):
+    text = TOGETHER.replace("/scan_a", "/scan").replace("/tom_a", "/scan_tom")
+    text = text.replace("/odom_a", "/odom")
+    domain = record_three(together(text), tmp_path / "altered")
+    assert "/mutant" not in domain.node_names()
+    still = together(text.replace("label: malicious", "label: malicious\ncontrol: passthrough"))
+    record_three(still, tmp_path / "plain")
+    mutate_bag(tmp_path / "plain", tmp_path / "mutant", together(text), 1, at_s=ONSET_S)
+    for topic in ("/scan", "/scan_tom", "/odom"):
+        assert on(tmp_path / "altered", topic) == on(tmp_path / "mutant", topic)
+        assert on(tmp_path / "altered", topic) != on(tmp_path / "plain", topic)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("input: /scan_tom", "input: /scan", "also.tom.input: expected a topic of its own"),
+        ("/odom_a", "/odom", "also.odom.output: expected all topics to be altered in place"),
+        ("/odom_a", "/scan", "also.odom.output: expected a topic that the scenario does not hear"),
+        ("/tom_a", "/scan_a", "also.tom.output: expected a topic of its own, /scan_a stands"),
+        ("  tom:", "  main:", "also.main: expected another name"),
+        ("[main, tom]", "[main, ella]", r"actions\[0\].on\[1\]: expected one of main, tom, odom"),
+        ("[main, tom]", "[main, odom]", r"actions\[0\].do\[0\].set.field: "),
+        ("nav_msgs/msg/Odometry", "nav_msgs/msg/Odometer", "also.odom.type: "),
+    ],
+)
+def test_topics_that_cannot_be_altered_together_are_refused_where_they_stand(old, new, expected):
+    with pytest.raises(ScenarioError, match=rf"tried\.yaml:\d+: .*{expected}"):
+        together(TOGETHER.replace(old, new))
+
+
+def test_all_that_is_wrong_with_topics_is_told_at_once():
+    text = TOGETHER.replace("/odom_a", "/odom").replace("[main, tom]", "[main, ella]")
+    with pytest.raises(ScenarioError) as caught:
+        together(text)
+    told = str(caught.value)
+    assert "also.odom.output" in told
+    assert "transform.actions[0].on[1]" in told

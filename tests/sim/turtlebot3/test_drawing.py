@@ -12,6 +12,7 @@ from sim.atc.airspace import AirSpace
 from sim.atc.geodesy import slant_range
 from sim.campaigns import Campaign, Options, RecipeError
 from sim.experiments import recipe_for
+from sim.fuzzing.compilation import compile_document
 from sim.middleware.geometry import Pose2D
 from sim.modes import modes
 from sim.testbeds import which_testbed
@@ -105,6 +106,19 @@ def test_targets_differ_between_blocks():
         recipe_for("atc_delete_by_id", run, Campaign()).parameters["target"] for run in range(8)
     }
     assert len(targets) > 2
+
+
+def test_the_onset_of_a_delayed_attack_is_drawn_by_its_block():
+    def delay_s(mode, run):
+        recipe = recipe_for(mode, run, Campaign(goals_per_run=1))
+        program = compile_document(mode, recipe.scenario)
+        return program.activation.delay_s(recipe.attack_seed())
+
+    drawn = [delay_s("delayed_fakeobject", run) for run in range(9)]
+    assert len(set(drawn)) == 9
+    assert 25.0 <= min(drawn) < 28.0
+    assert 32.0 < max(drawn) <= 35.0
+    assert [delay_s("delayed_passthrough", run) for run in range(9)] == drawn
 
 
 def test_blocks_sessions_and_nodes_draw_from_seeds_of_their_own():

@@ -1,0 +1,101 @@
+"""What a search leaves: its findings, a picture, and the misses as scenarios ready to run."""
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+
+from oracle_pipeline.reporting.figures import COLORS, INK, drawing
+from resources.search.closed_loop import Finding
+from sim.fuzzing.scenario import Scenario
+
+FINDINGS, PICTURE, MISSES = "findings.json", "front.png", "misses"
+_HIGHEST = 8.0  # effects above this are drawn at the edge
+
+
+def misses(findings: Sequence[Finding], far: float) -> list[Finding]:
+    """Return the runs with an effect that the oracle passes, the largest effect first."""
+    passed = [each for each in findings if each.has_effect and each.p_value > far]
+    return sorted(passed, key=lambda each: -each.effect)
+
+
+def save(
+    folder: Path, scenario: Scenario, findings: Sequence[Finding], front: Sequence[Finding],
+    far: float,
+) -> list[Path]:  # fmt: skip
+    """Write all of it; return the files of the misses.
+
+    They are scenarios whose defaults are what the search found, each with a name of its own. Name
+    their folder in ``ORACLE_SCENARIOS``, and they are modes of the next campaign.
+    """
+    document = {
+        "far": far,
+        "front": [each.proposal.run for each in front],
+        "findings": [dataclasses.asdict(each) for each in findings],
+    }
+    (folder / FINDINGS).write_text(json.dumps(document, indent=1) + "\n", "utf-8")
+    (folder / PICTURE).write_bytes(picture(findings, front, far))
+    places = folder / MISSES
+    places.mkdir(exist_ok=True)
+    written = []
+    for miss in misses(findings, far):
+        name = f"{scenario.id}_miss{miss.proposal.run:03d}"
+        path = places / f"{name}.yaml"
+        path.write_text(_as_scenario(scenario, name, miss), "utf-8")
+        written.append(path)
+    return written
+
+
+def _as_scenario(scenario: Scenario, name: str, miss: Finding) -> str:
+    found = miss.proposal.given
+    parameters = {
+        key: (
+            {**{k: v for k, v in spec.items() if k != "drawn"}, "default": found[key]}
+            if key in found
+            else spec
+        )
+        for key, spec in scenario.document["parameters"].items()
+    }
+    document = {
+        **scenario.document,
+        "id": name,
+        "title": f"Found by a search: {scenario.title}"[:100],
+        "parameters": parameters,
+    }
+    effects = ", ".join(f"{key} {value:+.3g}" for key, value in miss.effects.items())
+    return (
+        f"# Block {miss.proposal.block}: p = {miss.p_value:.3g}, effect {miss.effect:.2g}.\n"
+        f"# Compared with the run without it: {effects}.\n"
+        + yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
+    )
+
+
+def picture(findings: Sequence[Finding], front: Sequence[Finding], far: float) -> bytes:
+    """Draw effect over score, as PNG bytes; misses are at the upper left."""
+    screened = [each for each in findings if each.screened_out]
+    ran = [each for each in findings if not each.screened_out]
+    groups = [
+        ("passed by the oracle", COLORS["malicious"], "^", [f for f in ran if f.p_value > far]),
+        ("detected", COLORS["normal"], "o", [f for f in ran if f.p_value <= far]),
+        ("detected before it was run", INK, "x", screened),
+    ]
+    with drawing(6.0, 3.6) as (axes, png):
+        for label, color, marker, shown in groups:
+            if shown:
+                axes.plot(
+                    [each.score for each in shown], [min(each.effect, _HIGHEST) for each in shown],
+                    marker, color=color, markersize=4, linestyle="none",
+                    label=f"{label} ({len(shown)})",
+                )  # fmt: skip
+        best = sorted((each.score, min(each.effect, _HIGHEST)) for each in front)
+        if best:
+            x, y = zip(*best, strict=True)
+            axes.plot(x, y, color=INK, linewidth=0.8, label="front")
+        axes.axhline(1.0, color=INK, linewidth=0.8, linestyle=":")
+        axes.set(xlabel="score of the oracle", ylabel="effect on the task")
+        if findings and max(each.score for each in findings) > 100.0:
+            axes.set_xscale("symlog")
+        axes.figure.legend(loc="outside upper right", ncols=2)
+    return png.getvalue()

@@ -1,0 +1,171 @@
+"""The loop of a search: propose, run, learn; kept on disk, so that it can go on later.
+
+Trials are proposed in rounds of one for each worker, and their results are told in the order of
+their numbers. So the same seed and the same number of workers give the same search.
+"""
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import optuna
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
+
+from resources.search.closed_loop import Finding, Proposal, Setting, run_control, run_trial
+from resources.search.objectives import Objective
+from resources.search.space import Dimension, SearchError
+from sim.fan_out import fan_out, process_pool
+
+Sampler: TypeAlias = Literal["tpe", "random"]
+
+JOURNAL = "study.journal"
+CONTROLS = "controls"  # folder of the runs without an attack
+_FINDING = "finding"
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Budget:
+    """When a search ends: after so many trials, those before included, or after a time."""
+
+    trials: float = float("inf")
+    seconds: float = float("inf")
+
+    @classmethod
+    def parse(cls, text: str) -> "Budget":
+        """Read ``200`` trials, ``30m`` minutes or ``2h`` hours.
+
+        Raises
+        ------
+        SearchError
+            If it is none of these.
+        """
+        number, unit = (text[:-1], text[-1]) if text.endswith(("m", "h")) else (text, "")
+        if not (number.isdecimal() and int(number) > 0):
+            raise SearchError(f"expected a budget such as 200, 30m or 2h, found {text!r}.")
+        if unit:
+            return cls(seconds=int(number) * {"m": 60.0, "h": 3600.0}[unit])
+        return cls(trials=int(number))
+
+
+class Search:
+    """A search of one scenario's parameters.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the study is kept. A study that is there goes on.
+    setting : Setting
+    objective : Objective
+    space : sequence of Dimension
+    blocks : int
+        Trials take turns in so many blocks.
+    seed : int
+        Of the proposals.
+    sampler : str
+        ``tpe`` learns from trials; ``random`` does not, to compare with.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        setting: Setting,
+        objective: Objective,
+        space: Sequence[Dimension],
+        *,
+        blocks: int,
+        seed: int = 0,
+        sampler: Sampler = "tpe",
+    ) -> None:
+        self._folder, self._setting, self._objective = folder, setting, objective
+        self._space, self._blocks = space, blocks
+        folder.mkdir(parents=True, exist_ok=True)
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        storage = JournalStorage(JournalFileBackend(str(folder / JOURNAL)))
+        name = f"{setting.mode.id} {','.join(objective.directions)}"
+        try:
+            self._study = optuna.create_study(
+                storage=storage, study_name=name, directions=objective.directions,
+                load_if_exists=True,
+            )  # fmt: skip
+        except ValueError as error:
+            raise SearchError(f"{folder} holds another search: {error}; name another.") from error
+        # Proposals after a pause must not repeat those before it.
+        fresh = seed + len(self._study.trials)
+        self._study.sampler = (
+            optuna.samplers.RandomSampler(seed=fresh)
+            if sampler == "random"
+            else optuna.samplers.TPESampler(seed=fresh)
+        )
+
+    @property
+    def findings(self) -> list[Finding]:
+        """What all trials showed, in the order of their numbers."""
+        told = [trial.user_attrs.get(_FINDING) for trial in self._study.trials]
+        return [_from_dict(document) for document in told if document]
+
+    @property
+    def front(self) -> list[Finding]:
+        """The trials that no other is better than in every respect."""
+        return [_from_dict(trial.user_attrs[_FINDING]) for trial in self._study.best_trials]
+
+    def run(self, budget: Budget, workers: int, failed: Callable[[str], None]) -> Iterator[Finding]:
+        """Yield the findings of trials as they are told, until the budget is used up.
+
+        Parameters
+        ----------
+        budget : Budget
+        workers : int
+            Trials at a time.
+        failed : callable
+            Takes the reason for which a trial has no finding.
+        """
+        controls = self._folder / CONTROLS
+        for outcome in fan_out(
+            partial(run_control, self._setting, controls),
+            range(self._blocks),
+            partial(process_pool, workers),
+        ):
+            if outcome.error is not None:
+                raise SearchError(f"Block {outcome.job} cannot be run: {outcome.error}")
+        executor = process_pool(workers)
+        ends = time.monotonic() + budget.seconds
+        try:
+            while len(self._study.trials) < budget.trials and time.monotonic() < ends:
+                size = min(workers, budget.trials - len(self._study.trials))
+                trials = [self._study.ask() for _ in range(int(size))]
+                running = [
+                    (
+                        trial,
+                        executor.submit(run_trial, self._setting, controls, self._proposal(trial)),
+                    )
+                    for trial in trials
+                ]
+                for trial, future in running:
+                    error = future.exception()
+                    if error is None:
+                        yield self._told(trial, future.result())
+                    else:
+                        self._study.tell(trial, state=optuna.trial.TrialState.FAIL)
+                        failed(f"trial {trial.number}: {error}")
+        finally:
+            executor.shutdown(cancel_futures=True)
+
+    def _proposal(self, trial: optuna.Trial) -> Proposal:
+        values = {dimension.name: dimension.suggest(trial) for dimension in self._space}
+        return Proposal(trial.number, trial.number % self._blocks, values)
+
+    def _told(self, trial: optuna.Trial, finding: Finding) -> Finding:
+        trial.set_user_attr(_FINDING, dataclasses.asdict(finding))
+        if self._objective.wants_detected:
+            trial.set_constraint("p-value over rate", finding.p_value - self._setting.far)
+        self._study.tell(trial, self._objective.values(finding))
+        return finding
+
+
+def _from_dict(document: Mapping[str, Any]) -> Finding:
+    proposal = Proposal(**document["proposal"])
+    return Finding(**{**document, "proposal": proposal, "families": tuple(document["families"])})

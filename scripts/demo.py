@@ -1,0 +1,74 @@
+"""`make demo`: a normal and an attacked run, recorded now and judged by the shipped reference card.
+
+Both runs have the same start, goal and sensor noise; the second LiDAR of the attacked one reports
+an object that is not there. Neither is among the runs that the card was learned from.
+"""
+
+import os
+import sys
+import webbrowser
+from pathlib import Path
+
+from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.features import build_manager
+from oracle_pipeline.reporting import verdict_page
+from oracle_pipeline.scoring import output
+from oracle_pipeline.scoring.card import ReferenceCard
+from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS
+from oracle_pipeline.scoring.judging import score
+from oracle_pipeline.scoring.verdict import Verdict
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for, record_run
+
+PROJECT = Path(__file__).parents[1]
+CARD = PROJECT / "demo" / "normal.card"
+NORMAL, ATTACKED = "lidar_passthrough_odom", "fake_object"
+BLOCK = 900  # the card is learned from the first blocks
+GOALS = 1
+FAR = 0.05
+STALE = (
+    f"The shipped card {CARD.relative_to(PROJECT)} no longer fits the code: the {NORMAL} run "
+    f"should be normal, the {ATTACKED} run anomalous. Make it again with `make demo-card`."
+)
+
+
+def main() -> int:
+    """Record, judge and show the two runs; return 1 if the card no longer fits the code."""
+    home = Path(os.environ.get("ORACLE_HOME") or PROJECT / "data") / "demo"
+    runs = [recorded(mode, home) for mode in (NORMAL, ATTACKED)]
+    print(f"Comparing them with the normal runs of {CARD.relative_to(PROJECT)} ...", flush=True)
+    verdicts, page = judged(runs, home / "index.html")
+    print(output.as_text(verdicts, FAR, ()))
+    print(f"Page: {page.as_uri()}")
+    if not as_expected(verdicts):
+        print(STALE, file=sys.stderr)
+        return 1
+    if sys.stdout.isatty() and (os.environ.get("DISPLAY") or sys.platform == "darwin"):
+        webbrowser.open(page.as_uri())
+    return 0
+
+
+def recorded(mode: str, home: Path) -> Path:
+    """Record the demo's run of one mode, with the code as it is now."""
+    directory = RunDirectory(home, mode, BLOCK)
+    print(f"Recording {directory.key} ...", flush=True)
+    recipe = recipe_for(mode, BLOCK, Campaign(goals_per_run=GOALS))
+    record_run(recipe, directory, refresh=True)
+    return directory.path
+
+
+def judged(runs: list[Path], page: Path) -> tuple[list[Verdict], Path]:
+    """Judge runs by the shipped card, and write the page about them."""
+    card, manager = ReferenceCard.load(CARD), build_manager()
+    verdicts = score(runs, card, manager, FAR)
+    verdict_page.write(page, verdicts, FAR, card.notes, manager, DEFAULT_LIMITS)
+    return verdicts, page.resolve()
+
+
+def as_expected(verdicts: list[Verdict]) -> bool:
+    """Tell whether the card tells the two runs apart."""
+    return [verdict.outcome for verdict in verdicts] == ["normal", "anomalous"]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,123 @@
+"""What a scenario does to each topic that it alters; several are altered together.
+
+An action that is done to the main topic and to a further one has the same draws on both: those of a
+message of the further topic go by the main message before it.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from sim.fuzzing.compile_context import CompileContext, Numbers
+from sim.fuzzing.fields import as_sent
+from sim.fuzzing.operators import compile_operators
+from sim.fuzzing.output_operators import Playback
+from sim.fuzzing.program import Action, Program
+from sim.fuzzing.scenario import Key
+from sim.fuzzing.topics import MAIN, type_of
+from sim.fuzzing.value_types import Boolean
+from sim.middleware.executor import SECOND
+
+WITHIN_S = 1.0  # that a main message may be before that of a further topic, if nothing is said
+_OF_AN_ACTION = 2**20  # numbers of operations; more than a file can have
+
+
+def compile_actions(
+    topic: str, context: CompileContext, numbers: Mapping[int, int]
+) -> tuple[tuple[Action, ...], dict[int, int]]:
+    """Return the actions on a topic, and the number of the first operation of each by its place.
+
+    Parameters
+    ----------
+    topic
+        ``main``, or the name of a further topic.
+    context
+        What they are compiled against; it gathers their faults.
+    numbers
+        As this function returned for the main topic; empty for the main topic itself.
+    """
+    actions, first = [], {}
+    specs = context.scenario.document.get("transform", {}).get("actions", [])
+    for place, spec in enumerate(specs):
+        if topic not in spec.get("on", [topic]):
+            continue
+        numbered = context
+        if topic != MAIN:
+            alone = (place + 1) * _OF_AN_ACTION  # where nothing of it is done to the main topic
+            numbered = dataclasses.replace(context, numbers=Numbers(numbers.get(place, alone)))
+        first[place] = numbered.numbers.upcoming
+        with context.faults.gathered():
+            actions.append(_action(spec, ("transform", "actions", place), numbered))
+    return tuple(actions), first
+
+
+def check_names(context: CompileContext) -> None:
+    """Find actions on topics that the scenario does not alter."""
+    document = context.scenario.document
+    known = [MAIN, *document.get("also", {})]
+    for place, action in enumerate(document.get("transform", {}).get("actions", [])):
+        for number, name in enumerate(action.get("on", [])):
+            with context.faults.gathered():
+                if name not in known:
+                    raise context.scenario.error(
+                        ("transform", "actions", place, "on", number),
+                        f"expected one of {', '.join(known)}, found {name}",
+                    )
+
+
+def with_further_topics(
+    program: Program, on_main: CompileContext, numbers: Mapping[int, int]
+) -> Program:
+    """Return a program that alters its further topics as well.
+
+    Parameters
+    ----------
+    program
+        That of the main topic.
+    on_main
+        What operators on the main topic were compiled against.
+    numbers
+        Of the actions on the main topic (`compile_actions`).
+    """
+    scenario, lanes = program.scenario, []
+    for name, spec in scenario.document.get("also", {}).items():
+        kind = type_of(scenario, spec["type"], ("also", name, "type"))
+        context = dataclasses.replace(
+            on_main,
+            root=kind,
+            outputs={**on_main.outputs, "": (spec["output"], kind)},
+            scope=dataclasses.replace(on_main.scope, names={**on_main.scope.names, "msg": kind}),
+        )
+        actions, _ = compile_actions(name, context, numbers)
+        lane = dataclasses.replace(
+            program,
+            type=kind,
+            as_sent=as_sent(kind),
+            input_topic=spec["input"],
+            output_topic=spec["output"],
+            further_outputs={},
+            always=None,
+            actions=actions,
+            period=None,
+            timer=None,
+            magnitude=program.magnitude if kind == program.type else None,
+            memory=playback(actions),
+            within_ns=round(spec.get("within_s", WITHIN_S) * SECOND),
+        )
+        lanes.append(lane)
+    cost = program.cost + sum(action.cost for lane in lanes for action in lane.actions)
+    return dataclasses.replace(program, also=tuple(lanes), cost=cost)
+
+
+def playback(parts: Sequence[Action]) -> int:
+    """Return how many messages have to be kept to be played back."""
+    operators = [operator for part in parts for operator in part.do]
+    return max((o.messages for o in operators if isinstance(o, Playback)), default=0)
+
+
+def _action(spec: Mapping[str, Any], key: Key, context: CompileContext) -> Action:
+    when = None
+    if "when" in spec:
+        when = context.term(spec["when"], (*key, "when"), Boolean)
+    inner, let = context.let(spec, key)
+    return Action(spec["name"], when, let, compile_operators(spec["do"], (*key, "do"), inner))

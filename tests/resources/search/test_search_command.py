@@ -1,0 +1,80 @@
+"""``oracle-sim search`` in closed loop: it can be continued, and misses are scenarios."""
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from oracle_pipeline.cli import main as oracle
+from resources.cli import main as oracle_sim
+from resources.search.closed_loop import Finding, Proposal
+from resources.search.outcome import misses, save
+from sim.fuzzing.compilation import compile_file
+from sim.modes import find_mode
+from tests.recorded_runs import RecordedRuns, linked
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def card(recorded_run: RecordedRuns, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A reference card of five normal runs."""
+    root = tmp_path_factory.mktemp("normal")
+    for run in range(5):
+        linked(recorded_run("lidar_passthrough", run), root)
+    card = root / "normal.card"
+    done = CliRunner().invoke(oracle, ["learn", str(root), "--output", str(card)])
+    assert done.exit_code == 0, done.output
+    return card
+
+
+def search(card: Path, out: Path, budget: int, *more: str) -> Result:
+    words = [
+        "search", "range_drift", "--reference", str(card), "--budget", str(budget), "--far", "0.2",
+        "--blocks", "1", "--goals", "1", "--workers", "1", "--out", str(out), *more,
+    ]  # fmt: skip
+    return CliRunner().invoke(oracle_sim, words)
+
+
+def test_a_search_goes_on_where_it_stopped(card: Path, tmp_path: Path) -> None:
+    found = []
+    for budget in (1, 3):
+        result = search(card, tmp_path, budget, "--no-screen", "--range", "rate=-0.02:0.02")
+        assert result.exit_code == 0, result.output
+        found.append(json.loads((tmp_path / "findings.json").read_text())["findings"])
+    assert [len(each) for each in found] == [1, 3]
+    assert found[1][:1] == found[0]
+    rates = [each["proposal"]["given"]["rate"] for each in found[1]]
+    assert len(set(rates)) == 3
+    assert all(-0.02 <= rate <= 0.02 for rate in rates)
+    assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_is_detected_in_an_altered_recording_is_not_run(card: Path, tmp_path: Path) -> None:
+    result = search(card, tmp_path, 1, "--range", "rate=0.5:0.9")
+    assert result.exit_code == 0, result.output
+    (finding,) = json.loads((tmp_path / "findings.json").read_text())["findings"]
+    assert finding["screened_out"]
+    assert finding["effects"] == {}
+
+
+def test_another_objective_in_the_same_folder_is_refused_or_apart(
+    card: Path, tmp_path: Path
+) -> None:
+    assert search(card, tmp_path, 1, "--range", "rate=0.5:0.9").exit_code == 0
+    again = search(card, tmp_path, 1, "--objective", "boundary", "--range", "rate=0.5:0.9")
+    assert again.exit_code == 0, again.output  # a study of its own beside the first
+
+
+def test_a_miss_is_a_scenario_with_what_was_found_as_its_default(tmp_path: Path) -> None:
+    scenario = find_mode("range_drift").scenario
+    finding = Finding(
+        Proposal(7, 0, {"rate": 0.0125}), screened_out=False, effect=2.0,
+        effects={"driven_m": 1.5}, magnitude=0.3, score=1.0, p_value=0.4, families=(),
+    )  # fmt: skip
+    (path,) = save(tmp_path, scenario, [finding], [finding], far=0.05)
+    (program,) = compile_file(path)
+    assert program.scenario.id == "range_drift_miss007"
+    assert program.parameters["rate"].default == 0.0125
+    assert misses([finding], far=0.5) == []

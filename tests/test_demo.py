@@ -1,0 +1,47 @@
+"""The shipped reference card fits the code: `make demo` tells its two runs apart by it."""
+
+import runpy
+from pathlib import Path
+
+import pytest
+
+from oracle_pipeline.features import build_manager
+from oracle_pipeline.scoring.card import ReferenceCard
+
+pytestmark = pytest.mark.slow
+
+SCRIPT = Path(__file__).parent.parent / "scripts" / "demo.py"
+LARGEST = 2 * 2**20  # bytes of a tracked file
+
+
+@pytest.fixture
+def demo():
+    return runpy.run_path(str(SCRIPT))
+
+
+def test_the_demo_shows_a_normal_and_an_attacked_run(demo, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("ORACLE_HOME", str(tmp_path))
+    assert demo["main"]() == 0
+    page = tmp_path / "demo" / "index.html"
+    assert page.as_uri() in capsys.readouterr().out
+    html = page.read_text("utf-8")
+    assert html.index(">Normal<") < html.index(">Anomalous<")
+    assert html.count("data:image/png;base64,") == 2
+
+
+def test_a_card_that_no_longer_fits_ends_the_demo_with_what_to_do(
+    demo, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setenv("ORACLE_HOME", str(tmp_path))
+    monkeypatch.setitem(demo["main"].__globals__, "ATTACKED", demo["NORMAL"])
+    assert demo["main"]() == 1
+    assert "make demo-card" in capsys.readouterr().err
+
+
+def test_the_shipped_card_is_small_and_knows_the_features_of_the_code(demo):
+    assert demo["CARD"].stat().st_size <= LARGEST
+    card = ReferenceCard.load(demo["CARD"])
+    known = set(build_manager().features())
+    assert set(card.scorer.design.run_features) <= known
+    assert card.runs["block"].nunique() >= 39  # two recordings judged together, at 5 %
+    assert demo["BLOCK"] not in set(card.runs["block"])
