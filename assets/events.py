@@ -90,6 +90,7 @@ def check_evaluation(
     passed: bool,
     description: str | None,
     metadata: Figures,
+    severity: dg.AssetCheckSeverity = dg.AssetCheckSeverity.ERROR,
 ) -> dg.AssetCheckEvaluation:
     """Return a check's result for one partition, tied to the materialization that was checked."""
     return dg.AssetCheckEvaluation(
@@ -99,5 +100,6 @@ def check_evaluation(
         passed=passed,
         description=description,
         metadata=metadata,
+        severity=severity,
         target_materialization_data=checked_materialization(target) if target else None,
     )

@@ -62,8 +62,10 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
     from oracle_pipeline.replay.picture import FILM
     from oracle_pipeline.reporting import html, thesis_reports
     from oracle_pipeline.reporting.explanation import drawn, explanations
+    from oracle_pipeline.reporting.foreign import summary
     from oracle_pipeline.reporting.report import Report
     from oracle_pipeline.reporting.run_pages import ShownRuns, write_run_pages
+    from oracle_pipeline.scoring.kept_verdicts import kept_verdicts
     from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
     def draw(run: str) -> bytes:
@@ -93,6 +95,7 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
             null_model=thesis_reports.null_model(seed=seed),
             radar=radar,
             storage=_storage(store),
+            arrived=summary(arrived) if (arrived := kept_verdicts(store.path)) else "",
             provenance=html.provenance(df),
         )
         html.write_page(page, store.report)

@@ -19,10 +19,12 @@ from oracle_pipeline.programs import clashes_explained  # noqa: E402
 
 with clashes_explained():
     from assets import (
+        arrivals,
         automation,
         evaluation_checks,
         experiment_runs,
         feature_dataset,
+        foreign,
         oracle_evaluation,
         oracle_report,
         run_checks,
@@ -34,6 +36,7 @@ with clashes_explained():
     from resources.campaign import CampaignSettings
     from resources.executor import in_process_executor
     from resources.fleet import Fleet
+    from resources.inbox import Inbox
     from resources.no_values import NoValues
     from resources.store import RunStore
 
@@ -44,7 +47,8 @@ def build_defs(**overrides: object) -> dg.Definitions:
     Parameters
     ----------
     **overrides
-        Resources by name: ``store``, ``fleet``, ``campaign``, ``budget``, ``io_manager``.
+        Resources by name: ``store``, ``fleet``, ``campaign``, ``budget``, ``inbox``,
+        ``io_manager``.
 
     Raises
     ------
@@ -58,18 +62,26 @@ def build_defs(**overrides: object) -> dg.Definitions:
         "budget": StorageBudget(limit=dg.EnvVar("ORACLE_STORAGE_BUDGET"))
         if "ORACLE_STORAGE_BUDGET" in os.environ
         else StorageBudget(),
+        "inbox": Inbox.from_environment(),
         "io_manager": NoValues(),
     }
     if unknown := overrides.keys() - resources.keys():
         raise TypeError(f"No resource is called {sorted(unknown)}; there are {sorted(resources)}.")
     return dg.Definitions(
-        assets=dg.load_assets_from_modules(
-            [experiment_runs, feature_dataset, oracle_evaluation, thesis_method, oracle_report]
-        ),
-        asset_checks=[run_checks.checks_of_runs, evaluation_checks.checks_of_evaluation],
-        jobs=[*automation.JOBS, run_retention.forget_old_runs],
+        assets=[
+            *dg.load_assets_from_modules(
+                [experiment_runs, feature_dataset, oracle_evaluation, thesis_method, oracle_report]
+            ),
+            *foreign.SPECS,
+        ],
+        asset_checks=[
+            run_checks.checks_of_runs,
+            evaluation_checks.checks_of_evaluation,
+            foreign.checks_of_arrivals,
+        ],
+        jobs=[*automation.JOBS, foreign.judge_arrivals, run_retention.forget_old_runs],
         schedules=[automation.nightly, run_retention.weekly],
-        sensors=[scenario_changes.changed_scenarios],
+        sensors=[scenario_changes.changed_scenarios, arrivals.arrived_recordings],
         resources=resources | overrides,
         executor=in_process_executor,  # the assets fan out themselves
     )

@@ -31,6 +31,9 @@ GRAPH = {
             "oracle_evaluation",
         },
     ),
+    "foreign_features": ("foreign", set()),
+    "foreign_verdicts": ("foreign", {"foreign_features"}),
+    "foreign_report": ("foreign", {"foreign_verdicts"}),
 }
 
 
@@ -60,7 +63,14 @@ def test_any_range_of_partitions_is_one_dagster_run() -> None:
     graph = defs.resolve_asset_graph()
     for key in graph.materializable_asset_keys:
         assert graph.get(key).backfill_policy == dg.BackfillPolicy.single_run()
-    assert len({graph.get(key).partitions_def for key in graph.get_all_asset_keys()} - {None}) == 1
+    of_commands = {graph.get(key).partitions_def for key in graph.materializable_asset_keys}
+    assert len(of_commands - {None}) == 1  # Dagster refuses a command over two
+
+
+def test_all_automation_is_off_by_default() -> None:
+    assert {s.default_status for s in defs.sensors or []} == {dg.DefaultSensorStatus.STOPPED}
+    schedules = [s for s in defs.schedules or [] if isinstance(s, dg.ScheduleDefinition)]
+    assert {s.default_status for s in schedules} == {dg.DefaultScheduleStatus.STOPPED}
 
 
 def test_resources_can_be_replaced_and_only_known_ones() -> None:

@@ -11,6 +11,8 @@ Table = Literal["run", "window"]
 TABLES: tuple[Table, ...] = ("run", "window")
 
 RUNS, FEATURES, DATASETS, REPORT, GRIDS = "runs", "features", "datasets", "report", "grids"
+FOREIGN = "foreign"  # what is known of recordings that others made
+VERDICT = "verdict.json"
 GRID_INDEX = "grid.json"  # of a grid: what was changed in each of its runs
 REFRESHED = "refreshed"  # a root of runs that were simulated again and differ without a reason
 
@@ -43,6 +45,24 @@ def report_part(root: Path, name: str) -> Path:
 def report_page(root: Path) -> Path:
     """Return ``<root>/report/index.html``, the report for people."""
     return root / REPORT / "index.html"
+
+
+def foreign(root: Path, key: str) -> Path:
+    """Return ``<root>/foreign/<key>``, the folder for the features and the verdict of a recording.
+
+    The recording itself stays where it arrived.
+    """
+    return root / FOREIGN / key
+
+
+def foreign_verdicts(root: Path) -> list[Path]:
+    """Return the verdicts on all foreign recordings below a root, sorted by key."""
+    return sorted((root / FOREIGN).glob(f"*/{VERDICT}"))
+
+
+def foreign_page(root: Path) -> Path:
+    """Return ``<root>/report/foreign.html``, the report on foreign recordings."""
+    return root / REPORT / "foreign.html"
 
 
 def report_run_pages(root: Path) -> Path:

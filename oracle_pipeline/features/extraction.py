@@ -24,6 +24,7 @@ from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.limits import MOST_WINDOWS
 from oracle_pipeline.bags.manifest import UNKNOWN_WORLD
 from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.datasets import (
     KEYS,
     MISSING,
@@ -325,7 +326,7 @@ def _only_robot(run: OpenedRun) -> Robot:
 def _keys(run: OpenedRun, robot: Robot) -> dict[str, Any]:
     manifest = run.manifest
     if manifest is None:
-        run_id = of_robot(run.path.resolve().name, robot.name)
+        run_id = of_robot(printable(run.path.resolve().name), robot.name)
         values: tuple[Any, ...] = (run_id, "foreign", "unknown", -1, -1, UNKNOWN_WORLD)
     else:
         values = (

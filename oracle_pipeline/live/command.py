@@ -1,5 +1,6 @@
 """``oracle watch``: a DDS domain as it is watched, in words."""
 
+import contextlib
 import dataclasses
 import json
 import signal
@@ -11,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
+    from oracle_pipeline.live.foxglove_server import FoxgloveServer
+    from oracle_pipeline.live.page import LivePage
     from oracle_pipeline.live.watch import Event, Watch
 
 
@@ -40,6 +43,14 @@ if TYPE_CHECKING:
     help="Seconds until it ends by itself.  [default: when Ctrl-C is pressed]",
 )  # fmt: skip
 @click.option(
+    "--view", metavar="[PORT]", is_flag=False, flag_value=8300, type=click.IntRange(0, 65535),
+    help="Serve a page on it at 127.0.0.1.  [port: 8300; 0: any free one]",
+)  # fmt: skip
+@click.option(
+    "--foxglove", metavar="[PORT]", is_flag=False, flag_value=8765, type=click.IntRange(0, 65535),
+    help="Serve it to Foxglove at 127.0.0.1.  [port: 8765; 0: any free one]",
+)  # fmt: skip
+@click.option(
     "--plugins", type=click.Path(path_type=Path), envvar="ORACLE_PLUGINS",
     help="Folder of feature plugins.  [default: $ORACLE_PLUGINS, if set]",
 )  # fmt: skip
@@ -52,6 +63,8 @@ def watch(
     alarms_per_hour: float | None,
     file_format: str,
     duration: float | None,
+    view: int | None,
+    foxglove: int | None,
     plugins: Path | None,
 ) -> None:
     """Watch a running robot: record it, and judge it as it goes.
@@ -66,6 +79,7 @@ def watch(
     Examples:
         oracle watch
         oracle watch --reference robot.card --out recordings/
+        oracle watch --reference robot.card --view
         oracle watch --reference robot.card --domain 7 --format json | jq .alarm
     """  # noqa: D301 -- click reads the control character
     from oracle_pipeline.bags.dds import default_domain
@@ -74,14 +88,18 @@ def watch(
     number = default_domain() if domain is None else domain
     name = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
     alarms = 0
-    with Watch(
-        number,
-        card=reference,
-        folder=out,
-        name=name,
-        alarms_per_h=alarms_per_hour,
-        plugins=plugins,
-    ) as watching:
+    with contextlib.ExitStack() as stack:
+        views = list(_views(stack, view, foxglove))
+        watching = stack.enter_context(
+            Watch(
+                number,
+                card=reference,
+                folder=out,
+                name=name,
+                alarms_per_h=alarms_per_hour,
+                plugins=plugins,
+            )
+        )
         signal.signal(signal.SIGINT, lambda *_: watching.stop())
         signal.signal(signal.SIGTERM, lambda *_: watching.stop())
         if duration is not None:
@@ -90,6 +108,8 @@ def watch(
         click.echo(f"Watching domain {number}; Ctrl-C ends it.", err=True)
         for event in watching:
             alarms += isinstance(event, Alarm)
+            for each in views:
+                each.show(event)
             told = _as_json(event) if file_format == "json" else _as_text(event, watching)
             for line in told:
                 click.echo(line)
@@ -97,6 +117,24 @@ def watch(
     if watching.recording is not None:
         click.echo(f"Recording: {watching.recording.path}", err=True)
     ctx.exit(1 if alarms else 0)
+
+
+def _views(
+    stack: contextlib.ExitStack, view: int | None, foxglove: int | None
+) -> Iterator["LivePage | FoxgloveServer"]:
+    """Start what shows the watch to people, and say where."""
+    if view is not None:
+        from oracle_pipeline.live.page import LivePage
+
+        page = stack.enter_context(LivePage(view))
+        click.echo(f"Page: {page.address}", err=True)
+        yield page
+    if foxglove is not None:
+        from oracle_pipeline.live.foxglove_server import FoxgloveServer
+
+        server = stack.enter_context(FoxgloveServer(foxglove))
+        click.echo(f"Foxglove: {server.address}", err=True)
+        yield server
 
 
 def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:

@@ -116,6 +116,7 @@ def render(
     radar: Mapping[str, bytes],
     provenance: Mapping[str, str],
     storage: pd.DataFrame = NO_STORAGE,
+    arrived: str = "",
 ) -> str:
     """Return the page.
 
@@ -137,6 +138,8 @@ def render(
         Hash of the runs and versions of the libraries.
     storage : DataFrame
         What the storage plan kept of each mode.
+    arrived : str
+        A sentence on recordings that arrived from elsewhere, whose page is beside this one.
     """
     tables = {
         **page_tables.of_evaluation(evaluation),
@@ -161,6 +164,7 @@ def render(
     }
     return template("report.html.j2").render(
         screen=first_screen(evaluation, record),
+        arrived=arrived,
         scorer=evaluation.summary["scorer"],
         checks=_checks(evaluation),
         sections={name: title for name, title in _SECTIONS.items() if content.get(name, True)},

@@ -11,7 +11,7 @@ from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.parts import is_recording
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
-from oracle_pipeline.bags.terminal import progress_bar
+from oracle_pipeline.bags.terminal import printable, progress_bar
 from oracle_pipeline.datasets import KEYS, feature_dataset, read_table, window_dataset
 from oracle_pipeline.features import FeatureManager, FeatureTables
 from oracle_pipeline.robots.roles_file import RoleChoices
@@ -108,7 +108,7 @@ def _extracted(
             if not has_manifest:  # the robots of one recording are one block
                 both = FeatureTables(
                     *(
-                        table.assign(run_id=recording, label="normal", block=-unlabelled)
+                        table.assign(run_id=printable(recording), label="normal", block=-unlabelled)
                         for table in both
                     )
                 )

@@ -24,6 +24,7 @@ from dagster_webserver.app import create_app_from_workspace_process_context
 from dagster_webserver.version import __version__
 
 from oracle_pipeline.bags.terminal import version_option
+from oracle_pipeline.web_guard import VARIABLE, Guard, OriginError, parse_origins
 from resources.run_processes import fail_lost_runs
 from resources.store import RunStore
 from resources.ui.dagster_internals import (
@@ -33,7 +34,6 @@ from resources.ui.dagster_internals import (
     configure_loggers,
     get_instance_for_cli,
 )
-from resources.ui.guard import VARIABLE, Guard, OriginError, parse_origins
 from resources.ui.report import report_route
 
 PORT = 3000  # Dagster's own default

@@ -13,7 +13,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from resources.ui.guard import OriginError, parse_origins
+from oracle_pipeline.web_guard import OriginError, parse_origins
 from tests.ui import LAUNCH, WebServer, web_server
 
 PROXY = "https://oracle.example.org"

@@ -1,4 +1,5 @@
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +9,7 @@ from click.testing import CliRunner
 
 from oracle_pipeline.cli import main
 from oracle_pipeline.datasets import read_table
+from tests.oracle_pipeline.features.conftest import drive, write_bag
 
 ORACLE = Path(sys.executable).with_name("oracle")
 
@@ -107,3 +109,11 @@ def test_the_installed_command_works(make_run):
 def test_help_has_an_example():
     assert "oracle features data/runs/" in oracle("features", "--help").output
     assert "features" in oracle("--help").output
+
+
+def test_a_recording_whose_name_is_no_utf8_has_features(tmp_path):
+    write_bag(tmp_path / "bag", drive())
+    odd = (tmp_path / "bag").rename(tmp_path / os.fsdecode(b"night\xff\x1b"))
+    done = CliRunner().invoke(main, ["features", str(odd)])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["rows"][0]["run_id"] == r"night\udcff\x1b"

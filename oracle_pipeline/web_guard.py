@@ -18,6 +18,9 @@ from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 VARIABLE = "ORACLE_UI_ORIGINS"
+BEHIND_A_PROXY = (
+    f"Behind a proxy, {VARIABLE} names where people open the UI (docs/how-to/security.md)."
+)
 _LOOPBACK = {"127.0.0.1", "localhost", "[::1]"}
 _HOST = re.compile(r"([a-z0-9._-]+|\[[0-9a-f:.]+\])(?::[0-9]{1,5})?")
 _POLICY_VIOLATION = 1008  # RFC 6455
@@ -66,10 +69,15 @@ class Guard:
         The web server's application.
     origins
         Where people open the UI, besides loopback addresses: see `parse_origins`.
+    advice
+        What a refused user is told to do.
     """
 
-    def __init__(self, app: ASGIApp, origins: Collection[str] = ()) -> None:
+    def __init__(
+        self, app: ASGIApp, origins: Collection[str] = (), advice: str = BEHIND_A_PROXY
+    ) -> None:
         self._app = app
+        self._advice = advice
         self._origins = frozenset(origins)
         self._hosts = frozenset(urlsplit(origin).netloc for origin in origins)
 
@@ -94,14 +102,14 @@ class Guard:
                 return 400, f"There is more than one header {name!r}."
         host, origin = headers.get("host", "").lower(), headers.get("origin")
         if not (_is_loopback(host) or host in self._hosts):
-            return 403, f"The host {host!r} is not one of this server. {_advice()}"
+            return 403, f"The host {host!r} is not one of this server. {self._advice}"
         if origin is not None and not self._is_ours(origin.lower(), host):
-            return 403, f"The origin {origin!r} is not one of this server. {_advice()}"
+            return 403, f"The origin {origin!r} is not one of this server. {self._advice}"
         if scope["type"] == "websocket":
             return None
         method = scope["method"]
         if origin is None and _is_sent_by_another_site(method, headers):
-            return 403, f"The page of another site asks. {_advice()}"
+            return 403, f"The page of another site asks. {self._advice}"
         if method in {"GET", "HEAD"}:
             asks_graphql = scope["path"].rstrip("/").endswith("/graphql")
             if asks_graphql and "text/html" not in headers.get("accept", ""):
@@ -142,7 +150,3 @@ def _not_in_foreign_frames(send: Send) -> Send:
         await send(message)
 
     return framed
-
-
-def _advice() -> str:
-    return f"Behind a proxy, {VARIABLE} names where people open the UI (docs/how-to/security.md)."

@@ -1,0 +1,240 @@
+"""Recordings that arrive in a folder: features and verdict of each, and a page on all of them.
+
+These are external assets, whose events the job ``judge_arrivals`` reports. Dagster refuses a
+command or job whose assets have different partitions; external ones are in none, so that
+``--select '*'`` still means the whole campaign.
+"""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import dagster as dg
+from pydantic import Field
+
+from assets import presentation
+from assets.asset_defaults import OWNERS
+from assets.events import Figures, check_evaluation, latest_materialization, latest_materializations
+from assets.worker.versions import analysis_code, feature_code
+from oracle_pipeline.bags import layout
+from resources.failures import clear_failures
+from resources.inbox import Inbox
+from resources.store import RunStore
+
+if TYPE_CHECKING:
+    from oracle_pipeline.bags.arrivals import Arrival
+    from oracle_pipeline.scoring.kept_verdicts import KeptVerdict
+
+ARRIVALS = dg.DynamicPartitionsDefinition(name="arrivals")
+GROUP = "foreign"
+_VERDICT_CODE = analysis_code("assets.worker.foreign")
+
+FOREIGN_FEATURES = dg.AssetSpec(
+    "foreign_features",
+    group_name=GROUP,
+    kinds={"pandas", "parquet"},
+    owners=OWNERS,
+    code_version=feature_code(),
+    partitions_def=ARRIVALS,
+    description="""The features of a recording that arrived in the inbox, and of its windows.
+
+`<root>/foreign/<key>/run.parquet` and `window.parquet`, with the columns of `run_features` and
+`window_features`. The job `judge_arrivals` makes them, and the sensor `arrived_recordings` starts
+the job.""",
+)
+FOREIGN_VERDICTS = dg.AssetSpec(
+    "foreign_verdicts",
+    deps=[FOREIGN_FEATURES],
+    group_name=GROUP,
+    kinds={"oracle", "json"},
+    owners=OWNERS,
+    code_version=_VERDICT_CODE,
+    partitions_def=ARRIVALS,
+    description="""The verdict on a recording by the reference card, with its evidence.
+
+`<root>/foreign/<key>/verdict.json`: outcome, p-value, departures from the contract, features
+outside their usual range. The same as `oracle score RECORDING --reference CARD`.""",
+)
+FOREIGN_REPORT = dg.AssetSpec(
+    "foreign_report",
+    deps=[FOREIGN_VERDICTS],
+    group_name=GROUP,
+    kinds={"oracle", "jinja"},
+    owners=OWNERS,
+    code_version=analysis_code("oracle_pipeline.reporting.foreign"),
+    description="""All verdicts on recordings that arrived, as one HTML file, the newest first.
+
+`<root>/report/foreign.html`, beside the report on the campaign, which links to it.""",
+)
+SPECS = (FOREIGN_FEATURES, FOREIGN_VERDICTS, FOREIGN_REPORT)
+IS_NORMAL = dg.AssetCheckSpec(
+    "recording_is_normal",
+    asset=FOREIGN_VERDICTS.key,
+    partitions_def=ARRIVALS,
+    description="The recording is not anomalous. One that could not be judged does not pass "
+    "either; with too few normal recordings for a verdict this is a warning.",
+)
+
+
+class JudgeConfig(dg.Config):
+    """How strict a verdict is, and what one recording may take."""
+
+    far: float = Field(
+        default=0.05,
+        gt=0.0,
+        lt=1.0,
+        description="False positive rate: the share of normal recordings that may be called "
+        "anomalous.",
+    )
+    time_limit: float = Field(
+        default=900.0, gt=0.0, description="Seconds that the features of a recording may take."
+    )
+    memory_limit: float = Field(
+        default=4.0, gt=0.0, description="GiB of memory that they may take."
+    )
+
+
+@dg.op
+def judge_recording(
+    context: dg.OpExecutionContext, config: JudgeConfig, store: RunStore, inbox: Inbox
+) -> Iterator[dg.AssetMaterialization | dg.AssetCheckEvaluation | dg.Output[None]]:
+    """Judge the recording of the partition, and make the page on all recordings again."""
+    from assets.worker.foreign import judge_arrival
+    from oracle_pipeline.scoring.isolation import Limits
+
+    key = context.partition_key
+    store.require_writable()
+    with clear_failures():
+        arrival = _arrival(inbox, key)
+        limits = Limits(config.time_limit, config.memory_limit)
+        judged = judge_arrival(arrival, store.path, inbox.card_path, config.far, limits)
+        context.log.info(f"{arrival.name}: {judged.kept.verdict.outcome}.")
+        if judged.tables is not None:
+            yield _materialized(
+                FOREIGN_FEATURES,
+                arrival,
+                {
+                    "path": dg.MetadataValue.path(str(layout.foreign(store.path, key))),
+                    "windows": len(judged.tables.windows),
+                    "dagster/column_schema": dg.MetadataValue.table_schema(
+                        presentation.columns(judged.tables.run)
+                    ),
+                },
+            )
+        yield _materialized(FOREIGN_VERDICTS, arrival, _facts(judged.kept, store))
+        target = latest_materialization(context.instance, FOREIGN_VERDICTS.key, key)
+        yield _evaluation(judged.kept, target)
+        recordings = _write_page(store)
+    page = layout.foreign_page(store.path)
+    yield dg.AssetMaterialization(
+        FOREIGN_REPORT.key,
+        metadata={
+            "path": dg.MetadataValue.path(str(page)),
+            "url": dg.MetadataValue.url(page.as_uri()),
+            "recordings": recordings,
+        },
+        tags={"dagster/code_version": str(FOREIGN_REPORT.code_version)},
+    )
+    yield dg.Output(None)
+
+
+@dg.job(
+    partitions_def=ARRIVALS,
+    description="Judge one recording in the inbox by the reference card: features, verdict, "
+    "check, page. The sensor `arrived_recordings` starts it; start it by hand to judge again, such "
+    "as by another card.",
+)
+def judge_arrivals() -> None:
+    """Judge one recording."""
+    judge_recording()
+
+
+@dg.multi_asset_check(name="checks_of_arrivals", specs=[IS_NORMAL])
+def checks_of_arrivals(
+    context: dg.AssetCheckExecutionContext, store: RunStore
+) -> Iterator[dg.AssetCheckEvaluation | dg.Output[None]]:
+    """Show all stored verdicts again; nothing is judged."""
+    from oracle_pipeline.scoring.kept_verdicts import kept_verdicts
+
+    with clear_failures():
+        stored = kept_verdicts(store.path)
+    keys = [kept.key for kept in stored]
+    targets = latest_materializations(context.instance, FOREIGN_VERDICTS.key, keys)
+    for kept in stored:
+        yield _evaluation(kept, targets.get(kept.key))
+    yield dg.Output(None, output_name=IS_NORMAL.get_python_identifier())
+
+
+def _arrival(inbox: Inbox, key: str) -> "Arrival":
+    from oracle_pipeline.bags.arrivals import arrivals
+
+    found = {arrival.key: arrival for arrival in arrivals(inbox.path).found}
+    if key not in found:
+        raise dg.Failure(
+            f"No recording in {inbox.path} has the key {key}: it was removed or renamed. Put it "
+            "back, or delete the partition.",
+            allow_retries=False,
+        )
+    return found[key]
+
+
+def _materialized(
+    spec: dg.AssetSpec, arrival: "Arrival", metadata: Figures
+) -> dg.AssetMaterialization:
+    return dg.AssetMaterialization(
+        spec.key,
+        partition=arrival.key,
+        metadata={"recording": arrival.name, **metadata},
+        tags={"dagster/code_version": str(spec.code_version)},
+    )
+
+
+def _facts(kept: "KeptVerdict", store: RunStore) -> Figures:
+    """Return a verdict as metadata, with its evidence as a table."""
+    from oracle_pipeline.scoring.output import HEADINGS, cells
+
+    verdict = kept.verdict
+    columns = [dg.TableColumn(heading, "string") for heading in HEADINGS]
+    rows = [
+        dg.TableRecord(dict(zip(HEADINGS, cells(each), strict=True))) for each in verdict.evidence
+    ]
+    numbers = {"p_value": verdict.p_value, "score": verdict.score}
+    return {
+        "outcome": verdict.outcome,
+        **{name: number for name, number in numbers.items() if number is not None},
+        "false_positive_rate": kept.far,
+        "card": kept.card,
+        "contract": dg.MetadataValue.json(list(verdict.contract)),
+        "evidence": dg.MetadataValue.table(rows, schema=dg.TableSchema(columns)),
+        "notes": dg.MetadataValue.json([*filter(None, [verdict.error]), *verdict.notes]),
+        "path": dg.MetadataValue.path(str(layout.foreign(store.path, kept.key) / layout.VERDICT)),
+    }
+
+
+def _evaluation(kept: "KeptVerdict", target: dg.EventLogRecord | None) -> dg.AssetCheckEvaluation:
+    """Return the check's result; too few normal recordings for a verdict are only a warning."""
+    from oracle_pipeline.scoring.output import paragraph
+
+    verdict = kept.verdict
+    unsupported = verdict.outcome == "unsupported"
+    return check_evaluation(
+        IS_NORMAL,
+        kept.key,
+        target,
+        passed=verdict.outcome == "normal",
+        description="\n".join(paragraph(verdict)),
+        metadata={"outcome": verdict.outcome, "false_positive_rate": kept.far},
+        severity=dg.AssetCheckSeverity.WARN if unsupported else dg.AssetCheckSeverity.ERROR,
+    )
+
+
+def _write_page(store: RunStore) -> int:
+    """Write the page on all verdicts; return how many there are."""
+    from oracle_pipeline.reporting.foreign import foreign_page
+    from oracle_pipeline.reporting.html import write_page
+    from oracle_pipeline.scoring.kept_verdicts import kept_verdicts
+
+    shown = None
+    while shown != (now := kept_verdicts(store.path)):  # another run may have written beside us
+        write_page(foreign_page(now), layout.foreign_page(store.path))
+        shown = now
+    return len(shown)

@@ -1,0 +1,86 @@
+"""What is done for one recording that arrived from elsewhere: features, then the verdict."""
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from oracle_pipeline.bags import layout
+from oracle_pipeline.bags.arrivals import Arrival
+from oracle_pipeline.bags.terminal import printable
+
+if TYPE_CHECKING:
+    from oracle_pipeline.features import FeatureTables
+    from oracle_pipeline.scoring.card import ReferenceCard
+    from oracle_pipeline.scoring.isolation import Limits
+    from oracle_pipeline.scoring.kept_verdicts import KeptVerdict
+    from oracle_pipeline.scoring.verdict import Verdict
+
+
+class Judged(NamedTuple):
+    """What became of a recording."""
+
+    kept: "KeptVerdict"
+    tables: "FeatureTables | None"  # None: it could not be read
+
+
+def judge_arrival(
+    arrival: Arrival, root: Path, card_path: Path, far: float, limits: "Limits"
+) -> Judged:
+    """Judge a recording in a process of its own, and keep features and verdict below the root.
+
+    A recording that cannot be read or judged gets a verdict with the reason.
+
+    Raises
+    ------
+    OracleError
+        If there is no such card.
+    """
+    from oracle_pipeline.scoring.card import ReferenceCard
+    from oracle_pipeline.scoring.kept_verdicts import KeptVerdict
+
+    card = ReferenceCard.load(card_path)
+    verdict, tables = _judged(arrival, card, far, limits)
+    folder = layout.foreign(root, arrival.key)
+    _keep(tables, folder)
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    kept = KeptVerdict(arrival.key, arrival.fingerprint, verdict, far, str(card_path), now)
+    kept.save(folder / layout.VERDICT)
+    return Judged(kept, tables)
+
+
+def _judged(
+    arrival: Arrival, card: "ReferenceCard", far: float, limits: "Limits"
+) -> "tuple[Verdict, FeatureTables | None]":
+    from oracle_pipeline.bags.errors import BagError, OracleError
+    from oracle_pipeline.features import build_manager
+    from oracle_pipeline.scoring.isolation import extract_apart
+    from oracle_pipeline.scoring.judging import judge
+    from oracle_pipeline.scoring.verdict import Verdict
+
+    tables = None
+    try:
+        robots = extract_apart(arrival.path, build_manager(), limits)
+        if len(robots) > 1:
+            raise BagError(
+                f"{arrival.name} has {len(robots)} robots, and an arrival has one verdict. Judge "
+                f"each of them with: oracle score {arrival.path} --reference CARD"
+            )
+        tables = robots[0].tables
+        verdict = judge(arrival.name, tables, card, far, robots[0].observation)
+    except (OracleError, OSError) as error:
+        return Verdict(arrival.name, "error", error=printable(str(error))), tables
+    return replace(verdict, notes=(*tables.notes, *verdict.notes)), tables
+
+
+def _keep(tables: "FeatureTables | None", folder: Path) -> None:
+    """Write the feature tables, or remove those of a former recording of this name."""
+    from oracle_pipeline.datasets import write_table
+
+    files = {name: folder / f"{name}.parquet" for name in layout.TABLES}
+    if tables is None:
+        for file in files.values():
+            file.unlink(missing_ok=True)
+    else:
+        write_table(tables.windows, files["window"])
+        write_table(tables.run, files["run"])

@@ -1,0 +1,130 @@
+"""Recordings that arrive in a folder: which are there, and whether they are still being written.
+
+Names and sizes are looked at, and the last bytes of an MCAP file; no message is read.
+"""
+
+import hashlib
+import itertools
+import os
+import re
+import stat
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from oracle_pipeline.bags.mcap import MAGIC
+from oracle_pipeline.bags.parts import METADATA, is_recording
+from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
+from oracle_pipeline.bags.terminal import printable
+
+_LAST = (METADATA, MANIFEST_FILE, RECORDING_FILE)  # written when all else is there
+MOST_FILES = 10_000  # of one recording that are looked at; rosbag2 splits into far fewer
+_PLAIN = re.compile(r"[A-Za-z0-9_](?:\.?[A-Za-z0-9_-])*")
+_OTHER = re.compile(r"[^A-Za-z0-9_]+")
+_DIGEST = re.compile(r"-[0-9a-f]{12}")
+_LONGEST = 100  # characters of a key, without its digest
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """One recording in the folder, as it is now."""
+
+    path: Path
+    key: str  # see `key_of`
+    fingerprint: str  # of names, sizes and times of its files
+    finished: bool  # as far as its files tell; a recorder that was killed never finishes
+    changed_s: float  # when a file of it changed last [s since 1970]
+
+    @property
+    def name(self) -> str:
+        """Its name, for people."""
+        return printable(self.path.name)
+
+
+class Arrivals(NamedTuple):
+    """What a look at the folder gave."""
+
+    found: list[Arrival]  # by name
+    faults: list[str]  # why some entries could not be looked at
+
+
+def arrivals(folder: Path) -> Arrivals:
+    """Return the recordings in a folder.
+
+    Hidden entries are left out, so that a copy can be made under a hidden name and then renamed.
+
+    Raises
+    ------
+    OSError
+        If the folder itself cannot be listed.
+    """
+    looked = Arrivals([], [])
+    for path in sorted(folder.iterdir(), key=os.fsencode):
+        try:
+            if not path.name.startswith(".") and (arrival := _looked_at(path)):
+                looked.found.append(arrival)
+        except FileNotFoundError:
+            continue  # removed in this moment
+        except OSError as error:
+            looked.faults.append(f"{printable(path.name)} cannot be looked at: {error.strerror}.")
+    return looked
+
+
+def key_of(name: str) -> str:
+    """Return a short ASCII key of a file name, another one for each name.
+
+    An ordinary name is its own key. Of any other name, including one that is no UTF-8, the key has
+    what is readable, and a digest of its bytes.
+
+    Examples
+    --------
+    >>> key_of("rosbag2_2026_11_22-10_00_00")
+    'rosbag2_2026_11_22-10_00_00'
+    >>> key_of("Küche|2...3.mcap")
+    'K-che-2-3-mcap-965a50f97fd8'
+    """
+    plain = _PLAIN.fullmatch(name) and not _DIGEST.fullmatch(name[-13:])
+    if plain and len(name) <= _LONGEST:
+        return name
+    readable = _OTHER.sub("-", name).strip("-")[:_LONGEST] or "recording"
+    return f"{readable}-{hashlib.sha256(os.fsencode(name)).hexdigest()[:12]}"
+
+
+def _looked_at(path: Path) -> Arrival | None:
+    """Return the recording at a path; None if there is none."""
+    status = path.stat()
+    if stat.S_ISDIR(status.st_mode):
+        files = sorted(_files(path), key=os.fsencode)
+        holds_one = any(file.name == MANIFEST_FILE or is_recording(file) for file in files)
+        finished = any((path / name).is_file() for name in _LAST)
+        finished = finished or all(_ends(file) for file in files if is_recording(file))
+    else:
+        files = [path]
+        holds_one = stat.S_ISREG(status.st_mode) and is_recording(path)
+        finished = holds_one and (_ends(path) or path.suffix != ".mcap")
+    if not holds_one:
+        return None
+    states = [(file, file.stat()) for file in files]
+    digest = hashlib.sha256()
+    for file, state in states:
+        digest.update(os.fsencode(file.relative_to(path.parent)))
+        digest.update(b"\0%d %d\0" % (state.st_size, state.st_mtime_ns))
+    changed_s = max(state.st_mtime for _, state in states)
+    return Arrival(path, key_of(path.name), digest.hexdigest()[:16], finished, changed_s)
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """Yield the files of a recording, links to folders not followed."""
+    walk = (Path(place, name) for place, _, names in os.walk(folder) for name in names)
+    yield from itertools.islice(walk, MOST_FILES)
+
+
+def _ends(file: Path) -> bool:
+    """Tell whether an MCAP file has its end."""
+    if file.suffix != ".mcap" or not file.is_file():
+        return False
+    with file.open("rb") as source:
+        size = source.seek(0, os.SEEK_END)
+        source.seek(max(0, size - len(MAGIC)))
+        return size > len(MAGIC) and source.read() == MAGIC

@@ -1,0 +1,160 @@
+"""A running watch in Foxglove: its WebSocket, on this machine only.
+
+Topics are handed on as they are, with their ROS 2 message definitions, so Foxglove shows scans,
+paths, maps and transforms by itself. Added are the verdicts on windows (``/oracle/window``), a log
+of alarms and notes (``/oracle/log``), and the ROS graph for the panel Topic Graph. Clients cannot
+publish. A layout is in ``docs/foxglove/live.json``.
+"""
+
+import math
+from typing import TYPE_CHECKING, Self
+
+from oracle_pipeline.bags.errors import BagError, OracleError
+from oracle_pipeline.bags.terminal import printable
+from oracle_pipeline.bags.types import definition
+from oracle_pipeline.live.watch import Alarm, Event, GraphTaken, MessageHeard, Note
+from oracle_pipeline.live.window_scorer import WindowVerdict
+
+if TYPE_CHECKING:
+    from foxglove import Channel
+    from foxglove.websocket import ConnectionGraph
+
+PORT = 8765  # Foxglove's own default
+WINDOW_TOPIC, LOG_TOPIC = "/oracle/window", "/oracle/log"
+_SECOND_NS = 1_000_000_000
+WINDOW_SCHEMA = {
+    "type": "object",
+    "title": "oracle.Window",
+    "properties": {
+        **{name: {"type": "number"} for name in ("start_s", "end_s", "score", "p_value")},
+        **{name: {"type": "boolean"} for name in ("usual", "alarm")},
+    },
+}
+
+
+class FoxgloveError(OracleError):
+    """Foxglove cannot be served."""
+
+
+class FoxgloveServer:
+    """Serves a watch to Foxglove; a context manager.
+
+    Parameters
+    ----------
+    port : int
+        To listen at, on 127.0.0.1 only; 0 is any that is free.
+
+    Raises
+    ------
+    FoxgloveError
+        The SDK is not installed, or the port is taken.
+    """
+
+    def __init__(self, port: int = PORT) -> None:
+        try:
+            import foxglove
+            from foxglove.channels import LogChannel
+        except ImportError as error:
+            raise FoxgloveError(
+                "Foxglove's SDK is not installed: pip install 'ros2-behaviour-oracle[live]'."
+            ) from error
+        self._context = foxglove.Context()
+        try:
+            self._server = foxglove.start_server(
+                name="oracle watch",
+                host="127.0.0.1",
+                port=port,
+                capabilities=[foxglove.Capability.ConnectionGraph],
+                context=self._context,
+            )
+        except RuntimeError as error:
+            raise FoxgloveError(
+                f"Nothing can listen at port {port} of 127.0.0.1: {error}. Name another port, or "
+                "0 for a free one."
+            ) from error
+        self.address = f"ws://127.0.0.1:{self._server.port}"
+        self._channels: dict[str, Channel | None] = {}  # None: its definition is not known
+        self._window = foxglove.Channel(WINDOW_TOPIC, schema=WINDOW_SCHEMA, context=self._context)
+        self._log = LogChannel(LOG_TOPIC, context=self._context)
+        self._start_ns: int | None = None
+        self._now_ns = 0
+
+    def show(self, event: Event) -> None:
+        """Hand an event to those who are connected."""
+        if isinstance(event, MessageHeard):
+            self._message(event)
+        elif isinstance(event, GraphTaken):
+            self._server.publish_connection_graph(_connections(event))
+        elif isinstance(event, WindowVerdict):
+            self._window.log(
+                {
+                    "start_s": event.start_s,
+                    "end_s": event.end_s,
+                    "score": event.score if math.isfinite(event.score) else None,
+                    "p_value": event.p_value,
+                    "usual": event.is_usual,
+                    "alarm": event.alarm,
+                },
+                log_time=self._stamp_ns(event.end_s),
+            )
+        elif isinstance(event, Alarm):
+            verdict = event.verdict
+            named = ", ".join(each.feature for each in verdict.evidence)
+            text = f"Anomalous from {verdict.start_s:g} s to {verdict.end_s:g} s: {named}"
+            self._say(text, self._stamp_ns(verdict.end_s), is_alarm=True)
+        elif isinstance(event, Note):
+            self._say(event.text, self._now_ns, is_alarm=False)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_exception: object) -> None:
+        self._server.stop()
+
+    def _message(self, event: MessageHeard) -> None:
+        if self._start_ns is None:
+            self._start_ns = event.stamp_ns
+        self._now_ns = event.stamp_ns
+        if event.topic not in self._channels:
+            self._channels[event.topic] = self._channel(event)
+        channel = self._channels[event.topic]
+        if channel is not None:
+            channel.log(event.data, log_time=event.stamp_ns)
+
+    def _channel(self, event: MessageHeard) -> "Channel | None":
+        from foxglove import Channel, Schema
+
+        try:
+            text = definition(event.msgtype)
+        except BagError:
+            return None
+        schema = Schema(name=event.msgtype, encoding="ros2msg", data=text.encode())
+        return Channel(event.topic, schema=schema, message_encoding="cdr", context=self._context)
+
+    def _stamp_ns(self, second: float) -> int:
+        return (self._start_ns or 0) + round(second * _SECOND_NS)
+
+    def _say(self, text: str, stamp_ns: int, *, is_alarm: bool) -> None:
+        from foxglove.messages import Log, LogLevel, Timestamp
+
+        level = LogLevel.Error if is_alarm else LogLevel.Warning
+        stamp = Timestamp(*divmod(stamp_ns, _SECOND_NS))
+        self._log.log(
+            Log(timestamp=stamp, level=level, message=printable(text), name="oracle"),
+            log_time=stamp_ns,
+        )
+
+
+def _connections(event: GraphTaken) -> "ConnectionGraph":
+    """Return the graph as Foxglove's panel Topic Graph knows it: nodes of each topic."""
+    from foxglove import ConnectionGraph
+
+    connections = ConnectionGraph()
+    graph = event.graph
+    for vertex, data in graph.nodes(data=True):
+        if data["kind"] == "topic":
+            publishers = [graph.nodes[node]["label"] for node in graph.predecessors(vertex)]
+            subscribers = [graph.nodes[node]["label"] for node in graph.successors(vertex)]
+            connections.set_published_topic(data["label"], publishers)
+            connections.set_subscribed_topic(data["label"], subscribers)
+    return connections

@@ -1,0 +1,138 @@
+"""A page on a running watch, served to this machine's browsers: ``page.html`` beside this module.
+
+The page asks nothing and can change nothing: it hears server-sent events, each with those parts
+that have changed. Requests pass the same guard as those to Dagster's UI.
+"""
+
+import asyncio
+import base64
+import hashlib
+import json
+import re
+import socket
+import threading
+from collections.abc import AsyncIterator, Callable
+from importlib.resources import files
+from typing import Self
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.live.shown import Shown
+from oracle_pipeline.live.watch import Event
+from oracle_pipeline.web_guard import Guard
+
+PORT = 8300
+_EVERY_S = 0.2  # between two looks for changes
+_ENDS_S = 3  # that open connections get when the watch ends
+_ADVICE = "Open the address that oracle watch prints, on the machine where it runs."
+
+
+class PageError(OracleError):
+    """The page cannot be served."""
+
+
+class LivePage:
+    """Serves the page; a context manager.
+
+    Parameters
+    ----------
+    port : int
+        To listen at, on 127.0.0.1 only; 0 is any that is free.
+
+    Raises
+    ------
+    PageError
+        If the port is taken.
+    """
+
+    def __init__(self, port: int = PORT) -> None:
+        self.shown = Shown()
+        try:
+            self._socket = socket.create_server(("127.0.0.1", port))
+        except OSError as error:
+            raise PageError(
+                f"Nothing can listen at port {port} of 127.0.0.1: {error.strerror}. Name another "
+                "port, or 0 for a free one."
+            ) from error
+        self.address = f"http://127.0.0.1:{self._socket.getsockname()[1]}"
+        self._server = uvicorn.Server(
+            uvicorn.Config(
+                Guard(_application(self.shown, self._is_over), advice=_ADVICE),
+                log_level="error",
+                lifespan="off",
+                timeout_graceful_shutdown=_ENDS_S,
+            )
+        )
+        self._thread = threading.Thread(
+            target=self._server.run, args=([self._socket],), name="page", daemon=True
+        )
+
+    def show(self, event: Event) -> None:
+        """Show an event."""
+        self.shown.show(event)
+
+    def _is_over(self) -> bool:
+        return self._server.should_exit
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_exception: object) -> None:
+        self._server.should_exit = True
+        self._thread.join()
+        self._socket.close()
+
+
+def page() -> tuple[str, str]:
+    """Return the page, and its content security policy: its own script, its own events."""
+    text = (files(__package__) / "page.html").read_text(encoding="utf-8")
+    sources = {}
+    for tag in ("script", "style"):
+        found = re.search(rf"<{tag}>(.*?)</{tag}>", text, re.DOTALL)
+        assert found is not None, tag  # noqa: S101 -- the page is ours
+        digest = hashlib.sha256(found[1].encode()).digest()
+        sources[tag] = f"'sha256-{base64.b64encode(digest).decode()}'"
+    policy = (
+        f"default-src 'none'; script-src {sources['script']}; style-src {sources['style']}; "
+        "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'"
+    )
+    return text, policy
+
+
+def _application(shown: Shown, is_over: Callable[[], bool]) -> Starlette:
+    text, policy = page()
+
+    async def whole(_request: Request) -> Response:
+        return HTMLResponse(
+            text, headers={"Content-Security-Policy": policy, "Cache-Control": "no-store"}
+        )
+
+    async def events(request: Request) -> Response:
+        return StreamingResponse(
+            _changes(request, shown, is_over),
+            media_type="text/event-stream",
+            headers={"Cache-Control": "no-store"},
+        )
+
+    return Starlette(routes=[Route("/", whole), Route("/events", events)])
+
+
+async def _changes(
+    request: Request, shown: Shown, is_over: Callable[[], bool]
+) -> AsyncIterator[str]:
+    """Yield all parts, then those that change, until the page or the watch is gone."""
+    change = 0
+    yield "retry: 1000\n\n"
+    while not is_over() and not await request.is_disconnected():
+        change, parts = shown.since(change)
+        for name, part in parts.items():
+            yield f"event: {name}\ndata: {json.dumps(part, allow_nan=False)}\n\n"
+        await asyncio.sleep(_EVERY_S)
+    if is_over():
+        yield "event: over\ndata: {}\n\n"

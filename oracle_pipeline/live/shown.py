@@ -1,0 +1,176 @@
+"""What a live page shows: the newest of everything, bounded, however long a watch goes on.
+
+The watch hands events in; a page asks what has changed since it last asked. So a slow page costs
+the watch nothing.
+"""
+
+import math
+import threading
+from collections import deque
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.terminal import printable
+from oracle_pipeline.bags.types import typestore
+from oracle_pipeline.live.watch import Alarm, Event, GraphTaken, MessageHeard, Note
+from oracle_pipeline.live.window_scorer import WindowVerdict
+from oracle_pipeline.scoring.output import HEADINGS, cells
+
+MOST_VERDICTS = 720  # an hour of windows
+MOST_ALARMS = 50
+MOST_NOTES = 50
+MOST_POSES = 2000  # of the path; older ones are thinned out
+MOST_RAYS = 720  # of a scan
+MOST_SCANS = 4  # topics of scans
+EVERY_NS = 200_000_000  # of the recording, between two scans or poses that are looked at
+_SCAN, _ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
+
+Part = dict[str, Any] | list[Any]
+
+
+class Shown:
+    """The newest state of a watch; the watch's thread writes, a server's threads read."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._changes = 0
+        self._changed: dict[str, int] = {}  # number of the newest change of each part
+        self._start_ns: int | None = None
+        self._heard = 0
+        self._now_s = 0.0
+        self._graph: Part = {"start_s": None, "nodes": [], "edges": []}
+        self._verdicts: deque[Part] = deque(maxlen=MOST_VERDICTS)
+        self._alarms: deque[Part] = deque(maxlen=MOST_ALARMS)
+        self._notes: deque[str] = deque(maxlen=MOST_NOTES)
+        self._scans: dict[str, Part] = {}
+        self._path: list[list[float]] = []  # x [m], y [m], yaw [rad]
+        self._odometry = ""  # the topic that gives the path
+        self._looked: dict[str, int] = {}  # stamp of the newest message that was looked at [ns]
+
+    def show(self, event: Event) -> None:
+        """Take an event in."""
+        with self._lock:
+            if isinstance(event, MessageHeard):
+                self._message(event)
+            elif isinstance(event, GraphTaken):
+                self._graph = _graph(event)
+                self._change("graph")
+            elif isinstance(event, WindowVerdict):
+                self._verdicts.append(_verdict(event))
+                self._change("verdicts")
+            elif isinstance(event, Alarm):
+                self._alarms.append(_alarm(event))
+                self._change("alarms")
+            elif isinstance(event, Note):
+                self._notes.append(printable(event.text))
+                self._change("notes")
+
+    def since(self, change: int) -> tuple[int, dict[str, Part]]:
+        """Return the number of the newest change, and all parts that changed after another one."""
+        with self._lock:
+            if change >= self._changes:
+                return self._changes, {}
+            parts: dict[str, Part] = {
+                "status": {"heard": self._heard, "now_s": self._now_s},
+                "graph": self._graph,
+                "verdicts": list(self._verdicts),
+                "alarms": list(self._alarms),
+                "notes": list(self._notes),
+                "scans": dict(self._scans),
+                "path": list(self._path),
+            }
+            return self._changes, {
+                name: part for name, part in parts.items() if self._changed.get(name, 0) > change
+            }
+
+    def _change(self, part: str) -> None:
+        self._changes += 1
+        self._changed[part] = self._changes
+
+    def _message(self, event: MessageHeard) -> None:
+        if self._start_ns is None:
+            self._start_ns = event.stamp_ns
+        self._heard += 1
+        self._now_s = (event.stamp_ns - self._start_ns) * 1e-9
+        if event.stamp_ns - self._looked.get("", -EVERY_NS) >= EVERY_NS:
+            self._looked[""] = event.stamp_ns
+            self._change("status")
+        if event.msgtype not in (_SCAN, _ODOMETRY):
+            return
+        if event.stamp_ns - self._looked.get(event.topic, -EVERY_NS) < EVERY_NS:
+            return
+        self._looked[event.topic] = event.stamp_ns
+        message = typestore().deserialize_cdr(event.data, event.msgtype)
+        if event.msgtype == _SCAN:
+            topic = printable(event.topic)
+            if topic in self._scans or len(self._scans) < MOST_SCANS:
+                self._scans[topic] = points(message)
+                self._change("scans")
+        elif self._odometry in ("", event.topic):
+            self._odometry = event.topic
+            self._add(_pose(message))
+
+    def _add(self, pose: list[float]) -> None:
+        if not all(map(math.isfinite, pose)):
+            return
+        self._path.append(pose)
+        if len(self._path) > MOST_POSES:
+            self._path = self._path[::2]
+        self._change("path")
+
+
+def points(scan: Any) -> list[list[float]]:
+    """Return where the rays of a scan end, in the sensor's frame [m]; rays without a return not."""
+    ranges: NDArray[np.float64] = np.asarray(scan.ranges, dtype=np.float64)
+    step = max(1, math.ceil(len(ranges) / MOST_RAYS))
+    bearings = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
+    hit = np.isfinite(ranges) & (ranges >= scan.range_min) & (ranges <= scan.range_max)
+    hit[np.arange(len(ranges)) % step != 0] = False
+    ends = ranges[hit, None] * np.stack([np.cos(bearings[hit]), np.sin(bearings[hit])], axis=1)
+    return [[float(x), float(y)] for x, y in ends.round(3)]
+
+
+def _pose(odometry: Any) -> list[float]:
+    """Return x, y [m] and yaw [rad], to a millimetre."""
+    position, turn = odometry.pose.pose.position, odometry.pose.pose.orientation
+    sine = 2.0 * (turn.w * turn.z + turn.x * turn.y)
+    cosine = 1.0 - 2.0 * (turn.y * turn.y + turn.z * turn.z)
+    return [round(float(v), 3) for v in (position.x, position.y, math.atan2(sine, cosine))]
+
+
+def _graph(event: GraphTaken) -> Part:
+    graph = event.graph
+    number = {vertex: number for number, vertex in enumerate(sorted(graph))}
+    return {
+        "start_s": event.start_s,
+        "nodes": [
+            {"id": n, **{key: printable(graph.nodes[v][key]) for key in ("label", "kind", "type")}}
+            for v, n in number.items()
+        ],
+        "edges": [
+            {"source": number[u], "target": number[v], "messages": data["messages"]}
+            for u, v, data in graph.edges(data=True)
+        ],
+    }
+
+
+def _verdict(event: WindowVerdict) -> Part:
+    return {
+        "end_s": event.end_s,
+        "score": event.score if math.isfinite(event.score) else None,
+        "p_value": event.p_value,
+        "usual": event.is_usual,
+        "alarm": event.alarm,
+    }
+
+
+def _alarm(event: Alarm) -> Part:
+    verdict = event.verdict
+    return {
+        **{k: v for k, v in asdict(verdict).items() if k in ("start_s", "end_s", "p_value")},
+        "headings": list(HEADINGS),
+        "evidence": [[printable(cell) for cell in cells(each)] for each in verdict.evidence],
+    }

@@ -1,0 +1,1 @@
+"""A recorder of interval graphs that runs inside ROS."""

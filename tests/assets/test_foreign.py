@@ -1,0 +1,259 @@
+"""Recordings that arrive in a folder are judged once each, by a real Dagster instance."""
+
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import dagster as dg
+import pytest
+
+from assets.arrivals import QUIET_S
+from assets.foreign import ARRIVALS, IS_NORMAL
+from oracle_pipeline.bags.arrivals import key_of
+from oracle_pipeline.bags.mcap import MAGIC
+from oracle_pipeline.datasets import read_table
+from oracle_pipeline.features import build_manager
+from oracle_pipeline.scoring.learning import learn
+from oracle_pipeline.scoring.reference import read_reference
+from resources.inbox import Inbox
+from tests.assets.laboratory import Laboratory, dagster_home
+from tests.oracle_pipeline.features.conftest import drive, write_bag
+from tests.oracle_pipeline.scoring.test_score_command import spinning
+
+pytestmark = pytest.mark.slow
+FAR = 0.3  # four normal recordings, or three others, support no lower rate
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A card of four good bags, and three recordings to judge."""
+    root = tmp_path_factory.mktemp("recordings")
+    for name in "abcd":
+        write_bag(root / "good" / name, drive())
+    write_bag(root / "usual", drive())
+    write_bag(root / "spinning", spinning())
+    (root / "broken.mcap").write_bytes(MAGIC + b"\0" * 64 + MAGIC)
+    learn(read_reference([root / "good"], build_manager())).save(root / "robot.card")
+    return root
+
+
+class Watched:
+    """An inbox beside an instance: ticks of the sensor, and the runs that it requested."""
+
+    def __init__(self, laboratory: Laboratory, inbox: Path, card: Path) -> None:
+        self.laboratory = laboratory
+        self.folder = inbox
+        self.configure(Inbox(folder=str(inbox), card=str(card)))
+        self.cursor: str | None = None
+
+    def configure(self, inbox: Inbox) -> None:
+        self.defs = self.laboratory.defs(inbox=inbox)
+
+    def tick(self) -> Any:
+        """Evaluate the sensor as the code server does, and add partitions as the daemon does."""
+        sensor = self.defs.resolve_sensor_def("arrived_recordings")
+        repository = self.defs.get_repository_def()
+        with dg.SensorEvaluationContext(
+            instance_ref=self.laboratory.instance.get_ref(),
+            cursor=self.cursor,
+            repository_def=repository,
+            sensor_name=sensor.name,
+            resources=dict(self.defs.get_repository_def().get_top_level_resources()),
+        ) as context:
+            seen = sensor.evaluate_tick(context)
+        self.cursor = seen.cursor
+        for request in seen.dynamic_partitions_requests or []:
+            self.laboratory.instance.add_dynamic_partitions(
+                request.partitions_def_name, list(request.partition_keys)
+            )
+        return seen
+
+    def arrive(self, source: Path, name: str) -> str:
+        """Copy a recording into the inbox; return its key."""
+        target = self.folder / name
+        if source.is_dir():
+            shutil.copytree(source, target)
+        else:
+            shutil.copy(source, target)
+        return key_of(name)
+
+    def judge(self, key: str, far: float = FAR) -> dg.ExecuteInProcessResult:
+        return self.defs.resolve_job_def("judge_arrivals").execute_in_process(
+            partition_key=key,
+            instance=self.laboratory.instance,
+            run_config={"ops": {"judge_recording": {"config": {"far": far}}}},
+            raise_on_error=False,
+        )
+
+    def check(self, key: str) -> Any:
+        """Return the stored result of the check for one partition."""
+        storage = self.laboratory.instance.event_log_storage
+        history = storage.get_asset_check_execution_history(IS_NORMAL.key, limit=20)
+        evaluations = [
+            record.event.dagster_event.asset_check_evaluation_data
+            for record in history
+            if record.event and record.event.dagster_event
+        ]
+        return next(each for each in evaluations if each.partition == key)
+
+    def page(self) -> str:
+        return (self.laboratory.root / "report" / "foreign.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def watched(tmp_path: Path, place: Path) -> Iterator[Watched]:
+    (tmp_path / "inbox").mkdir()
+    with dagster_home(tmp_path / "home") as instance:
+        laboratory = Laboratory(tmp_path / "data", instance)
+        yield Watched(laboratory, tmp_path / "inbox", place / "robot.card")
+
+
+def keys(seen: Any) -> list[str]:
+    return [request.partition_key for request in seen.run_requests or []]
+
+
+def test_a_recording_is_requested_once_it_is_at_rest_and_then_once_for_each_change(
+    watched: Watched, place: Path
+) -> None:
+    key = watched.arrive(place / "usual", "one")
+    first = watched.tick()
+    assert not keys(first)
+    assert "one" in first.skip_message
+    second = watched.tick()
+    assert keys(second) == [key]
+    assert watched.laboratory.instance.has_dynamic_partition(str(ARRIVALS.name), key)
+    assert not keys(watched.tick())
+    (mcap,) = (watched.folder / "one").glob("*.mcap")
+    os.utime(mcap, (1.0, 1.0))
+    assert not keys(watched.tick())
+    again = watched.tick()
+    assert keys(again) == [key]
+    assert again.run_requests[0].run_key != second.run_requests[0].run_key
+
+
+def test_a_recording_that_grows_is_not_requested(watched: Watched, place: Path) -> None:
+    key = watched.arrive(place / "usual", "growing")
+    metadata = watched.folder / "growing" / "metadata.yaml"
+    (mcap,) = (watched.folder / "growing").glob("*.mcap")
+    end, whole = metadata.read_bytes(), mcap.read_bytes()
+    metadata.unlink()
+    for share in (0.2, 0.5, 0.9):
+        mcap.write_bytes(whole[: int(len(whole) * share)])
+        assert not keys(watched.tick())
+    assert not keys(watched.tick())  # at rest, but it has no end
+    mcap.write_bytes(whole)
+    metadata.write_bytes(end)
+    assert not keys(watched.tick())
+    assert keys(watched.tick()) == [key]
+
+
+def test_a_recording_that_was_cut_off_is_requested_after_a_while(
+    watched: Watched, place: Path
+) -> None:
+    key = watched.arrive(place / "usual", "cut")
+    (watched.folder / "cut" / "metadata.yaml").unlink()
+    (mcap,) = (watched.folder / "cut").glob("*.mcap")
+    mcap.write_bytes(mcap.read_bytes()[:-100])
+    watched.tick()
+    assert not keys(watched.tick())
+    before = mcap.stat().st_mtime - QUIET_S - 1.0
+    os.utime(mcap, (before, before))
+    watched.tick()
+    assert keys(watched.tick()) == [key]
+
+
+def test_a_removed_recording_is_told_and_its_verdict_kept(watched: Watched, place: Path) -> None:
+    key = watched.arrive(place / "usual", "gone")
+    watched.tick()
+    watched.tick()
+    assert watched.judge(key).success
+    shutil.rmtree(watched.folder / "gone")
+    seen = watched.tick()
+    assert "Removed: gone." in seen.skip_message
+    assert [event.partition for event in seen.asset_events] == [key]
+    assert "gone" in watched.page()
+    assert not watched.tick().asset_events  # told once
+
+
+@pytest.mark.parametrize("lacking", ["folder", "card"])
+def test_without_inbox_or_card_a_tick_says_what_to_do(
+    watched: Watched, tmp_path: Path, lacking: str
+) -> None:
+    settings = {"folder": str(watched.folder), "card": __file__}
+    for wrong in ("", str(tmp_path / "nowhere")):
+        watched.configure(Inbox(**{**settings, lacking: wrong}))
+        seen = watched.tick()
+        assert not keys(seen)
+        assert (f"set ORACLE_{'INBOX' if lacking == 'folder' else 'CARD'}" if not wrong
+                else "nowhere") in seen.skip_message  # fmt: skip
+
+
+def test_each_recording_gets_its_verdict_and_a_bad_one_blocks_no_other(
+    watched: Watched, place: Path
+) -> None:
+    odd = os.fsdecode(b"spinning \xff|...\x1b[2J")
+    found = {
+        "broken": watched.arrive(place / "broken.mcap", "broken.mcap"),
+        "odd": watched.arrive(place / "spinning", odd),
+        "usual": watched.arrive(place / "usual", "usual"),
+    }
+    watched.tick()
+    assert sorted(keys(watched.tick())) == sorted(found.values())
+    for key in found.values():
+        assert watched.judge(key).success
+    checks = {name: watched.check(key) for name, key in found.items()}
+    assert {name: check.passed for name, check in checks.items()} == {
+        "broken": False, "odd": False, "usual": True
+    }  # fmt: skip
+    assert {check.severity for check in checks.values()} == {dg.AssetCheckSeverity.ERROR}
+    assert "z" in checks["odd"].description
+    assert watched.laboratory.materialized("foreign_features") == {found["odd"], found["usual"]}
+    assert watched.laboratory.materialized("foreign_verdicts") == set(found.values())
+    figures = watched.laboratory.figures("foreign_verdicts", found["odd"])
+    assert figures["outcome"] == "anomalous"
+    assert figures["recording"] == r"spinning \udcff|...\x1b[2J"
+    assert len(figures["evidence"].records) > 0
+    folder = watched.laboratory.root / "foreign" / found["odd"]
+    assert len(read_table(folder / "run.parquet")) == 1
+    assert len(read_table(folder / "window.parquet")) > 1
+    assert json.loads((folder / "verdict.json").read_text())["verdict"]["outcome"] == "anomalous"
+    page = watched.page()
+    assert "3 recordings: 1 anomalous, 1 could not be judged, 1 normal." in page
+    assert "\x1b" not in page
+    assert "contextual." in page
+
+
+def test_too_few_normal_recordings_are_a_warning(watched: Watched, place: Path) -> None:
+    key = watched.arrive(place / "usual", "usual")
+    watched.laboratory.instance.add_dynamic_partitions(str(ARRIVALS.name), [key])
+    assert watched.judge(key, far=0.05).success
+    check = watched.check(key)
+    assert not check.passed
+    assert check.severity is dg.AssetCheckSeverity.WARN
+    assert "19 are needed" in check.description
+
+
+def test_a_recording_that_is_gone_before_its_run_says_so(watched: Watched) -> None:
+    watched.laboratory.instance.add_dynamic_partitions(str(ARRIVALS.name), ["gone"])
+    failed = watched.judge("gone")
+    assert not failed.success
+    data = failed.failure_data_for_node("judge_recording")
+    assert data is not None
+    assert data.user_failure_data is not None
+    assert "was removed or renamed" in str(data.user_failure_data.description)
+
+
+def test_the_check_can_be_shown_again_without_judging(watched: Watched, place: Path) -> None:
+    key = watched.arrive(place / "spinning", "spinning")
+    watched.laboratory.instance.add_dynamic_partitions(str(ARRIVALS.name), [key])
+    assert watched.judge(key).success
+    shutil.rmtree(watched.folder / "spinning")
+    job = dg.define_asset_job("again", selection=dg.AssetSelection.checks(IS_NORMAL.key))
+    defs = dg.Definitions.merge(watched.defs, dg.Definitions(jobs=[job]))
+    shown = defs.resolve_job_def("again").execute_in_process(instance=watched.laboratory.instance)
+    (evaluation,) = shown.get_asset_check_evaluations()
+    assert not evaluation.passed
+    assert evaluation.partition == key

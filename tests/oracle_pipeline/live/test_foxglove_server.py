@@ -1,0 +1,161 @@
+"""Foxglove's WebSocket hands a watch on: a real client hears the very bytes."""
+
+import json
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from websockets.sync.client import ClientConnection, connect
+
+from oracle_pipeline.bags.types import deserialize
+from oracle_pipeline.live.foxglove_server import (
+    LOG_TOPIC,
+    WINDOW_SCHEMA,
+    WINDOW_TOPIC,
+    FoxgloveError,
+    FoxgloveServer,
+)
+from oracle_pipeline.live.watch import Alarm, Note
+from tests.oracle_pipeline.live.happenings import HOSTILE, graph, messages, verdict
+
+LAYOUT = Path(__file__).parents[3] / "docs" / "foxglove" / "live.json"
+_MESSAGE = struct.Struct("<BIQ")  # opcode, subscription, log time [ns]
+
+
+class Client:
+    """As Foxglove does: learn of channels, subscribe to all, take what comes."""
+
+    def __init__(self, connection: ClientConnection) -> None:
+        self.connection = connection
+        self.channels: dict[int, dict[str, str]] = {}
+        self.told: dict[str, dict] = {}
+
+    def until(self, op: str) -> dict:
+        """Return the next message of one kind in JSON."""
+        while op not in self.told:
+            text = self.connection.recv(10)
+            assert isinstance(text, str)
+            message = json.loads(text)
+            self.told[message["op"]] = message
+            if message["op"] == "advertise":
+                self.channels |= {each["id"]: each for each in message["channels"]}
+        return self.told.pop(op)
+
+    def subscribe(self, topics: set[str]) -> None:
+        while not topics <= {each["topic"] for each in self.channels.values()}:
+            self.until("advertise")
+        wanted = [
+            {"id": number, "channelId": number}
+            for number, each in self.channels.items()
+            if each["topic"] in topics
+        ]
+        self.connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+    def take(self) -> tuple[str, int, bytes]:
+        """Return topic, log time and bytes of the next message."""
+        while isinstance(data := self.connection.recv(10), str):
+            pass
+        opcode, number, stamp_ns = _MESSAGE.unpack_from(data)
+        assert opcode == 1
+        return self.channels[number]["topic"], stamp_ns, data[_MESSAGE.size :]
+
+
+@pytest.fixture
+def server() -> Iterator[FoxgloveServer]:
+    with FoxgloveServer(0) as server:
+        yield server
+
+
+@pytest.fixture
+def client(server: FoxgloveServer) -> Iterator[Client]:
+    with connect(server.address, subprotocols=["foxglove.sdk.v1"]) as connection:  # type: ignore[list-item]
+        yield Client(connection)
+
+
+def subscribed(server: FoxgloveServer, client: Client, topic: str, show: object) -> bytes:
+    """Show an event until it comes: a subscription takes effect a moment later."""
+    client.subscribe({topic})
+    while True:
+        server.show(show)  # type: ignore[arg-type]
+        try:
+            data = client.connection.recv(0.2)
+        except TimeoutError:
+            continue
+        if not isinstance(data, str):
+            return data
+
+
+def test_a_message_comes_as_it_was_on_dds_with_its_definition(
+    server: FoxgloveServer, client: Client
+) -> None:
+    scan = next(message for message in messages() if message.topic == "/scan")
+    server.show(scan)
+    data = subscribed(server, client, "/scan", scan)
+    assert data[_MESSAGE.size :] == scan.data
+    assert _MESSAGE.unpack_from(data)[2] == scan.stamp_ns
+    assert deserialize(data[_MESSAGE.size :], scan.msgtype).header.frame_id
+    (channel,) = [each for each in client.channels.values() if each["topic"] == "/scan"]
+    assert (channel["encoding"], channel["schemaName"]) == ("cdr", scan.msgtype)
+    assert channel["schemaEncoding"] == "ros2msg"
+    assert "float32[] ranges" in channel["schema"]
+
+
+def test_a_verdict_stands_at_the_end_of_its_window(server: FoxgloveServer, client: Client) -> None:
+    server.show(next(messages()))
+    data = subscribed(server, client, WINDOW_TOPIC, verdict(3, alarm=True))
+    began = next(messages()).stamp_ns
+    assert _MESSAGE.unpack_from(data)[2] == began + 25_000_000_000
+    assert json.loads(data[_MESSAGE.size :]) == {
+        "start_s": 15.0, "end_s": 25.0, "score": 9.0, "p_value": 0.01, "usual": False,
+        "alarm": True,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("event", "words"),
+    [
+        (Alarm(verdict(3, alarm=True)), b"Anomalous from 15 s to 25 s"),
+        (Note("dropped"), b"dropped"),
+    ],
+    ids=["alarm", "note"],
+)
+def test_alarms_and_notes_are_in_the_log(
+    server: FoxgloveServer, client: Client, event: object, words: bytes
+) -> None:
+    assert words in subscribed(server, client, LOG_TOPIC, event)
+
+
+def test_the_graph_is_that_of_the_panel_topic_graph(server: FoxgloveServer, client: Client) -> None:
+    client.connection.send(json.dumps({"op": "subscribeConnectionGraph"}))
+    client.until("connectionGraphUpdate")
+    server.show(graph())
+    update = client.until("connectionGraphUpdate")
+    published = {each["name"]: each["publisherIds"] for each in update["publishedTopics"]}
+    assert published["/scan"] == ["/turtlebot3_laserscan"]
+    assert published[HOSTILE] == ["/spy"]
+    subscribed_to = {each["name"]: each["subscriberIds"] for each in update["subscribedTopics"]}
+    assert "/amcl" in subscribed_to["/scan"]
+
+
+def test_clients_cannot_publish_or_set_anything(client: Client) -> None:
+    assert client.until("serverInfo")["capabilities"] == ["connectionGraph"]
+
+
+def test_it_listens_on_loopback_and_says_so_if_the_port_is_taken(server: FoxgloveServer) -> None:
+    assert server.address.startswith("ws://127.0.0.1:")
+    port = int(server.address.rpartition(":")[2])
+    with pytest.raises(FoxgloveError, match=str(port)):
+        FoxgloveServer(port)
+
+
+def test_the_layout_shows_what_the_server_has() -> None:
+    layout = json.loads(LAYOUT.read_text(encoding="utf-8"))
+    panels = layout["configById"]
+    paths = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
+    fields = {f"{WINDOW_TOPIC}.{name}" for name in WINDOW_SCHEMA["properties"]}
+    assert set(paths) <= fields
+    assert panels["RosOut!alarms"]["topicToRender"] == LOG_TOPIC
+    text = json.dumps(layout["layout"])
+    assert all(text.count(json.dumps(panel)) == 1 for panel in panels)
+    assert "TopicGraph!graph" in panels

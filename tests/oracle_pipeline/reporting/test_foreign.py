@@ -1,0 +1,43 @@
+"""The page on recordings that arrived, and the report's link to it."""
+
+import re
+
+import lxml.html
+import pytest
+
+from oracle_pipeline.reporting.foreign import foreign_page, summary
+from oracle_pipeline.scoring.verdict import Verdict
+from tests.oracle_pipeline.scoring.test_kept_verdicts import WHOLE, kept
+
+HOSTILE = "<script>alert(1)</script>"
+
+
+def test_a_page_without_recordings_says_so():
+    assert "0 recordings." in foreign_page([])
+
+
+def test_every_recording_has_its_verdict_and_what_gave_it_away():
+    broken = Verdict(HOSTILE, "error", error="no end")
+    page = foreign_page([kept("a", WHOLE), kept("b", broken), kept("c", Verdict("c", "normal"))])
+    assert HOSTILE not in page
+    tree = lxml.html.fromstring(page)
+    rows = [row.text_content() for row in tree.xpath("//table[1]/tbody/tr[th]")]
+    assert len(rows) == 3
+    assert "anomalous" in rows[0]
+    assert "could not be judged" in rows[1]
+    assert "scan.noise" in page
+    assert "Topic /scan is gone." in page
+    ids = set(tree.xpath("//@id"))
+    assert {link.removeprefix("#") for link in tree.xpath("//a/@href") if link[0] == "#"} <= ids
+    assert not re.search(r"https?://", page)
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "words"),
+    [
+        (["normal"], "1 recording: 1 normal."),
+        (["normal", "anomalous", "normal"], "3 recordings: 1 anomalous, 2 normal."),
+    ],
+)
+def test_the_summary_counts_the_worst_first(outcomes, words):
+    assert summary([kept("a", Verdict("a", outcome)) for outcome in outcomes]) == words
