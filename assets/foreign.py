@@ -19,6 +19,7 @@ from oracle_pipeline.bags import layout
 from resources.failures import clear_failures
 from resources.inbox import Inbox
 from resources.store import RunStore
+from resources.ui.report import REPORT_PATH
 
 if TYPE_CHECKING:
     from oracle_pipeline.bags.arrivals import Arrival
@@ -129,7 +130,7 @@ def judge_recording(
         FOREIGN_REPORT.key,
         metadata={
             "path": dg.MetadataValue.path(str(page)),
-            "url": dg.MetadataValue.url(page.as_uri()),
+            "url": dg.MetadataValue.url(f"{REPORT_PATH}/{page.name}"),
             "recordings": recordings,
         },
         tags={"dagster/code_version": str(FOREIGN_REPORT.code_version)},
