@@ -36,7 +36,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dask,dev,dg,docs,live,postgres,s3]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dask,dev,dg,docs,live,postgres,s3,search]'
 	@touch $@
 
 demo: setup ## Record a normal and an attacked run, and judge both by the shipped reference card
