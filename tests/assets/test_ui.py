@@ -13,6 +13,8 @@ from dagster_webserver.webserver import DagsterWebserver
 
 from assets.evaluation_checks import CHECKS as OF_EVALUATION
 from assets.experiment_runs import REPRODUCIBLE
+from assets.foreign import IS_NORMAL
+from assets.foreign import SPECS as ARRIVED
 from assets.run_checks import CHECKS
 from tests.assets.dagster_internals import WorkspaceFileTarget, WorkspaceProcessContext
 from tests.assets.laboratory import ATTACKED, CONTROL, EVERYTHING, KEY, PER_RUN, ROOT, Laboratory
@@ -57,11 +59,12 @@ def test_the_ui_shows_every_asset_with_kinds_owners_and_partitions(ui: Query) ->
         "  owners { ... on TeamAssetOwner { team } }"
         "  partitionKeysByDimension { name partitionKeys } } }"
     )["assetNodes"]
-    assert {node["assetKey"]["path"][0] for node in nodes} == set(EVERYTHING)
+    arrived = {spec.key.path[0] for spec in ARRIVED}
+    assert {node["assetKey"]["path"][0] for node in nodes} == {*EVERYTHING, *arrived}
     for node in nodes:
         assert node["kinds"], node
         assert node["owners"], node
-        if node["isPartitioned"]:
+        if node["isPartitioned"] and node["groupName"] != "foreign":
             mode, run = node["partitionKeysByDimension"]
             assert (mode["name"], run["name"]) == ("mode", "run")
             assert mode["partitionKeys"][:3] == [
@@ -132,7 +135,7 @@ def test_each_check_shows_a_result_for_each_run(ui: Query) -> None:
     )["assetNodes"]
     checks = [check for node in nodes for check in node["assetChecksOrError"]["checks"]]
     of_runs = {each.name for each in CHECKS}
-    others = {each.name for each in (*OF_EVALUATION, REPRODUCIBLE)}
+    others = {each.name for each in (*OF_EVALUATION, REPRODUCIBLE, IS_NORMAL)}
     assert {c["name"] for c in checks} == of_runs | others
     for check in (check for check in checks if check["name"] in of_runs):
         last = check["partitionStatuses"]["ranges"][-1]
