@@ -76,6 +76,7 @@ _ALARMS = (
     PageColumn("missed", "missed"),
     PageColumn("median", "time_to_detect_median_s", "time to detect [s]", ".1f"),
     PageColumn("90th percentile", "time_to_detect_90_s", "time to detect [s]", ".1f"),
+    PageColumn("median, after a change", "after_effect_median_s", "time to detect [s]", ".1f"),
     PageColumn("promised at most", "promised_per_h", "false alarms an hour", ".2g"),
     PageColumn("realised", "false_alarms_per_h", "false alarms an hour"),
 )
