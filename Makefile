@@ -55,7 +55,7 @@ run: setup ## Simulate the small campaign, analyse it, and say where the report 
 
 campaign: setup ## Simulate 60 blocks of every mode and hard negative, and evaluate the oracle on them
 	ORACLE_HOME=$${ORACLE_HOME:-data/campaign} ORACLE_RUNS=60 ORACLE_GOALS_PER_RUN=4 \
-		ORACLE_NOISE_PER_RUN=1 \
+		ORACLE_NOISE_PER_RUN=1 ORACLE_NAV2=drawn \
 		dagster asset materialize -m oracle_pipeline.definitions --select '*' \
 		--partition-range 'lidar_passthrough|run000...benign_slow|run059'
 
@@ -89,6 +89,7 @@ docs: setup-dev ## Check words, spelling and links of the docs, and build their 
 
 pictures: setup-dev ## Draw the pictures of the docs; of a campaign's report with CAMPAIGN=data/campaign
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
+	python docs/draw_worlds.py
 	python docs/pictures.py $(CAMPAIGN)
 
 # The environment has the dependencies, and the wheel's packages come before those of the checkout.

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from oracle_pipeline.options import format_option, plugins_option
+
 if TYPE_CHECKING:
     from oracle_pipeline.live.foxglove_server import FoxgloveServer
     from oracle_pipeline.live.page import LivePage
@@ -34,10 +36,7 @@ if TYPE_CHECKING:
     "--alarms-per-hour", type=click.FloatRange(0.0, min_open=True),
     help="False alarms an hour that may be raised.  [default: 0.5, or what the card supports]",
 )  # fmt: skip
-@click.option(
-    "--format", "file_format", type=click.Choice(["text", "json"]), default="text",
-    show_default=True, help="Text for reading; one JSON object a line for programs.",
-)  # fmt: skip
+@format_option("text", "json", text="Text for reading; one JSON object a line for programs.")
 @click.option(
     "--duration", type=click.FloatRange(0.0, min_open=True),
     help="Seconds until it ends by itself.  [default: when Ctrl-C is pressed]",
@@ -50,10 +49,7 @@ if TYPE_CHECKING:
     "--foxglove", metavar="[PORT]", is_flag=False, flag_value=8765, type=click.IntRange(0, 65535),
     help="Serve it to Foxglove at 127.0.0.1.  [port: 8765; 0: any free one]",
 )  # fmt: skip
-@click.option(
-    "--plugins", type=click.Path(path_type=Path), envvar="ORACLE_PLUGINS",
-    help="Folder of feature plugins.  [default: $ORACLE_PLUGINS, if set]",
-)  # fmt: skip
+@plugins_option
 @click.pass_context
 def watch(
     ctx: click.Context,

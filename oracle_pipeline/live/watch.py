@@ -9,8 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, sleep, time_ns
-from types import TracebackType
-from typing import Self, TypeAlias
+from typing import Any, Self, TypeAlias
 
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.errors import DdsError, OracleError
@@ -148,12 +147,7 @@ class Watch:
             self.recording.__enter__()
         return self
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc_value: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: Any) -> None:
         self._intake.close()
         dds.leave(self._participant)
         if self._judge is not None:
@@ -166,7 +160,7 @@ class Watch:
                 "recording_s": self.duration_s,
                 "dropped": self.dropped,
             }
-            self.recording.__exit__(exc_type, exc_value, traceback)
+            self.recording.__exit__(*exception)
 
     def __iter__(self) -> Iterator[Event]:
         """Yield what happens, until `stop` is called."""
