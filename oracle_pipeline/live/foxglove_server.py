@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Self
 from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.bags.types import definition
-from oracle_pipeline.live.watch import Alarm, Event, GraphTaken, MessageHeard, Note
+from oracle_pipeline.live.watch import Alarm, ContractAlarm, Event, GraphTaken, MessageHeard, Note
 from oracle_pipeline.live.window_scorer import WindowVerdict
 
 if TYPE_CHECKING:
@@ -102,6 +102,9 @@ class FoxgloveServer:
             named = ", ".join(each.feature for each in verdict.evidence)
             text = f"Anomalous from {verdict.start_s:g} s to {verdict.end_s:g} s: {named}"
             self._say(text, self._stamp_ns(verdict.end_s), is_alarm=True)
+        elif isinstance(event, ContractAlarm):
+            text = " ".join(breach.text for breach in event.breaches)
+            self._say(text, self._stamp_ns(event.at_s), is_alarm=True)
         elif isinstance(event, Note):
             self._say(event.text, self._now_ns, is_alarm=False)
 

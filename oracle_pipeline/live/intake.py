@@ -28,7 +28,8 @@ class Received(NamedTuple):
     """A message as it came."""
 
     topic: str
-    wall_ns: int  # when it came [ns since 1970]
+    sent_ns: int  # by the sender's clock [ns since 1970]
+    wall_ns: int  # when it came, by ours
     writer: int  # handle of the endpoint that sent it
     data: bytes  # CDR with its encapsulation header
 
@@ -125,12 +126,12 @@ class Intake:
                 ready = self._ready.wait(_WAIT_S)
                 wall_ns = time.time_ns()
                 came = [
-                    (raw.source_ns, Received(self._names[reader], wall_ns, raw.writer, raw.data))
+                    Received(self._names[reader], raw.source_ns, wall_ns, raw.writer, raw.data)
                     for reader in ready
                     for raw in reader.take()
                 ]
-                came.sort(key=lambda each: each[0])  # as they were sent, if senders' clocks agree
-                self._put([received for _, received in came])
+                came.sort(key=lambda each: each.sent_ns)  # as sent, if senders' clocks agree
+                self._put(came)
         except DdsError as error:
             with self._lock:
                 self._error = error

@@ -17,7 +17,7 @@ from oracle_pipeline.live.foxglove_server import (
     FoxgloveServer,
 )
 from oracle_pipeline.live.watch import Alarm, Note
-from tests.oracle_pipeline.live.happenings import HOSTILE, graph, messages, verdict
+from tests.oracle_pipeline.live.happenings import HOSTILE, contract_alarm, graph, messages, verdict
 
 LAYOUT = Path(__file__).parents[3] / "docs" / "foxglove" / "live.json"
 _MESSAGE = struct.Struct("<BIQ")  # opcode, subscription, log time [ns]
@@ -116,9 +116,10 @@ def test_a_verdict_stands_at_the_end_of_its_window(server: FoxgloveServer, clien
     ("event", "words"),
     [
         (Alarm(verdict(3, alarm=True)), b"Anomalous from 15 s to 25 s"),
+        (contract_alarm(), b"is new."),
         (Note("dropped"), b"dropped"),
     ],
-    ids=["alarm", "note"],
+    ids=["alarm", "contract", "note"],
 )
 def test_alarms_and_notes_are_in_the_log(
     server: FoxgloveServer, client: Client, event: object, words: bytes
