@@ -16,7 +16,7 @@ from rosbags.interfaces import QosTime as _QosTime
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.dds_names import dds_topic
 from oracle_pipeline.bags.errors import DdsError
-from oracle_pipeline.bags.qos_profiles import compatible
+from oracle_pipeline.bags.qos_profiles import compatible, is_latched
 
 QUEUE_BYTES = 64 * 2**20  # of messages that wait at most
 _DEPTH = 500  # messages of a topic that wait in DDS, until the thread takes them
@@ -94,6 +94,10 @@ class Intake:
     def hears(self, topic: str, offered: Qos) -> bool:
         """Tell whether a publisher's profile fits what we asked for."""
         return compatible(offered, self._requested[topic])
+
+    def is_latched(self, topic: str) -> bool:
+        """Tell whether we asked for what was said before we came."""
+        return is_latched(self._requested[topic])
 
     def take(self) -> list[Received]:
         """Return what has come, in order of arrival.

@@ -44,6 +44,7 @@ class MessageHeard:
     msgtype: str
     stamp_ns: int  # in the recording's time
     data: bytes  # CDR with its encapsulation header
+    latched: bool = False  # who comes later hears it, too
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +275,8 @@ class Watch:
                 self.recording.write(received.topic, stamp_ns, received.data)
             fresh.append(Stamped(received.topic, stamp_ns, received.data))
             msgtype = self._intake.topics[received.topic]
-            yield MessageHeard(received.topic, msgtype, stamp_ns, received.data)
+            latched = self._intake.is_latched(received.topic)
+            yield MessageHeard(received.topic, msgtype, stamp_ns, received.data, latched)
         self._hand_on(fresh)
 
     def _look_at_contract(self) -> None:

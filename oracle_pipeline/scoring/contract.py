@@ -16,10 +16,9 @@ from rosbags.interfaces import Qos
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.graphs.intervals import compose
 from oracle_pipeline.opened_run import OpenedRun
-from oracle_pipeline.scoring.pace import SPAN_S, Pace, paces, widest
+from oracle_pipeline.scoring.pace import FEWEST, SPAN_S, Pace, paces, widest
 
 STEADY = 1.5  # a rate that varies by at most this factor between normal recordings is steady
-FEWEST = 10  # messages of a recording that give a rate
 MARGIN = 0.05  # of a rate, added to what normal recordings showed
 SILENCE_S = 1.0  # added to twice the longest silence of normal recordings, on a running robot [s]
 COUNT_MARGIN = 0.1  # of the messages in `SPAN_S`, added to what normal recordings showed, and 2
@@ -97,7 +96,8 @@ class Contract:
     always, ever : frozenset of str
         Nodes and edges of every normal recording with graphs, and of any.
     paces : dict of str to Pace
-        Longest silence, fewest and most messages of a topic, in any of them.
+        Longest silence, fewest and most messages of a topic, in any of them; of topics that have
+        a pace wherever they are.
     """
 
     topics: Mapping[str, TopicTerms]
@@ -110,11 +110,16 @@ class Contract:
         """Return the contract that normal recordings keep; at least one is needed."""
         names = sorted({name for seen in observations for name in seen.topics})
         graphs = [seen.graph for seen in observations if seen.graph is not None]
+        irregular = {name for seen in observations for name in seen.topics.keys() - seen.paces}
         return cls(
             {name: _terms(name, observations) for name in names},
             frozenset.intersection(*graphs) if graphs else frozenset(),
             frozenset().union(*graphs),
-            widest(seen.paces for seen in observations),
+            {
+                name: pace
+                for name, pace in widest(seen.paces for seen in observations).items()
+                if name not in irregular
+            },
         )
 
     def breaches(self, seen: Observation, *, rates: bool = True) -> list[Breach]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.reader import BagReader
 
 SPAN_S = 10  # over which messages are counted [s]
+FEWEST = 10  # messages of a recording that give a pace: what is said once may stay so for hours
 _SECOND_NS = 1_000_000_000
 
 
@@ -53,7 +54,7 @@ class Pace(NamedTuple):
 
 
 def paces(bag: BagReader) -> dict[str, Pace]:
-    """Return the pace of each topic of a recording that has messages."""
+    """Return the pace of each topic of a recording that has `FEWEST` messages."""
     batches = [(batch.topics, batch.stamps_ns) for batch in bag.batches()]
     if not batches:
         return {}
@@ -65,6 +66,7 @@ def paces(bag: BagReader) -> dict[str, Pace]:
     return {
         names[number]: Pace.of(own_ns, bag.end_ns)
         for number, own_ns in zip(present, np.split(stamps_ns, begins[1:]), strict=True)
+        if len(own_ns) >= FEWEST
     }
 
 

@@ -134,9 +134,17 @@ def test_a_pace_that_normal_recordings_do_not_show_is_told():
     assert contract.breach_of_count("/odom", 0) is None
 
 
+def test_a_topic_that_a_normal_recording_has_said_little_on_has_no_pace():
+    paces = {"/scan": Pace(0.25, 49, 51), "/goal": Pace(9.0, 0, 1)}
+    contract = Contract.learned([replace(NORMAL[0], paces=paces), *NORMAL[1:]])
+    assert contract.paces == {}
+    contract = Contract.learned([replace(seen, paces=paces) for seen in NORMAL])
+    assert contract.paces == paces
+
+
 def test_a_recording_shows_the_pace_of_its_topics(recorded_run):
     with open_run(recorded_run("lidar_passthrough").path) as run:
         seen = Observation.of(run).paces
     assert seen["/scan"].longest_gap_s == pytest.approx(0.2, abs=0.1)
     assert 49 <= seen["/scan"].fewest <= seen["/scan"].most <= 51
-    assert seen["/map"].longest_gap_s > 10.0
+    assert "/map" not in seen
