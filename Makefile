@@ -89,6 +89,7 @@ docs: setup-dev ## Check words, spelling and links of the docs, and build their 
 
 pictures: setup-dev ## Draw the pictures of the docs; of a campaign's report with CAMPAIGN=data/campaign
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
+	python docs/draw_worlds.py
 	python docs/pictures.py $(CAMPAIGN)
 
 # The environment has the dependencies, and the wheel's packages come before those of the checkout.

@@ -49,10 +49,9 @@ from oracle_pipeline.evaluation.splits import (
     WORLD,
     Fold,
     block_folds,
-    session_folds,
+    group_folds,
     tested_in,
     untaught,
-    world_folds,
 )
 from oracle_pipeline.evaluation.task_effects import task_effects
 from oracle_pipeline.scoring.conformal import runs_needed
@@ -186,11 +185,11 @@ class _Steps:
             if scorer != HEADLINE:
                 rows += self._scored(scorer, BLOCK, self.folds)
         df = self.campaign.features
-        rows += self._scored(HEADLINE, SESSION, session_folds(df, self.seed))
+        rows += self._scored(HEADLINE, SESSION, group_folds(df, SESSION, self.seed))
         for blocks in BLOCKS_OF_SESSION:
-            if folds := session_folds(df, self.seed, blocks):
+            if folds := group_folds(df, SESSION, self.seed, blocks):
                 rows += self._scored(HEADLINE, f"{SESSION} but {blocks} blocks", folds)
-        if folds := world_folds(df, self.seed):
+        if folds := group_folds(df, WORLD, self.seed):
             rows += self._scored(HEADLINE, WORLD, folds)
         if is_hard_negative(df).any():
             rows += self._scored(HEADLINE, HARMLESS, untaught(df, self.folds))
@@ -239,17 +238,23 @@ class _Steps:
         """Judge the scores of tampering and of misbehaviour, each by its own truth."""
         self.progress("tampering and misbehaviour")
         effects = task_effects(self.campaign)
-        scores = {
-            scorer.features: _supported(self.score(scorer, self.folds))
-            for scorer in OF_CARD[1:]
-            if scorer.features in self.sets
-        }
+        df = self.campaign.features
+        scores = self._aspect_scores(self.folds)
+        taught_nothing = untaught(df, self.folds) if is_hard_negative(df).any() else []
+        of_untaught = self._aspect_scores(taught_nothing) if taught_nothing else {}
         of_all = (self.campaign, effects)
         return {
             "aspects": aspects_table(scores, *of_all, self.compared, self.rng),
-            "aspects_by_mode": by_mode(scores, *of_all, self.rng),
+            "aspects_by_mode": by_mode(scores, of_untaught, *of_all, self.rng),
             "quadrants": quadrants(scores, *of_all, self.rng),
             "task_uncertainty": effects.table(),
+        }
+
+    def _aspect_scores(self, folds: Sequence[Fold]) -> dict[str, HeldOutScores]:
+        return {
+            scorer.features: _supported(self.score(scorer, folds))
+            for scorer in OF_CARD[1:]
+            if scorer.features in self.sets
         }
 
     def small_clusters(self) -> pd.DataFrame:

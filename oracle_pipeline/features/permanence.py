@@ -88,7 +88,7 @@ class Seen:
 
 def prepare(window: Window) -> dict[str, Seen] | Missing:
     """Hold each scan against the same scanner's earlier one, over the whole recording."""
-    setup = scanner_setup(window.topics)
+    setup = scanner_setup(window)
     if setup.motion is None:
         return Missing("no odometry")
     path = _Path.of(setup)
