@@ -83,6 +83,7 @@ _ALARMS = (
 _CALLED = (
     PageColumn("tampered", "called_tampering", "share called, at 5%"),
     PageColumn("misbehaved", "called_misbehaviour", "share called, at 5%"),
+    PageColumn("both", "called_both", "share called, at 5%"),
 )
 _QUADRANTS = (
     PageColumn("tampered", "tampered", "truth"),
@@ -96,6 +97,8 @@ _ASPECTS_BY_MODE = (
     PageColumn("misbehaved", "misbehaved", "truth"),
     PageColumn("task effect over its uncertainty, median", "effect_median", "truth", ".2f"),
     *_CALLED,
+    PageColumn("tampered", "untaught_tampering", "the same, hard negatives held out"),
+    PageColumn("misbehaved", "untaught_misbehaviour", "the same, hard negatives held out"),
 )
 _ASPECTS = (
     PageColumn("score", "aspect"),
