@@ -15,7 +15,7 @@ import numpy as np
 
 from oracle_pipeline.bags.reader import BagReader, RawMessage
 from oracle_pipeline.bags.types import serialize
-from oracle_pipeline.features.scan_geometry import pose_of
+from oracle_pipeline.features.motion import yaw_of
 from oracle_pipeline.opened_run import OpenedRun, open_run
 
 SCAN, RANGE = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range"
@@ -124,7 +124,8 @@ def phantom(ahead_m: float, radius_m: float, noise_m: float) -> Alteration:
         rng = np.random.default_rng(17)
 
         def moved(_topic: str, message: Any, _since_s: float) -> None:
-            x, y, yaw = pose_of(message.pose.pose)
+            position, q = message.pose.pose.position, message.pose.pose.orientation
+            x, y, yaw = position.x, position.y, float(yaw_of(q.x, q.y, q.z, q.w))
             state["pose"], state["yaw"] = complex(x, y), yaw
 
         def seen(topic: str, message: Any, _since_s: float) -> None:
