@@ -15,7 +15,6 @@ import numpy as np
 
 from oracle_pipeline.bags.reader import BagReader, RawMessage
 from oracle_pipeline.bags.types import serialize
-from oracle_pipeline.features.motion import yaw_of
 from oracle_pipeline.opened_run import OpenedRun, open_run
 
 SCAN, RANGE = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range"
@@ -75,6 +74,13 @@ class AlteredBag(BagReader):
             yield RawMessage(raw.topic, raw.stamp_ns + round(late_s * 1e9), data)
 
 
+def pose_of(pose: Any) -> tuple[float, float, float]:
+    """Return x [m], y [m] and yaw [rad] of a ``geometry_msgs/msg/Pose``."""
+    position, q = pose.position, pose.orientation
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return position.x, position.y, yaw
+
+
 def open_altered(path: Path, alteration: Alteration, left_out: Collection[str] = ()) -> OpenedRun:
     """Open a run directory as if it had been recorded so; its graphs are left out."""
     run = open_run(path)
@@ -124,8 +130,7 @@ def phantom(ahead_m: float, radius_m: float, noise_m: float) -> Alteration:
         rng = np.random.default_rng(17)
 
         def moved(_topic: str, message: Any, _since_s: float) -> None:
-            position, q = message.pose.pose.position, message.pose.pose.orientation
-            x, y, yaw = position.x, position.y, float(yaw_of(q.x, q.y, q.z, q.w))
+            x, y, yaw = pose_of(message.pose.pose)
             state["pose"], state["yaw"] = complex(x, y), yaw
 
         def seen(topic: str, message: Any, _since_s: float) -> None:
