@@ -74,6 +74,13 @@ class AlteredBag(BagReader):
             yield RawMessage(raw.topic, raw.stamp_ns + round(late_s * 1e9), data)
 
 
+def pose_of(pose: Any) -> tuple[float, float, float]:
+    """Return x [m], y [m] and yaw [rad] of a ``geometry_msgs/msg/Pose``."""
+    position, q = pose.position, pose.orientation
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return position.x, position.y, yaw
+
+
 def open_altered(path: Path, alteration: Alteration, left_out: Collection[str] = ()) -> OpenedRun:
     """Open a run directory as if it had been recorded so; its graphs are left out."""
     run = open_run(path)
