@@ -18,7 +18,7 @@ COMPILE := pip-compile --quiet --strip-extras --no-header --no-annotate \
 	--no-emit-index-url --no-emit-trusted-host --no-emit-find-links
 
 .PHONY: help setup setup-dev demo demo-card run campaign ui test test-quick test-browser lint types architecture docs \
-	pictures wheel bench soak constraints requirements image sbom clean
+	pictures wheel install-check bench soak constraints requirements image sbom clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list
@@ -55,7 +55,7 @@ run: setup ## Simulate the small campaign, analyse it, and say where the report 
 
 campaign: setup ## Simulate 60 blocks of every mode and hard negative, and evaluate the oracle on them
 	ORACLE_HOME=$${ORACLE_HOME:-data/campaign} ORACLE_RUNS=60 ORACLE_GOALS_PER_RUN=4 \
-		ORACLE_NOISE_PER_RUN=1 \
+		ORACLE_NOISE_PER_RUN=1 ORACLE_NAV2=drawn \
 		dagster asset materialize -m oracle_pipeline.definitions --select '*' \
 		--partition-range 'lidar_passthrough|run000...benign_slow|run059'
 
@@ -89,6 +89,7 @@ docs: setup-dev ## Check words, spelling and links of the docs, and build their 
 
 pictures: setup-dev ## Draw the pictures of the docs; of a campaign's report with CAMPAIGN=data/campaign
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
+	python docs/draw_worlds.py
 	python docs/pictures.py $(CAMPAIGN)
 
 # The environment has the dependencies, and the wheel's packages come before those of the checkout.
@@ -98,6 +99,9 @@ wheel: setup ## Build a wheel into dist/, and try the commands of the README wit
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
 	$(BIN)/python -m pip install --quiet --no-deps --target dist/tried dist/*.whl
 	scripts/try_commands.sh dist/tried/bin
+
+install-check: setup ## Install into fresh environments of the Python versions that are here, and try them
+	scripts/install_check.sh 3.11 3.12 3.13
 
 constraints: setup-dev ## Pin the newest versions that fit pyproject.toml
 	$(COMPILE) --upgrade --all-extras --output-file constraints.txt pyproject.toml

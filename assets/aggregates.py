@@ -7,13 +7,13 @@ import dagster as dg
 from pydantic import Field
 
 from assets import presentation
-from assets.asset_defaults import OWNERS, SINGLE_RUN
+from assets.asset_defaults import SINGLE_RUN, declared
+from assets.partitions import testbed_of
 from assets.worker.versions import analysis_code
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.remote import published
 from resources.store import RunStore
-from sim.modes import modes
-from sim.testbeds import TESTBEDS, which_testbed
+from sim.testbeds import TESTBEDS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,27 +38,31 @@ def aggregate(
     group: str,
     *kinds: str,
     deps: Sequence[dg.AssetDep | dg.AssetsDefinition],
+    place: str = "",
     freshness_policy: dg.FreshnessPolicy | None = None,
 ) -> Callable[[Callable[..., Any]], dg.AssetsDefinition]:
-    """Decorate an asset over all runs."""
+    """Decorate an asset over all runs.
+
+    Parameters
+    ----------
+    group, kinds, deps, freshness_policy
+        As of Dagster's ``asset``.
+    place
+        Where its content is, below the root of the store; by default, where `keep` saves it.
+    """
 
     def decorate(function: Callable[..., Any]) -> dg.AssetsDefinition:
         return dg.asset(
             deps=deps,
             group_name=group,
             kinds=set(kinds),
-            owners=OWNERS,
             code_version=analysis_code(function.__module__),
             backfill_policy=SINGLE_RUN,
             freshness_policy=freshness_policy,
+            **declared("campaign", place or f"report/parts/{function.__name__}"),
         )(function)
 
     return decorate
-
-
-def testbed_of(mode: str) -> str:
-    """Return the name of the testbed that a mode runs on."""
-    return which_testbed(modes()[mode].scenario)
 
 
 def run_table(store: RunStore, testbed: str) -> "pd.DataFrame":
@@ -90,13 +94,17 @@ def windows_of(store: RunStore, df: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def keep(result: "Report", store: RunStore, name: str) -> dg.MaterializeResult[None]:
-    """Save a report where `oracle_report` finds it, and show it."""
+    """Save a report where `oracle_report` finds it, show it, and say so in the log."""
     from oracle_pipeline.datasets import content_hash
     from oracle_pipeline.reporting.report import SUMMARY
 
     place = store.results(name)
     with published(place, last=SUMMARY) as folder:
         result.save(folder)
+    dg.get_dagster_logger().info(
+        f"Saved {name} in {place}: a table of {len(result.table)} rows, {len(result.tables)} more "
+        f"tables, {len(result.figures)} pictures. `oracle_report` shows them."
+    )
     return dg.MaterializeResult(
         data_version=dg.DataVersion(content_hash(result.table)),
         metadata={**presentation.report(result), "path": dg.MetadataValue.path(str(place))},

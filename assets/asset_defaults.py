@@ -1,6 +1,34 @@
-"""What all assets share."""
+"""What all assets share: whom to ask, what they are about, and where their content is kept."""
+
+from typing import Any, Literal, TypedDict
 
 import dagster as dg
 
-OWNERS = ["team:behaviour-oracle"]
+Scope = Literal["run", "campaign", "recording"]  # a partition, all of them, or one that arrived
+
 SINGLE_RUN = dg.BackfillPolicy.single_run()  # one Dagster run for any range of partitions
+
+
+class Declared(TypedDict):
+    """Arguments that every ``AssetSpec`` takes."""
+
+    owners: list[str]
+    tags: dict[str, str]
+    metadata: dict[str, Any]
+
+
+def declared(scope: Scope, place: str) -> Declared:
+    """Return owner, tag and definition metadata of an asset.
+
+    Parameters
+    ----------
+    scope
+        What one item of it is about; ``--select tag:scope=campaign`` selects by it.
+    place
+        Where its content is, below the root of the store.
+    """
+    return {
+        "owners": ["team:behaviour-oracle"],
+        "tags": {"scope": scope},
+        "metadata": {"place": dg.MetadataValue.text(f"<ORACLE_HOME>/{place}")},
+    }

@@ -6,7 +6,7 @@ old Dagster runs in ``assets.run_retention``. How to use them: docs/how-to/autom
 
 import dagster as dg
 
-from assets.experiment_runs import SPECS
+from assets.experiment_runs import RUN_FEATURES, SPECS, WINDOW_FEATURES
 from assets.feature_dataset import feature_dataset
 from assets.oracle_evaluation import oracle_evaluation
 from assets.partitions import RUNS
@@ -29,6 +29,17 @@ simulate = dg.define_asset_job(
     selection=[spec.key for spec in SPECS],
     description="Record the runs of the chosen partitions and compute their features.",
 )
+features = dg.define_asset_job(
+    "features",
+    selection=[WINDOW_FEATURES.key, RUN_FEATURES.key],
+    description="Extract the features of the chosen partitions again, such as after a change of a "
+    "plugin. A run that was not recorded is recorded first.",
+)
+report = dg.define_asset_job(
+    "report",
+    selection=dg.AssetSelection.assets(feature_dataset).downstream(),
+    description="Analyse all recorded runs and write the report; nothing is simulated.",
+)
 evaluate = dg.define_asset_job(
     "evaluate",
     selection=[feature_dataset, oracle_evaluation],
@@ -39,7 +50,7 @@ thesis = dg.define_asset_job(
     selection=[feature_dataset, *THESIS],
     description="Repeat the thesis's method on the recorded runs.",
 )
-JOBS = (everything, simulate, evaluate, thesis)
+JOBS = (everything, simulate, features, report, evaluate, thesis)
 
 
 def refreshed_runs(first: str, last: str, run_key: str | None = None) -> dg.RunRequest:

@@ -39,6 +39,11 @@ def checks_of_evaluation(
     with clear_failures():
         table = Report.load(store.results(EVALUATION)).tables[TABLE]
     row_of_check = {str(row["name"]): row for row in table.to_dict("records")}
+    status = table["status"].tolist()
+    context.log.info(
+        f"{status.count('green')} of {len(status)} integrity checks are green, "
+        f"{status.count('red')} red; {status.count('unsupported')} need more runs."
+    )
     for spec in CHECKS:
         if spec.key in context.selected_asset_check_keys:
             row = row_of_check[spec.name]

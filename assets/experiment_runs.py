@@ -6,6 +6,7 @@ costs: docs/explanation/dagster.md.
 """
 
 import contextlib
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -14,7 +15,7 @@ import dagster as dg
 from pydantic import Field
 
 from assets import presentation
-from assets.asset_defaults import OWNERS, SINGLE_RUN
+from assets.asset_defaults import SINGLE_RUN, declared
 from assets.events import (
     Materialized,
     check_evaluation,
@@ -23,6 +24,7 @@ from assets.events import (
 )
 from assets.partitions import RUNS
 from assets.worker.versions import feature_code
+from oracle_pipeline.bags import layout
 from resources import terminal
 from resources.budget import StorageBudget
 from resources.campaign import CampaignSettings
@@ -43,7 +45,7 @@ EXPERIMENT_RUNS = dg.AssetSpec(
     "experiment_runs",
     group_name="simulation",
     kinds={"mujoco", "ros2"},
-    owners=OWNERS,
+    **declared("run", "runs/<mode>/<run>"),
     code_version=software().code,
     description="""A patrol of the robot in MuJoCo, or air traffic, normal or attacked.
 
@@ -57,7 +59,7 @@ BAGS = dg.AssetSpec(
     deps=[EXPERIMENT_RUNS],
     group_name="recording",
     kinds={"ros2", "mcap"},
-    owners=OWNERS,
+    **declared("run", "runs/<mode>/<run>/bag"),
     code_version=software().code,
     description="""The run as a rosbag2, as `ros2 bag record -a` would record it.
 
@@ -69,7 +71,7 @@ INTERVAL_GRAPHS = dg.AssetSpec(
     deps=[BAGS],
     group_name="recording",
     kinds={"networkx", "gexf"},
-    owners=OWNERS,
+    **declared("run", "runs/<mode>/<run>/graphs"),
     code_version=software().code,
     description="""The ROS graph of every 10 s of the recording, and of the whole run.
 
@@ -82,7 +84,7 @@ WINDOW_FEATURES = dg.AssetSpec(
     deps=[BAGS, INTERVAL_GRAPHS],
     group_name="features",
     kinds={"pandas", "parquet"},
-    owners=OWNERS,
+    **declared("run", "features/window/<mode>/<run>.parquet"),
     code_version=feature_code(),
     description="""The features of each window of 10 s, every 5 s, from all plugins.
 
@@ -94,7 +96,7 @@ RUN_FEATURES = dg.AssetSpec(
     deps=[BAGS, INTERVAL_GRAPHS],
     group_name="features",
     kinds={"pandas", "parquet"},
-    owners=OWNERS,
+    **declared("run", "features/run/<mode>/<run>.parquet"),
     code_version=feature_code(),
     description="""The features of the whole run, from all plugins, in one row.
 
@@ -108,6 +110,7 @@ _DESCRIPTIONS: Mapping["Comparison", str] = {
     "unexplained": "Re-simulation gave different messages although code, libraries, CPU and "
     "recipe are the same. Both runs are kept; the former one stays in use.",
 }
+RUNS_DONE = "runs done"
 SHOWN = 20  # failed runs named in a failure's text; its metadata name all
 SPECS = (EXPERIMENT_RUNS, BAGS, INTERVAL_GRAPHS, WINDOW_FEATURES, RUN_FEATURES)
 REPRODUCIBLE = dg.AssetCheckSpec(
@@ -156,7 +159,7 @@ def recorded_runs(
     store.require_writable()
 
     failed: dict[str, str] = {}
-    simulated = 0
+    simulated, simulated_s, over, started = 0, 0.0, 0, time.monotonic()
     with contextlib.ExitStack() as stack:
         stack.enter_context(contextlib.redirect_stderr(terminal.stderr()))
         progress = stack.enter_context(RunProgress(len(jobs)))
@@ -164,20 +167,26 @@ def recorded_runs(
             stack.enter_context(budget.alone(store))
         for outcome in _outcomes(jobs, store, fleet, budget):
             key = outcome.job.directory.key
+            over += bool(outcome.job.wanted)
             if outcome.result is None:
                 failed[key] = outcome.error or "no reason was given"
                 continue
             if not outcome.job.wanted:  # a finished run that had to make room
                 context.log_event(_shrunk(key, outcome.result))
                 continue
-            assets_of_run = _materialized(specs, store, outcome.result)
+            assets_of_run = _materialized(specs, store, outcome.result, last=over == len(jobs))
             yield from materializations(context.instance, keys[key], assets_of_run)
             if is_compared and (reproduction := outcome.result.reproduction):
                 yield _reproducible(context, store, key, reproduction)
             progress.done(outcome.result.simulated_s)
             simulated += outcome.result.simulated_s > 0.0
-    verified = len(jobs) - simulated - len(failed)
-    context.log.info(f"Runs: {simulated} simulated, {verified} verified, {len(failed)} failed.")
+            simulated_s += outcome.result.simulated_s
+    context.log.info(
+        f"{simulated} runs simulated ({simulated_s:.0f} s of the robot's time in "
+        f"{time.monotonic() - started:.0f} s), {len(jobs) - simulated - len(failed)} verified, "
+        f"{len(failed)} failed. They are in {store.path / layout.RUNS}. The job `report` analyses "
+        "all runs that are there."
+    )
     if failed:
         raise _failure(failed, len(jobs))
     for spec in specs:
@@ -205,7 +214,7 @@ def _outcomes(
             goals=waiting[0].campaign.goals_per_run,
         )
         if plan is None:
-            yield from fleet.outcomes(process_run, waiting)
+            yield from fleet.outcomes(process_run, waiting, RUNS_DONE)
             return
         log.info(f"Storage: {plan}.")
         blocks = sorted({job.directory.run for job in waiting})[: plan.blocks_ahead]
@@ -216,17 +225,25 @@ def _outcomes(
             for run in plan.shrink
         ]
         planned = [replace(job, keep=plan.kept[job.directory.run]) for job in now]
-        yield from fleet.outcomes(process_run, [*making_room, *planned])
+        yield from fleet.outcomes(process_run, [*making_room, *planned], RUNS_DONE)
 
 
 def _materialized(
-    specs: Sequence[dg.AssetSpec], store: RunStore, report: "RunReport"
+    specs: Sequence[dg.AssetSpec], store: RunStore, report: "RunReport", *, last: bool
 ) -> Iterator[Materialized]:
-    """Yield the current state of the assets of a run."""
+    """Yield the current state of the assets of a run.
+
+    A table of the step's last run says what its columns are: the UI shows those of the newest
+    event, and 60 kB for each table of each run would make the event log slow.
+    """
     for spec in specs:
         made = report.assets[spec.key.to_user_string()]
-        path = dg.MetadataValue.path(str(store.path / made.path))
-        figures = {**presentation.facts(made.figures), "path": path}
+        place = store.path / made.path
+        figures = {**presentation.facts(made.figures), "path": dg.MetadataValue.path(str(place))}
+        if last and place.suffix == ".parquet":
+            figures["dagster/column_schema"] = dg.MetadataValue.table_schema(
+                presentation.columns_of(place)
+            )
         yield Materialized(spec, made.version, made.code, figures)
 
 

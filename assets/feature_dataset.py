@@ -15,8 +15,12 @@ FEATURES_OF_RUNS = [
 ]
 
 
-@aggregate("datasets", "pandas", "parquet", deps=FEATURES_OF_RUNS)
-def feature_dataset(store: RunStore) -> dg.MaterializeResult[None]:
+@aggregate(
+    "datasets", "pandas", "parquet", deps=FEATURES_OF_RUNS, place="datasets/features.parquet"
+)
+def feature_dataset(
+    context: dg.AssetExecutionContext, store: RunStore
+) -> dg.MaterializeResult[None]:
     """All runs as one table: one row for each run, one column for each feature.
 
     Joins the feature tables that are on disk and refuses tables with different columns or units.
@@ -44,6 +48,15 @@ def feature_dataset(store: RunStore) -> dg.MaterializeResult[None]:
         datasets.write_table(windows, store.dataset(WINDOWS))
         datasets.write_table(truth_table(manifests.values()), store.dataset(TRUTH))
     runs_of_mode = df.groupby("mode", sort=False).size()
+    context.log.info(
+        f"Joined {len(df)} runs of {len(runs_of_mode)} modes, with {len(windows)} windows, in "
+        f"{store.dataset(DATASET)}. `oracle score --reference` takes this table."
+    )
+    if too_short:
+        context.log.warning(
+            f"Left out {len(too_short)} runs that ended before their node started: "
+            f"{', '.join(too_short)}."
+        )
     return dg.MaterializeResult(
         data_version=dg.DataVersion(datasets.content_hash(df)),
         metadata={

@@ -12,7 +12,7 @@ import dagster as dg
 from pydantic import Field
 
 from assets import presentation
-from assets.asset_defaults import OWNERS
+from assets.asset_defaults import declared
 from assets.events import Figures, check_evaluation, latest_materialization, latest_materializations
 from assets.worker.versions import analysis_code, feature_code
 from oracle_pipeline.bags import layout
@@ -33,7 +33,7 @@ FOREIGN_FEATURES = dg.AssetSpec(
     "foreign_features",
     group_name=GROUP,
     kinds={"pandas", "parquet"},
-    owners=OWNERS,
+    **declared("recording", "foreign/<recording>/run.parquet"),
     code_version=feature_code(),
     partitions_def=ARRIVALS,
     description="""The features of a recording that arrived in the inbox, and of its windows.
@@ -47,7 +47,7 @@ FOREIGN_VERDICTS = dg.AssetSpec(
     deps=[FOREIGN_FEATURES],
     group_name=GROUP,
     kinds={"oracle", "json"},
-    owners=OWNERS,
+    **declared("recording", "foreign/<recording>/verdict.json"),
     code_version=_VERDICT_CODE,
     partitions_def=ARRIVALS,
     description="""The verdict on a recording by the reference card, with its evidence.
@@ -60,7 +60,7 @@ FOREIGN_REPORT = dg.AssetSpec(
     deps=[FOREIGN_VERDICTS],
     group_name=GROUP,
     kinds={"oracle", "jinja"},
-    owners=OWNERS,
+    **declared("campaign", "report/foreign.html"),
     code_version=analysis_code("oracle_pipeline.reporting.foreign"),
     description="""All verdicts on recordings that arrived, as one HTML file, the newest first.
 
@@ -108,7 +108,6 @@ def judge_recording(
         arrival = _arrival(inbox, key)
         limits = Limits(config.time_limit, config.memory_limit)
         judged = judge_arrival(arrival, store.path, inbox.card_path, config.far, limits)
-        context.log.info(f"{arrival.name}: {judged.kept.verdict.outcome}.")
         if judged.tables is not None:
             yield _materialized(
                 FOREIGN_FEATURES,
@@ -116,6 +115,7 @@ def judge_recording(
                 {
                     "path": dg.MetadataValue.path(str(layout.foreign(store.path, key))),
                     "windows": len(judged.tables.windows),
+                    "dagster/row_count": len(judged.tables.run),
                     "dagster/column_schema": dg.MetadataValue.table_schema(
                         presentation.columns(judged.tables.run)
                     ),
@@ -126,6 +126,10 @@ def judge_recording(
         yield _evaluation(judged.kept, target)
         recordings = _write_page(store)
     page = layout.foreign_page(store.path)
+    context.log.info(
+        f"Verdict on {arrival.name}: {judged.kept.verdict.outcome}. All {recordings} verdicts "
+        f"are in {page}."
+    )
     yield dg.AssetMaterialization(
         FOREIGN_REPORT.key,
         metadata={

@@ -47,9 +47,11 @@ def oracle_evaluation(
             read_table(store.dataset(TRUTH)),
             graph_differences=_graph_differences(store, fleet, set(df["run_id"])),
             grid=_mutants(store, fleet),
-            progress=context.log.info,
+            progress=lambda step: context.log.info(f"Evaluating: {step}."),
         )
-        return keep(evaluation_report(evaluation), store, "oracle_evaluation")
+        report = evaluation_report(evaluation)
+        context.log.info(f"{report.summary['headline']} {report.summary['verdicts']}")
+        return keep(report, store, "oracle_evaluation")
 
 
 def _graph_differences(store: RunStore, fleet: Fleet, runs: set[str]) -> list[str] | None:
@@ -61,7 +63,7 @@ def _graph_differences(store: RunStore, fleet: Fleet, runs: set[str]) -> list[st
         return None
     return [
         f"{outcome.job.runs[1].key}: {wrong}"
-        for outcome in fleet.outcomes(inspect, inspections)
+        for outcome in fleet.outcomes(inspect, inspections, "pairs of graphs compared")
         for wrong in (outcome.result.wrong if outcome.result else [str(outcome.error)])
     ]
 
@@ -98,6 +100,6 @@ def _require_features(runs: Sequence[RunDirectory], fleet: Fleet) -> None:
     """Extract the features of runs that have none."""
     from assets.worker.feature_tables import require_tables
 
-    for outcome in fleet.outcomes(require_tables, runs):
+    for outcome in fleet.outcomes(require_tables, runs, "runs of grids read"):
         if outcome.error is not None:
             raise dg.Failure(f"{outcome.job.path}: {outcome.error}", allow_retries=False)

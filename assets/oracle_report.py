@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import dagster as dg
 
 from assets import presentation
-from assets.aggregates import DATASET, aggregate, run_table, testbed_of, windows_of
+from assets.aggregates import DATASET, aggregate, run_table, windows_of
 from assets.feature_dataset import feature_dataset
 from assets.oracle_evaluation import oracle_evaluation
+from assets.partitions import testbed_of
 from assets.record_command import record_command
 from assets.thesis_method import (
     clustering_grid_search,
@@ -45,9 +46,10 @@ GHOST = "atc_ghost_static"  # the mode of which the report shows the radar displ
         pairwise_report,
         oracle_evaluation,
     ],
+    place="report/index.html",
     freshness_policy=FRESH,
 )
-def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
+def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.MaterializeResult[None]:
     """Show what was found in `<root>/report/index.html`, and each run on a page of its own.
 
     The first screen says what was recorded, what was found, and what these runs do not support yet.
@@ -101,7 +103,7 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
         html.write_page(page, store.report)
         shown = ShownRuns(
             measured=measured,
-            judged=judged,
+            evaluation=evaluation,
             deviations=deviations,
             unusual=unusual_windows(measured),
             path=lambda run: store.run(run).path,
@@ -111,6 +113,10 @@ def oracle_report(store: RunStore) -> dg.MaterializeResult[None]:
         )
         with published(store.run_pages, last="index.html") as folder:
             pages = write_run_pages(shown, folder)
+    context.log.info(
+        f"Report on {len(df)} runs, and a page for each of {pages}: {store.report}. The UI of "
+        f"`make ui` shows it at {REPORT_PATH}/."
+    )
     pictures = {run: png for each in explained for run, png in each.pictures.items()}
     return dg.MaterializeResult(
         metadata={

@@ -1,17 +1,24 @@
 """The one partitions definition: every run of every experiment mode.
 
 A key reads ``fake_object|run003``. Run numbers are static, so that a new one appears in every mode
-at once. Their count and the scenario files of the user's folder are read when the code location
-loads. A broken scenario file is named in the log and left out.
+at once. Their count, the choice of modes, and the scenario files of the user's folder are read when
+the code location loads. A broken scenario file is named in the log and left out.
+
+There is one definition for all testbeds, because Dagster refuses a command over assets of different
+ones, and ``--select '*'`` means the whole campaign.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 
 import dagster as dg
 
 from oracle_pipeline.bags.errors import OracleError
 from sim.modes import broken_scenarios, modes
+from sim.testbeds import TESTBEDS, which_testbed
+
+ALL = "*"
 
 
 class ConfigurationError(OracleError):
@@ -34,16 +41,46 @@ def run_count(environment: Mapping[str, str]) -> int:
     return int(text)
 
 
-def runs_of_modes(count: int) -> dg.MultiPartitionsDefinition:
-    """Return ``count`` runs of every mode, modes in their own order."""
+def testbed_of(mode: str) -> str:
+    """Return the name of the testbed that a mode runs on."""
+    return which_testbed(modes()[mode].scenario)
+
+
+def chosen_modes(environment: Mapping[str, str]) -> list[str]:
+    """Return the modes that are partitions, in their own order: ``ORACLE_MODES``, or all.
+
+    It lists testbeds and modes, separated by commas; ``*`` stands for any text.
+
+    Raises
+    ------
+    ConfigurationError
+        If a part of it stands for no mode.
+    """
+    text = environment.get("ORACLE_MODES") or ALL
+    wanted = [part.strip() for part in text.split(",")]
+    named = {part: [mode for mode in modes() if _is_named(mode, part)] for part in wanted}
+    if empty := [part for part, found in named.items() if not found]:
+        raise ConfigurationError(
+            f"ORACLE_MODES names no mode with {empty[0]!r}; give modes, with * for any text, or "
+            f"testbeds ({', '.join(TESTBEDS)}), separated by commas."
+        )
+    return [mode for mode in modes() if any(mode in found for found in named.values())]
+
+
+def _is_named(mode: str, part: str) -> bool:
+    return fnmatchcase(mode, part) or testbed_of(mode) == part
+
+
+def runs_of_modes(wanted: Sequence[str], count: int) -> dg.MultiPartitionsDefinition:
+    """Return ``count`` runs of each of some modes."""
     return dg.MultiPartitionsDefinition(
         {
-            "mode": dg.StaticPartitionsDefinition(list(modes())),
+            "mode": dg.StaticPartitionsDefinition(wanted),
             "run": dg.StaticPartitionsDefinition([f"run{run:03d}" for run in range(count)]),
         }
     )
 
 
-RUNS = runs_of_modes(run_count(os.environ))
+RUNS = runs_of_modes(chosen_modes(os.environ), run_count(os.environ))
 for broken in broken_scenarios():
     dg.get_dagster_logger().warning(f"Left out: {broken}")

@@ -6,6 +6,7 @@ Metadata take plain Python values only: no NumPy scalars, no NaN.
 import base64
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import dagster as dg
@@ -63,6 +64,13 @@ def columns(df: "pd.DataFrame") -> dg.TableSchema:
             for name, dtype in df.dtypes.items()
         ]
     )
+
+
+def columns_of(place: Path) -> dg.TableSchema:
+    """Return the columns of a feature table that is a file."""
+    from oracle_pipeline.datasets import read_table
+
+    return columns(read_table(place))
 
 
 def _meaning(field: Mapping[str, str]) -> str | None:

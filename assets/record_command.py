@@ -4,7 +4,7 @@ import os
 import shlex
 from collections.abc import Sequence
 
-from assets.partitions import run_count
+from assets.partitions import ALL, chosen_modes, run_count
 from sim.modes import modes
 
 # Settings that decide which runs are recorded and where; the command repeats those that are set.
@@ -28,6 +28,8 @@ def record_command(wanted: Sequence[str], blocks: int) -> str:
     settings = {name: os.environ[name] for name in REPEATED if os.environ.get(name)}
     if blocks > run_count(os.environ) or os.environ.get("ORACLE_RUNS"):
         settings["ORACLE_RUNS"] = str(max(blocks, run_count(os.environ)))
+    if not set(chosen) <= set(chosen_modes(os.environ)):
+        settings["ORACLE_MODES"] = ALL
     words = [f"{name}={shlex.quote(value)}" for name, value in settings.items()]
     keys = f"{chosen[0]}|run000...{chosen[-1]}|run{blocks - 1:03d}"
     return " ".join(

@@ -77,8 +77,11 @@ def checks_of_runs(
         asset: latest_materializations(context.instance, asset, list(runs))
         for asset in {spec.asset_key for spec in specs.values()}
     }
-    for outcome in fleet.outcomes(inspect, inspections):
+    wrong: dict[str, list[str]] = {name: [] for name in specs}
+    for outcome in fleet.outcomes(inspect, inspections, "inspections done"):
         finding = outcome.result or Finding([outcome.error or "the inspection ended early"], {})
+        if finding.wrong:
+            wrong[outcome.job.name] += [run.key for run in outcome.job.runs if run.key in runs]
         for run in outcome.job.runs:
             if run.key in runs:
                 spec = specs[outcome.job.name]
@@ -90,6 +93,9 @@ def checks_of_runs(
                     description="; ".join(finding.wrong[:SHOWN]) or None,
                     metadata={**finding.figures, "wrong": len(finding.wrong)},
                 )
+    for name, keys in wrong.items():
+        said = f"failed for {', '.join(keys[:SHOWN])}" if keys else "passed"
+        context.log.info(f"Check {name} of {len(runs)} runs: {said}.")
     for spec in specs.values():
         yield dg.Output(None, output_name=spec.get_python_identifier())
 

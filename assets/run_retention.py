@@ -36,6 +36,10 @@ def forget_runs(context: dg.OpExecutionContext, config: RetentionConfig) -> None
     forgotten = [run for run in ended if run not in in_use]
     for run in forgotten:
         _forget(instance, run)
+    context.log.info(
+        f"Deleted the records of {len(forgotten)} Dagster runs that ended more than {config.days} "
+        f"days ago; {len(ended) - len(forgotten)} hold the newest state of a partition and stay."
+    )
     context.add_output_metadata(
         {"forgotten": len(forgotten), "old_and_in_use": len(ended) - len(forgotten)}
     )

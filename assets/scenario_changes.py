@@ -5,6 +5,7 @@ It reads the files at every tick, whereas the modes are read once, when the code
 
 import itertools
 import json
+import os
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
@@ -13,7 +14,7 @@ import dagster as dg
 
 from assets.automation import everything, refreshed_runs
 from assets.experiment_runs import EXPERIMENT_RUNS
-from assets.partitions import RUNS
+from assets.partitions import RUNS, chosen_modes
 from sim.fuzzing.compilation import compile_file
 from sim.fuzzing.scenario import Scenario, ScenarioError
 from sim.modes import broken_scenarios, modes
@@ -48,8 +49,8 @@ def changed_scenarios(context: dg.SensorEvaluationContext) -> dg.SensorResult:
 def _digests() -> tuple[dict[str, str], list[str]]:
     """Return the digest of each mode's scenario as its file is now, and the faults in files."""
     names: defaultdict[str, list[str]] = defaultdict(list)
-    for mode in modes().values():
-        names[mode.scenario.file].append(mode.id)
+    for mode in chosen_modes(os.environ):
+        names[modes()[mode].scenario.file].append(mode)
     digests: dict[str, str] = {}
     faults = list(broken_scenarios())
     for file, of_file in names.items():

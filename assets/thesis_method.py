@@ -14,9 +14,9 @@ from assets.aggregates import (
     aggregate,
     keep,
     run_table,
-    testbed_of,
 )
 from assets.feature_dataset import feature_dataset
+from assets.partitions import testbed_of
 from resources.failures import clear_failures
 from resources.store import RunStore
 

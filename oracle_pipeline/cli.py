@@ -9,9 +9,8 @@ Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomal
 import json
 import math
 import traceback
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,6 +18,7 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import PlainTextGroup, version_option
 from oracle_pipeline.comparison.command import compare
 from oracle_pipeline.live.command import watch
+from oracle_pipeline.options import format_option, output_option, plugins_option
 from oracle_pipeline.replay.command import replay
 
 if TYPE_CHECKING:
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from oracle_pipeline.scoring.verdict import Verdict
 
 _SHOWN = "shown"  # of an option that may stand without its value
-
-_Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
 class _Failure(click.ClickException):
@@ -65,24 +63,6 @@ main.add_command(watch)
 main.add_command(compare)
 
 
-def _format_option(*formats: str, text: str) -> Callable[[_Command], _Command]:
-    """Return the option that chooses among output formats, the first by default."""
-    return click.option(
-        "--format", "file_format", type=click.Choice(formats), default=formats[0],
-        show_default=True, help=text,
-    )  # fmt: skip
-
-
-def _output_option(name: str, text: str) -> Callable[[_Command], _Command]:
-    """Return an option that names a file to write."""
-    return click.option(name, type=click.Path(path_type=Path, dir_okay=False), help=text)
-
-
-_plugins = click.option(
-    "--plugins", type=click.Path(path_type=Path), envvar="ORACLE_PLUGINS",
-    help="Folder of feature plugins.  [default: $ORACLE_PLUGINS, if set]",
-)  # fmt: skip
-
 _strict = click.option(
     "--strict", is_flag=True,
     help="Refuse a recording that was not finished, or of which a part is missing.",
@@ -108,16 +88,16 @@ def _choices(roles: Path | None) -> "RoleChoices | None":
     "--table", type=click.Choice(["run", "window"]), default="run", show_default=True,
     help="One row for the recording, or one for each window of 10 s (every 5 s).",
 )  # fmt: skip
-@_format_option(
+@format_option(
     "json", "parquet", text="JSON for reading and jq; Parquet for pandas, units in its schema."
 )
-@_output_option("--output", "File to write; Parquet needs one.  [default: standard output]")
+@output_option("--output", "File to write; Parquet needs one.  [default: standard output]")
 @click.option(
     "--roles", is_flag=False, flag_value=_SHOWN, metavar="[FILE]",
     help="Without FILE, after RUN_OR_BAG: print which topic is what, and what is ambiguous. With "
     "FILE: YAML that names robots and what topics are for, where that cannot be found.",
 )  # fmt: skip
-@_plugins
+@plugins_option
 @_strict
 def features(
     run_or_bag: Path,
@@ -221,9 +201,9 @@ def _json(table: "pd.DataFrame", tables: "FeatureTables") -> str:
     type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
     help="False positive rate: the share of normal runs that may be called anomalous.",
 )  # fmt: skip
-@_format_option("text", "json", text="Text for reading; one JSON object for programs.")
-@_output_option("--junit", "File for the verdicts as JUnit XML, for a CI system.")
-@_output_option("--page", "File for a page (HTML) with the verdicts, their evidence and pictures.")
+@format_option("text", "json", text="Text for reading; one JSON object for programs.")
+@output_option("--junit", "File for the verdicts as JUnit XML, for a CI system.")
+@output_option("--page", "File for a page (HTML) with the verdicts, their evidence and pictures.")
 @click.option(
     "--time-limit", default=900.0, show_default=True, type=click.FloatRange(0.0, min_open=True),
     help="Seconds that the features of one recording may take.",
@@ -233,7 +213,7 @@ def _json(table: "pd.DataFrame", tables: "FeatureTables") -> str:
     help="GiB of memory that they may take.",
 )  # fmt: skip
 @_roles
-@_plugins
+@plugins_option
 @_strict
 @click.pass_context
 def score(
@@ -313,12 +293,9 @@ def score(
 @main.command()
 @click.argument("good", metavar="GOOD...", nargs=-1, required=True,
                 type=click.Path(path_type=Path, exists=True))  # fmt: skip
-@click.option(
-    "--output", required=True, type=click.Path(path_type=Path, dir_okay=False),
-    help="File to write, such as robot.card.",
-)  # fmt: skip
+@output_option("--output", "File to write, such as robot.card.", required=True)
 @_roles
-@_plugins
+@plugins_option
 def learn(good: tuple[Path, ...], output: Path, roles: Path | None, plugins: Path | None) -> None:
     """Write a reference card from normal recordings.
 

@@ -5,7 +5,7 @@ from typing import Literal, Self
 import dagster as dg
 from pydantic import Field
 
-from sim.campaigns import DEFAULT_SEED, ArenaChoice, Campaign, Options
+from sim.campaigns import DEFAULT_SEED, ArenaChoice, Campaign, Navigation, Options
 
 
 class CampaignSettings(dg.ConfigurableResource[None]):
@@ -25,6 +25,11 @@ class CampaignSettings(dg.ConfigurableResource[None]):
     arena: ArenaChoice = Field(
         default="drawn",
         description="World of the runs; drawn: hexagon, house and random arenas take turns.",
+    )
+    nav2: Navigation = Field(
+        default="tuned",
+        description="Settings of Nav2: tuned to narrow gaps; stock, with which the collision "
+        "monitor slows the robot down near walls; drawn: stock in houses, tuned elsewhere.",
     )
     sessions: int | None = Field(
         default=None,
@@ -46,6 +51,7 @@ class CampaignSettings(dg.ConfigurableResource[None]):
             sessions=wanted.sessions,
             noise_per_run=wanted.noise_per_run,
             arena=wanted.options.arena,
+            nav2=wanted.options.nav2,
         )
 
     def campaign(self) -> Campaign:
@@ -54,7 +60,7 @@ class CampaignSettings(dg.ConfigurableResource[None]):
             seed=self.seed,
             goals_per_run=self.goals_per_run,
             storage=self.storage,
-            options=Options(arena=self.arena),
+            options=Options(arena=self.arena, nav2=self.nav2),
             sessions=self.sessions,
             noise_per_run=self.noise_per_run,
         )

@@ -1,6 +1,7 @@
 """Who does the work of many runs: processes of this machine, or a Dask cluster."""
 
 import os
+import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
@@ -13,7 +14,7 @@ from sim.fan_out import Outcome, fan_out, process_pool
 J = TypeVar("J")
 R = TypeVar("R")
 
-NEWS = 10  # times that a step tells of its progress
+NEWS_S = 10.0  # between two lines on the progress of a step
 
 
 class Fleet(dg.ConfigurableResource[None]):
@@ -31,7 +32,9 @@ class Fleet(dg.ConfigurableResource[None]):
         "empty: this machine.",
     )
 
-    def outcomes(self, function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[Outcome[J, R]]:
+    def outcomes(
+        self, function: Callable[[J], R], jobs: Sequence[J], done: str = "jobs done"
+    ) -> Iterator[Outcome[J, R]]:
         """Yield what became of every job, as they finish; one that fails fails alone.
 
         Progress and failures go to the log of the Dagster run.
@@ -42,6 +45,8 @@ class Fleet(dg.ConfigurableResource[None]):
             Module-level function of one job.
         jobs
             In the order in which they start.
+        done
+            What to call jobs that are over, in the log.
 
         Raises
         ------
@@ -49,14 +54,16 @@ class Fleet(dg.ConfigurableResource[None]):
             Nobody answers at the address, or nobody works there.
         """
         log = dg.get_dagster_logger()
-        failed = 0
+        failed, started, told = 0, time.monotonic(), time.monotonic()
         with clear_failures():
-            for done, outcome in enumerate(self._fan_out(function, jobs), start=1):
+            for over, outcome in enumerate(self._fan_out(function, jobs), start=1):
                 if outcome.error is not None:
                     failed += 1
                     log.warning(f"{outcome.job} failed: {outcome.error}")
-                if done * NEWS // len(jobs) > (done - 1) * NEWS // len(jobs):
-                    log.info(f"{done} of {len(jobs)} jobs are over, {failed} of them failed.")
+                now = time.monotonic()
+                if over == len(jobs) or now - told >= NEWS_S:
+                    told = now
+                    log.info(_news(over, len(jobs), done, failed, now - started))
                 yield outcome
 
     def _fan_out(self, function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[Outcome[J, R]]:
@@ -65,3 +72,17 @@ class Fleet(dg.ConfigurableResource[None]):
         from resources.cluster import DaskExecutor
 
         return fan_out(function, jobs, lambda: DaskExecutor(self.address))
+
+
+def _news(over: int, jobs: int, done: str, failed: int, seconds: float) -> str:
+    """Say how far a step is, and how long the rest will take.
+
+    Examples
+    --------
+    >>> _news(6, 18, "runs done", 1, 60.4)
+    '6 of 18 runs done in 60 s, 1 failed; about 120 s to go.'
+    >>> _news(18, 18, "runs done", 0, 181.0)
+    '18 of 18 runs done in 181 s, none failed.'
+    """
+    rest = f"; about {seconds / over * (jobs - over):.0f} s to go" if over < jobs else ""
+    return f"{over} of {jobs} {done} in {seconds:.0f} s, {failed or 'none'} failed{rest}."

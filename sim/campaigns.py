@@ -9,8 +9,9 @@ from oracle_pipeline.bags.errors import OracleError
 Storage = Literal["mcap", "sqlite3"]
 Wiring = Literal["additive", "replace", "absent"]
 OdometrySource = Literal["world", "encoder"]  # gazebo_ros_diff_drive's two
-# Tuned to the narrow gaps of the hexagon, or as Nav2 ships them.
-Navigation = Literal["tuned", "stock"]
+# Tuned to the narrow gaps of the hexagon, or as Nav2 ships them. Drawn: stock in a house, where it
+# leaves the robot enough room, and tuned elsewhere; a recipe holds what was drawn.
+Navigation = Literal["tuned", "stock", "drawn"]
 # Drawn: block 0 is in the hexagon, 1 in a house, 2 in a random arena, 3 in the hexagon, ...
 ArenaChoice = Literal["drawn", "hexagon", "house", "random"]
 
@@ -58,12 +59,15 @@ class Campaign:
     def from_environment(cls) -> Self:
         """Return the default campaign, as far as the environment says nothing else.
 
-        It may say ``ORACLE_GOALS_PER_RUN``, ``ORACLE_ARENA``, ``ORACLE_SESSIONS`` and
-        ``ORACLE_NOISE_PER_RUN``.
+        It may say ``ORACLE_GOALS_PER_RUN``, ``ORACLE_ARENA``, ``ORACLE_NAV2``,
+        ``ORACLE_SESSIONS`` and ``ORACLE_NOISE_PER_RUN``.
         """
         return cls(
             goals_per_run=_count("ORACLE_GOALS_PER_RUN") or cls().goals_per_run,
-            options=Options(arena=_arena("ORACLE_ARENA")),
+            options=Options(
+                arena=cast("ArenaChoice", _choice("ORACLE_ARENA", ArenaChoice, "drawn")),
+                nav2=cast("Navigation", _choice("ORACLE_NAV2", Navigation, "tuned")),
+            ),
             sessions=_count("ORACLE_SESSIONS"),
             noise_per_run=_switch("ORACLE_NOISE_PER_RUN"),
         )
@@ -91,9 +95,9 @@ def _switch(variable: str) -> bool:
     return text == "1"
 
 
-def _arena(variable: str) -> ArenaChoice:
-    text = os.environ.get(variable, "drawn")
-    choices = get_args(ArenaChoice)
+def _choice(variable: str, of: object, default: str) -> str:
+    text = os.environ.get(variable, default)
+    choices = get_args(of)
     if text not in choices:
         raise RecipeError(f"{variable} is {text!r}; give one of {', '.join(choices)}.")
-    return cast("ArenaChoice", text)
+    return text

@@ -150,6 +150,24 @@ def _member(kind: Nodetype, what: Any, store: Typestore) -> Any:
     return _PRIMITIVES[base]
 
 
+def _endpoint(
+    make: Any,
+    doing: str,
+    participant: Participant,
+    name: str,
+    msgtype: str,
+    qos: Qos,
+    store: Typestore | None,
+) -> tuple[Any, Any]:
+    """Return a topic, and a reader or writer of it."""
+    definition = idl_type(msgtype, store or types.typestore())
+    try:
+        named = topic.Topic(participant, name, definition)
+        return named, make(participant, named, dds_qos(qos))
+    except (core.DDSException, RuntimeError) as error:
+        raise DdsError(f"Could not {doing} {name} ({msgtype}): {error}.") from error
+
+
 class Raw(NamedTuple):
     """A message as it was on DDS."""
 
@@ -182,17 +200,14 @@ class RawReader:
         qos: Qos,
         store: Typestore | None = None,
     ) -> None:
-        try:
-            definition = idl_type(msgtype, store or types.typestore())
-            self.topic = topic.Topic(participant, name, definition)
-            self.entity = sub.DataReader(participant, self.topic, dds_qos(qos))
-        except (core.DDSException, RuntimeError) as error:
-            raise DdsError(f"Could not subscribe to {name} ({msgtype}): {error}.") from error
+        self.topic, self.entity = _endpoint(
+            sub.DataReader, "subscribe to", participant, name, msgtype, qos, store
+        )
 
     @property
     def guid(self) -> bytes:
         """Its identifier on the network, 16 bytes."""
-        return self.entity.guid.bytes
+        return bytes(self.entity.guid.bytes)
 
     def take(self) -> list[Raw]:
         """Return some of the messages that have come; none if there is none."""
@@ -217,17 +232,14 @@ class RawWriter:
         qos: Qos,
         store: Typestore | None = None,
     ) -> None:
-        try:
-            definition = idl_type(msgtype, store or types.typestore())
-            self._topic = topic.Topic(participant, name, definition)
-            self._entity = pub.DataWriter(participant, self._topic, dds_qos(qos))
-        except (core.DDSException, RuntimeError) as error:
-            raise DdsError(f"Could not publish {name} ({msgtype}): {error}.") from error
+        self._topic, self._entity = _endpoint(
+            pub.DataWriter, "publish", participant, name, msgtype, qos, store
+        )
 
     @property
     def guid(self) -> bytes:
         """Its identifier on the network, 16 bytes."""
-        return self._entity.guid.bytes
+        return bytes(self._entity.guid.bytes)
 
     def write(self, data: bytes) -> None:
         """Send CDR bytes, encapsulation header included."""

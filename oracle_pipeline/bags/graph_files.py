@@ -10,7 +10,7 @@ for ROS nodes). Edges run from node to topic (publish) and from topic to node (s
 import functools
 import io
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from xml.parsers import expat
@@ -140,12 +140,12 @@ def read_gexf(path: Path) -> RosGraph:
     GraphError
         If the file is missing, broken, has a document type, or lacks an attribute.
     """
-    return _read(path, nx.read_gexf)
+    return _read(path, _Gexf)
 
 
 def read_graphml(path: Path) -> RosGraph:
     """Read a file that ``write_graphml`` wrote; raises as ``read_gexf`` does."""
-    return _read(path, nx.read_graphml)
+    return _read(path, _GraphMl)
 
 
 def _write(root: ET.Element, path: Path) -> None:
@@ -160,32 +160,83 @@ def _refuse_document_type(*_declaration: object) -> None:
     raise GraphError("it has a document type, which a graph file never needs")
 
 
-class _Depth:
-    """Refuses elements within elements beyond the limit: parsers of trees recurse."""
+class _Xml:
+    """Goes through a file's elements; refuses those within others beyond the limit."""
 
     def __init__(self) -> None:
         self._depth = 0
 
-    def enter(self, *_element: object) -> None:
+    def enter(self, _name: str, _attributes: dict[str, str]) -> None:
         self._depth += 1
         if self._depth > DEEPEST_GRAPH:
             raise GraphError(f"its elements are deeper than {DEEPEST_GRAPH} (DEEPEST_GRAPH)")
 
-    def leave(self, *_element: object) -> None:
+    def leave(self, _name: str) -> None:
         self._depth -= 1
 
+    def graph(self, data: bytes) -> RosGraph:
+        """Return the graph, once all elements were gone through."""
+        raise NotImplementedError
 
-def _read(path: Path, parse: Callable[[io.BytesIO], Any]) -> RosGraph:
+
+class _GraphMl(_Xml):
+    def graph(self, data: bytes) -> RosGraph:
+        return _checked(nx.read_graphml(io.BytesIO(data)))
+
+
+class _Gexf(_Xml):
+    """Takes the graph from the elements; a run has one every 10 s, so no tree is built first."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._vertices: dict[str, dict[str, str]] = {}
+        self._edges: list[tuple[str, str, dict[str, str]]] = []
+        self._titles: dict[tuple[str, str], str] = {}  # of attributes, by owner and identifier
+        self._owner = ""
+        self._values: dict[str, str] = {}  # of the vertex or edge that was entered
+
+    def enter(self, name: str, attributes: dict[str, str]) -> None:
+        super().enter(name, attributes)
+        if name == "attributes":
+            self._owner = attributes["class"]
+        elif name == "attribute":
+            self._titles[self._owner, attributes["id"]] = attributes["title"]
+        elif name == "node":
+            self._owner = name
+            self._values = self._vertices[attributes["id"]] = {"label": attributes["label"]}
+        elif name == "edge":
+            self._owner = name
+            self._values = {}
+            self._edges.append((attributes["source"], attributes["target"], self._values))
+        elif name == "attvalue":
+            self._values[self._titles[self._owner, attributes["for"]]] = attributes["value"]
+        elif name == "graph" and attributes["defaultedgetype"] != "directed":
+            raise GraphError("its edges are not directed")
+
+    def graph(self, data: bytes) -> RosGraph:  # noqa: ARG002 -- it was gone through
+        graph: RosGraph = nx.DiGraph()
+        graph.add_nodes_from(
+            (vertex, _vertex(vertex, values)) for vertex, values in self._vertices.items()
+        )
+        for source, target, values in self._edges:
+            if source not in self._vertices or target not in self._vertices:
+                raise GraphError(f"the edge from {source!r} to {target!r} has no vertex")
+            graph.add_edge(source, target, **_traffic(values))
+        if self._owner == "":
+            raise GraphError("it is no GEXF file")
+        return graph
+
+
+def _read(path: Path, kind: type[_Xml]) -> RosGraph:
     try:
         if path.stat().st_size > LARGEST_GRAPH:
             raise GraphError(f"it is larger than {LARGEST_GRAPH} bytes (LARGEST_GRAPH)")
         data = path.read_bytes()
-        scanner = expat.ParserCreate()
+        scanner, elements = expat.ParserCreate(), kind()
         scanner.StartDoctypeDeclHandler = _refuse_document_type
-        depth = _Depth()
-        scanner.StartElementHandler, scanner.EndElementHandler = depth.enter, depth.leave
+        scanner.StartElementHandler, scanner.EndElementHandler = elements.enter, elements.leave
         scanner.Parse(data, True)
-        return _checked(parse(io.BytesIO(data)))
+        return elements.graph(data)
     except (OSError, expat.ExpatError, nx.NetworkXError, GraphError, KeyError, ValueError) as error:
         raise GraphError(
             f"Could not read the graph {path}: {error}. Take the graph from the run again."
@@ -196,10 +247,18 @@ def _checked(parsed: Any) -> RosGraph:
     """Return the parsed graph with the attributes of our schema and no others."""
     graph: RosGraph = nx.DiGraph()
     for vertex, data in parsed.nodes(data=True):
-        kind, name = data["kind"], data["label"]
-        if kind not in KINDS or vertex != vertex_id(kind, name):
-            raise GraphError(f"vertex {vertex!r} is not 'kind:name' of a known kind")
-        graph.add_node(vertex, label=name, kind=kind, type=data.get("type") or "")
+        graph.add_node(vertex, **_vertex(vertex, data))
     for source, target, data in parsed.edges(data=True):
-        graph.add_edge(source, target, **{name: int(data[name]) for name in _EDGE_ATTRIBUTES})
+        graph.add_edge(source, target, **_traffic(data))
     return graph
+
+
+def _vertex(vertex: str, data: Mapping[str, Any]) -> dict[str, str]:
+    kind, name = data["kind"], data["label"]
+    if kind not in KINDS or vertex != vertex_id(kind, name):
+        raise GraphError(f"vertex {vertex!r} is not 'kind:name' of a known kind")
+    return {"label": name, "kind": kind, "type": data.get("type") or ""}
+
+
+def _traffic(data: Mapping[str, Any]) -> dict[str, int]:
+    return {name: int(data[name]) for name in _EDGE_ATTRIBUTES}

@@ -12,3 +12,11 @@ R = TypeVar("R")
 def jit(function: Callable[P, R]) -> Callable[P, R]:
     """Compile ``function`` on first call and keep the machine code for the next process."""
     return cast(Callable[P, R], numba.njit(cache=True)(function))
+
+
+def jit_unchecked(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile as `jit` does, but division by zero gives ``inf`` or NaN, as in numpy.
+
+    Without the check, a loop that only computes takes several numbers at a time.
+    """
+    return cast(Callable[P, R], numba.njit(cache=True, error_model="numpy")(function))

@@ -27,6 +27,11 @@ class Messages(NamedTuple):
     offsets: NDArray[np.int64]  # of the message in ``data``
     sizes: NDArray[np.int64]  # [B]
 
+    def message(self, row: int) -> bytes:
+        """Return a message's bytes."""
+        offset = int(self.offsets[row])
+        return self.data[offset : offset + int(self.sizes[row])]
+
 
 def in_time_order(
     read: Callable[[], Iterator[Messages]], *, is_in_order: bool

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from oracle_pipeline.options import format_option, output_option, plugins_option
+
 
 @click.command()
 @click.argument("first", metavar="A", type=click.Path(path_type=Path, exists=True))
@@ -16,22 +18,12 @@ import click
     type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
     help="Chance to report any difference between sets that do not differ.",
 )  # fmt: skip
-@click.option(
-    "--format", "file_format", type=click.Choice(["text", "json"]), default="text",
-    show_default=True, help="Text for reading; one JSON object for programs.",
-)  # fmt: skip
-@click.option(
-    "--junit", type=click.Path(path_type=Path, dir_okay=False),
-    help="File for the outcome as JUnit XML, a test case for each family of features.",
-)  # fmt: skip
-@click.option(
-    "--picture", type=click.Path(path_type=Path, dir_okay=False),
-    help="PNG file for a picture of the features that differ.",
-)  # fmt: skip
-@click.option(
-    "--plugins", type=click.Path(path_type=Path), envvar="ORACLE_PLUGINS",
-    help="Folder of feature plugins.  [default: $ORACLE_PLUGINS, if set]",
-)  # fmt: skip
+@format_option("text", "json", text="Text for reading; one JSON object for programs.")
+@output_option(
+    "--junit", "File for the outcome as JUnit XML, a test case for each family of features."
+)
+@output_option("--picture", "PNG file for a picture of the features that differ.")
+@plugins_option
 @click.pass_context
 def compare(
     ctx: click.Context,

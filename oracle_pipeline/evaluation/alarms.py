@@ -64,16 +64,24 @@ def watched(campaign: JudgedRuns) -> WatchedRuns:
     return WatchedRuns(score, alarm, max(promised))
 
 
-def times_to_detect(alarm: NDArray[np.bool_], campaign: JudgedRuns) -> NDArray[np.float64]:
-    """Return seconds from the onset to the end of the first window with an alarm, (n_runs,).
+def times_to_detect(
+    alarm: NDArray[np.bool_], campaign: JudgedRuns, since_s: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return seconds from an event to the end of the first window with an alarm, (n_runs,).
 
-    Windows that ended before the onset do not count. Infinite for an attack that is missed; NaN for
-    a run without one.
+    Windows that ended before it do not count. Infinite for an attack that is missed; NaN for a run
+    without one.
+
+    Parameters
+    ----------
+    alarm : ndarray of bool, shape (n_windows,)
+    campaign : JudgedRuns
+    since_s : ndarray of shape (n_runs,)
+        When the attack began, or first changed a message [s of the recording].
     """
-    onset = np.where(campaign.malicious, campaign.onset_s, np.nan)
-    late = campaign.end_s - onset[campaign.run]
+    late = campaign.end_s - since_s[campaign.run]
     first = np.where(campaign.malicious, np.inf, np.nan)
-    counted = alarm & (late > 0.0)
+    counted = alarm & (late > 0.0) & campaign.malicious[campaign.run]
     np.minimum.at(first, campaign.run[counted], late[counted])
     return first
 
@@ -110,7 +118,8 @@ def judge_alarms(
         campaign.block[campaign.run[first]],
     )
     hit, normal = judged & malicious, judged & ~malicious
-    late = times_to_detect(alarm, campaign)[hit]
+    late = times_to_detect(alarm, campaign, campaign.onset_s)[hit]
+    after_effect = times_to_detect(alarm, campaign, campaign.effect_s)[hit]
     raised = np.bincount(campaign.run[alarm], minlength=len(malicious))[normal]
     lengths, block = campaign.truth["recording_s"].to_numpy(dtype=np.float64), campaign.block
     return {
@@ -122,6 +131,7 @@ def judge_alarms(
         **share(np.isinf(late), block[hit], rng).columns("missed"),
         **quantile(late, block[hit], 0.5, rng).columns("time_to_detect_median_s"),
         **quantile(late, block[hit], 0.9, rng).columns("time_to_detect_90_s"),
+        **quantile(after_effect, block[hit], 0.5, rng).columns("after_effect_median_s"),
         "promised_per_h": watched_runs.per_hour,
         **events_per_hour(raised, lengths[normal], block[normal], rng).columns(
             "false_alarms_per_h"

@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.evaluation.comparisons import RATES, ComparedRuns, judge
+from oracle_pipeline.datasets import is_hard_negative
+from oracle_pipeline.evaluation.comparisons import HARD_NEGATIVES, RATES, ComparedRuns, judge
 from oracle_pipeline.evaluation.estimate import NOTHING
 from oracle_pipeline.evaluation.held_out import HeldOutScores
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
@@ -57,25 +58,43 @@ def aspects_table(
 
 def by_mode(
     scores: Mapping[str, HeldOutScores],
+    untaught: Mapping[str, HeldOutScores],
     campaign: JudgedRuns,
     effects: TaskEffects,
     rng: np.random.Generator,
 ) -> pd.DataFrame:
-    """Return a row for each mode: how many of its runs misbehaved, and what they were called."""
-    mode = campaign.features["mode"].to_numpy()
+    """Return a row for each mode: how many of its runs misbehaved, and what they were called.
+
+    Beside it what they are called by scores that no hard negative taught. The last row is of all
+    hard negatives, if there are any.
+
+    Parameters
+    ----------
+    scores, untaught : mapping of str to HeldOutScores
+        By aspect; `untaught` is empty without hard negatives.
+    campaign : JudgedRuns
+    effects : TaskEffects
+    rng : Generator
+        Draws the resamples behind the intervals.
+    """
+    mode, harmless = campaign.features["mode"].to_numpy(), is_hard_negative(campaign.features)
+    named = {name: mode == name for name in dict.fromkeys(campaign.features["mode"])}
+    if harmless.any():
+        named[HARD_NEGATIVES] = harmless
     rows = []
-    for name in dict.fromkeys(campaign.features["mode"]):
-        of_mode = (mode == name) & effects.known
-        sizes = effects.size[of_mode]
+    for name, members in named.items():
+        compared = members & effects.known
+        sizes = effects.size[compared]
         rows.append(
             {
                 "mode": name,
-                "runs": int(of_mode.sum()),
-                **share(effects.misbehaved[of_mode], campaign.block[of_mode], rng).columns(
+                "runs": int(compared.sum()),
+                **share(effects.misbehaved[compared], campaign.block[compared], rng).columns(
                     "misbehaved"
                 ),
                 "effect_median": float(np.median(sizes)) if len(sizes) else np.nan,
-                **_called(scores, campaign, mode == name, rng),
+                **_called(scores, campaign, members, rng),
+                **_called(untaught, campaign, members, rng, "untaught"),
             }
         )
     return pd.DataFrame(rows)
@@ -115,12 +134,19 @@ def _called(
     campaign: JudgedRuns,
     members: NDArray[np.bool_],
     rng: np.random.Generator,
+    prefix: str = "called",
 ) -> dict[str, float]:
-    """Return the share of some runs that each score calls anomalous, at the usual rate."""
+    """Return the share of some runs that each score, and both, call anomalous, at the usual rate.
+
+    What both call neither, or only one calls, follows from the three.
+    """
+    of_aspects = {aspect: of_aspect.p for aspect, of_aspect in scores.items()}
+    if len(of_aspects) > 1:
+        of_aspects["both"] = np.max(list(of_aspects.values()), axis=0)
     columns: dict[str, float] = {}
-    for aspect, of_aspect in scores.items():
-        judged = members & np.isfinite(of_aspect.p)
-        called = of_aspect.p[judged] <= RATES[0]
+    for aspect, p in of_aspects.items():
+        judged = members & np.isfinite(p)
+        called = p[judged] <= RATES[0]
         rate = share(called, campaign.block[judged], rng) if judged.any() else NOTHING
-        columns |= rate.columns(f"called_{aspect}")
+        columns |= rate.columns(f"{prefix}_{aspect}")
     return columns

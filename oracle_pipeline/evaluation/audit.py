@@ -21,6 +21,7 @@ from oracle_pipeline.datasets import feature_columns, feature_floors
 
 Told: TypeAlias = Literal["control", "mode", "session"]
 
+BLOCKS_OF_SESSION = 3  # fewer show no difference between sessions
 LEVEL = 0.05  # false discovery rate of what is listed, among the features of one comparison
 
 
@@ -42,6 +43,16 @@ def exact_pairs(df: pd.DataFrame) -> list[tuple[str, str]]:
     return [pair for pair in pairs if modes.issuperset(pair)]
 
 
+def unmatched(df: pd.DataFrame) -> list[str]:
+    """Return the attacked modes that have no unaltered counterpart, control or shadow.
+
+    A feature that tells modes apart tells runs of such a mode by what the mode is.
+    """
+    modes, control_of = set(df["mode"]), {attacked: control for control, attacked in PAIRS}
+    attacked = dict.fromkeys(df.loc[df["label"] == "malicious", "mode"])
+    return [m for m in attacked if not modes & {f"{m}_shadow", control_of.get(m, "")}]
+
+
 def blocks_needed(features: int) -> int:
     """Return how many blocks it takes to list a single one of so many features."""
     return int(np.ceil(np.log2(2.0 * max(1, features) / LEVEL)))
@@ -51,7 +62,8 @@ def audit(df: pd.DataFrame, columns: Sequence[str] | None = None) -> pd.DataFram
     """List every feature that tells control, mode or session where nothing was altered.
 
     Runs of two modes are compared block by block by a sign test, sessions by the ranks of their
-    blocks (Kruskal and Wallis); features that differ by less than their floor do not differ.
+    blocks (Kruskal and Wallis), or the earlier with the later ones if each has few blocks; features
+    that differ by less than their floor do not differ.
 
     Parameters
     ----------
@@ -99,11 +111,15 @@ def _between_modes(df: pd.DataFrame, columns: Sequence[str]) -> Iterator[Tell]:
 def _between_sessions(df: pd.DataFrame, columns: Sequence[str]) -> list[Tell]:
     unaltered = df[df["mode"].isin([control for control, _ in PAIRS])]
     by_block = unaltered.groupby(["session", "block"])[list(columns)].mean()
-    groups = [group for _, group in by_block.groupby("session") if len(group) > 2]
+    groups, between = [group for _, group in by_block.groupby("session")], "sessions"
+    if sum(len(group) >= BLOCKS_OF_SESSION for group in groups) < 2:
+        later = by_block.index.get_level_values("session") >= unaltered["session"].median()
+        groups, between = [by_block[~later], by_block[later]], "earlier and later sessions"
+    groups = [group for group in groups if len(group) >= BLOCKS_OF_SESSION]
     if len(groups) < 2:
         return []
     p = [_ranked([group[column].dropna().to_numpy() for group in groups]) for column in columns]
-    return _listed(columns, "session", "sessions", np.full(len(columns), np.nan), p)
+    return _listed(columns, "session", between, np.full(len(columns), np.nan), p)
 
 
 def _ranked(samples: list[NDArray[np.float64]]) -> float:

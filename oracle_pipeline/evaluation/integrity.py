@@ -18,7 +18,7 @@ from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bootstrap import DistinctRuns
 from oracle_pipeline.datasets import field_metadata, is_hard_negative
 from oracle_pipeline.detectors import Detector, upper_bounds
-from oracle_pipeline.evaluation.audit import blocks_needed, exact_pairs, told_in_pair
+from oracle_pipeline.evaluation.audit import audit, blocks_needed, exact_pairs, unmatched
 from oracle_pipeline.evaluation.comparisons import RATES, runs_of
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate, newcombe_auc
 from oracle_pipeline.evaluation.held_out import (
@@ -280,9 +280,11 @@ def blocks_to_exclude(rate: float, confidence: float = 0.95) -> int:
 
 
 def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> IntegrityCheck:
-    """No feature behind the headline tells a shadow control from the passthrough beside it.
+    """No feature behind the headline tells experiments apart where nothing was altered.
 
-    The figure is how many do.
+    No feature tells a shadow control from the passthrough beside it, or the session. One may tell
+    an unaltered mode from another, by who hears what, if each attacked mode has a counterpart of
+    which it tells the same. The figure is how many features do what they may not.
     """
     name, df = "unaltered_runs_are_alike", campaign.features
     pairs, needed = exact_pairs(df), blocks_needed(len(columns))
@@ -295,15 +297,19 @@ def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> Integr
             name,
             f"It takes a passthrough and its shadow in {needed} blocks; record *_shadow modes.",
         )
-    tells = [tell for pair in pairs for tell in told_in_pair(df, columns, pair)]
-    named = ", ".join(f"{tell.feature} ({tell.between})" for tell in tells[:3])
-    said = f"{len(tells)} of {len(columns)} features tell them apart"
+    found, alone = audit(df, columns), unmatched(df)
+    wrong = found if alone else found[found["tells"] != "mode"]
+    features = wrong["feature"].unique()
+    named = ", ".join(f"{each.feature} ({each.between})" for each in wrong[:3].itertuples())
+    of_modes = found.loc[found["tells"] == "mode", "feature"].nunique()
+    matched = f"{', '.join(alone)} without" if alone else "each attacked mode with"
     return _found(
         name,
-        passed=not tells,
-        figure=Estimate(*[float(len(tells))] * 3),
-        sentence=f"In {len(pairs)} pairs of a passthrough and its shadow {said}"
-        f"{f': {named}' if tells else ''}.",
+        passed=wrong.empty,
+        figure=Estimate(*[float(len(features))] * 3),
+        sentence=f"{len(features)} of {len(columns)} features tell apart what nothing was altered "
+        f"in{f': {named}' if named else ''}. {of_modes} tell unaltered modes by who hears what, "
+        f"{matched} an unaltered counterpart.",
     )
 
 

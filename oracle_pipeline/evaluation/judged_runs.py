@@ -56,6 +56,18 @@ class JudgedRuns(MeasuredRuns):
         """When each run's attack began [s of the recording], shape (n_runs,)."""
         return self.truth["onset_s"].to_numpy(dtype=np.float64)
 
+    @property
+    def effect_s(self) -> NDArray[np.float64]:
+        """When each run's attack first changed a message [s of the recording], shape (n_runs,).
+
+        Changes are recorded in bins of 5 s, whose start counts. The onset where none is recorded.
+        """
+        first = [
+            min((start for start, *_ in json.loads(text)), default=0.0)
+            for text in self.truth["changes"]
+        ]
+        return np.asarray(np.maximum(self.onset_s, first), dtype=np.float64)
+
     def attacked_windows(self) -> NDArray[np.bool_]:
         """Return the windows of attacked runs in which something was changed, (n_windows,).
 

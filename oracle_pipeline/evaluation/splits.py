@@ -7,6 +7,7 @@ it. Hard negatives are normal runs like any other.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final, Literal
 
 import numpy as np
 import pandas as pd
@@ -17,7 +18,9 @@ from oracle_pipeline.datasets import is_hard_negative, is_malicious
 FOLDS = 5
 MIN_BLOCKS = 3  # one to fit, one to calibrate, one to test
 # What a detector has not seen of the runs that it is tested on.
-BLOCK, SESSION, WORLD, HARMLESS = "block", "session", "world", "block and hard negatives"
+BLOCK, HARMLESS = "block", "block and hard negatives"
+SESSION: Final = "session"
+WORLD: Final = "world"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -51,25 +54,31 @@ def block_folds(df: pd.DataFrame, seed: int, n_folds: int = FOLDS) -> list[Fold]
     return _folds(df, [hand == n for n in range(n_folds)], rng)
 
 
-def session_folds(df: pd.DataFrame, seed: int, blocks_that_train: int = 0) -> list[Fold]:
-    """Return folds that hold out whole sessions, but for some blocks that train.
+def group_folds(
+    df: pd.DataFrame, column: Literal["session", "world"], seed: int, blocks_that_train: int = 0
+) -> list[Fold]:
+    """Return folds that hold out whole sessions or worlds, but for some blocks that train.
+
+    One group at a time is held out, or a fifth of them if there are more than five. With only one
+    group, or where a group has no further block, there are no folds.
 
     Parameters
     ----------
     df : DataFrame
         One row for each run.
+    column : {"session", "world"}
+        What is held out.
     seed : int
-        Of who trains, and of the order in which sessions are dealt if there are more than five.
+        Of who trains, and of the order in which groups are dealt.
     blocks_that_train : int
-        Blocks of a tested session that train like any other: runs that were taken on its day.
-        With only one session, or where a session has no further block, there are no folds.
+        Blocks of a tested group that train like any other, such as runs taken on its day.
     """
-    block, session = _column(df, "block"), _column(df, "session")
+    block, group = _column(df, "block"), df[column].to_numpy()
     rng = np.random.default_rng([seed, blocks_that_train])
     tested = [
-        (session == number)
-        & np.isin(block, rng.permutation(np.unique(block[session == number]))[blocks_that_train:])
-        for number in np.unique(session)
+        (group == name)
+        & np.isin(block, rng.permutation(np.unique(block[group == name]))[blocks_that_train:])
+        for name in np.unique(group)
     ]
     if len(tested) < 2 or not all(test.any() for test in tested):
         return []
@@ -77,24 +86,6 @@ def session_folds(df: pd.DataFrame, seed: int, blocks_that_train: int = 0) -> li
         hand = rng.permutation(len(tested)) % FOLDS
         tested = [np.any(np.array(tested)[hand == n], axis=0) for n in range(FOLDS)]
     return _folds(df, tested, np.random.default_rng(seed))
-
-
-def world_folds(df: pd.DataFrame, seed: int, n_folds: int = FOLDS) -> list[Fold]:
-    """Return folds that hold out all blocks of a share of the worlds each.
-
-    Parameters
-    ----------
-    df : DataFrame
-        One row for each run.
-    seed : int
-        Of the order in which worlds are dealt.
-    n_folds : int
-        At most; a world a fold if there are fewer worlds. With only one world there are no folds.
-    """
-    worlds, member = np.unique(df["world"].to_numpy(dtype=str), return_inverse=True)
-    rng = np.random.default_rng(seed)
-    hand = (rng.permutation(len(worlds)) % n_folds)[member]
-    return _folds(df, [hand == n for n in range(n_folds)], rng) if len(worlds) > 1 else []
 
 
 def tested_in(folds: Sequence[Fold]) -> NDArray[np.bool_] | None:

@@ -19,7 +19,7 @@ from oracle_pipeline.bags.behaviour import UNITS
 from oracle_pipeline.datasets import is_hard_negative
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 
-LEVEL = 0.99  # share of the unaltered runs that a quantity calls unaltered
+LEVEL = 0.99  # share of the unaltered runs that are called so by a quantity, and by all together
 REPEATS = 20  # unaltered runs that are needed to say how far they are from each other
 # Smaller differences do not matter to a task, however alike its runs are.
 LEAST: Mapping[str, float] = {
@@ -84,13 +84,36 @@ def task_effects(campaign: JudgedRuns) -> TaskEffects:
     differences = np.full(measured.shape, np.nan)
     for rows in measured.groupby(alike).indices.values():
         differences[rows] = _differences(measured.to_numpy()[rows], unaltered[rows])
-    apart = np.abs(differences[unaltered])
-    uncertainty = {}
-    for column, name in enumerate(UNITS):
-        known = apart[np.isfinite(apart[:, column]), column]
-        farthest = np.quantile(known, LEVEL, method="higher") if len(known) >= REPEATS else np.nan
-        uncertainty[name] = float(np.maximum(farthest, LEAST[name]))
-    return TaskEffects(pd.DataFrame(differences, columns=list(UNITS)), uncertainty)
+    uncertainty = _uncertainty(np.abs(differences[unaltered]))
+    return TaskEffects(
+        pd.DataFrame(differences, columns=list(UNITS)),
+        dict(zip(UNITS, uncertainty.tolist(), strict=True)),
+    )
+
+
+def _uncertainty(apart: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how far unaltered runs are from each other by chance, shape (n_quantities,).
+
+    Any one quantity makes a run misbehave, so all of them together are to call `LEVEL` of the
+    unaltered runs unaltered: what each does alone is widened until they do.
+
+    Parameters
+    ----------
+    apart : ndarray of shape (n_unaltered, n_quantities)
+    """
+    least = np.array([LEAST[name] for name in UNITS])
+    alone = np.array([_within(column[np.isfinite(column)]) for column in apart.T])
+    sizes = np.nan_to_num(apart / np.maximum(alone, least), nan=0.0)
+    known = np.isfinite(apart / alone).any(axis=1)
+    wider = max(1.0, _within(sizes[known].max(axis=1))) if known.any() else 1.0
+    return np.asarray(np.maximum(wider * alone, least), dtype=np.float64)
+
+
+def _within(apart: NDArray[np.float64]) -> float:
+    """Return the distance within which `LEVEL` of some runs are; NaN if they are too few."""
+    if len(apart) < REPEATS:
+        return np.nan
+    return float(np.quantile(apart, LEVEL, method="higher"))
 
 
 def _differences(values: NDArray[np.float64], unaltered: NDArray[np.bool_]) -> NDArray[np.float64]:

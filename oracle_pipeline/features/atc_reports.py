@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.features.parts import header_stamps_s
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -25,7 +26,7 @@ from oracle_pipeline.features.plugin import (
     hookimpl,
 )
 from oracle_pipeline.features.reduction import largest, mean, quantile, within
-from oracle_pipeline.features.scan_geometry import Floats, Points, stamp_s
+from oracle_pipeline.features.scan_geometry import Floats, Points
 from oracle_pipeline.features.wgs84 import Site, cartesian
 
 RADAR_FEATURES = (
@@ -274,15 +275,15 @@ def flights(series: Series) -> dict[str, ReportedFlight]:
 def keep_report(message: Any) -> tuple[Any, ...]:
     """Return address, stamp, position, ground speed and track of an ``AdsbReport``."""
     return (
-        message.icao24, stamp_s(message), message.latitude, message.longitude, message.altitude_m,
-        message.ground_speed, message.track_deg,
+        message.icao24, header_stamps_s(message), message.latitude, message.longitude,
+        message.altitude_m, message.ground_speed, message.track_deg,
     )  # fmt: skip
 
 
 def keep_reply(message: Any) -> tuple[Any, ...]:
     """Return address, stamp, slant range, azimuth and altitude of a ``SecondaryReply``."""
     return (
-        message.icao24, stamp_s(message), message.slant_range_m, message.azimuth_deg,
+        message.icao24, header_stamps_s(message), message.slant_range_m, message.azimuth_deg,
         message.altitude_m,
     )  # fmt: skip
 

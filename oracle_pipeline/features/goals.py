@@ -6,9 +6,11 @@ behaviour tree's log. Times are those of the recording.
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oracle_pipeline.features.plugin import (
     Feature,
@@ -123,10 +125,14 @@ def keep_log(message: Any) -> list[str]:
     return [c.current_status for c in message.event_log if c.node_name == _ROOT]
 
 
-def keep_plan(message: Any) -> float:
-    """Return the length of a path [m]."""
-    points = np.array([(p.pose.position.x, p.pose.position.y) for p in message.poses])
-    return float(np.hypot(*np.diff(points.reshape(-1, 2), axis=0).T).sum())
+def keep_plans(messages: Any) -> NDArray[np.float64]:
+    """Return the lengths of paths [m]."""
+    position = messages.poses.pose.position
+    begins = np.searchsorted(messages.poses.owners, np.arange(len(messages) + 1)).tolist()
+    steps = np.hypot(np.diff(position.x), np.diff(position.y))
+    return np.array([
+        steps[first : max(first, after - 1)].sum() for first, after in pairwise(begins)
+    ])  # fmt: skip
 
 
 #: What tells goals; a robot may lack either.
@@ -134,7 +140,7 @@ GOAL_TOPICS = {
     "status": Request(keep_status, role=GOAL_STATUS, dtype=object, optional=True),
     "log": Request(keep_log, role=BEHAVIOR_TREE, dtype=object, optional=True),
 }
-PLANS = Request(keep_plan, role=PLAN)
+PLANS = Request(keep_plans, role=PLAN, many=True)
 
 
 @hookimpl

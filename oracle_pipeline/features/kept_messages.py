@@ -4,7 +4,7 @@ Each message is decoded at most once, and only if a plugin asked for it. Windows
 arrays.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, Self
 
@@ -16,6 +16,7 @@ from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.limits import LARGEST_DECODED
 from oracle_pipeline.bags.merging import Messages
 from oracle_pipeline.bags.reader import BagReader, Topic
+from oracle_pipeline.features.columns import Batch
 from oracle_pipeline.features.kept_rows import Budget, Integers, KeptRows, Span, read_only
 from oracle_pipeline.features.message_layout import (
     SHORTEST_WITH_HEADER,
@@ -31,13 +32,14 @@ from oracle_pipeline.features.plugin import (
     Series,
     Window,
 )
-from oracle_pipeline.features.point_clouds import sliced
+from oracle_pipeline.features.point_clouds import CutClouds, sliced
 from oracle_pipeline.features.timeline import epochs, timeline
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.graphs.views import system_view
 from oracle_pipeline.robots.robot import Robot, find_robots
 from oracle_pipeline.robots.roles import POINT_CLOUD, SCAN
 
+_MOST_WAITING = 16 * 2**20  # bytes of messages that are kept together with later ones
 _NONE: Integers = np.zeros(0, dtype=np.int64)
 _NO_STAMP = np.iinfo(np.int64).min  # of a message without a header
 
@@ -51,8 +53,10 @@ class _Topic:
         self.kept: dict[Any, KeptRows] = {}  # by what makes two requests the same
         self.by_rate: dict[int, list[KeptRows]] = {}  # by time between messages [ns]
         self.undecodable = ""
+        self._waiting: dict[int, list[tuple[int, bytes]]] = {}  # number and message, by rate
         try:
             self._decode = bag.decoder(topic.name)
+            self._store = bag.typestore(topic.msgtype)
         except BagError as error:
             self.undecodable = str(error)
 
@@ -68,14 +72,20 @@ class _Topic:
                 kept.fail(self.undecodable)
         return self.kept[key]
 
+    def has(self, rate_ns: int, *, many: bool) -> bool:
+        """Tell whether messages are asked for at a rate, one by one or many together."""
+        return any(
+            kept.request.many == many and not kept.error for kept in self.by_rate.get(rate_ns, ())
+        )
+
     def keep(self, number: int, data: bytes, rates_ns: list[int]) -> None:
-        """Keep what is wanted of a message that is due at some rates."""
+        """Keep what is wanted, by itself, of a message that is due at some rates."""
         record = RawRecord(data, self.layout)
         content: Any = None
         scan: Any = None
         for rate_ns in rates_ns:
             for kept in self.by_rate[rate_ns]:
-                if kept.error:
+                if kept.error or kept.request.many:
                     continue
                 if kept.request.raw:
                     kept.add(number, record, len(data))
@@ -89,12 +99,53 @@ class _Topic:
                 else:
                     kept.add(number, scan if kept.as_scan else content, len(data))
 
+    def wait(self, rate_ns: int, number: int, data: bytes) -> int:
+        """Take a message that is kept together with others; return how many bytes it holds."""
+        if len(data) > LARGEST_DECODED:
+            for kept in self.by_rate[rate_ns]:
+                if kept.request.many:
+                    kept.skip(_too_large(data))
+            return 0
+        self._waiting.setdefault(rate_ns, []).append((number, data))
+        return len(data)
+
+    def keep_waiting(self) -> None:
+        """Keep what is wanted of the messages that were taken."""
+        for rate_ns, messages in self._waiting.items():
+            many = [kept for kept in self.by_rate[rate_ns] if kept.request.many]
+            numbers = np.array([number for number, _ in messages], dtype=np.int64)
+            batch = Batch(
+                [data for _, data in messages], self._store, self.msgtype, is_cdr=self.layout.is_cdr
+            )
+            whole = batch.whole
+            if not whole.all():
+                self._keep_odd(numbers[~whole], batch.some(np.flatnonzero(~whole)), many)
+                numbers, batch = numbers[whole], batch.some(np.flatnonzero(whole))
+            self._add(numbers, batch, many)
+        self._waiting.clear()
+
+    def _keep_odd(self, numbers: Integers, batch: Batch, many: list[KeptRows]) -> None:
+        """Keep messages that are broken, or written in another way; decoding tells which."""
+        written, good = [], []
+        for number, data in zip(numbers.tolist(), batch.data, strict=True):
+            try:
+                content = self._decoded(data)
+                written.append(bytes(self._store.serialize_cdr(content, self.msgtype)))
+                good.append(number)
+            except Exception as error:  # of a generated encoder, too
+                for kept in many:
+                    kept.skip(str(error))
+        again = Batch(written, self._store, self.msgtype, is_cdr=True)
+        self._add(np.array(good, dtype=np.int64), again, many)
+
+    def _add(self, numbers: Integers, batch: Batch, many: list[KeptRows]) -> None:
+        scans = CutClouds(batch, self._decoded)
+        for kept in many:
+            kept.add_many(numbers, scans if kept.as_scan else batch)
+
     def _decoded(self, data: bytes) -> Any:
         if len(data) > LARGEST_DECODED:
-            raise BagError(
-                f"a message of {len(data)} bytes is not decoded; the limit is {LARGEST_DECODED} "
-                "(LARGEST_DECODED)"
-            )
+            raise BagError(_too_large(data))
         return self._decode(data)
 
 
@@ -164,6 +215,7 @@ class KeptMessages:
     def __init__(self, robot: Robot, plugins: tuple[FeaturePlugin, ...]) -> None:
         bag = robot.bag
         self._roles = robot.roles
+        self._shared: dict[Any, Any] = {}
         budget = Budget()
         self.notes: list[str] = []
         self._topics = {name: _Topic(bag, topic) for name, topic in bag.topics.items()}
@@ -189,25 +241,35 @@ class KeptMessages:
         samplings = {rate_ns: _Sampling(rate_ns, topics) for rate_ns in rates_ns}
         headers = _Headers(topics)
         columns: list[list[Integers]] = [[], [], [], []]
-        count = 0
+        count = waiting = 0
         for batch in bag.batches():
             stamps_ns = batch.stamps_ns
             order = np.lexsort((stamps_ns, batch.topics))
             ordered, since_start_ns = batch.topics[order], stamps_ns[order] - bag.start_ns
             due: dict[int, list[int]] = {}
             for rate_ns, sampling in samplings.items():
-                for row in order[sampling.due(ordered, since_start_ns)].tolist():
-                    due.setdefault(row, []).append(rate_ns)
+                rows = order[sampling.due(ordered, since_start_ns)]
+                for topic, some in _by_topic(topics, batch.topics, rows):
+                    if topic.has(rate_ns, many=False):
+                        for row in some:
+                            due.setdefault(row, []).append(rate_ns)
+                    if topic.has(rate_ns, many=True):
+                        for row in some:
+                            waiting += topic.wait(rate_ns, count + row, batch.message(row))
+                            if waiting > _MOST_WAITING:
+                                for each in topics:
+                                    each.keep_waiting()
+                                waiting = 0
             for row, rates in due.items():
-                offset = int(batch.offsets[row])
-                data = batch.data[offset : offset + int(batch.sizes[row])]
-                topics[batch.topics[row]].keep(count + row, data, rates)
+                topics[batch.topics[row]].keep(count + row, batch.message(row), rates)
             header_stamps_ns = headers.stamps_ns(batch, topics)
             for column, values in zip(
                 columns, (batch.topics, stamps_ns, batch.sizes, header_stamps_ns), strict=True
             ):
                 column.append(values)
             count += len(stamps_ns)
+        for topic in topics:
+            topic.keep_waiting()
         recording._finish(bag, *columns)
         return recording
 
@@ -264,7 +326,10 @@ class KeptMessages:
         past = tuple(each for each in intervals if each.start_s < span.end_s)
         arrivals = {name: self._within(name, span) for name in sorted(self._topics)}
         system = None if graph is None else nx.freeze(system_view(graph))
-        return Window(span.start_s, span.end_s, graph, system, past, arrivals, roles=self._roles)
+        return Window(
+            span.start_s, span.end_s, graph, system, past, arrivals, roles=self._roles,
+            shared=self._shared,
+        )  # fmt: skip
 
     def _within(self, topic: str, span: Span) -> Arrivals:
         times_ns, arrivals = self._arrivals[topic]
@@ -289,6 +354,22 @@ class KeptMessages:
                 return Missing(f"no message on {', '.join(requests[key])} in this window")
         history = _cut(requests, Span(0, span.end_ns), silent=True)
         return replace(common, topics=topics, history=history)
+
+
+def _too_large(data: bytes) -> str:
+    return (
+        f"a message of {len(data)} bytes is not decoded; the limit is {LARGEST_DECODED} "
+        "(LARGEST_DECODED)"
+    )
+
+
+def _by_topic(
+    topics: list[_Topic], numbers: Integers, rows: Integers
+) -> Iterator[tuple[_Topic, list[int]]]:
+    """Yield the topics of rows that are in order of the topic, and the rows of each."""
+    if len(rows):
+        for some in np.split(rows, np.flatnonzero(np.diff(numbers[rows])) + 1):
+            yield topics[numbers[some[0]]], some.tolist()
 
 
 def _joined(parts: list[Integers]) -> Integers:

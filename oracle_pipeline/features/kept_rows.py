@@ -6,7 +6,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import MOST_KEPT
+from oracle_pipeline.features.columns import Messages
 from oracle_pipeline.features.plugin import Request, Series
 
 Integers: TypeAlias = NDArray[np.int64]
@@ -59,6 +61,7 @@ class KeptRows:
         self._budget = budget
         self._numbers: list[int] = []  # of the messages, in the whole recording
         self._rows: list[Any] = []
+        self._blocks: list[NDArray[Any]] = []  # the same of many messages, unless they are objects
         self._broken = 0
         self._first_error = ""
 
@@ -71,16 +74,51 @@ class KeptRows:
         except Exception as error:  # foreign code
             self.skip(f"{type(error).__name__}: {error}")
             return
-        if row is None:
+        if row is not None and self._has_room(_size(row, size)):
+            self._rows.append(row)
+            self._numbers.append(number)
+
+    def add_many(self, numbers: Integers, batch: Messages) -> None:
+        """Keep what is wanted of messages, all of which are whole."""
+        if self.error or not len(numbers):
             return
-        if not self._budget.take(_size(row, size)):
+        try:
+            rows = self._rows_of(self.request.keep(batch.columns()), len(numbers))
+        except Exception as error:  # foreign code
+            if len(numbers) == 1:
+                known = isinstance(error, BagError)
+                self.skip(str(error) if known else f"{type(error).__name__}: {error}")
+                return
+            for row in range(len(numbers)):
+                self.add_many(numbers[row : row + 1], batch.some(np.array([row])))
+            return
+        is_array = isinstance(rows, np.ndarray)
+        if self._has_room(rows.nbytes if is_array else sum(map(len, batch.data))):
+            if is_array:
+                self._blocks.append(rows)
+            else:
+                self._rows += rows
+            self._numbers += numbers.tolist()
+
+    def _rows_of(self, kept: Any, count: int) -> Any:
+        """Return what was kept of many messages as an array of rows; objects as a list."""
+        if np.dtype(self.request.dtype) != object:
+            kept = np.column_stack(kept) if isinstance(kept, tuple) else np.asarray(kept)
+            kept = kept.astype(self.request.dtype, copy=False)
+        elif isinstance(kept, tuple):
+            columns = [each.tolist() if isinstance(each, np.ndarray) else each for each in kept]
+            kept = list(zip(*columns, strict=True))
+        if len(kept) != count:
+            raise ValueError(f"{len(kept)} rows were kept of {count} messages")
+        return kept
+
+    def _has_room(self, size: int) -> bool:
+        if not self._budget.take(size):
             self.fail(
                 f"features keep more than {MOST_KEPT} bytes of this recording, the limit "
                 "(MOST_KEPT); cut it into shorter ones"
             )
-            return
-        self._rows.append(row)
-        self._numbers.append(number)
+        return not self.error
 
     def skip(self, error: str) -> None:
         """Leave a broken message out."""
@@ -91,23 +129,21 @@ class KeptRows:
         """Give the topic up."""
         self.error = error
         self._rows.clear()
+        self._blocks.clear()
         self._numbers.clear()
 
     def finish(self, times_ns: Integers) -> str | None:
         """Make arrays of all that was kept, in time order; return what was left out, if it was."""
-        tried = self._broken + len(self._rows)
+        tried = self._broken + len(self._numbers)
         if not self.error and self._broken > _BROKEN_SHARE * tried:
             self.fail(f"{self._broken} of {tried} messages are broken: {self._first_error}")
         try:
-            values: NDArray[Any] = (
-                np.fromiter(self._rows, dtype=object, count=len(self._rows))
-                if np.dtype(self.request.dtype) == object
-                else np.array(self._rows, dtype=self.request.dtype)
-            )
+            values = self._values()
         except (ValueError, TypeError, OverflowError) as error:
             self.error = f"what is kept of each message must have the same shape: {error}"
             return None
         self._rows.clear()
+        self._blocks.clear()
         kept_ns = times_ns[np.array(self._numbers, dtype=np.int64)]
         order = np.argsort(kept_ns, kind="stable")
         self._times_ns = kept_ns[order]
@@ -116,9 +152,18 @@ class KeptRows:
             return None
         return f"{self._broken} of {tried} messages are left out as broken: {self._first_error}"
 
+    def _values(self) -> NDArray[Any]:
+        if self._blocks:
+            return np.concatenate(self._blocks)
+        if np.dtype(self.request.dtype) == object:
+            return np.fromiter(self._rows, dtype=object, count=len(self._rows))
+        return np.array(self._rows, dtype=self.request.dtype)
+
     def within(self, span: Span) -> Series:
         """Return what came in a span."""
         part = span.of(self._times_ns)
+        if part == slice(0, len(self._times_ns)):
+            return self._series
         return Series(self._series.times_s[part], self._series.values[part])
 
 

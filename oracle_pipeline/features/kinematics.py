@@ -130,7 +130,7 @@ class Prepared:
 
 def prepare(window: Window) -> Prepared | Missing:
     """Hold every source against every other one of its quantity."""
-    found = sources(window.topics, scanner_setup(window.topics))
+    found = sources(window.topics, scanner_setup(window))
     pairs = {pair: dict(_compared(found, pair)) for pair in PAIRS}
     if not any(pairs.values()) and not found.gravity:
         return Missing("fewer than two sources tell how the robot moved")

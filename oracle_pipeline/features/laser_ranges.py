@@ -9,6 +9,7 @@ the scan topics: every run has the same columns.
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oracle_pipeline.features.plugin import (
     Feature,
@@ -42,19 +43,26 @@ FEATURES = (
 )
 
 
-def keep(message: Any) -> tuple[float, float, float]:
-    """Return variance [m^2], non-finite share and least [m] of the ranges of a ``LaserScan``.
+def keep(messages: Any) -> NDArray[np.float64]:
+    """Return variance [m^2], non-finite share and least [m] of the ranges of ``LaserScan``s.
 
     Variance and least are over finite ranges in [range_min, range_max], NaN if there is none.
     """
-    ranges = np.asarray(message.ranges, dtype=np.float64)
-    if ranges.size == 0:
-        return np.nan, np.nan, np.nan
-    valid = ranges[(ranges >= message.range_min) & (ranges <= message.range_max)]
-    non_finite = 1.0 - float(np.isfinite(ranges).mean())
-    if not valid.size:
-        return np.nan, non_finite, np.nan
-    return float(valid.var()), non_finite, float(valid.min())
+    limits = np.column_stack([messages.range_min, messages.range_max])
+    kept = np.full((len(limits), 3), np.nan)
+    lengths = np.array([ranges.size for ranges in messages.ranges])
+    for length in np.unique(lengths[lengths > 0]):
+        scans = np.flatnonzero(lengths == length)
+        ranges = np.stack(messages.ranges[scans].tolist()).astype(np.float64)
+        low, high = limits[scans].T[..., np.newaxis]
+        valid = (ranges >= low) & (ranges <= high)
+        kept[scans, 1] = 1.0 - np.isfinite(ranges).mean(axis=1)
+        counts = valid.sum(axis=1)
+        for count in np.unique(counts[counts > 0]):
+            rows = np.flatnonzero(counts == count)
+            some = ranges[rows][valid[rows]].reshape(-1, count)
+            kept[scans[rows], 0], kept[scans[rows], 2] = some.var(axis=1), some.min(axis=1)
+    return kept
 
 
 def compute(window: Window) -> Values | Missing:
@@ -82,5 +90,5 @@ def _of_scanners(window: Window, column: int, percentile: float) -> list[float]:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of laser scans."""
-    topics = {"scans": Request(keep, role=SCAN)}
+    topics = {"scans": Request(keep, role=SCAN, many=True)}
     return [FeaturePlugin("laser", "contextual", FEATURES, compute, topics)]

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from oracle_pipeline.features.map_consistency import MapGrid, keep_grid
+from oracle_pipeline.features.map_consistency import MapGrid, keep_grids
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -70,7 +70,7 @@ def compute(window: Window) -> Values | Missing:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of the local costmap."""
-    grids = Request(keep_grid, role=LOCAL_COSTMAP, dtype=object)
+    grids = Request(keep_grids, role=LOCAL_COSTMAP, dtype=object, many=True)
     return [
         FeaturePlugin(
             "local_costmap", "navigation", FEATURES, compute, {"grids": grids}, prepare=prepare

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from oracle_pipeline.features.parts import header_stamps_s, poses_of
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -19,12 +20,11 @@ from oracle_pipeline.features.plugin import (
 )
 from oracle_pipeline.features.reduction import quantile
 from oracle_pipeline.features.scan_geometry import (
+    Floats,
     Frames,
     Motion,
     Planar,
     keep_odometry,
-    pose_of,
-    stamp_s,
 )
 from oracle_pipeline.robots.roles import ODOMETRY, POSE
 
@@ -45,12 +45,12 @@ CORRECTION_FEATURES = (
 )  # fmt: skip
 
 
-def keep_belief(message: Any) -> tuple[float, ...]:
-    """Return the pose and its covariance: stamp, x, y, yaw, position and yaw variance."""
-    covariance = message.pose.covariance
+def keep_belief(messages: Any) -> tuple[Floats, ...]:
+    """Return poses and their covariances: stamp, x, y, yaw, position and yaw variance."""
+    covariance = messages.pose.covariance
     return (
-        stamp_s(message), *pose_of(message.pose.pose),
-        covariance[0] + covariance[7], covariance[35],
+        header_stamps_s(messages), *poses_of(messages.pose.pose),
+        covariance[:, 0] + covariance[:, 7], covariance[:, 35],
     )  # fmt: skip
 
 
@@ -90,8 +90,8 @@ def compute_corrections(window: Window) -> Values | Missing:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of localisation."""
-    poses = {"poses": Request(keep_belief, role=POSE)}
-    odometry = {"odometry": Request(keep_odometry, role=ODOMETRY, dtype=object)}
+    poses = {"poses": Request(keep_belief, role=POSE, many=True)}
+    odometry = {"odometry": Request(keep_odometry, role=ODOMETRY, dtype=object, many=True)}
     return [
         FeaturePlugin("belief", "navigation", BELIEF_FEATURES, compute_belief, poses),
         FeaturePlugin(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.parts import header_stamps_s, poses_of
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -37,9 +38,7 @@ from oracle_pipeline.features.scan_geometry import (
     Points,
     ScannerSetup,
     agreement,
-    pose_of,
     scanner_setup,
-    stamp_s,
     the_topic,
 )
 from oracle_pipeline.robots.roles import MAP, POSE
@@ -154,7 +153,7 @@ class _Consistency:
 def prepare(window: Window) -> dict[str, _Consistency] | Missing:
     """Hold every scanner against the map, over the whole recording."""
     grids, poses = the_topic(window.topics["map"]), the_topic(window.topics["poses"])
-    setup = scanner_setup(window.topics)
+    setup = scanner_setup(window)
     if grids is None or poses is None:
         return Missing("no map" if grids is None else "no pose of localisation")
     if setup.motion is None:
@@ -182,13 +181,18 @@ def compute(window: Window) -> Values:
     }
 
 
-def keep_grid(message: Any) -> MapGrid:
-    """Keep the cells of a grid and where they are."""
-    info = message.info
-    x, y, yaw = pose_of(info.origin)
-    pose = Planar(np.asarray(complex(x, y)), np.asarray(np.exp(1j * yaw)))
-    cells = np.asarray(message.data, dtype=np.int8).reshape(info.height, info.width)
-    return MapGrid(pose, float(info.resolution), cells)
+def keep_grids(messages: Any) -> list[MapGrid]:
+    """Keep the cells of grids and where they are."""
+    info = messages.info
+    columns = *poses_of(info.origin), info.resolution, info.height, info.width
+    grids = []
+    for (*pose, edge, rows, width), data in zip(
+        zip(*(column.tolist() for column in columns), strict=True), messages.data, strict=True
+    ):
+        x, y, yaw = pose
+        planar = Planar(np.asarray(complex(x, y)), np.asarray(np.exp(1j * yaw)))
+        grids.append(MapGrid(planar, edge, data.reshape(rows, width)))
+    return grids
 
 
 class _Correction:
@@ -208,17 +212,17 @@ class _Correction:
         return Planar(x + 1j * y, np.exp(1j * yaw))
 
 
-def keep_believed(message: Any) -> tuple[float, float, float, float]:
-    """Return stamp and pose of a ``geometry_msgs/msg/PoseWithCovarianceStamped``."""
-    return stamp_s(message), *pose_of(message.pose.pose)
+def keep_believed(messages: Any) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return stamp and pose of ``geometry_msgs/msg/PoseWithCovarianceStamped``s."""
+    return header_stamps_s(messages), *poses_of(messages.pose.pose)
 
 
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of scans and map."""
     topics = SETUP_TOPICS | {
-        "map": Request(keep_grid, role=MAP, dtype=object, optional=True),
-        "poses": Request(keep_believed, role=POSE, optional=True),
+        "map": Request(keep_grids, role=MAP, dtype=object, optional=True, many=True),
+        "poses": Request(keep_believed, role=POSE, optional=True, many=True),
     }
     return [FeaturePlugin("map_consistency", "map", FEATURES, compute, topics, prepare=prepare)]
 

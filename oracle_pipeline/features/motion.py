@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from oracle_pipeline.features.parts import frame_names, header_stamps_s, poses_of
 from oracle_pipeline.features.plugin import Request, Series
 from oracle_pipeline.features.scan_geometry import (
     SCANS,
@@ -20,8 +21,6 @@ from oracle_pipeline.features.scan_geometry import (
     Planar,
     Points,
     ScannerSetup,
-    pose_of,
-    stamp_s,
 )
 from oracle_pipeline.features.scan_matching import Steps, along_arc, steps
 from oracle_pipeline.robots import roles
@@ -110,24 +109,24 @@ def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> 
     return Sources(tracks, {t: s for t, s in matched.items() if len(s.to_s)}, gravity)
 
 
-def keep_driven(message: Any) -> tuple[float, ...]:
-    """Return stamp, pose and twist of a ``nav_msgs/msg/Odometry``."""
-    twist = message.twist.twist
+def keep_driven(messages: Any) -> tuple[Floats, ...]:
+    """Return stamp, pose and twist of ``nav_msgs/msg/Odometry``."""
+    twist = messages.twist.twist
     return (
-        stamp_s(message), *pose_of(message.pose.pose),
+        header_stamps_s(messages), *poses_of(messages.pose.pose),
         twist.linear.x, twist.linear.y, twist.angular.z,
     )  # fmt: skip
 
 
-def keep_inertial(message: Any) -> tuple[Any, ...]:
-    """Return stamp, orientation, turn rates, accelerations and a variance of an ``Imu``.
+def keep_inertial(messages: Any) -> tuple[Floats, ...]:
+    """Return stamp, orientation, turn rates, accelerations and a variance of ``Imu``s.
 
     The variance is the first of the orientation's, -1 if there is no orientation.
     """
-    q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
+    q, w, a = messages.orientation, messages.angular_velocity, messages.linear_acceleration
     return (
-        stamp_s(message), q.x, q.y, q.z, q.w, w.x, w.y, w.z, a.x, a.y, a.z,
-        float(message.orientation_covariance[0]),
+        header_stamps_s(messages), q.x, q.y, q.z, q.w, w.x, w.y, w.z, a.x, a.y, a.z,
+        messages.orientation_covariance[:, 0],
     )  # fmt: skip
 
 
@@ -136,40 +135,44 @@ def keep_frame(message: Any) -> str:
     return str(message.header.frame_id).lstrip("/")
 
 
-def keep_joints(message: Any) -> tuple[float, tuple[str, ...], Floats, Floats]:
-    """Return stamp, names, positions and velocities of a ``sensor_msgs/msg/JointState``."""
-    return stamp_s(message), tuple(message.name), message.position, message.velocity
+def keep_joints(messages: Any) -> tuple[Any, ...]:
+    """Return stamp, names, positions and velocities of ``sensor_msgs/msg/JointState``s."""
+    return header_stamps_s(messages), messages.name, messages.position, messages.velocity
 
 
-def keep_transforms(message: Any) -> list[tuple[tuple[str, str], tuple[float, ...]]]:
-    """Return frames, and stamp, translation and rotation, of the transforms of a ``TFMessage``."""
-    kept: list[tuple[tuple[str, str], tuple[float, ...]]] = []
-    for each in message.transforms:
-        shift, q = each.transform.translation, each.transform.rotation
-        frames = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
-        kept.append((frames, (stamp_s(each), shift.x, shift.y, q.x, q.y, q.z, q.w)))
+def keep_transforms(messages: Any) -> list[list[tuple[tuple[str, str], tuple[float, ...]]]]:
+    """Return frames, and stamp, translation and rotation, of the transforms of ``TFMessage``s."""
+    each = messages.transforms
+    shift, q = each.transform.translation, each.transform.rotation
+    frames = zip(frame_names(each.header.frame_id), frame_names(each.child_frame_id), strict=True)
+    numbers = np.column_stack([header_stamps_s(each), shift.x, shift.y, q.x, q.y, q.z, q.w])
+    kept: list[list[tuple[tuple[str, str], tuple[float, ...]]]] = [[] for _ in range(len(messages))]
+    for owner, names, row in zip(each.owners.tolist(), frames, numbers.tolist(), strict=True):
+        kept[owner].append((names, tuple(row)))
     return kept
 
 
-def keep_command(message: Any) -> tuple[float, float, float]:
-    """Return the velocities of a ``Twist``, whatever it is wrapped in."""
-    twist = message
+def keep_command(messages: Any) -> tuple[Floats, Floats, Floats]:
+    """Return the velocities of ``Twist``s, whatever they are wrapped in."""
+    twist = messages
     while hasattr(twist, "twist"):
         twist = twist.twist
     return twist.linear.x, twist.linear.y, twist.angular.z
 
 
-MOVING = Request(keep_transforms, role=TRANSFORMS, dtype=object, optional=True)
+MOVING = Request(keep_transforms, role=TRANSFORMS, dtype=object, optional=True, many=True)
 MOTION_TOPICS = SETUP_TOPICS | {
     "scans": replace(SCANS, optional=True),
-    "driven": Request(keep_driven, msgtype="nav_msgs/msg/Odometry", optional=True),
-    "inertial": Request(keep_inertial, role=IMU, every_s=_SAMPLED_S, optional=True),
+    "driven": Request(keep_driven, msgtype="nav_msgs/msg/Odometry", optional=True, many=True),
+    "inertial": Request(keep_inertial, role=IMU, every_s=_SAMPLED_S, optional=True, many=True),
     "inertial_frames": Request(keep_frame, role=IMU, every_s=1e4, dtype=object, optional=True),
     "joints": Request(
-        keep_joints, role=roles.JOINTS, dtype=object, every_s=_SAMPLED_S, optional=True
+        keep_joints, role=roles.JOINTS, dtype=object, every_s=_SAMPLED_S, optional=True, many=True
     ),
     "transforms": MOVING,
-    "commands": Request(keep_command, msgtype="geometry_msgs/msg/Twist*", optional=True),
+    "commands": Request(
+        keep_command, msgtype="geometry_msgs/msg/Twist*", optional=True, many=True
+    ),
 }  # fmt: skip
 
 

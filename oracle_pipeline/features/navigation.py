@@ -203,7 +203,7 @@ def register_features() -> list[FeaturePlugin]:
     begun = {"log": Request(keep_begun, role=BEHAVIOR_TREE, optional=True)}
     driven = {
         "plan": replace(PLANS, optional=True),
-        "odometry": Request(odometry.keep, role=ODOMETRY),
+        "odometry": Request(odometry.keep, role=ODOMETRY, many=True),
     }
     return [
         FeaturePlugin("recoveries", "navigation", RECOVERY_FEATURES, compute_recoveries, begun),

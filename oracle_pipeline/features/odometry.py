@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from oracle_pipeline.features.parts import poses_of
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -17,7 +18,7 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.scan_geometry import pose_of
+from oracle_pipeline.features.scan_geometry import Floats
 from oracle_pipeline.robots.roles import ODOMETRY
 
 FEATURES = (
@@ -43,9 +44,9 @@ FEATURES = (
 _SHORTEST_PATH_M = 0.1  # shorter ones are noise of the odometry
 
 
-def keep(message: Any) -> tuple[float, float, float, float]:
-    """Return x [m], y [m], yaw [rad] and yaw rate [rad/s] of a ``nav_msgs/msg/Odometry``."""
-    return *pose_of(message.pose.pose), message.twist.twist.angular.z
+def keep(messages: Any) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return x [m], y [m], yaw [rad] and yaw rate [rad/s] of ``nav_msgs/msg/Odometry``."""
+    return *poses_of(messages.pose.pose), messages.twist.twist.angular.z
 
 
 def compute(window: Window) -> Values | Missing:
@@ -67,5 +68,5 @@ def compute(window: Window) -> Values | Missing:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of odometry."""
-    topics = {"odometry": Request(keep, role=ODOMETRY)}
+    topics = {"odometry": Request(keep, role=ODOMETRY, many=True)}
     return [FeaturePlugin("odometry", "contextual", FEATURES, compute, topics)]

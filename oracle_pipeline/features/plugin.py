@@ -73,6 +73,11 @@ class Request:
         Takes a decoded message and returns a number, a tuple of numbers or an array of the same
         shape each time; with ``dtype=object`` anything; None leaves the message out. Called once
         a message, even if several plugins ask with the same ``Request``.
+    many : bool
+        ``keep`` takes many messages as though they were one: `Columns`, whose fields are arrays
+        with a row for each message. It returns an array with a row for each, or a tuple of such
+        columns; with ``dtype=object`` a list is one of rows. Many times faster. Should it raise,
+        it is called for one message after the other.
     name, msgtype : str
         Globs over topic names and message types; a topic must match both. A robot's topics are
         named without its namespace.
@@ -102,6 +107,7 @@ class Request:
     raw: bool = False
     every_s: float = 0.0
     needs_array: bool = False
+    many: bool = False
 
     def __post_init__(self) -> None:
         if self.role and self.role not in ROLES:
@@ -182,6 +188,8 @@ class Window:
         What the plugin's ``prepare`` made of the whole recording; None if it has none.
     roles : Roles
         What the robot's topics are for.
+    shared : dict
+        What plugins of one recording make for each other, by keys of their own.
     """
 
     start_s: float
@@ -194,6 +202,7 @@ class Window:
     history: Mapping[str, Mapping[str, Series]] = field(default_factory=dict)
     prepared: Any = None
     roles: Roles = field(default_factory=Roles)
+    shared: dict[Any, Any] = field(default_factory=dict)
 
 
 Values: TypeAlias = Mapping[str, "float | Located | Missing"]

@@ -6,12 +6,15 @@ is unknown rather than free, since drivers and filters leave points out.
 """
 
 import math
+from collections.abc import Callable
+from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.features.columns import Messages
 
 RAYS: Final = 360
 HEIGHT_M: Final = 0.05  # from the plane, or, further away:
@@ -22,15 +25,40 @@ _FLOATS = {7: "f4", 8: "f8"}  # by sensor_msgs/msg/PointField
 
 
 class PlanarScan(NamedTuple):
-    """The fields of a ``sensor_msgs/msg/LaserScan`` that tell ranges."""
+    """The fields of a ``sensor_msgs/msg/LaserScan`` that tell ranges; or of many, as columns."""
 
     header: Any
-    ranges: NDArray[np.float32]  # shape (RAYS,) [m]; NaN: nothing is known
-    angle_min: float = -math.pi
-    angle_max: float = math.pi - 2.0 * math.pi / RAYS
-    angle_increment: float = 2.0 * math.pi / RAYS
-    range_min: float = NEAREST_M
-    range_max: float = FARTHEST_M
+    ranges: NDArray[Any]  # shape (RAYS,) [m]; NaN: nothing is known
+    angle_min: Any = -math.pi
+    angle_max: Any = math.pi - 2.0 * math.pi / RAYS
+    angle_increment: Any = 2.0 * math.pi / RAYS
+    range_min: Any = NEAREST_M
+    range_max: Any = FARTHEST_M
+
+
+class CutClouds:
+    """Point clouds as the scans that are cut out of them; `Messages`."""
+
+    def __init__(self, clouds: Messages, decode: Callable[[bytes], Any]) -> None:
+        self.data = clouds.data
+        self._clouds = clouds
+        self._decode = decode
+
+    @cached_property
+    def _columns(self) -> PlanarScan:
+        scans = [sliced(self._decode(each)) for each in self.data]
+        ranges = np.empty(len(scans), dtype=object)
+        ranges[:] = [scan.ranges for scan in scans]
+        numbers = (np.full(len(scans), number) for number in scans[0][2:])
+        return PlanarScan(self._clouds.columns().header, ranges, *numbers)
+
+    def columns(self) -> PlanarScan:
+        """Return the scans as though they were one."""
+        return self._columns
+
+    def some(self, rows: NDArray[np.int64]) -> "CutClouds":
+        """Return some of the clouds."""
+        return CutClouds(self._clouds.some(rows), self._decode)
 
 
 def sliced(cloud: Any) -> PlanarScan:

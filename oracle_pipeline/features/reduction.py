@@ -57,7 +57,9 @@ def smallest(by_place: Mapping[str, float], reason: str) -> Located | Missing:
 
 def row_medians(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the median of each row's numbers, NaN if a row has none; shape (n,)."""
-    ordered = np.sort(np.pad(values, ((0, 0), (0, 1)), constant_values=np.nan), axis=1)  # NaN last
+    if not values.size:
+        return np.full(len(values), np.nan)
+    ordered = np.sort(values, axis=1)  # NaN last
     last = np.maximum(0, (~np.isnan(values)).sum(axis=1) - 1)
     rows = np.arange(len(values))
     medians: NDArray[np.float64] = 0.5 * (ordered[rows, last // 2] + ordered[rows, (last + 1) // 2])

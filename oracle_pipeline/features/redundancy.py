@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from oracle_pipeline.features.parts import frame_names, header_stamps_s
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -34,10 +35,8 @@ from oracle_pipeline.features.scan_geometry import (
     ScannerSetup,
     SensorMount,
     agreement,
-    frame,
     nearest,
     scanner_setup,
-    stamp_s,
 )
 
 SCANNER_FEATURES = (
@@ -84,7 +83,7 @@ class _Comparison:
 
 def prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
     """Hold every scanner against every other one, over the whole recording."""
-    setup = scanner_setup(window.topics)
+    setup = scanner_setup(window)
     if len(setup.scanners) < 2:
         return Missing("fewer than two laser scanners are recorded")
     return {
@@ -114,7 +113,7 @@ def compute_scanners(window: Window) -> Values:
 
 def prepare_ranges(window: Window) -> dict[str, Series] | Missing:
     """Return how far each range is beyond the nearest return in its cone [m], by pair of topics."""
-    setup = scanner_setup(window.topics)
+    setup = scanner_setup(window)
     ranges = window.topics["ranges"]
     mounts = {topic: setup.frames.mount(series.values[0][1]) for topic, series in ranges.items()}
     return {
@@ -140,18 +139,20 @@ def compute_ranges(window: Window) -> Values:
     }
 
 
-def keep_range(message: Any) -> tuple[Any, ...]:
-    """Return stamp, frame, field of view, limits and range of a ``sensor_msgs/msg/Range``."""
+def keep_ranges(messages: Any) -> tuple[Any, ...]:
+    """Return stamp, frame, field of view, limits and range of ``sensor_msgs/msg/Range``s."""
     return (
-        stamp_s(message), frame(message), message.field_of_view, message.min_range,
-        message.max_range, message.range,
+        header_stamps_s(messages), frame_names(messages.header.frame_id), messages.field_of_view,
+        messages.min_range, messages.max_range, messages.range,
     )  # fmt: skip
 
 
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of redundant sensors."""
-    ranges = {"ranges": Request(keep_range, msgtype="sensor_msgs/msg/Range", dtype=object)}
+    ranges = {
+        "ranges": Request(keep_ranges, msgtype="sensor_msgs/msg/Range", dtype=object, many=True)
+    }
     return [
         FeaturePlugin(
             "redundant_scanners", "redundancy", SCANNER_FEATURES, compute_scanners, SETUP_TOPICS,

@@ -60,7 +60,7 @@ class _Scanner:
 
 def prepare(window: Window) -> dict[str, _Scanner]:
     """Compute the figures of each scan of the recording."""
-    setup = scanner_setup(window.topics)
+    setup = scanner_setup(window)
     return {topic: _scanner(setup, topic, scans) for topic, scans in setup.scanners.items()}
 
 

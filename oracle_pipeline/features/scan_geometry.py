@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
-from oracle_pipeline.features.plugin import Request, Series
+from oracle_pipeline.features.parts import frame_names, header_stamps_s, poses_of
+from oracle_pipeline.features.plugin import Request, Series, Window
+from oracle_pipeline.features.polar import distances, rays
 from oracle_pipeline.robots.roles import ODOMETRY, SCAN, STATIC_TRANSFORMS
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -27,6 +29,7 @@ CLOSER_M = 0.3  # by which a return must be nearer than another to contradict it
 CELL_M = 0.25  # edge of the cells in which contradictions are counted
 _NEIGHBOURS = 2  # bearings to each side of a point's own that may explain it
 
+_MOST_SCANNERS = 24  # of one robot; each is compared with every other one
 _TILTED = 0.99  # determinant of a rotation's upper left block below which a scan plane is tilted
 
 
@@ -116,8 +119,14 @@ class Scans:
         )  # fmt: skip
 
     def bearings(self) -> Floats:
-        """Return the bearing of each ray in the sensor's frame [rad], shape (n, m)."""
-        return self.angle_min + self.angle_increment * np.arange(self.ranges.shape[1])
+        """Return the bearing of each ray in the sensor's frame [rad], shape (n, m).
+
+        It has one row, shape (1, m), if all scans have the same.
+        """
+        start, step = self.angle_min, self.angle_increment
+        if len(start) and (start == start[0]).all() and (step == step[0]).all():
+            start, step = start[:1], step[:1]
+        return start + step * np.arange(self.ranges.shape[1])
 
     def points(self) -> Points:
         """Return where rays ended, in the sensor's frame, shape (n, m); NaN if nowhere."""
@@ -165,23 +174,25 @@ def _agree(
 ) -> tuple[Floats, Floats, Bools, Bools]:
     residual, signed = np.full(points.shape, np.nan), np.full(points.shape, np.nan)
     contradicted, compared = np.zeros(points.shape, np.bool_), np.zeros(points.shape, np.bool_)
+    away, own = np.empty(points.shape[1]), np.empty(points.shape[1], np.int64)
     for i in range(points.shape[0]):
         circle = max(1, round(2.0 * math.pi / abs(angle_increment[i])))  # bearings around
+        distances(points[i].real, points[i].imag, away)
+        rays(points[i].real, points[i].imag, angle_min[i], angle_increment[i], own)
         for j in range(points.shape[1]):
-            distance = abs(points[i, j])
+            distance = away[j]
             if math.isnan(distance):
                 continue
-            bearing = math.atan2(points[i, j].imag, points[i, j].real)
-            own = round((bearing - angle_min[i]) / angle_increment[i])
+            ray = (own[j] - _NEIGHBOURS) % circle
             apart, free, all_valid = math.inf, range_max, True
-            for neighbour in range(own - _NEIGHBOURS, own + _NEIGHBOURS + 1):
-                ray = neighbour % circle
+            for neighbour in range(2 * _NEIGHBOURS + 1):
                 measured = ranges[i, ray] if ray < ranges.shape[1] else math.nan
+                ray = ray + 1 if ray + 1 < circle else 0
                 if math.isnan(measured):
                     all_valid = False
                     continue
                 apart, free = min(apart, abs(distance - measured)), min(free, measured)
-                if neighbour == own and measured < math.inf:
+                if neighbour == _NEIGHBOURS and measured < math.inf:
                     signed[i, j] = distance - measured
             if apart < math.inf:
                 residual[i, j] = apart
@@ -295,10 +306,20 @@ class ScannerSetup:
         return on_robot if mount.pose is None else on_robot.compose(mount.pose)
 
 
-def scanner_setup(topics: Mapping[str, Mapping[str, Series]]) -> ScannerSetup:
-    """Return the setup from the messages on `SETUP_TOPICS`."""
+def scanner_setup(window: Window) -> ScannerSetup:
+    """Return the setup from the messages on `SETUP_TOPICS`, made once for all plugins."""
+    used = {name: window.topics[name] for name in SETUP_TOPICS}
+    key = tuple((n, t, id(series.values)) for n, of in used.items() for t, series in of.items())
+    if key not in window.shared:
+        window.shared[key] = _setup(used), used  # what is kept keeps its identity
+    setup: ScannerSetup = window.shared[key][0]
+    return setup
+
+
+def _setup(topics: Mapping[str, Mapping[str, Series]]) -> ScannerSetup:
     frames = Frames(topics["frames"])
-    scanners = {topic: Scans.of(series) for topic, series in topics["scans"].items()}
+    used = sorted(topics["scans"].items())[:_MOST_SCANNERS]
+    scanners = {topic: Scans.of(series) for topic, series in used}
     mounts = {topic: frames.mount(scans.frame) for topic, scans in scanners.items()}
     moved = the_topic(topics["odometry"])
     return ScannerSetup(
@@ -318,59 +339,47 @@ def the_topic(topics: Mapping[str, Series]) -> Series | None:
     return next(iter(topics.values()), None)
 
 
-def stamp_s(message: Any) -> float:
-    """Return the header's stamp [s]."""
-    stamp = message.header.stamp
-    return float(stamp.sec + 1e-9 * stamp.nanosec)
-
-
-def frame(message: Any) -> str:
-    """Return the header's frame; old drivers put a slash before it."""
-    return str(message.header.frame_id).lstrip("/")
-
-
-def pose_of(pose: Any) -> tuple[float, float, float]:
-    """Return x [m], y [m] and yaw [rad] of a ``geometry_msgs/msg/Pose``."""
-    position, q = pose.position, pose.orientation
-    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
-    return position.x, position.y, yaw
-
-
-def keep_scan(message: Any) -> tuple[Any, ...]:
-    """Return what `Scans` is made of from a ``sensor_msgs/msg/LaserScan``."""
+def keep_scans(messages: Any) -> tuple[Any, ...]:
+    """Return what `Scans` is made of from ``sensor_msgs/msg/LaserScan``s."""
     return (
-        stamp_s(message), frame(message), message.angle_min, message.angle_increment,
-        message.range_min, message.range_max, message.ranges,
+        header_stamps_s(messages), frame_names(messages.header.frame_id), messages.angle_min,
+        messages.angle_increment, messages.range_min, messages.range_max, messages.ranges,
     )  # fmt: skip
 
 
-def keep_odometry(message: Any) -> tuple[Any, ...]:
-    """Return what `Motion` is made of from a ``nav_msgs/msg/Odometry``."""
-    return stamp_s(message), message.child_frame_id.lstrip("/"), *pose_of(message.pose.pose)
+def keep_odometry(messages: Any) -> tuple[Any, ...]:
+    """Return what `Motion` is made of from ``nav_msgs/msg/Odometry``."""
+    frames = frame_names(messages.child_frame_id)
+    return header_stamps_s(messages), frames, *poses_of(messages.pose.pose)
 
 
 def keep_frames(message: Any) -> list[tuple[str, str, Floats]]:
     """Return parent, child and pose, as a 4 by 4 matrix, of each transform of a tf message."""
     return [
-        (frame(each), each.child_frame_id.lstrip("/"), _matrix(each.transform))
+        (each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/"), _matrix(each.transform))
         for each in message.transforms
     ]
 
 
 def _matrix(transform: Any) -> Floats:
     shift, q = transform.translation, transform.rotation
-    matrix = np.eye(4)
-    from scipy.spatial.transform import Rotation  # only runs that need it pay for it
+    length = math.sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w)
+    if length == 0.0:
+        raise ValueError("a transform has no rotation")
+    x, y, z, w = q.x / length, q.y / length, q.z / length, q.w / length
+    xx, yy, zz, ww = x * x, y * y, z * z, w * w
+    return np.array([
+        [xx - yy - zz + ww, 2.0 * (x * y - z * w), 2.0 * (x * z + y * w), shift.x],
+        [2.0 * (x * y + z * w), -xx + yy - zz + ww, 2.0 * (y * z - x * w), shift.y],
+        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), -xx - yy + zz + ww, shift.z],
+        [0.0, 0.0, 0.0, 1.0],
+    ])  # fmt: skip
 
-    matrix[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-    matrix[:3, 3] = shift.x, shift.y, shift.z
-    return matrix
 
-
-SCANS = Request(keep_scan, role=SCAN, dtype=object)
+SCANS = Request(keep_scans, role=SCAN, dtype=object, many=True)
 SETUP_TOPICS = {
     "scans": SCANS,
-    "odometry": Request(keep_odometry, role=ODOMETRY, dtype=object, optional=True),
+    "odometry": Request(keep_odometry, role=ODOMETRY, dtype=object, optional=True, many=True),
     "frames": Request(keep_frames, role=STATIC_TRANSFORMS, dtype=object, optional=True),
 }
 

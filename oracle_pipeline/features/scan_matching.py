@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.polar import rays
 from oracle_pipeline.features.scan_geometry import Floats, Ints, Planar, Points, Scans, SensorMount
 
 SPACING_S = 0.35  # at least between two scans that are matched
@@ -111,7 +112,9 @@ def _turn(before: Floats, now: Floats, increment: float) -> float:
     for shift in range(-furthest, furthest + 1, step):
         total, count = 0.0, 0
         for j in range(0, n, stride):
-            other = (j + shift) % circle
+            other = j + shift
+            if other < 0 or other >= circle:
+                other %= circle
             if other < n and math.isfinite(now[j]) and math.isfinite(before[other]):
                 total += min(abs(now[j] - before[other]), 0.5)
                 count += 1
@@ -138,22 +141,25 @@ def _match(
     stride = max(1, len(now) // _SAMPLE)
     bearings = now_start + increment * np.arange(0, len(now), stride)
     ends_x, ends_y = now[::stride] * np.cos(bearings), now[::stride] * np.sin(bearings)
+    own = np.empty(len(ends_x), np.int64)
     for iteration in range(_ITERATIONS):
         gate = 0.3 if iteration < 3 else 0.12
         matrix[:], vector[:] = 0.0, 0.0
         c, s = math.cos(yaw), math.sin(yaw)
         met, valid = 0, 0
+        turned_x, turned_y = c * ends_x - s * ends_y, s * ends_x + c * ends_y
+        moved_x, moved_y = turned_x + x, turned_y + y
+        rays(moved_x, moved_y, before_start, increment, own)
         for j in range(len(ends_x)):
-            ux, uy = ends_x[j], ends_y[j]
-            if not math.isfinite(ux):
+            if not math.isfinite(ends_x[j]):
                 continue
             valid += 1
-            rx, ry = c * ux - s * uy, s * ux + c * uy
-            px, py = rx + x, ry + y
-            own = round((math.atan2(py, px) - before_start) / increment)
+            rx, ry, px, py = turned_x[j], turned_y[j], moved_x[j], moved_y[j]
             nearest, distance = -1, 0.09
-            for each in range(own - _REACH, own + _REACH + 1):
-                ray = each % circle
+            after = (own[j] - _REACH) % circle
+            for _ in range(2 * _REACH + 1):
+                ray = after
+                after = ray + 1 if ray + 1 < circle else 0
                 if ray < len(before) and not math.isnan(nx[ray]):
                     apart = (px - qx[ray]) ** 2 + (py - qy[ray]) ** 2
                     if apart < distance:

@@ -84,7 +84,7 @@ class _Noise:
 
 def prepare(window: Window) -> dict[str, _Noise]:
     """Measure each scan of the recording."""
-    setup = scanner_setup(window.topics)
+    setup = scanner_setup(window)
     return {topic: _noise(setup, topic, scans) for topic, scans in setup.scanners.items()}
 
 

@@ -6,13 +6,15 @@ code, there are two plugins: an error in the messages loses all three contextual
 structural ones, and a NaN becomes 0. Plugins in the thesis's *form* are in ``thesis``.
 """
 
-import math
 from typing import Any
 
 import networkx as nx
 import numpy as np
+from numpy.typing import NDArray
 
 from oracle_pipeline.bags.graph_files import RosGraph
+from oracle_pipeline.features.arrays import each
+from oracle_pipeline.features.parts import arc_tangents
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -78,24 +80,31 @@ def compute_structural(window: Window) -> Values | Missing:
     return graph_numbers(graph) if len(graph) else Missing("the graph has no vertices")
 
 
-def wrapped_yaw(message: Any) -> float:
-    """Return yaw [rad] in (-pi, pi] of a ``nav_msgs/msg/Odometry``.
+def wrapped_yaw(messages: Any) -> NDArray[np.float64]:
+    """Return yaw [rad] in (-pi, pi] of ``nav_msgs/msg/Odometry``.
 
     Raises
     ------
     ValueError
         Rounding took the sine of the pitch out of [-1, 1], which ends the thesis's loop too.
     """
-    q = message.pose.pose.orientation
-    math.asin(2.0 * (q.x * q.z - q.w * q.y))
-    return math.atan2(2.0 * (q.x * q.y + q.w * q.z), q.w**2 + q.x**2 - q.y**2 - q.z**2)
+    q = messages.pose.pose.orientation
+    if (np.abs(2.0 * (q.x * q.z - q.w * q.y)) > 1.0).any():
+        raise ValueError("the sine of a pitch is not in [-1, 1]")
+    x, y, z, w = (np.array([each**2 for each in part.tolist()]) for part in (q.x, q.y, q.z, q.w))
+    return arc_tangents(2.0 * (q.x * q.y + q.w * q.z), w + x - y - z)
 
 
-def range_variance(message: Any) -> float:
-    """Return the variance of all ranges of a scan [m^2]; NaN if one of them is not finite."""
-    ranges = np.asarray(message.ranges, dtype=np.float64)
+def range_variance(messages: Any) -> NDArray[np.float64]:
+    """Return the variance of all ranges of scans [m^2]; NaN if one of them is not finite."""
     with np.errstate(invalid="ignore"):
-        return float(np.var(ranges)) if ranges.size else np.nan
+        return np.array(each(messages.ranges, _row_variances))
+
+
+def _row_variances(ranges: NDArray[np.float32]) -> NDArray[np.float64]:
+    if not ranges.size:
+        return np.full(len(ranges), np.nan)
+    return np.asarray(np.var(ranges.astype(np.float64), axis=1))
 
 
 def compute_contextual(window: Window) -> Values | Missing:
@@ -120,8 +129,8 @@ def compute_contextual(window: Window) -> Values | Missing:
 def register_features() -> list[FeaturePlugin]:
     """Offer the thesis's ten features."""
     topics = {
-        "odometry": Request(wrapped_yaw, role=ODOMETRY, optional=True),
-        "scans": Request(range_variance, role=SCAN, optional=True),
+        "odometry": Request(wrapped_yaw, role=ODOMETRY, optional=True, many=True),
+        "scans": Request(range_variance, role=SCAN, optional=True, many=True),
     }
     return [
         FeaturePlugin(

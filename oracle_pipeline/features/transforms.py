@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from oracle_pipeline.features.motion import MOVING, Edge, edges
+from oracle_pipeline.features.parts import frame_names, header_stamps_s, poses_of
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -25,11 +26,8 @@ from oracle_pipeline.features.reduction import largest, quantile
 from oracle_pipeline.features.scan_geometry import (
     Floats,
     Planar,
-    frame,
     keep_odometry,
     nearest,
-    pose_of,
-    stamp_s,
 )
 
 _TOPICS = "of the topics and transforms"
@@ -78,9 +76,10 @@ class _Prepared(NamedTuple):
     jumps: Mapping[str, _Apart]
 
 
-def keep_pose(message: Any) -> tuple[Any, ...]:
-    """Return frame, stamp and pose of a ``PoseWithCovarianceStamped``."""
-    return frame(message), stamp_s(message), *pose_of(message.pose.pose)
+def keep_poses(messages: Any) -> tuple[Any, ...]:
+    """Return frame, stamp and pose of ``PoseWithCovarianceStamped``s."""
+    frames = frame_names(messages.header.frame_id)
+    return frames, header_stamps_s(messages), *poses_of(messages.pose.pose)
 
 
 def prepare(window: Window) -> _Prepared:
@@ -134,11 +133,11 @@ def register_features() -> list[FeaturePlugin]:
     """Offer the features of what is told as message and as transform."""
     topics = {
         "odometry": Request(
-            keep_odometry, msgtype="nav_msgs/msg/Odometry", dtype=object, optional=True
+            keep_odometry, msgtype="nav_msgs/msg/Odometry", dtype=object, optional=True, many=True
         ),
         "poses": Request(
-            keep_pose, msgtype="geometry_msgs/msg/PoseWithCovarianceStamped", dtype=object,
-            optional=True,
+            keep_poses, msgtype="geometry_msgs/msg/PoseWithCovarianceStamped", dtype=object,
+            optional=True, many=True,
         ),
         "transforms": MOVING,
     }  # fmt: skip

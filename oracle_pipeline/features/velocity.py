@@ -21,6 +21,7 @@ from oracle_pipeline.features.plugin import (
     hookimpl,
 )
 from oracle_pipeline.features.reduction import mean
+from oracle_pipeline.features.scan_geometry import Floats
 from oracle_pipeline.robots.roles import COMMAND, REQUESTED_COMMAND
 
 MONITOR_FEATURES = (
@@ -59,9 +60,9 @@ _ANSWER_S = 0.1  # within which the monitor answers
 _SLOWED = 0.95  # share of a command below which it was slowed down
 
 
-def keep(message: Any) -> tuple[float, float]:
-    """Return speed [m/s] and turn [rad/s] of a Twist, with or without a header."""
-    twist = getattr(message, "twist", message)
+def keep(messages: Any) -> tuple[Floats, Floats]:
+    """Return speed [m/s] and turn [rad/s] of Twists, with or without a header."""
+    twist = getattr(messages, "twist", messages)
     return twist.linear.x, twist.angular.z
 
 
@@ -120,8 +121,8 @@ def reversals(turn: NDArray[np.float64]) -> int:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of velocity commands."""
-    commands = {"commands": Request(keep, role=COMMAND)}
-    requested = {"requested": Request(keep, role=REQUESTED_COMMAND)}
+    commands = {"commands": Request(keep, role=COMMAND, many=True)}
+    requested = {"requested": Request(keep, role=REQUESTED_COMMAND, many=True)}
     return [
         FeaturePlugin(
             "collision_monitor", "navigation", MONITOR_FEATURES, compute_monitor,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import networkx as nx
 
 from oracle_pipeline.bags.errors import GraphError
-from oracle_pipeline.bags.graph_files import RosGraph, add_traffic, read_gexf
+from oracle_pipeline.bags.graph_files import RosGraph, read_gexf
 from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S
 
 _FILE = re.compile(r"(\d{6,})\.gexf")
@@ -54,7 +54,12 @@ def compose(graphs: Iterable[RosGraph]) -> RosGraph:
     for graph in graphs:
         union.add_nodes_from(graph.nodes(data=True))
         for source, target, traffic in graph.edges(data=True):
-            add_traffic(union, source, target, traffic["messages"], traffic["bytes"])
+            common = union.get_edge_data(source, target)
+            if common is None:
+                union.add_edge(source, target, messages=traffic["messages"], bytes=traffic["bytes"])
+            else:
+                common["messages"] += traffic["messages"]
+                common["bytes"] += traffic["bytes"]
     return union
 
 

@@ -64,6 +64,8 @@ def _numbered(graph: RosGraph) -> RosGraph:
         names[vertex] = f"{stem}_{count.get(stem, 0)}"
         count[stem] = count.get(stem, 0) + 1
     kinds = {vertex: graph.nodes[vertex]["kind"] for vertex in names}
+    if not names:
+        return graph
     view: RosGraph = nx.relabel_nodes(
         graph, {vertex: vertex_id(kinds[vertex], name) for vertex, name in names.items()}
     )

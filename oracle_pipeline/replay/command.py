@@ -33,7 +33,9 @@ def replay(run_or_bag: Path, places: tuple[Path, ...], frames: float, speed: flo
     """Draw a run from above, as a film and as one picture.
 
     Shows map, local costmap, scans, plan, path, goals, attack and time, as far as the bag has them.
-    RUN_OR_BAG is a run directory or any bag with /odom, or with /tf of the robot's base.
+    RUN_OR_BAG is a run directory or any bag with odometry, or with transforms of the robot's base.
+    What a topic is for is found by its message type, whatever its name; of several robots the first
+    is drawn.
 
     \b
     Examples:

@@ -1,9 +1,9 @@
 """From an opened run to its scene, in one pass over its bag and manifest.
 
-The driven path is that of the robot's base, from transforms and odometry, in the root frame: map,
-or odom if nothing localized the robot. Everything is planar, so a point is a
-complex number [m] and a rotation a complex factor. Drawing is in
-``oracle_pipeline.replay.scene``.
+What a topic is for is found as it is for features. The driven path is that of the robot's base,
+from transforms and odometry, in the root frame: map, or odom if nothing localized the robot.
+Everything is planar, so a point is a complex number [m] and a rotation a complex factor. Drawing is
+in ``oracle_pipeline.replay.scene``.
 """
 
 import cmath
@@ -15,14 +15,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.features.point_clouds import sliced
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.replay.scene import DrawnGrid, Moment, ReplayScene
 from oracle_pipeline.reporting.report import ReportError
+from oracle_pipeline.robots.robot import find_robots
+from oracle_pipeline.robots.roles import (
+    BEHAVIOR_TREE,
+    LOCAL_COSTMAP,
+    MAP,
+    ODOMETRY,
+    PLAN,
+    SCAN,
+    STATIC_TRANSFORMS,
+    TRANSFORMS,
+    Roles,
+)
 
 MAP_FRAME = "map"  # REP 105; recipes are drawn in it
-MAP, ODOMETRY, TF, TF_STATIC = "/map", "/odom", "/tf", "/tf_static"
-SCAN, ATTACKED = "/scan", "/scan_fakeobject"
-PLAN, COSTMAP, BEHAVIORS = "/plan", "/local_costmap/costmap", "/behavior_tree_log"
+ATTACKED = "/scan_fakeobject"  # of simulated runs
 BASES = ("base_footprint", "base_link")  # REP 105 and 120
 RECOVERY = "RecoveryActions"  # what Nav2's behaviour trees call the node above their recoveries
 LEAST_STEP_M = 0.01  # between two points of the way; finer does not show
@@ -33,7 +44,7 @@ _NO_POINTS: _Points = np.zeros(0, dtype=np.complex128)
 
 
 def run_scene(run: OpenedRun, moments_per_s: float | None = None) -> ReplayScene:
-    """Read the scene of a run, or of a foreign bag.
+    """Read the scene of a run, or of a foreign bag; of several robots, that of the first.
 
     Parameters
     ----------
@@ -49,7 +60,9 @@ def run_scene(run: OpenedRun, moments_per_s: float | None = None) -> ReplayScene
     BagError
         The bag cannot be read.
     """
-    story = _Story(run, moments_per_s)
+    robot = find_robots(run.bag)[0]
+    run = replace(run, bag=robot.bag)
+    story = _Story(run, robot.roles, moments_per_s)
     for raw in run.bag.messages(story.topics):
         story.hear(raw.topic, raw.stamp_ns, run.bag.deserialize(raw))
     return story.scene()
@@ -62,12 +75,12 @@ class _Story:
     one nearest to halfway through the recording; of a run without an attack, the plain scan there.
     """
 
-    def __init__(self, run: OpenedRun, moments_per_s: float | None) -> None:
+    def __init__(self, run: OpenedRun, roles: Roles, moments_per_s: float | None) -> None:
         self._run = run
         attacked = run.manifest if run.manifest and run.manifest.label == "malicious" else None
         self._attack = attacked.attack if attacked else {}
         self._onset_s = attacked.onset_s if attacked else None
-        self._has_odometry = ODOMETRY in run.bag.topics
+        self._has_odometry = bool(roles.found[ODOMETRY].topics)
         self._now_ns = 0  # since the start of the recording
         self._step_ns = round(1e9 / moments_per_s) if moments_per_s else None
         self._next_ns = 0  # when the next moment is
@@ -77,22 +90,26 @@ class _Story:
         self._recoveries = 0
         self._begin_in("")
 
-        self._hearers: dict[str, Callable[[Any], None]] = {
+        hearers: dict[str, Callable[[Any], None]] = {
             MAP: self._hear_map,
             ODOMETRY: self._hear_odometry,
-            TF: self._hear_transforms,
-            TF_STATIC: self._frames.hear,
+            TRANSFORMS: self._hear_transforms,
+            STATIC_TRANSFORMS: self._frames.hear,
+        }
+        if moments_per_s:
+            hearers |= {
+                PLAN: self._hear_plan,
+                LOCAL_COSTMAP: self._hear_costmap,
+                BEHAVIOR_TREE: self._hear_behaviors,
+            }
+        self._hearers = {
+            topic: hear for role, hear in hearers.items() for topic in roles.found[role].topics
         }
         if attacked:
             self._hearers[ATTACKED] = self._hear_attacked_scan
-        if moments_per_s or not attacked:
-            self._hearers[SCAN] = self._hear_scan
-        if moments_per_s:
-            self._hearers |= {
-                PLAN: self._hear_plan,
-                COSTMAP: self._hear_costmap,
-                BEHAVIORS: self._hear_behaviors,
-            }
+        scans = [topic for topic in roles.found[SCAN].topics if topic != ATTACKED]
+        if scans and (moments_per_s or not attacked):
+            self._hearers[scans[0]] = self._hear_scan
 
     @property
     def topics(self) -> set[str]:
@@ -112,14 +129,14 @@ class _Story:
         run, manifest = self._run, self._run.manifest
         if not self._way:
             raise ReportError(
-                f"{run.path} cannot be drawn: its bag has neither {ODOMETRY} nor a transform to "
+                f"{run.path} cannot be drawn: its bag has neither odometry nor a transform to "
                 f"{' or '.join(BASES)}, so the robot's pose is unknown."
             )
         ground = None if self._map is None else self._grid(self._map)
         if self._map is not None and ground is None:
             raise ReportError(
-                f"{run.path} cannot be drawn: its bag has {MAP} but no transform from "
-                f"{self._map.header.frame_id} to {self._root}; record {TF} and {TF_STATIC} too."
+                f"{run.path} cannot be drawn: its bag has a map but no transform from "
+                f"{self._map.header.frame_id} to {self._root}; record /tf and /tf_static too."
             )
         if self._step_ns:
             self._remember(run.duration_s)
@@ -221,6 +238,8 @@ class _Story:
 
     def _hits(self, scan: Any) -> _Points:
         """Return where the rays of a scan ended."""
+        if not hasattr(scan, "ranges"):
+            scan = sliced(scan)
         sensor = self._placed(scan.header.frame_id)
         if sensor is None:
             return _NO_POINTS

@@ -76,12 +76,14 @@ _ALARMS = (
     PageColumn("missed", "missed"),
     PageColumn("median", "time_to_detect_median_s", "time to detect [s]", ".1f"),
     PageColumn("90th percentile", "time_to_detect_90_s", "time to detect [s]", ".1f"),
+    PageColumn("median, after a change", "after_effect_median_s", "time to detect [s]", ".1f"),
     PageColumn("promised at most", "promised_per_h", "false alarms an hour", ".2g"),
     PageColumn("realised", "false_alarms_per_h", "false alarms an hour"),
 )
 _CALLED = (
     PageColumn("tampered", "called_tampering", "share called, at 5%"),
     PageColumn("misbehaved", "called_misbehaviour", "share called, at 5%"),
+    PageColumn("both", "called_both", "share called, at 5%"),
 )
 _QUADRANTS = (
     PageColumn("tampered", "tampered", "truth"),
@@ -95,6 +97,8 @@ _ASPECTS_BY_MODE = (
     PageColumn("misbehaved", "misbehaved", "truth"),
     PageColumn("task effect over its uncertainty, median", "effect_median", "truth", ".2f"),
     *_CALLED,
+    PageColumn("tampered", "untaught_tampering", "the same, hard negatives held out"),
+    PageColumn("misbehaved", "untaught_misbehaviour", "the same, hard negatives held out"),
 )
 _ASPECTS = (
     PageColumn("score", "aspect"),

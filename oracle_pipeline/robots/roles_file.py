@@ -49,14 +49,21 @@ class RoleChoices:
         try:
             if len(content) > _LARGEST:
                 raise ValueError(f"it is larger than {_LARGEST} bytes")
-            return cls._of(bounded_yaml.load(content.decode()))
+            return cls.of(bounded_yaml.load(content.decode()))
         except (ValueError, UnicodeDecodeError) as error:
             raise RolesError(
                 f"{path} is no roles file: {error}. See docs/how-to/other-robots.md."
             ) from error
 
     @classmethod
-    def _of(cls, document: Any) -> Self:
+    def of(cls, document: Any) -> Self:
+        """Return what a document says that is as a roles file.
+
+        Raises
+        ------
+        ValueError
+            It is not.
+        """
         document = _mapping("the file", document, ("robots", "roles"))
         topics = _mapping("roles", document.get("roles") or {}, tuple(ROLES))
         names = {role: _names(role, given) for role, given in topics.items()}
@@ -68,6 +75,12 @@ class RoleChoices:
             None if robots is None else tuple(n.rstrip("/") for n in _names("robots", robots)),
             names,
         )
+
+    def document(self) -> dict[str, Any]:
+        """Return the roles file that says the same."""
+        robots = [] if self.robots is None else [f"{name}/" for name in self.robots]
+        roles = {role: list(names) for role, names in self.topics.items()}
+        return {"roles": roles} if self.robots is None else {"robots": robots, "roles": roles}
 
 
 def _mapping(what: str, given: Any, known: tuple[str, ...]) -> dict[str, Any]:

@@ -1,24 +1,28 @@
 """Alarms while a robot runs: window by window, with a promised number of false alarms an hour.
 
-The statistic is a window-limited CUSUM [1]_: how far the scores of the last minute lie above what
-is usual, from the start that makes most of it. One window that is far out raises it at once, many
-that are a little out raise it slowly, and a minute after the last of them it is low again.
+The statistic scans the last minute [1]_: for each number of latest windows, how far their scores
+together lie above what is usual, in units of the most that normal recordings reach with so many. So
+one window beyond all normal ones raises an alarm at once, however long normal recordings are a
+little unusual, and many windows that are a little out raise it slowly. A minute after the last of
+them it is low again.
 
 The threshold comes from normal recordings, each scored by a model that did not see its block. It is
-the lowest for which a new recording of the same kind keeps the promised rate on average (conformal
-risk control [2]_). A recording is one unit, so it does not matter how its windows depend on each
-other, and a block of recordings has one vote.
+the lowest for which a new block of the same kind keeps the promised rate on average (conformal risk
+control [2]_). The recordings of a block are watched one after another, as those of a robot's day,
+and the block is one unit: it does not matter how its recordings and windows depend on each other.
 
 References
 ----------
 .. [1] T. L. Lai, "Sequential changepoint detection in quality control and dynamical systems",
-   Journal of the Royal Statistical Society B 57, 1995.
+   Journal of the Royal Statistical Society B 57, 1995: window-limited scans.
 .. [2] A. N. Angelopoulos, S. Bates, A. Fisch, L. Lei, T. Schuster, "Conformal risk control", 2022.
 """
 
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +33,8 @@ from oracle_pipeline.windows import HOP_S, WINDOW_S
 MEMORY = 12  # windows that the statistic looks back: a minute
 USUAL = 0.95  # share of normal windows whose scores add nothing to the statistic
 REPEAT_S = 600.0  # after an alarm no other is raised for so long [s]
+_LEAST_REACH = 1e-9  # of a number of windows with which normal recordings reach nothing
+_ROUNDING = 1e-9  # of sums of weights
 RATE_PER_H = 0.5  # false alarms an hour that are promised unless another rate is asked for
 
 Floats = NDArray[np.float64]
@@ -59,34 +65,34 @@ class AlarmRule:
         An alarm is raised above it.
     per_hour : float
         False alarms an hour that are promised at most.
+    reach : tuple of float, length MEMORY
+        How far above the allowance normal recordings come with 1, 2, ... windows together.
     """
 
     allowance: float
     threshold: float
     per_hour: float
+    reach: tuple[float, ...] = (1.0,) * MEMORY
 
 
 class Statistic:
-    """The window-limited CUSUM of one recording, fed window by window.
+    """The scan of one recording, fed window by window.
 
     Parameters
     ----------
-    allowance : float
-        As of `AlarmRule`.
+    rule : AlarmRule
+        Its allowance and reach.
     """
 
-    def __init__(self, allowance: float) -> None:
-        self._allowance = allowance
+    def __init__(self, rule: AlarmRule) -> None:
+        self._rule = rule
         self._last: deque[float] = deque(maxlen=MEMORY)
 
     def feed(self, score: float) -> float:
         """Take the score of the next window, and return the statistic."""
-        self._last.appendleft(score - self._allowance)
-        highest, total = -math.inf, 0.0
-        for excess in self._last:
-            total += excess
-            highest = max(highest, total)
-        return highest
+        self._last.appendleft(score - self._rule.allowance)
+        together = accumulate(self._last)
+        return max(total / reach for total, reach in zip(together, self._rule.reach, strict=False))
 
 
 class AlarmWatch:
@@ -106,7 +112,7 @@ class AlarmWatch:
 
     def __init__(self, rule: AlarmRule) -> None:
         self.rule = rule
-        self._statistic = Statistic(rule.allowance)
+        self._statistic = Statistic(rule)
         self._silent_until_s = -math.inf
 
     def feed(self, end_s: float, score: float) -> Alarm | None:
@@ -158,33 +164,28 @@ class NormalWindows:
         AlarmError
             There are not enough hours of normal recordings for this rate.
         """
-        vote, most = self._votes(), self._most_alarms()
-        hours = float(vote @ self._hours())
-        if self.lowest_rate() > per_hour:
+        clock = self._clock()
+        allowed = per_hour * clock.hours - clock.most
+        if allowed < -_ROUNDING:
             raise AlarmError(
-                f"{len(np.unique(self.block))} blocks of normal recordings ({hours:.2g} h, one "
-                f"recording of each) support no rate below {self.lowest_rate():.2g} false alarms "
-                f"an hour; {per_hour:g} takes {most / per_hour - hours:.2g} h more, of other "
-                "starts or days."
+                f"{len(np.unique(self.block))} blocks of normal recordings ({clock.hours:.2g} h) "
+                f"support no rate below {self.lowest_rate():.2g} false alarms an hour; "
+                f"{per_hour:g} takes {-allowed / per_hour:.2g} h more, of other starts or days."
             )
         allowance = float(np.quantile(self.scores, USUAL))
-        statistic = statistics_of(self.scores, self.run, allowance)
-        lowest = self._lowest_threshold(statistic, per_hour * hours - most)
-        candidates = np.unique(np.append(statistic[statistic > lowest], lowest))
-        low, high = 0, len(candidates) - 1  # above the highest there is no alarm at all
-        while low < high:
-            middle = (low + high) // 2
-            alarms = float(vote @ self._alarms(statistic, float(candidates[middle])))
-            if alarms + most <= per_hour * hours:
-                high = middle
-            else:
-                low = middle + 1
-        return AlarmRule(allowance, float(candidates[low]), per_hour)
+        excess = self.scores - allowance
+        reach = tuple(
+            max(clock.lowest_threshold(total, allowed), _LEAST_REACH)
+            for total in totals_of(excess, self.run)
+        )
+        statistic = statistics_of(self.scores, self.run, AlarmRule(allowance, 0.0, per_hour, reach))
+        threshold = clock.lowest_threshold(statistic, allowed)
+        return AlarmRule(allowance, threshold, per_hour, reach)
 
     def lowest_rate(self) -> float:
         """Return the lowest rate of false alarms that these recordings support [1/h]."""
-        hours = float(self._votes() @ self._hours())
-        return self._most_alarms() / hours if hours else math.inf
+        clock = self._clock()
+        return clock.most / clock.hours if clock.hours else math.inf
 
     def without(self, block: int) -> "NormalWindows":
         """Return the windows of all other blocks: those that may judge a recording of this one."""
@@ -195,62 +196,102 @@ class NormalWindows:
             self.scores[kept], self.start_s[kept], number[self.run[kept]], self.block[others]
         )
 
-    def _votes(self) -> Floats:
-        """Return the vote of each recording: those of a block share one."""
-        _, number, size = np.unique(self.block, return_inverse=True, return_counts=True)
-        return np.asarray(1.0 / size[number], dtype=np.float64)
+    def _clock(self) -> "_Clock":
+        """Return the time of each window in its block, whose recordings follow one another."""
+        lasts = np.zeros(len(self.block))  # each recording, from its start to its last window
+        np.maximum.at(lasts, self.run, self.start_s + HOP_S)
+        number = np.unique(self.block, return_inverse=True)[1]
+        length_s = np.bincount(number, lasts)
+        begins = np.empty(len(self.block))
+        for block in range(len(length_s)):
+            of_block = np.flatnonzero(number == block)
+            begins[of_block] = np.cumsum(lasts[of_block]) - lasts[of_block]
+        typical_s = float(np.median(length_s)) if len(length_s) else 0.0
+        weight = np.minimum(1.0, typical_s / np.maximum(length_s, HOP_S))
+        most = np.maximum(1.0, weight * np.ceil(length_s / REPEAT_S)).max(initial=1.0)
+        return _Clock(
+            begins[self.run] + self.start_s + WINDOW_S,
+            number[self.run],
+            weight,
+            float(weight @ length_s) / 3600.0,
+            float(most),
+        )
 
-    def _lowest_threshold(self, statistic: Floats, allowed: float) -> float:
-        """Return the threshold above which recordings of no more than `allowed` votes come at all.
 
-        A recording gives one alarm at least if its statistic passes the threshold.
-        """
-        highest = np.zeros(len(self.block))
-        np.maximum.at(highest, self.run, statistic)
-        order = np.argsort(highest)
-        above = np.cumsum(self._votes()[order][::-1])[::-1] - self._votes()[order]
-        enough = above <= allowed + 1e-9
-        return float(highest[order][enough.argmax()])
+@dataclass(frozen=True, eq=False, slots=True)
+class _Clock:
+    """When the windows of normal recordings end, if those of a block are watched one by one.
 
-    def _hours(self) -> Floats:
-        """Return how long each recording was watched, from its start to its last window [h]."""
-        ends = np.zeros(len(self.block))
-        np.maximum.at(ends, self.run, self.start_s + HOP_S)
-        return ends / 3600.0
+    A block that is longer than most counts as if it were as long as the median one.
+    """
 
-    def _most_alarms(self) -> int:
-        """Return how many alarms a recording as long as the longest could have."""
-        return max(1, math.ceil(3600.0 * float(self._hours().max(initial=0.0)) / REPEAT_S))
+    end_s: Floats  # of each window, since the start of its block
+    block: NDArray[np.intp]  # of each window, from 0
+    weight: Floats  # of each block
+    hours: float  # of all blocks, by their weights
+    most: float  # alarms, by its weight, that a block as long as one of these could have
 
-    def _alarms(self, statistic: Floats, threshold: float) -> Floats:
-        """Return how many alarms each recording has, shape (n_runs,)."""
-        count, until_s = np.zeros(len(self.block)), np.full(len(self.block), -math.inf)
-        for window in np.flatnonzero(statistic > threshold).tolist():
-            run, end_s = self.run[window], self.start_s[window] + WINDOW_S
-            if end_s >= until_s[run]:
-                count[run] += 1.0
-                until_s[run] = end_s + REPEAT_S
+    def alarms(self, statistic: Floats, threshold: float) -> float:
+        """Return how many alarms there are above a threshold, by the weights of their blocks."""
+        above = np.flatnonzero(statistic > threshold)
+        block, end_s = self.block[above], self.end_s[above]
+        count, until_s = 0.0, np.full(len(self.weight), -math.inf)
+        while len(above):
+            raising, first = np.unique(block, return_index=True)
+            count += float(self.weight[raising].sum())
+            until_s[raising] = end_s[first] + REPEAT_S
+            later = end_s >= until_s[block]
+            above, block, end_s = above[later], block[later], end_s[later]
         return count
 
+    def lowest_threshold(self, statistic: Floats, allowed: float) -> float:
+        """Return the lowest threshold that so many alarms pass at most."""
+        candidates = np.unique(statistic[np.isfinite(statistic)])
+        low, high = 0, len(candidates) - 1  # above the highest there is no alarm at all
+        if high < 0:
+            return math.inf
+        while low < high:
+            middle = (low + high) // 2
+            if self.alarms(statistic, float(candidates[middle])) <= allowed + _ROUNDING:
+                high = middle
+            else:
+                low = middle + 1
+        return float(candidates[low])
 
-def statistics_of(scores: Floats, run: NDArray[np.intp], allowance: float) -> Floats:
+
+def totals_of(excess: Floats, run: NDArray[np.intp]) -> Iterator[Floats]:
+    """Yield the sums of the latest 1, 2, ... windows; -inf where a recording has not so many.
+
+    Parameters
+    ----------
+    excess : ndarray of shape (n_windows,)
+        Scores above the allowance.
+    run : ndarray of int, shape (n_windows,)
+        Ascending; a recording's windows in the order of time.
+    """
+    total = excess
+    yield total
+    for back in range(1, MEMORY):
+        earlier = np.full(len(excess), -math.inf)
+        same = run[back:] == run[:-back]
+        earlier[back:][same] = excess[:-back][same]
+        total = total + earlier
+        yield total
+
+
+def statistics_of(scores: Floats, run: NDArray[np.intp], rule: AlarmRule) -> Floats:
     """Return the statistic of the windows of many recordings, shape (n_windows,).
 
     Parameters
     ----------
     scores : ndarray of shape (n_windows,)
     run : ndarray of int, shape (n_windows,)
-        Ascending; a recording's windows in the order of time.
-    allowance : float
-        As of `AlarmRule`.
+        As for `totals_of`.
+    rule : AlarmRule
+        Its allowance and reach.
     """
-    excess = scores - allowance
-    highest, total = excess.copy(), excess.copy()
-    for back in range(1, MEMORY):
-        earlier = np.zeros_like(excess)
-        same = np.zeros(len(run), dtype=np.bool_)
-        same[back:] = run[back:] == run[: len(run) - back] if len(run) > back else False
-        earlier[back:][same[back:]] = excess[: len(run) - back][same[back:]]
-        total = total + earlier
-        highest = np.where(same, np.maximum(highest, total), highest)
+    highest = np.full(len(scores), -math.inf)
+    for total, reach in zip(totals_of(scores - rule.allowance, run), rule.reach, strict=True):
+        if math.isfinite(reach):  # else no normal recording had so many windows
+            highest = np.maximum(highest, total / reach)
     return highest

@@ -26,6 +26,7 @@ from sklearn.pipeline import Pipeline
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import parse_table, replacing, table_bytes
 from oracle_pipeline.detectors import Mahalanobis, pipeline
+from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.alarms import NormalWindows
 from oracle_pipeline.scoring.contract import Contract
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
@@ -68,6 +69,8 @@ class ReferenceCard:
         What a reader of a verdict should know, such as recordings that were left out.
     aspects : mapping of str to CrossConformalScorer
         Scorers of ``tampering`` and ``misbehaviour``, as far as the recordings have such features.
+    roles : RoleChoices or None
+        What a roles file said of the recordings' robots and topics; None without one.
     """
 
     scorer: CrossConformalScorer
@@ -75,6 +78,7 @@ class ReferenceCard:
     contract: Contract | None = None
     notes: tuple[str, ...] = ()
     aspects: Mapping[str, CrossConformalScorer] = field(default_factory=dict)
+    roles: RoleChoices | None = None
 
     def save(self, path: Path) -> None:
         """Write the card; a reader sees all of it or the old one."""
@@ -90,6 +94,7 @@ class ReferenceCard:
             "scorers": {name: _described(scorer) for name, scorer in scorers.items()},
             "contract": None if self.contract is None else self.contract.to_dict(),
             "notes": list(self.notes),
+            "roles": None if self.roles is None else self.roles.document(),
         }
         members = {_FACTS: json.dumps(facts, indent=1, allow_nan=False).encode(), **members}
         with replacing(path) as sink, zipfile.ZipFile(sink, "w") as archive:
@@ -107,6 +112,8 @@ class ReferenceCard:
         """
         try:
             facts, runs, models, windows = _read(path)
+            contract, roles = facts["contract"], facts.get("roles")  # earlier cards have no roles
+            choices = None if roles is None else RoleChoices.of(roles)
         except FileNotFoundError as error:
             raise CardError(
                 f"There is no reference card {path}; make one with `oracle learn`."
@@ -123,7 +130,6 @@ class ReferenceCard:
                 f"{path} is no reference card, or is damaged ({error}); make it again with "
                 "`oracle learn`."
             ) from error
-        contract = facts["contract"]
         scorers = {
             name: _scorer(described, facts["floors"], models[name], windows[name])
             for name, described in facts["scorers"].items()
@@ -134,6 +140,7 @@ class ReferenceCard:
             None if contract is None else Contract.from_dict(contract),
             tuple(facts["notes"]),
             scorers,
+            choices,
         )
 
     def card_for(self, _row: pd.DataFrame) -> "ReferenceCard":

@@ -30,6 +30,11 @@ from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.verdict import AspectScore, ScoringError, Verdict
 from oracle_pipeline.windows import WINDOW_S
 
+OTHER_ROLES = (
+    "The roles file is not the one that the reference was learned with, so features may be of "
+    "other topics; leave --roles out to use that of the reference."
+)
+
 
 class CardSource(Protocol):
     """A reference card, or what learns one for each kind of system."""
@@ -37,6 +42,10 @@ class CardSource(Protocol):
     @property
     def notes(self) -> tuple[str, ...]:
         """What a reader of the verdicts should know of the reference."""
+
+    @property
+    def roles(self) -> RoleChoices | None:
+        """What a roles file said of the normal runs; None without one."""
 
     def card_for(self, row: pd.DataFrame) -> ReferenceCard:
         """Return the card to judge a recording by, given its run features."""
@@ -72,14 +81,19 @@ def score(
     strict : bool
         Do not judge an incomplete recording.
     choices : RoleChoices, optional
-        What a roles file says of robots and topics.
+        What a roles file says of robots and topics; by default, what it said of the normal runs.
     """
+    notes: tuple[str, ...] = ()
+    if choices is None:
+        choices = reference.roles
+    elif choices != (reference.roles or RoleChoices()):
+        notes = (OTHER_ROLES,)
     verdicts = [
         verdict
         for path in progress_bar(recordings, unit="recording")
         for verdict in _of_robots(path, reference, manager, limits, strict=strict, choices=choices)
     ]
-    return settled(verdicts, far)
+    return settled([replace(each, notes=(*notes, *each.notes)) for each in verdicts], far)
 
 
 def settled(verdicts: Sequence[Verdict], far: float) -> list[Verdict]:

@@ -7,6 +7,7 @@ import pandas as pd
 
 from oracle_pipeline.datasets import feature_columns, feature_floors, is_malicious
 from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel
+from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.comparable import same_kind, shared_features
 from oracle_pipeline.scoring.contract import Contract
@@ -46,7 +47,7 @@ def learn(reference: Reference) -> ReferenceCard:
     sets = feature_sets(runs.features)
     aspects = {name: learned_scorer(runs, name) for name in ASPECTS if name in sets}
     contract = Contract.learned(reference.observations) if reference.observations else None
-    return ReferenceCard(scorer, runs.features, contract, tuple(notes), aspects)
+    return ReferenceCard(scorer, runs.features, contract, tuple(notes), aspects, reference.roles)
 
 
 def learned_scorer(normal: MeasuredRuns, features: str = "all") -> CrossConformalScorer:
@@ -101,6 +102,11 @@ class Cards:
         """What a reader of the verdicts should know of the cards used so far."""
         return tuple(dict.fromkeys(note for card in self._cards.values() for note in card.notes))
 
+    @property
+    def roles(self) -> RoleChoices | None:
+        """What a roles file said of the recordings."""
+        return self._reference.roles
+
     def card_for(self, row: pd.DataFrame) -> ReferenceCard:
         """Return the card for the kind of system that a recording comes from."""
         table = self._reference.table
@@ -120,4 +126,7 @@ class Cards:
                 "from another kind of system: they lack a whole family of features that this "
                 "recording has.",
             )
-        return Reference(reference.table[alike], reference.windows, reference.observations, notes)
+        return Reference(
+            reference.table[alike], reference.windows, reference.observations, notes,
+            reference.roles,
+        )  # fmt: skip

@@ -71,10 +71,19 @@ def card_as_text(card: ReferenceCard) -> str:
         f"Scores beside the verdict: {', '.join(card.aspects) or 'none'}.",
         _alarms_as_text(card),
         _contract_as_text(card),
+        *_roles_as_text(card),
         *(_support(blocks, rate) for rate in RATES),
         *card.notes,
     ]
     return "\n".join(lines)
+
+
+def _roles_as_text(card: ReferenceCard) -> list[str]:
+    if card.roles is None:
+        return []
+    robots = () if card.roles.robots is None else (f"robots {', '.join(card.roles.robots)}",)
+    chosen = [f"{role} {', '.join(names) or 'none'}" for role, names in card.roles.topics.items()]
+    return [f"Roles file, used for scoring too: {'; '.join([*robots, *chosen])}."]
 
 
 def _support(blocks: int, rate: float) -> str:

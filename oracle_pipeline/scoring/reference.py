@@ -37,12 +37,15 @@ class Reference:
         What the recordings show without looking into messages, in the order of `table`; empty if
         only tables were read.
     notes : tuple of str
+    roles : RoleChoices or None
+        What a roles file said of the recordings; None without one.
     """
 
     table: pd.DataFrame
     windows: pd.DataFrame | None = None
     observations: tuple[Observation, ...] = ()
     notes: tuple[str, ...] = ()
+    roles: RoleChoices | None = None
 
 
 def read_reference(
@@ -126,7 +129,7 @@ def _extracted(
     row = {run_id: number for number, run_id in enumerate(table["run_id"])}
     order = np.argsort([row[each["run_id"].iloc[0]] for each in tables])
     in_order = tuple(observations[number] for number in order)
-    return Reference(table, window_dataset(windows), in_order, tuple(notes))
+    return Reference(table, window_dataset(windows), in_order, tuple(notes), choices)
 
 
 def _recordings(folder: Path) -> Iterator[Path]:

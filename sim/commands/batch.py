@@ -81,9 +81,11 @@ _CAMPAIGN_OPTIONS = (
         "block.  [default: $ORACLE_ARENA or drawn]",
     ),
     click.option(
-        "--nav2", default="tuned", show_default=True, type=click.Choice(get_args(Navigation)),
-        help="Settings of Nav2: tuned to the narrow gaps of the hexagon, or stock, with which the "
-        "collision monitor slows the robot down near walls.",
+        "--nav2", default=lambda: Campaign.from_environment().options.nav2,
+        type=click.Choice(get_args(Navigation)),
+        help="Settings of Nav2: tuned to the narrow gaps of the hexagon; stock, with which the "
+        "collision monitor slows the robot down near walls; or drawn, which is stock in houses "
+        "and tuned elsewhere.  [default: $ORACLE_NAV2 or tuned]",
     ),
     click.option("--cameras", is_flag=True, help="Depth camera on: 15 MB a second."),
     click.option(

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.campaigns import Navigation
 from sim.middleware.domain import Domain
 from sim.middleware.node import Node
 from sim.middleware.tf import TransformListener
@@ -62,7 +61,7 @@ def bring_up(
     run: int = 0,
     monitored: Sequence[Source] = SOURCES,
     speed: float = 1.0,
-    settings: Navigation = "tuned",
+    stock: bool = False,
 ) -> Nav2:
     """Put Nav2 into a domain; it becomes active once AMCL was told where the robot starts.
 
@@ -82,10 +81,10 @@ def bring_up(
         Topics that the collision monitor takes its points from.
     speed
         Share of its maximal speed that the robot may drive and turn at.
-    settings
-        Tuned to narrow gaps, or stock; docs/explanation/navigation.md lists what differs.
+    stock
+        Settings as Nav2 ships them, and not those that are tuned to narrow gaps;
+        docs/explanation/navigation.md lists what differs.
     """
-    is_stock = settings == "stock"
 
     def listener(owner: str) -> str:
         """Return what stands for the heap address of a node's transform listener."""
@@ -113,7 +112,7 @@ def bring_up(
         transforms=transforms,
         latency_ns=latency_ns,
     )
-    global_costmap = (StockGlobalCostmap if is_stock else GlobalCostmap)(
+    global_costmap = (StockGlobalCostmap if stock else GlobalCostmap)(
         domain,
         listener("global_costmap"),
         OBSTACLE_SOURCES,
@@ -121,7 +120,7 @@ def bring_up(
         transforms=transforms,
         latency_ns=latency_ns,
     )
-    dwb = Parameters(sim_time=STOCK_SIM_TIME) if is_stock else Parameters()
+    dwb = Parameters(sim_time=STOCK_SIM_TIME) if stock else Parameters()
     ControllerServer(
         domain,
         local_costmap,
@@ -129,7 +128,7 @@ def bring_up(
         parameters=dwb._replace(
             max_vel_x=speed * dwb.max_vel_x, max_vel_theta=speed * dwb.max_vel_theta
         ),
-        faces_paths=not is_stock,
+        faces_paths=not stock,
         latency_ns=latency_ns,
     )
     SmootherServer(
@@ -146,7 +145,7 @@ def bring_up(
         domain,
         listener("collision_monitor"),
         transforms=transforms,
-        polygons=STOCK_POLYGONS if is_stock else POLYGONS,
+        polygons=STOCK_POLYGONS if stock else POLYGONS,
         sources=monitored,
         latency_ns=latency_ns,
     )

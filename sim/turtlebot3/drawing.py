@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.campaigns import ArenaChoice, Campaign, Options, RecipeError
+from sim.campaigns import ArenaChoice, Campaign, Navigation, Options, RecipeError
 from sim.middleware.geometry import Pose2D
-from sim.nav2.costmap import LETHAL, Costmap2D
+from sim.nav2.costmap import Costmap2D
 from sim.nav2.costmap_layers import static_costs
 from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.footprint import INSCRIBED_RADIUS
@@ -46,8 +46,6 @@ _SEEN_M = 1.5  # half a side of the local costmap
 _FOLLOWED_M = Parameters().forward_prune_distance
 _LOOK_AHEAD_M = 0.3
 FAKE_OBJECT_CLEARANCE_M = 0.6  # of the fake object from start and goals
-MIN_DETOUR = 1.35  # the way around the fake object over the way that it lies across
-_OBJECT_DRAWS = 100
 _FIRST_LATE_LEG = 2  # a delayed attack begins on the second or third leg
 
 
@@ -82,7 +80,13 @@ def draw_block(seed: int, block: int, goals: int, choice: ArenaChoice = "drawn")
         if path is not None and can_be_followed(path):
             stops.append(stop)
             legs.append(path)
-    return Block(arena, stops[0], tuple(stops[1:]), _draw_fake_object(rng, arena, legs, stops))
+    return Block(arena, stops[0], tuple(stops[1:]), _draw_fake_object(rng, legs, stops))
+
+
+def _nav2(arena: Arena, options: Options) -> Navigation:
+    if options.nav2 != "drawn":
+        return options.nav2
+    return "stock" if arena.kind == "house" else "tuned"
 
 
 def can_be_followed(path: NDArray[np.float64]) -> bool:
@@ -111,37 +115,20 @@ def _draw_free_pose(rng: np.random.Generator, arena: Arena) -> Pose2D:
 
 
 def _draw_fake_object(
-    rng: np.random.Generator,
-    arena: Arena,
-    legs: list[NDArray[np.float64]],
-    stops: list[Pose2D],
+    rng: np.random.Generator, legs: list[NDArray[np.float64]], stops: list[Pose2D]
 ) -> FakeObject:
-    """Draw a cylinder across the path of a late leg, where the way around it is a detour.
+    """Draw a cylinder on the path of a late leg, whatever way around it that leaves.
 
-    It keeps clear of where the robot must start and stop. Where no draw is a detour, the one with
-    the longest way around is taken.
+    It keeps clear of where the robot must start and stop; where the legs leave no such place, it
+    stands as far from those poses as they do.
     """
+    late = legs[min(_FIRST_LATE_LEG, len(legs) - 1) :]
+    on_path = np.concatenate([leg[int(0.3 * len(leg)) : int(0.7 * len(leg)) + 1] for leg in late])
     avoid = np.array([(stop.x, stop.y) for stop in stops])
-    first = min(_FIRST_LATE_LEG, len(legs) - 1)
-    drawn: list[tuple[float, FakeObject]] = []  # how long the way around it is, and the object
-    while len(drawn) < _OBJECT_DRAWS and (not drawn or drawn[-1][0] < MIN_DETOUR):
-        index = int(rng.integers(first, len(legs)))
-        leg = legs[index]
-        middle = leg[int(0.3 * len(leg)) : int(0.7 * len(leg)) + 1]
-        x, y = (middle[rng.integers(len(middle))] + rng.normal(0.0, 0.05, 2)).tolist()
-        there = FakeObject(x, y, radius=rng.uniform(0.15, 0.25))
-        is_clear = np.hypot(*(avoid - (x, y)).T).min() >= FAKE_OBJECT_CLEARANCE_M
-        around = planning_grid(arena, there)
-        detour = _detour(leg, stops[index], stops[index + 1], around) if is_clear else 0.0
-        drawn.append((detour, there))
-    _, chosen = max(drawn, key=lambda draw: draw[0])
-    return chosen
-
-
-def _detour(leg: NDArray[np.float64], begin: Pose2D, end: Pose2D, grid: Costmap2D) -> float:
-    """Return how many times as long as a leg the way in another grid is; 0 if there is none."""
-    around = plan(grid, (begin.x, begin.y), (end.x, end.y))
-    return 0.0 if around is None else path_length(around) / path_length(leg)
+    nearest = np.hypot(*(on_path[:, None] - avoid).T).min(axis=0)
+    is_clear = nearest >= min(FAKE_OBJECT_CLEARANCE_M, nearest.max())
+    x, y = (rng.choice(on_path[is_clear]) + rng.normal(0.0, 0.05, 2)).tolist()
+    return FakeObject(x, y, radius=rng.uniform(0.15, 0.25))
 
 
 def path_length(path: NDArray[np.float64]) -> float:
@@ -149,29 +136,13 @@ def path_length(path: NDArray[np.float64]) -> float:
     return float(np.hypot(*np.diff(path, axis=0).T).sum())
 
 
-_INFLATION = InflationLayer(RESOLUTION_M, INSCRIBED_RADIUS, GLOBAL_COST_SCALING)
-
-
 @functools.lru_cache(maxsize=8)  # see `occupancy_map`
-def _empty_world(arena: Arena) -> Costmap2D:
+def planning_grid(arena: Arena) -> Costmap2D:
+    """Return the global costmap of an arena with nothing in it that is on no map."""
     world = occupancy_map(arena)
     costs = static_costs(world.data)
-    _INFLATION.add_to(costs)
+    InflationLayer(RESOLUTION_M, INSCRIBED_RADIUS, GLOBAL_COST_SCALING).add_to(costs)
     return Costmap2D(costs, world.resolution, *world.origin, "map")
-
-
-def planning_grid(arena: Arena, obstacle: FakeObject | None = None) -> Costmap2D:
-    """Return the global costmap of an arena, without or with an obstacle that is on no map."""
-    empty = _empty_world(arena)
-    grid = replace(empty, costs=empty.costs.copy())
-    if obstacle is not None:
-        rows, columns = (np.arange(cells) + 0.5 for cells in grid.costs.shape)
-        x = grid.origin_x + grid.resolution * columns - obstacle.x
-        y = grid.origin_y + grid.resolution * rows - obstacle.y
-        inside = x**2 + y[:, None] ** 2 <= obstacle.radius**2
-        grid.costs[inside] = LETHAL
-        _INFLATION.add_to(grid.costs, inside)
-    return grid
 
 
 def draw(
@@ -211,7 +182,7 @@ def draw(
         fake_object=block.fake_object,
         storage=campaign.storage,
         timeout_s=campaign.timeout_s,
-        options=campaign.options,
+        options=replace(campaign.options, nav2=_nav2(block.arena, campaign.options)),
         noise=mode.noise(campaign),
     )
 

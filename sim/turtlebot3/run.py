@@ -98,7 +98,7 @@ class TurtleBot3Run:
                 )
             ],
             speed=recipe.conditions.speed,
-            settings=options.nav2,
+            stock=options.nav2 == "stock",
         )
         self._odometer = Odometer(self._executor, lambda: self._world.pose)
         self._patrol_over = False

@@ -9,7 +9,7 @@ from pathlib import Path
 import dagster as dg
 import pytest
 
-from assets.partitions import ConfigurationError, run_count, runs_of_modes
+from assets.partitions import ConfigurationError, chosen_modes, run_count, runs_of_modes
 from sim.modes import FOLDER, modes
 from tests.assets.laboratory import ROOT
 
@@ -20,7 +20,8 @@ def test_the_thesis_campaign_is_the_default() -> None:
 
 
 def test_there_is_a_partition_for_every_run_of_every_mode_in_order() -> None:
-    keys = [str(key) for key in runs_of_modes(run_count({"ORACLE_RUNS": "2"})).get_partition_keys()]
+    campaign = runs_of_modes(chosen_modes({}), run_count({"ORACLE_RUNS": "2"}))
+    keys = [str(key) for key in campaign.get_partition_keys()]
     assert keys == [f"{mode}|{run}" for mode in modes() for run in ("run000", "run001")]
     assert keys[0] == "lidar_passthrough|run000"
 
@@ -31,9 +32,34 @@ def test_a_count_that_makes_no_sense_is_named(value: str) -> None:
         run_count({"ORACLE_RUNS": value})
 
 
+@pytest.mark.parametrize(
+    ("text", "first", "count"),
+    [
+        ("", "lidar_passthrough", len(modes())),
+        ("turtlebot3", "lidar_passthrough", 14),
+        ("atc", "atc_normal", 17),
+        ("*_shadow", "fake_object_shadow", 11),
+        ("benign_*, fake_object", "fake_object", 6),
+    ],
+)
+def test_a_choice_of_modes_keeps_their_order(text: str, first: str, count: int) -> None:
+    chosen = chosen_modes({"ORACLE_MODES": text})
+    assert chosen[0] == first
+    assert len(chosen) == count
+    assert chosen == [mode for mode in modes() if mode in chosen]
+
+
+@pytest.mark.parametrize("part", ["fake_objects", "Turtlebot3", ""])
+def test_a_choice_that_names_no_mode_is_refused(part: str) -> None:
+    with pytest.raises(ConfigurationError, match=f"no mode with '{part}'.*turtlebot3, atc"):
+        chosen_modes({"ORACLE_MODES": f"fake_object,{part}"})
+
+
 def test_the_range_of_make_run_is_the_six_modes_and_nothing_else() -> None:
     first, last = re.findall(r"^(?:FIRST|LAST) := (.+)$", (ROOT / "Makefile").read_text(), re.M)
-    keys = runs_of_modes(15).get_partition_keys_in_range(dg.PartitionKeyRange(first, last))
+    keys = runs_of_modes(chosen_modes({}), 15).get_partition_keys_in_range(
+        dg.PartitionKeyRange(first, last)
+    )
     assert [str(key) for key in keys] == [
         f"{mode}|run00{run}" for mode in list(modes())[:6] for run in range(3)
     ]

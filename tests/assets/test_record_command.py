@@ -6,8 +6,8 @@ import shlex
 import dagster as dg
 import pytest
 
-from assets.partitions import runs_of_modes
-from assets.record_command import record_command
+from assets.partitions import chosen_modes, runs_of_modes
+from assets.record_command import REPEATED, record_command
 from sim.modes import modes
 
 SIX = list(modes())[:6]
@@ -16,15 +16,16 @@ SIX = list(modes())[:6]
 def keys_of(command: str) -> list[str]:
     """Return the partitions that a command asks for, under the settings that it makes."""
     words = shlex.split(command)
-    runs = next((word.partition("=")[2] for word in words if word.startswith("ORACLE_RUNS")), "15")
+    settings = dict(word.split("=") for word in words if word.startswith("ORACLE_"))
     first, last = words[words.index("--partition-range") + 1].split("...")
     chosen = dg.PartitionKeyRange(first, last)
-    return [str(key) for key in runs_of_modes(int(runs)).get_partition_keys_in_range(chosen)]
+    campaign = runs_of_modes(chosen_modes(settings), int(settings.get("ORACLE_RUNS", "15")))
+    return [str(key) for key in campaign.get_partition_keys_in_range(chosen)]
 
 
 @pytest.fixture(autouse=True)
 def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("ORACLE_HOME", "ORACLE_RUNS", "ORACLE_GOALS_PER_RUN", "ORACLE_SCENARIOS"):
+    for name in ("ORACLE_MODES", "ORACLE_RUNS", *REPEATED):
         monkeypatch.delenv(name, raising=False)
 
 
@@ -47,3 +48,11 @@ def test_settings_of_the_campaign_are_said_again(monkeypatch: pytest.MonkeyPatch
     command = record_command(SIX, 20)
     assert "ORACLE_HOME='my campaign' ORACLE_GOALS_PER_RUN=4 ORACLE_RUNS=60 dagster" in command
     assert re.search(r"run000\.\.\.delayed_fakeobject\|run019", command)
+
+
+def test_modes_that_are_no_partitions_now_become_some(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ORACLE_MODES", "fake_object")
+    assert "ORACLE_MODES" not in record_command(["fake_object"], 2)
+    command = record_command(SIX, 2)
+    assert {key.partition("|")[0] for key in keys_of(command)} == set(SIX)
+    assert "ORACLE_MODES='*'" in command

@@ -69,12 +69,15 @@ def test_the_configuration_page_lists_every_variable_and_no_other():
     assert set(re.findall(r"`(ORACLE_\w+)`", page)) == set(found.stdout.split())
 
 
-@pytest.mark.parametrize("variable", ["ORACLE_RUNS", "ORACLE_GOALS_PER_RUN", "ORACLE_ARENA"])
+@pytest.mark.parametrize(
+    "variable", ["ORACLE_RUNS", "ORACLE_GOALS_PER_RUN", "ORACLE_ARENA", "ORACLE_NAV2"]
+)
 def test_defaults_on_the_configuration_page_are_those_of_the_code(variable, monkeypatch):
     monkeypatch.delenv(variable, raising=False)
     actual = {
         "ORACLE_RUNS": lambda: run_count(os.environ),
         "ORACLE_ARENA": lambda: Campaign.from_environment().options.arena,
+        "ORACLE_NAV2": lambda: Campaign.from_environment().options.nav2,
         "ORACLE_GOALS_PER_RUN": lambda: Campaign.from_environment().goals_per_run,
     }[variable]()
     page = (DOCS / "reference" / "configuration.md").read_text("utf-8")

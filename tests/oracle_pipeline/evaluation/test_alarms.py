@@ -21,9 +21,20 @@ def alarms(*places):
 
 
 def test_detection_counts_from_the_onset_to_the_end_of_the_first_window_that_alarms():
-    late = times_to_detect(alarms(0, 3, 4), JUDGED)  # at 10 s (too early), 25 s and 30 s
+    late = times_to_detect(alarms(0, 3, 4), JUDGED, JUDGED.onset_s)  # at 10 s: too early
     assert late[:2].tolist() == [8.0, np.inf]
     assert np.isnan(late[2])
+
+
+def test_an_attack_takes_effect_when_it_first_changes_a_message():
+    judged = by_hand(
+        ("fake_object", 0, 40.0, 3.0, "[[20.0, 3, 0.5], [30.0, 1, 0.5]]"),
+        ("fake_object", 1, 40.0, 3.0, "[[0.0, 3, 0.5]]"),
+        ("fake_object", 2, 40.0, 3.0, "[]"),
+    )
+    assert judged.effect_s.tolist() == [20.0, 3.0, 3.0]
+    late = times_to_detect(np.isin(judged.place, (4,)), judged, judged.effect_s)
+    assert late.tolist() == [10.0, 27.0, 27.0]  # the fifth window ends at 30 s
 
 
 def test_the_figures_of_alarms_by_hand():
@@ -35,6 +46,7 @@ def test_the_figures_of_alarms_by_hand():
     assert (row["attacked_windows"], row["normal_windows"], row["auc"]) == (10, 7, 1.0)
     assert (row["attacked_runs"], row["normal_runs"], row["missed"]) == (2, 1, 0.5)
     assert (row["time_to_detect_median_s"], row["time_to_detect_90_s"]) == (8.0, np.inf)
+    assert row["after_effect_median_s"] == 8.0
     assert row["promised_per_h"] == 0.5
     assert row["false_alarms_per_h"] == pytest.approx(2 * 3600 / 40)
     assert row["false_alarms_per_h_low"] < 60 < 500 < row["false_alarms_per_h_high"]

@@ -54,6 +54,16 @@ def test_a_feature_that_tells_the_session_is_listed(tables):
     assert found[["feature", "tells"]].to_numpy().tolist() == [[FEATURE, "session"]]
 
 
+def test_where_each_block_has_a_session_the_earlier_ones_are_compared_with_the_later(tables):
+    features = tables[0].assign(session=tables[0]["block"])
+    assert audit(features).empty
+    drifting = features.assign(**{FEATURE: features[FEATURE] + 1e3 * (features["session"] > 7)})
+    found = audit(drifting)
+    assert found[["feature", "between"]].to_numpy().tolist() == [
+        [FEATURE, "earlier and later sessions"]
+    ]
+
+
 def test_less_than_the_floor_is_no_difference(tables):
     features, *_ = tables
     features.attrs["fields"] = {FEATURE: {"floor": "0.5", "unit": "m^2"}}
@@ -82,6 +92,15 @@ def test_the_check_is_red_for_a_tell_and_unsupported_with_few_blocks(tables):
     red = check(marked(features, "random_noise_shadow", 1e3))
     assert (red.status, red.figure.value) == ("red", 1.0)
     assert FEATURE in red.sentence
+    session = check(features.assign(**{FEATURE: features[FEATURE] + 1e3 * features["session"]}))
+    assert session.status == "red"
+    mode = marked(features, "lidar_passthrough_odom", 1e3)
+    mode = marked(mode, "fake_object_shadow", 1e3)
+    assert check(mode).status == "green"  # its counterpart tells the same
+    alone = mode.replace({"mode": {"fake_object": "an_attack"}})
+    alone["run_id"], told = mode["run_id"], check(alone)
+    assert told.status == "red"
+    assert "an_attack without" in told.sentence
     few = check(features[features["block"] < 3])
     assert few.status == "unsupported"
     assert np.isnan(few.figure.value)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from oracle_pipeline.evaluation.reference_scores import reference_scores
-from oracle_pipeline.evaluation.splits import session_folds
+from oracle_pipeline.evaluation.splits import group_folds
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.feature_sets import ASPECTS
 from oracle_pipeline.scoring.judging import judge
@@ -41,7 +41,7 @@ def test_oracle_score_gives_the_p_values_of_the_evaluation(tables):
 def test_a_held_out_session_is_judged_by_what_others_taught(tables):
     features, windows = tables
     runs = MeasuredRuns.ordered(features, windows)
-    folds = session_folds(runs.features, seed=0)
+    folds = group_folds(runs.features, "session", seed=0)
     scores = reference_scores(runs, folds)
     assert np.isfinite(scores.p).all()
     sessions = [set(runs.features.loc[fold.test, "session"]) for fold in folds]

@@ -4,8 +4,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oracle_pipeline.datasets import is_malicious
-from oracle_pipeline.evaluation.splits import block_folds, session_folds, untaught, world_folds
+from oracle_pipeline.evaluation.splits import block_folds, group_folds, untaught
 from tests.oracle_pipeline.datasets.synthetic import CONTROLS, MODES, run_features
+
+
+def session_folds(df, seed):
+    return group_folds(df, "session", seed)
 
 
 def runs(blocks=12, **more):
@@ -32,13 +36,13 @@ def test_no_block_is_on_two_sides_and_every_run_is_tested_once(blocks, seed, spl
 def test_no_world_is_on_two_sides_and_every_run_is_tested_once(blocks, seed):
     df = runs(blocks)
     world = df["world"].to_numpy()
-    folds = world_folds(df, seed)
+    folds = group_folds(df, "world", seed)
     assert len(folds) > 1
     assert sum(fold.test.astype(int) for fold in folds).tolist() == [1] * len(df)
     for fold in folds:
         assert set(world[fold.test]).isdisjoint(world[fold.train])
         assert not (fold.fit & ~fold.train).any()
-    assert world_folds(df.assign(world="hexagon-0"), seed) == []
+    assert group_folds(df.assign(world="hexagon-0"), "world", seed) == []
 
 
 def test_sessions_are_spread_over_folds_and_halves_unless_one_is_held_out():
@@ -47,7 +51,7 @@ def test_sessions_are_spread_over_folds_and_halves_unless_one_is_held_out():
     for fold in block_folds(df, 0):
         for side in (fold.fit, fold.calibrate, fold.test):
             assert set(session[side]) == {0, 1, 2}
-    assert [set(session[fold.test]) for fold in session_folds(df, 0)] == [{0}, {1}, {2}]
+    assert [set(session[fold.test]) for fold in group_folds(df, "session", 0)] == [{0}, {1}, {2}]
 
 
 @settings(max_examples=15, deadline=None)
@@ -55,7 +59,7 @@ def test_sessions_are_spread_over_folds_and_halves_unless_one_is_held_out():
 def test_whole_sessions_are_held_out_in_five_folds_at_most(blocks, sessions, seed):
     df = runs(blocks)
     df["session"] = df["block"] % sessions
-    folds = session_folds(df, seed)
+    folds = group_folds(df, "session", seed)
     assert len(folds) == min(5, sessions, blocks)
     assert sum(fold.test.astype(int) for fold in folds).tolist() == [1] * len(df)
     for fold in folds:
@@ -69,7 +73,7 @@ def test_of_a_session_that_is_known_in_part_so_many_blocks_train_and_the_rest_is
 ):
     df = runs(blocks)
     block, session = df["block"].to_numpy(), df["session"].to_numpy()
-    folds = session_folds(df, seed, known)
+    folds = group_folds(df, "session", seed, known)
     assert len(folds) == (3 if known < blocks // 3 else 0)
     for number, fold in enumerate(folds):
         assert set(session[fold.test]) == {number}
@@ -96,7 +100,7 @@ def test_hard_negatives_and_shadows_train():
 @pytest.mark.parametrize("blocks", [1, 2])
 def test_too_few_blocks_give_no_folds(blocks):
     assert block_folds(runs(blocks), 0) == []
-    assert session_folds(runs(1), 0) == []
+    assert group_folds(runs(1), "session", 0) == []
 
 
 def test_a_split_is_a_function_of_its_seed_and_does_not_depend_on_the_order_of_runs():

@@ -3,6 +3,8 @@ import json
 import numpy as np
 import pytest
 
+from oracle_pipeline.bags.behaviour import UNITS
+from oracle_pipeline.datasets import is_hard_negative
 from oracle_pipeline.evaluation.aspects import aspects_table, by_mode, quadrants
 from oracle_pipeline.evaluation.comparisons import comparisons
 from oracle_pipeline.evaluation.held_out import HeldOutScores
@@ -29,6 +31,18 @@ def test_unaltered_runs_are_seldom_called_misbehaved_whatever_their_spread():
         assert effects.known.all()
         assert effects.misbehaved.mean() <= 0.03
         assert effects.uncertainty["driven_m"] >= LEAST["driven_m"]
+
+
+def test_many_quantities_call_no_more_unaltered_runs_misbehaved_than_one():
+    judged = campaign(blocks=60)
+    rng = np.random.default_rng(1)
+    judged.truth["behaviour"] = [
+        json.dumps(dict(zip(UNITS, rng.normal(0.0, 9.0, len(UNITS)), strict=True)))
+        for _ in range(len(judged.features))
+    ]
+    effects = task_effects(judged)
+    unaltered = ~judged.malicious & ~is_hard_negative(judged.features)
+    assert 0.0 < effects.misbehaved[unaltered].mean() <= 0.011
 
 
 @pytest.mark.parametrize(("metres", "found"), [(0.3, False), (3.0, True), (-3.0, True)])
@@ -81,6 +95,10 @@ def test_each_truth_is_measured_against_its_own_score():
     misbehaved = cells[(cells["misbehaved"] == "yes") & (cells["runs"] > 0)]
     assert (misbehaved["called_misbehaviour"] == 1.0).all()
     assert (cells["called_tampering"].dropna() == 0.0).all()
-    modes = by_mode(scores, judged, effects, rng).set_index("mode")
+    assert (cells["called_both"].dropna() == 0.0).all()
+    modes = by_mode(scores, {"misbehaviour": right}, judged, effects, rng).set_index("mode")
+    assert (modes["untaught_misbehaviour"] == modes["called_misbehaviour"]).all()
+    harmless = judged.features["mode"].str.startswith("benign_")
+    assert modes.loc["hard negatives", "runs"] == harmless.sum()
     assert modes.loc["fake_object", "misbehaved"] > 0.95
     assert modes.loc["lidar_passthrough", "misbehaved"] < 0.2

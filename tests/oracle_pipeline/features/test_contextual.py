@@ -10,6 +10,7 @@ from oracle_pipeline.features import laser_ranges, odometry
 from oracle_pipeline.features.goals import goals_of_log
 from oracle_pipeline.features.plugin import Series, Window
 from oracle_pipeline.opened_run import open_run
+from tests.oracle_pipeline.features.rows import columns_of
 
 MANAGER = features.build_manager()
 
@@ -63,16 +64,15 @@ def test_yaw_rate_variance_is_that_of_the_measured_rate():
 
 def test_odometry_is_read_from_the_quaternion(messages):
     for yaw in (-3.0, -0.5, 0.0, 2.0):
-        assert odometry.keep(messages.odometry(0, 1.0, 2.0, yaw, 0.3)) == pytest.approx(
-            (1.0, 2.0, yaw, 0.3)
-        )
+        kept = odometry.keep(columns_of(messages.odometry(0, 1.0, 2.0, yaw, 0.3)))
+        assert np.ravel(kept) == pytest.approx((1.0, 2.0, yaw, 0.3))
 
 
 @given(st.lists(st.floats(0.25, 3.25, width=32), min_size=1), st.integers(0, 5), st.integers(0, 5))
 def test_rays_without_a_range_are_counted_and_change_nothing_else(messages, valid, infs, nans):
-    whole = laser_ranges.keep(messages.scan(0, valid))
-    variance, non_finite, least = laser_ranges.keep(
-        messages.scan(0, [*valid, *[np.inf] * infs, *[np.nan] * nans, 9.0, 0.01])
+    with_others = [*valid, *[np.inf] * infs, *[np.nan] * nans, 9.0, 0.01]
+    whole, (variance, non_finite, least) = laser_ranges.keep(
+        columns_of(messages.scan(0, valid), messages.scan(0, with_others))
     )
     assert (variance, least) == pytest.approx((whole[0], whole[2]))
     assert variance == pytest.approx(np.var(np.float32(valid).astype(float)), abs=1e-6)

@@ -7,6 +7,7 @@ from oracle_pipeline.bags.manifest import Pose
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.replay.story import run_scene
 from oracle_pipeline.reporting.report import ReportError
+from tests.oracle_pipeline.features.conftest import drive, write_bag
 from tests.oracle_pipeline.reporting.recordings import (
     COSTMAP,
     MAP,
@@ -37,6 +38,19 @@ def test_the_way_driven_is_odometry_in_the_map_frame(recorded):
     assert (scene.map.resolution_m, scene.map.origin) == (0.5, (-1.0, -2.0, 0.0))
     assert (scene.start, scene.goals.tolist()) == ((10.0, 0.0), [[10.0, 2.0, 0.0]])
     assert (scene.frame, scene.title) == ("map", "fake_object|run003, succeeded")
+
+
+def test_topics_are_found_by_what_they_are_for(tmp_path):
+    usual = [each for each in drive() if each[1] in ("/odom", "/scan", "/plan")]
+    names = {"/odom": "/robot1/wheels/track", "/scan": "/robot1/front", "/plan": "/robot1/way"}
+    write_bag(tmp_path / "usual", usual)
+    write_bag(tmp_path / "renamed", [(t, names[topic], m) for t, topic, m in usual])
+    one, other = (told(tmp_path / name, 1.0) for name in ("usual", "renamed"))
+    assert len(one.path) > 10
+    np.testing.assert_array_equal(one.path, other.path)
+    for mine, its in zip(one.moments, other.moments, strict=True):
+        np.testing.assert_array_equal(mine.plan, its.plan)
+        np.testing.assert_array_equal(mine.scan, its.scan)
 
 
 def test_a_robot_that_stands_adds_nothing_to_its_way(recorded):
@@ -118,8 +132,8 @@ def test_goals_are_under_way_reached_or_missed(recorded):
     ("messages", "lacking"),
     [
         ([MAP, at(0.0, 0.0)], "no transform from map to odom"),
-        ([MAP, MAP_TO_ODOM], "neither /odom nor a transform to base_footprint or base_link"),
-        ([MOUNT, MAP_TO_ODOM], "neither /odom"),
+        ([MAP, MAP_TO_ODOM], "neither odometry nor a transform to base_footprint or base_link"),
+        ([MOUNT, MAP_TO_ODOM], "neither odometry"),
     ],
 )
 def test_a_bag_that_lacks_a_part_is_refused_by_its_name(recorded, messages, lacking):

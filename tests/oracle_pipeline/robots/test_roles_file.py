@@ -4,9 +4,11 @@ import json
 
 import pytest
 from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
 
 from oracle_pipeline.cli import main
-from oracle_pipeline.robots.roles import RolesError
+from oracle_pipeline.robots.roles import ROLES, RolesError
 from oracle_pipeline.robots.roles_file import RoleChoices
 from tests.oracle_pipeline.features.conftest import drive, write_bag
 from tests.oracle_pipeline.robots.recordings import ODOMETRY, SCAN, bag_with
@@ -57,6 +59,19 @@ def test_a_roles_file_names_robots_and_topics(tmp_path):
 def test_a_faulty_roles_file_is_refused_in_words(text, reason, tmp_path):
     with pytest.raises(RolesError, match=reason):
         RoleChoices.load(written(tmp_path, text))
+
+
+@given(
+    st.builds(
+        RoleChoices,
+        st.none() | st.lists(st.sampled_from(["", "/a", "/a/b"]), unique=True).map(tuple),
+        st.fixed_dictionaries(
+            {}, optional={role: st.sampled_from([(), ("/topic",)]) for role in ROLES}
+        ),
+    )
+)
+def test_choices_are_those_of_their_own_document(choices):
+    assert RoleChoices.of(json.loads(json.dumps(choices.document()))) == choices
 
 
 def test_the_command_prints_roles_in_words(tmp_path):

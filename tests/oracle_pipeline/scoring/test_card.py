@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.card import CardError, ReferenceCard
 from oracle_pipeline.scoring.feature_sets import ASPECTS
 from oracle_pipeline.scoring.learning import learned_scorer
@@ -17,7 +18,8 @@ pytestmark = pytest.mark.slow
 def card():
     normal = runs(12, seed=0)
     aspects = {name: learned_scorer(normal, name) for name in ASPECTS}
-    return ReferenceCard(learned(normal), normal.features, CONTRACT, ("a note",), aspects)
+    roles = RoleChoices(("/robot1",), {"odometry": ("/wheels",), "imu": ()})
+    return ReferenceCard(learned(normal), normal.features, CONTRACT, ("a note",), aspects, roles)
 
 
 @pytest.fixture
@@ -41,6 +43,7 @@ def test_a_card_that_was_read_scores_as_the_one_that_was_written(card, file):
     assert read.runs.attrs == card.runs.attrs
     assert read.contract == card.contract
     assert read.notes == card.notes
+    assert read.roles == card.roles
 
 
 def test_the_same_card_gives_the_same_bytes(card, file, tmp_path):

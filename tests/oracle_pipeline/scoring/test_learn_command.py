@@ -6,6 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from oracle_pipeline.cli import main
+from oracle_pipeline.scoring.judging import OTHER_ROLES
 from tests.oracle_pipeline.features.conftest import drive, write_bag
 from tests.oracle_pipeline.scoring.test_score_command import oracle_score, spinning
 
@@ -54,6 +55,30 @@ def test_a_card_gives_the_verdicts_of_the_recordings_it_was_learned_from(place, 
         for name in ("robot.card", "good")
     )
     assert by_card == by_folder
+
+
+def test_recordings_are_scored_with_the_roles_that_the_card_was_learned_with(place, tmp_path):
+    roles, others = tmp_path / "roles.yaml", tmp_path / "others.yaml"
+    roles.write_text("roles: {odometry: []}")
+    others.write_text("roles: {scan: [/scan]}")
+    card = tmp_path / "robot.card"
+    told = oracle_learn(place / "good", "--output", card, "--roles", roles).stdout
+    assert "Roles file, used for scoring too: odometry none." in told
+
+    def scored(*more: object) -> dict:
+        done = CliRunner().invoke(
+            main,
+            ["score", *map(str, (place / "spinning", "--reference", card, *FAR, *more)),
+             "--format", "json"],
+        )  # fmt: skip
+        (recording,) = json.loads(done.stdout)["recordings"]
+        return recording
+
+    by_card = scored()
+    assert by_card == scored("--roles", roles)
+    assert not any("total_turning" in each["feature"] for each in by_card["evidence"])
+    assert OTHER_ROLES not in by_card["notes"]
+    assert OTHER_ROLES in scored("--roles", others)["notes"]
 
 
 def test_a_departure_from_the_contract_is_told_before_the_statistics(place, learned):

@@ -15,8 +15,9 @@ from sim.experiments import recipe_for
 from sim.fuzzing.compilation import compile_document
 from sim.middleware.geometry import Pose2D
 from sim.modes import modes
+from sim.nav2.navfn import plan
 from sim.testbeds import which_testbed
-from sim.turtlebot3.drawing import MIN_CLEARANCE_M, MIN_LEG_M
+from sim.turtlebot3.drawing import MIN_CLEARANCE_M, MIN_LEG_M, draw_block, planning_grid
 from sim.turtlebot3.map import WORLD_IN_MAP, odom_in_map
 from sim.turtlebot3.sessions import draw_session
 
@@ -48,6 +49,27 @@ def test_the_fake_object_leaves_start_and_goals_free(seed, run):
     target = recipe.fake_object
     distances = np.hypot(*(in_world([recipe.start, *recipe.goals]) - (target.x, target.y)).T)
     assert distances.min() > target.radius + 0.25
+
+
+def test_nav2_that_is_drawn_is_stock_in_houses_only():
+    campaign = Campaign(options=Options(nav2="drawn"))
+    recipes = [recipe_for("lidar_passthrough_odom", block, campaign) for block in range(6)]
+    assert [recipe.options.nav2 == "stock" for recipe in recipes] == [
+        recipe.arena.kind == "house" for recipe in recipes
+    ]
+    assert {recipe.options.nav2 for recipe in recipes} == {"stock", "tuned"}
+
+
+def test_the_fake_object_stands_on_the_path_of_a_late_leg_whatever_the_way_around_it():
+    from_path = []
+    for block in range(30):
+        drawn = draw_block(7, block, 3)
+        grid = planning_grid(drawn.arena)
+        begin, end = drawn.goals[1:]
+        leg = plan(grid, (begin.x, begin.y), (end.x, end.y))
+        there = drawn.fake_object
+        from_path.append(np.hypot(*(leg - (there.x, there.y)).T).min())
+    assert max(from_path) < 0.25  # scattered by 0.05 m
 
 
 @settings(max_examples=5)
@@ -201,7 +223,10 @@ def test_the_environment_says_how_to_record(monkeypatch):
     assert Campaign.from_environment() == Campaign()
     monkeypatch.setenv("ORACLE_SESSIONS", "3")
     monkeypatch.setenv("ORACLE_NOISE_PER_RUN", "1")
-    assert Campaign.from_environment() == Campaign(sessions=3, noise_per_run=True)
+    monkeypatch.setenv("ORACLE_NAV2", "drawn")
+    assert Campaign.from_environment() == Campaign(
+        sessions=3, noise_per_run=True, options=Options(nav2="drawn")
+    )
     monkeypatch.setenv("ORACLE_NOISE_PER_RUN", "yes")
     with pytest.raises(RecipeError, match="ORACLE_NOISE_PER_RUN is 'yes'; give 0 or 1"):
         Campaign.from_environment()

@@ -1,0 +1,338 @@
+"""Many messages of one type as though they were one, whose fields are arrays.
+
+Where each field stands is found out for all messages together: behind fields of fixed size it is
+the same place, behind a string or a sequence it is a place for each. Only fields that somebody
+looks at are read.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
+
+_Ints: TypeAlias = NDArray[np.int64]
+_Place: TypeAlias = "int | _Ints"  # behind the encapsulation [B]; of all messages, or of each
+
+_HEADER = "std_msgs/msg/Header"
+ENCAPSULATION = 4  # bytes before a message in CDR, from which it aligns
+_PADDING = 3  # bytes at most behind a message in CDR
+_READ_BEYOND = bytes(16)  # so that every place that is looked at is in the buffer
+
+_DTYPES = {
+    "bool": "?", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "i2",
+    "uint16": "u2", "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8",
+    "float32": "f4", "float64": "f8",
+}  # fmt: skip
+
+
+class _Number(NamedTuple):
+    dtype: np.dtype[Any]
+    at: _Place
+
+
+class _Text(NamedTuple):
+    at: _Place
+    sizes: _Place
+
+
+class _Numbers(NamedTuple):
+    dtype: np.dtype[Any]
+    at: _Place
+    counts: _Place
+    is_fixed: bool  # the type says how many
+
+
+class _Parts(NamedTuple):
+    nodes: "dict[str, _Node]"
+
+
+class _Elements(NamedTuple):
+    kind: Any
+    starts: _Ints  # of each element
+    owners: _Ints  # number of its message
+
+
+_Node: TypeAlias = _Number | _Text | _Numbers | _Parts | _Elements
+
+
+@dataclass(slots=True)
+class _Buffer:
+    """Bytes of messages, one behind the other."""
+
+    data: bytes
+    starts: _Ints  # of each message, behind its encapsulation
+    sizes: _Ints  # of each message, without it
+    is_cdr: bool
+    store: Typestore
+    views: dict[np.dtype[Any], NDArray[Any]] = field(default_factory=dict)
+
+    def read(self, dtype: np.dtype[Any], at: _Place) -> NDArray[Any]:
+        """Return a number of each message."""
+        if dtype not in self.views:
+            count = len(self.data) - dtype.itemsize + 1
+            self.views[dtype] = np.ndarray((count,), dtype, self.data, strides=(1,))
+        view: NDArray[Any] = self.views[dtype]
+        return view[np.minimum(self.starts + at, len(view) - 1)]
+
+    def of(self, rows: _Ints) -> "_Buffer":
+        """Return the same of some messages, some perhaps several times."""
+        some = self.starts[rows], self.sizes[rows]
+        return _Buffer(self.data, *some, self.is_cdr, self.store, self.views)
+
+
+class Columns:
+    """Messages of one type; an attribute for each field, with a row for each message.
+
+    A number is an array of float64 or of whole numbers, shape (n,); a string an array of ``str``;
+    an array whose length the type says has shape (n, length); a sequence of numbers is an array of
+    n arrays, one of strings n tuples; a nested message is again ``Columns``. So is a sequence of
+    messages, which has a row for each element and ``owners``.
+
+    Attributes
+    ----------
+    owners : ndarray of shape (n,)
+        Of elements, numbers of the messages that they are in.
+    """
+
+    def __init__(self, buffer: _Buffer, nodes: dict[str, _Node], owners: _Ints) -> None:
+        self._buffer = buffer
+        self._nodes = nodes
+        self.owners = owners
+
+    def __len__(self) -> int:
+        return len(self._buffer.starts)
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            node = self._nodes[name]
+        except KeyError:
+            raise AttributeError(f"the messages have no field {name!r}") from None
+        value = self._value(node)
+        setattr(self, name, value)
+        return value
+
+    def _value(self, node: _Node) -> Any:
+        buffer = self._buffer
+        match node:
+            case _Parts(nodes):
+                return Columns(buffer, nodes, self.owners)
+            case _Elements(kind, starts, owners):
+                of_element = buffer.of(owners)
+                found, _ = _Walk(of_element).to(kind, starts)
+                nodes = found.nodes if isinstance(found, _Parts) else {}
+                elements = Columns(of_element, nodes, owners)
+                if isinstance(found, _Parts):
+                    return elements
+                return _grouped(elements._value(found), owners, len(self))
+            case _Number(dtype, at):
+                return _wide(buffer.read(dtype, at))
+            case _Text(at, sizes):
+                return _texts(buffer.data, buffer.starts + at, sizes + np.zeros_like(buffer.starts))
+            case _Numbers(dtype, at, counts, is_fixed):
+                arrays = _arrays(
+                    buffer.data, dtype, buffer.starts + at, counts + np.zeros_like(buffer.starts)
+                )
+                return _wide(np.stack(arrays.tolist())) if is_fixed and len(arrays) else arrays
+
+
+class Messages(Protocol):
+    """Messages of one topic that can be looked at as columns."""
+
+    data: Sequence[bytes]  # of each message
+
+    def columns(self) -> Any:
+        """Return them as though they were one."""
+        ...
+
+    def some(self, rows: _Ints) -> "Messages":
+        """Return some of them."""
+        ...
+
+
+class Batch:
+    """Messages of one type, one behind the other; `Messages`, if all are whole.
+
+    Parameters
+    ----------
+    data : list of bytes
+        Of each message.
+    store : Typestore
+        That has the type.
+    msgtype : str
+        Of the messages.
+    is_cdr : bool
+        Or else ROS 1's encoding.
+    """
+
+    def __init__(
+        self, data: Sequence[bytes], store: Typestore, msgtype: str, *, is_cdr: bool
+    ) -> None:
+        before = ENCAPSULATION if is_cdr else 0
+        sizes = np.array([len(each) for each in data], dtype=np.int64)
+        starts = np.cumsum(sizes) - sizes + before
+        whole = b"".join([*data, _READ_BEYOND])
+        self.data = data
+        self._buffer = _Buffer(whole, starts, sizes - before, is_cdr, store)
+        self._kind = Nodetype.NAME, msgtype
+        self._little = np.ones(len(data), dtype=np.bool_)
+        if is_cdr and len(data):
+            encapsulation = self._buffer.read(np.dtype("<u2"), -ENCAPSULATION)
+            self._little = (encapsulation == 0x0100) & (sizes >= ENCAPSULATION)
+
+    @cached_property
+    def _walked(self) -> tuple[_Node, _Ints]:
+        walk = _Walk(self._buffer)
+        node, end = walk.to(self._kind, 0)
+        padding = _PADDING if self._buffer.is_cdr else 0
+        left = self._buffer.sizes - end
+        return node, self._little & walk.whole & (left >= 0) & (left <= padding)
+
+    @property
+    def whole(self) -> NDArray[np.bool_]:
+        """Which messages are little-endian and exactly as long as their fields."""
+        return self._walked[1]
+
+    def some(self, rows: _Ints) -> "Batch":
+        """Return some of the messages."""
+        data = [self.data[row] for row in rows.tolist()]
+        buffer = self._buffer
+        return Batch(data, buffer.store, self._kind[1], is_cdr=buffer.is_cdr)
+
+    def columns(self) -> Columns:
+        """Return the messages as though they were one."""
+        node, _ = self._walked
+        assert isinstance(node, _Parts)  # noqa: S101 -- a message is no number
+        return Columns(self._buffer, node.nodes, np.arange(len(self._buffer.starts)))
+
+
+class _Walk:
+    """Goes through the fields of all messages of a buffer at once."""
+
+    def __init__(self, buffer: _Buffer) -> None:
+        self._buffer = buffer
+        self.whole = np.ones(len(buffer.starts), dtype=np.bool_)
+
+    def to(self, kind: Any, at: _Place) -> tuple[_Node, _Place]:
+        """Return where a field stands, and where it ends."""
+        what: Any
+        of, what = kind
+        if of == Nodetype.NAME:
+            nodes: dict[str, _Node] = {}
+            if what == _HEADER and not self._buffer.is_cdr:
+                at = at + 4  # ROS 1's number of the message
+            for name, each in self._buffer.store.fielddefs[what][1]:
+                nodes[name], at = self.to(each, at)
+            return _Parts(nodes), at
+        if of == Nodetype.BASE:
+            if what[0] == "string":
+                sizes, at = self._count(at, 1)
+                if self._buffer.is_cdr:
+                    last = self._buffer.read(np.dtype("u1"), at + sizes - 1)
+                    self.whole &= (last == 0) & (np.asarray(sizes) > 0)
+                return _Text(at, sizes), at + sizes
+            dtype = np.dtype(f"<{_DTYPES[what[0]]}")
+            at = self._aligned(at, dtype.itemsize)
+            return _Number(dtype, at), at + dtype.itemsize
+        element, count = what
+        if element[0] == Nodetype.BASE and element[1][0] != "string":
+            return self._numbers(element, None if of == Nodetype.SEQUENCE else count, at)
+        counts: _Place = count
+        if of == Nodetype.SEQUENCE:
+            counts, at = self._count(at, 1)
+        return self._elements(element, counts, at)
+
+    def _numbers(self, element: Any, count: int | None, at: _Place) -> tuple[_Node, _Place]:
+        dtype = np.dtype(f"<{_DTYPES[element[1][0]]}")
+        counts: _Place
+        if count is None:
+            counts, at = self._count(at, dtype.itemsize)
+            # An empty sequence has no element to align.
+            at = _same(np.where(counts > 0, self._aligned(at, dtype.itemsize), at))
+        else:
+            counts, at = count, self._aligned(at, dtype.itemsize)
+        return _Numbers(dtype, at, counts, count is not None), at + counts * dtype.itemsize
+
+    def _elements(self, element: Any, counts: _Place, at: _Place) -> tuple[_Node, _Place]:
+        """Go from element to element, those of all messages side by side."""
+        count = counts + np.zeros_like(self._buffer.starts)
+        ends = at + np.zeros_like(self._buffer.starts)
+        starts, owners = [], []
+        rows = np.flatnonzero(self.whole & (count > 0))
+        turn = 0
+        while len(rows):
+            turn += 1
+            starts.append(ends[rows])
+            owners.append(rows)
+            walk = _Walk(self._buffer.of(rows))
+            _, after = walk.to(element, ends[rows])
+            ends[rows] = after
+            fits = walk.whole & (ends[rows] <= self._buffer.sizes[rows])
+            self.whole[rows[~fits]] = False
+            rows = rows[fits & (count[rows] > turn)]
+        owner = np.concatenate([np.zeros(0, np.int64), *owners])
+        order = np.argsort(owner, kind="stable")
+        start = np.concatenate([np.zeros(0, np.int64), *starts])[order]
+        return _Elements(element, start, owner[order]), _same(ends)
+
+    def _count(self, at: _Place, size: int) -> tuple[_Place, _Place]:
+        """Read the number of elements of a sequence or a string that take so many bytes each."""
+        at = self._aligned(at, 4)
+        counts = self._buffer.read(np.dtype("<u4"), at).astype(np.int64)
+        fits = at + 4 + counts * size <= self._buffer.sizes
+        self.whole &= fits
+        return _same(np.where(fits, counts, 0)), at + 4
+
+    def _aligned(self, at: _Place, size: int) -> _Place:
+        return at + -at % size if self._buffer.is_cdr and size > 1 else at
+
+
+def _same(places: _Ints) -> _Place:
+    """Return one number if all are equal."""
+    if places.size and (places == places.flat[0]).all():
+        return int(places.flat[0])
+    return places
+
+
+def _wide(numbers: NDArray[Any]) -> NDArray[Any]:
+    """Return numbers as Python would compute with them."""
+    if numbers.dtype.kind == "f":
+        return numbers.astype(np.float64)
+    return numbers.astype(np.uint64 if numbers.dtype == np.uint64 else np.int64)
+
+
+def _texts(data: bytes, starts: _Ints, sizes: _Ints) -> NDArray[np.object_]:
+    """Return strings; messages mostly have the same as the one before.
+
+    Raises
+    ------
+    UnicodeDecodeError
+        If one is not UTF-8.
+    """
+    texts = np.empty(len(starts), dtype=object)
+    known: dict[bytes, str] = {}
+    for row, (start, size) in enumerate(zip(starts.tolist(), sizes.tolist(), strict=True)):
+        raw = data[start : start + size]
+        if raw not in known:
+            known[raw] = raw.removesuffix(b"\0").decode()
+        texts[row] = known[raw]
+    return texts
+
+
+def _grouped(values: NDArray[Any], owners: _Ints, count: int) -> NDArray[np.object_]:
+    """Return a tuple of values for each owner."""
+    grouped = np.empty(count, dtype=object)
+    parts = np.split(values, np.searchsorted(owners, np.arange(1, count)))
+    grouped[:] = [tuple(part.tolist()) for part in parts] if count else []
+    return grouped
+
+
+def _arrays(data: bytes, dtype: np.dtype[Any], starts: _Ints, counts: _Ints) -> NDArray[np.object_]:
+    arrays = np.empty(len(starts), dtype=object)
+    for row, (start, count) in enumerate(zip(starts.tolist(), counts.tolist(), strict=True)):
+        arrays[row] = np.frombuffer(data, dtype, count, start)
+    return arrays

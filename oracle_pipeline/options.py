@@ -1,0 +1,29 @@
+"""Options that several commands of ``oracle`` share."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+plugins_option = click.option(
+    "--plugins", type=click.Path(path_type=Path), envvar="ORACLE_PLUGINS",
+    help="Folder of feature plugins.  [default: $ORACLE_PLUGINS, if set]",
+)  # fmt: skip
+
+
+def format_option(*formats: str, text: str) -> Callable[[Command], Command]:
+    """Return the option that chooses among output formats, the first by default."""
+    return click.option(
+        "--format", "file_format", type=click.Choice(formats), default=formats[0],
+        show_default=True, help=text,
+    )  # fmt: skip
+
+
+def output_option(name: str, text: str, *, required: bool = False) -> Callable[[Command], Command]:
+    """Return an option that names a file to write."""
+    return click.option(
+        name, type=click.Path(path_type=Path, dir_okay=False), help=text, required=required
+    )
