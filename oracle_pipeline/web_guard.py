@@ -101,7 +101,7 @@ class Guard:
             if len(headers.getlist(name)) > 1:
                 return 400, f"There is more than one header {name!r}."
         host, origin = headers.get("host", "").lower(), headers.get("origin")
-        if not (_is_loopback(host) or host in self._hosts):
+        if not (is_loopback(host) or host in self._hosts):
             return 403, f"The host {host!r} is not one of this server. {self._advice}"
         if origin is not None and not self._is_ours(origin.lower(), host):
             return 403, f"The origin {origin!r} is not one of this server. {self._advice}"
@@ -123,10 +123,10 @@ class Guard:
         return None
 
     def _is_ours(self, origin: str, host: str) -> bool:
-        return origin in self._origins or (_is_loopback(host) and origin == f"http://{host}")
+        return origin in self._origins or (is_loopback(host) and origin == f"http://{host}")
 
 
-def _is_loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
     """Tell whether a header names this machine itself, at any port: it may be a tunnel's."""
     return bool(_HOST.fullmatch(host)) and re.sub(r":[0-9]+$", "", host) in _LOOPBACK
 

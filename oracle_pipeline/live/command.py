@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from oracle_pipeline.live.page import LivePage
     from oracle_pipeline.live.watch import Event, Watch
 
+MOST_BREACHES = 8  # of the contract that are told to a person at once
+
 
 @click.command()
 @click.option(
@@ -79,7 +81,7 @@ def watch(
         oracle watch --reference robot.card --domain 7 --format json | jq .alarm
     """  # noqa: D301 -- click reads the control character
     from oracle_pipeline.bags.dds import default_domain
-    from oracle_pipeline.live.watch import Alarm, Watch
+    from oracle_pipeline.live.watch import Alarm, ContractAlarm, Watch
 
     number = default_domain() if domain is None else domain
     name = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
@@ -103,7 +105,7 @@ def watch(
             signal.setitimer(signal.ITIMER_REAL, duration)
         click.echo(f"Watching domain {number}; Ctrl-C ends it.", err=True)
         for event in watching:
-            alarms += isinstance(event, Alarm)
+            alarms += isinstance(event, Alarm | ContractAlarm)
             for each in views:
                 each.show(event)
             told = _as_json(event) if file_format == "json" else _as_text(event, watching)
@@ -135,8 +137,8 @@ def _views(
 
 def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
     """Yield the lines that a person reads of an event."""
-    from oracle_pipeline.bags.terminal import aligned_lines
-    from oracle_pipeline.live.watch import Alarm, GraphTaken, Note
+    from oracle_pipeline.bags.terminal import aligned_lines, printable
+    from oracle_pipeline.live.watch import Alarm, ContractAlarm, GraphTaken, Note
     from oracle_pipeline.live.window_scorer import WindowVerdict
     from oracle_pipeline.scoring.output import HEADINGS, cells
 
@@ -156,13 +158,18 @@ def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
         verdict = event.verdict
         yield f"ALARM in the window from {verdict.start_s:g} s to {verdict.end_s:g} s:"
         yield from aligned_lines([HEADINGS, *map(cells, verdict.evidence)], indent="    ")
+    elif isinstance(event, ContractAlarm):
+        yield f"ALARM at {event.at_s:.0f} s, against the contract of the normal recordings:"
+        yield from (f"    {printable(breach.text)}" for breach in event.breaches[:MOST_BREACHES])
+        if (rest := len(event.breaches) - MOST_BREACHES) > 0:
+            yield f"    and {rest} more"
     elif isinstance(event, Note):
         yield event.text
 
 
 def _as_json(event: "Event") -> Iterator[str]:
     """Yield one object with one key that says what it is; messages are left out."""
-    from oracle_pipeline.live.watch import Alarm, GraphTaken, Note
+    from oracle_pipeline.live.watch import Alarm, ContractAlarm, GraphTaken, Note
     from oracle_pipeline.live.window_scorer import WindowVerdict
 
     document: dict[str, Any]
@@ -172,6 +179,9 @@ def _as_json(event: "Event") -> Iterator[str]:
         document = {"window": dataclasses.asdict(event)}
     elif isinstance(event, Alarm):
         document = {"alarm": dataclasses.asdict(event.verdict)}
+    elif isinstance(event, ContractAlarm):
+        breaches = [breach.text for breach in event.breaches]
+        document = {"alarm": {"end_s": event.at_s, "contract": breaches}}
     elif isinstance(event, Note):
         document = {"note": event.text}
     else:

@@ -1,26 +1,33 @@
 """A running watch in Foxglove: its WebSocket, on this machine only.
 
 Topics are handed on as they are, with their ROS 2 message definitions, so Foxglove shows scans,
-paths, maps and transforms by itself. Added are the verdicts on windows (``/oracle/window``), a log
-of alarms and notes (``/oracle/log``), and the ROS graph for the panel Topic Graph. Clients cannot
-publish. A layout is in ``docs/foxglove/live.json``.
+paths, maps and transforms by itself. What a latched topic said is said again to those who come
+later, as DDS does: without the static transforms no scan has a place on the map. Added are the
+verdicts on windows (``/oracle/window``), a log of alarms and notes (``/oracle/log``), and the ROS
+graph for the panel Topic Graph. Clients cannot publish, and pages of other sites cannot connect
+(``handshake_guard``). A layout is in ``docs/foxglove/live.json``.
 """
 
 import math
+from collections import deque
 from typing import TYPE_CHECKING, Self
 
 from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.bags.types import definition
-from oracle_pipeline.live.watch import Alarm, Event, GraphTaken, MessageHeard, Note
+from oracle_pipeline.live.handshake_guard import HandshakeGuard, certificate
+from oracle_pipeline.live.loopback import HOST, listen
+from oracle_pipeline.live.watch import Alarm, ContractAlarm, Event, GraphTaken, MessageHeard, Note
 from oracle_pipeline.live.window_scorer import WindowVerdict
 
 if TYPE_CHECKING:
     from foxglove import Channel
-    from foxglove.websocket import ConnectionGraph
+    from foxglove.websocket import ChannelView, Client, ConnectionGraph
 
 PORT = 8765  # Foxglove's own default
 WINDOW_TOPIC, LOG_TOPIC = "/oracle/window", "/oracle/log"
+ORIGINS = ("https://app.foxglove.dev",)  # of Foxglove in a browser
+_LATCHED = 20  # last messages of a latched topic that are kept
 _SECOND_NS = 1_000_000_000
 WINDOW_SCHEMA = {
     "type": "object",
@@ -33,21 +40,16 @@ WINDOW_SCHEMA = {
 
 
 class FoxgloveError(OracleError):
-    """Foxglove cannot be served."""
+    """Foxglove's SDK is not there."""
 
 
 class FoxgloveServer:
-    """Serves a watch to Foxglove; a context manager.
-
-    Parameters
-    ----------
-    port : int
-        To listen at, on 127.0.0.1 only; 0 is any that is free.
+    """Serves a watch to Foxglove at a port (`listen`); a context manager.
 
     Raises
     ------
     FoxgloveError
-        The SDK is not installed, or the port is taken.
+        The SDK is not installed.
     """
 
     def __init__(self, port: int = PORT) -> None:
@@ -59,21 +61,22 @@ class FoxgloveServer:
                 "Foxglove's SDK is not installed: pip install 'ros2-behaviour-oracle[live]'."
             ) from error
         self._context = foxglove.Context()
-        try:
-            self._server = foxglove.start_server(
-                name="oracle watch",
-                host="127.0.0.1",
-                port=port,
-                capabilities=[foxglove.Capability.ConnectionGraph],
-                context=self._context,
-            )
-        except RuntimeError as error:
-            raise FoxgloveError(
-                f"Nothing can listen at port {port} of 127.0.0.1: {error}. Name another port, or "
-                "0 for a free one."
-            ) from error
-        self.address = f"ws://127.0.0.1:{self._server.port}"
+        self._socket = listen(port)
+        own = certificate()
+        self._server = foxglove.start_server(
+            name="oracle watch",
+            host=HOST,
+            port=0,
+            capabilities=[foxglove.Capability.ConnectionGraph],
+            context=self._context,
+            server_listener=self,
+            tls_cert=own.certificate,
+            tls_key=own.key,
+        )
+        self._guard = HandshakeGuard(self._socket, self._server.port, own, ORIGINS)
+        self.address = f"ws://{HOST}:{self._socket.getsockname()[1]}"
         self._channels: dict[str, Channel | None] = {}  # None: its definition is not known
+        self._latched: dict[str, deque[MessageHeard]] = {}  # by topic
         self._window = foxglove.Channel(WINDOW_TOPIC, schema=WINDOW_SCHEMA, context=self._context)
         self._log = LogChannel(LOG_TOPIC, context=self._context)
         self._start_ns: int | None = None
@@ -102,14 +105,25 @@ class FoxgloveServer:
             named = ", ".join(each.feature for each in verdict.evidence)
             text = f"Anomalous from {verdict.start_s:g} s to {verdict.end_s:g} s: {named}"
             self._say(text, self._stamp_ns(verdict.end_s), is_alarm=True)
+        elif isinstance(event, ContractAlarm):
+            text = " ".join(breach.text for breach in event.breaches)
+            self._say(text, self._stamp_ns(event.at_s), is_alarm=True)
         elif isinstance(event, Note):
             self._say(event.text, self._now_ns, is_alarm=False)
 
+    def on_subscribe(self, _client: "Client", channel: "ChannelView") -> None:
+        """Say again what was said once, as a latched topic does: maps and static transforms."""
+        for event in tuple(self._latched.get(channel.topic, ())):
+            self._hand_on(event)
+
     def __enter__(self) -> Self:
+        self._guard.__enter__()
         return self
 
-    def __exit__(self, *_exception: object) -> None:
+    def __exit__(self, *exception: object) -> None:
+        self._guard.__exit__(*exception)
         self._server.stop()
+        self._socket.close()
 
     def _message(self, event: MessageHeard) -> None:
         if self._start_ns is None:
@@ -117,6 +131,11 @@ class FoxgloveServer:
         self._now_ns = event.stamp_ns
         if event.topic not in self._channels:
             self._channels[event.topic] = self._channel(event)
+        if event.latched:
+            self._latched.setdefault(event.topic, deque(maxlen=_LATCHED)).append(event)
+        self._hand_on(event)
+
+    def _hand_on(self, event: MessageHeard) -> None:
         channel = self._channels[event.topic]
         if channel is not None:
             channel.log(event.data, log_time=event.stamp_ns)

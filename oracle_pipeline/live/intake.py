@@ -16,7 +16,7 @@ from rosbags.interfaces import QosTime as _QosTime
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.dds_names import dds_topic
 from oracle_pipeline.bags.errors import DdsError
-from oracle_pipeline.bags.qos_profiles import compatible
+from oracle_pipeline.bags.qos_profiles import compatible, is_latched
 
 QUEUE_BYTES = 64 * 2**20  # of messages that wait at most
 _DEPTH = 500  # messages of a topic that wait in DDS, until the thread takes them
@@ -28,7 +28,8 @@ class Received(NamedTuple):
     """A message as it came."""
 
     topic: str
-    wall_ns: int  # when it came [ns since 1970]
+    sent_ns: int  # by the sender's clock [ns since 1970]
+    wall_ns: int  # when it came, by ours
     writer: int  # handle of the endpoint that sent it
     data: bytes  # CDR with its encapsulation header
 
@@ -94,6 +95,10 @@ class Intake:
         """Tell whether a publisher's profile fits what we asked for."""
         return compatible(offered, self._requested[topic])
 
+    def is_latched(self, topic: str) -> bool:
+        """Tell whether we asked for what was said before we came."""
+        return is_latched(self._requested[topic])
+
     def take(self) -> list[Received]:
         """Return what has come, in order of arrival.
 
@@ -125,12 +130,12 @@ class Intake:
                 ready = self._ready.wait(_WAIT_S)
                 wall_ns = time.time_ns()
                 came = [
-                    (raw.source_ns, Received(self._names[reader], wall_ns, raw.writer, raw.data))
+                    Received(self._names[reader], raw.source_ns, wall_ns, raw.writer, raw.data)
                     for reader in ready
                     for raw in reader.take()
                 ]
-                came.sort(key=lambda each: each[0])  # as they were sent, if senders' clocks agree
-                self._put([received for _, received in came])
+                came.sort(key=lambda each: each.sent_ns)  # as sent, if senders' clocks agree
+                self._put(came)
         except DdsError as error:
             with self._lock:
                 self._error = error

@@ -65,10 +65,17 @@ class Judge:
         As for `WindowScorer`.
     plugins : Path, optional
         Folder of feature plugins.
+
+    Attributes
+    ----------
+    contract : Contract or None
+        Of the card.
     """
 
     def __init__(self, card: Path, alarms_per_h: float | None, plugins: Path | None = None) -> None:
-        WindowScorer(ReferenceCard.load(card), alarms_per_h)  # a bad card is told at once
+        known = ReferenceCard.load(card)
+        WindowScorer(known, alarms_per_h)  # a bad card is told at once
+        self.contract = known.contract
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(

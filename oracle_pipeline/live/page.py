@@ -9,7 +9,6 @@ import base64
 import hashlib
 import json
 import re
-import socket
 import threading
 from collections.abc import AsyncIterator, Callable
 from importlib.resources import files
@@ -21,7 +20,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.live.loopback import HOST, listen
 from oracle_pipeline.live.shown import Shown
 from oracle_pipeline.live.watch import Event
 from oracle_pipeline.web_guard import Guard
@@ -32,34 +31,13 @@ _ENDS_S = 3  # that open connections get when the watch ends
 _ADVICE = "Open the address that oracle watch prints, on the machine where it runs."
 
 
-class PageError(OracleError):
-    """The page cannot be served."""
-
-
 class LivePage:
-    """Serves the page; a context manager.
-
-    Parameters
-    ----------
-    port : int
-        To listen at, on 127.0.0.1 only; 0 is any that is free.
-
-    Raises
-    ------
-    PageError
-        If the port is taken.
-    """
+    """Serves the page at a port (`listen`); a context manager."""
 
     def __init__(self, port: int = PORT) -> None:
         self.shown = Shown()
-        try:
-            self._socket = socket.create_server(("127.0.0.1", port))
-        except OSError as error:
-            raise PageError(
-                f"Nothing can listen at port {port} of 127.0.0.1: {error.strerror}. Name another "
-                "port, or 0 for a free one."
-            ) from error
-        self.address = f"http://127.0.0.1:{self._socket.getsockname()[1]}"
+        self._socket = listen(port)
+        self.address = f"http://{HOST}:{self._socket.getsockname()[1]}"
         self._server = uvicorn.Server(
             uvicorn.Config(
                 Guard(_application(self.shown, self._is_over), advice=_ADVICE),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.bags.types import typestore
-from oracle_pipeline.live.watch import Alarm, Event, GraphTaken, MessageHeard, Note
+from oracle_pipeline.live.watch import Alarm, ContractAlarm, Event, GraphTaken, MessageHeard, Note
 from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.scoring.output import HEADINGS, cells
 
@@ -61,7 +61,7 @@ class Shown:
             elif isinstance(event, WindowVerdict):
                 self._verdicts.append(_verdict(event))
                 self._change("verdicts")
-            elif isinstance(event, Alarm):
+            elif isinstance(event, Alarm | ContractAlarm):
                 self._alarms.append(_alarm(event))
                 self._change("alarms")
             elif isinstance(event, Note):
@@ -167,7 +167,14 @@ def _verdict(event: WindowVerdict) -> Part:
     }
 
 
-def _alarm(event: Alarm) -> Part:
+def _alarm(event: Alarm | ContractAlarm) -> Part:
+    if isinstance(event, ContractAlarm):
+        return {
+            "end_s": event.at_s,
+            "p_value": None,
+            "headings": ["what normal recordings do not show"],
+            "evidence": [[printable(breach.text)] for breach in event.breaches],
+        }
     verdict = event.verdict
     return {
         **{k: v for k, v in asdict(verdict).items() if k in ("start_s", "end_s", "p_value")},

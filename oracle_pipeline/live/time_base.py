@@ -1,69 +1,114 @@
 """The time of a recording: simulated time where there is a ``/clock``, else that of the wall.
 
 It is the choice of ``ros2 bag record``: with ``--use-sim-time`` stamps are the robot's own time,
-so windows of 10 s are 10 s of the robot, however fast the simulation is. Between two ticks of the
-clock, time goes on as fast as it did between the last ticks.
+so windows of 10 s are 10 s of the robot, however fast the simulation is. A message then gets the
+robot's time at which it was sent, between the ticks of the clock before and after. So it does not
+matter how busy the machine is that watches. After the newest tick, time goes on as fast as it did
+between the last ticks.
 """
 
 import struct
-from collections import deque
+from bisect import bisect_right
+
+from oracle_pipeline.live.intake import Received
 
 CLOCK_TOPIC = "/clock"
 
 _TIME = struct.Struct("<iI")  # seconds, nanoseconds
 _TICKS = 20  # of which the speed is taken
+_KEPT = 500  # ticks
+_SILENT_NS = 2_000_000_000  # after which another clock may take over, by the wall
+_LATEST_NS = 1_000_000_000  # that a message is on its way; else the machines' clocks disagree
 _SECOND_NS = 1_000_000_000
 
 
 class WallTime:
-    """The wall's time."""
+    """The wall's time: when messages come."""
 
     is_ready = True
 
-    def hear(self, wall_ns: int, data: bytes) -> None:
+    def hear(self, message: Received) -> None:
         """Hear a tick, which means nothing here."""
 
-    def stamp_ns(self, wall_ns: int) -> int:
+    def stamp_ns(self, message: Received) -> int:
         """Return the stamp of a message."""
+        return message.wall_ns
+
+    def now_ns(self, wall_ns: int) -> int:
+        """Return the time that it is."""
         return wall_ns
 
 
 class SimulatedTime:
-    """Simulated time, from the ticks of ``/clock``."""
+    """Simulated time, from the ticks of ``/clock``; one publisher of it counts at a time."""
 
     def __init__(self) -> None:
-        self._ticks: deque[tuple[int, int]] = deque(maxlen=_TICKS)  # wall, simulated [ns]
+        self._walls: list[int] = []  # of the ticks, ascending [ns]
+        self._times: list[int] = []  # what they say [ns]
+        self._clock: int | None = None  # who says it
+        self._heard_ns = 0
         self._offset_ns = 0  # keeps time from running back when a simulation starts anew
         self._last_ns = 0
 
     @property
     def is_ready(self) -> bool:
         """Whether there were ticks enough to know the time and its speed."""
-        return len(self._ticks) > 1
+        return len(self._walls) > 1
 
-    def hear(self, wall_ns: int, data: bytes) -> None:
+    def hear(self, message: Received) -> None:
         """Hear a tick.
 
         Parameters
         ----------
-        wall_ns : int
-            When it came.
-        data : bytes
+        message : Received
             The ``rosgraph_msgs/msg/Clock`` as CDR.
         """
-        seconds, nanoseconds = _TIME.unpack_from(data, 4)
+        wall_ns = _sent_ns(message)
+        if message.writer != self._clock:
+            if self._clock is not None and wall_ns - self._heard_ns < _SILENT_NS:
+                return
+            self._clock = message.writer
+        self._heard_ns = wall_ns
+        seconds, nanoseconds = _TIME.unpack_from(message.data, 4)
         now_ns = seconds * _SECOND_NS + nanoseconds
-        if self._ticks and now_ns < self._ticks[-1][1]:
+        if self._times and now_ns < self._times[-1]:
             self._offset_ns = self._last_ns - now_ns
-            self._ticks.clear()
-        if not self._ticks or now_ns > self._ticks[-1][1]:
-            self._ticks.append((wall_ns, now_ns))
+            self._walls.clear()
+            self._times.clear()
+        if not self._times or (now_ns > self._times[-1] and wall_ns > self._walls[-1]):
+            self._walls.append(wall_ns)
+            self._times.append(now_ns)
+            del self._walls[:-_KEPT], self._times[:-_KEPT]
 
-    def stamp_ns(self, wall_ns: int) -> int:
-        """Return the stamp of a message that came at a time of the wall; it never runs back."""
-        (first_wall, first), (last_wall, last) = self._ticks[0], self._ticks[-1]
-        speed = (last - first) / max(1, last_wall - first_wall)
-        ticks = max(1, len(self._ticks) - 1)
-        ahead_ns = min((wall_ns - last_wall) * speed, (last - first) / ticks)
-        self._last_ns = max(self._last_ns, self._offset_ns + last + round(ahead_ns))
+    def stamp_ns(self, message: Received) -> int:
+        """Return the stamp of a message; it never runs back."""
+        return self.now_ns(_sent_ns(message))
+
+    def now_ns(self, wall_ns: int) -> int:
+        """Return the time that it was at a time of the wall; it never runs back."""
+        walls, times = self._walls, self._times
+        after = bisect_right(walls, wall_ns)
+        if after == 0:
+            now_ns = times[0]
+        elif after < len(walls):
+            (wall, next_wall), (time, next_time) = (
+                each[after - 1 : after + 1] for each in (walls, times)
+            )
+            now_ns = time + (next_time - time) * (wall_ns - wall) // (next_wall - wall)
+        else:
+            now_ns = times[-1] + self._since_last(wall_ns)
+        self._last_ns = max(self._last_ns, self._offset_ns + now_ns)
         return self._last_ns
+
+    def _since_last(self, wall_ns: int) -> int:
+        """Return how far time has gone on since the newest tick, up to one tick [ns]."""
+        walls, times = self._walls[-_TICKS:], self._times[-_TICKS:]
+        speed = (times[-1] - times[0]) / max(1, walls[-1] - walls[0])
+        tick = (times[-1] - times[0]) / max(1, len(times) - 1)
+        return round(min((wall_ns - walls[-1]) * speed, tick))
+
+
+def _sent_ns(message: Received) -> int:
+    """Return when a message was sent; if that cannot be, when it came."""
+    on_its_way_ns = message.wall_ns - message.sent_ns
+    return message.sent_ns if 0 <= on_its_way_ns <= _LATEST_NS else message.wall_ns

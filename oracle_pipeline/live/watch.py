@@ -18,6 +18,7 @@ from oracle_pipeline.bags.limits import MOST_CHANNELS
 from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S, is_hidden
 from oracle_pipeline.bags.qos_profiles import is_latched, is_reliable
 from oracle_pipeline.graphs.intervals import Interval
+from oracle_pipeline.live.contract_watch import ContractWatch
 from oracle_pipeline.live.discovery import Discovery, Endpoint
 from oracle_pipeline.live.intake import QUEUE_BYTES, Intake, Received
 from oracle_pipeline.live.judge import Judge
@@ -26,6 +27,7 @@ from oracle_pipeline.live.recording import LiveRecording
 from oracle_pipeline.live.time_base import CLOCK_TOPIC, SimulatedTime, WallTime
 from oracle_pipeline.live.traffic import Traffic, snapshot
 from oracle_pipeline.live.window_scorer import WindowVerdict
+from oracle_pipeline.scoring.contract import Breach
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
 SETTLE_S = 2.0  # from the first topic on, until those who are on the domain are known
@@ -42,6 +44,7 @@ class MessageHeard:
     msgtype: str
     stamp_ns: int  # in the recording's time
     data: bytes  # CDR with its encapsulation header
+    latched: bool = False  # who comes later hears it, too
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +63,21 @@ class Alarm:
 
 
 @dataclass(frozen=True, slots=True)
+class ContractAlarm:
+    """The robot departs from the contract of its normal recordings."""
+
+    at_s: float  # since the start of the recording
+    breaches: tuple[Breach, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Note:
     """What a person should know: what is dropped, or cannot be heard."""
 
     text: str
 
 
-Event: TypeAlias = MessageHeard | GraphTaken | WindowVerdict | Alarm | Note
+Event: TypeAlias = MessageHeard | GraphTaken | WindowVerdict | Alarm | ContractAlarm | Note
 
 
 class Watch:
@@ -119,6 +130,8 @@ class Watch:
         self._domain = domain
         self._stopped = False
         self._judge = None if card is None else Judge(card, alarms_per_h, plugins)
+        contract = None if self._judge is None else self._judge.contract
+        self._contract = None if contract is None else ContractWatch(contract)
         self.recording = None if folder is None else LiveRecording(folder, name)
         self._participant = dds.join(domain)
         self.discovery = Discovery(self._participant)
@@ -131,6 +144,7 @@ class Watch:
         self._now_ns = 0
         self._interval = 0  # number of the one that goes on
         self._window = 0  # number of the next that ends
+        self._second = 1  # of the recording, at which the contract is looked at next
         self._pending: deque[Event] = deque()
 
     def stop(self) -> None:
@@ -177,11 +191,11 @@ class Watch:
             waiting += came
             for received in came:
                 if received.topic == CLOCK_TOPIC:
-                    self._time.hear(received.wall_ns, received.data)
+                    self._time.hear(received)
             if self._time.is_ready:
                 yield from self._deal_with(waiting)
                 if not came and self._start_ns is not None:
-                    self._pass_to(self._time.stamp_ns(before_ns))
+                    self._pass_to(self._time.now_ns(before_ns))
                 waiting = []
             self._collect()
             while self._pending:
@@ -244,7 +258,7 @@ class Watch:
         """Record messages, count them, and hand them on, up to the end of each window."""
         fresh: list[Stamped] = []
         for received in came:
-            stamp_ns = self._time.stamp_ns(received.wall_ns)
+            stamp_ns = self._time.stamp_ns(received)
             if self._start_ns is None:
                 self._start_ns = stamp_ns
             if self._is_due(stamp_ns):
@@ -252,14 +266,27 @@ class Watch:
                 fresh = []
                 self._pass_to(stamp_ns)
             self._now_ns = stamp_ns
+            if self._contract is not None:
+                self._look_at_contract()
+                self._contract.hear(received.topic, self.duration_s)
             self.heard += 1
             self._traffic.count(received.writer, len(received.data))
             if self.recording is not None:
                 self.recording.write(received.topic, stamp_ns, received.data)
             fresh.append(Stamped(received.topic, stamp_ns, received.data))
             msgtype = self._intake.topics[received.topic]
-            yield MessageHeard(received.topic, msgtype, stamp_ns, received.data)
+            latched = self._intake.is_latched(received.topic)
+            yield MessageHeard(received.topic, msgtype, stamp_ns, received.data, latched)
         self._hand_on(fresh)
+
+    def _look_at_contract(self) -> None:
+        """Compare with the contract once a second of the recording, whatever comes meanwhile."""
+        if self._contract is None or self.duration_s < self._second:
+            return
+        now_s = self.duration_s
+        self._second = int(now_s) + 1
+        if breaches := self._contract.look(now_s, self.discovery, self._intake.topics):
+            self._pending.append(ContractAlarm(now_s, breaches))
 
     def _hand_on(self, fresh: list[Stamped]) -> None:
         if self._judge is not None and fresh:
@@ -287,6 +314,7 @@ class Watch:
                 self._judge.end_window(self._start_ns, start_ns, end_ns, self._running(end_s))
             self._window += 1
         self._now_ns = max(self._now_ns, stamp_ns)
+        self._look_at_contract()
 
     def _running(self, now_s: float) -> Interval | None:
         """Return the graph so far of the interval that goes on, if it has just begun: None."""

@@ -1,22 +1,27 @@
 """The contract of a system: topics, types, QoS, rates, nodes and edges of its normal recordings.
 
 A breach needs no statistics: a topic that is gone is gone. So it is told in words, before any
-p-value. Only topics with a steady rate have a rate in the contract.
+p-value. Only topics with a steady rate have a rate in the contract. A robot that runs is held to
+the pace of its topics, too: how long they are silent, and how much they say in ten seconds.
 """
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple, Self
 
 from rosbags.interfaces import Qos
 
+from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.graphs.intervals import compose
 from oracle_pipeline.opened_run import OpenedRun
+from oracle_pipeline.scoring.pace import FEWEST, SPAN_S, Pace, paces, widest
 
 STEADY = 1.5  # a rate that varies by at most this factor between normal recordings is steady
-FEWEST = 10  # messages of a recording that give a rate
 MARGIN = 0.05  # of a rate, added to what normal recordings showed
+SILENCE_S = 1.0  # added to twice the longest silence of normal recordings, on a running robot [s]
+COUNT_MARGIN = 0.1  # of the messages in `SPAN_S`, added to what normal recordings showed, and 2
 
 # ROS 2 tools give some nodes a suffix of their own for each process.
 _PROCESS_SUFFIX = re.compile(r"(?<=_)(?:0x)?[0-9a-f]*\d[0-9a-f]*$")
@@ -62,19 +67,23 @@ class Observation:
         Name -> message type, offered profiles in words, rate [Hz] or None.
     graph : frozenset of str or None
         Nodes, and edges as ``node:/a -> topic:/b``; None for a recording without graphs.
+    paces : mapping of str to Pace
+        Of the topics that have messages.
     """
 
     topics: Mapping[str, tuple[str, tuple[str, ...], float | None]]
     graph: frozenset[str] | None
+    paces: Mapping[str, Pace] = field(default_factory=dict)
 
     @classmethod
     def of(cls, run: OpenedRun) -> Self:
         """Observe an open recording."""
         topics = {
-            name: (topic.msgtype, _qos_words(topic.qos), _rate(topic.count, run.duration_s))
+            name: (topic.msgtype, qos_words(topic.qos), _rate(topic.count, run.duration_s))
             for name, topic in run.bag.topics.items()
         }
-        return cls(topics, _graph_elements(run) if run.intervals else None)
+        graph = graph_elements(compose(each.graph for each in run.intervals))
+        return cls(topics, graph if run.intervals else None, paces(run.bag))
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,25 +95,42 @@ class Contract:
     topics : dict of str to TopicTerms
     always, ever : frozenset of str
         Nodes and edges of every normal recording with graphs, and of any.
+    paces : dict of str to Pace
+        Longest silence, fewest and most messages of a topic, in any of them; of topics that have
+        a pace wherever they are.
     """
 
     topics: Mapping[str, TopicTerms]
     always: frozenset[str]
     ever: frozenset[str]
+    paces: Mapping[str, Pace] = field(default_factory=dict)
 
     @classmethod
     def learned(cls, observations: Sequence[Observation]) -> Self:
         """Return the contract that normal recordings keep; at least one is needed."""
         names = sorted({name for seen in observations for name in seen.topics})
         graphs = [seen.graph for seen in observations if seen.graph is not None]
+        irregular = {name for seen in observations for name in seen.topics.keys() - seen.paces}
         return cls(
             {name: _terms(name, observations) for name in names},
             frozenset.intersection(*graphs) if graphs else frozenset(),
             frozenset().union(*graphs),
+            {
+                name: pace
+                for name, pace in widest(seen.paces for seen in observations).items()
+                if name not in irregular
+            },
         )
 
-    def breaches(self, seen: Observation) -> list[Breach]:
-        """Return how a recording departs from the contract: topics first, by name."""
+    def breaches(self, seen: Observation, *, rates: bool = True) -> list[Breach]:
+        """Return how a recording departs from the contract: topics first, by name.
+
+        Parameters
+        ----------
+        seen : Observation
+        rates : bool
+            Compare the rates of whole recordings too.
+        """
         found = [
             Breach(name, f"Topic {name} is gone: every normal recording has it.")
             for name, terms in self.topics.items()
@@ -115,8 +141,35 @@ class Contract:
             if terms is None:
                 found.append(Breach(name, f"Topic {name} ({kind}) is new."))
             else:
-                found += _of_topic(name, terms, kind, qos, rate_hz)
+                found += _of_topic(name, terms, kind, qos)
+                found += _of_rate(name, terms, rate_hz) if rates else []
         return found + self._of_graph(seen.graph)
+
+    def breach_of_silence(self, name: str, silent_s: float) -> Breach | None:
+        """Tell whether a topic of a running robot has been silent for too long [s]."""
+        pace = self.paces.get(name)
+        if pace is None or silent_s <= 2.0 * pace.longest_gap_s + SILENCE_S:
+            return None
+        return Breach(
+            name,
+            f"Topic {name} has been silent for {silent_s:.1f} s; normal recordings have no silence "
+            f"over {pace.longest_gap_s:.2g} s.",
+        )
+
+    def breach_of_count(self, name: str, count: int) -> Breach | None:
+        """Tell whether the last `SPAN_S` of a running robot had too many or too few messages."""
+        pace = self.paces.get(name)
+        if pace is None or pace.fewest is None or pace.most is None:
+            return None
+        fewest = math.floor(pace.fewest * (1.0 - COUNT_MARGIN)) - 2
+        most = math.ceil(pace.most * (1.0 + COUNT_MARGIN)) + 2
+        if fewest <= count <= most:
+            return None
+        return Breach(
+            name,
+            f"Topic {name} has {count} messages in {SPAN_S} s; normal recordings have "
+            f"{pace.fewest} to {pace.most}.",
+        )
 
     def _of_graph(self, graph: frozenset[str] | None) -> list[Breach]:
         if graph is None or not self.ever:
@@ -131,6 +184,7 @@ class Contract:
             "topics": {name: asdict(terms) for name, terms in self.topics.items()},
             "always": sorted(self.always),
             "ever": sorted(self.ever),
+            "paces": self.paces,
         }
 
     @classmethod
@@ -142,7 +196,8 @@ class Contract:
             )
             for name, terms in document["topics"].items()
         }
-        return cls(topics, frozenset(document["always"]), frozenset(document["ever"]))
+        known = {name: Pace(*pace) for name, pace in document.get("paces", {}).items()}
+        return cls(topics, frozenset(document["always"]), frozenset(document["ever"]), known)
 
 
 def _terms(name: str, observations: Iterable[Observation]) -> TopicTerms:
@@ -159,9 +214,7 @@ def _terms(name: str, observations: Iterable[Observation]) -> TopicTerms:
     )
 
 
-def _of_topic(
-    name: str, terms: TopicTerms, kind: str, qos: Sequence[str], rate_hz: float | None
-) -> list[Breach]:
+def _of_topic(name: str, terms: TopicTerms, kind: str, qos: Sequence[str]) -> list[Breach]:
     found = []
     if kind not in terms.types:
         found.append(
@@ -174,16 +227,19 @@ def _of_topic(
                 f"Topic {name} is offered with QoS {other[0]} instead of {' or '.join(terms.qos)}.",
             )
         )
-    if terms.lowest_hz is not None and terms.highest_hz is not None:
-        spread_hz = terms.highest_hz - terms.lowest_hz
-        lowest_hz = terms.lowest_hz * (1.0 - MARGIN) - spread_hz
-        highest_hz = terms.highest_hz * (1.0 + MARGIN) + spread_hz
-        if not lowest_hz <= (rate_hz or 0.0) <= highest_hz:
-            usual = _range(terms.lowest_hz, terms.highest_hz)
-            found.append(
-                Breach(name, f"Topic {name} has {rate_hz or 0.0:.3g} Hz instead of {usual} Hz.")
-            )
     return found
+
+
+def _of_rate(name: str, terms: TopicTerms, rate_hz: float | None) -> list[Breach]:
+    if terms.lowest_hz is None or terms.highest_hz is None:
+        return []
+    spread_hz = terms.highest_hz - terms.lowest_hz
+    lowest_hz = terms.lowest_hz * (1.0 - MARGIN) - spread_hz
+    highest_hz = terms.highest_hz * (1.0 + MARGIN) + spread_hz
+    if lowest_hz <= (rate_hz or 0.0) <= highest_hz:
+        return []
+    usual = _range(terms.lowest_hz, terms.highest_hz)
+    return [Breach(name, f"Topic {name} has {rate_hz or 0.0:.3g} Hz instead of {usual} Hz.")]
 
 
 def _range(low: float, high: float) -> str:
@@ -195,9 +251,8 @@ def _rate(count: int, duration_s: float) -> float | None:
     return count / duration_s if count >= FEWEST and duration_s > 0.0 else None
 
 
-def _graph_elements(run: OpenedRun) -> frozenset[str]:
+def graph_elements(graph: RosGraph) -> frozenset[str]:
     """Return nodes and edges; process suffixes count as the same name."""
-    graph = compose(interval.graph for interval in run.intervals)
     name = {vertex: _PROCESS_SUFFIX.sub("*", vertex) for vertex in graph}
     nodes = {name[vertex] for vertex, data in graph.nodes(data=True) if data["kind"] == "node"}
     return frozenset(
@@ -226,7 +281,7 @@ def _shown(element: str) -> str:
     return f"The subscription to {names[0]} in node {names[1]}"
 
 
-def _qos_words(profiles: Iterable[Qos]) -> tuple[str, ...]:
+def qos_words(profiles: Iterable[Qos]) -> tuple[str, ...]:
     """Return profiles in words, such as ``reliable, transient local``."""
     words = {
         f"{profile.reliability.name}, {profile.durability.name}".lower().replace("_", " ")

@@ -138,12 +138,12 @@ class _Session:
         assert self._served is not None  # noqa: S101 -- `begin` made it
         self._served.look(now_ns)
         while not self._typed.empty():
-            self._do(self._typed.get())
+            self._do(self._typed.get(), now_ns)
         ahead_s = now_ns / SECOND / self._speed - (time.monotonic() - self._started)
         if ahead_s > _PATIENCE_S:
             time.sleep(ahead_s)
 
-    def _do(self, line: str) -> None:
+    def _do(self, line: str, now_ns: int) -> None:
         from sim.serving import switch
 
         words = line.split()
@@ -162,4 +162,6 @@ class _Session:
         except OracleError as error:
             click.echo(str(error), err=True)
         else:
-            click.echo(f"The node now does what it does in {name}.", err=True)
+            click.echo(
+                f"At {now_ns / SECOND:.3f} s the node does what it does in {name}.", err=True
+            )

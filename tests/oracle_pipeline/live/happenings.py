@@ -3,8 +3,16 @@
 from collections.abc import Iterator
 
 from oracle_pipeline.bags.types import serialize
-from oracle_pipeline.live.watch import Alarm, Event, GraphTaken, MessageHeard, Note
+from oracle_pipeline.live.watch import (
+    Alarm,
+    ContractAlarm,
+    Event,
+    GraphTaken,
+    MessageHeard,
+    Note,
+)
 from oracle_pipeline.live.window_scorer import WindowVerdict
+from oracle_pipeline.scoring.contract import Breach
 from oracle_pipeline.scoring.verdict import Evidence
 from tests.oracle_pipeline.features.conftest import START_NS, drive, ros_graph
 
@@ -27,6 +35,10 @@ def verdict(number: int, *, alarm: bool = False) -> WindowVerdict:
         start_s=start_s, end_s=start_s + 10.0, score=score, p_value=p, is_usual=not alarm,
         alarm=alarm, evidence=evidence,
     )  # fmt: skip
+
+
+def contract_alarm() -> ContractAlarm:
+    return ContractAlarm(26.0, (Breach(HOSTILE, f"Topic {HOSTILE} is new."),))
 
 
 def graph() -> GraphTaken:

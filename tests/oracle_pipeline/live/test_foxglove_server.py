@@ -1,25 +1,31 @@
 """Foxglove's WebSocket hands a watch on: a real client hears the very bytes."""
 
 import json
+import socket
+import ssl
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 from websockets.sync.client import ClientConnection, connect
 
+from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.types import deserialize
 from oracle_pipeline.live.foxglove_server import (
     LOG_TOPIC,
     WINDOW_SCHEMA,
     WINDOW_TOPIC,
-    FoxgloveError,
     FoxgloveServer,
 )
-from oracle_pipeline.live.watch import Alarm, Note
-from tests.oracle_pipeline.live.happenings import HOSTILE, graph, messages, verdict
+from oracle_pipeline.live.loopback import PortError
+from oracle_pipeline.live.watch import Alarm, MessageHeard, Note
+from oracle_pipeline.opened_run import open_run
+from tests.oracle_pipeline.live.happenings import HOSTILE, contract_alarm, graph, messages, verdict
 
 LAYOUT = Path(__file__).parents[3] / "docs" / "foxglove" / "live.json"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _MESSAGE = struct.Struct("<BIQ")  # opcode, subscription, log time [ns]
 
 
@@ -116,9 +122,10 @@ def test_a_verdict_stands_at_the_end_of_its_window(server: FoxgloveServer, clien
     ("event", "words"),
     [
         (Alarm(verdict(3, alarm=True)), b"Anomalous from 15 s to 25 s"),
+        (contract_alarm(), b"is new."),
         (Note("dropped"), b"dropped"),
     ],
-    ids=["alarm", "note"],
+    ids=["alarm", "contract", "note"],
 )
 def test_alarms_and_notes_are_in_the_log(
     server: FoxgloveServer, client: Client, event: object, words: bytes
@@ -145,8 +152,80 @@ def test_clients_cannot_publish_or_set_anything(client: Client) -> None:
 def test_it_listens_on_loopback_and_says_so_if_the_port_is_taken(server: FoxgloveServer) -> None:
     assert server.address.startswith("ws://127.0.0.1:")
     port = int(server.address.rpartition(":")[2])
-    with pytest.raises(FoxgloveError, match=str(port)):
+    with pytest.raises(PortError, match=str(port)):
         FoxgloveServer(port)
+
+
+def test_who_comes_later_gets_all_transforms_so_that_scans_have_a_place_on_the_map(
+    server: FoxgloveServer, client: Client, recorded_run: Callable[..., RunDirectory]
+) -> None:
+    with open_run(recorded_run("lidar_passthrough").path) as run:
+        heard = [
+            MessageHeard(m.topic, TRANSFORMS, m.stamp_ns, m.data, latched=m.topic == "/tf_static")
+            for m in run.bag.messages(("/tf", "/tf_static"))
+        ]
+        scan = next(iter(run.bag.messages(["/scan"])))
+        frame = deserialize(scan.data, run.bag.topics["/scan"].msgtype).header.frame_id
+    for event in heard:
+        server.show(event)
+    client.subscribe({"/tf_static"})
+    parents: dict[str, str] = {}
+    while frame not in parents:
+        topic, _, data = client.take()
+        assert topic == "/tf_static"
+        parents |= frames(data)
+    for event in heard:
+        if event.topic == "/tf":
+            parents |= frames(event.data)
+    while frame in parents:
+        frame = parents[frame]
+    assert frame == "map"
+
+
+def frames(data: bytes) -> dict[str, str]:
+    """Return the parent of each frame that a message of transforms names."""
+    message = deserialize(data, TRANSFORMS)
+    return {each.child_frame_id: each.header.frame_id for each in message.transforms}
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": "https://evil.example"},
+        {"Origin": "null"},
+        {"Host": "rebound.example:8765"},
+    ],
+    ids=["another site", "a site that hides", "a name that was bound anew"],
+)
+def test_pages_of_other_sites_cannot_connect(
+    server: FoxgloveServer, headers: dict[str, str]
+) -> None:
+    assert answer(server.address, headers).startswith("HTTP/1.1 403")
+
+
+@pytest.mark.parametrize("origin", ["https://app.foxglove.dev", "http://localhost:8080", "file://"])
+def test_foxglove_itself_can_connect(server: FoxgloveServer, origin: str) -> None:
+    assert answer(server.address, {"Origin": origin}).startswith("HTTP/1.1 101")
+
+
+def test_nobody_connects_without_the_guard(server: FoxgloveServer) -> None:
+    port = server._server.port
+    with pytest.raises(ssl.SSLCertVerificationError):
+        connect(f"wss://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"])  # type: ignore[list-item]
+
+
+def answer(address: str, headers: dict[str, str]) -> str:
+    """Return the first line of what is answered to a handshake."""
+    at = urlsplit(address)
+    all_headers = {
+        "Host": at.netloc, "Upgrade": "websocket", "Connection": "Upgrade",
+        "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Protocol": "foxglove.sdk.v1", **headers,
+    }  # fmt: skip
+    lines = ["GET / HTTP/1.1", *(f"{name}: {value}" for name, value in all_headers.items())]
+    with socket.create_connection((at.hostname, at.port), timeout=10) as connection:
+        connection.sendall("\r\n".join([*lines, "", ""]).encode())
+        return connection.recv(100).decode(errors="replace")
 
 
 def test_the_layout_shows_what_the_server_has() -> None:

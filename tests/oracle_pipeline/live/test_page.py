@@ -8,7 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from oracle_pipeline.live.page import LivePage, PageError
+from oracle_pipeline.live.loopback import PortError
+from oracle_pipeline.live.page import LivePage
 from tests.oracle_pipeline.live.happenings import events, verdict
 
 
@@ -81,7 +82,7 @@ def test_nothing_can_be_sent_to_it(served: LivePage) -> None:
 def test_it_listens_on_loopback_only_and_says_so_if_the_port_is_taken(served: LivePage) -> None:
     assert served.address.startswith("http://127.0.0.1:")
     port = int(served.address.rpartition(":")[2])
-    with pytest.raises(PageError, match=str(port)):
+    with pytest.raises(PortError, match=str(port)):
         LivePage(port)
     with pytest.raises(OSError, match="refused"), socket.create_connection(("127.0.0.2", port)):
         pass

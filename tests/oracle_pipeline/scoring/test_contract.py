@@ -1,9 +1,13 @@
 from dataclasses import replace
 
+import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.contract import Contract, Observation
+from oracle_pipeline.scoring.pace import Pace
 
 names = st.sampled_from(["/scan", "/odom", "/tf", "/cmd_vel", "/rosout"])
 profiles = st.sampled_from([(), ("reliable, volatile",), ("best effort, volatile",)])
@@ -14,6 +18,7 @@ observations = st.builds(
     Observation,
     st.dictionaries(names, topics),
     st.none() | st.frozensets(elements),
+    st.dictionaries(names, st.builds(Pace, st.floats(0.0, 1e3), st.integers(0, 9), st.just(9))),
 )
 
 NORMAL = [
@@ -101,3 +106,45 @@ def test_nodes_and_edges_that_changed_are_told_in_words():
 
 def test_a_recording_without_graphs_says_nothing_about_nodes():
     assert told(graph=None) == []
+
+
+@given(st.lists(st.integers(0, 100 * 10**9), min_size=1, max_size=200))
+def test_a_recording_keeps_its_own_pace(stamps_ns):
+    stamps = np.array(sorted(stamps_ns), dtype=np.int64)
+    end_ns = int(stamps[-1]) + 5 * 10**9
+    contract = Contract({}, frozenset(), frozenset(), {"/scan": Pace.of(stamps, end_ns)})
+    longest_s = np.diff(stamps, append=end_ns).max() / 10**9
+    assert contract.breach_of_silence("/scan", longest_s) is None
+    for end in range(int(stamps[0]) + 10 * 10**9, end_ns + 1, 10**9):
+        count = int(np.sum((stamps >= end - 10 * 10**9) & (stamps < end)))
+        assert contract.breach_of_count("/scan", count) is None
+
+
+def test_a_pace_that_normal_recordings_do_not_show_is_told():
+    contract = Contract({}, frozenset(), frozenset(), {"/scan": Pace(0.25, 49, 51)})
+    (silence, few, many) = (
+        contract.breach_of_silence("/scan", 2.0),
+        contract.breach_of_count("/scan", 25),
+        contract.breach_of_count("/scan", 100),
+    )
+    assert silence.text.startswith("Topic /scan has been silent for 2.0 s")
+    assert "25 messages in 10 s" in few.text
+    assert "100 messages in 10 s" in many.text
+    assert contract.breach_of_silence("/odom", 100.0) is None
+    assert contract.breach_of_count("/odom", 0) is None
+
+
+def test_a_topic_that_a_normal_recording_has_said_little_on_has_no_pace():
+    paces = {"/scan": Pace(0.25, 49, 51), "/goal": Pace(9.0, 0, 1)}
+    contract = Contract.learned([replace(NORMAL[0], paces=paces), *NORMAL[1:]])
+    assert contract.paces == {}
+    contract = Contract.learned([replace(seen, paces=paces) for seen in NORMAL])
+    assert contract.paces == paces
+
+
+def test_a_recording_shows_the_pace_of_its_topics(recorded_run):
+    with open_run(recorded_run("lidar_passthrough").path) as run:
+        seen = Observation.of(run).paces
+    assert seen["/scan"].longest_gap_s == pytest.approx(0.2, abs=0.1)
+    assert 49 <= seen["/scan"].fewest <= seen["/scan"].most <= 51
+    assert "/map" not in seen

@@ -1,0 +1,150 @@
+"""`oracle-sim serve` and `oracle watch` as processes of their own on one DDS domain.
+
+What `python -m bench live` and `python -m soak.watching` are made of.
+"""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+_BIN = Path(sys.executable).parent
+_SECOND_NS = 1_000_000_000
+
+
+@dataclass
+class Watching:
+    """An `oracle watch` that runs, or has ended.
+
+    Attributes
+    ----------
+    told : list of dict
+        What it printed, an object each.
+    heard, dropped : int
+        Messages; known when it has ended.
+    recording : Path or None
+        Where its recording is, when it has ended.
+    """
+
+    process: Any
+    told: list[dict[str, Any]] = field(default_factory=list)
+    heard: int = 0
+    dropped: int = 0
+    recording: Path | None = None
+
+    def verdicts(self) -> list[dict[str, Any]]:
+        """Return the verdicts on windows so far."""
+        return [told["window"] for told in self.told if "window" in told]
+
+    def alarms(self) -> list[dict[str, Any]]:
+        """Return the alarms so far."""
+        return [told["alarm"] for told in self.told if "alarm" in told]
+
+    def start_s(self) -> float:
+        """Return when the recording began, by the robot's clock [s]."""
+        assert self.recording is not None  # noqa: S101 -- asked once it has ended
+        facts = json.loads((self.recording / "recording.json").read_text())
+        return float(facts["start_ns"]) / _SECOND_NS
+
+
+@contextlib.contextmanager
+def watching(domain: int, *words: str | Path) -> Iterator[Watching]:
+    """Watch a domain; at the end, wait until the recording is whole."""
+    process = _process("oracle", "watch", "--domain", str(domain), "--format", "json", *words)
+    watch = Watching(process)
+    reader = threading.Thread(target=_read, args=(process.stdout, watch.told))
+    reader.start()
+    try:
+        process.stderr.readline()  # it is there
+        yield watch
+    finally:
+        process.send_signal(signal.SIGINT)
+        said = process.stderr.read()
+        process.wait()
+        reader.join()
+        for line in said.splitlines():
+            if "dropped." in line:
+                watch.heard, watch.dropped = int(line.split()[0]), int(line.split()[3])
+            if line.startswith("Recording: "):
+                watch.recording = Path(line.partition(" ")[2])
+
+
+@contextlib.contextmanager
+def serving(domain: int, *words: str | Path) -> Iterator[Any]:
+    """Serve a patrol on a domain; its process ends with the block, if it has not by then."""
+    process = _process("oracle-sim", "serve", "--domain", str(domain), *words)
+    try:
+        process.stderr.readline()  # it is there
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.stderr.read()
+        process.wait()
+
+
+def switch(serve: Any, attack: str) -> float:
+    """Switch an attack on; return when that was, by the robot's clock [s]."""
+    serve.stdin.write(f"attack {attack}\n")
+    serve.stdin.flush()
+    said = serve.stderr.readline()
+    if not said.startswith("At "):
+        raise RuntimeError(f"{attack} was not switched on: {said}")
+    return float(said.split()[1])
+
+
+def processor_s(process: int) -> float:
+    """Return the processor time of a process and its children so far [s]."""
+    total = 0.0
+    for each in (process, *_children(process)):
+        fields = Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split()
+        total += (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return total
+
+
+def memory_bytes(process: int) -> int:
+    """Return what a process and its children hold."""
+    return sum(
+        os.sysconf("SC_PAGESIZE") * int(Path(f"/proc/{each}/statm").read_text().split()[1])
+        for each in (process, *_children(process))
+    )
+
+
+def recorded(out: Path, runs: range, speed: float, goals: int, domain: int) -> None:
+    """Let `oracle watch` record normal patrols, each of a session of its own."""
+    for run in runs:
+        patrol = "--speed", str(speed), "--run", str(run), "--goals", str(goals)
+        with watching(domain, "--out", out / str(run)), serving(domain, *patrol) as serve:
+            serve.wait()
+
+
+def learn(recordings: Path, card: Path) -> None:
+    """Learn a reference card from recordings."""
+    subprocess.run(
+        [_BIN / "oracle", "learn", recordings, "--output", card],
+        check=True, stdout=subprocess.DEVNULL,
+    )  # fmt: skip
+
+
+def _process(program: str, *words: str | Path) -> Any:
+    return subprocess.Popen(
+        [_BIN / program, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )  # fmt: skip
+
+
+def _read(lines: Any, told: list[dict[str, Any]]) -> None:
+    told.extend({**json.loads(line), "at": time.monotonic()} for line in lines)
+
+
+def _children(process: int) -> list[int]:
+    return [
+        int(each) for each in Path(f"/proc/{process}/task/{process}/children").read_text().split()
+    ]

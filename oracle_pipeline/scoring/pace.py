@@ -1,0 +1,86 @@
+"""How regularly the messages of a topic come, from their stamps alone.
+
+A running robot is held to it within seconds: a silence longer than any that normal recordings show,
+or more or fewer messages in ten seconds.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.reader import BagReader
+
+SPAN_S = 10  # over which messages are counted [s]
+FEWEST = 10  # messages of a recording that give a pace: what is said once may stay so for hours
+_SECOND_NS = 1_000_000_000
+
+
+class Pace(NamedTuple):
+    """Of a topic, from its first message on."""
+
+    longest_gap_s: float  # without a message, up to the end of the recording [s]
+    fewest: int | None  # messages in any span of `SPAN_S`; None if no recording is so long
+    most: int | None
+
+    @classmethod
+    def of(cls, stamps_ns: NDArray[np.int64], end_ns: int) -> "Pace":
+        """Return the pace of the messages of one topic.
+
+        Parameters
+        ----------
+        stamps_ns : ndarray of shape (n_messages,)
+            Ascending; one at least.
+        end_ns : int
+            When the recording ended.
+
+        Examples
+        --------
+        >>> Pace.of(np.arange(0, 20, 2, dtype=np.int64) * 10**9, 25 * 10**9)
+        Pace(longest_gap_s=7.0, fewest=2, most=5)
+        """
+        gaps_ns = np.diff(stamps_ns, append=end_ns)
+        first_end = int(stamps_ns[0]) + SPAN_S * _SECOND_NS
+        ends = np.arange(first_end, end_ns + 1, _SECOND_NS)  # as a watch looks, once a second
+        counts = np.subtract(
+            *(np.searchsorted(stamps_ns, each) for each in (ends, ends - SPAN_S * _SECOND_NS))
+        )
+        return cls(
+            max(0.0, float(gaps_ns.max()) / _SECOND_NS),
+            int(counts.min()) if len(counts) else None,
+            int(counts.max()) if len(counts) else None,
+        )
+
+
+def paces(bag: BagReader) -> dict[str, Pace]:
+    """Return the pace of each topic of a recording that has `FEWEST` messages."""
+    batches = [(batch.topics, batch.stamps_ns) for batch in bag.batches()]
+    if not batches:
+        return {}
+    topics, stamps_ns = (np.concatenate(column) for column in zip(*batches, strict=True))
+    order = np.lexsort((stamps_ns, topics))
+    topics, stamps_ns = topics[order], stamps_ns[order]
+    names = list(bag.topics)
+    present, begins = np.unique(topics, return_index=True)
+    return {
+        names[number]: Pace.of(own_ns, bag.end_ns)
+        for number, own_ns in zip(present, np.split(stamps_ns, begins[1:]), strict=True)
+        if len(own_ns) >= FEWEST
+    }
+
+
+def widest(seen: Iterable[Mapping[str, Pace]]) -> dict[str, Pace]:
+    """Return of each topic what all recordings together show."""
+    together: dict[str, Pace] = {}
+    for pace_of in seen:
+        for name, pace in pace_of.items():
+            known = together.get(name, pace)
+            fewest = [each.fewest for each in (known, pace) if each.fewest is not None]
+            most = [each.most for each in (known, pace) if each.most is not None]
+            together[name] = Pace(
+                max(known.longest_gap_s, pace.longest_gap_s),
+                min(fewest, default=None),
+                max(most, default=None),
+            )
+    return together

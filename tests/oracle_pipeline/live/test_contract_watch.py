@@ -1,0 +1,131 @@
+"""A running robot that departs from the contract of normal recordings is told within seconds."""
+
+from dataclasses import replace
+
+import pytest
+
+from oracle_pipeline.bags import dds
+from oracle_pipeline.graphs.intervals import compose
+from oracle_pipeline.live.contract_watch import LASTS, STARTED_S, ContractWatch
+from oracle_pipeline.live.discovery import Discovery
+from oracle_pipeline.live.traffic import snapshot
+from oracle_pipeline.scoring.contract import Contract, Observation, graph_elements, qos_words
+from oracle_pipeline.scoring.pace import Pace
+from sim.middleware.qos import DEFAULT, SENSOR_DATA
+from tests.oracle_pipeline.live.robots import STRING, Robot
+
+pytestmark = pytest.mark.slow
+
+PERIOD_S = 0.1
+WORDS = "/words"
+
+
+@pytest.fixture
+def robot(domain):
+    return Robot(domain).node("talker", publishes=[WORDS]).node("ear", hears=[WORDS]).tell()
+
+
+@pytest.fixture
+def watched(domain, robot, eventually):
+    """A discovery that knows the robot, and the contract that the robot keeps."""
+    participant = dds.join(domain)
+    discovery = Discovery(participant)
+
+    def is_known():
+        discovery.update()
+        return discovery.node_names() == ["/ear", "/talker"] and WORDS in discovery.topics()
+
+    assert eventually(is_known)
+    yield discovery, contract_of(discovery)
+    dds.leave(participant)
+
+
+def contract_of(discovery):
+    per_span = round(10 / PERIOD_S)
+    observation = Observation(
+        {WORDS: (STRING, qos_words([DEFAULT]), 1 / PERIOD_S)},
+        graph_elements(compose([snapshot(discovery, {})])),
+        {WORDS: Pace(2 * PERIOD_S, per_span, per_span)},
+    )
+    return Contract.learned([observation])
+
+
+def told(watch, discovery, *, from_s=0, to_s=20, period_s=PERIOD_S):
+    """Return when what was told first, while words come at a period; None: no words."""
+    found, next_s = {}, float(from_s)
+    for now_s in range(from_s + 1, to_s + 1):
+        while period_s is not None and next_s < now_s:
+            watch.hear(WORDS, next_s)
+            next_s += period_s
+        discovery.update()
+        for breach in watch.look(float(now_s), discovery, {WORDS, "/spy"}):
+            assert breach.text not in found
+            found[breach.text] = now_s
+    return found
+
+
+def test_a_robot_that_keeps_the_contract_is_told_nothing_of(watched):
+    discovery, contract = watched
+    assert told(ContractWatch(contract), discovery, to_s=100) == {}
+
+
+def test_a_topic_that_falls_silent_is_told_within_seconds_and_once(watched):
+    discovery, contract = watched
+    watch = ContractWatch(contract)
+    assert told(watch, discovery, to_s=30) == {}
+    ((text, at_s),) = told(watch, discovery, from_s=30, to_s=90, period_s=None).items()
+    assert "/words has been silent" in text
+    assert at_s - 30 <= 4
+
+
+@pytest.mark.parametrize("period_s", [PERIOD_S / 2, PERIOD_S * 2])
+def test_another_pace_is_told_within_a_span(watched, period_s):
+    discovery, contract = watched
+    watch = ContractWatch(contract)
+    assert told(watch, discovery, to_s=30) == {}
+    ((text, at_s),) = told(watch, discovery, from_s=30, to_s=60, period_s=period_s).items()
+    assert "/words has" in text
+    assert at_s - 30 <= 10
+
+
+def test_a_node_that_is_new_is_told_without_its_edges(watched, robot, eventually):
+    discovery, contract = watched
+    watch = ContractWatch(contract)
+    other = Robot(robot.domain).node("spy", hears=[WORDS], publishes=["/spy"]).tell()
+    assert eventually(lambda: discovery.update() or "/spy" in discovery.node_names())
+    found = told(watch, discovery)
+    assert set(found) == {"Node /spy is new.", f"Topic /spy ({STRING}) is new."}
+    assert set(found.values()) == {LASTS}
+    assert other
+
+
+def test_a_node_that_has_gone_is_told_and_a_robot_that_has_left_is_not(watched, robot, eventually):
+    discovery, contract = watched
+    watch = ContractWatch(contract)
+    assert told(watch, discovery) == {}
+    del robot.readers["ear", WORDS]
+    robot.tell()
+    assert eventually(lambda: discovery.update() or discovery.node_names() == ["/talker"])
+    assert list(told(watch, discovery, from_s=20, to_s=30)) == ["Node /ear is gone."]
+    dds.leave(robot.participant)
+    assert eventually(lambda: discovery.update() or not discovery.topics())
+    assert told(watch, discovery, from_s=30, to_s=90, period_s=None) == {}
+
+
+def test_other_qos_is_told(watched, robot, eventually):
+    discovery, contract = watched
+    other = Robot(robot.domain).node("talker", publishes=[WORDS], qos=SENSOR_DATA).tell()
+    assert eventually(lambda: discovery.update() or len(discovery.topics()[WORDS]) == 2)
+    (text,) = told(ContractWatch(contract), discovery)
+    assert "QoS best effort" in text
+    assert other
+
+
+def test_what_is_not_there_yet_is_missed_only_once_a_robot_has_started(watched):
+    discovery, contract = watched
+    more = replace(
+        contract, always=contract.always | {"node:/late"}, ever=contract.ever | {"node:/late"}
+    )
+    ((text, at_s),) = told(ContractWatch(more), discovery, to_s=90).items()
+    assert text == "Node /late is gone."
+    assert at_s >= STARTED_S
