@@ -254,12 +254,18 @@ def with_answers(material: Material, answers: Mapping[str, bool]) -> Material:
 
 
 def answered_by_labels(material: Material, count: int) -> Material:
-    """Return the material with so many more answers, given by labels instead of a person."""
+    """Return the material with so many more answers, given by labels instead of a person.
+
+    Of too few runs, nothing can be asked: there are no more answers.
+    """
     runs = material.runs
     bad = dict(zip(runs.table["run_id"], runs.malicious.tolist(), strict=True))
     known = set(runs.table["run_id"][runs.malicious | runs.normal])
-    told = interview(material, lambda run: bad[run] if run in known else None, count)
-    return with_answers(material, {**material.answers, **dict(told)})
+    try:
+        told = dict(interview(material, lambda run: bad[run] if run in known else None, count))
+    except KindError:
+        return material
+    return with_answers(material, {**material.answers, **told})
 
 
 def evidence(material: Material, run: str) -> list[str]:

@@ -37,7 +37,7 @@ def as_text(comparison: "KindsComparison", far: float) -> str:
         called = by_mode.pivot(index="mode", columns="oracle", values="called")
         rows = [("share called anomalous", "label", "runs", *names)]
         for mode, of in by_mode.groupby("mode", sort=False):
-            shares = (f"{called.loc[mode, name]:.2f}" for name in names)
+            shares = (_number(called.loc[mode, name], ".2f") or "n/a" for name in names)
             rows.append((str(mode), of["label"].iloc[0], str(of["runs"].iloc[0]), *shares))
         lines += ["", *aligned_lines(rows, indent="    ")]
     unknown = comparison.p[comparison.p["label"] == "unknown"]
