@@ -18,7 +18,7 @@ COMPILE := pip-compile --quiet --strip-extras --no-header --no-annotate \
 	--no-emit-index-url --no-emit-trusted-host --no-emit-find-links
 
 .PHONY: help setup setup-dev demo demo-card run campaign ui test test-quick test-browser test-compiled lint types architecture docs \
-	pictures wheel bench soak constraints requirements image sbom clean
+	pictures wheel install-check bench soak constraints requirements image sbom clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list
@@ -102,6 +102,9 @@ wheel: setup ## Build a wheel into dist/, and try the commands of the README wit
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
 	$(BIN)/python -m pip install --quiet --no-deps --target dist/tried dist/*.whl
 	scripts/try_commands.sh dist/tried/bin
+
+install-check: setup ## Install into fresh environments of the Python versions that are here, and try them
+	scripts/install_check.sh 3.11 3.12 3.13
 
 constraints: setup-dev ## Pin the newest versions that fit pyproject.toml
 	$(COMPILE) --upgrade --all-extras --output-file constraints.txt pyproject.toml

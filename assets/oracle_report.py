@@ -103,7 +103,7 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
         html.write_page(page, store.report)
         shown = ShownRuns(
             measured=measured,
-            judged=judged,
+            evaluation=evaluation,
             deviations=deviations,
             unusual=unusual_windows(measured),
             path=lambda run: store.run(run).path,

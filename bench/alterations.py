@@ -15,7 +15,6 @@ import numpy as np
 
 from oracle_pipeline.bags.reader import BagReader, RawMessage
 from oracle_pipeline.bags.types import serialize
-from oracle_pipeline.features.scan_geometry import pose_of
 from oracle_pipeline.opened_run import OpenedRun, open_run
 
 SCAN, RANGE = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range"
@@ -73,6 +72,13 @@ class AlteredBag(BagReader):
                     continue
                 data = serialize(message, msgtype)
             yield RawMessage(raw.topic, raw.stamp_ns + round(late_s * 1e9), data)
+
+
+def pose_of(pose: Any) -> tuple[float, float, float]:
+    """Return x [m], y [m] and yaw [rad] of a ``geometry_msgs/msg/Pose``."""
+    position, q = pose.position, pose.orientation
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return position.x, position.y, yaw
 
 
 def open_altered(path: Path, alteration: Alteration, left_out: Collection[str] = ()) -> OpenedRun:

@@ -1,15 +1,15 @@
 """Draws the pictures of the docs: ``make pictures``.
 
 Records the two runs of the README's picture below a root of their own, joins their pictures, makes
-the film, and takes a screenshot of the lineage in the Dagster UI. With a campaign's root as
-argument, it also takes one of that report. Screenshots need a Chromium.
+the film, simulates a small campaign, and takes screenshots of it in the Dagster UI. With a
+campaign's root as argument, it also takes one of that report. Screenshots need a Chromium.
 """
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
-import tempfile
 import time
 import urllib.error
 import urllib.request
@@ -33,6 +33,13 @@ CONTROL, ATTACK = "lidar_passthrough_odom", "fake_object"
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 WINDOW = {"width": 1280, "height": 800}
 PORT, PATIENCE_S = 3977, 120
+SMALL = "lidar_passthrough|run000...delayed_fakeobject|run002"
+CHECKOUT = (ROOT / "checkout").resolve()
+SETTINGS = {
+    **os.environ, "PWD": str(CHECKOUT), "ORACLE_HOME": str(CHECKOUT / "data"),
+    "ORACLE_GOALS_PER_RUN": "2", "ORACLE_MODES": "turtlebot3",
+    "ORACLE_DAGSTER_HOME": str(CHECKOUT / ".dagster_home"),
+}  # fmt: skip
 LINEAGE = {"x": 570, "y": 375, "width": 1000, "height": 85}  # the graph, in a window of WIDE
 WIDE = {"width": 1600, "height": 800}
 
@@ -63,28 +70,35 @@ def draw_runs() -> None:
     run(oracle, "replay", attacked, "-o", film, "--speed", 20, "--frames", 0.5)
 
 
+def simulate_campaign() -> None:
+    """Simulate what `make run` does, in a checkout of its own, so that the UI has it to show."""
+    for file in (".env", "workspace.yaml", ".dagster_home/dagster.yaml"):
+        (CHECKOUT / file).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(file, CHECKOUT / file)
+    subprocess.run(
+        [sys.executable, "-m", "dagster", "asset", "materialize",
+         "-m", "oracle_pipeline.definitions", "--select", "*", "--partition-range", SMALL],
+        cwd=CHECKOUT, env=SETTINGS, check=True,
+    )  # fmt: skip
+
+
 @contextmanager
 def dagster_ui() -> Iterator[str]:
-    """Start the UI with an instance of its own; yield its address."""
+    """Start the UI in that checkout; yield its address."""
     address = f"http://127.0.0.1:{PORT}"
-    with tempfile.TemporaryDirectory() as home:
-        shutil.copy(".dagster_home/dagster.yaml", home)
-        places = {"ORACLE_DAGSTER_HOME": home, "ORACLE_HOME": str(ROOT.resolve())}
-        with subprocess.Popen(
-            [sys.executable, "-m", "resources.ui", "-w", "workspace.yaml", "-p", str(PORT)],
-            env=os.environ | places,
-        ) as server:
-            try:
-                for _ in range(PATIENCE_S):
-                    time.sleep(1)
-                    try:
-                        urllib.request.urlopen(f"{address}/server_info").close()  # noqa: S310
-                        break
-                    except urllib.error.URLError:
-                        continue
-                yield address
-            finally:
-                server.terminate()
+    command = [sys.executable, "-m", "resources.ui", "-p", str(PORT)]
+    with subprocess.Popen(command, cwd=CHECKOUT, env=SETTINGS) as server:
+        try:
+            for _ in range(PATIENCE_S):
+                time.sleep(1)
+                try:
+                    urllib.request.urlopen(f"{address}/server_info").close()  # noqa: S310
+                    break
+                except urllib.error.URLError:
+                    continue
+            yield address
+        finally:
+            server.send_signal(signal.SIGINT)  # ends its daemon and code server, too
 
 
 @contextmanager
@@ -101,14 +115,24 @@ def browser() -> Iterator["Browser"]:
         chromium.close()
 
 
-def take_lineage() -> None:
-    """Take a screenshot of the groups of assets in the Dagster UI."""
+def take_ui() -> None:
+    """Take screenshots of the groups of assets and of the grid of runs in the Dagster UI."""
     with dagster_ui() as address, browser() as chromium:
         page = chromium.new_page(viewport=WIDE)
+        page.set_default_timeout(1000 * PATIENCE_S)
         page.goto(f"{address}/asset-groups")
-        page.get_by_text("thesis_method").first.wait_for(timeout=1000 * PATIENCE_S)
+        page.get_by_text("thesis_method").first.wait_for()
         page.wait_for_timeout(5000)  # until the graph stands still
         page.screenshot(path=IMAGES / "lineage.png", clip=LINEAGE)
+        page.goto(f"{address}/assets/experiment_runs?view=partitions")
+        for key in (ATTACK, "run002"):
+            page.get_by_text(key, exact=True).first.click()
+        page.get_by_text("goals_reached").wait_for()
+        page.get_by_role("button", name="Hide navigation").click()
+        page.wait_for_timeout(2000)
+        page.screenshot(path=IMAGES / "partitions.png")
+    with Image.open(IMAGES / "partitions.png") as png:
+        png.convert("RGB").quantize(64).save(IMAGES / "partitions.png", optimize=True)
 
 
 def take_report(campaign: Path) -> None:
@@ -121,6 +145,7 @@ def take_report(campaign: Path) -> None:
 
 if __name__ == "__main__":
     draw_runs()
-    take_lineage()
+    simulate_campaign()
+    take_ui()
     for argument in sys.argv[1:]:
         take_report(Path(argument))

@@ -43,9 +43,9 @@ def process(
                 started.kill()
 
 
-def wait_until(condition: Callable[[], object], log: Path) -> None:
+def wait_until(condition: Callable[[], object], log: Path, seconds: float = PATIENCE_S) -> None:
     """Wait for something to be true of a server; show its log if that takes too long."""
-    until = time.monotonic() + PATIENCE_S
+    until = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > until:
             raise TimeoutError(log.read_text(encoding="utf-8", errors="replace")[-4000:])

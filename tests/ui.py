@@ -1,6 +1,10 @@
-"""The web server as `oracle-ui` starts it, on definitions with one job that does nothing."""
+"""What `oracle-ui` starts: its web server alone, or all of it on the real pipeline."""
 
+import os
 import shutil
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,7 +19,7 @@ LAUNCH = """mutation {
     repositoryLocationName: "here", repositoryName: "__repository__", jobName: "nothing"
   }}) { __typename }
 }"""
-DEFINITIONS = """
+NOTHING = """
 import dagster as dg
 
 @dg.op
@@ -28,7 +32,20 @@ def nothing():
 
 defs = dg.Definitions(jobs=[nothing])
 """
-WORKSPACE = "load_from: [{python_file: {relative_path: nothing.py, location_name: here}}]"
+WORKSPACE = "load_from: [{python_file: {relative_path: definitions.py, location_name: here}}]"
+
+# The pipeline, and a schedule whose next tick is at most a minute away.
+PIPELINE = """
+import dagster as dg
+from assets.run_retention import forget_old_runs
+from oracle_pipeline.definitions import build_defs
+
+every_minute = dg.ScheduleDefinition(
+    name="every_minute", job=forget_old_runs, cron_schedule="* * * * *"
+)
+defs = dg.Definitions.merge(build_defs(), dg.Definitions(schedules=[every_minute]))
+"""
+STARTS_S, ENDS_S = 240, 120  # in which servers and daemon start, and end in order
 
 
 @dataclass
@@ -48,12 +65,8 @@ class WebServer:
 
 @contextmanager
 def web_server(folder: Path, **variables: str) -> Iterator[WebServer]:
-    """Start the web server in a folder of its own."""
-    home, log, port = folder / "home", folder / "log", free_port()
-    home.mkdir()
-    shutil.copy(ROOT / ".dagster_home" / "dagster.yaml", home)
-    (folder / "nothing.py").write_text(DEFINITIONS)
-    (folder / "workspace.yaml").write_text(WORKSPACE)
+    """Start the web server in a folder of its own, on a job that does nothing."""
+    home, log, port = _instance(folder, NOTHING), folder / "log", free_port()
     command = ["resources.ui", "--webserver-only", "-p", port]
     with (
         process(command, log, {"DAGSTER_HOME": str(home), **variables}),
@@ -61,3 +74,34 @@ def web_server(folder: Path, **variables: str) -> Iterator[WebServer]:
     ):
         wait_until(lambda: answers(int(port)), log)
         yield WebServer(int(port), instance)
+
+
+@contextmanager
+def pipeline_ui(folder: Path, **variables: str) -> Iterator[WebServer]:
+    """Start server, daemon and code server on the pipeline, in a folder of its own."""
+    home, log, port = _instance(folder, PIPELINE), folder / "log", free_port()
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "DAGSTER_HOME": str(home), **variables}
+    command = [sys.executable, "-m", "resources.ui", "-p", port]
+    with (
+        log.open("wb") as output,
+        subprocess.Popen(
+            command, cwd=folder, env=environment, stdout=output, stderr=subprocess.STDOUT
+        ) as server,
+        dg.DagsterInstance.from_config(str(home)) as instance,
+    ):
+        try:
+            wait_until(lambda: answers(int(port)), log, STARTS_S)
+            yield WebServer(int(port), instance)
+        finally:
+            server.send_signal(signal.SIGINT)
+            server.wait(ENDS_S)
+
+
+def _instance(folder: Path, definitions: str) -> Path:
+    """Write a workspace with some definitions; return the home of its instance."""
+    home = folder / "home"
+    home.mkdir()
+    shutil.copy(ROOT / ".dagster_home" / "dagster.yaml", home)
+    (folder / "definitions.py").write_text(definitions)
+    (folder / "workspace.yaml").write_text(WORKSPACE)
+    return home

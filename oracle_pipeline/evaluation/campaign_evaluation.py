@@ -4,7 +4,7 @@ The steps are in the other modules of this package; this one runs them for every
 The protocol and what each figure means: docs/explanation/evaluation.md.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from oracle_pipeline.clustering.tree import ClusteringError
 from oracle_pipeline.datasets import is_hard_negative
 from oracle_pipeline.detectors import DetectorError, panel, upper_bounds
 from oracle_pipeline.evaluation import integrity
-from oracle_pipeline.evaluation.alarms import judge_alarms, watched
+from oracle_pipeline.evaluation.alarms import WatchedRuns, judge_alarms, watched
 from oracle_pipeline.evaluation.aspects import aspects_table, by_mode, quadrants
 from oracle_pipeline.evaluation.audit import audit
 from oracle_pipeline.evaluation.comparisons import (
@@ -53,7 +53,7 @@ from oracle_pipeline.evaluation.splits import (
     tested_in,
     untaught,
 )
-from oracle_pipeline.evaluation.task_effects import task_effects
+from oracle_pipeline.evaluation.task_effects import TaskEffects, task_effects
 from oracle_pipeline.scoring.conformal import runs_needed
 from oracle_pipeline.scoring.feature_sets import feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
@@ -77,8 +77,11 @@ class CampaignEvaluation:
     table: pd.DataFrame  # a row for each scorer, split and comparison, the headline first
     checks: list[integrity.IntegrityCheck]
     open_claims: list[OpenClaim]  # what cannot be claimed yet
-    alarms: pd.DataFrame  # of the headline's scorer, window by window
-    aspects: dict[str, pd.DataFrame]  # tampering and misbehaviour, by table
+    watched: WatchedRuns  # by the headline's scorer, window by window
+    alarms: pd.DataFrame  # how good those alarms are
+    aspect_scores: Mapping[str, HeldOutScores]  # tampering and misbehaviour, run by run
+    effects: TaskEffects  # what misbehaviour is judged by
+    aspects: dict[str, pd.DataFrame]  # how good those scores are, by table
     small_clusters: pd.DataFrame
     audit: pd.DataFrame  # features of the headline that tell unaltered runs apart
     curves: HeadlineCurves | None  # None while only one class of runs has scores
@@ -132,7 +135,9 @@ def evaluate(
     headline = _supported(steps.score(HEADLINE, steps.folds))
     table = steps.table(headline, bounds)
     checks = steps.checks(headline, table, graph_differences)
-    alarms, aspects = steps.alarms(), steps.aspects()
+    watched_runs, alarms = steps.alarms()
+    effects = task_effects(steps.campaign)
+    aspect_scores, aspects = steps.aspects(effects)
     small_clusters = steps.small_clusters()
     progress("audit")
     told = audit(steps.campaign.features, steps.sets.get(HEADLINE.features, []))
@@ -150,7 +155,10 @@ def evaluate(
         table=table,
         checks=checks,
         open_claims=open_claims(steps.campaign.features, checks),
+        watched=watched_runs,
         alarms=alarms,
+        aspect_scores=aspect_scores,
+        effects=effects,
         aspects=aspects,
         small_clusters=small_clusters,
         audit=told,
@@ -235,25 +243,26 @@ class _Steps:
             for each in compared
         ]
 
-    def alarms(self) -> pd.DataFrame:
-        """Judge the alarms that the headline's scorer raises window by window."""
+    def alarms(self) -> tuple[WatchedRuns, pd.DataFrame]:
+        """Return the alarms that the headline's scorer raises window by window, and judge them."""
         self.progress("alarms")
         watched_runs = watched(self.campaign)
-        return pd.DataFrame(
+        return watched_runs, pd.DataFrame(
             {"scope": each.name, **judge_alarms(watched_runs, self.campaign, each, self.rng)}
             for each in self.compared
         )
 
-    def aspects(self) -> dict[str, pd.DataFrame]:
-        """Judge the scores of tampering and of misbehaviour, each by its own truth."""
+    def aspects(
+        self, effects: TaskEffects
+    ) -> tuple[dict[str, HeldOutScores], dict[str, pd.DataFrame]]:
+        """Return the scores of tampering and of misbehaviour, and judge each by its own truth."""
         self.progress("tampering and misbehaviour")
-        effects = task_effects(self.campaign)
         df = self.campaign.features
         scores = self._aspect_scores(self.folds)
         taught_nothing = untaught(df, self.folds) if is_hard_negative(df).any() else []
         of_untaught = self._aspect_scores(taught_nothing) if taught_nothing else {}
         of_all = (self.campaign, effects)
-        return {
+        return scores, {
             "aspects": aspects_table(scores, *of_all, self.compared, self.rng),
             "aspects_by_mode": by_mode(scores, of_untaught, *of_all, self.rng),
             "quadrants": quadrants(scores, *of_all, self.rng),

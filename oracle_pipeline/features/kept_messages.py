@@ -99,9 +99,15 @@ class _Topic:
                 else:
                     kept.add(number, scan if kept.as_scan else content, len(data))
 
-    def wait(self, rate_ns: int, messages: list[tuple[int, bytes]]) -> None:
-        """Take messages that are kept together with others."""
-        self._waiting.setdefault(rate_ns, []).extend(messages)
+    def wait(self, rate_ns: int, number: int, data: bytes) -> int:
+        """Take a message that is kept together with others; return how many bytes it holds."""
+        if len(data) > LARGEST_DECODED:
+            for kept in self.by_rate[rate_ns]:
+                if kept.request.many:
+                    kept.skip(_too_large(data))
+            return 0
+        self._waiting.setdefault(rate_ns, []).append((number, data))
+        return len(data)
 
     def keep_waiting(self) -> None:
         """Keep what is wanted of the messages that were taken."""
@@ -139,10 +145,7 @@ class _Topic:
 
     def _decoded(self, data: bytes) -> Any:
         if len(data) > LARGEST_DECODED:
-            raise BagError(
-                f"a message of {len(data)} bytes is not decoded; the limit is {LARGEST_DECODED} "
-                "(LARGEST_DECODED)"
-            )
+            raise BagError(_too_large(data))
         return self._decode(data)
 
 
@@ -251,14 +254,14 @@ class KeptMessages:
                         for row in some:
                             due.setdefault(row, []).append(rate_ns)
                     if topic.has(rate_ns, many=True):
-                        topic.wait(rate_ns, [(count + row, batch.message(row)) for row in some])
-                        waiting += int(batch.sizes[some].sum())
+                        for row in some:
+                            waiting += topic.wait(rate_ns, count + row, batch.message(row))
+                            if waiting > _MOST_WAITING:
+                                for each in topics:
+                                    each.keep_waiting()
+                                waiting = 0
             for row, rates in due.items():
                 topics[batch.topics[row]].keep(count + row, batch.message(row), rates)
-            if waiting > _MOST_WAITING:
-                for topic in topics:
-                    topic.keep_waiting()
-                waiting = 0
             header_stamps_ns = headers.stamps_ns(batch, topics)
             for column, values in zip(
                 columns, (batch.topics, stamps_ns, batch.sizes, header_stamps_ns), strict=True
@@ -351,6 +354,13 @@ class KeptMessages:
                 return Missing(f"no message on {', '.join(requests[key])} in this window")
         history = _cut(requests, Span(0, span.end_ns), silent=True)
         return replace(common, topics=topics, history=history)
+
+
+def _too_large(data: bytes) -> str:
+    return (
+        f"a message of {len(data)} bytes is not decoded; the limit is {LARGEST_DECODED} "
+        "(LARGEST_DECODED)"
+    )
 
 
 def _by_topic(

@@ -45,6 +45,7 @@ _SMALL_RAYS = (4, 80)  # rays that a compact thing takes
 _STEP_M = 0.15  # from ray to ray on one thing, at most
 _GAP_RAYS = 2.5  # that are missing at most from a scan that closes around
 _NEXT_S = 0.4  # between two scans in which it is looked for
+_STILL_M = 1e-6  # below the resolution of a range (float32): rounding of poses, not motion
 _FAR_M = 0.6  # that it may have moved between two scans to be the same
 
 _SCANS = "largest of the scanners"
@@ -230,6 +231,8 @@ def _fastest(ranges: Floats, world: Points, closed: Bools, now: Ints, before: In
                 if np.isnan(there.real):
                     break
                 gone = min(gone, abs(here - there))
+            if gone < _STILL_M:
+                gone = 0.0
             if gone <= _FAR_M and not gone < fastest[k]:
                 fastest[k] = gone
     return fastest

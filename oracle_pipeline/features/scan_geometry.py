@@ -29,6 +29,7 @@ CLOSER_M = 0.3  # by which a return must be nearer than another to contradict it
 CELL_M = 0.25  # edge of the cells in which contradictions are counted
 _NEIGHBOURS = 2  # bearings to each side of a point's own that may explain it
 
+_MOST_SCANNERS = 24  # of one robot; each is compared with every other one
 _TILTED = 0.99  # determinant of a rotation's upper left block below which a scan plane is tilted
 
 
@@ -317,7 +318,8 @@ def scanner_setup(window: Window) -> ScannerSetup:
 
 def _setup(topics: Mapping[str, Mapping[str, Series]]) -> ScannerSetup:
     frames = Frames(topics["frames"])
-    scanners = {topic: Scans.of(series) for topic, series in topics["scans"].items()}
+    used = sorted(topics["scans"].items())[:_MOST_SCANNERS]
+    scanners = {topic: Scans.of(series) for topic, series in used}
     mounts = {topic: frames.mount(scans.frame) for topic, scans in scanners.items()}
     moved = the_topic(topics["odometry"])
     return ScannerSetup(

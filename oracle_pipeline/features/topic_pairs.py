@@ -2,11 +2,12 @@
 
 Only messages with an array of floating-point numbers can be compared. An array is compared with
 the one on the other topic that was recorded closest in time, index by index. Sensors that look
-elsewhere always differ, and an attack on one changes that difference. ``redundancy`` uses the
-mounts of sensors.
+elsewhere always differ, and an attack on one changes that difference. Of a type with more than 20
+topics, each is compared with the few that look most alike. ``redundancy`` uses the mounts of
+sensors.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations, groupby
 from typing import NamedTuple
@@ -46,6 +47,8 @@ FEATURES = (
     ),
 )  # fmt: skip
 
+_ALL_COMPARED = 20  # topics of a type at most that are all compared with each other
+_NEIGHBOURS = 4  # topics that each is compared with if they are more
 _APART_S = 0.1  # from an array to the one that it is compared with
 _BINS = 128
 _LOOKED_AT = 100  # arrays of a topic, about, to find the range of its numbers
@@ -86,7 +89,7 @@ def prepare(window: Window) -> _Prepared | Missing:
             ranks[topic] = each(arrays, standard_ranks)
             prepared.roughness[topic] = Series(times_s, np.array(each(arrays, roughness)))
             prepared.counts[topic] = _counts(times_s, arrays, low, high)
-        for a, b in combinations(group, 2):
+        for a, b in _compared(group):
             pair = f"{a} against {b}"
             times_s, met = _met(group[a], group[b])
             a_values, b_values = group[a].values, group[b].values
@@ -147,6 +150,27 @@ def _groups(window: Window) -> Iterator[dict[str, Series]]:
         group = {topic: arrays[topic] for topic in topics}
         if len(group) > 1:
             yield group
+
+
+def _compared(group: Mapping[str, Series]) -> Iterator[tuple[str, str]]:
+    """Yield the pairs of topics that are compared: all, or of many those that look most alike."""
+    if len(group) <= _ALL_COMPARED:
+        yield from combinations(group, 2)
+        return
+    alike = sorted(group, key=lambda topic: (*_look(group[topic]), topic))
+    for place, topic in enumerate(alike):
+        for other in alike[place + 1 : place + 1 + _NEIGHBOURS]:
+            yield min(topic, other), max(topic, other)
+
+
+def _look(series: Series) -> tuple[float, ...]:
+    """Return how long the arrays of a topic are, how many came, and what is in the first."""
+    first = series.values[0]
+    finite = first[np.isfinite(first)]
+    return (
+        float(np.median([array.size for array in series.values])), len(series.values),
+        float(finite.mean()) if finite.size else 0.0,
+    )  # fmt: skip
 
 
 def _range(group: list[Series]) -> tuple[float, float]:

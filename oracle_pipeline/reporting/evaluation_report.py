@@ -17,6 +17,7 @@ from oracle_pipeline.evaluation.open_claims import as_table
 from oracle_pipeline.evaluation.ranking import Ranking, standing
 from oracle_pipeline.reporting import figures
 from oracle_pipeline.reporting.report import Report, facts
+from oracle_pipeline.scoring.feature_sets import ASPECTS
 
 
 def evaluation_report(evaluation: CampaignEvaluation) -> Report:
@@ -24,8 +25,9 @@ def evaluation_report(evaluation: CampaignEvaluation) -> Report:
 
     The table has a row for each scorer, split and comparison, the headline first; the tables
     ``alarms``, ``aspects``, ``aspects_by_mode``, ``quadrants``, ``task_uncertainty``,
-    ``audit``, ``small_clusters``, ``checks``, ``open_claims``, ``runs``, ``standing`` and, with a
-    grid, ``kills``, ``mutation_scores`` and ``minimum_detectable`` the rest.
+    ``task_differences``, ``audit``, ``small_clusters``, ``checks``, ``open_claims``, ``runs``,
+    ``raised``, ``standing`` and, with a grid, ``kills``, ``mutation_scores`` and
+    ``minimum_detectable`` the rest.
     """
     return Report(
         evaluation.table, _pictures(evaluation), _summary(evaluation), _tables(evaluation)
@@ -38,11 +40,13 @@ def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
     tables = {
         "alarms": evaluation.alarms,
         **evaluation.aspects,
+        "task_differences": evaluation.effects.differences.assign(run_id=runs["run_id"]),
         "audit": evaluation.audit,
         "small_clusters": evaluation.small_clusters,
         "checks": pd.DataFrame([check.columns() for check in evaluation.checks]),
         "open_claims": as_table(evaluation.open_claims),
         "runs": runs,
+        "raised": _raised(evaluation),
         "standing": standing(runs),
     }
     if kills is not None:
@@ -55,13 +59,34 @@ def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
 
 
 def _judged(evaluation: CampaignEvaluation) -> pd.DataFrame:
-    """Return a row for each run: its keys, its score and p-value, and how it ended."""
+    """Return a row for each run: its keys, its scores and p-values, and how it ended.
+
+    ``score`` and ``p`` are of the verdict; those of ``tampering`` and ``misbehaviour`` begin with
+    their names. ``effect`` is the size of what the robot did otherwise than in unaltered runs of
+    its block: above 1, the run misbehaved; NaN, it is not known.
+    """
     campaign, headline = evaluation.campaign, evaluation.headline
+    aspects = {
+        f"{aspect}_{name}": getattr(evaluation.aspect_scores.get(aspect), name, np.nan)
+        for aspect in ASPECTS
+        for name in ("score", "p")
+    }
     features = campaign.features
     ended = ["recording_s", "onset_s", "outcome"]
     return features[[*KEYS]].assign(
-        score=headline.score, p=headline.p, **{name: campaign.truth[name] for name in ended}
+        score=headline.score,
+        p=headline.p,
+        **aspects,
+        effect=evaluation.effects.size,
+        **{name: campaign.truth[name] for name in ended},
     )
+
+
+def _raised(evaluation: CampaignEvaluation) -> pd.DataFrame:
+    """Return a row for each alarm: its run, and the end of the window that raised it."""
+    campaign, alarm = evaluation.campaign, evaluation.watched.alarm
+    of_run = campaign.features["run_id"].to_numpy()[campaign.run[alarm]]
+    return pd.DataFrame({"run_id": of_run, "at_s": campaign.end_s[alarm]})
 
 
 def _summary(evaluation: CampaignEvaluation) -> dict[str, float | int | str]:

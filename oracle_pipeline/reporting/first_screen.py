@@ -12,6 +12,7 @@ import pandas as pd
 from oracle_pipeline.datasets import is_malicious
 from oracle_pipeline.reporting.report import Report
 from oracle_pipeline.reporting.strip_plot import StripPlot, strip_plot
+from oracle_pipeline.reporting.two_scores import called_kinds, counted, true_kinds
 
 HIGHEST = 3  # runs that are named
 
@@ -41,6 +42,8 @@ class FirstScreen(NamedTuple):
     answer: str
     recorded: str
     verdicts: str
+    by_scores: str  # how many runs the two scores call tampered and misbehaved; may be empty
+    in_truth: str  # how many were
     highest: Sequence[RunLink]
     highest_normal: RunLink | None
     claims: Sequence[ClaimLine]
@@ -55,6 +58,8 @@ def first_screen(evaluation: Report, record: Recorder) -> FirstScreen:
         answer=str(evaluation.summary["headline"]),
         recorded=_recorded(runs),
         verdicts=str(evaluation.summary["verdicts"]),
+        by_scores=counted(called_kinds(runs)),
+        in_truth=counted(true_kinds(runs)),
         highest=_links(scored.head(HIGHEST)),
         highest_normal=next(iter(_links(scored[~is_malicious(scored)].head(1))), None),
         claims=[

@@ -40,6 +40,13 @@ class HeatRow(NamedTuple):
     usual: str
 
 
+class AlarmMark(NamedTuple):
+    """One alarm, at the end of the window that raised it."""
+
+    x: float  # [%]
+    words: str
+
+
 class HeatStrip(NamedTuple):
     """The whole drawing."""
 
@@ -48,6 +55,7 @@ class HeatStrip(NamedTuple):
     ticks: Sequence[tuple[float, str]]
     onset: float | None  # of the attack [%]
     goals: Sequence[float]  # when goals ended [%]
+    alarms: Sequence[AlarmMark]
     words: str
 
 
@@ -56,10 +64,12 @@ def heat_strip(
     recording_s: float,
     onset_s: float | None,
     goal_ends_s: Sequence[float],
+    alarms_s: Sequence[float] = (),
 ) -> HeatStrip:
     """Return the drawing of the windows of one run, the most unusual family first.
 
     A cell covers the time until the next window starts, so that windows, which overlap, do not.
+    The first line holds the alarms.
     """
     end_s = max(recording_s, float(windows.start_s.max(initial=0.0)) + HOP_S)
     bounds = np.maximum(windows.usual, LEAST_USUAL)
@@ -69,7 +79,7 @@ def heat_strip(
     rows = [
         HeatRow(
             windows.families[family],
-            LINE * line,
+            LINE * (line + 1),
             _cells(windows, ratio[:, family], int(family), end_s),
             _usual(bounds[family]),
         )
@@ -81,13 +91,15 @@ def heat_strip(
     if unusual:
         some = int(outside.any(axis=1).sum())
         words = f"{some} of {number} windows outside the usual range: {', '.join(unusual)}"
+    raised = "no alarm" if not alarms_s else f"alarms at {', '.join(f'{s:g} s' for s in alarms_s)}"
     return HeatStrip(
         rows,
-        LINE * len(rows),
+        LINE * (len(rows) + 1),
         _ticks(end_s),
         None if onset_s is None else round(100.0 * onset_s / end_s, 2),
         [round(100.0 * goal_s / end_s, 2) for goal_s in goal_ends_s],
-        words,
+        [AlarmMark(round(100.0 * s / end_s, 2), _alarm(s, onset_s)) for s in alarms_s],
+        f"{words}; {raised}",
     )
 
 
@@ -110,6 +122,13 @@ def _cells(
             )
         )
     return cells
+
+
+def _alarm(at_s: float, onset_s: float | None) -> str:
+    """Say when an alarm was raised."""
+    if onset_s is None or at_s <= onset_s:
+        return f"alarm at {at_s:g} s"
+    return f"alarm at {at_s:g} s, {at_s - onset_s:.0f} s after the attack began"
 
 
 def _usual(bound: float) -> str:

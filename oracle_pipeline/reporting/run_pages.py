@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.bags.behaviour import UNITS, behaviour
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.scratch import replaced_folder
@@ -27,6 +26,8 @@ from oracle_pipeline.reporting.first_screen import run_page
 from oracle_pipeline.reporting.heat_strip import HeatStrip, heat_strip
 from oracle_pipeline.reporting.page import Picture, run_picture, template
 from oracle_pipeline.reporting.page_tables import PageTable
+from oracle_pipeline.reporting.report import Report
+from oracle_pipeline.reporting.two_scores import scores_table, task_table
 from oracle_pipeline.scoring.evidence import farthest_features
 from oracle_pipeline.scoring.feature_sets import feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
@@ -44,13 +45,37 @@ class ShownRuns:
     """All that the pages of runs are made of."""
 
     measured: MeasuredRuns
-    judged: pd.DataFrame  # the table ``runs`` of `oracle_evaluation`
+    evaluation: Report  # of `oracle_pipeline.reporting.evaluation_report`
     deviations: Mapping[str, Sequence[Deviation]]  # by run
     unusual: UnusualWindows | None  # of the windows of `measured`; None: too few blocks
     path: Callable[[str], Path]  # of a run's folder
     film: str  # name of the film there, if one was made
     manifest: Callable[[str], Manifest]
     picture: Callable[[str], bytes]  # PNG; an `OracleError` says why there is none
+
+
+class JudgedTables(NamedTuple):
+    """What the evaluation says of single runs."""
+
+    runs: pd.DataFrame  # by run, with the rank of its score
+    scored: int
+    differences: pd.DataFrame  # of what robots did, by run
+    uncertainty: Mapping[str, float]  # of these, by quantity
+    raised: pd.DataFrame  # alarms
+
+    @classmethod
+    def of(cls, evaluation: Report) -> "JudgedTables":
+        """Return the tables of an evaluation, in the form that pages look runs up in."""
+        tables = evaluation.tables
+        runs, usual = tables["runs"], tables["task_uncertainty"]
+        ranks = runs.assign(rank=runs["score"].rank(ascending=False))
+        return cls(
+            runs=ranks.set_index("run_id"),
+            scored=int(runs["score"].notna().sum()),
+            differences=tables["task_differences"].set_index("run_id"),
+            uncertainty=dict(zip(usual["quantity"], usual["uncertainty"], strict=True)),
+            raised=tables["raised"],
+        )
 
 
 class RunLine(NamedTuple):
@@ -62,7 +87,7 @@ class RunLine(NamedTuple):
     cells: Sequence[str]
 
 
-LIST = ("score", "p", "block", "session", "ended", "recorded")
+LIST = ("score", "p", "p tampered", "p misbehaved", "block", "session", "ended", "recorded")
 
 
 def write_run_pages(shown: ShownRuns, folder: Path) -> int:
@@ -79,7 +104,9 @@ def write_run_pages(shown: ShownRuns, folder: Path) -> int:
             place = new / run_page(run).removeprefix("runs/")
             place.parent.mkdir(exist_ok=True)
             place.write_text(page, encoding="utf-8")
-        listing = template("runs.html.j2").render(heads=LIST, lines=_lines(shown.judged))
+        listing = template("runs.html.j2").render(
+            heads=LIST, lines=_lines(shown.evaluation.tables["runs"])
+        )
         (new / "index.html").write_text(listing, encoding="utf-8")
     return len(shown.measured.features)
 
@@ -94,6 +121,8 @@ def _lines(judged: pd.DataFrame) -> list[RunLine]:
             (
                 _number(run["score"]),
                 _number(run["p"]),
+                _number(run["tampering_p"]),
+                _number(run["misbehaviour_p"]),
                 str(run["block"]),
                 str(run["session"]),
                 run["outcome"],
@@ -110,10 +139,8 @@ def _number(value: float) -> str:
 
 def _pages(shown: ShownRuns) -> Iterator[tuple[str, str]]:
     """Yield each run and its page."""
-    measured, judged = shown.measured, shown.judged
+    measured, tables_of_runs = shown.measured, JudgedTables.of(shown.evaluation)
     features = measured.features
-    ranks = judged.assign(rank=judged["score"].rank(ascending=False)).set_index("run_id")
-    scored = int(judged["score"].notna().sum())
     blocks = features.groupby("block")["run_id"].agg(list)
     windows_of = np.split(np.arange(len(measured.run)), np.cumsum(measured.counts)[:-1])
     columns = feature_sets(features).get("all", [])
@@ -123,18 +150,21 @@ def _pages(shown: ShownRuns) -> Iterator[tuple[str, str]]:
         deviations = shown.deviations.get(run, ())
         tables = FeatureTables(row, measured.windows.iloc[of_run])
         picture, why_not = _picture(shown, run)
+        judged = _judged(tables_of_runs, run, manifest)
         yield (
             run,
             template("run.html.j2").render(
                 run=run,
                 up=UP,
                 manifest=manifest,
-                verdict=_verdict(ranks.loc[run] if run in ranks.index else None, scored),
+                verdict=judged.verdict,
+                scores=judged.scores,
+                task=judged.task,
                 facts=_facts(manifest),
                 goals=_goals(manifest),
                 picture=picture,
                 why_not=why_not,
-                strip=_strip(shown, of_run, manifest),
+                strip=_strip(shown, of_run, manifest, judged.alarms_s),
                 evidence=page_tables.of_evidence(
                     f"What is unusual in {run}", farthest_features(deviations, tables)
                 ),
@@ -148,6 +178,28 @@ def _pages(shown: ShownRuns) -> Iterator[tuple[str, str]]:
                 ],
             ),
         )
+
+
+class JudgedRun(NamedTuple):
+    """What the evaluation says of one run."""
+
+    verdict: str
+    scores: PageTable | None  # None: the run was not judged
+    task: PageTable
+    alarms_s: Sequence[float]
+
+
+def _judged(tables: JudgedTables, run: str, manifest: Manifest) -> JudgedRun:
+    if run not in tables.runs.index:
+        unknown = pd.Series(dtype=float)
+        return JudgedRun(_verdict(None, 0), None, task_table(manifest, unknown, {}), [])
+    row, differences = tables.runs.loc[[run]].iloc[0], tables.differences.loc[[run]].iloc[0]
+    return JudgedRun(
+        _verdict(row, tables.scored),
+        scores_table(row, manifest, differences, tables.uncertainty),
+        task_table(manifest, differences, tables.uncertainty),
+        tables.raised.loc[tables.raised["run_id"] == run, "at_s"].tolist(),
+    )
 
 
 def _picture(shown: ShownRuns, run: str) -> tuple[Picture | None, str]:
@@ -184,24 +236,10 @@ def _facts(manifest: Manifest) -> dict[str, str]:
     if manifest.label == "malicious":
         began = "never" if manifest.onset_s is None else f"at {manifest.onset_s:.1f} s"
         facts["attack began"] = f"{began}; {changed} messages changed"
-    if done := behaviour(manifest):
-        facts["what the robot did"] = _quantities(done, ".3g")
-    if manifest.task_effect:
-        facts["more than its control"] = _quantities(manifest.task_effect, "+.3g")
     if manifest.attack:
         facts["attack"] = ", ".join(f"{k} {_value(v)}" for k, v in manifest.attack.items())
     facts["bag"] = BAGS[manifest.measured.kept]
     return facts
-
-
-def _quantities(quantities: Mapping[str, float], spec: str) -> str:
-    """Return quantities of `behaviour` in words, with their units."""
-    return ", ".join(
-        f"{name.rpartition('_')[0] if unit != '1' else name} {value:{spec}}"
-        f"{f' {unit}' if unit != '1' else ''}".replace("_", " ")
-        for name, value in quantities.items()
-        for unit in [UNITS[name]]
-    )
 
 
 def _value(value: Any) -> str:
@@ -227,7 +265,9 @@ def _goals(manifest: Manifest) -> PageTable:
     return page_tables.of_any("Goals", table)
 
 
-def _strip(shown: ShownRuns, windows: NDArray[np.intp], manifest: Manifest) -> HeatStrip | None:
+def _strip(
+    shown: ShownRuns, windows: NDArray[np.intp], manifest: Manifest, alarms_s: Sequence[float]
+) -> HeatStrip | None:
     if shown.unusual is None or not len(windows):
         return None
     return heat_strip(
@@ -235,6 +275,7 @@ def _strip(shown: ShownRuns, windows: NDArray[np.intp], manifest: Manifest) -> H
         manifest.recording_s,
         manifest.onset_s if manifest.label == "malicious" else None,
         [goal.ended_s for goal in manifest.goal_results if goal.ended_s is not None],
+        alarms_s,
     )
 
 

@@ -12,6 +12,7 @@ import pandas as pd
 
 from oracle_pipeline.datasets import is_malicious
 from oracle_pipeline.evaluation.comparisons import RATES
+from oracle_pipeline.reporting.two_scores import KINDS, called_kinds
 
 MARGIN = 2.5  # left and right of the marks [%]
 APART = 8.0  # least distance of two ticks [%]
@@ -37,7 +38,8 @@ class Strip(NamedTuple):
     mode: str
     label: str
     marks: Sequence[Mark]
-    note: str
+    note: str  # beside the line: how many runs; empty if they are told apart by kind
+    kinds: Sequence[int]  # runs of each of `KINDS`, by their two scores; empty without verdicts
     description: str
 
 
@@ -49,6 +51,7 @@ class StripPlot(NamedTuple):
     ticks: Sequence[tuple[float, str]]  # place [%] and text
     highest_normal: float | None  # [%]
     with_verdicts: bool
+    kinds: Sequence[str]  # what stands above the numbers; empty without verdicts
 
 
 def strip_plot(
@@ -59,7 +62,7 @@ def strip_plot(
     Parameters
     ----------
     runs : DataFrame
-        ``run_id``, ``mode``, ``label``, ``score`` and ``p``, a row each.
+        The table ``runs`` of `oracle_evaluation`.
     standing : DataFrame
         Modes, in the order of their lines (`oracle_pipeline.evaluation.ranking.standing`).
     page_of : callable
@@ -71,6 +74,7 @@ def strip_plot(
     place = _Scale(runs["score"])
     height = next((px for modes, px in HEIGHTS if len(standing) <= modes), LEAST_HEIGHT)
     with_verdicts = bool(runs["p"].notna().any())
+    kinds = called_kinds(runs)
     strips = []
     for _, mode in standing.iterrows():
         of_mode = runs[runs["mode"] == mode["mode"]]
@@ -84,22 +88,25 @@ def strip_plot(
             )
             for number, run in enumerate(of_mode.itertuples())
         ]
-        strips.append(Strip(mode["mode"], mode["label"], marks, *_words(mode, of_mode)))
+        number = kinds[of_mode.index].value_counts()
+        of_kinds = [int(number.get(kind, 0)) for kind in KINDS] if kinds.notna().any() else []
+        note = "" if of_kinds else f"{mode['runs']}"
+        description = _description(mode, of_mode, of_kinds)
+        strips.append(Strip(mode["mode"], mode["label"], marks, note, of_kinds, description))
     normal = runs.loc[~is_malicious(runs), "score"]
     highest = None if normal.empty else round(place(normal.max()), 2)
-    return StripPlot(strips, height, place.ticks(), highest, with_verdicts)
+    shown = KINDS if kinds.notna().any() else ()
+    return StripPlot(strips, height, place.ticks(), highest, with_verdicts, shown)
 
 
-def _words(mode: pd.Series, runs: pd.DataFrame) -> tuple[str, str]:
-    """Return the note beside a line, and what the line shows."""
-    note = f"{mode['runs']}"
-    if mode["judged"]:
-        note = f"{mode['called']}/{mode['judged']}"
+def _description(mode: pd.Series, runs: pd.DataFrame, of_kinds: Sequence[int]) -> str:
+    """Return what a line shows, for those who cannot see it."""
     span = ""
     if len(runs):
         span = f", scores from {runs['score'].min():.3g} to {runs['score'].max():.3g}"
     called = f", {mode['called']} of {mode['judged']} called anomalous" if mode["judged"] else ""
-    return note, f"{mode['mode']}: {mode['runs']} {mode['label']} runs{span}{called}"
+    kinds = "".join(f", {number} {kind}" for number, kind in zip(of_kinds, KINDS, strict=False))
+    return f"{mode['mode']}: {mode['runs']} {mode['label']} runs{span}{called}{kinds}"
 
 
 class _Scale:

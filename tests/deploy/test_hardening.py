@@ -2,6 +2,7 @@
 
 import json
 import re
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -81,8 +82,12 @@ def test_the_image_takes_only_files_whose_hash_is_known() -> None:
     assert "--require-hashes" in installs[0]
     assert all(word in installs[1] for word in ("--no-deps", "--no-index", "--no-build-isolation"))
     assert re.search(r"^USER \d+$", text, re.MULTILINE)
-    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    assert "--generate-hashes" in makefile
+    planned = subprocess.run(
+        ["make", "--dry-run", "image"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    pinned, built = planned.index("--constraint constraints.txt"), planned.index("docker build")
+    assert pinned < planned.index("--output-file deploy/requirements.txt") < built
+    assert "--generate-hashes" in planned
     assert "deploy/requirements.txt" in (ROOT / ".gitignore").read_text(encoding="utf-8")
 
 

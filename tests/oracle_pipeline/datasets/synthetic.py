@@ -73,7 +73,8 @@ def run_features(
 def _behaviour(features: pd.DataFrame, effect: float) -> list[str]:
     """Return what robots did: attacked ones drive a tenth of a metre more for each deviation."""
     attacked = (features["label"] == "malicious").to_numpy()
-    driven_m = 10.0 + features["block"].to_numpy() + 0.1 * effect * attacked
+    chance = 0.01 * np.random.default_rng(len(features)).normal(size=len(features))
+    driven_m = 10.0 + features["block"].to_numpy() + 0.1 * effect * attacked + chance
     return [json.dumps({"driven_m": float(metres), "under_way_s": 60.0}) for metres in driven_m]
 
 

@@ -147,6 +147,19 @@ def test_rates_are_compared(bag_of, messages):
     assert row["pairs.rate_ratio"] == pytest.approx(np.log(2.0))
 
 
+def test_of_many_topics_those_that_look_alike_are_compared(bag_of, messages):
+    rng = np.random.default_rng(0)
+    sent = [
+        (t, f"/scan{n}", messages.scan(t, 1.0 + n + rng.random(20))) for n in range(30)
+        for t in range(3)
+    ]  # fmt: skip
+    relayed = [(t, "/relay", m) for t, topic, m in sent if topic == "/scan17"]
+    with open_run(bag_of([*sent, *relayed])) as run:
+        row = features.extract(run, features.build_manager()).run.iloc[0]
+    assert row["pairs.identity"] == 1.0
+    assert json.loads(row["where"])["pairs.identity"] == "/relay against /scan17"
+
+
 def test_a_topic_alone_makes_no_pair(bag_of, messages):
     row = extract(bag_of(scans(messages, "/scan", smooth(20, np.random.default_rng(5)))))
     assert pd.isna(row["pairs.identity"])

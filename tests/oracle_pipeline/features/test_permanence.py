@@ -74,6 +74,15 @@ def test_a_thing_that_keeps_ahead_of_the_robot_is_loose(extracted):
     assert moving["loose"] > fixed["loose"] + 0.03
 
 
+def test_rounding_of_the_pose_moves_nothing(extracted):
+    def trembling(time_s):
+        place, yaw = still(time_s)
+        return place + 1e-14 * np.sin(50.0 * time_s), yaw + 1e-14 * np.cos(70.0 * time_s)
+
+    values, *_ = extracted(recording([Scanner("/scan", world=FURNISHED)], trembling))
+    assert values["loose"] == 0.0
+
+
 def test_what_the_robot_drives_across_was_not_there(extracted):
     real, *_ = extracted(recording([Scanner("/scan", world=FURNISHED)], driving, 8.0))
     fake, *_ = extracted(recording([Scanner("/scan", world=World((AHEAD,)))], driving, 8.0))

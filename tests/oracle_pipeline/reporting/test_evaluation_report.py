@@ -95,6 +95,7 @@ def test_the_other_tables_and_pictures_are_there():
     assert set(report.tables) == {
         "alarms", "small_clusters", "checks", "open_claims", "runs", "standing",
         "aspects", "aspects_by_mode", "audit", "quadrants", "task_uncertainty",
+        "task_differences", "raised",
         "kills", "mutation_scores", "minimum_detectable",
     }  # fmt: skip
     assert {"roc", "detection", "effort", "kills_noise_level", "magnitude_noise_level"} == set(

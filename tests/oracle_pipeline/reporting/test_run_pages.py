@@ -24,7 +24,7 @@ ATTACKED, NORMAL, DROPPED = "delayed_fakeobject|run001", "benign_noise|run002", 
 
 def shown_runs(tmp_path, blocks=5):
     features, windows, truth = campaign(blocks, effect=20.0)
-    judged = oracle_report_of(features, windows, truth).tables["runs"]
+    evaluation = oracle_report_of(features, windows, truth)
     measured = MeasuredRuns.ordered(features, windows)
     labels = dict(zip(features["run_id"], features["label"], strict=True))
 
@@ -43,7 +43,7 @@ def shown_runs(tmp_path, blocks=5):
     (tmp_path / "runs" / "benign_noise" / "run002" / "replay.gif").write_bytes(b"GIF89a")
     return ShownRuns(
         measured=measured,
-        judged=judged,
+        evaluation=evaluation,
         deviations=deviations_of_runs(features),
         unusual=unusual_windows(measured),
         path=lambda run: tmp_path / "runs" / run.replace("|", "/"),
@@ -125,6 +125,25 @@ def test_the_list_has_every_run_the_highest_score_first(report):
     assert {label for _, _, label in rows[:15]} == {"malicious"}
 
 
+def test_a_run_shows_what_two_scores_say_and_what_is_true(report):
+    text = page(report, ATTACKED)
+    assert "Tampering: do its messages agree with each other?" in text
+    assert "tampered: the attack altered 12 messages" in text
+    assert re.search(r"misbehaved: driven \+\d\.\d+ m", text)
+    assert "did not misbehave" in page(report, NORMAL)
+    assert "not tampered" in page(report, NORMAL)
+
+
+def test_alarms_are_marks_where_they_were_raised():
+    drawn = strip([1.0] * 5, onset_s=5.0, alarms_s=[2.5, 20.0])
+    assert [mark.x for mark in drawn.alarms] == [10.0, 80.0]
+    assert [mark.words for mark in drawn.alarms] == [
+        "alarm at 2.5 s", "alarm at 20 s, 15 s after the attack began",
+    ]  # fmt: skip
+    assert drawn.words.endswith("; alarms at 2.5 s, 20 s")
+    assert all(row.y > 0 for row in drawn.rows)  # the line of the alarms is above
+
+
 def strip(distance, **more):
     distance = np.atleast_2d(np.asarray(distance, dtype=np.float64)).T
     names = np.full(distance.shape, "scan.innovation", dtype=object)
@@ -146,11 +165,11 @@ def test_only_windows_outside_the_usual_range_are_cells_and_farther_ones_are_dee
 def test_onset_and_goals_are_where_they_were_in_the_recording():
     drawn = strip([1.0] * 5, onset_s=12.5, goal_ends_s=[5.0, 25.0])
     assert (drawn.onset, drawn.goals) == (50.0, [20.0, 100.0])
-    assert drawn.words == "No window of 5 is outside the usual range"
+    assert drawn.words == "No window of 5 is outside the usual range; no alarm"
 
 
 def test_scores_keep_their_order_on_the_line_and_the_highest_normal_run_is_marked(tmp_path):
-    judged = shown_runs(tmp_path).judged
+    judged = shown_runs(tmp_path).evaluation.tables["runs"]
     standing = judged.groupby("mode", sort=False).first().reset_index()
     standing = standing.assign(runs=5, judged=0, called=0)
     plot = strip_plot(judged, standing, run_page)
@@ -164,5 +183,5 @@ def test_scores_keep_their_order_on_the_line_and_the_highest_normal_run_is_marke
 
 
 def test_without_a_score_there_is_nothing_to_draw(tmp_path):
-    judged = shown_runs(tmp_path).judged.assign(score=np.nan)
+    judged = shown_runs(tmp_path).evaluation.tables["runs"].assign(score=np.nan)
     assert strip_plot(judged, judged, run_page) is None

@@ -1,0 +1,167 @@
+"""Tampering and misbehaviour of single runs: what the two scores say, and what really happened.
+
+The scores and the truth are measured in ``oracle_pipeline.evaluation``: ``aspects`` and
+``task_effects``. Here they are put in words, for the first screen and the pages of runs.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+
+from oracle_pipeline.bags.behaviour import UNITS, behaviour
+from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.datasets import is_malicious
+from oracle_pipeline.evaluation.comparisons import RATES
+from oracle_pipeline.evaluation.task_effects import REPEATS
+from oracle_pipeline.reporting import page_tables
+from oracle_pipeline.reporting.page_tables import NO_FIGURE, PageTable
+from oracle_pipeline.scoring.feature_sets import ASPECTS
+
+KINDS = ("tampered", "misbehaved", "both", "neither")
+_QUESTIONS = {
+    "tampering": "Tampering: do its messages agree with each other?",
+    "misbehaviour": "Misbehaviour: did the robot act as usual?",
+}
+_CALLED = {"tampering": "tampered", "misbehaviour": "misbehaved"}
+
+
+def called_kinds(runs: pd.DataFrame) -> pd.Series:
+    """Return which of `KINDS` the two scores call each run at 5 %; NaN without two p-values.
+
+    Parameters
+    ----------
+    runs : DataFrame
+        The table ``runs`` of `oracle_evaluation`.
+    """
+    p = runs[[f"{aspect}_p" for aspect in ASPECTS]]
+    called = p <= RATES[0]
+    return _kinds(called["tampering_p"], called["misbehaviour_p"], p.notna().all(axis=1))
+
+
+def true_kinds(runs: pd.DataFrame) -> pd.Series:
+    """Return which of `KINDS` each run is in truth; NaN where it is not known."""
+    tampered = pd.Series(is_malicious(runs), runs.index)
+    return _kinds(tampered, runs["effect"] > 1.0, runs["effect"].notna())
+
+
+def _kinds(tampered: pd.Series, misbehaved: pd.Series, known: pd.Series) -> pd.Series:
+    both, neither = tampered & misbehaved, ~(tampered | misbehaved)
+    names = np.select([both, neither, tampered], ["both", "neither", "tampered"], "misbehaved")
+    return pd.Series(names, tampered.index, dtype=object).where(known)
+
+
+def counted(kinds: pd.Series) -> str:
+    """Say how many runs there are of each kind; empty if none is known.
+
+    Examples
+    --------
+    >>> counted(pd.Series(["both", "tampered", "both", None]))
+    '1 tampered only, 0 misbehaved only, 2 both, 0 neither'
+    """
+    if kinds.isna().all():
+        return ""
+    number = kinds.value_counts()
+    only = {"tampered": "tampered only", "misbehaved": "misbehaved only"}
+    return ", ".join(f"{number.get(kind, 0)} {only.get(kind, kind)}" for kind in KINDS)
+
+
+def scores_table(
+    judged: pd.Series, manifest: Manifest, differences: pd.Series, uncertainty: Mapping[str, float]
+) -> PageTable:
+    """Return the two scores of a run, each beside what really happened.
+
+    Parameters
+    ----------
+    judged : Series
+        Its row of the table ``runs``.
+    manifest : Manifest
+    differences : Series
+        Of what the robot did from unaltered runs of the block, by quantity.
+    uncertainty : mapping of str to float
+        How far unaltered runs are from each other, by quantity.
+    """
+    truth = {
+        "tampering": _tampered(manifest),
+        "misbehaviour": _misbehaved(judged["effect"], differences, uncertainty),
+    }
+    rows = [
+        (
+            _QUESTIONS[aspect],
+            _number(judged[f"{aspect}_score"]),
+            _number(judged[f"{aspect}_p"]),
+            _verdict(aspect, judged[f"{aspect}_p"]),
+            truth[aspect],
+        )
+        for aspect in ASPECTS
+    ]
+    heads = ["two questions", "score", "p", f"called at {RATES[0]:.0%}", "in truth"]
+    return page_tables.of_any("Tampering and misbehaviour", pd.DataFrame(rows, columns=heads))
+
+
+def task_table(
+    manifest: Manifest, differences: pd.Series, uncertainty: Mapping[str, float]
+) -> PageTable:
+    """Return what the robot did, by quantity; no row if it does not drive.
+
+    Parameters
+    ----------
+    manifest, differences, uncertainty
+        As of `scores_table`.
+    """
+    rows = [
+        (
+            _name(quantity),
+            f"{value:.3g}{_unit(quantity)}",
+            _signed((manifest.task_effect or {}).get(quantity, np.nan)),
+            _signed(differences.get(quantity, np.nan)),
+            _number(uncertainty.get(quantity, np.nan)),
+        )
+        for quantity, value in behaviour(manifest).items()
+    ]
+    heads = ["quantity", "this run", "more than control", "more than unaltered", "usual up to"]
+    return page_tables.of_any("What the robot did", pd.DataFrame(rows, columns=heads))
+
+
+def _tampered(manifest: Manifest) -> str:
+    if manifest.label != "malicious":
+        return "not tampered"
+    changed = sum(change.messages for change in manifest.changes)
+    return f"tampered: the attack altered {changed} messages"
+
+
+def _misbehaved(effect: float, differences: pd.Series, uncertainty: Mapping[str, float]) -> str:
+    """Say in which quantities a robot did something else, and by how much."""
+    if np.isnan(effect):
+        return f"not known: that takes {REPEATS} unaltered runs, and one in this block"
+    if effect <= 1.0:
+        return "did not misbehave: as unaltered runs of its block"
+    otherwise = [
+        f"{_name(quantity)} {differences[quantity]:+.3g}{_unit(quantity)}"
+        for quantity in UNITS
+        if abs(differences[quantity]) > uncertainty[quantity]
+    ]
+    return f"misbehaved: {', '.join(otherwise)}"
+
+
+def _verdict(aspect: str, p: float) -> str:
+    if np.isnan(p):
+        return NO_FIGURE
+    return _CALLED[aspect] if p <= RATES[0] else f"not {_CALLED[aspect]}"
+
+
+def _name(quantity: str) -> str:
+    unit = f"_{UNITS[quantity]}"
+    return quantity.removesuffix(unit).replace("_", " ")
+
+
+def _unit(quantity: str) -> str:
+    return "" if UNITS[quantity] == "1" else f" {UNITS[quantity]}"
+
+
+def _number(value: float) -> str:
+    return NO_FIGURE if np.isnan(value) else f"{value:.3g}"
+
+
+def _signed(value: float) -> str:
+    return NO_FIGURE if np.isnan(value) else f"{value:+.3g}"
