@@ -143,7 +143,7 @@ def _request(asked: Mapping[str, Any], fields: list[str]) -> Request:
     for field in fields:
         if not _FIELD.fullmatch(field):
             raise ValueError(f"{field!r} is no field of a message")
-    places = {
+    places: dict[str, Any] = {
         ours: str(asked[theirs])
         for ours, theirs in (("role", "role"), ("msgtype", "msgtype"), ("name", "topic"))
         if theirs in asked

@@ -67,7 +67,8 @@ def _in_tails(score: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArra
     """
     median, tail, highest = np.quantile(normal, [0.5, TAIL, 1.0])
     reach = max(tail - median, 0.1 * (highest - median))
-    return np.clip((score - median) / (reach if reach > 0.0 else 1.0 / FAR), -FAR, FAR)
+    units = (score - median) / (reach if reach > 0.0 else 1.0 / FAR)
+    return np.asarray(np.clip(units, -FAR, FAR), dtype=np.float64)
 
 
 def _fold_scores(
@@ -80,7 +81,7 @@ def _fold_scores(
         seen = np.zeros(len(normal), dtype=np.bool_)
         seen[rows[fold != number]] = True
         judge = kind.learn(runs.where(seen))
-        if judge is kind and scores:  # it learns nothing, so its scores are the same
+        if id(judge) == id(kind) and scores:  # it learns nothing, so its scores are the same
             scores.append(scores[0])
         else:
             scores.append(judge.score(runs))

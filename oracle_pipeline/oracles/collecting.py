@@ -45,7 +45,8 @@ def traced_runs(
     found |= {path: "unknown" for top in recordings for path in recordings_below(top)}
     if not found:
         raise KindError("There is no recording; name run directories, bags or folders of these.")
-    rows, traces = [], []
+    rows: list[dict[str, object]] = []
+    traces: list[pd.DataFrame] = []
     for path, label in progress_bar(found.items(), unit="recording", desc="signals"):
         try:
             for row, trace in _traced(path, label, folder):

@@ -156,8 +156,10 @@ class Invariants:
         low, high = np.full((2, len(floors)), np.nan)
         low[enough] = np.nanmin(least[:, enough], axis=0)
         high[enough] = np.nanmax(largest[:, enough], axis=0)
-        scales = [np.maximum(_spread(each), floors) for each in (least, largest)]
-        return LearnedInvariants(low, high, *scales, len(normal.traces), self._extremes)
+        low_scale, high_scale = (np.maximum(_spread(each), floors) for each in (least, largest))
+        return LearnedInvariants(
+            low, high, low_scale, high_scale, len(normal.traces), self._extremes
+        )
 
     def written(self) -> int:
         """Return 0: they are learned."""

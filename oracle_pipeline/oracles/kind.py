@@ -176,7 +176,8 @@ def build_kinds(material: Material, folder: Path | None = None) -> list[OracleKi
         _log.error("Plugin %s is left out: %s", name, reason)
     kinds: list[OracleKind] = []
     for implementation in registry.hook.register_oracles.get_hookimpls():
-        made = (make(material) for make in implementation.function())
+        makers: list[Maker] = implementation.function()  # type: ignore[assignment]  # untyped hook
+        made = (make(material) for make in makers)
         kinds += [kind for kind in made if kind is not None]
     names = [kind.name for kind in kinds]
     for name in names:

@@ -114,7 +114,8 @@ def violations(
     scales = np.array([each.scale for each in requirements])
     robustness = [[_robustness(formula, trace) for formula in parsed] for trace in traces]
     shaped = np.array(robustness, dtype=np.float64).reshape(-1, len(requirements))
-    return np.clip(-shaped / scales, -FARTHEST, FARTHEST)
+    beyond = np.clip(-shaped / scales, -FARTHEST, FARTHEST)
+    return np.asarray(beyond, dtype=np.float64)
 
 
 def _robustness(formula: Any, trace: pd.DataFrame) -> float:
@@ -158,7 +159,7 @@ def _check(formula: str) -> None:
             hint = f"; do you mean {close[0]}?" if close else f"; known are {', '.join(SIGNALS)}"
             raise ValueError(f"there is no signal {name!r}{hint}")
     try:
-        still = {name: np.zeros(2) for name in parsed.variables}
+        still: dict[str, object] = {name: np.zeros(2) for name in parsed.variables}
         parsed.robustness(sentil.Trace([0.0, 1.0], still))
     except sentil.SentilError as error:
         raise ValueError(f"{formula!r} has no robustness: {error}") from error

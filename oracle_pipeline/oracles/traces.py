@@ -220,7 +220,7 @@ def _sensed(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
     if (poses := _one(window, "pose")) is not None:
         yield "pose_spread", _held(poses, clock)[2]
         if (odometry := _one(window, "odometry")) is not None:
-            there = np.column_stack(_held(odometry, poses.times_s)[:2])
+            there = _held(odometry, poses.times_s)[:2].T
             jumps = np.abs(_strides(poses.values[:, :2]) - _strides(there))
             yield "pose_jump", _held(Series(poses.times_s, jumps[:, None]), clock)[0]
 

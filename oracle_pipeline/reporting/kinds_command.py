@@ -91,7 +91,8 @@ def kinds(
     material = _material(recordings, reference, requirements, given, traces)
     if questions:
         material = human.answered_by_labels(material, questions)
-    with progress_bar([], unit="kind", desc="oracles") as bar:
+    nothing: list[str] = []
+    with progress_bar(nothing, unit="kind", desc="oracles") as bar:
         comparison = compare_kinds(
             build_kinds(material, plugins), material.runs, by_cards(recordings, material.runs),
             far, bar.set_postfix_str,

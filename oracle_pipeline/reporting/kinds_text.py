@@ -19,7 +19,7 @@ def as_text(comparison: "KindsComparison", far: float) -> str:
     oracles, by_mode = comparison.oracles, comparison.by_mode
     head = ("oracle", "finds", "95 % interval", "false positives", "95 % interval", "asks for",
             "ms a run")  # fmt: skip
-    rows = [head]
+    rows: list[tuple[str, ...]] = [head]
     for _, row in oracles.iterrows():
         rows.append(
             (
@@ -37,7 +37,7 @@ def as_text(comparison: "KindsComparison", far: float) -> str:
         called = by_mode.pivot(index="mode", columns="oracle", values="called")
         rows = [("share called anomalous", "label", "runs", *names)]
         for mode, of in by_mode.groupby("mode", sort=False):
-            shares = (_number(called.loc[mode, name], ".2f") or "n/a" for name in names)
+            shares = (_number(float(called[name][mode]), ".2f") or "n/a" for name in names)
             rows.append((str(mode), of["label"].iloc[0], str(of["runs"].iloc[0]), *shares))
         lines += ["", *aligned_lines(rows, indent="    ")]
     unknown = comparison.p[comparison.p["label"] == "unknown"]
