@@ -17,7 +17,7 @@ LAST := delayed_fakeobject|run002
 COMPILE := pip-compile --quiet --strip-extras --no-header --no-annotate \
 	--no-emit-index-url --no-emit-trusted-host --no-emit-find-links
 
-.PHONY: help setup setup-dev demo demo-card run campaign ui test test-quick test-browser lint types architecture docs \
+.PHONY: help setup setup-dev demo demo-card run campaign ui test test-quick test-browser test-compiled lint types architecture docs \
 	pictures wheel install-check bench soak constraints requirements image sbom clean
 .DEFAULT_GOAL := help
 
@@ -71,6 +71,9 @@ test-quick: setup-dev ## Run the tests that take less than a second each: while 
 test-browser: setup-dev ## Look at the report in a headless Chromium, which has to be installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
 	pytest tests/browser
+
+test-compiled: setup-dev ## Build a feature plugin in C++ and use it; cmake and a compiler have to be installed
+	pytest tests/compiled
 
 lint: setup-dev ## Check style and the direction of imports
 	ruff check .

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import dagster as dg
+from pydantic import Field
 
 from assets.aggregates import (
     TRUTH,
@@ -21,23 +22,38 @@ from resources.fleet import Fleet
 from resources.store import RunStore
 
 if TYPE_CHECKING:
+    from oracle_pipeline.evaluation.campaign_evaluation import CampaignEvaluation
+    from oracle_pipeline.evaluation.oracle_kinds import KindsComparison
     from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+
+QUESTIONS = 20  # that labels answer, in place of a person
+
+
+class EvaluationConfig(TestbedConfig):
+    """What is evaluated, and beside which bounds."""
+
+    upper_bounds: list[str] = Field(
+        default=["random_forest"],
+        description="Classifiers that see the labels of other blocks: no oracles, but what these "
+        "features hold at most. random_forest, or boosted_trees (gradient boosting; minutes).",
+    )
 
 
 @aggregate("oracle", "scikitlearn", deps=[feature_dataset])
 def oracle_evaluation(
-    context: dg.AssetExecutionContext, config: TestbedConfig, store: RunStore, fleet: Fleet
+    context: dg.AssetExecutionContext, config: EvaluationConfig, store: RunStore, fleet: Fleet
 ) -> dg.MaterializeResult[None]:
     """How well the oracle separates attacked from normal runs, on held-out blocks.
 
     The detector panel on every set of features, with intervals: AUC, detection rate at a calibrated
     false positive rate, the realised false positive rate, time to detect. An AUC is
     claimed once all integrity checks are green. Grids below `<root>/grids`, recorded with
-    `oracle-sim grid`, add the kill matrix.
+    `oracle-sim grid`, add the kill matrix. Simpler kinds of oracle judge the same runs, beside it.
     """
     from oracle_pipeline.datasets import read_table
     from oracle_pipeline.evaluation.campaign_evaluation import evaluate
     from oracle_pipeline.reporting.evaluation_report import evaluation_report
+    from oracle_pipeline.reporting.oracle_kinds import with_kinds
 
     with clear_failures():
         df = run_table(store, config.testbed)
@@ -47,11 +63,51 @@ def oracle_evaluation(
             read_table(store.dataset(TRUTH)),
             graph_differences=_graph_differences(store, fleet, set(df["run_id"])),
             grid=_mutants(store, fleet),
+            bounds=config.upper_bounds,
             progress=lambda step: context.log.info(f"Evaluating: {step}."),
         )
         report = evaluation_report(evaluation)
         context.log.info(f"{report.summary['headline']} {report.summary['verdicts']}")
+        if (kinds := _kinds(store, fleet, evaluation)) is not None:
+            report = with_kinds(report, kinds)
         return keep(report, store, "oracle_evaluation")
+
+
+def _kinds(
+    store: RunStore, fleet: Fleet, evaluation: "CampaignEvaluation"
+) -> "KindsComparison | None":
+    """Compare several kinds of oracle on the runs that have a bag; None if none has.
+
+    A run whose bag was dropped before its signals were kept is left out; the log says so.
+    """
+    import numpy as np
+
+    from assets.worker.traces import require_trace
+    from oracle_pipeline.datasets import KEYS
+    from oracle_pipeline.evaluation.oracle_kinds import CARD, compare_kinds
+    from oracle_pipeline.oracles.calibration import Judged
+    from oracle_pipeline.oracles.human import answered_by_labels
+    from oracle_pipeline.oracles.kind import Material, TracedRuns, build_kinds
+    from oracle_pipeline.oracles.requirements import NAV2, load
+
+    table, headline = evaluation.campaign.features, evaluation.headline
+    jobs = [store.run(run) for run in table["run_id"]]
+    traces = {
+        outcome.job.key: outcome.result
+        for outcome in fleet.outcomes(require_trace, jobs, "signals read")
+        if outcome.result is not None
+    }
+    traced = table["run_id"].isin(traces).to_numpy()
+    if not traced.any():
+        return None
+    keys = table.loc[traced, [*KEYS]].reset_index(drop=True)
+    runs = TracedRuns(keys, tuple(traces[run] for run in keys["run_id"]))
+    of_card = Judged(headline.score[traced], headline.p[traced])
+    return compare_kinds(
+        build_kinds(answered_by_labels(Material(runs, load(NAV2)), QUESTIONS)),
+        runs,
+        {CARD: of_card} if np.isfinite(of_card.p).all() else {},
+    )
 
 
 def _graph_differences(store: RunStore, fleet: Fleet, runs: set[str]) -> list[str] | None:

@@ -4,7 +4,7 @@ Thin shells: ``oracle_pipeline.reporting.thesis_reports`` does the work. It is i
 functions, so that the code location loads without pandas and scikit-learn.
 """
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, cast
 
 import dagster as dg
 from pydantic import Field
@@ -44,6 +44,25 @@ class BootstrapConfig(TestbedConfig):
     )
 
 
+class GridConfig(dg.Config):
+    """What the grid search tries and selects by; the defaults are the thesis's grid."""
+
+    linkages: list[str] = Field(
+        default=["ward", "single", "complete", "average"], description="Linkages to try."
+    )
+    metrics: list[str] = Field(
+        default=["euclidean"], description="Distances to try: euclidean, cosine, correlation."
+    )
+    thresholds: list[float] = Field(
+        default=[2.0, 4.0],
+        description="Numbers of clusters, and distances, at which trees are cut.",
+    )
+    select_by: Literal["balanced_accuracy", "accuracy", "auc", "f1", "mcc"] = Field(
+        default="balanced_accuracy",
+        description="The measure by which the best setting is named. It needs labels.",
+    )
+
+
 @aggregate("datasets", "pandas", "parquet", deps=[feature_dataset])
 def bootstrapped_dataset(config: BootstrapConfig, store: RunStore) -> dg.MaterializeResult[None]:
     """Rows drawn from the runs with replacement, a fixed share of them attacked.
@@ -65,19 +84,29 @@ def bootstrapped_dataset(config: BootstrapConfig, store: RunStore) -> dg.Materia
 
 
 @aggregate("thesis_method", "scipy", "scikitlearn", deps=[bootstrapped_dataset])
-def clustering_grid_search(store: RunStore) -> dg.MaterializeResult[None]:
-    """Four linkages, two criteria, two thresholds, side by side with the thesis's table 5.1.
+def clustering_grid_search(config: GridConfig, store: RunStore) -> dg.MaterializeResult[None]:
+    """Linkages, metrics, criteria and thresholds, side by side with the thesis's table 5.1.
 
     `pdist`, `linkage`, `fcluster` on scaled features; in the thesis's variant on its unscaled ones,
     at its own threshold. For each: confusion matrix, TPR, FPR, balanced accuracy, MCC and the AUC
     of the continuous HAC height, with intervals.
     """
+    from oracle_pipeline.clustering.grid import Grid, Metric
+    from oracle_pipeline.clustering.tree import Linkage
     from oracle_pipeline.reporting import thesis_reports
     from oracle_pipeline.reporting.report import Report
 
     with clear_failures():
         dataset = Report.load(store.results(ROWS))
-        result = thesis_reports.clustering_grid_search(dataset.table, variant=_variant(dataset))
+        grid = Grid(
+            tuple(cast(list[Linkage], config.linkages)),
+            tuple(cast(list[Metric], config.metrics)),
+            tuple(config.thresholds),
+            config.select_by,
+        )
+        result = thesis_reports.clustering_grid_search(
+            dataset.table, variant=_variant(dataset), grid=grid
+        )
         return keep(result, store, "clustering_grid_search")
 
 

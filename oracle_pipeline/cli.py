@@ -20,6 +20,7 @@ from oracle_pipeline.comparison.command import compare
 from oracle_pipeline.live.command import watch
 from oracle_pipeline.options import format_option, output_option, plugins_option
 from oracle_pipeline.replay.command import replay
+from oracle_pipeline.reporting.kinds_command import invariants, kinds, review
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,6 +62,9 @@ def main() -> None:
 main.add_command(replay)
 main.add_command(watch)
 main.add_command(compare)
+main.add_command(kinds)
+main.add_command(review)
+main.add_command(invariants)
 
 
 _strict = click.option(

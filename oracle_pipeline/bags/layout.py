@@ -32,6 +32,11 @@ def feature_tables(root: Path, table: Table) -> list[Path]:
     return sorted(root.glob(f"{FEATURES}/{table}/*/*.parquet"))
 
 
+def traces(root: Path) -> Path:
+    """Return ``<root>/traces``, the folder of the signals of runs, by mode."""
+    return root / "traces"
+
+
 def dataset(root: Path, name: str) -> Path:
     """Return ``<root>/datasets/<name>.parquet``, a table over many runs."""
     return root / DATASETS / f"{name}.parquet"

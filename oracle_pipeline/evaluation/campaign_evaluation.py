@@ -61,7 +61,7 @@ from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 SEED = 50
 BLOCKS_OF_SESSION = (2, 4, 8)  # blocks of the tested session that may train
-UPPER_BOUND = "random_forest"  # boosted trees take minutes and bound nothing else
+UPPER_BOUND = "random_forest"  # boosted trees take minutes, so they are an option
 
 Progress = Callable[[str], None]
 Row = dict[str, float | int | str]
@@ -96,6 +96,7 @@ def evaluate(
     *,
     graph_differences: Sequence[str] | None = None,
     grid: MeasuredRuns | None = None,
+    bounds: Sequence[str] = (UPPER_BOUND,),
     seed: int = SEED,
     progress: Progress = lambda _: None,
 ) -> CampaignEvaluation:
@@ -113,6 +114,8 @@ def evaluate(
         Between graphs of pairs that should be equal; None if they were not compared.
     grid : MeasuredRuns, optional
         Attacked runs at several magnitudes (`kill_rates.kill_matrix`).
+    bounds : sequence of str
+        Classifiers that see labels (`upper_bounds`): what these features hold at most.
     seed : int
         Of splits, detectors and resamples.
     progress : callable
@@ -122,10 +125,16 @@ def evaluate(
     ------
     DatasetError
         The tables do not fit together.
+    DetectorError
+        There is no such bound.
     """
-    campaign = JudgedRuns.of(features, windows, truth)
+    if unknown := sorted(set(bounds) - set(upper_bounds(seed))):
+        raise DetectorError(
+            f"There is no upper bound {unknown[0]!r}; there are {', '.join(upper_bounds(seed))}."
+        )
+    steps = _Steps(JudgedRuns.of(features, windows, truth), seed, progress)
     with threadpool_limits(1, user_api="blas"):  # on so small matrices, more threads only wait
-        return _evaluated(_Steps(campaign, seed, progress), len(features), graph_differences, grid)
+        return _evaluated(steps, len(features), graph_differences, grid, bounds)
 
 
 def _evaluated(
@@ -133,10 +142,11 @@ def _evaluated(
     runs: int,
     graph_differences: Sequence[str] | None,
     grid: MeasuredRuns | None,
+    bounds: Sequence[str],
 ) -> CampaignEvaluation:
     """Take the steps; `runs` counts those that ended before their attack, too."""
     headline = _supported(steps.score(HEADLINE, steps.folds))
-    table = steps.table(headline)
+    table = steps.table(headline, bounds)
     checks = steps.checks(headline, table, graph_differences)
     watched_runs, alarms = steps.alarms()
     effects = task_effects(steps.campaign)
@@ -198,7 +208,7 @@ class _Steps:
         detector, columns = self.detectors[scorer.detector], self.sets.get(scorer.features, [])
         return held_out(self.campaign, columns, detector, folds, scorer.level)
 
-    def table(self, headline: HeldOutScores) -> pd.DataFrame:
+    def table(self, headline: HeldOutScores, bounds: Sequence[str]) -> pd.DataFrame:
         """Judge every scorer in every comparison, the headline first."""
         rows = self._rows(HEADLINE, BLOCK, headline)
         for scorer in scorers(self.detectors, self.sets):
@@ -213,11 +223,12 @@ class _Steps:
             rows += self._scored(HEADLINE, WORLD, folds)
         if is_hard_negative(df).any():
             rows += self._scored(HEADLINE, HARMLESS, untaught(df, self.folds))
-        self.progress(f"{UPPER_BOUND}, with labels")
-        classifier, columns = upper_bounds(self.seed)[UPPER_BOUND], self.sets.get("all", [])
-        probability = supervised_scores(df, columns, classifier, self.folds)
-        scores = HeldOutScores(probability, np.full_like(probability, np.nan), 0)
-        rows += self._rows(Scorer(f"{UPPER_BOUND} (sees labels)", "all", "run"), BLOCK, scores)
+        for name in bounds:
+            self.progress(f"{name}, with labels")
+            classifier, columns = upper_bounds(self.seed)[name], self.sets.get("all", [])
+            probability = supervised_scores(df, columns, classifier, self.folds)
+            scores = HeldOutScores(probability, np.full_like(probability, np.nan), 0)
+            rows += self._rows(Scorer(f"{name} (sees labels)", "all", "run"), BLOCK, scores)
         return pd.DataFrame(rows)
 
     def _scored(self, scorer: Scorer, split: str, folds: Sequence[Fold]) -> list[Row]:

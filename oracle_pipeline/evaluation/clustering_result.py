@@ -10,6 +10,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import pdist
 
 from oracle_pipeline.bootstrap import DistinctRuns, distinct_runs, lacking
+from oracle_pipeline.clustering.grid import Metric, in_metric
 from oracle_pipeline.clustering.scores import hac_height, outside_largest
 from oracle_pipeline.clustering.tree import ClusteringError, Criterion, Linkage, Tree, grow_tree
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
@@ -43,6 +44,8 @@ class ClusteringResult:
     fpr: Estimate = NOTHING
     balanced_accuracy: Estimate = NOTHING
     mcc: float = np.nan
+    accuracy: float = np.nan  # of rows, so a rare class hardly counts
+    f1: float = np.nan  # of the malicious rows
     auc: Estimate = NOTHING  # of the HAC height, all rows being the reference
     recall_best_cluster: Estimate = NOTHING
     fpr_best_cluster: Estimate = NOTHING
@@ -95,7 +98,11 @@ def in_best_cluster(
 
 
 def grow_over_runs(
-    rows: pd.DataFrame, columns: Sequence[str], method: Linkage, variant: Variant = CORRECTED
+    rows: pd.DataFrame,
+    columns: Sequence[str],
+    method: Linkage,
+    variant: Variant = CORRECTED,
+    metric: Metric = "euclidean",
 ) -> Tree:
     """Agglomerate rows; the tree's leaves are their distinct runs, in the order of `distinct_runs`.
 
@@ -105,7 +112,8 @@ def grow_over_runs(
         Fewer than two distinct runs, or no feature with a finite value.
     """
     runs = distinct_runs(rows)
-    return grow_tree(variant.matrix(rows, columns)[runs.first], method, runs.copies)
+    X = in_metric(variant.matrix(rows, columns)[runs.first], metric)
+    return grow_tree(X, method, runs.copies)
 
 
 def _numbered_by_rows(X: NDArray[np.float64], method: Linkage, t: float) -> NDArray[np.int32]:
@@ -125,6 +133,7 @@ def cluster_and_judge(
     criterion: Criterion = "maxclust",
     t: float = 2.0,
     variant: Variant = CORRECTED,
+    metric: Metric = "euclidean",
 ) -> ClusteringResult:
     """Cluster and measure; rows that cannot be clustered give a result with the reason.
 
@@ -140,10 +149,12 @@ def cluster_and_judge(
         How the tree is grown and cut.
     variant : Variant
         What of the rows is clustered, and how the best cluster is looked for.
+    metric : {"euclidean", "cosine", "correlation"}
+        What distances are. The thesis's way to number clusters knows the first only.
     """
     runs = distinct_runs(rows)
     try:
-        tree = grow_over_runs(rows, columns, method, variant)
+        tree = grow_over_runs(rows, columns, method, variant, metric)
     except ClusteringError as error:
         return ClusteringResult(rows=len(rows), runs=len(runs), note=str(error))
     clusters = tree.cut(criterion, t)
@@ -167,6 +178,8 @@ def cluster_and_judge(
         fpr=false_positive_rate(flagged, runs),
         balanced_accuracy=auc(flagged.astype(np.float64), runs, rng),
         mcc=counts.mcc,
+        accuracy=(counts.tp + counts.tn) / len(rows),
+        f1=2.0 * counts.tp / max(1, 2 * counts.tp + counts.fp + counts.fn),
         auc=auc(hac_height(tree), runs, rng),
         recall_best_cluster=true_positive_rate(best, runs),
         fpr_best_cluster=false_positive_rate(best, runs),

@@ -11,6 +11,7 @@ import logging
 import os
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
@@ -42,6 +43,7 @@ from oracle_pipeline.features import (
     transforms,
     velocity,
 )
+from oracle_pipeline.features.compiled import SUFFIXES, load_compiled
 from oracle_pipeline.features.plugin import PROJECT, Feature, FeaturePlugin, Hooks, PluginError
 from oracle_pipeline.features.ros_stand_ins import stand_ins
 from oracle_pipeline.features.thesis import FeatureExtractionPlugin, ThesisPlugin
@@ -105,22 +107,45 @@ def build_manager(folder: Path | None = None) -> FeatureManager:
     PluginError
         If the folder is missing, or two plugins offer the same column.
     """
-    if folder is None and (named := os.environ.get(FOLDER_VARIABLE)):
-        folder = Path(named)
+    folder = folder or plugin_folder()
     registry = pluggy.PluginManager(PROJECT)
     registry.add_hookspecs(Hooks)
     for module in _BUILT_IN:
         registry.register(module)
-    broken: dict[str, str] = {}
-    _register_entry_points(registry, broken)
-    modules = _load_folder(registry, folder, broken) if folder is not None else {}
-    manager = FeatureManager(
-        _offered(registry, broken), _thesis_plugins(modules, broken), broken, folder
-    )
+    modules, broken = register_others(registry, folder)
+    plugins = (*_offered(registry, broken), *_compiled(folder, broken))
+    manager = FeatureManager(plugins, _thesis_plugins(modules, broken), broken, folder)
     for name, reason in broken.items():
         _log.error("Plugin %s is left out: %s", name, reason)
     _check_names(manager.plugins)
     return manager
+
+
+def plugin_folder() -> Path | None:
+    """Return the folder that ``ORACLE_PLUGINS`` names, if it is set."""
+    named = os.environ.get(FOLDER_VARIABLE)
+    return Path(named) if named else None
+
+
+def register_others(
+    registry: pluggy.PluginManager, folder: Path | None
+) -> tuple[dict[str, ModuleType], dict[str, str]]:
+    """Register the plugins of entry points, and those in the files of a folder.
+
+    Returns
+    -------
+    tuple
+        The modules of the folder by name; and what could not be loaded, with the reason.
+
+    Raises
+    ------
+    PluginError
+        If the folder is missing.
+    """
+    broken: dict[str, str] = {}
+    _register_entry_points(registry, broken)
+    modules = _load_folder(registry, folder, broken) if folder is not None else {}
+    return modules, broken
 
 
 def _register_entry_points(registry: pluggy.PluginManager, broken: dict[str, str]) -> None:
@@ -177,6 +202,16 @@ def _offered(registry: pluggy.PluginManager, broken: dict[str, str]) -> tuple[Fe
         except Exception as error:  # foreign code
             broken[implementation.plugin_name] = _reason(error)
     return tuple(plugins)
+
+
+def _compiled(folder: Path | None, broken: dict[str, str]) -> Iterator[FeaturePlugin]:
+    """Load the shared libraries of a folder, by name."""
+    for path in sorted(folder.iterdir() if folder is not None else ()):
+        if path.suffix in SUFFIXES:
+            try:
+                yield load_compiled(path)
+            except PluginError as error:
+                broken[path.stem] = str(error)
 
 
 def _checked(offered: Any) -> list[FeaturePlugin]:

@@ -263,11 +263,12 @@ def grid_heat_map(table: pd.DataFrame) -> bytes:
         As made by ``oracle_pipeline.reporting.thesis_tables.grid_search_table``.
     """
     settings = list(dict.fromkeys(zip(table["criterion"], table["t"], strict=True)))
-    methods = list(dict.fromkeys(table["linkage"]))
+    names = table["linkage"] + ", " + table["metric"]
+    methods = list(dict.fromkeys(names))
     with drawing(7.2, 0.62 * len(methods) + 0.8) as (axes, png):
-        for _, row in table.iterrows():
+        for (_, row), name in zip(table.iterrows(), names, strict=True):
             column = settings.index((row["criterion"], row["t"]))
-            line = methods.index(row["linkage"])
+            line = methods.index(name)
             area = Estimate(*(row[f"balanced_accuracy{end}"] for end in ("", "_low", "_high")))
             better = COLORS["control" if area.value >= 0.5 else "malicious"]
             strength = 0.0 if np.isnan(area.value) else 2.0 * SHADE * abs(area.value - 0.5)

@@ -20,6 +20,7 @@ from oracle_pipeline.evaluation.metrics import RESAMPLES
 from oracle_pipeline.reporting import page_tables
 from oracle_pipeline.reporting.explanation import Explanation
 from oracle_pipeline.reporting.first_screen import Recorder, first_screen, run_page
+from oracle_pipeline.reporting.oracle_kinds import tables_of_kinds
 from oracle_pipeline.reporting.page import Picture, picture, run_picture, template
 from oracle_pipeline.reporting.page_tables import PageTable
 from oracle_pipeline.reporting.report import Report
@@ -56,6 +57,7 @@ _SECTIONS = {
     "curves": "Detection against false alarms",
     "integrity": "Integrity checks",
     "scorers": "Detectors and families of features",
+    "kinds": "Kinds of oracle side by side",
     "magnitude": "How weak an attack is still detected",
     "effort": "Inspection effort",
     "radar": "A radar display with and without a ghost",
@@ -143,6 +145,7 @@ def render(
     """
     tables = {
         **page_tables.of_evaluation(evaluation),
+        **tables_of_kinds(evaluation),
         **page_tables.of_thesis(
             grid_search=grid,
             rates=rates,
@@ -156,6 +159,7 @@ def render(
     content = {
         "giveaways": len(giveaways) > 0,
         "curves": _charts(evaluation, "roc", "detection"),
+        "kinds": "oracle_kinds" in tables,
         "magnitude": "kills" in tables,
         "explained": [_explained(each) for each in explained],
         "radar": [run_picture(run, png) for run, png in radar.items()],

@@ -205,10 +205,13 @@ _MEASURES = (
     PageColumn("FPR", "fpr", _VERDICT),
     PageColumn("balanced accuracy", "balanced_accuracy", _VERDICT),
     PageColumn("MCC", "mcc", _VERDICT, "z.2f"),
+    PageColumn("accuracy", "accuracy", _VERDICT, ".2f"),
+    PageColumn("F1", "f1", _VERDICT, ".2f"),
     PageColumn("HAC height", "auc", _HEIGHT),
     _NOTE,
 )
 _GRID_SEARCH = (
+    PageColumn("metric", "metric"),
     PageColumn("linkage", "linkage"),
     PageColumn("criterion", "criterion"),
     PageColumn("t", "t", spec="g"),

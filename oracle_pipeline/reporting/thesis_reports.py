@@ -11,8 +11,9 @@ import pandas as pd
 
 from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bootstrap import distinct_runs, lacking
+from oracle_pipeline.clustering.grid import Grid, Measure
 from oracle_pipeline.clustering.scores import hac_height
-from oracle_pipeline.clustering.tree import LINKAGES, ClusteringError
+from oracle_pipeline.clustering.tree import ClusteringError
 from oracle_pipeline.datasets import DatasetError, content_hash, is_malicious
 from oracle_pipeline.evaluation.clustering_result import grow_over_runs
 from oracle_pipeline.evaluation.estimate import Estimate
@@ -74,7 +75,10 @@ def _drawn_by(variant: Variant) -> dict[str, float | int | str]:
 
 
 def clustering_grid_search(
-    rows: pd.DataFrame, seed: int = SEED, variant: VariantName = "corrected"
+    rows: pd.DataFrame,
+    seed: int = SEED,
+    variant: VariantName = "corrected",
+    grid: Grid = thesis_tables.THESIS_GRID,
 ) -> Report:
     """Cluster the bootstrapped rows with every setting of the grid (the thesis's table 5.1).
 
@@ -85,14 +89,15 @@ def clustering_grid_search(
     seed : int
         Of the resamples behind the intervals.
     variant : {"corrected", "thesis"}
+    grid : Grid
     """
     by = VARIANTS[variant]
     rng = np.random.default_rng(seed)
-    table = thesis_tables.grid_search_table(rows, rng, by)
+    table = thesis_tables.grid_search_table(rows, rng, by, grid)
     pictures = {"grid": figures.grid_heat_map(table)}
     curves: dict[str, tuple[RocCurve, Estimate]] = {}
     runs = distinct_runs(rows)
-    for method in LINKAGES:
+    for method in grid.linkages:
         try:
             tree = grow_over_runs(rows, by.columns(rows, "all"), method, by)
         except ClusteringError:
@@ -104,7 +109,17 @@ def clustering_grid_search(
     if curves:
         pictures["roc"] = figures.roc_curves(curves)
     summary: dict[str, float | int | str] = {"settings": len(table), "note": lacking(rows)}
-    return Report(table, pictures, summary | _drawn_by(by) | _thesis_choice(table))
+    chosen = _selected(table, grid.select_by) | _thesis_choice(table)
+    return Report(table, pictures, summary | _drawn_by(by) | chosen)
+
+
+def _selected(table: pd.DataFrame, measure: Measure) -> dict[str, float | int | str]:
+    """Return the setting with the highest value of a measure, which needs labels."""
+    if table[measure].isna().all():
+        return {}
+    best = table.iloc[int(table[measure].argmax())]
+    setting = f"{best['linkage']}, {best['metric']}, {best['criterion']} {best['t']:g}"
+    return {"selected_by": measure, "selected": setting, "selected_value": float(best[measure])}
 
 
 def _labels(rows: pd.DataFrame) -> list[str]:

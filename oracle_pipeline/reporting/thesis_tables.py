@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bags.protocol import PAIRS
-from oracle_pipeline.clustering.tree import CRITERIA, LINKAGES
+from oracle_pipeline.clustering.grid import Grid
 from oracle_pipeline.datasets import DatasetError
 from oracle_pipeline.evaluation.clustering_result import ClusteringResult, cluster_and_judge
 from oracle_pipeline.evaluation.comparisons import ALL_MODES
@@ -30,6 +30,7 @@ from oracle_pipeline.reporting.thesis_figures import (
     ThesisFigure,
 )
 
+THESIS_GRID = Grid()
 FEATURE_SETS: tuple[FeatureSet, ...] = ("all", "structural", "contextual")
 MALICIOUS_RATES = (0.1, 0.3, 0.5, 0.7, 0.9)
 P_LONG = 0.05  # share of very long runs in the null model that its headline is about
@@ -39,9 +40,9 @@ def grid_search_table(
     rows: pd.DataFrame,
     rng: np.random.Generator,
     variant: Variant = CORRECTED,
-    thresholds: Sequence[float] = (2.0, 4.0),
+    grid: Grid = THESIS_GRID,
 ) -> pd.DataFrame:
-    """Judge every linkage, criterion and threshold on the same rows (the thesis's table 5.1).
+    """Judge every setting of a grid on the same rows (the thesis's table 5.1).
 
     The thesis's figures stand in the rows that have its threshold: 2 for Ward, 4 otherwise; the
     thesis's variant has no other rows. Its distances are of unscaled features, so of the corrected
@@ -54,17 +55,20 @@ def grid_search_table(
     rng : Generator
         Draws the resamples behind the intervals.
     variant : Variant
-    thresholds : sequence of float
-        Clusters (``maxclust``) or distance (``distance``), in scales if the variant scales.
+    grid : Grid
+        Its distances are in scales if the variant scales.
     """
     columns = variant.columns(rows, "all")
     table = []
-    for method, criterion, t in product(LINKAGES, CRITERIA, thresholds):
-        if variant is THESIS and t != THRESHOLD[method]:
+    for metric, method, criterion, t in product(
+        grid.metrics, grid.linkages, grid.criteria, grid.thresholds
+    ):
+        is_printed = t == THRESHOLD[method] and metric == "euclidean"
+        if variant is THESIS and not is_printed:
             continue
-        result = cluster_and_judge(rows, columns, rng, method, criterion, t, variant)
-        figure = GRID[method, criterion] if t == THRESHOLD[method] else None
-        setting = {"linkage": method, "criterion": criterion, "t": t}
+        result = cluster_and_judge(rows, columns, rng, method, criterion, t, variant, metric)
+        figure = GRID[method, criterion] if is_printed else None
+        setting = {"metric": metric, "linkage": method, "criterion": criterion, "t": t}
         table.append(setting | result.columns() | _beside(figure))
     return pd.DataFrame(table)
 

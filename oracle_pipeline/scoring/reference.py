@@ -98,7 +98,7 @@ def _extracted(
 ) -> Reference:
     """Compute the features of recordings, and of all recordings below folders."""
     tables, windows, observations, notes, unlabelled = [], [], [], [], 0
-    recordings = [recording for path in paths for recording in _recordings(path)]
+    recordings = [recording for path in paths for recording in recordings_below(path)]
     for path in progress_bar(recordings, unit="recording", desc="reference"):
         try:
             robots = extract_apart(path, manager, choices=choices)
@@ -132,7 +132,7 @@ def _extracted(
     return Reference(table, window_dataset(windows), in_order, tuple(notes), choices)
 
 
-def _recordings(folder: Path) -> Iterator[Path]:
+def recordings_below(folder: Path) -> Iterator[Path]:
     """Find the run directories and bags below a folder, in order."""
     is_run = any((folder / name).is_file() for name in (MANIFEST_FILE, RECORDING_FILE))
     if is_run or is_recording(folder):
@@ -140,4 +140,4 @@ def _recordings(folder: Path) -> Iterator[Path]:
     elif folder.is_dir():
         for entry in sorted(folder.iterdir()):
             if not entry.name.startswith("."):
-                yield from _recordings(entry)
+                yield from recordings_below(entry)

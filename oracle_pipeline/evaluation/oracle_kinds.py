@@ -1,0 +1,183 @@
+"""Kinds of oracle side by side: what each finds, its false positives, and its cost."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags import layout
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bootstrap import DistinctRuns
+from oracle_pipeline.datasets import is_hard_negative, read_table
+from oracle_pipeline.evaluation.comparisons import RATES
+from oracle_pipeline.evaluation.estimate import NOTHING
+from oracle_pipeline.evaluation.metrics import auc, share
+from oracle_pipeline.evaluation.reference_scores import reference_scores
+from oracle_pipeline.oracles.calibration import Judged, judged, union
+from oracle_pipeline.oracles.kind import OracleKind, TracedRuns
+from oracle_pipeline.scoring.conformal import runs_needed
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+
+UNION = "union"
+CARD = "reference card"  # the scorer that users call, for comparison
+SEED = 50
+
+Row = dict[str, float | int | str]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class KindsComparison:
+    """What several oracles found in the same runs.
+
+    Attributes
+    ----------
+    oracles : DataFrame
+        A row for each oracle: what it asks of people, its cost, and its rates.
+    by_mode : DataFrame
+        A row for each oracle and mode: the share of runs that it calls anomalous.
+    p : DataFrame
+        A row for each run: its name, mode and label, and a column of p-values for each oracle.
+    """
+
+    oracles: pd.DataFrame
+    by_mode: pd.DataFrame
+    p: pd.DataFrame
+
+
+def compare_kinds(
+    kinds: Sequence[OracleKind],
+    runs: TracedRuns,
+    others: Mapping[str, Judged] | None = None,
+    rate: float = RATES[0],
+    progress: Callable[[str], None] = lambda _: None,
+) -> KindsComparison:
+    """Judge the same runs by several kinds of oracle, sessions held out.
+
+    Parameters
+    ----------
+    kinds : sequence of OracleKind
+        Unfitted. One that cannot be used on these runs gets a row with the reason.
+    runs : TracedRuns
+        Normal and attacked ones.
+    others : mapping of str to Judged, optional
+        What other oracles said of these runs, for comparison; they are not in the union.
+    rate : float
+        False positive rate of every verdict, that of the union included.
+    progress : callable
+        Called with one line before each step.
+    """
+    rng = np.random.default_rng(SEED)
+    rows: list[Row] = []
+    verdicts: dict[str, Judged] = {}
+    for kind in kinds:
+        progress(kind.name)
+        cost: Row = {"oracle": kind.name, "asks": kind.asks, "written": kind.written()}
+        began_s = time.process_time()
+        try:
+            verdicts[kind.name] = judged(kind, runs)
+        except OracleError as error:
+            rows.append({**cost, "note": str(error)})
+            continue
+        seconds = (time.process_time() - began_s) / len(runs.traces)
+        rows.append({**cost, "seconds_a_run": seconds})
+    if len(verdicts) > 1:
+        progress(UNION)
+        verdicts[UNION] = union(list(verdicts.values()), runs)
+        rows.append({"oracle": UNION, "asks": "all of these"})
+    for name, other in (others or {}).items():
+        verdicts[name] = other
+        rows.append({"oracle": name, "asks": "normal recordings"})
+    for row in rows:
+        if (verdict := verdicts.get(str(row["oracle"]))) is not None:
+            row.update(_rates(verdict, runs, rate, rng))
+    by_mode = [
+        {"oracle": name, **row}
+        for name, verdict in verdicts.items()
+        for row in _by_mode(verdict, runs, rate, rng)
+    ]
+    p = pd.DataFrame({name: verdict.p for name, verdict in verdicts.items()})
+    p = pd.concat([runs.table[["run_id", "mode", "label"]], p], axis=1)
+    return KindsComparison(pd.DataFrame(rows), pd.DataFrame(by_mode), p)
+
+
+def by_cards(roots: Sequence[Path], runs: TracedRuns) -> dict[str, Judged]:
+    """Return what a reference card says of the runs of a root, if it has their features.
+
+    Parameters
+    ----------
+    roots : sequence of Path
+        The first with ``datasets/`` counts.
+    runs : TracedRuns
+        All have to stand in its table of features.
+    """
+    for root in roots:
+        features, windows = layout.dataset(root, "features"), layout.dataset(root, "windows")
+        if not features.is_file() or not windows.is_file():
+            continue
+        table = read_table(features)
+        if set(runs.table["run_id"]) <= set(table["run_id"]):
+            here = table[table["run_id"].isin(runs.table["run_id"])]
+            scores = reference_scores(MeasuredRuns.ordered(here, read_table(windows)))
+            order = np.searchsorted(np.sort(here["run_id"]), runs.table["run_id"])
+            return {CARD: Judged(scores.score[order], scores.p[order])}
+    return {}
+
+
+def _rates(verdict: Judged, runs: TracedRuns, rate: float, rng: np.random.Generator) -> Row:
+    """Return area, detection rate and realised false positive rates, each with its interval."""
+    called, block = verdict.p <= rate, runs.block
+    supported = _supported(runs, rate)
+    harmless = is_hard_negative(runs.table)
+    row: Row = {"rate": rate, **_area(verdict.score, runs, rng)}
+    for name, these in (
+        ("detection_rate", runs.malicious),
+        ("false_alarm_rate", runs.normal),
+        ("false_alarm_rate_harmless", harmless),
+    ):
+        row |= share(called[these], block[these], rng).columns(name) if supported else {}
+    if not supported:
+        row["note"] = (
+            f"{_blocks(runs)} blocks of normal runs cannot support a false positive rate of "
+            f"{rate:g}; {runs_needed(rate) + 1} are needed"
+        )
+    return row
+
+
+def _blocks(runs: TracedRuns) -> int:
+    return len(np.unique(runs.block[runs.normal]))
+
+
+def _supported(runs: TracedRuns, rate: float) -> bool:
+    """Return whether some run can be called anomalous; its own block has no vote."""
+    return _blocks(runs) > runs_needed(rate)
+
+
+def _area(score: NDArray[np.float64], runs: TracedRuns, rng: np.random.Generator) -> Row:
+    known = np.flatnonzero(runs.malicious | runs.normal)
+    malicious = runs.malicious[known]
+    if malicious.all() or not malicious.any():
+        return dict(NOTHING.columns("auc"))
+    once = np.ones(len(known), dtype=np.int64)
+    distinct = DistinctRuns(known, once, malicious, runs.block[known])
+    return dict(auc(score[known], distinct, rng).columns("auc"))
+
+
+def _by_mode(verdict: Judged, runs: TracedRuns, rate: float, rng: np.random.Generator) -> list[Row]:
+    """Return the share of the runs of each mode that is called anomalous, attacks first."""
+    mode = runs.table["mode"].to_numpy(dtype=str)
+    attacked, known = runs.malicious, runs.malicious | runs.normal
+    supported = _supported(runs, rate)
+    order = sorted(set(mode[known]), key=lambda name: (not attacked[mode == name].any(), name))
+    rows: list[Row] = []
+    for name in order:
+        these = known & (mode == name)
+        called = share(verdict.p[these] <= rate, runs.block[these], rng) if supported else NOTHING
+        label = str(runs.table["label"].to_numpy()[these][0])
+        rows.append(
+            {"mode": name, "label": label, "runs": int(these.sum()), **called.columns("called")}
+        )
+    return rows

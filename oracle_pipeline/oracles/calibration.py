@@ -1,0 +1,104 @@
+"""P-values for any kind of oracle, by the folds and votes of a reference card's scorer.
+
+For each fold a kind learns from the normal runs of the other sessions and scores all runs. A run is
+compared with each normal run by the model that saw neither that run's fold nor, if the run is of a
+known block, its own (``oracle_pipeline.scoring.cross_conformal``).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.detectors.distances import MaxZ
+from oracle_pipeline.oracles.kind import OracleKind, TracedRuns
+from oracle_pipeline.scoring.cross_conformal import (
+    FOLDS,
+    MIN_BLOCKS,
+    CrossConformalScorer,
+    dealt,
+)
+from oracle_pipeline.scoring.run_scorer import Design
+
+SEED = 0
+TAIL = 0.95  # quantile of normal scores that gives kinds a common unit
+FAR = 1e6  # of them; limit of a score
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Judged:
+    """Scores and p-values of runs by one oracle; arrays of shape (n_runs,)."""
+
+    score: NDArray[np.float64]
+    p: NDArray[np.float64]
+
+
+def judged(kind: OracleKind, runs: TracedRuns) -> Judged:
+    """Judge all runs by a kind that learns from the normal ones.
+
+    Raises
+    ------
+    ConformalError
+        Fewer than three blocks of normal runs.
+    """
+    normal = runs.normal
+    return _voted(_fold_scores(kind, runs, normal), runs, normal)
+
+
+def union(verdicts: Sequence[Judged], runs: TracedRuns) -> Judged:
+    """Judge runs by several oracles at once, at the false positive rate of one.
+
+    The least of a run's p-values is no p-value: the more oracles, the smaller it gets by chance.
+    Here a run's most unusual score, in units of what normal runs show, is a score like any other:
+    it is compared with that of normal runs (maxT of Westfall and Young). P-values themselves would
+    tie: among few blocks, most runs share the smallest.
+    """
+    normal = runs.normal
+    units = [_in_tails(each.score, each.score[normal]) for each in verdicts]
+    fold = _folds(runs.where(normal))
+    return _voted(np.tile(np.max(units, axis=0), (fold.max() + 1, 1)), runs, normal)
+
+
+def _in_tails(score: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return scores above the median of normal runs, over how far their upper tail reaches.
+
+    Where all normal runs score alike, whatever is above them is far out.
+    """
+    median, tail, highest = np.quantile(normal, [0.5, TAIL, 1.0])
+    reach = max(tail - median, 0.1 * (highest - median))
+    units = (score - median) / (reach if reach > 0.0 else 1.0 / FAR)
+    return np.asarray(np.clip(units, -FAR, FAR), dtype=np.float64)
+
+
+def _fold_scores(
+    kind: OracleKind, runs: TracedRuns, normal: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Return the scores of all runs by the model of each fold, shape (n_folds, n_runs)."""
+    rows, fold = np.flatnonzero(normal), _folds(runs.where(normal))
+    scores: list[NDArray[np.float64]] = []
+    for number in range(fold.max() + 1):
+        seen = np.zeros(len(normal), dtype=np.bool_)
+        seen[rows[fold != number]] = True
+        judge = kind.learn(runs.where(seen))
+        if id(judge) == id(kind) and scores:  # it learns nothing, so its scores are the same
+            scores.append(scores[0])
+        else:
+            scores.append(judge.score(runs))
+    return np.stack(scores)
+
+
+def _folds(normal: TracedRuns) -> NDArray[np.intp]:
+    """Deal whole sessions, or blocks if there are too few, as a reference card does."""
+    few = len(np.unique(normal.session)) < MIN_BLOCKS
+    unit = normal.block if few else normal.session
+    return dealt(unit, FOLDS, np.random.default_rng(SEED))
+
+
+def _voted(scores: NDArray[np.float64], runs: TracedRuns, normal: NDArray[np.bool_]) -> Judged:
+    """Let the normal blocks vote on each run; `scores` are of shape (n_folds, n_runs)."""
+    votes = CrossConformalScorer(Design(MaxZ(), (), (), {}))  # only its folds and votes are used
+    votes.fold_, votes.block_ = _folds(runs.where(normal)), runs.block[normal]
+    held_out = scores[votes.fold_, np.flatnonzero(normal)]
+    votes.held_out_ = held_out
+    return Judged(votes.own_score(scores, runs.block), votes.p_values(scores, runs.block))

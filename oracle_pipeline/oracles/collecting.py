@@ -1,0 +1,80 @@
+"""Recordings below some folders, as traced runs: labels from manifests, signals from bags."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.manifest import UNKNOWN_WORLD
+from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RunDirectory
+from oracle_pipeline.bags.terminal import printable, progress_bar
+from oracle_pipeline.datasets import KEYS
+from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.oracles.kept_traces import kept_trace
+from oracle_pipeline.oracles.kind import KindError, TracedRuns
+from oracle_pipeline.oracles.traces import read_trace
+from oracle_pipeline.robots.robot import find_robots, of_robot
+from oracle_pipeline.scoring.reference import recordings_below
+
+_NO_BLOCK = -1  # of a bag without a manifest: it becomes a block and a session of its own
+
+
+def traced_runs(
+    recordings: Sequence[Path], normal: Sequence[Path] = (), folder: Path | None = None
+) -> TracedRuns:
+    """Read the traces of all recordings below some folders.
+
+    Parameters
+    ----------
+    recordings : sequence of Path
+        Run directories, bags, and folders of these. A bag without a manifest has no label.
+    normal : sequence of Path
+        The same; a bag without a manifest is normal, and a block of its own.
+    folder : Path, optional
+        Where the traces of run directories are kept.
+
+    An attacked run that ended before its attack is left out.
+
+    Raises
+    ------
+    OracleError
+        There is no recording, or one cannot be read; the error names it.
+    """
+    found = {path: "normal" for top in normal for path in recordings_below(top)}
+    found |= {path: "unknown" for top in recordings for path in recordings_below(top)}
+    if not found:
+        raise KindError("There is no recording; name run directories, bags or folders of these.")
+    rows: list[dict[str, object]] = []
+    traces: list[pd.DataFrame] = []
+    for path, label in progress_bar(found.items(), unit="recording", desc="signals"):
+        try:
+            for row, trace in _traced(path, label, folder):
+                own_block = {"block": -2 - len(rows)} if row["block"] == _NO_BLOCK else {}
+                rows.append(row | own_block)
+                traces.append(trace)
+        except (OracleError, OSError) as error:
+            raise KindError(f"{path}: {error}") from error
+    table = pd.DataFrame(rows, columns=list(KEYS))
+    alone = table["session"] < 0
+    return TracedRuns(
+        table.assign(session=table["session"].mask(alone, table["block"])), tuple(traces)
+    )
+
+
+def _traced(
+    path: Path, label: str, folder: Path | None
+) -> Iterator[tuple[dict[str, object], pd.DataFrame]]:
+    if (path / MANIFEST_FILE).is_file():
+        run = RunDirectory.at(path)
+        manifest = run.manifest()
+        if manifest.label == "malicious" and manifest.onset_s is None:
+            return
+        keys = (manifest.key, *(getattr(manifest, key) for key in KEYS[1:]))
+        yield dict(zip(KEYS, keys, strict=True)), kept_trace(run, folder)
+        return
+    with open_run(path) as opened:
+        for robot in find_robots(opened.bag):
+            name = of_robot(printable(path.resolve().name), robot.name)
+            keys = (name, "foreign", label, _NO_BLOCK, _NO_BLOCK, UNKNOWN_WORLD)
+            yield dict(zip(KEYS, keys, strict=True)), read_trace(robot)

@@ -1,0 +1,56 @@
+"""Implicit oracle: what is wrong for any robot, whatever its task. Nobody writes a rule for it.
+
+A goal that failed or never ended, an error in the log, numbers that are not finite, and periodic
+topics that fell silent.
+"""
+
+from typing import Self
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oracle_pipeline.features.plugin import hookimpl
+from oracle_pipeline.oracles.kind import Maker, OncePerTrace, TracedRuns
+from oracle_pipeline.oracles.traces import STEP_S
+
+_COUNTS = ("goals_failed", "errors", "non_finite")  # so far: the last value is the total
+
+
+class Implicit:
+    """The sum of ``ln(1 + n)`` over what went wrong n times; seconds of silence count too."""
+
+    name = "implicit"
+    asks = "nothing"
+
+    def __init__(self) -> None:
+        self._failures = OncePerTrace(failures)
+
+    def learn(self, normal: TracedRuns) -> Self:  # noqa: ARG002 -- there is nothing to learn
+        """Return itself."""
+        return self
+
+    def score(self, runs: TracedRuns) -> NDArray[np.float64]:
+        """Return how much went wrong in each run, 0 if nothing did."""
+        return np.asarray(np.log1p(self._failures(runs.traces)).sum(axis=1), dtype=np.float64)
+
+    def written(self) -> int:
+        """Return 0: there is nothing to write."""
+        return 0
+
+
+def failures(trace: pd.DataFrame) -> NDArray[np.float64]:
+    """Return how many goals failed, errors were logged, numbers were not finite; [s] of silence.
+
+    The last is how many goals were still under way at the end.
+    """
+    totals = [float(trace[name].fillna(0.0).iloc[-1]) if len(trace) else 0.0 for name in _COUNTS]
+    silent_s = float(trace["quiet_topics"].fillna(0.0).sum()) * STEP_S
+    unfinished = float(len(trace) > 0 and trace["goal_time"].iloc[-1] > 0.0)
+    return np.array([*totals, silent_s, unfinished])
+
+
+@hookimpl
+def register_oracles() -> list[Maker]:
+    """Offer the implicit oracle."""
+    return [lambda _: Implicit()]

@@ -1,0 +1,192 @@
+"""Derived oracle: what was always so in normal runs, in the manner of Daikon [1]_.
+
+Every normal run votes on simple candidates: the lower and the upper bound of a signal, of how fast
+it changes, and of the difference of two signals in one unit. A candidate with the bound that all
+runs kept is an invariant. Each is one line of a file of requirements, so people can read it, change
+it, or delete it, and ``specified`` can use what is left.
+
+References
+----------
+.. [1] M. Ernst et al., "The Daikon system for dynamic detection of likely invariants", Science of
+   Computer Programming 69, 2007.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
+from oracle_pipeline.features.plugin import hookimpl
+from oracle_pipeline.oracles.kind import KindError, Maker, OncePerTrace, TracedRuns
+from oracle_pipeline.oracles.requirements import FARTHEST, Requirement
+from oracle_pipeline.oracles.traces import RATE, SIGNALS, values_of
+
+HEAD = """What always held in normal runs, in the manner of Daikon: bounds of signals, of what they
+change by in a second (_rate), and of the difference of two signals of one unit. Bounds are what
+these runs reached, so a line may say no more than how they happened to be. Delete or change lines.
+"""  # above the lines of a file
+
+FEWEST = 3  # normal runs that have the signal
+
+_GROWING = {"travelled"}  # the longer the run, the larger: no bound of one says much
+
+
+@dataclass(frozen=True, slots=True)
+class Expression:
+    """What a candidate is about: a signal, a rate, or the difference of two signals."""
+
+    first: str
+    second: str = ""
+
+    def __str__(self) -> str:
+        """Return it as a part of a formula."""
+        return f"{self.first} - {self.second}" if self.second else self.first
+
+    @property
+    def floor(self) -> float:
+        """The smallest difference that means something, in its unit."""
+        return SIGNALS[self.first.removesuffix(RATE)].floor
+
+
+def expressions() -> tuple[Expression, ...]:
+    """Return all that candidates are about."""
+    bounded = [name for name in SIGNALS if name not in _GROWING]
+    return (
+        *map(Expression, bounded),
+        *(Expression(f"{name}{RATE}") for name in SIGNALS),
+        *(
+            Expression(first, second)
+            for first, second in combinations(bounded, 2)
+            if SIGNALS[first].unit == SIGNALS[second].unit
+        ),
+    )
+
+
+def extremes(trace: pd.DataFrame) -> NDArray[np.float64]:
+    """Return least and largest value of each expression, shape (2, n_expressions).
+
+    NaN where the trace lacks a signal.
+    """
+    values = values_of(trace, _SINGLES)
+    values = np.hstack([values, values[:, _FIRST] - values[:, _SECOND]])
+    unknown = ~np.isfinite(values)
+    least = np.where(unknown, np.inf, values).min(axis=0, initial=np.inf)
+    largest = np.where(unknown, -np.inf, values).max(axis=0, initial=-np.inf)
+    return np.where(np.isfinite(least), [least, largest], np.nan)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LearnedInvariants:
+    """Bounds that all normal runs kept; arrays of shape (n_expressions,), NaN: none.
+
+    Attributes
+    ----------
+    low, high : ndarray
+    low_scale, high_scale : ndarray
+        How far apart the normal runs are in what they reach: the unit of a violation.
+    runs : int
+        They were learned from.
+    extremes : OncePerTrace
+    """
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    low_scale: NDArray[np.float64]
+    high_scale: NDArray[np.float64]
+    runs: int
+    extremes: OncePerTrace
+
+    def score(self, runs: TracedRuns) -> NDArray[np.float64]:
+        """Return by how many scales each run breaks the invariant that it breaks most."""
+        least, largest = self.extremes(runs.traces).transpose(1, 0, 2)
+        beyond = np.hstack(
+            [(self.low - least) / self.low_scale, (largest - self.high) / self.high_scale]
+        )
+        worst = np.nan_to_num(beyond, nan=-FARTHEST).max(axis=1)
+        return np.asarray(np.clip(worst, -FARTHEST, FARTHEST), dtype=np.float64)
+
+    def requirements(self) -> list[Requirement]:
+        """Return the invariants as formulas, each with the bound rounded outwards."""
+        return list(self._written())
+
+    def _written(self) -> Iterator[Requirement]:
+        says = f"Held in {self.runs} normal runs."
+        for n, about in enumerate(_EXPRESSIONS):
+            name = str(about).replace(" - ", ".minus.")
+            if about.second and 0.0 <= self.low[n] < about.floor:  # an order of two signals
+                formula = f"always ({about.first} >= {about.second})"
+                yield Requirement(f"{name}.low", formula, float(self.low_scale[n]), says)
+            elif np.isfinite(self.low[n]):
+                formula = f"always ({about} >= {_text(np.floor, self.low[n])})"
+                yield Requirement(f"{name}.low", formula, float(self.low_scale[n]), says)
+            if np.isfinite(self.high[n]):
+                formula = f"always ({about} <= {_text(np.ceil, self.high[n])})"
+                yield Requirement(f"{name}.high", formula, float(self.high_scale[n]), says)
+
+
+class Invariants:
+    """Learns bounds from normal runs."""
+
+    name = "invariants"
+    asks = "nothing, or a review"
+
+    def __init__(self) -> None:
+        self._extremes = OncePerTrace(extremes)
+
+    def learn(self, normal: TracedRuns) -> LearnedInvariants:
+        """Return the bounds that all normal runs kept.
+
+        Raises
+        ------
+        KindError
+            Fewer than three normal runs.
+        """
+        if len(normal.traces) < FEWEST:
+            raise KindError(
+                f"Invariants take {FEWEST} normal runs at least, there are {len(normal.traces)}; "
+                "record more."
+            )
+        least, largest = self._extremes(normal.traces).transpose(1, 0, 2)
+        enough = np.isfinite(least).sum(axis=0) >= FEWEST
+        floors = np.array([each.floor for each in _EXPRESSIONS])
+        low, high = np.full((2, len(floors)), np.nan)
+        low[enough] = np.nanmin(least[:, enough], axis=0)
+        high[enough] = np.nanmax(largest[:, enough], axis=0)
+        low_scale, high_scale = (np.maximum(_spread(each), floors) for each in (least, largest))
+        return LearnedInvariants(
+            low, high, low_scale, high_scale, len(normal.traces), self._extremes
+        )
+
+    def written(self) -> int:
+        """Return 0: they are learned."""
+        return 0
+
+
+@hookimpl
+def register_oracles() -> list[Maker]:
+    """Offer the oracle of learned invariants."""
+    return [lambda _: Invariants()]
+
+
+def _spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the scaled MAD of each column; 0 for one without values."""
+    known = np.isfinite(values).any(axis=0)
+    spread = np.zeros(values.shape[1])
+    apart = np.abs(values[:, known] - np.nanmedian(values[:, known], axis=0))
+    spread[known] = MAD_TO_DEVIATION * np.nanmedian(apart, axis=0)
+    return spread
+
+
+def _text(rounded: np.ufunc, bound: float) -> str:
+    """Return a bound with four decimals, rounded to the side on which it is weaker."""
+    return f"{rounded(bound * 1e4) / 1e4:.4f}"
+
+
+_EXPRESSIONS = expressions()  # those of two signals last
+_SINGLES = [str(each) for each in _EXPRESSIONS if not each.second]
+_FIRST = [_SINGLES.index(each.first) for each in _EXPRESSIONS if each.second]
+_SECOND = [_SINGLES.index(each.second) for each in _EXPRESSIONS if each.second]

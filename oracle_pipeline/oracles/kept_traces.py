@@ -1,0 +1,61 @@
+"""Traces of runs, kept in files: a bag is read again only if the run or this code has changed."""
+
+import functools
+import hashlib
+from pathlib import Path
+
+import pandas as pd
+
+from oracle_pipeline.bags.remote import fetched
+from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.bags.sources import code_hash
+from oracle_pipeline.datasets import DatasetError, Fields, field_metadata, read_table, write_table
+from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.oracles.traces import SIGNALS, TIME, read_trace
+from oracle_pipeline.robots.robot import find_robots
+
+_READ_BY = ("oracle_pipeline.oracles.traces",)
+_INPUTS = "inputs"  # of a trace, in the metadata of its first column
+
+
+def kept_trace(run: RunDirectory, folder: Path | None) -> pd.DataFrame:
+    """Return the trace of a run, from its file if that is current.
+
+    Parameters
+    ----------
+    run : RunDirectory
+        Of a complete run.
+    folder : Path or None
+        Where traces are kept, by mode; None: the bag is read in any case.
+
+    Raises
+    ------
+    OracleError
+        There is no current trace, and the bag was dropped or cannot be read.
+    """
+    if folder is None:
+        return _read(run)
+    path = folder / run.mode / f"{run.run_id}.parquet"
+    told = f"{run.manifest().content_hash} {_code()}"
+    inputs = hashlib.sha256(told.encode()).hexdigest()
+    try:
+        trace = read_table(path)
+        if field_metadata(trace).get(TIME, {}).get(_INPUTS) == inputs:
+            return trace
+    except DatasetError:
+        pass  # none, or a damaged one: it is read again
+    trace = _read(run)
+    fields = {name: {"unit": signal.unit} for name, signal in SIGNALS.items()}
+    trace.attrs["fields"] = Fields({TIME: {"unit": "s", _INPUTS: inputs}, **fields})
+    write_table(trace, path)
+    return trace
+
+
+@functools.cache
+def _code() -> str:
+    return code_hash(_READ_BY)
+
+
+def _read(run: RunDirectory) -> pd.DataFrame:
+    with fetched(run.path) as place, open_run(place) as opened:
+        return read_trace(find_robots(opened.bag)[0])

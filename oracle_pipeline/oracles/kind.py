@@ -1,0 +1,186 @@
+"""What a kind of oracle is: it maps a run to one number, and higher is worse.
+
+How the number becomes a p-value is the same for all kinds (``calibration``). A kind is a plugin:
+the built-in ones, those of other distributions, and those in the plugin folder offer themselves
+through the hook ``register_oracles``.
+"""
+
+import logging
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import pandas as pd
+import pluggy
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.manifest import LABELS
+from oracle_pipeline.datasets import is_malicious
+from oracle_pipeline.features.manager import plugin_folder, register_others
+from oracle_pipeline.features.plugin import PROJECT
+from oracle_pipeline.oracles.requirements import Requirement
+
+_log = logging.getLogger(__name__)
+
+hookspec = pluggy.HookspecMarker(PROJECT)
+
+
+class KindError(OracleError):
+    """A kind of oracle cannot be used."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TracedRuns:
+    """Runs and their traces, in one order.
+
+    Attributes
+    ----------
+    table : DataFrame
+        One row for each run: the keys and perhaps features.
+    traces : tuple of DataFrame
+        As of `traces.read_trace`, one for each run.
+    """
+
+    table: pd.DataFrame
+    traces: tuple[pd.DataFrame, ...]
+
+    def where(self, chosen: NDArray[np.bool_]) -> "TracedRuns":
+        """Return the runs of a mask of shape (n_runs,)."""
+        kept = tuple(self.traces[row] for row in np.flatnonzero(chosen))
+        return TracedRuns(self.table[chosen].reset_index(drop=True), kept)
+
+    @property
+    def block(self) -> NDArray[np.int64]:
+        """Block of each run, shape (n_runs,)."""
+        return self.table["block"].to_numpy(dtype=np.int64)
+
+    @property
+    def session(self) -> NDArray[np.int64]:
+        """Session of each run, shape (n_runs,)."""
+        return self.table["session"].to_numpy(dtype=np.int64)
+
+    @property
+    def malicious(self) -> NDArray[np.bool_]:
+        """Which runs were attacked, shape (n_runs,)."""
+        return is_malicious(self.table)
+
+    @property
+    def normal(self) -> NDArray[np.bool_]:
+        """Which runs are known to be normal, shape (n_runs,); neither: it is not known."""
+        return np.asarray(self.table["label"].isin(LABELS), dtype=np.bool_) & ~self.malicious
+
+
+class OncePerTrace:
+    """Calls a function of a trace once for each, however many folds ask."""
+
+    def __init__(self, compute: Callable[[pd.DataFrame], NDArray[np.float64]]) -> None:
+        self._compute = compute
+        self._known: dict[int, tuple[pd.DataFrame, NDArray[np.float64]]] = {}
+
+    def __call__(self, traces: Iterable[pd.DataFrame]) -> NDArray[np.float64]:
+        """Return what the function returns for each trace, stacked."""
+        found = []
+        for trace in traces:
+            if id(trace) not in self._known:  # the trace is kept, so its identity stays its own
+                self._known[id(trace)] = trace, self._compute(trace)
+            found.append(self._known[id(trace)][1])
+        return np.stack(found)
+
+
+class Judge(Protocol):
+    """What maps runs to numbers."""
+
+    def score(self, runs: TracedRuns) -> NDArray[np.float64]:
+        """Return how wrong each run is, shape (n_runs,); finite, higher is worse."""
+
+
+class OracleKind(Protocol):
+    """One kind of oracle.
+
+    Attributes
+    ----------
+    name : str
+        One word.
+    asks : str
+        What people have to give it, in a few words.
+    """
+
+    name: str
+    asks: str
+
+    def learn(self, normal: TracedRuns) -> Judge:
+        """Return what judges runs, learned from normal ones; a kind may be its own judge."""
+
+    def written(self) -> int:
+        """Return how many requirements, answers or recordings people gave."""
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """What a kind may be made from.
+
+    Attributes
+    ----------
+    runs : TracedRuns
+        All runs that are compared.
+    requirements : sequence of Requirement
+        What people require of a run.
+    answers : mapping of str to bool
+        Whether a run is bad, by run, as people answered.
+    """
+
+    runs: TracedRuns
+    requirements: Sequence[Requirement]
+    answers: Mapping[str, bool] = field(default_factory=dict)
+
+
+Maker = Callable[[Material], OracleKind | None]
+
+
+class Hooks:
+    """The hook that plugins implement."""
+
+    @hookspec
+    def register_oracles(self) -> list[Maker]:  # type: ignore[empty-body]
+        """Return what makes the kinds of oracle that a module offers.
+
+        Each takes a `Material` and returns a fresh, unfitted kind, or None if the material lacks
+        what the kind needs.
+        """
+
+
+def build_kinds(material: Material, folder: Path | None = None) -> list[OracleKind]:
+    """Make the kinds of oracle: built in, then entry points, then the files of a folder.
+
+    Parameters
+    ----------
+    material : Material
+    folder : Path, optional
+        Of plugin files, as for features.
+
+    Raises
+    ------
+    KindError
+        Two kinds have one name.
+    """
+    from oracle_pipeline.oracles import human, implicit, invariants, metamorphic, specified
+
+    registry = pluggy.PluginManager(PROJECT)
+    registry.add_hookspecs(Hooks)
+    for module in (implicit, specified, invariants, metamorphic, human):
+        registry.register(module)
+    for name, reason in register_others(registry, folder or plugin_folder())[1].items():
+        _log.error("Plugin %s is left out: %s", name, reason)
+    kinds: list[OracleKind] = []
+    for implementation in registry.hook.register_oracles.get_hookimpls():
+        makers: list[Maker] = implementation.function()  # type: ignore[assignment]  # untyped hook
+        made = (make(material) for make in makers)
+        kinds += [kind for kind in made if kind is not None]
+    names = [kind.name for kind in kinds]
+    for name in names:
+        if names.count(name) > 1:
+            raise KindError(f"Two kinds of oracle are called {name!r}; rename one.")
+    return kinds

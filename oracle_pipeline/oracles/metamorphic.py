@@ -1,0 +1,123 @@
+"""Metamorphic and differential oracle: how a run relates to other runs of the same task.
+
+Nobody knows the right path, but the same task in the same world should give about the same outcome,
+whichever build drives. The runs of a block have equal start, goals and world: each is compared with
+the unaltered runs of its block. How far these are from each other is the unit.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
+from oracle_pipeline.datasets import is_hard_negative
+from oracle_pipeline.features.plugin import hookimpl
+from oracle_pipeline.oracles.kind import KindError, Maker, Material, OncePerTrace, TracedRuns
+from oracle_pipeline.oracles.traces import SIGNALS, STEP_S, values_of
+
+PERCENTILES = (5.0, 50.0, 95.0)
+FEWEST = 20  # comparisons of normal runs that tell a spread
+
+_NAMES = tuple(SIGNALS)
+
+
+def outcomes(trace: pd.DataFrame) -> NDArray[np.float64]:
+    """Return what a run came to: percentiles of all signals, then way, turning and time.
+
+    Returns
+    -------
+    ndarray of shape (3 * n_signals + 3,)
+        NaN where the trace lacks a signal. The way by odometry [m], how far it turned [rad], and
+        how long a goal was under way [s].
+    """
+    values = values_of(trace, _NAMES)
+    levels = np.full((len(PERCENTILES), len(_NAMES)), np.nan)
+    known = np.isfinite(values).any(axis=0)
+    if known.any():
+        levels[:, known] = np.nanpercentile(values[:, known], PERCENTILES, axis=0)
+    way = trace["travelled"].max()
+    turned = np.nansum(np.abs(trace["turn"])) * STEP_S
+    under_way_s = float((trace["goal_time"] > 0.0).sum()) * STEP_S
+    return np.array([*levels.ravel(), way, turned, under_way_s], dtype=np.float64)
+
+
+_FLOORS = np.array([*[SIGNALS[name].floor for name in _NAMES] * len(PERCENTILES), 0.1, 0.2, 0.5])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Judge:
+    kind: "Metamorphic"
+    spread: NDArray[np.float64]
+
+    def score(self, runs: TracedRuns) -> NDArray[np.float64]:
+        """Return by how many spreads each run differs most from the runs of its task."""
+        apart = np.abs(self.kind.differences(runs)) / self.spread
+        return np.asarray(np.nan_to_num(apart).max(axis=1), dtype=np.float64)
+
+
+class Metamorphic:
+    """Compares runs with the unaltered runs of their task.
+
+    Parameters
+    ----------
+    partners : TracedRuns
+        All runs that may serve as the other side of a comparison; only normal ones in which nothing
+        was changed do.
+    """
+
+    name = "metamorphic"
+    asks = "a second run of each task"
+
+    def __init__(self, partners: TracedRuns) -> None:
+        plain = partners.normal & ~is_hard_negative(partners.table)
+        self._partners = partners.where(plain)
+        self._outcomes = OncePerTrace(outcomes)
+
+    def learn(self, normal: TracedRuns) -> _Judge:
+        """Learn how far normal runs of one task are from each other."""
+        apart = self.differences(normal)
+        compared = int(np.isfinite(apart).any(axis=1).sum())
+        if compared < FEWEST:
+            raise KindError(
+                f"{compared} normal runs have another run of the same task, {FEWEST} are needed; "
+                "record several runs of each block."
+            )
+        known = np.isfinite(apart).any(axis=0)
+        spread = np.zeros(apart.shape[1])
+        spread[known] = MAD_TO_DEVIATION * np.nanmedian(np.abs(apart[:, known]), axis=0)
+        return _Judge(self, np.maximum(spread, _FLOORS))
+
+    def differences(self, runs: TracedRuns) -> NDArray[np.float64]:
+        """Return each run less the median of its partners, shape (n_runs, n_outcomes).
+
+        An exact repetition says nothing, so equal partners count once, and a run is no partner of
+        itself. NaN where there is no partner.
+        """
+        found = np.full((len(runs.traces), len(_FLOORS)), np.nan)
+        partners, block_of_partners = self._outcomes(self._partners.traces), self._partners.block
+        of_runs = self._outcomes(runs.traces)
+        for row, (own, block) in enumerate(zip(of_runs, runs.block, strict=True)):
+            others = np.unique(partners[block_of_partners == block], axis=0)
+            others = others[~np.isclose(others, own, equal_nan=True).all(axis=1)]
+            if len(others):
+                known = np.isfinite(others).any(axis=0)
+                found[row, known] = own[known] - np.nanmedian(others[:, known], axis=0)
+        return found
+
+    def written(self) -> int:
+        """Return how many recordings serve as partners."""
+        return len(self._partners.traces)
+
+
+def _made(material: Material) -> Metamorphic | None:
+    """Return the kind if some task was run twice."""
+    plain = material.runs.block[material.runs.normal]
+    return Metamorphic(material.runs) if len(np.unique(plain)) < len(plain) else None
+
+
+@hookimpl
+def register_oracles() -> list[Maker]:
+    """Offer the oracle that compares runs of one task."""
+    return [_made]

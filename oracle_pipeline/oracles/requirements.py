@@ -1,0 +1,172 @@
+"""Requirements in signal temporal logic: a YAML file, and how far a trace is from breaking each.
+
+::
+
+    requirements:
+      - name: clearance_above_footprint
+        says: No obstacle comes nearer than the radius of the robot.   # optional
+        formula: always (nearest_min >= 0.22)
+        scale: 0.05     # a difference that matters, in the unit of the formula
+
+A formula is text for the parser of SENTIL [1]_, never code. Its names are those of signals
+(``traces.SIGNALS``), which are found by role, so a file fits every robot. The robustness of a
+formula is the margin by which it holds, below 0 if it is violated [2]_.
+
+References
+----------
+.. [1] https://pypi.org/project/sentil/
+.. [2] G. Fainekos, G. Pappas, "Robustness of temporal logic specifications for continuous-time
+   signals", Theoretical Computer Science 410, 2009.
+"""
+
+import difflib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import sentil
+import yaml
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags import bounded_yaml
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.oracles.traces import RATE, SIGNALS, TIME, known_names, values_of
+
+NAV2 = Path(__file__).with_name("nav2.yaml")
+FARTHEST = 1e6  # scales; limit of a robustness
+
+_KEYS = ("name", "formula", "scale", "says")
+_LARGEST = 1024 * 1024  # bytes
+
+
+class RequirementError(OracleError):
+    """A file of requirements cannot be used."""
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """One formula that every run should satisfy."""
+
+    name: str
+    formula: str
+    scale: float = 1.0
+    says: str = ""
+
+
+def load(path: Path) -> list[Requirement]:
+    """Read a file of requirements.
+
+    Raises
+    ------
+    RequirementError
+        With file, line, and what is wrong.
+    """
+    try:
+        with path.open("rb") as source:
+            content = source.read(_LARGEST + 1)
+        if len(content) > _LARGEST:
+            raise ValueError(f"it is larger than {_LARGEST} bytes")
+        text = content.decode()
+        document = bounded_yaml.load(text)
+        if not isinstance(document, dict) or list(document) != ["requirements"]:
+            raise ValueError("it has to be a mapping with the one key 'requirements'")
+        if not isinstance(document["requirements"], list):
+            raise ValueError("'requirements' has to be a list")
+    except (ValueError, OSError) as error:
+        raise RequirementError(f"{path} is no file of requirements: {error}.") from error
+    read: list[Requirement] = []
+    for line, given in zip(_lines(text), document["requirements"], strict=True):
+        try:
+            requirement = _requirement(given)
+            if any(requirement.name == other.name for other in read):
+                raise ValueError(f"the name {requirement.name!r} stands twice")
+        except ValueError as error:
+            raise RequirementError(f"{path}, line {line}: {error}.") from error
+        read.append(requirement)
+    return read
+
+
+def dump(requirements: Iterable[Requirement], head: str) -> str:
+    """Return requirements as YAML, each on a line of its own below some lines of comment."""
+    lines = [*(f"# {line}" for line in head.splitlines()), "requirements:"]
+    for each in requirements:
+        given = {"name": each.name, "formula": each.formula, "scale": each.scale}
+        given |= {"says": each.says} if each.says else {}
+        text = yaml.safe_dump(given, default_flow_style=True, sort_keys=False, width=10_000)
+        lines.append(f"  - {text.strip()}")
+    return "\n".join(lines) + "\n"
+
+
+def violations(
+    requirements: Sequence[Requirement], traces: Iterable[pd.DataFrame]
+) -> NDArray[np.float64]:
+    """Return how far each trace is beyond each requirement, in scales; below 0: it holds.
+
+    Returns
+    -------
+    ndarray of shape (n_traces, n_requirements)
+        NaN where the trace lacks a signal of the formula.
+    """
+    parsed = [sentil.Formula.parse(each.formula) for each in requirements]
+    scales = np.array([each.scale for each in requirements])
+    robustness = [[_robustness(formula, trace) for formula in parsed] for trace in traces]
+    shaped = np.array(robustness, dtype=np.float64).reshape(-1, len(requirements))
+    beyond = np.clip(-shaped / scales, -FARTHEST, FARTHEST)
+    return np.asarray(beyond, dtype=np.float64)
+
+
+def _robustness(formula: Any, trace: pd.DataFrame) -> float:
+    """Return the robustness at the first sample; samples that lack a signal are left out."""
+    names = formula.variables
+    values = values_of(trace, names)
+    known = np.isfinite(values).all(axis=1)
+    if not known.any():
+        return np.nan
+    seen = dict(zip(names, values[known].T, strict=True))
+    return float(formula.robustness(sentil.Trace(trace[TIME].to_numpy()[known], seen)))
+
+
+def _requirement(given: Any) -> Requirement:
+    if not isinstance(given, dict):
+        raise ValueError(f"a requirement is a mapping of {', '.join(_KEYS)}")
+    if unknown := [str(key) for key in given if key not in _KEYS]:
+        raise ValueError(f"unknown key {unknown[0]!r}; known are {', '.join(_KEYS)}")
+    texts = {key: given.get(key, "") for key in ("name", "formula", "says")}
+    for key, text in texts.items():
+        if not isinstance(text, str) or (key != "says" and not text.strip()):
+            raise ValueError(f"{key!r} has to be a text")
+    scale = given.get("scale", 1.0)
+    if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0.0 < scale < np.inf:
+        raise ValueError(f"'scale' has to be a number above 0, found {scale!r}")
+    _check(texts["formula"])
+    return Requirement(texts["name"], texts["formula"], float(scale), texts["says"])
+
+
+def _check(formula: str) -> None:
+    """Refuse a formula that cannot be parsed, names no signal, or cannot be evaluated."""
+    try:
+        parsed = sentil.Formula.parse(formula)
+    except sentil.SentilError as error:
+        raise ValueError(f"{formula!r} is no formula: {error}") from error
+    if not parsed.variables:
+        raise ValueError(f"{formula!r} names no signal")
+    for name in parsed.variables:
+        if name.removesuffix(RATE) not in SIGNALS:
+            close = difflib.get_close_matches(name, known_names(), 1)
+            hint = f"; do you mean {close[0]}?" if close else f"; known are {', '.join(SIGNALS)}"
+            raise ValueError(f"there is no signal {name!r}{hint}")
+    try:
+        still: dict[str, object] = {name: np.zeros(2) for name in parsed.variables}
+        parsed.robustness(sentil.Trace([0.0, 1.0], still))
+    except sentil.SentilError as error:
+        raise ValueError(f"{formula!r} has no robustness: {error}") from error
+
+
+def _lines(text: str) -> list[int]:
+    """Return the line on which each requirement begins; the text has been checked."""
+    root = yaml.compose(text, Loader=yaml.SafeLoader)
+    assert isinstance(root, yaml.MappingNode)  # noqa: S101 -- checked by who calls
+    return [node.start_mark.line + 1 for node in root.value[0][1].value]

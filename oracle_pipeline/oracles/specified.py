@@ -1,0 +1,46 @@
+"""Specified oracle: what people say that a robot must do, as formulas of signal temporal logic."""
+
+from collections.abc import Sequence
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.features.plugin import hookimpl
+from oracle_pipeline.oracles.kind import Maker, OncePerTrace, TracedRuns
+from oracle_pipeline.oracles.requirements import FARTHEST, Requirement, violations
+
+
+class Specified:
+    """The largest violation of a run; below 0 if all requirements hold.
+
+    Parameters
+    ----------
+    requirements : sequence of Requirement
+    """
+
+    name = "specified"
+    asks = "requirements"
+
+    def __init__(self, requirements: Sequence[Requirement]) -> None:
+        self.requirements = tuple(requirements)
+        self._violations = OncePerTrace(lambda trace: violations(self.requirements, [trace])[0])
+
+    def learn(self, normal: TracedRuns) -> Self:  # noqa: ARG002 -- there is nothing to learn
+        """Return itself."""
+        return self
+
+    def score(self, runs: TracedRuns) -> NDArray[np.float64]:
+        """Return by how many scales each run breaks the requirement that it breaks most."""
+        beyond = self._violations(runs.traces)
+        return np.asarray(np.nanmax(np.nan_to_num(beyond, nan=-FARTHEST), axis=1))
+
+    def written(self) -> int:
+        """Return how many requirements there are."""
+        return len(self.requirements)
+
+
+@hookimpl
+def register_oracles() -> list[Maker]:
+    """Offer the oracle for the requirements, if there are any."""
+    return [lambda material: Specified(material.requirements) if material.requirements else None]

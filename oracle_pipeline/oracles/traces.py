@@ -1,0 +1,297 @@
+"""A trace: what a robot's recording says over time, as a few signals on one clock.
+
+Oracles that judge by rules need signals, not features: the commanded speed, the nearest return of a
+scanner, how many topics are quiet. Signals are found by the roles of topics, so they have the same
+names on every robot. What a robot does not record is NaN throughout.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oracle_pipeline.features.goals import GOAL_TOPICS, Goal, goals_of_log, goals_of_status
+from oracle_pipeline.features.kept_messages import KeptMessages
+from oracle_pipeline.features.kept_rows import Span
+from oracle_pipeline.features.plugin import (
+    Arrivals,
+    FeaturePlugin,
+    Missing,
+    Request,
+    Series,
+    Window,
+)
+from oracle_pipeline.features.scan_geometry import the_topic
+from oracle_pipeline.features.velocity import keep as keep_command
+from oracle_pipeline.robots.robot import Robot
+from oracle_pipeline.robots.roles import COMMAND, IMU, ODOMETRY, POSE, SCAN
+
+STEP_S = 0.05  # between two samples: Nav2 commands at 20 Hz
+TIME = "time_s"
+
+_ERROR = 40  # level of rcl_interfaces/msg/Log
+_SAMPLED_S = 0.05  # of each such span the first message of an inertial unit is read
+_PERIODIC_S = 1.0  # median time between the messages of a topic that should go on
+_FEWEST = 20  # messages that show it
+_QUIET_S, _QUIET_PERIODS = 2.0, 20.0  # a topic is quiet after the longer of the two
+
+RATE = "_rate"  # ends the name of what a signal changed by over the last second
+
+Floats = NDArray[np.float64]
+
+
+class Signal(NamedTuple):
+    """One column of a trace."""
+
+    unit: str
+    floor: float  # differences below it mean nothing, in the unit
+    description: str
+
+
+#: All signals, by name.
+SIGNALS: Mapping[str, Signal] = {
+    "command_speed": Signal("m/s", 0.005, "commanded speed, forwards"),
+    "command_turn": Signal("rad/s", 0.02, "commanded turn, to the left"),
+    "speed": Signal("m/s", 0.005, "speed by odometry"),
+    "turn": Signal("rad/s", 0.02, "turn by odometry"),
+    "travelled": Signal("m", 0.02, "length of the way so far, by odometry"),
+    "gyro_turn": Signal("rad/s", 0.02, "turn by the first inertial unit"),
+    "acceleration": Signal("m/s^2", 0.05, "length of its acceleration"),
+    "pose_spread": Signal("m", 0.01, "standard deviation of the position, by localisation"),
+    "pose_jump": Signal("m", 0.02, "how far the last two poses differ from odometry in distance"),
+    "nearest_min": Signal("m", 0.02, "nearest return, of the scanner that has the smallest"),
+    "nearest_max": Signal("m", 0.02, "nearest return, of the scanner that has the largest"),
+    "no_return_min": Signal("1", 0.005, "share of rays without a return, smallest of the scanners"),
+    "no_return_max": Signal("1", 0.005, "share of rays without a return, largest of the scanners"),
+    "uneven_min": Signal("m", 0.002, "how uneven neighbouring ranges are, least of the scanners"),
+    "uneven_max": Signal("m", 0.002, "how uneven neighbouring ranges are, most of the scanners"),
+    "goal_time": Signal("s", 0.5, "time since the goal was accepted; 0: none is under way"),
+    "goals_failed": Signal("1", 0.5, "goals so far that ended without success"),
+    "errors": Signal("1", 0.5, "messages so far at level ERROR or FATAL in the log"),
+    "non_finite": Signal("1", 0.5, "messages so far on motion with a number that is not finite"),
+    "quiet_topics": Signal("1", 0.5, "periodic topics that have been silent for too long"),
+}
+
+
+def known_names() -> list[str]:
+    """Return what formulas may name: all signals, and how fast each changes."""
+    return [*SIGNALS, *(f"{name}{RATE}" for name in SIGNALS)]
+
+
+def values_of(trace: pd.DataFrame, names: Sequence[str]) -> Floats:
+    """Return signals and rates of a trace, shape (n_times, n_names); NaN where unknown."""
+    columns = []
+    for name in names:
+        values = trace[name.removesuffix(RATE)].to_numpy(dtype=np.float64)
+        columns.append(_changes(values) if name.endswith(RATE) else values)
+    return np.column_stack(columns)
+
+
+def _changes(values: Floats) -> Floats:
+    """Return what values changed by over the last second."""
+    steps = round(1.0 / STEP_S)
+    changes = np.full(len(values), np.nan)
+    changes[steps:] = values[steps:] - values[:-steps]
+    return changes
+
+
+def _keep_odometry(message: Any) -> tuple[float, ...]:
+    position, twist = message.pose.pose.position, message.twist.twist
+    return position.x, position.y, twist.linear.x, twist.angular.z
+
+
+def _keep_inertial(message: Any) -> tuple[float, float]:
+    a = message.linear_acceleration
+    return message.angular_velocity.z, float(np.sqrt(a.x * a.x + a.y * a.y + a.z * a.z))
+
+
+def _keep_pose(message: Any) -> tuple[float, float, float]:
+    position, variance = message.pose.pose.position, message.pose.covariance
+    return position.x, position.y, float(np.sqrt(max(0.0, variance[0] + variance[7])))
+
+
+def _keep_scan(message: Any) -> tuple[float, float, float]:
+    """Return the nearest return [m], the share of rays without one, and how uneven ranges are [m].
+
+    The last is the median of the second differences between neighbouring rays.
+    """
+    ranges = np.asarray(message.ranges, dtype=np.float64)
+    if not len(ranges):
+        return np.nan, np.nan, np.nan
+    valid = (ranges >= message.range_min) & (ranges <= message.range_max)
+    together = valid[2:] & valid[1:-1] & valid[:-2]
+    left, middle, right = ranges[:-2][together], ranges[1:-1][together], ranges[2:][together]
+    bends = np.abs(left - 2.0 * middle + right)
+    return (
+        float(ranges[valid].min()) if valid.any() else np.nan,
+        float(1.0 - valid.mean()),
+        float(np.median(bends)) if len(bends) else np.nan,
+    )
+
+
+_SEEN = FeaturePlugin(
+    "trace", "trace", (), lambda _: Missing("a trace has no features"),
+    GOAL_TOPICS | {
+        "command": Request(keep_command, role=COMMAND, optional=True),
+        "odometry": Request(_keep_odometry, role=ODOMETRY, optional=True),
+        "inertial": Request(_keep_inertial, role=IMU, optional=True, every_s=_SAMPLED_S),
+        "pose": Request(_keep_pose, role=POSE, optional=True),
+        "scans": Request(_keep_scan, role=SCAN, optional=True),
+        "logged": Request(
+            lambda message: float(message.level), msgtype="rcl_interfaces/msg/Log", optional=True
+        ),
+    },
+)  # fmt: skip
+
+
+def read_trace(robot: Robot) -> pd.DataFrame:
+    """Read the signals of one robot, in one pass over its bag.
+
+    Returns
+    -------
+    DataFrame
+        Columns ``time_s`` (every 0.05 s from the start of the recording) and all of `SIGNALS`;
+        a signal holds its last value, and is NaN before its first.
+
+    Raises
+    ------
+    BagError
+        The bag cannot be read to its end.
+    """
+    recording = KeptMessages.read(robot, (_SEEN,))
+    whole = Span(0, recording.duration_ns)
+    window = recording.window(_SEEN, whole, recording.span(whole, None, ()))
+    if isinstance(window, Missing):  # a topic that cannot be decoded
+        window = recording.span(whole, None, ())
+    clock = np.arange(0.0, whole.end_s, STEP_S)
+    columns = {name: np.full(len(clock), np.nan) for name in SIGNALS}
+    columns.update(signals(window, clock))
+    return pd.DataFrame({TIME: clock, **columns})
+
+
+def signals(window: Window, clock: Floats) -> dict[str, Floats]:
+    """Return the signals that a recording has, sampled at the times of a clock [s]."""
+    found: dict[str, Floats] = {}
+    for part in (_driven, _sensed, _scanned, _navigated, _logged):
+        found.update(part(window, clock))
+    moving = ("command", "odometry", "inertial", "pose")
+    broken = [
+        series.times_s[~np.isfinite(series.values).all(axis=1)]
+        for key in moving
+        for series in window.topics.get(key, {}).values()
+    ]
+    found["non_finite"] = _so_far(np.concatenate([np.zeros(0), *broken]), clock)
+    found["quiet_topics"] = quiet_topics(window.arrivals, clock)
+    return found
+
+
+def quiet_topics(arrivals: Mapping[str, Arrivals], clock: Floats) -> Floats:
+    """Return how many periodic topics have been silent for too long, at each time."""
+    quiet = np.zeros(len(clock))
+    for arrived in arrivals.values():
+        times_s = arrived.times_s
+        if len(times_s) < _FEWEST:
+            continue
+        period_s = float(np.median(np.diff(times_s)))
+        if period_s > _PERIODIC_S:
+            continue
+        patience_s = max(_QUIET_S, _QUIET_PERIODS * period_s)
+        last = np.searchsorted(times_s, clock, side="right") - 1
+        quiet += (last >= 0) & (clock - times_s[np.maximum(last, 0)] > patience_s)
+    return quiet
+
+
+def _driven(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
+    if (commands := _one(window, "command")) is not None:
+        yield from zip(("command_speed", "command_turn"), _held(commands, clock), strict=True)
+    if (odometry := _one(window, "odometry")) is not None:
+        x, y, speed, turn = _held(odometry, clock)
+        yield "speed", speed
+        yield "turn", turn
+        steps = np.hypot(np.diff(x, prepend=x[:1]), np.diff(y, prepend=y[:1]))
+        yield "travelled", np.where(np.isnan(x), np.nan, np.nancumsum(steps))
+
+
+def _sensed(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
+    if (inertial := _first(window, "inertial")) is not None:
+        yield from zip(("gyro_turn", "acceleration"), _held(inertial, clock), strict=True)
+    if (poses := _one(window, "pose")) is not None:
+        yield "pose_spread", _held(poses, clock)[2]
+        if (odometry := _one(window, "odometry")) is not None:
+            there = _held(odometry, poses.times_s)[:2].T
+            jumps = np.abs(_strides(poses.values[:, :2]) - _strides(there))
+            yield "pose_jump", _held(Series(poses.times_s, jumps[:, None]), clock)[0]
+
+
+def _scanned(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
+    scans = window.topics.get("scans", {})
+    if not scans:
+        return
+    of_all = np.array([_held(series, clock) for series in scans.values()])
+    for number, name in enumerate(("nearest", "no_return", "uneven")):
+        known = ~np.isnan(of_all[:, number])
+        for end, fill, best in (("min", np.inf, np.min), ("max", -np.inf, np.max)):
+            value = best(np.where(known, of_all[:, number], fill), axis=0)
+            yield f"{name}_{end}", np.where(known.any(axis=0), value, np.nan)
+
+
+def _navigated(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
+    goals = _goals(window)
+    if goals is None:
+        return
+    time_s = np.zeros(len(clock))
+    for goal in goals:
+        end_s = np.inf if goal.ended_s is None else goal.ended_s
+        under_way = (clock >= goal.accepted_s) & (clock < end_s)
+        time_s[under_way] = clock[under_way] - goal.accepted_s
+    failed = [g.ended_s for g in goals if g.ended_s is not None and not g.reached]
+    yield "goal_time", time_s
+    yield "goals_failed", _so_far(np.array(failed, dtype=np.float64), clock)
+
+
+def _logged(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
+    logs = window.topics.get("logged", {}).values()
+    if logs:
+        bad = [series.times_s[series.values >= _ERROR] for series in logs]
+        yield "errors", _so_far(np.concatenate(bad), clock)
+
+
+def _goals(window: Window) -> list[Goal] | None:
+    readers: tuple[tuple[str, Callable[[Series], list[Goal]]], ...] = (
+        ("status", goals_of_status),
+        ("log", goals_of_log),
+    )
+    for key, read in readers:
+        series = the_topic(window.history.get(key, {}))
+        if series is not None and len(series.times_s):
+            return read(series)
+    return None
+
+
+def _one(window: Window, key: str) -> Series | None:
+    """Return what was kept of a role that only one topic has."""
+    return the_topic(window.topics.get(key, {}))
+
+
+def _first(window: Window, key: str) -> Series | None:
+    """Return what was kept of the first topic of a role, by name."""
+    return next(iter(window.topics.get(key, {}).values()), None)
+
+
+def _held(series: Series, clock: Floats) -> Floats:
+    """Return what was said last at each time, shape (n_values, n_times); NaN before the first."""
+    last = np.searchsorted(series.times_s, clock, side="right") - 1
+    values = np.where(np.isfinite(series.values), series.values, np.nan)
+    return np.where(last >= 0, values[np.maximum(last, 0)].T, np.nan)
+
+
+def _strides(points: Floats) -> Floats:
+    """Return the distance of each point from the one before it; 0 for the first."""
+    return np.asarray(np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T), dtype=np.float64)
+
+
+def _so_far(times_s: Floats, clock: Floats) -> Floats:
+    """Return how many events there have been at each time."""
+    return np.searchsorted(np.sort(times_s), clock, side="right").astype(np.float64)

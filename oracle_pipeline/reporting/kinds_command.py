@@ -1,0 +1,193 @@
+"""``oracle kinds``, ``oracle review`` and ``oracle invariants``: several kinds of oracle.
+
+What they need is imported when they run, so that the help of all commands stays fast.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from oracle_pipeline.options import format_option, output_option, plugins_option
+
+if TYPE_CHECKING:
+    from oracle_pipeline.oracles.kind import Material
+
+_ANSWERS = click.Choice(["good", "bad", "?"])
+
+_recordings = click.argument(
+    "recordings", metavar="RUN_OR_BAG...", nargs=-1, required=True,
+    type=click.Path(path_type=Path, exists=True),
+)  # fmt: skip
+_reference = click.option(
+    "--reference", type=click.Path(path_type=Path, exists=True),
+    help="Folder of normal recordings to learn from, beside those that are labelled normal.",
+)  # fmt: skip
+_requirements = click.option(
+    "--requirements", type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    help="YAML file of formulas that every run should satisfy.  [default: those for stock Nav2]",
+)  # fmt: skip
+_traces = click.option(
+    "--traces", type=click.Path(path_type=Path, file_okay=False),
+    help="Folder for the signals that were read, so that the next call is fast.",
+)  # fmt: skip
+
+
+@click.command()
+@_recordings
+@_reference
+@_requirements
+@click.option(
+    "--answers", type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    help="JSON file of what a person said of some runs, as `oracle review` writes it.",
+)  # fmt: skip
+@click.option(
+    "--questions", type=click.IntRange(0), default=0, show_default=True,
+    help="How many questions the labels answer in place of a person.",
+)  # fmt: skip
+@click.option(
+    "--far", default=0.05, show_default=True,
+    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
+    help="False positive rate of each kind, and of all together.",
+)  # fmt: skip
+@format_option("text", "json", text="Text for reading; one JSON object for programs.")
+@_traces
+@plugins_option
+def kinds(
+    recordings: tuple[Path, ...],
+    reference: Path | None,
+    requirements: Path | None,
+    answers: Path | None,
+    questions: int,
+    far: float,
+    file_format: str,
+    traces: Path | None,
+    plugins: Path | None,
+) -> None:
+    """Judge runs by several kinds of oracle, side by side.
+
+    The kinds: implicit (crash, abort, silence), specified (formulas of signal temporal logic),
+    invariants (what always held in normal runs), metamorphic (other runs of the same task), human
+    (answers of a person). Each gives p-values at the same false positive rate, sessions held out;
+    `union` is all of them together at that rate. A root with datasets/ adds the scorer of a
+    reference card.
+
+    RUN_OR_BAG is a run directory, a bag, or a folder of these. Normal runs are found by their
+    label; for bags without one, name a folder of normal ones with --reference.
+
+    \b
+    Examples:
+        oracle kinds data
+        oracle kinds data --questions 20 --format json
+        oracle kinds tonight/ --reference good_bags/ --requirements my_robot.yaml
+    """  # noqa: D301 -- click reads the control character
+    from oracle_pipeline.bags.terminal import progress_bar
+    from oracle_pipeline.evaluation.oracle_kinds import by_cards, compare_kinds
+    from oracle_pipeline.oracles import human
+    from oracle_pipeline.oracles.kind import build_kinds
+    from oracle_pipeline.reporting.kinds_text import as_json, as_text
+
+    given = human.load_answers(answers) if answers else {}
+    material = _material(recordings, reference, requirements, given, traces)
+    if questions:
+        material = human.answered_by_labels(material, questions)
+    nothing: list[str] = []
+    with progress_bar(nothing, unit="kind", desc="oracles") as bar:
+        comparison = compare_kinds(
+            build_kinds(material, plugins), material.runs, by_cards(recordings, material.runs),
+            far, bar.set_postfix_str,
+        )  # fmt: skip
+    click.echo((as_json if file_format == "json" else as_text)(comparison, far))
+
+
+@click.command()
+@_recordings
+@_reference
+@_requirements
+@output_option(
+    "--answers", "JSON file to keep the answers in; those in it are not asked for again.",
+    required=True,
+)  # fmt: skip
+@click.option(
+    "-k", "count", type=click.IntRange(1), default=10, show_default=True,
+    help="How many runs to ask about.",
+)  # fmt: skip
+@_traces
+def review(
+    recordings: tuple[Path, ...],
+    reference: Path | None,
+    requirements: Path | None,
+    answers: Path,
+    count: int,
+    traces: Path | None,
+) -> None:
+    """Ask a person about the most informative runs.
+
+    The runs to ask about are those that a model of the answers so far is least sure of, far from
+    those already asked about. Look at each with `oracle replay` or on its page of the report. The
+    answers are written after each question; `oracle kinds --answers` learns from them.
+
+    \b
+    Examples:
+        oracle review data --answers answers.json -k 5
+        oracle kinds data --answers answers.json
+    """  # noqa: D301 -- click reads the control character
+    from oracle_pipeline.oracles import human
+
+    given = human.load_answers(answers) if answers.is_file() else {}
+    material = _material(recordings, reference, requirements, given, traces)
+
+    def ask(run: str) -> bool | None:
+        click.echo(f"\n{run}")
+        for line in human.evidence(material, run):
+            click.echo(f"    {line}")
+        choice = click.prompt("Was it good, bad, or do you not know?", type=_ANSWERS, default="?")
+        return None if choice == "?" else choice == human.BAD
+
+    for run, bad in human.interview(material, ask, count):
+        given[run] = bad
+        human.save_answers(given, answers)
+    click.echo(human.learned_line(human.with_answers(material, given)))
+
+
+@click.command()
+@click.argument("good", metavar="GOOD...", nargs=-1, required=True,
+                type=click.Path(path_type=Path, exists=True))  # fmt: skip
+@output_option("--output", "YAML file to write.", required=True)
+@_traces
+def invariants(good: tuple[Path, ...], output: Path, traces: Path | None) -> None:
+    """Write down what always held in normal recordings, a line each.
+
+    The file holds formulas of signal temporal logic. Read it, delete or change lines, and give it
+    to `oracle kinds --requirements`.
+
+    \b
+    Examples:
+        oracle invariants good_bags/ --output invariants.yaml
+        oracle kinds tonight/ --reference good_bags/ --requirements invariants.yaml
+    """  # noqa: D301 -- click reads the control character
+    from oracle_pipeline.datasets import replacing
+    from oracle_pipeline.oracles.collecting import traced_runs
+    from oracle_pipeline.oracles.invariants import HEAD, Invariants
+    from oracle_pipeline.oracles.requirements import dump
+
+    runs = traced_runs([], good, traces)
+    learned = Invariants().learn(runs.where(runs.normal)).requirements()
+    with replacing(output) as sink:
+        sink.write(dump(learned, HEAD).encode())
+    click.echo(f"{len(learned)} invariants: {output}")
+
+
+def _material(
+    recordings: tuple[Path, ...],
+    reference: Path | None,
+    requirements: Path | None,
+    answers: dict[str, bool],
+    traces: Path | None,
+) -> "Material":
+    from oracle_pipeline.oracles.collecting import traced_runs
+    from oracle_pipeline.oracles.kind import Material
+    from oracle_pipeline.oracles.requirements import NAV2, load
+
+    runs = traced_runs(recordings, [reference] if reference else [], traces)
+    return Material(runs, load(requirements or NAV2), answers)

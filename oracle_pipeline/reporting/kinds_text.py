@@ -1,0 +1,80 @@
+"""Several kinds of oracle side by side, as text for people and JSON for programs."""
+
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from oracle_pipeline.bags.terminal import aligned_lines
+
+if TYPE_CHECKING:
+    from oracle_pipeline.evaluation.oracle_kinds import KindsComparison
+
+_FEW = 20  # recordings without a label whose p-values are shown
+
+
+def as_text(comparison: "KindsComparison", far: float) -> str:
+    """Return the tables of oracles and of modes; then the recordings without a label."""
+    oracles, by_mode = comparison.oracles, comparison.by_mode
+    head = ("oracle", "finds", "95 % interval", "false positives", "95 % interval", "asks for",
+            "ms a run")  # fmt: skip
+    rows: list[tuple[str, ...]] = [head]
+    for _, row in oracles.iterrows():
+        rows.append(
+            (
+                str(row["oracle"]),
+                *_estimate(row, "detection_rate"),
+                *_estimate(row, "false_alarm_rate"),
+                _asked(row),
+                _number(1e3 * row.get("seconds_a_run", np.nan), ".1f"),
+            )
+        )
+    lines = [f"Nominal false positive rate: {far:g}, sessions held out", ""]
+    lines += aligned_lines(rows, indent="    ")
+    names = list(dict.fromkeys(by_mode["oracle"])) if len(by_mode) else []
+    if names:
+        called = by_mode.pivot(index="mode", columns="oracle", values="called")
+        rows = [("share called anomalous", "label", "runs", *names)]
+        for mode, of in by_mode.groupby("mode", sort=False):
+            shares = (_number(float(called[name][mode]), ".2f") or "n/a" for name in names)
+            rows.append((str(mode), of["label"].iloc[0], str(of["runs"].iloc[0]), *shares))
+        lines += ["", *aligned_lines(rows, indent="    ")]
+    unknown = comparison.p[comparison.p["label"] == "unknown"]
+    if len(unknown):
+        rows = [("p-value", *names)]
+        for _, row in unknown.head(_FEW).iterrows():
+            rows.append((str(row["run_id"]), *(f"{row[name]:.3f}" for name in names)))
+        lines += ["", *aligned_lines(rows, indent="    ")]
+    notes = [f"{r['oracle']}: {r['note']}" for _, r in oracles.iterrows() if _text(r.get("note"))]
+    return "\n".join([*lines, *([""] if notes else []), *notes])
+
+
+def as_json(comparison: "KindsComparison", far: float) -> str:
+    """Return one object with the three tables; what is not known is null."""
+    tables = {"oracles": comparison.oracles, "by_mode": comparison.by_mode, "runs": comparison.p}
+    document = {
+        "far": far,
+        **{name: json.loads(table.to_json(orient="records")) for name, table in tables.items()},
+    }
+    return json.dumps(document, indent=2, allow_nan=False)
+
+
+def _estimate(row: pd.Series, name: str) -> tuple[str, str]:
+    value, low, high = (row.get(f"{name}{end}", np.nan) for end in ("", "_low", "_high"))
+    if pd.isna(value):
+        return "n/a", ""
+    return f"{value:.3f}", f"{low:.3f} to {high:.3f}"
+
+
+def _asked(row: pd.Series) -> str:
+    written = row.get("written", np.nan)
+    return f"{written:.0f} {row['asks']}" if written > 0 else str(row["asks"])
+
+
+def _number(value: float, spec: str) -> str:
+    return "" if pd.isna(value) else format(value, spec)
+
+
+def _text(value: object) -> bool:
+    return isinstance(value, str) and bool(value)

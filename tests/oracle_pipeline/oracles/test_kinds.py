@@ -1,0 +1,200 @@
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from oracle_pipeline.evaluation.oracle_kinds import UNION, compare_kinds
+from oracle_pipeline.features.plugin import Arrivals
+from oracle_pipeline.oracles import human
+from oracle_pipeline.oracles.calibration import judged, union
+from oracle_pipeline.oracles.implicit import Implicit
+from oracle_pipeline.oracles.invariants import Invariants
+from oracle_pipeline.oracles.kind import KindError, Material, build_kinds
+from oracle_pipeline.oracles.metamorphic import Metamorphic
+from oracle_pipeline.oracles.requirements import NAV2, load
+from oracle_pipeline.oracles.specified import Specified
+from oracle_pipeline.oracles.traces import STEP_S, quiet_topics
+from tests.oracle_pipeline.oracles.made_runs import campaign, trace
+
+
+class Drawn:
+    """A kind that knows nothing: its scores are drawn."""
+
+    name, asks = "drawn", "luck"
+
+    def __init__(self, seed):
+        self.seed = seed
+
+    def learn(self, normal):
+        return self
+
+    def written(self):
+        return 0
+
+    def score(self, runs):
+        return np.random.default_rng(self.seed).normal(size=len(runs.traces))
+
+
+@pytest.mark.parametrize(
+    ("kind", "altered"),
+    [
+        (Implicit, {"errors": 3.0}),
+        (Implicit, {"quiet_topics": 1.0}),
+        (Implicit, {"goals_failed": 1.0}),
+        (lambda: Specified(load(NAV2)), {"command_speed": 0.2}),
+        (Invariants, {"nearest_max": 0.2}),
+        (Invariants, {"acceleration": 2.0}),
+    ],
+)
+def test_a_kind_finds_what_it_is_for(kind, altered):
+    runs = campaign(**altered)
+    p = judged(kind(), runs).p
+    assert p[runs.malicious].max() <= 0.05
+    assert (p[runs.normal] <= 0.05).mean() <= 0.1
+
+
+def test_a_run_is_compared_with_others_of_its_task():
+    runs = campaign(nearest_min=-0.2, nearest_max=-0.2)
+    p = judged(Metamorphic(runs), runs).p
+    assert p[runs.malicious].max() <= 0.05
+
+
+def test_without_a_second_run_of_a_task_nothing_can_be_compared():
+    with pytest.raises(KindError, match="0 normal runs have another run of the same task"):
+        judged(Metamorphic(campaign(repeats=1)), campaign(repeats=1))
+
+
+def test_false_positives_of_each_kind_and_of_all_together_are_controlled():
+    runs = campaign(40, repeats=1)
+    rates = []
+    for seed in range(0, 100, 5):
+        found = [judged(Drawn(seed + n), runs) for n in range(5)]
+        p = np.array([each.p for each in found])
+        rates.append([(p <= 0.1).mean(), (union(found, runs).p <= 0.1).mean()])
+        assert (p.min(axis=0) <= 0.1).mean() > 0.2  # what the correction is for
+    assert np.mean(rates, axis=0) == pytest.approx([0.1, 0.1], abs=0.03)
+
+
+def test_a_run_is_never_judged_by_what_was_learned_from_its_session():
+    class Remembers(Drawn):
+        def learn(self, normal):
+            learned = Drawn(0)
+            learned.seen = set(normal.table["run_id"])
+            learned.score = lambda runs: np.array(
+                [float(run not in learned.seen) for run in runs.table["run_id"]]
+            )
+            return learned
+
+    runs = campaign(12, repeats=2)
+    assert judged(Remembers(0), runs).score[runs.normal] == pytest.approx(1.0)
+
+
+def test_the_table_has_a_row_for_each_kind_and_tells_why_one_is_missing():
+    runs = campaign(errors=2.0)
+    kinds = build_kinds(Material(runs, load(NAV2), {"attack|run000": True}))
+    comparison = compare_kinds(kinds, runs)
+    table = comparison.oracles.set_index("oracle")
+    assert [*table.index] == [
+        "implicit", "specified", "invariants", "metamorphic", "human", UNION,
+    ]  # fmt: skip
+    assert "all alike" in table.loc["human", "note"]
+    assert table.loc["implicit", "detection_rate"] == 1.0
+    assert table.loc[UNION, "detection_rate"] == 1.0
+    assert table.loc[UNION, "false_alarm_rate"] <= 0.1
+    assert set(comparison.by_mode["mode"]) == {"attack", "patrol0", "patrol1", "patrol2"}
+
+
+def test_a_kind_of_oracle_comes_from_the_plugin_folder(tmp_path):
+    (tmp_path / "mine.py").write_text(
+        "import numpy as np\n"
+        "from oracle_pipeline.features import hookimpl\n"
+        "class Slow:\n"
+        "    name, asks = 'slow', 'patience'\n"
+        "    def learn(self, normal): return self\n"
+        "    def written(self): return 1\n"
+        "    def score(self, runs): return np.array([-t['speed'].mean() for t in runs.traces])\n"
+        "@hookimpl\n"
+        "def register_oracles(): return [lambda material: Slow()]\n"
+        "@hookimpl\n"
+        "def register_features(): return []\n",
+        "utf-8",
+    )
+    runs = campaign(speed=-0.1)
+    (mine,) = (kind for kind in build_kinds(Material(runs, []), tmp_path) if kind.name == "slow")
+    assert judged(mine, runs).p[runs.malicious].max() <= 0.05
+
+
+def test_questions_are_about_runs_in_doubt_and_answers_move_the_line():
+    runs = campaign(20, nearest_max=0.12)
+    material = human.answered_by_labels(Material(runs, load(NAV2)), 16)
+    bad = dict(zip(runs.table["run_id"], runs.malicious, strict=True))
+    assert all(bad[run] == answer for run, answer in material.answers.items())
+    assert len(material.answers) == 16
+    assert set(material.answers.values()) == {True, False}
+    person = human.Human(material.answers, runs, human.looked_at(material))
+    opinion = person.learn(runs.where(runs.normal))
+    assert opinion.low <= opinion.threshold <= opinion.high
+    above = opinion.score(runs) > opinion.threshold
+    assert (above == runs.malicious).mean() > 0.9
+
+
+def test_answers_about_a_session_do_not_judge_it():
+    runs = campaign(8)
+    asked = human.Human({"attack|run003": True, "patrol0|run005": False}, runs, [Implicit()])
+    for block in (3, 5):
+        with pytest.raises(human.AnswerError, match="all alike"):
+            asked.learn(runs.where(runs.normal & (runs.block != block)))
+
+
+def test_answers_are_kept_and_wrong_ones_are_told(tmp_path):
+    path = tmp_path / "answers.json"
+    human.save_answers({"a|run000": True, "b|run001": False}, path)
+    assert human.load_answers(path) == {"a|run000": True, "b|run001": False}
+    path.write_text(json.dumps({"answers": {"a|run000": "perhaps"}}), "utf-8")
+    with pytest.raises(human.AnswerError, match="answer on a.run000 is 'perhaps'; write bad"):
+        human.load_answers(path)
+    path.write_text("[]", "utf-8")
+    with pytest.raises(human.AnswerError, match="is no file of answers"):
+        human.load_answers(path)
+
+
+def test_a_topic_is_quiet_when_it_stops_and_not_before():
+    clock = np.arange(0.0, 30.0, STEP_S)
+    every = np.arange(0.0, 30.0, 0.1)
+
+    def arrivals(times_s):
+        return Arrivals("a/msg/B", times_s, np.ones(len(times_s)), np.zeros(0))
+
+    goes_on, stops, rare = arrivals(every), arrivals(every[every < 10.0]), arrivals(every[:3])
+    quiet = quiet_topics({"/a": goes_on, "/b": stops, "/c": rare}, clock)
+    assert not quiet[clock < 11.5].any()
+    assert (quiet[clock > 12.5] == 1.0).all()
+
+
+def test_a_bag_says_what_the_robot_did(recorded_run):
+    from oracle_pipeline.opened_run import open_run
+    from oracle_pipeline.oracles.traces import SIGNALS, TIME, read_trace
+    from oracle_pipeline.robots.robot import find_robots
+
+    with open_run(recorded_run("lidar_passthrough").path) as run:
+        (robot,) = find_robots(run.bag)
+        read, driven_m = read_trace(robot), run.manifest.goal_results[0].driven_m
+        duration_s = run.duration_s
+    assert [*read] == [TIME, *SIGNALS]
+    assert read.iloc[-1].notna().all()
+    assert read[TIME].iloc[-1] == pytest.approx(duration_s, abs=2 * STEP_S)
+    assert read["travelled"].iloc[-1] == pytest.approx(driven_m, rel=0.1)
+    assert 0.2 < read["nearest_min"].min() <= read["nearest_max"].max()
+    assert read["goal_time"].max() > 5.0
+    assert read[["goals_failed", "errors", "non_finite"]].to_numpy().max() == 0.0
+
+
+def test_a_trace_without_a_signal_is_judged_by_the_others():
+    runs = campaign(8, nearest_max=0.5)
+    blind = tuple(trace.assign(gyro_turn=np.nan, pose_spread=np.nan) for trace in runs.traces)
+    runs = type(runs)(runs.table, blind)
+    for kind in (Implicit(), Specified(load(NAV2)), Invariants()):
+        assert np.isfinite(judged(kind, runs).score).all()
+    assert np.isfinite(Implicit().score(type(runs)(runs.table[:1], (trace(0)[:0],)))).all()
+    assert isinstance(runs.table, pd.DataFrame)

@@ -1,0 +1,130 @@
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from oracle_pipeline.oracles.invariants import HEAD, Invariants
+from oracle_pipeline.oracles.requirements import (
+    NAV2,
+    Requirement,
+    RequirementError,
+    dump,
+    load,
+    violations,
+)
+from oracle_pipeline.oracles.traces import SIGNALS, STEP_S, TIME
+from tests.oracle_pipeline.oracles.made_runs import campaign, trace
+
+numbers = st.floats(-2.0, 2.0, width=32)
+samples = st.lists(st.tuples(numbers, numbers), min_size=1, max_size=60)
+
+
+def of_two(pairs):
+    first, second = np.array(pairs, dtype=np.float64).T
+    columns = {name: np.full(len(pairs), np.nan) for name in SIGNALS}
+    columns |= {TIME: STEP_S * np.arange(len(pairs)), "speed": first, "command_speed": second}
+    return pd.DataFrame(columns)
+
+
+def margin(formula, pairs):
+    (row,) = violations([Requirement("it", formula)], [of_two(pairs)])
+    return -row[0]
+
+
+@given(samples)
+def test_robustness_is_the_margin_of_the_sample_that_is_nearest_to_breaking_it(pairs):
+    speed, command = np.array(pairs, dtype=np.float64).T
+    assert margin("always (speed <= 1)", pairs) == pytest.approx((1.0 - speed).min())
+    expected = np.maximum(1.0 - speed, command).max()
+    assert margin("eventually (speed <= 1 or command_speed >= 0)", pairs) == pytest.approx(expected)
+
+
+@given(samples)
+def test_a_command_that_held_for_half_a_second_has_to_be_followed(pairs):
+    speed, command = np.array(pairs, dtype=np.float64).T
+    steps = round(0.5 / STEP_S)
+    held = np.array([(command[max(0, n - steps) : n + 1] - 0.1).min() for n in range(len(speed))])
+    expected = np.maximum(-held, speed - 0.05).min()
+    found = margin("always (historically[0, 0.5] (command_speed >= 0.1) -> speed >= 0.05)", pairs)
+    assert found == pytest.approx(expected)
+
+
+def test_violations_are_in_scales_and_nan_where_a_signal_is_not_recorded():
+    fast = Requirement("fast", "always (speed <= 1)", 0.5)
+    unknown = Requirement("unknown", "always (turn <= 1)")
+    (row,) = violations([fast, unknown], [of_two([(2.0, 0.0)])])
+    assert row[0] == pytest.approx(2.0)
+    assert np.isnan(row[1])
+
+
+def test_a_normal_patrol_satisfies_what_is_shipped():
+    assert violations(load(NAV2), [trace(0)]).max() < 0.0
+
+
+@pytest.mark.parametrize(
+    ("altered", "name"),
+    [
+        ({"command_speed": 0.3}, "speed_within_limits"),
+        ({"nearest_min": -0.4}, "clearance_above_footprint"),
+        ({"speed": -0.3}, "moves_when_commanded"),
+        ({"goals_failed": 1.0}, "goals_reached"),
+        ({"gyro_turn": 0.5}, "inertia_agrees_with_odometry"),
+        ({"nearest_max": 0.5}, "scanners_agree"),
+    ],
+)
+def test_what_is_shipped_notices(altered, name):
+    shipped = load(NAV2)
+    (row,) = violations(shipped, [trace(0, **altered)])
+    broken = {each.name for each, beyond in zip(shipped, row, strict=True) if beyond > 0.0}
+    assert name in broken
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (["requirements: 3"], "'requirements' has to be a list"),
+        (["rules: []"], "one key 'requirements'"),
+        (["requirements: [&a {name: x}, *a]"], "alias"),
+        (["requirements:", "  - {name: a, formula: always (sped > 0)}"],
+         "line 2: there is no signal 'sped'; do you mean speed"),
+        (["requirements:", "", "  - {name: a, formula: [speed"], "is no file"),
+        (["requirements:", "", "  - {name: a, formula: 'always (speed > '}"],
+         "line 3: 'always .speed > ' is no formula: parse error at line 1, column"),
+        (["requirements:", "  - {name: a, formula: always (speed > 0), scale: 0}"],
+         "'scale' has to be a number above 0, found 0"),
+        (["requirements:", "  - {name: a, formla: always (speed > 0)}"], "unknown key 'formla'"),
+        (["requirements:", "  - {name: a, formula: always (speed > 0)}",
+          "  - {name: a, formula: always (speed < 1)}"], "line 3: the name 'a' stands twice"),
+        (["requirements:", "  - {name: a, formula: 'P>=0.9 (speed > 0)'}"], "has no robustness"),
+        (["requirements:", "  - {name: a, formula: __import__('os').system('true')}"],
+         "line 2: .* is no formula"),
+    ],
+)  # fmt: skip
+def test_a_fault_is_told_with_file_line_and_reason(tmp_path, lines, said):
+    path = tmp_path / "rules.yaml"
+    path.write_text("\n".join(lines), "utf-8")
+    with pytest.raises(RequirementError, match=said) as caught:
+        load(path)
+    assert str(path) in str(caught.value)
+
+
+def test_learned_invariants_are_a_file_of_requirements_that_says_the_same(tmp_path):
+    runs = campaign(6, nearest_max=0.4)
+    learned = Invariants().learn(runs.where(runs.normal))
+    path = tmp_path / "invariants.yaml"
+    path.write_text(dump(learned.requirements(), HEAD), "utf-8")
+    read = load(path)
+    assert read == learned.requirements()
+    by_formula = np.nanmax(violations(read, runs.traces), axis=1)
+    # Bounds in the file have four decimals, and are weaker than those learned by at most that.
+    least = min(each.scale for each in read)
+    assert by_formula == pytest.approx(learned.score(runs), abs=2e-4 / least)
+
+
+def test_an_invariant_is_a_line_that_can_be_deleted(tmp_path):
+    learned = Invariants().learn(campaign(6)).requirements()
+    lines = dump(learned, HEAD).splitlines()
+    path = tmp_path / "invariants.yaml"
+    path.write_text("\n".join(lines[:-1]), "utf-8")
+    assert load(path) == learned[:-1]

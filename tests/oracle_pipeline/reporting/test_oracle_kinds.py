@@ -1,0 +1,40 @@
+"""The report shows what each kind of oracle found, beside the others."""
+
+import pandas as pd
+
+from oracle_pipeline.evaluation.oracle_kinds import compare_kinds
+from oracle_pipeline.oracles.human import answered_by_labels
+from oracle_pipeline.oracles.implicit import Implicit
+from oracle_pipeline.oracles.invariants import Invariants
+from oracle_pipeline.oracles.kind import Material
+from oracle_pipeline.reporting.kinds_text import as_json, as_text
+from oracle_pipeline.reporting.oracle_kinds import BY_MODE, ORACLES, tables_of_kinds, with_kinds
+from oracle_pipeline.reporting.report import Report
+from tests.oracle_pipeline.oracles.made_runs import campaign
+
+EMPTY = Report(pd.DataFrame(), {}, {})
+
+
+def test_page_and_terminal_show_a_row_for_each_kind_and_a_column_in_the_table_of_modes():
+    comparison = compare_kinds([Implicit(), Invariants()], campaign(errors=2.0))
+    tables = tables_of_kinds(with_kinds(EMPTY, comparison))
+    assert [row[0].text for row in tables[ORACLES].rows] == ["implicit", "invariants", "union"]
+    (attack,) = (row for row in tables[BY_MODE].rows if row[0].text == "attack")
+    assert [cell.text for cell in attack[1:4]] == ["malicious", "24", "1.00"]
+    assert attack[3].interval.startswith("[0.8")
+    text = as_text(comparison, 0.05)
+    assert "implicit" in text
+    assert "attack" in text
+    assert '"far": 0.05' in as_json(comparison, 0.05)
+
+
+def test_few_runs_give_no_rate_but_the_number_that_is_needed():
+    runs = campaign(4, errors=2.0)
+    assert answered_by_labels(Material(runs.where(runs.block < 0), []), 5).answers == {}
+    comparison = compare_kinds([Implicit()], runs)
+    assert "4 blocks of normal runs cannot support" in comparison.oracles["note"].iloc[0]
+    assert "n/a" in as_text(comparison, 0.05)
+
+
+def test_without_a_comparison_the_report_has_no_section():
+    assert tables_of_kinds(EMPTY) == {}
