@@ -130,8 +130,9 @@ def phantom(ahead_m: float, radius_m: float, noise_m: float) -> Alteration:
         rng = np.random.default_rng(17)
 
         def moved(_topic: str, message: Any, _since_s: float) -> None:
-            x, y, yaw = pose_of(message.pose.pose)
-            state["pose"], state["yaw"] = complex(x, y), yaw
+            position, q = message.pose.pose.position, message.pose.pose.orientation
+            state["pose"] = complex(position.x, position.y)
+            state["yaw"] = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
 
         def seen(topic: str, message: Any, _since_s: float) -> None:
             mount = {"/scan_tom": 0.116, "/scan_fakeobject": 0.116}.get(topic, -0.064)

@@ -1,151 +1,146 @@
 """The oracle beside a running robot: delay of alarms, false ones, latency, share of a core, losses.
 
 `oracle-sim serve` and `oracle watch` are processes of their own on one DDS domain. A card is
-learned from recordings that `oracle watch` makes. Then other patrols are watched, some with an
-attack that is switched on while they drive. Times are the robot's.
+learned from patrols that `oracle watch` recorded, each of a session of its own. Then patrols of
+other sessions are watched, while attacks of many kinds are switched on and off, in drawn order.
+Times are the robot's. A delay counts from the switch to the verdict that raises the alarm, as if
+none had come before: the silence of ten minutes after an alarm is left out.
 """
 
-import json
 import os
-import signal
-import subprocess
-import sys
 import tempfile
-import threading
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+
+import numpy as np
 
 from bench.figures import Row, median, spread
+from bench.side_by_side import Watching, learn, processor_s, recorded, serving, switch, watching
+from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.scoring.alarms import RATE_PER_H, AlarmRule, Statistic
+from oracle_pipeline.scoring.card import ReferenceCard
 
-LEARNED = 10  # recordings that the card is learned from
-ATTACKED = 3
-NORMAL = 1
-GOALS = 4  # of each patrol: about 80 s
-SPEED = 3.0  # of the robot, for all that the card is of; the share of a core is taken at 1
-ONSET_S = 45.0  # after the patrol began, by the robot's clock
-LATER_S = 30.0  # that an attack is watched
-ATTACK = "random_noise"
+LEARNED = 45  # recordings that the card is learned from
+GOALS = 8  # of each: some 150 s
+SPEED = 3.0  # of the robot, but for what is measured at real time
+ATTACKS = (
+    "random_noise", "fake_object", "held_object", "blinded_sector", "range_drift", "sensor_delay",
+    "sensor_drop", "sensor_freeze", "sensor_replay", "topic_flood", "message_mutator",
+    "random_noise_thesis",
+)  # fmt: skip
+RUNS = (100, 101)  # of the campaign: each is a session and an order of attacks
+BEFORE_S, ON_S, OFF_S = 60.0, 35.0, 70.0  # before the first attack, on, and off
 DOMAIN = 231
-_BIN = Path(sys.executable).parent
 
 
-@dataclass
-class Watched:
-    """What one watch printed, each with the time at which it came."""
+@dataclass(frozen=True)
+class Patrol:
+    """What came of a patrol with attacks."""
 
-    told: list[tuple[float, dict[str, Any]]] = field(default_factory=list)
-    dropped: int = 0
-    attacked_at: float | None = None
-    share: float = 0.0  # of a core
-
-    def verdicts(self) -> list[dict[str, Any]]:
-        """Return the verdicts on windows."""
-        return [told["window"] for _, told in self.told if "window" in told]
-
-    def alarms(self) -> list[float]:
-        """Return when alarms came."""
-        return [at for at, told in self.told if "alarm" in told]
+    delays: dict[str, float]  # by attack [s]; infinity if there was no alarm
+    false_alarms: int
+    quiet_s: float  # without an attack, and not just after one
+    dropped: int
 
 
 def rows() -> Iterator[Row]:
     """Yield the figures."""
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        for number in range(LEARNED):
-            _watched(root / "good", number, SPEED)
+        recorded(root / "good", range(LEARNED), SPEED, GOALS, DOMAIN)
         card = root / "robot.card"
-        subprocess.run([_BIN / "oracle", "learn", root / "good", "--output", card], check=True,
-                       stdout=subprocess.DEVNULL)  # fmt: skip
-        attacked = [
-            _watched(root / "attacked", 100 + number, SPEED, card, attacked=True)
-            for number in range(ATTACKED)
-        ]
-        normal = [_watched(root / "normal", 200 + number, SPEED, card) for number in range(NORMAL)]
-        real_time = _watched(root / "real", 300, 1.0, card)
-    yield from _figures(attacked, normal, real_time)
+        learn(root / "good", card)
+        patrols = [_attacked(card, root / str(run), run) for run in RUNS]
+        yield from _of_attacks(patrols)
+        yield from _at_real_time(card, root / "real")
+    yield Row("load of the machine, at the end", os.getloadavg()[0])
 
 
-def _figures(attacked: list[Watched], normal: list[Watched], real_time: Watched) -> Iterator[Row]:
-    delays = [
-        min((at - watch.attacked_at for at in watch.alarms() if at > watch.attacked_at),
-            default=float("inf")) * SPEED
-        for watch in attacked
-        if watch.attacked_at is not None
-    ]  # fmt: skip
-    yield Row(f"median delay of an alarm, {ATTACK}", median(delays), "s", 10.0,
-              remark=spread(delays))  # fmt: skip
-    before = sum(
-        sum(at < (watch.attacked_at or 0.0) for at in watch.alarms()) for watch in attacked
-    )
-    hours = sum(watch.verdicts()[-1]["end_s"] for watch in normal) / 3600.0
-    hours += ATTACKED * ONSET_S / 3600.0
-    false_alarms = before + sum(len(watch.alarms()) for watch in normal)
-    yield Row("false alarms an hour", false_alarms / hours, "", 1.0,
-              remark=f"({false_alarms} in {hours:.2g} h)")  # fmt: skip
-    latencies = [verdict["latency_s"] for verdict in real_time.verdicts()]
+def _of_attacks(patrols: Sequence[Patrol]) -> Iterator[Row]:
+    delays = [delay for patrol in patrols for delay in patrol.delays.values()]
+    quartiles = np.quantile(delays, [0.25, 0.75], method="nearest")
+    yield Row(f"median delay of an alarm, {len(delays)} attacks", median(delays), "s", 10.0,
+              remark="(quartiles: {:.3g} and {:.3g})".format(*quartiles))  # fmt: skip
+    for attack in ATTACKS:
+        of = [patrol.delays[attack] for patrol in patrols]
+        yield Row(f"  {attack}", median(of), "s", remark=spread(of))
+    hours = sum(patrol.quiet_s for patrol in patrols) / 3600.0
+    count = sum(patrol.false_alarms for patrol in patrols)
+    yield Row("false alarms an hour", count / hours, "", 1.0, remark=f"({count} in {hours:.2g} h)")
+    yield Row("messages dropped", sum(patrol.dropped for patrol in patrols), "", 0.0)
+
+
+def _attacked(card: Path, out: Path, run: int) -> Patrol:
+    """Watch one patrol, and switch every attack on and off."""
+    order = np.random.default_rng(run).permutation(ATTACKS).tolist()
+    patrol = ("--run", str(run), "--speed", str(SPEED), "--goals", "100")
+    phases = []
+    with (
+        watching(DOMAIN, "--reference", card, "--out", out) as watch,
+        serving(DOMAIN, *patrol) as serve,
+    ):
+        time.sleep(BEFORE_S / SPEED)
+        for attack in order:
+            on_s = switch(serve, attack)
+            time.sleep(ON_S / SPEED)
+            phases.append((attack, on_s, switch(serve, "off")))
+            # Not a multiple of the time between windows, so that onsets lie anywhere in them.
+            time.sleep((OFF_S + np.random.default_rng(len(phases)).uniform(0.0, 5.0)) / SPEED)
+    return _patrol(watch, phases, _rule(card))
+
+
+def _patrol(watch: Watching, phases: list[tuple[str, float, float]], rule: AlarmRule) -> Patrol:
+    """Return the delays; what the statistic remembers of an attack is no false alarm."""
+    start_s, statistic = watch.start_s(), Statistic(rule)
+    raised = [
+        (start_s + verdict["end_s"], verdict["latency_s"])
+        for verdict in watch.verdicts()
+        if statistic.feed(verdict["score"]) > rule.threshold
+    ]
+    raised += [(start_s + each["end_s"], 0.0) for each in watch.alarms() if "contract" in each]
+    delays = {
+        attack: min(
+            (at_s - on_s + late_s for at_s, late_s in raised if on_s < at_s < off_s + 10.0),
+            default=np.inf,
+        )
+        for attack, on_s, off_s in phases
+    }
+    spans = [(on_s, off_s + OFF_S) for _, on_s, off_s in phases]
+    false = [at_s for at_s, _ in raised if not any(on <= at_s <= end for on, end in spans)]
+    end_s = watch.verdicts()[-1]["end_s"]
+    return Patrol(delays, len(false), end_s - sum(end - on for on, end in spans), watch.dropped)
+
+
+def _rule(card: Path) -> AlarmRule:
+    normal = ReferenceCard.load(card).scorer.windows_
+    if normal is None:
+        raise RuntimeError(f"{card} knows nothing of windows")
+    return normal.rule(max(RATE_PER_H, normal.lowest_rate()))
+
+
+def _at_real_time(card: Path, root: Path) -> Iterator[Row]:
+    """Watch one patrol at real time that the testbed records, too."""
+    patrol = ("--run", "300", "--goals", "4", "--out", root / "own")
+    with (
+        watching(DOMAIN, "--reference", card, "--out", root / "live") as watch,
+        serving(DOMAIN, *patrol) as serve,
+    ):
+        time.sleep(25.0)  # everything is loaded then
+        before_s, began = processor_s(watch.process.pid), time.monotonic()
+        serve.wait()
+        used_s, wall_s = processor_s(watch.process.pid) - before_s, time.monotonic() - began
+    latencies = [verdict["latency_s"] for verdict in watch.verdicts()]
     yield Row("from the end of a window to its verdict, at real time", median(latencies), "s", 0.5,
               remark=spread(latencies))  # fmt: skip
-    yield Row("share of a core, at real time", 100 * real_time.share, "%", 15.0)
-    everything = [*attacked, *normal, real_time]
-    yield Row("messages dropped", sum(watch.dropped for watch in everything), "", 0.0)
-
-
-def _watched(
-    out: Path, run: int, speed: float, card: Path | None = None, *, attacked: bool = False
-) -> Watched:
-    """Watch one patrol from before its beginning to after its end."""
-    reference = [] if card is None else ["--reference", str(card)]
-    watch: Any = subprocess.Popen(
-        [_BIN / "oracle", "watch", "--domain", str(DOMAIN), "--out", str(out), "--format", "json",
-         *reference],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    watched = Watched()
-    reader = threading.Thread(target=_read, args=(watch.stdout, watched))
-    reader.start()
-    watch.stderr.readline()  # it is there
-    serve: Any = subprocess.Popen(
-        [_BIN / "oracle-sim", "serve", "--domain", str(DOMAIN), "--speed", str(speed),
-         "--run", str(run), "--goals", str(GOALS)],
-        stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    serve.stderr.readline()  # it is there
-    if attacked:
-        time.sleep(ONSET_S / speed)
-        serve.stdin.write(f"attack {ATTACK}\n")
-        serve.stdin.flush()
-        watched.attacked_at = time.monotonic()
-        time.sleep(LATER_S / speed)
-        serve.send_signal(signal.SIGINT)
-    elif speed == 1.0:
-        time.sleep(25.0)  # everything is loaded then
-        before, began = _processor_s(watch.pid), time.monotonic()
-        time.sleep(40.0)
-        watched.share = (_processor_s(watch.pid) - before) / (time.monotonic() - began)
-    serve.wait()
-    watch.send_signal(signal.SIGINT)
-    reader.join()
-    said = watch.stderr.read()
-    watch.wait()
-    heard = next(line for line in said.splitlines() if "dropped" in line)
-    watched.dropped = int(heard.split()[3])
-    return watched
-
-
-def _read(lines: Any, watched: Watched) -> None:
-    for line in lines:
-        watched.told.append((time.monotonic(), json.loads(line)))
-
-
-def _processor_s(process: int) -> float:
-    """Return the processor time of a process and its children so far [s]."""
-    children = Path(f"/proc/{process}/task/{process}/children").read_text().split()
-    ticks = os.sysconf("SC_CLK_TCK")
-    total = 0.0
-    for each in (process, *map(int, children)):
-        fields = Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split()
-        total += (int(fields[11]) + int(fields[12])) / ticks
-    return total
+    yield Row("share of a core, at real time", 100 * used_s / wall_s, "%", 15.0)
+    (own,) = (root / "own").glob("runs/*/*")
+    assert watch.recording is not None  # noqa: S101 -- it was recorded
+    with open_run(own) as first, open_run(watch.recording) as second:
+        sent, came = (Counter((m.topic, m.data) for m in each.bag.messages())
+                      for each in (first, second))  # fmt: skip
+    lost = (sent - came).total() / sent.total()
+    yield Row("messages recorded, with the bytes that were sent", 100 * (1 - lost), "%", 99.9,
+              at_most=False)  # fmt: skip

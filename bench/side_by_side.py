@@ -136,7 +136,8 @@ def learn(recordings: Path, card: Path) -> None:
 def _process(program: str, *words: str | Path) -> Any:
     return subprocess.Popen(
         [_BIN / program, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        stderr=subprocess.PIPE, text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1", "PYTHONWARNINGS": "ignore"},
     )  # fmt: skip
 
 

@@ -22,6 +22,8 @@ def judge_pair(directory: RunDirectory) -> None:
     or noise are not compared. So where each run has noise of its own, the control is the shadow.
     """
     for path in sorted(directory.root.glob(f"runs/*/{directory.run_id}")):
+        if path == directory.path:
+            continue
         # A folder that is no mode's, or a manifest that cannot be read, is not this run's trouble.
         with contextlib.suppress(RunDirectoryError, ManifestError):
             other = RunDirectory(directory.root, path.parent.name, directory.run)
@@ -39,8 +41,11 @@ def _controls_of(mode: str) -> tuple[str, str]:
 def _judge(attack: RunDirectory, control: RunDirectory) -> None:
     if not (attack.is_complete() and control.is_complete()):
         return
-    attacked, right = attack.manifest(), control.manifest()
-    if attacked.label != "malicious" or _setting(attacked) != _setting(right):
+    attacked = attack.manifest()
+    if attacked.label != "malicious":
+        return
+    right = control.manifest()
+    if _setting(attacked) != _setting(right):
         return
     effect = task_effect(attacked, right)
     if effect != attacked.task_effect:

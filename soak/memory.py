@@ -17,9 +17,13 @@ from typing import BinaryIO
 
 import numpy as np
 
-from oracle_pipeline.bags.compression import zstd
 from oracle_pipeline.bags.mcap import MAGIC
 from oracle_pipeline.bags.types import definition, message_class, serialize
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
 
 GOAL_MIB = 1024
 _PROGRAM = "from oracle_pipeline.cli import main; main()"

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from oracle_pipeline.clustering.tree import ClusteringError
 from oracle_pipeline.datasets import is_hard_negative
@@ -122,7 +123,18 @@ def evaluate(
     DatasetError
         The tables do not fit together.
     """
-    steps = _Steps(JudgedRuns.of(features, windows, truth), seed, progress)
+    campaign = JudgedRuns.of(features, windows, truth)
+    with threadpool_limits(1, user_api="blas"):  # on so small matrices, more threads only wait
+        return _evaluated(_Steps(campaign, seed, progress), len(features), graph_differences, grid)
+
+
+def _evaluated(
+    steps: "_Steps",
+    runs: int,
+    graph_differences: Sequence[str] | None,
+    grid: MeasuredRuns | None,
+) -> CampaignEvaluation:
+    """Take the steps; `runs` counts those that ended before their attack, too."""
     headline = _supported(steps.score(HEADLINE, steps.folds))
     table = steps.table(headline)
     checks = steps.checks(headline, table, graph_differences)
@@ -130,18 +142,18 @@ def evaluate(
     effects = task_effects(steps.campaign)
     aspect_scores, aspects = steps.aspects(effects)
     small_clusters = steps.small_clusters()
-    progress("audit")
+    steps.progress("audit")
     told = audit(steps.campaign.features, steps.sets.get(HEADLINE.features, []))
-    progress("curves")
+    steps.progress("curves")
     curves = headline_curves(headline, steps.campaign, steps.compared, steps.rng)
     kills = None
     if grid is not None:
-        progress("kill matrix")
-        kills = kill_matrix(steps.campaign, grid, seed)
+        steps.progress("kill matrix")
+        kills = kill_matrix(steps.campaign, grid, steps.seed)
     return CampaignEvaluation(
         campaign=steps.campaign,
-        left_out=len(features) - len(steps.campaign.features),
-        seed=seed,
+        left_out=runs - len(steps.campaign.features),
+        seed=steps.seed,
         headline=headline,
         table=table,
         checks=checks,

@@ -104,7 +104,7 @@ def _uncertainty(apart: NDArray[np.float64]) -> NDArray[np.float64]:
     least = np.array([LEAST[name] for name in UNITS])
     alone = np.array([_within(column[np.isfinite(column)]) for column in apart.T])
     sizes = np.nan_to_num(apart / np.maximum(alone, least), nan=0.0)
-    known = np.isfinite(apart / alone).any(axis=1)
+    known = np.isfinite(apart[:, np.isfinite(alone)]).any(axis=1)
     wider = max(1.0, _within(sizes[known].max(axis=1))) if known.any() else 1.0
     return np.asarray(np.maximum(wider * alone, least), dtype=np.float64)
 

@@ -76,8 +76,9 @@ class _Buffer:
         if dtype not in self.views:
             count = len(self.data) - dtype.itemsize + 1
             self.views[dtype] = np.ndarray((count,), dtype, self.data, strides=(1,))
-        view: NDArray[Any] = self.views[dtype]
-        return view[np.minimum(self.starts + at, len(view) - 1)]
+        view = self.views[dtype]
+        numbers: NDArray[Any] = view[np.minimum(self.starts + at, len(view) - 1)]
+        return numbers
 
     def of(self, rows: _Ints) -> "_Buffer":
         """Return the same of some messages, some perhaps several times."""
@@ -185,7 +186,7 @@ class Batch:
             self._little = (encapsulation == 0x0100) & (sizes >= ENCAPSULATION)
 
     @cached_property
-    def _walked(self) -> tuple[_Node, _Ints]:
+    def _walked(self) -> tuple[_Node, NDArray[np.bool_]]:
         walk = _Walk(self._buffer)
         node, end = walk.to(self._kind, 0)
         padding = _PADDING if self._buffer.is_cdr else 0

@@ -101,7 +101,7 @@ def range_variance(messages: Any) -> NDArray[np.float64]:
         return np.array(each(messages.ranges, _row_variances))
 
 
-def _row_variances(ranges: NDArray[np.float32]) -> NDArray[np.float64]:
+def _row_variances(ranges: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
     if not ranges.size:
         return np.full(len(ranges), np.nan)
     return np.asarray(np.var(ranges.astype(np.float64), axis=1))

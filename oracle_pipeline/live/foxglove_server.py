@@ -10,6 +10,7 @@ graph for the panel Topic Graph. Clients cannot publish, and pages of other site
 
 import math
 from collections import deque
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Self
 
 from oracle_pipeline.bags.errors import BagError, OracleError
@@ -22,7 +23,7 @@ from oracle_pipeline.live.window_scorer import WindowVerdict
 
 if TYPE_CHECKING:
     from foxglove import Channel
-    from foxglove.websocket import ChannelView, Client, ConnectionGraph
+    from foxglove.websocket import ChannelView, Client, ConnectionGraph, ServerListener
 
 PORT = 8765  # Foxglove's own default
 WINDOW_TOPIC, LOG_TOPIC = "/oracle/window", "/oracle/log"
@@ -69,7 +70,7 @@ class FoxgloveServer:
             port=0,
             capabilities=[foxglove.Capability.ConnectionGraph],
             context=self._context,
-            server_listener=self,
+            server_listener=_listener(self._say_again),
             tls_cert=own.certificate,
             tls_key=own.key,
         )
@@ -111,11 +112,6 @@ class FoxgloveServer:
         elif isinstance(event, Note):
             self._say(event.text, self._now_ns, is_alarm=False)
 
-    def on_subscribe(self, _client: "Client", channel: "ChannelView") -> None:
-        """Say again what was said once, as a latched topic does: maps and static transforms."""
-        for event in tuple(self._latched.get(channel.topic, ())):
-            self._hand_on(event)
-
     def __enter__(self) -> Self:
         self._guard.__enter__()
         return self
@@ -150,6 +146,11 @@ class FoxgloveServer:
         schema = Schema(name=event.msgtype, encoding="ros2msg", data=text.encode())
         return Channel(event.topic, schema=schema, message_encoding="cdr", context=self._context)
 
+    def _say_again(self, topic: str) -> None:
+        """Say again what was said once, as a latched topic does: maps and static transforms."""
+        for event in tuple(self._latched.get(topic, ())):
+            self._hand_on(event)
+
     def _stamp_ns(self, second: float) -> int:
         return (self._start_ns or 0) + round(second * _SECOND_NS)
 
@@ -162,6 +163,17 @@ class FoxgloveServer:
             Log(timestamp=stamp, level=level, message=printable(text), name="oracle"),
             log_time=stamp_ns,
         )
+
+
+def _listener(on_subscribe: Callable[[str], None]) -> "ServerListener":
+    """Return what calls a function with the topic when a client subscribes to one."""
+    from foxglove.websocket import ServerListener
+
+    class Listener(ServerListener):
+        def on_subscribe(self, client: "Client", channel: "ChannelView") -> None:  # noqa: ARG002
+            on_subscribe(channel.topic)
+
+    return Listener()
 
 
 def _connections(event: GraphTaken) -> "ConnectionGraph":

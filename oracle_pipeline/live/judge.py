@@ -1,6 +1,7 @@
 """Judges windows in a process of its own, so that messages never wait for features.
 
-The watch sends what it hears as it comes, and says when a window has ended; verdicts come back.
+The watch sends what it hears as it comes, and says when a window has ended; verdicts come back. On
+a machine that is too slow, old windows are left out, so that verdicts never lag far behind.
 """
 
 import contextlib
@@ -27,6 +28,7 @@ from oracle_pipeline.scoring.card import ReferenceCard
 
 _END_S = 5.0  # that the process gets to end by itself
 _INBOX = 10_000  # what may wait to be worked on
+_MOST_WAITING = 2  # windows behind one, until it is left out
 _SECOND_NS = 1_000_000_000
 
 
@@ -50,8 +52,13 @@ class _Window:
     ended_at: float  # by the monotonic clock of the machine [s]
 
 
+@dataclass(frozen=True, slots=True)
+class _LeftOut:
+    """A window that is not judged: newer ones wait."""
+
+
 _Told: TypeAlias = _Topic | _Window | Interval | list[Stamped] | None
-_Answer: TypeAlias = WindowVerdict | OracleError
+_Answer: TypeAlias = WindowVerdict | _LeftOut | OracleError
 
 
 class Judge:
@@ -70,12 +77,15 @@ class Judge:
     ----------
     contract : Contract or None
         Of the card.
+    left_out : int
+        Windows that were not judged, because the machine is too slow.
     """
 
     def __init__(self, card: Path, alarms_per_h: float | None, plugins: Path | None = None) -> None:
         known = ReferenceCard.load(card)
         WindowScorer(known, alarms_per_h)  # a bad card is told at once
         self.contract = known.contract
+        self.left_out = 0
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
@@ -115,7 +125,10 @@ class Judge:
                 answer: _Answer = self._pipe.recv()
                 if isinstance(answer, OracleError):
                     raise answer
-                yield answer
+                if isinstance(answer, _LeftOut):
+                    self.left_out += 1
+                else:
+                    yield answer
         except (EOFError, ConnectionError):
             raise self._death() from None
 
@@ -152,20 +165,21 @@ class Judge:
 def _work(pipe: Connection, card: Path, alarms_per_h: float | None, plugins: Path | None) -> None:
     """Judge in the other process, until it is told to end."""
     # The pipe is emptied while a window is worked on, so that the watch need not wait.
-    inbox: queue.Queue[_Told] = queue.Queue(_INBOX)
-    threading.Thread(target=_receive, args=(pipe, inbox), daemon=True).start()
+    inbox = _Inbox(pipe)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the watch, which says the end
     try:
         manager = build_manager(plugins)
         scorer = WindowScorer(ReferenceCard.load(card), alarms_per_h)
         recent = RecentMessages()
-        while (told := inbox.get()) is not None:
+        while (told := inbox.take()) is not None:
             if isinstance(told, list):
                 recent.add(told)
             elif isinstance(told, Interval):
                 recent.add_graph(told)
             elif isinstance(told, _Topic):
                 recent.add_topic(told.name, told.msgtype, told.qos)
+            elif inbox.windows > _MOST_WAITING:
+                pipe.send(_LeftOut())
             else:
                 run = recent.until(told.recording_ns, told.end_ns, told.running)
                 begin_s = (told.start_ns - run.bag.start_ns) / _SECOND_NS
@@ -181,12 +195,32 @@ def _work(pipe: Connection, card: Path, alarms_per_h: float | None, plugins: Pat
         pipe.close()
 
 
-def _receive(pipe: Connection, inbox: "queue.Queue[_Told]") -> None:
-    """Receive until the end, or until the watch is gone."""
-    told: _Told = []
-    while told is not None:
-        try:
-            told = pipe.recv()
-        except (EOFError, OSError):
-            told = None
-        inbox.put(told)
+class _Inbox:
+    """What was told and is not worked on yet; a thread receives it until the watch is gone."""
+
+    def __init__(self, pipe: Connection) -> None:
+        self._pipe = pipe
+        self._waiting: queue.Queue[_Told] = queue.Queue(_INBOX)
+        self._received = self._taken = 0  # windows
+        threading.Thread(target=self._receive, daemon=True).start()
+
+    @property
+    def windows(self) -> int:
+        """How many windows wait."""
+        return self._received - self._taken
+
+    def take(self) -> _Told:
+        """Return the oldest, once there is any; None is the end."""
+        told = self._waiting.get()
+        self._taken += isinstance(told, _Window)
+        return told
+
+    def _receive(self) -> None:
+        told: _Told = []
+        while told is not None:
+            try:
+                told = self._pipe.recv()
+            except (EOFError, OSError):
+                told = None
+            self._received += isinstance(told, _Window)
+            self._waiting.put(told)

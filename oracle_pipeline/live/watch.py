@@ -344,8 +344,13 @@ class Watch:
             )
         if self._judge is not None:
             try:
+                before = self._judge.left_out
                 for verdict in self._judge.verdicts():
                     self._tell(verdict)
+                if left_out := self._judge.left_out - before:
+                    self._pending.append(
+                        Note(f"{left_out} windows were not judged: this machine is too slow.")
+                    )
             except OracleError as error:  # the recording goes on
                 self._judge.close()
                 self._judge = None

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
+from threadpoolctl import threadpool_limits
 
 from oracle_pipeline.datasets import feature_columns, feature_floors, is_malicious
 from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel
@@ -65,7 +66,8 @@ def learned_scorer(normal: MeasuredRuns, features: str = "all") -> CrossConforma
         They are too few, or have no feature.
     """
     looked_at = design(normal, features)
-    return CrossConformalScorer(looked_at).fit(normal, np.random.default_rng(SEED))
+    with threadpool_limits(1, user_api="blas"):  # on so small matrices, more threads only wait
+        return CrossConformalScorer(looked_at).fit(normal, np.random.default_rng(SEED))
 
 
 def design(runs: MeasuredRuns, features: str = "all") -> Design:

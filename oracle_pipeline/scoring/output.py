@@ -53,8 +53,8 @@ def as_text(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> st
         lines += ["", f"Anomalous: p <= {far:g}{over if len(judged) > 1 else ''}."]
         if any(verdict.aspects for verdict in verdicts):
             lines.append(
-                "Tampering (what messages say) and misbehaviour (what the robot did) each have a "
-                f"p-value <= {far:g} in so many normal recordings."
+                "The p-values of tampering (what messages say) and of misbehaviour (what the robot "
+                f"did) are each {far:g} or less in at most {far:.0%} of normal recordings."
             )
     return "\n".join([*lines, *shared, *notes])
 

@@ -108,7 +108,7 @@ class ScenarioNode:
         ScenarioError
             If it hears or publishes what this node does not.
         """
-        program, now = execution.program, self._execution.program
+        program, now = execution.program, self._program
         known = {(name, source.topic, source.type.name) for name, source in now.sources.items()}
         asked = {(name, source.topic, source.type.name) for name, source in program.sources.items()}
         ours, theirs = (

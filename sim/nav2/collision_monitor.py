@@ -35,6 +35,7 @@ ODOM_FRAME = "odom"
 SOURCE_TIMEOUT_NS = 5 * SECOND
 STOP_PUB_TIMEOUT_NS = 2 * SECOND
 _RANGE_STEP_RAD = math.radians(1.0)
+_SPARE_M = 1e-6  # so far outside its box no point is inside a polygon, whatever is rounded
 
 
 @dataclass(frozen=True)
@@ -179,6 +180,8 @@ class CollisionMonitor(LifecycleNode):
         self._polygons = polygons
         self._sources = sources
         self._seen: list[_Seen] = []
+        self._parts: list[Points] = []  # what each source sees, in the odometry frame
+        self._all: Points = np.empty((0, 2))  # one behind the other
         self._action = ""  # polygon that acts
         self._halted_ns: int | None = None  # since when the robot is told to stand
         self.commands = self.commands_altered = 0  # to move; of these, slowed down or stopped
@@ -235,11 +238,14 @@ class CollisionMonitor(LifecycleNode):
 
     def _points(self) -> Points:
         """Return what all sources see, in the base frame as it is now."""
-        points = np.concatenate([s.points(self.now_ns) for s in self._seen])
+        now_ns = self.now_ns
+        parts = [seen.points(now_ns) for seen in self._seen]
+        if list(map(id, parts)) != list(map(id, self._parts)):  # less often than commands come
+            self._parts, self._all = parts, np.concatenate(parts)
         try:
-            return self._transforms.lookup(BASE_FRAME, ODOM_FRAME).apply(points)
+            return self._transforms.lookup(BASE_FRAME, ODOM_FRAME).apply(self._all)
         except TransformError:
-            return points[:0]
+            return self._all[:0]
 
     def _judge(
         self, command: tuple[float, float], points: Points
@@ -293,8 +299,12 @@ def points_inside(vertices: Points, points: Points) -> int:
         In the same frame [m].
     """
     count = 0
+    left, right = vertices[:, 0].min() - _SPARE_M, vertices[:, 0].max() + _SPARE_M
+    low, high = vertices[:, 1].min() - _SPARE_M, vertices[:, 1].max() + _SPARE_M
     for k in range(len(points)):
         x, y = points[k, 0], points[k, 1]
+        if not (left <= x <= right and low <= y <= high):  # most of them
+            continue
         inside = False
         j = len(vertices) - 1
         for i in range(len(vertices)):

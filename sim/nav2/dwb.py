@@ -13,7 +13,7 @@ import numpy as np
 from sim.jit import jit
 from sim.middleware.geometry import Pose2D, wrap_angle
 from sim.nav2.dwb_critics import CostGrid, Critics, Scoring, map_plan, search
-from sim.nav2.dwb_sampling import Parameters, roll, step_count
+from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.paths import Poses
 
 
@@ -87,14 +87,10 @@ class LocalPlanner:
         goal = from_plan.compose(Pose2D(*self.plan[-1]))
         critics = self._prepare(grid, pose, velocity, goal, near)
         scoring = Scoring(parameters, grid, (pose.x, pose.y, pose.yaw), velocity, critics)
-        twist = search(*scoring)
-        legal = not math.isnan(twist[0])
-        self._turns.debrief(twist if legal else (0.0, 0.0), pose)
-        if not legal:
-            return Cycle(None, near, near[:0], scoring)
-        rollout = np.empty((step_count(parameters, twist) + 2, 3))
-        roll(parameters, scoring.pose, velocity, twist, rollout)
-        return Cycle(twist, near, rollout, scoring)
+        forward, turning, rollout = search(*scoring)
+        legal = not math.isnan(forward)
+        self._turns.debrief((forward, turning) if legal else (0.0, 0.0), pose)
+        return Cycle((forward, turning) if legal else None, near, rollout, scoring)
 
     def followed(self, pose: Pose2D, grid: CostGrid, from_plan: Pose2D) -> Poses:
         """Forget what lies behind; return the part to follow, in the costmap's frame."""

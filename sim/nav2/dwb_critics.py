@@ -103,14 +103,18 @@ def map_plan(
 
 
 @jit
+def cost_at(grid: CostGrid, x: float, y: float) -> int:
+    """Return the cost under a point; outside it is unknown."""
+    column, row = cell(grid, x, y)
+    return UNKNOWN if column < 0 else int(grid.costs[row, column])
+
+
+@jit
 def obstacle_cost(grid: CostGrid, rollout: Poses) -> int:
     """Return the cost under the last pose, -1 if the robot would hit something or leave."""
     cost = 0
     for i in range(len(rollout)):
-        column, row = cell(grid, rollout[i, 0], rollout[i, 1])
-        if column < 0:
-            return -1
-        cost = int(grid.costs[row, column])
+        cost = cost_at(grid, rollout[i, 0], rollout[i, 1])
         if cost >= INSCRIBED:
             return -1
     return cost
@@ -186,24 +190,60 @@ def search(
     pose: tuple[float, float, float],
     velocity: tuple[float, float],
     critics: Critics,
-) -> tuple[float, float]:
-    """Return the legal twist with the lowest score, the first of equals; NaN if there is none.
+) -> tuple[float, float, Poses]:
+    """Return the legal twist with the lowest score, the first of equals, and its rollout.
 
-    Most critics ask only for the cell in which a rollout ends. That does not take its steps, and
-    only a trajectory that could win is rolled out.
+    The twist is NaN, and the rollout empty, if there is none.
+
+    The critics ask for the cell in which a rollout ends, which does not take its steps. Only
+    whether the robot hits something on its way does: that is asked of the trajectory with the
+    lowest score, then of the next, until one is legal.
     """
-    best, best_v, best_w = math.inf, math.nan, math.nan
+    rollout = np.empty((_longest(parameters) + 2, 3))
     if critics.goal_x < 0:
-        return best_v, best_w
+        return math.nan, math.nan, rollout[:0]
     forward, turning = twists(parameters, velocity)
-    longest = step_count(parameters, (parameters.max_vel_x, parameters.max_vel_theta))
-    rollout = np.empty((longest + 2, 3))
+    totals = _totals(parameters, grid, pose, velocity, critics, forward, turning, rollout)
+    while True:
+        index = int(np.argmin(totals))
+        if totals[index] == math.inf:
+            return math.nan, math.nan, rollout[:0]
+        v, w = forward[index // len(turning)], turning[index % len(turning)]
+        length = roll(parameters, pose, velocity, (v, w), rollout)
+        if obstacle_cost(grid, rollout[:length]) >= 0:
+            return v, w, rollout[:length]
+        totals[index] = math.inf
+
+
+@jit
+def _longest(parameters: Parameters) -> int:
+    """Return the most steps that a rollout takes."""
+    return step_count(parameters, (parameters.max_vel_x, parameters.max_vel_theta))
+
+
+@jit
+def _totals(
+    parameters: Parameters,
+    grid: CostGrid,
+    pose: tuple[float, float, float],
+    velocity: tuple[float, float],
+    critics: Critics,
+    forward: NDArray[np.float64],
+    turning: NDArray[np.float64],
+    rollout: Poses,
+) -> NDArray[np.float64]:
+    """Return the score of each twist, infinite where the end of its rollout is illegal.
+
+    Forward speeds by turning speeds, in one row. ``rollout`` is room to work in.
+    """
+    totals = np.full(len(forward) * len(turning), math.inf)
     # By turning speed: in how many steps its way is known, that way, and at its end the yaw and
     # where the nose is.
     known = np.zeros(len(turning), np.int64)
-    ways = np.empty((len(turning), longest + 1, 2))
+    ways = np.empty((len(turning), len(rollout) - 1, 2))
     ends = np.empty((len(turning), 3))
-    for v in forward:
+    for i in range(len(forward)):
+        v = forward[i]
         if critics.rotating and v > 0.0:
             break
         if critics.slowing and v * v >= critics.speed_squared:
@@ -227,14 +267,9 @@ def search(
                 or _is_at_border((y + nose_y - grid.origin_y) / grid.resolution)
             ):
                 x, y, _ = rollout[roll(parameters, pose, velocity, (v, w), rollout) - 1]
-            cells = _cells_at(grid, critics, x, y, nose_x, nose_y)
-            total = map_score(parameters, grid, cells)
+            total = map_score(parameters, grid, _cells_at(grid, critics, x, y, nose_x, nose_y))
             total += parameters.rotate_to_goal_scale * rotate_to_goal(parameters, critics, v, yaw)
-            if total >= best:  # the obstacle critic can only add to it
-                continue
-            length = roll(parameters, pose, velocity, (v, w), rollout)
-            cost = obstacle_cost(grid, rollout[:length])
-            total += parameters.base_obstacle_scale * cost
-            if cost >= 0 and total < best:
-                best, best_v, best_w = total, v, w
-    return best_v, best_w
+            cost = cost_at(grid, x, y)
+            if cost < INSCRIBED and total < math.inf:  # not so of what is not a number
+                totals[i * len(turning) + j] = total + parameters.base_obstacle_scale * cost
+    return totals

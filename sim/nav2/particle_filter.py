@@ -137,15 +137,38 @@ def cluster_labels(poses: NDArray[np.float64]) -> NDArray[np.int64]:
         Shape (n, 3): x, y [m], yaw [rad].
     """
     bins, first, bin_of = _occupied_bins(poses)
-    gaps = np.abs(bins[first, np.newaxis] - bins[np.newaxis, first])
-    gaps[:, :, 2] = np.minimum(gaps[:, :, 2], _YAW_BINS - gaps[:, :, 2])
-    touches = np.all(gaps <= 1, axis=2)
-    labels, before = np.arange(len(first)), None
-    while before is None or np.any(labels != before):  # the lowest number wins its neighbours
-        before = labels
-        labels = np.where(touches, labels, len(first)).min(axis=1)
-    _, clusters = np.unique(labels, return_inverse=True)
-    return clusters[bin_of]
+    return _joined(bins[first])[bin_of]
+
+
+@jit
+def _joined(bins: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return a cluster number for each of some different bins, shape (k, 3).
+
+    Clusters are numbered by their first bins.
+    """
+    cluster = np.full(len(bins), -1, np.int64)
+    reached = np.empty(len(bins), np.int64)  # bins of the cluster at hand, to look around from
+    count = 0
+    for first in range(len(bins)):
+        if cluster[first] >= 0:
+            continue
+        cluster[first], reached[0], size, at = count, first, 1, 0
+        while at < size:
+            here = bins[reached[at]]
+            at += 1
+            for other in range(first + 1, len(bins)):
+                if cluster[other] >= 0:
+                    continue
+                turn = abs(bins[other, 2] - here[2])
+                if (
+                    abs(bins[other, 0] - here[0]) <= 1
+                    and abs(bins[other, 1] - here[1]) <= 1
+                    and min(turn, _YAW_BINS - turn) <= 1
+                ):
+                    cluster[other], reached[size] = count, other
+                    size += 1
+        count += 1
+    return cluster
 
 
 def _occupied_bins(
@@ -154,12 +177,19 @@ def _occupied_bins(
     """Return the bin of each pose (n, 3), the first pose in each occupied bin, and each one's."""
     bins = np.floor(poses / BIN).astype(np.int64)
     bins[:, 2] %= _YAW_BINS
-    x, y = np.ptp(bins[:, :2].astype(np.float64), axis=0)
+    x, y = _extent(bins)
     if (x + 1.0) * (y + 1.0) * _YAW_BINS > _MANY_BINS:  # odometry that jumps scatters them
         keys = (bins[:, 0] * 100_000 + bins[:, 1]) * _YAW_BINS + bins[:, 2]
         _, first, number_of = np.unique(keys, return_index=True, return_inverse=True)
         return bins, first, number_of
     return bins, *_numbered(bins)
+
+
+@jit
+def _extent(bins: NDArray[np.int64]) -> tuple[float, float]:
+    """Return how far bins lie apart in x and y; in doubles, which hold whatever distance."""
+    x, y = bins[:, 0], bins[:, 1]
+    return float(x.max()) - float(x.min()), float(y.max()) - float(y.min())
 
 
 @jit

@@ -6,7 +6,7 @@ with the rate, frame and QoS of the Humble simulation.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,17 +101,14 @@ class ImuPlugin(Node):
     ) -> None:
         super().__init__(domain, "/turtlebot3_imu", rng=rng)
         self._measure = measure
-        self._bias = np.array([0.0, 0.0, gyro.bias_rad_s])
-        self._scale = gyro.scale
+        self._gyro = gyro
         self._publisher = self.create_publisher(_IMU, "/imu", qos.profile(5))
         self.create_timer(IMU_NS, self._publish, phase_ns=0)
 
     def _publish(self) -> None:
-        exact = self._measure(self.now_ns + IMU_NS)
-        turning = self._scale * exact.angular_velocities + self._bias
-        samples = replace(exact, angular_velocities=turning)
+        samples = self._measure(self.now_ns + IMU_NS)
         noise = self.rng.standard_normal((len(samples.stamps_ns), 6))
-        data = imu_bytes(samples, noise)
+        data = imu_bytes(samples, self._gyro, noise)
         call_at, publish = self.domain.executor.call_at, self._publisher.publish_serialized
         begin = 0
         for due_ns in samples.stamps_ns.tolist():
@@ -140,19 +137,21 @@ _IMU_HEAD = np.frombuffer(_IMU_PROTOTYPE[: -8 * _IMU_DOUBLES], np.uint32)
 _IMU_TAIL = np.frombuffer(_IMU_PROTOTYPE[-8 * _IMU_DOUBLES :], np.float64)
 
 
-def imu_bytes(samples: ImuSamples, noise: NDArray[np.float64]) -> bytes:
+def imu_bytes(samples: ImuSamples, gyro: GyroError, noise: NDArray[np.float64]) -> bytes:
     """Return samples as messages, one behind the other.
 
     Parameters
     ----------
     samples
         What an ideal unit measures.
+    gyro
+        How the gyroscope errs.
     noise
         Shape (n, 6), of turning speed and acceleration, in standard deviations.
     """
     words = _imu_words(
         samples.stamps_ns, samples.orientations, samples.angular_velocities,
-        samples.linear_accelerations, noise, _IMU_HEAD, _IMU_TAIL,
+        samples.linear_accelerations, gyro.scale, gyro.bias_rad_s, noise, _IMU_HEAD, _IMU_TAIL,
     )  # fmt: skip
     return words.tobytes()
 
@@ -163,6 +162,8 @@ def _imu_words(
     orientations: NDArray[np.float64],
     angular_velocities: NDArray[np.float64],
     linear_accelerations: NDArray[np.float64],
+    scale: float,
+    bias: float,
     noise: NDArray[np.float64],
     head: NDArray[np.uint32],
     tail: NDArray[np.float64],
@@ -175,7 +176,8 @@ def _imu_words(
         words[i, 2] = stamps_ns[i] % SECOND
         numbers[:3], numbers[3] = orientations[i, 1:], orientations[i, 0]
         for axis in range(3):
-            numbers[13 + axis] = angular_velocities[i, axis] + GYRO_NOISE * noise[i, axis]
+            turning = scale * angular_velocities[i, axis] + (bias if axis == 2 else 0.0)
+            numbers[13 + axis] = turning + GYRO_NOISE * noise[i, axis]
             numbers[25 + axis] = (
                 linear_accelerations[i, axis] + ACCELEROMETER_NOISE * noise[i, 3 + axis]
             )

@@ -7,6 +7,7 @@ rates belong to the sensors' nodes. Frames: the world's, and the robot's ``base_
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -35,8 +36,7 @@ _AMBIENT = 0.4  # share of the light that comes from everywhere; the rest comes 
 _SUN = np.array([0.5, -0.1, 0.9]) / math.sqrt(1.07)  # where it stands, as seen from the floor
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ImuSamples:
+class ImuSamples(NamedTuple):
     """What an ideal inertial unit in ``imu_link`` measures, a sample a physics step."""
 
     stamps_ns: NDArray[np.int64]  # (n,)
@@ -82,6 +82,7 @@ class World:
         self._arena = parameters.arena
         self._obstacles = parameters.obstacles
         self._clear = ClearSpace(parameters.arena, parameters.obstacles)
+        self._is_clear = False  # whether the robot is known to be clear of all pieces
         start = parameters.start
         self._data.qpos[:7] = (
             start.x, start.y, 0.010, math.cos(start.yaw / 2.0), 0.0, 0.0, math.sin(start.yaw / 2.0)
@@ -277,14 +278,15 @@ class World:
         known = min(self._row, len(self._states) - 1)
         self._first += known
         self._unknown_ns += steps * STEP_NS
-        self._states = np.concatenate([self._states[known:], states])
-        self._inertial = np.concatenate([self._inertial[known:], inertial])
+        self._states = np.concatenate((self._states[known:], states))
+        self._inertial = np.concatenate((self._inertial[known:], inertial))
 
     def _steps(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the next states and what the inertial unit measures in them."""
-        if self._clear.holds(self._states[-1:, _POSE]):
+        if self._is_clear or self._clear.holds(self._states[-1:, _POSE]):
             states, measured = self._run(self._alone, self._data_alone, count)
-            if self._clear.holds(states[:, _POSE]):
+            self._is_clear = self._clear.holds(states[:, _POSE])
+            if self._is_clear:
                 self._warm_start[0] = self._data_alone.qacc_warmstart
                 return states, measured
         states, measured = self._run(self._model, self._data, count)

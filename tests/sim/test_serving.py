@@ -74,7 +74,9 @@ def test_an_attack_that_is_switched_on_changes_messages_from_then_on(recorded_ru
         def advance(now_ns):
             if now_ns >= switched_ns and not done:
                 done.append(now_ns)
-                switch(run, recipe_for("random_noise", 0, ONE_GOAL))
+                switch(run, recipe_for("fake_object", 0, ONE_GOAL))
+                for name in ("random_noise", MODE, "random_noise"):  # the noise needs no odometry
+                    switch(run, recipe_for(name, 0, ONE_GOAL))
 
         run.domain.executor.accompany(advance)
 

@@ -343,7 +343,7 @@ def test_plugins_see_neither_ground_truth_nor_manifest(make_run):
         seen.append({topic for topics in window.topics.values() for topic in topics})
         assert {f for f in dir(window) if not f.startswith("_")} == {
             "start_s", "end_s", "graph", "system", "intervals", "arrivals", "topics", "history",
-            "prepared", "roles",
+            "prepared", "shared", "roles",
         }  # fmt: skip
         return {"value": 1.0}
 

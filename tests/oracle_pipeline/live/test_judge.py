@@ -37,7 +37,7 @@ def judged(card, run):
     judge = Judge(card, PER_HOUR)
     for topic in run.bag.topics.values():
         judge.add_topic(topic.name, topic.msgtype, topic.qos)
-    start_ns, window = run.bag.start_ns, 0
+    start_ns, window, verdicts = run.bag.start_ns, 0, []
     graphs = list(run.intervals)
     for message in run.bag.messages():
         end_ns = start_ns + round((window * HOP_S + WINDOW_S) * SECOND_NS)
@@ -46,8 +46,10 @@ def judged(card, run):
                 judge.add_graph(graphs.pop(0))
             judge.end_window(start_ns, end_ns - round(WINDOW_S * SECOND_NS), end_ns, None)
             window += 1
+            verdicts.append(next(judge.verdicts(600.0)))  # as slowly as a robot
         judge.add([Stamped(*message)])
-    return judge.close(), window
+    assert not judge.close()
+    return verdicts, window
 
 
 def test_every_window_gets_its_verdict_and_an_attack_raises_an_alarm(card, recorded_run):
@@ -130,4 +132,22 @@ def test_the_death_of_the_process_that_judges_is_told(card, eventually):
         return True
 
     assert eventually(told)
+    judge.close()
+
+
+def test_windows_that_come_too_fast_are_left_out_and_the_newest_are_judged(card, recorded_run):
+    with open_run(recorded_run(NORMAL, 4).path) as run:
+        start_ns, messages = run.bag.start_ns, [Stamped(*m) for m in run.bag.messages()]
+        topics = run.bag.topics
+    judge = Judge(card, PER_HOUR)
+    for topic in topics.values():
+        judge.add_topic(topic.name, topic.msgtype, topic.qos)
+    judge.add(messages)
+    for number in range(20):
+        end_ns = start_ns + round((10.0 + number) * SECOND_NS)
+        judge.end_window(start_ns, end_ns - 10 * SECOND_NS, end_ns, None)
+    verdicts = []
+    while not verdicts or verdicts[-1].end_s < 29.0:
+        verdicts += judge.verdicts(1.0)
+    assert 0 < judge.left_out == 20 - len(verdicts)
     judge.close()

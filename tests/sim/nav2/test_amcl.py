@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.sparse.csgraph import connected_components
 
 from oracle_pipeline.bags.types import deserialize, message_class
 from sim.middleware import qos
@@ -189,6 +190,16 @@ def test_clusters_are_bins_that_touch():
     labels = cluster_labels((bins + 0.5) * [half, half, ten])
     assert labels[0] == labels[1] == labels[3] == labels[4]
     assert len({labels[0], labels[2], labels[5]}) == 3
+
+
+@pytest.mark.parametrize("spread_m", [0.5, 1.5, 5.0])
+def test_clusters_are_what_can_be_reached_from_bin_to_touching_bin(spread_m):
+    poses = np.random.default_rng(3).normal(0.0, spread_m, (60, 3))
+    bins, first, bin_of = particle_filter._occupied_bins(poses)
+    gaps = np.abs(bins[first, np.newaxis] - bins[np.newaxis, first])
+    gaps[:, :, 2] = np.minimum(gaps[:, :, 2], 36 - gaps[:, :, 2])
+    _, expected = connected_components(np.all(gaps <= 1, axis=2))
+    assert cluster_labels(poses).tolist() == expected[bin_of].tolist()
 
 
 @pytest.mark.parametrize("spread_m", [0.01, 0.5, 5.0])

@@ -287,7 +287,7 @@ def test_the_choice_is_that_of_the_critics_definitions(seed, yaw, speed, turn):
 
 
 def tried_one_by_one(scoring: Scoring) -> tuple[float, float]:
-    """Return what `search` returns: every twist is rolled out and scored."""
+    """Return the twist that `search` returns: every one is rolled out and scored."""
     p, grid, pose, velocity, critics = scoring
     best = (math.inf, math.nan, math.nan)
     rollout = np.empty((dwb_sampling.step_count(p, (p.max_vel_x, p.max_vel_theta)) + 2, 3))
@@ -331,6 +331,10 @@ def test_the_search_finds_what_rolling_out_every_twist_finds(seed, pose, velocit
         bool(rng.integers(2)), near == "slowing", near == "rotating", velocity[0] ** 2, turn,
     )  # fmt: skip
     scoring = Scoring(Parameters(), CostGrid(costs, 0.05, -1.5, -1.5), pose, velocity, critics)
-    assert dwb_critics.search(*scoring) == pytest.approx(
-        tried_one_by_one(scoring), rel=0.0, abs=0.0, nan_ok=True
-    )
+    *twist, rollout = dwb_critics.search(*scoring)
+    assert tuple(twist) == pytest.approx(tried_one_by_one(scoring), rel=0.0, abs=0.0, nan_ok=True)
+    expected = np.empty((0, 3))
+    if not math.isnan(twist[0]):
+        expected = np.empty((dwb_sampling.step_count(Parameters(), tuple(twist)) + 2, 3))
+        dwb_sampling.roll(Parameters(), pose, velocity, tuple(twist), expected)
+    np.testing.assert_array_equal(rollout, expected)
