@@ -4,7 +4,8 @@ from typing import Any, Literal, TypedDict
 
 import dagster as dg
 
-Scope = Literal["run", "campaign", "recording"]  # a partition, all of them, or one that arrived
+# A partition, all of them, a recording that arrived, or a scenario that is searched.
+Scope = Literal["run", "campaign", "recording", "scenario"]
 
 SINGLE_RUN = dg.BackfillPolicy.single_run()  # one Dagster run for any range of partitions
 

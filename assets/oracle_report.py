@@ -67,6 +67,7 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
     from oracle_pipeline.reporting.foreign import summary
     from oracle_pipeline.reporting.report import Report
     from oracle_pipeline.reporting.run_pages import ShownRuns, write_run_pages
+    from oracle_pipeline.reporting.searched import searched
     from oracle_pipeline.scoring.kept_verdicts import kept_verdicts
     from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
@@ -98,6 +99,7 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
             radar=radar,
             storage=_storage(store),
             arrived=summary(arrived) if (arrived := kept_verdicts(store.path)) else "",
+            searched=searched(store.path),
             provenance=html.provenance(df),
         )
         html.write_page(page, store.report)

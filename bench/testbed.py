@@ -24,7 +24,7 @@ from oracle_pipeline.bags.writer import BagWriter
 from sim import experiments
 from sim.campaigns import Campaign
 from sim.experiments import recipe_for
-from sim.middleware.domain import Subscription
+from sim.middleware.endpoints import Subscription
 from sim.middleware.executor import Executor
 from sim.middleware.node import Node, Timer
 from sim.turtlebot3 import run as turtlebot3_run

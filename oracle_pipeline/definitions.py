@@ -30,6 +30,7 @@ with clashes_explained():
         run_checks,
         run_retention,
         scenario_changes,
+        searches,
         thesis_method,
     )
     from resources.budget import StorageBudget
@@ -73,13 +74,19 @@ def build_defs(**overrides: object) -> dg.Definitions:
                 [experiment_runs, feature_dataset, oracle_evaluation, thesis_method, oracle_report]
             ),
             *foreign.SPECS,
+            searches.ATTACK_SEARCH,
         ],
         asset_checks=[
             run_checks.checks_of_runs,
             evaluation_checks.checks_of_evaluation,
             foreign.checks_of_arrivals,
         ],
-        jobs=[*automation.JOBS, foreign.judge_arrivals, run_retention.forget_old_runs],
+        jobs=[
+            *automation.JOBS,
+            foreign.judge_arrivals,
+            run_retention.forget_old_runs,
+            searches.search_attacks,
+        ],
         schedules=[automation.nightly, run_retention.weekly],
         sensors=[scenario_changes.changed_scenarios, arrivals.arrived_recordings],
         resources=resources | overrides,

@@ -1,7 +1,8 @@
 """What all runs of a campaign have in common, whatever their testbed."""
 
 import os
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal, Self, cast, get_args
 
 from oracle_pipeline.bags.errors import OracleError
@@ -36,6 +37,8 @@ class Options:
     odometry_source: OdometrySource = "world"
     arena: ArenaChoice = "drawn"
     nav2: Navigation = "tuned"
+    # Values of Nav2's parameters that are otherwise, by full name: see ``sim.nav2.parameters``.
+    nav2_params: Mapping[str, float] = field(default_factory=dict)
     cameras: bool = False  # images and points of the depth camera, 15 MB a second
     debug_topics: bool = False  # /evaluation and /marker, 20 MB a second while driving
     hidden_topics: bool = False  # feedback and status of actions
@@ -50,7 +53,7 @@ class Campaign:
     goals_per_run: int = 8  # 1 is the thesis's protocol
     storage: Storage = "mcap"
     timeout_s: float = 600.0  # of simulated time; air traffic has no goals and always takes it all
-    options: Options = Options()
+    options: Options = field(default_factory=Options)
     sessions: int | None = None  # so many take turns; None: every block has one of its own
     session: int | None = None  # of all blocks
     noise_per_run: bool = False  # of sensors and latencies; otherwise a block's runs share it

@@ -24,7 +24,8 @@ from oracle_pipeline.bags.qos_profiles import is_latched, is_reliable
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.bags.writer import BagWriter
 from sim.middleware import qos
-from sim.middleware.domain import Domain, Offer, Publisher, Subscription
+from sim.middleware.domain import Domain, Offer
+from sim.middleware.endpoints import Publisher, Subscription
 from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.node import Node
 

@@ -12,7 +12,8 @@ from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, message_class, serial
 from sim.fuzzing.compilation import compile_document
 from sim.fuzzing.execution import execute
 from sim.middleware import qos
-from sim.middleware.domain import Domain, Publisher, Subscription
+from sim.middleware.domain import Domain
+from sim.middleware.endpoints import Publisher, Subscription
 from sim.middleware.executor import MILLISECOND
 from sim.recording import DEBUG_TOPICS
 from sim.testbed import Recipe, TestbedRun

@@ -12,6 +12,8 @@ TABLES: tuple[Table, ...] = ("run", "window")
 
 RUNS, FEATURES, DATASETS, REPORT, GRIDS = "runs", "features", "datasets", "report", "grids"
 FOREIGN = "foreign"  # what is known of recordings that others made
+SEARCHES = "searches"  # for attacks that the oracle misses
+FINDINGS, FRONT = "findings.json", "front.png"  # of a search
 VERDICT = "verdict.json"
 GRID_INDEX = "grid.json"  # of a grid: what was changed in each of its runs
 REFRESHED = "refreshed"  # a root of runs that were simulated again and differ without a reason
@@ -68,6 +70,21 @@ def foreign_verdicts(root: Path) -> list[Path]:
 def foreign_page(root: Path) -> Path:
     """Return ``<root>/report/foreign.html``, the report on foreign recordings."""
     return root / REPORT / "foreign.html"
+
+
+def search(root: Path, scenario: str) -> Path:
+    """Return ``<root>/searches/<scenario>``, the folder of the search that varied a scenario."""
+    return root / SEARCHES / scenario
+
+
+def searches(root: Path) -> list[Path]:
+    """Return the folders of all searches below a root, sorted by scenario."""
+    return sorted(path.parent for path in (root / SEARCHES).glob(f"*/{FINDINGS}"))
+
+
+def search_corpus(root: Path) -> Path:
+    """Return ``<root>/searches/corpus``, the folder of scenarios that searches found."""
+    return root / SEARCHES / "corpus"
 
 
 def report_run_pages(root: Path) -> Path:

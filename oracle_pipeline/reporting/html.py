@@ -24,6 +24,7 @@ from oracle_pipeline.reporting.oracle_kinds import tables_of_kinds
 from oracle_pipeline.reporting.page import Picture, picture, run_picture, template
 from oracle_pipeline.reporting.page_tables import PageTable
 from oracle_pipeline.reporting.report import Report
+from oracle_pipeline.reporting.searched import Searched
 
 LIBRARIES = ("numpy", "scipy", "scikit-learn", "pandas", "networkx", "matplotlib", "mujoco")
 NO_STORAGE = pd.DataFrame()
@@ -53,6 +54,7 @@ _SECTIONS = {
     "verdicts": "What is detected",
     "giveaways": "What gives each attack away",
     "explained": "Attacked runs explained",
+    "searched": "Attacks that a search found",
     "alarms": "Time to detect",
     "curves": "Detection against false alarms",
     "integrity": "Integrity checks",
@@ -119,6 +121,7 @@ def render(
     provenance: Mapping[str, str],
     storage: pd.DataFrame = NO_STORAGE,
     arrived: str = "",
+    searched: Searched | None = None,
 ) -> str:
     """Return the page.
 
@@ -142,6 +145,8 @@ def render(
         What the storage plan kept of each mode.
     arrived : str
         A sentence on recordings that arrived from elsewhere, whose page is beside this one.
+    searched : Searched, optional
+        What searches for attacks found.
     """
     tables = {
         **page_tables.of_evaluation(evaluation),
@@ -165,6 +170,7 @@ def render(
         "radar": [run_picture(run, png) for run, png in radar.items()],
         "trees": [*_dendrograms(grid), *_dendrograms(pairs)],
         "storage": len(storage) > 0,
+        "searched": searched,
     }
     return template("report.html.j2").render(
         screen=first_screen(evaluation, record),

@@ -1,27 +1,34 @@
 """One trial of a search: a run in closed loop, what it did to the task, and its verdict.
 
-Nothing of a run stays but numbers: its recipe makes it again.
+Nothing of a run stays but numbers: its scenario and its recipe make it again.
 """
 
 import functools
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
 
 from oracle_pipeline.bags.behaviour import behaviour
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
-from oracle_pipeline.features import build_manager, extract
+from oracle_pipeline.detectors.explain import UsualRanges
+from oracle_pipeline.features import FeatureTables, build_manager, extract
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.card import ReferenceCard
+from oracle_pipeline.scoring.comparable import shared_features
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.judging import judge
 from oracle_pipeline.scoring.verdict import Verdict
 from sim.campaigns import Campaign
 from sim.commands.kill_matrix import Job, derive_mutant, record_mutant
 from sim.experiments import recipe_for, record_run
+from sim.fuzzing.scenario import NO_FILE, Scenario
 from sim.pairs import CONTROL
 from sim.testbed import Mode
 
@@ -33,26 +40,43 @@ STEPS: Mapping[str, float] = {
     "recoveries": 1.0,
     "commands_altered": 0.05,
 }
+NEAREST_M = 0.02  # a robot that comes nearer to anything does not keep clear of it
+LATEST = 2.0  # times the control's time, to be in time
+MOVED_SCALES = 3.0  # of the normal runs: a quantity that differs by more from the control's moved
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
     """What all trials of a search share."""
 
-    mode: Mode
     campaign: Campaign
     card: Path
     far: float
     screen: bool
+    conditions: Mapping[str, Any] = field(default_factory=dict)  # otherwise in the testbed
 
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """What one trial is to run."""
+    """What one trial is to run.
+
+    Attributes
+    ----------
+    document : mapping
+        The scenario, whose defaults are the values.
+    values : mapping of str to number or text
+        What was proposed, by name.
+    """
 
     run: int
     block: int
-    given: Mapping[str, Any]
+    document: Mapping[str, Any]
+    values: Mapping[str, Any]
+
+    @property
+    def given(self) -> Mapping[str, Any]:
+        """No parameter: what is proposed are the scenario's defaults."""
+        return {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +92,11 @@ class Finding:
         Largest change of the task, in steps that matter: 1 or more is an effect.
     effects : mapping of str to float
         Attacked less control, in the unit of each quantity.
+    margin : float or None
+        How far the run is from violating a property of its behaviour, in steps that matter, the
+        least of all; below 0 one is violated. None if it was not run.
+    violated : tuple of str
+        The properties that it violates.
     magnitude : float or None
         Largest change of a message, in the unit of what the scenario changes; None if a number was
         no longer finite.
@@ -75,16 +104,21 @@ class Finding:
         Of `oracle score`.
     families : tuple of str
         Families of features outside their usual range, the farthest first.
+    moved : tuple of str
+        Features that the attack moved from where they are in the control.
     """
 
     proposal: Proposal
     screened_out: bool
     effect: float
     effects: Mapping[str, float]
+    margin: float | None
+    violated: tuple[str, ...]
     magnitude: float | None
     score: float
     p_value: float
     families: tuple[str, ...]
+    moved: tuple[str, ...]
 
     @property
     def has_effect(self) -> bool:
@@ -101,18 +135,19 @@ def run_control(setting: Setting, root: Path, block: int) -> Manifest:
 def run_trial(setting: Setting, controls: Path, proposal: Proposal) -> Finding:
     """Run one proposal in closed loop and judge it, unless its messages alone give it away."""
     control = RunDirectory(controls, CONTROL, proposal.block)
+    mode = Mode(Scenario("search", proposal.document, NO_FILE), setting.conditions)
     with tempfile.TemporaryDirectory(prefix="oracle-search-") as folder:
         root = Path(folder)
-        if setting.screen:
-            altered = Job(setting.mode, root / "altered", proposal)
+        if setting.screen and not mode.scenario.is_on_links:
+            altered = Job(mode, root / "altered", proposal)
             manifest = derive_mutant(control.path.parent, False, altered)
-            verdict = _judged(setting, altered.directory)
-            if verdict.outcome == "anomalous":
-                return _finding(proposal, manifest, verdict, {}, screened_out=True)
-        run = Job(setting.mode, root / "closed_loop", proposal)
+            judged = _Judged.of(setting, altered.directory)
+            if judged.verdict.outcome == "anomalous":
+                return _finding(proposal, manifest, judged, control, setting, ran=False)
+        run = Job(mode, root / "closed_loop", proposal)
         manifest = record_mutant(setting.campaign, False, run)
-        effects = task_effects(manifest, control.manifest())
-        return _finding(proposal, manifest, _judged(setting, run.directory), effects)
+        judged = _Judged.of(setting, run.directory)
+        return _finding(proposal, manifest, judged, control, setting, ran=True)
 
 
 def task_effects(attacked: Manifest, control: Manifest) -> dict[str, tuple[float, float]]:
@@ -126,33 +161,101 @@ def task_effects(attacked: Manifest, control: Manifest) -> dict[str, tuple[float
     return dict(sorted(effects.items()))
 
 
+def margins(attacked: Manifest, control: Manifest) -> dict[str, float]:
+    """Return how far a run is from violating each property of its behaviour.
+
+    In steps that matter; below 0 the property is violated. A property that the control violates
+    tells nothing, and is left out.
+    """
+    ours, theirs = behaviour(attacked), behaviour(control)
+    if not ours or not theirs:
+        return {}
+    time_s = max(theirs["under_way_s"], 1e-9)
+    found = {
+        "reaches its goals": ours["goals_reached"] - theirs["goals_reached"] + 0.5,
+        "arrives in time": (LATEST * time_s - ours["under_way_s"]) / (SHARE * time_s),
+    }
+    if theirs.get("clearance_m", 0.0) >= NEAREST_M and "clearance_m" in ours:
+        found["keeps clear"] = (ours["clearance_m"] - NEAREST_M) / STEPS["clearance_m"]
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Judged:
+    """A recording's features, and the verdict on it."""
+
+    tables: FeatureTables
+    verdict: Verdict
+
+    @classmethod
+    def of(cls, setting: Setting, directory: RunDirectory) -> "_Judged":
+        tables, seen = _features(directory)
+        return cls(tables, judge(directory.key, tables, _card(setting.card), setting.far, seen))
+
+
 def _finding(
     proposal: Proposal,
     manifest: Manifest,
-    verdict: Verdict,
-    effects: Mapping[str, tuple[float, float]],
+    judged: _Judged,
+    control: RunDirectory,
+    setting: Setting,
     *,
-    screened_out: bool = False,
+    ran: bool,
 ) -> Finding:
+    verdict = judged.verdict
     if verdict.p_value is None or verdict.score is None:  # `judge` gives both, or raises
         raise TypeError(verdict)
+    effects: dict[str, tuple[float, float]] = {}
+    held: dict[str, float] = {}
+    if ran:
+        unaltered = control.manifest()
+        effects, held = task_effects(manifest, unaltered), margins(manifest, unaltered)
     largest = [change.largest for change in manifest.changes]
     return Finding(
         proposal,
-        screened_out=screened_out,
+        screened_out=not ran,
         effect=max((abs(steps) for _, steps in effects.values()), default=0.0),
         effects={name: difference for name, (difference, _) in effects.items()},
+        margin=min(held.values(), default=None),
+        violated=tuple(name for name, margin in held.items() if margin < 0.0),
         magnitude=None if None in largest else max(filter(None, largest), default=0.0),
         score=verdict.score,
         p_value=verdict.p_value,
         families=tuple(each.family for each in verdict.families if each.unusual),
+        moved=_moved(judged.tables.run, control, setting.card),
     )
 
 
-def _judged(setting: Setting, directory: RunDirectory) -> Verdict:
+def _moved(attacked: pd.DataFrame, control: RunDirectory, card: Path) -> tuple[str, ...]:
+    """Return the features that are elsewhere than in the control."""
+    ranges = _ranges(card)
+    apart = _placed(attacked, ranges) - _in_control(control, card)
+    far = np.flatnonzero(np.nan_to_num(np.abs(apart)) >= MOVED_SCALES)
+    return tuple(ranges.scaler.kept_[j] for j in far.tolist())
+
+
+def _placed(row: pd.DataFrame, ranges: UsualRanges) -> NDArray[np.float64]:
+    """Return the features of a run in the scales of the normal runs."""
+    scaler = ranges.scaler
+    values = row.reindex(columns=scaler.kept_).iloc[0].to_numpy(dtype=np.float64)
+    return np.asarray((values - scaler.center_) / scaler.scale_, dtype=np.float64)
+
+
+@functools.cache
+def _in_control(control: RunDirectory, card: Path) -> NDArray[np.float64]:
+    return _placed(_features(control)[0].run, _ranges(card))
+
+
+@functools.cache
+def _ranges(card: Path) -> UsualRanges:
+    known = _card(card)
+    columns, _ = shared_features(known.runs, known.runs, known.scorer.design.run_features)
+    return UsualRanges(known.runs, columns)
+
+
+def _features(directory: RunDirectory) -> tuple[FeatureTables, Observation]:
     with open_run(directory.path) as run:
-        tables, seen = extract(run, build_manager(None)), Observation.of(run)
-    return judge(directory.key, tables, _card(setting.card), setting.far, seen)
+        return extract(run, build_manager(None)), Observation.of(run)
 
 
 @functools.cache

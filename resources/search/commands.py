@@ -1,11 +1,11 @@
 """``oracle-sim search``: look for attacks that the oracle misses."""
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from sim.campaigns import Campaign
 from sim.commands.batch import (
     allow_actuation_option,
     campaign,
@@ -14,19 +14,34 @@ from sim.commands.batch import (
     workers_option,
 )
 
+if TYPE_CHECKING:
+    from resources.search.closed_loop import Finding
+
 
 @click.command()
-@click.argument("template", metavar="TEMPLATE")
+@click.argument("template", metavar="[TEMPLATE]", required=False)
 @click.option(
     "--reference", "card", required=True,
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="Reference card of the oracle to search against (`oracle learn`).",
 )  # fmt: skip
 @click.option(
+    "--topic",
+    "topics",
+    multiple=True,
+    help="Without TEMPLATE: a topic that may be altered in place; may be given more than once.",
+)
+@click.option(
+    "--operator",
+    "operators",
+    multiple=True,
+    help="With --topic: what may be done to its messages.  [default: all]",
+)
+@click.option(
     "--objective", default="evade", show_default=True,
     type=click.Choice(["evade", "break", "boundary"]),
-    help="evade: the largest effect on the task at the smallest score. break: the largest effect. "
-    "boundary: the smallest change of a message that is detected.",
+    help="evade: the largest effect on the task at the smallest score. break: violate a property "
+    "of the behaviour. boundary: the smallest change of a message that is detected.",
 )  # fmt: skip
 @click.option(
     "--budget", default="100", show_default=True,
@@ -34,11 +49,16 @@ from sim.commands.batch import (
 )  # fmt: skip
 @click.option(
     "--range", "ranges", metavar="NAME=LOW:HIGH", multiple=True,
-    help="Bounds of a parameter. By default all numbers with a min and a max are varied.",
+    help="Bounds of a parameter of TEMPLATE. By default all numbers with a min and a max are "
+    "varied.",
 )  # fmt: skip
 @click.option(
     "--blocks", default=3, show_default=True, type=click.IntRange(min=1),
     help="Trials take turns in so many blocks: starts, goals, arenas and sessions.",
+)  # fmt: skip
+@click.option(
+    "--time-limit", default=120.0, show_default=True, type=click.FloatRange(min=1.0),
+    help="Simulated seconds that a goal may take, on average.",
 )  # fmt: skip
 @click.option(
     "--far", default=0.05, show_default=True,
@@ -46,8 +66,10 @@ from sim.commands.batch import (
     help="False positive rate at which the oracle decides.",
 )  # fmt: skip
 @click.option(
-    "--sampler", default="tpe", show_default=True, type=click.Choice(["tpe", "random"]),
-    help="tpe learns from earlier trials; random does not, to compare with.",
+    "--sampler", default="tpe", show_default=True,
+    type=click.Choice(["tpe", "nsga2", "guided", "random"]),
+    help="Who proposes: Optuna's TPE or NSGA-II; guided varies what moved messages as few others "
+    "did; random learns nothing, to compare with.",
 )  # fmt: skip
 @click.option(
     "--screen/--no-screen", default=True, show_default=True,
@@ -57,29 +79,43 @@ from sim.commands.batch import (
     "--out", default="search", show_default=True, type=click.Path(path_type=Path, file_okay=False),
     help="Folder of the search. A search that is there goes on.",
 )  # fmt: skip
+@click.option(
+    "--corpus", type=click.Path(path_type=Path, file_okay=False),
+    help="Folder of the misses, as scenario files.  [default: misses in --out]",
+)  # fmt: skip
+@click.option(
+    "--compare", "seeds", type=click.IntRange(min=2), metavar="SEEDS",
+    help="Also search at random, both with so many seeds, and print the medians.",
+)  # fmt: skip
 @allow_actuation_option
 @campaign_options
 @workers_option
 def search(
-    template: str,
+    template: str | None,
     card: Path,
+    topics: tuple[str, ...],
+    operators: tuple[str, ...],
     objective: str,
     budget: str,
     ranges: tuple[str, ...],
     blocks: int,
+    time_limit: float,
     far: float,
     sampler: Any,
     screen: bool,
     out: Path,
+    corpus: Path | None,
+    seeds: int | None,
     allow_actuation: bool,
     workers: int,
     **options: Any,
 ) -> None:
-    """Search a scenario's parameters for attacks that the oracle misses.
+    """Search for attacks that the oracle misses.
 
-    TEMPLATE is the name of a built-in scenario or mode, or FILE, or FILE#NAME. Each trial proposes
-    parameters, runs them in closed loop, compares what the robot did with the same run without the
-    attack, and scores the recording. The next proposals learn from both.
+    TEMPLATE is the name of a built-in scenario or mode, or FILE, or FILE#NAME; its parameters are
+    varied. Without it, each trial chooses one of the --topic, one --operator, how much, from when
+    on and for how long. Each trial is run in closed loop, compared with the same run without the
+    attack, and scored. The next proposals learn from both.
 
     An effect of 1 is a change that matters: 15 % of the way or the time, 5 cm of clearance, a goal,
     a recovery, or 5 % of the commands. The search leaves findings.json, front.png, and in misses/ a
@@ -90,41 +126,64 @@ def search(
     Example:
         oracle learn data/datasets/features.parquet --output testbed.card
         oracle-sim search range_drift --reference testbed.card --budget 30m --out drift
+        oracle-sim search --topic /odom --topic /imu --wiring absent --reference plain.card
         ORACLE_SCENARIOS=drift/misses oracle-sim record -m range_drift_miss017
     """  # noqa: D301 -- click reads the control character
-    from oracle_pipeline.bags.terminal import progress_bar
-    from resources.search.closed_loop import Setting
     from resources.search.objectives import OBJECTIVES
-    from resources.search.outcome import PICTURE, misses, save
-    from resources.search.space import search_space
+    from resources.search.outcome import MISSES, PICTURE, save
+    from resources.search.samplers_compared import as_text, compared
     from resources.search.study import Budget, Search
-    from sim.modes import find_mode
+    from resources.search.whole_search import CONTROLS, Plan, search_of, template_of
 
+    if (template is None) == (not topics):
+        raise click.UsageError("Say what to vary: either a TEMPLATE or --topic.")
     with errors_told():
-        mode = find_mode(template, allow_actuation=allow_actuation)
-        chosen, limit = OBJECTIVES[objective], Budget.parse(budget)
-        settings: Campaign = campaign(options)
-        setting = Setting(mode, settings, card, far, screen and chosen.screens)
-        space = search_space(mode, ranges)
-        study = Search(
-            out, setting, chosen, space, blocks=blocks, seed=settings.seed, sampler=sampler
-        )
-        varied = ", ".join(f"{d.name} {d.low:g} to {d.high:g}" for d in space)
-        click.echo(f"Varies {varied}. Looks for {chosen.text}.")
-        trials = study.run(limit, workers, lambda reason: click.echo(reason, err=True))
-        for finding in progress_bar(trials, unit="trial", desc=mode.id):
-            if finding.has_effect and finding.p_value > far:
-                values = ", ".join(f"{k} {v:.4g}" for k, v in finding.proposal.given.items())
-                click.echo(
-                    f"Miss: trial {finding.proposal.run} ({values}): effect "
-                    f"{finding.effect:.2g}, p = {finding.p_value:.2g}"
-                )
+        limit, settings = Budget.parse(budget), campaign(options)
+        plan = Plan(
+            card, settings, objective=objective, sampler=sampler, blocks=blocks,
+            goals=settings.goals_per_run, time_limit=time_limit, far=far, screen=screen,
+            allow_actuation=allow_actuation, ranges=ranges, topics=topics, operators=operators,
+        )  # fmt: skip
+        varied = template_of(template, out, plan)
+        click.echo(f"Varies {varied.text}. Looks for {OBJECTIVES[objective].text}.")
+
+        def searched(folder: Path, who: Any, seed: int) -> Search:
+            study = search_of(varied, folder, plan, controls=out / CONTROLS, seed=seed, sampler=who)
+            _follow(study.run(limit, workers, _tell_failure), far)
+            return study
+
+        if seeds is not None:
+            several = range(settings.seed, settings.seed + seeds)
+            click.echo(as_text(compared(searched, out, sampler, several, far)))
+            return
+        study = searched(out, sampler, settings.seed)
         findings = study.findings
-        files = save(out, mode.scenario, findings, study.front, far)
+        files = save(out, findings, study.front, far, corpus or out / MISSES)
     click.echo(
         f"{len(findings)} trials, {sum(f.screened_out for f in findings)} of them detected before "
-        f"they were run. {len(misses(findings, far))} had an effect and were passed."
+        f"they were run. {len(files)} had an effect and were passed."
     )
     for path in files:
         click.echo(f"Miss: {path}")
     click.echo(f"Picture: {out / PICTURE}")
+
+
+def _follow(trials: "Iterator[Finding]", far: float) -> None:
+    """Tell of each miss as it is found."""
+    from oracle_pipeline.bags.terminal import progress_bar
+    from resources.search.outcome import is_miss
+
+    for finding in progress_bar(trials, unit="trial"):
+        if is_miss(finding, far):
+            values = ", ".join(
+                f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
+                for key, value in finding.proposal.values.items()
+            )
+            click.echo(
+                f"Miss: trial {finding.proposal.run} ({values}): effect {finding.effect:.2g}, "
+                f"p = {finding.p_value:.2g}"
+            )
+
+
+def _tell_failure(reason: str) -> None:
+    click.echo(reason, err=True)

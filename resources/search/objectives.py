@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 from resources.search.closed_loop import Finding
 
 Direction: TypeAlias = Literal["minimize", "maximize"]
+_BEYOND_ALL = 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,12 +21,12 @@ class Objective:
         Of each value.
     values : callable
         Takes a finding and returns the values.
+    text : str
+        What is looked for, for people.
     wants_detected : bool
         Whether only runs that the oracle detects count.
     screens : bool
         Whether a trial can be given up if its altered messages are detected without a run.
-    text : str
-        What is looked for, for people.
     """
 
     directions: tuple[Direction, ...]
@@ -35,24 +36,32 @@ class Objective:
     screens: bool = False
 
 
-def _finite(value: float | None) -> float:
+def _ordered(value: float | None) -> float:
     """Return a number that can be ordered; None is beyond all."""
-    return 1e9 if value is None or not math.isfinite(value) else value
+    return _BEYOND_ALL if value is None or not math.isfinite(value) else value
+
+
+def _symlog(value: float) -> float:
+    value = _ordered(value)
+    return math.copysign(math.log1p(abs(value)), value)
 
 
 OBJECTIVES: Mapping[str, Objective] = {
+    # By logarithm: a robot that is stuck has effects, and scores, far above all that matter.
     "evade": Objective(
         ("maximize", "minimize"),
-        lambda finding: (_finite(finding.effect), _finite(finding.score)),
+        lambda finding: (_symlog(finding.effect), _symlog(finding.score)),
         "the largest effect on the task at the smallest score",
         screens=True,
     ),
     "break": Objective(
-        ("maximize",), lambda finding: (_finite(finding.effect),), "the largest effect on the task"
+        ("minimize",),
+        lambda finding: (_ordered(finding.margin),),
+        "the clearest violation of a property: goals reached, clear of obstacles, in time",
     ),
     "boundary": Objective(
         ("minimize",),
-        lambda finding: (_finite(finding.magnitude),),
+        lambda finding: (_ordered(finding.magnitude),),
         "the smallest change of a message that is detected",
         wants_detected=True,
     ),

@@ -7,28 +7,31 @@ from pathlib import Path
 
 import yaml
 
+from oracle_pipeline.bags.layout import FINDINGS, FRONT
 from oracle_pipeline.reporting.figures import COLORS, INK, drawing
 from resources.search.closed_loop import Finding
-from sim.fuzzing.scenario import Scenario
 
-FINDINGS, PICTURE, MISSES = "findings.json", "front.png", "misses"
+PICTURE, MISSES = FRONT, "misses"
 _HIGHEST = 8.0  # effects above this are drawn at the edge
+
+
+def is_miss(finding: Finding, far: float) -> bool:
+    """Tell whether a run had an effect, and the oracle passes it."""
+    return finding.has_effect and finding.p_value > far
 
 
 def misses(findings: Sequence[Finding], far: float) -> list[Finding]:
     """Return the runs with an effect that the oracle passes, the largest effect first."""
-    passed = [each for each in findings if each.has_effect and each.p_value > far]
-    return sorted(passed, key=lambda each: -each.effect)
+    return sorted((each for each in findings if is_miss(each, far)), key=lambda each: -each.effect)
 
 
 def save(
-    folder: Path, scenario: Scenario, findings: Sequence[Finding], front: Sequence[Finding],
-    far: float,
-) -> list[Path]:  # fmt: skip
-    """Write all of it; return the files of the misses.
+    folder: Path, findings: Sequence[Finding], front: Sequence[Finding], far: float, corpus: Path
+) -> list[Path]:
+    """Write all of it; return the files of the misses, in the corpus.
 
     They are scenarios whose defaults are what the search found, each with a name of its own. Name
-    their folder in ``ORACLE_SCENARIOS``, and they are modes of the next campaign.
+    the corpus in ``ORACLE_SCENARIOS``, and they are modes of the next campaign.
     """
     document = {
         "far": far,
@@ -37,33 +40,20 @@ def save(
     }
     (folder / FINDINGS).write_text(json.dumps(document, indent=1) + "\n", "utf-8")
     (folder / PICTURE).write_bytes(picture(findings, front, far))
-    places = folder / MISSES
-    places.mkdir(exist_ok=True)
+    corpus.mkdir(parents=True, exist_ok=True)
     written = []
     for miss in misses(findings, far):
-        name = f"{scenario.id}_miss{miss.proposal.run:03d}"
-        path = places / f"{name}.yaml"
-        path.write_text(_as_scenario(scenario, name, miss), "utf-8")
+        name = f"{miss.proposal.document['id']}_miss{miss.proposal.run:03d}"
+        path = corpus / f"{name}.yaml"
+        path.write_text(_as_scenario(name, miss), "utf-8")
         written.append(path)
     return written
 
 
-def _as_scenario(scenario: Scenario, name: str, miss: Finding) -> str:
-    found = miss.proposal.given
-    parameters = {
-        key: (
-            {**{k: v for k, v in spec.items() if k != "drawn"}, "default": found[key]}
-            if key in found
-            else spec
-        )
-        for key, spec in scenario.document["parameters"].items()
-    }
-    document = {
-        **scenario.document,
-        "id": name,
-        "title": f"Found by a search: {scenario.title}"[:100],
-        "parameters": parameters,
-    }
+def _as_scenario(name: str, miss: Finding) -> str:
+    found = miss.proposal.document
+    title = f"Found by a search: {found.get('title', found['id'])}"[:100]
+    document = {**found, "id": name, "title": title}
     effects = ", ".join(f"{key} {value:+.3g}" for key, value in miss.effects.items())
     return (
         f"# Block {miss.proposal.block}: p = {miss.p_value:.3g}, effect {miss.effect:.2g}.\n"

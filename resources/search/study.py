@@ -6,24 +6,23 @@ their numbers. So the same seed and the same number of workers give the same sea
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import optuna
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 
+from resources.search.attacks import Template
 from resources.search.closed_loop import Finding, Proposal, Setting, run_control, run_trial
 from resources.search.objectives import Objective
-from resources.search.space import Dimension, SearchError
+from resources.search.samplers import MOVED, Sampler, sampler_for
+from resources.search.space import SearchError
 from sim.fan_out import fan_out, process_pool
 
-Sampler: TypeAlias = Literal["tpe", "random"]
-
 JOURNAL = "study.journal"
-CONTROLS = "controls"  # folder of the runs without an attack
 _FINDING = "finding"
 
 
@@ -52,40 +51,43 @@ class Budget:
 
 
 class Search:
-    """A search of one scenario's parameters.
+    """A search of what a template varies.
 
     Parameters
     ----------
     folder : Path
         Where the study is kept. A study that is there goes on.
+    template : Template
     setting : Setting
     objective : Objective
-    space : sequence of Dimension
+    controls : Path
+        Folder of the runs without an attack; searches of the same setting may share it.
     blocks : int
         Trials take turns in so many blocks.
     seed : int
         Of the proposals.
     sampler : str
-        ``tpe`` learns from trials; ``random`` does not, to compare with.
+        Who proposes: see `resources.search.samplers`.
     """
 
     def __init__(
         self,
         folder: Path,
+        template: Template,
         setting: Setting,
         objective: Objective,
-        space: Sequence[Dimension],
         *,
+        controls: Path,
         blocks: int,
         seed: int = 0,
         sampler: Sampler = "tpe",
     ) -> None:
-        self._folder, self._setting, self._objective = folder, setting, objective
-        self._space, self._blocks = space, blocks
+        self._template, self._blocks = template, blocks
+        self._setting, self._objective, self._controls = setting, objective, controls
         folder.mkdir(parents=True, exist_ok=True)
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         storage = JournalStorage(JournalFileBackend(str(folder / JOURNAL)))
-        name = f"{setting.mode.id} {','.join(objective.directions)}"
+        name = f"{template.id} {','.join(objective.directions)}"
         try:
             self._study = optuna.create_study(
                 storage=storage, study_name=name, directions=objective.directions,
@@ -95,11 +97,7 @@ class Search:
             raise SearchError(f"{folder} holds another search: {error}; name another.") from error
         # Proposals after a pause must not repeat those before it.
         fresh = seed + len(self._study.trials)
-        self._study.sampler = (
-            optuna.samplers.RandomSampler(seed=fresh)
-            if sampler == "random"
-            else optuna.samplers.TPESampler(seed=fresh)
-        )
+        self._study.sampler = sampler_for(sampler, fresh)
 
     @property
     def findings(self) -> list[Finding]:
@@ -123,7 +121,7 @@ class Search:
         failed : callable
             Takes the reason for which a trial has no finding.
         """
-        controls = self._folder / CONTROLS
+        controls = self._controls
         for outcome in fan_out(
             partial(run_control, self._setting, controls),
             range(self._blocks),
@@ -155,11 +153,13 @@ class Search:
             executor.shutdown(cancel_futures=True)
 
     def _proposal(self, trial: optuna.Trial) -> Proposal:
-        values = {dimension.name: dimension.suggest(trial) for dimension in self._space}
-        return Proposal(trial.number, trial.number % self._blocks, values)
+        attack = self._template.suggest(trial)
+        block = trial.number % self._blocks
+        return Proposal(trial.number, block, attack.document, attack.values)
 
     def _told(self, trial: optuna.Trial, finding: Finding) -> Finding:
         trial.set_user_attr(_FINDING, dataclasses.asdict(finding))
+        trial.set_user_attr(MOVED, finding.moved)
         if self._objective.wants_detected:
             trial.set_constraint("p-value over rate", finding.p_value - self._setting.far)
         self._study.tell(trial, self._objective.values(finding))
@@ -167,5 +167,5 @@ class Search:
 
 
 def _from_dict(document: Mapping[str, Any]) -> Finding:
-    proposal = Proposal(**document["proposal"])
-    return Finding(**{**document, "proposal": proposal, "families": tuple(document["families"])})
+    lists = {name: tuple(document[name]) for name in ("families", "moved", "violated")}
+    return Finding(**{**document, **lists, "proposal": Proposal(**document["proposal"])})

@@ -20,6 +20,7 @@ from sim.campaigns import (
     Navigation,
     OdometrySource,
     Options,
+    RecipeError,
     Wiring,
 )
 from sim.commands.progress import RunProgress
@@ -40,6 +41,18 @@ workers_option = click.option(
     help="Runs at a time.  [default: one for each core]",
 )  # fmt: skip
 refresh_option = click.option("--refresh", is_flag=True, help="Simulate existing runs again.")
+
+
+def _nav2_params(
+    _context: click.Context, _option: click.Parameter, words: tuple[str, ...]
+) -> dict[str, float]:
+    from sim.nav2.parameters import named_values
+
+    try:
+        return named_values(words)
+    except RecipeError as error:
+        raise click.BadParameter(str(error)) from error
+
 
 _CAMPAIGN_OPTIONS = (
     seed_option,
@@ -86,6 +99,11 @@ _CAMPAIGN_OPTIONS = (
         help="Settings of Nav2: tuned to the narrow gaps of the hexagon; stock, with which the "
         "collision monitor slows the robot down near walls; or drawn, which is stock in houses "
         "and tuned elsewhere.  [default: $ORACLE_NAV2 or tuned]",
+    ),
+    click.option(
+        "--nav2-param", "nav2_params", multiple=True, metavar="NAME=VALUE", callback=_nav2_params,
+        help="A parameter of Nav2, as inflation_radius=0.7 (of both costmaps) or "
+        "FollowPath.PathDist.scale=20; may be given more than once.",
     ),
     click.option("--cameras", is_flag=True, help="Depth camera on: 15 MB a second."),
     click.option(

@@ -1,7 +1,7 @@
 """``oracle-sim grid``: the runs of a kill matrix."""
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -126,12 +126,9 @@ def _attacks(controls: Path | None, *, allow_actuation: bool) -> list[str]:
         for name, scenario in builtin_scenarios().items()
         if name in BUILT_IN
         and which_testbed(scenario) in beds
-        and (allow_actuation or not moves_something(*_output(scenario.document["main"])))
+        and (allow_actuation or not any(moves_something(*each) for each in scenario.spoken))
+        and (controls is None or not scenario.is_on_links)
     ]
-
-
-def _output(main: Mapping[str, str]) -> tuple[str, str]:
-    return main["output"], main["type"]
 
 
 def _grid(mode: Mode, texts: Sequence[str], blocks: int, root: Path) -> Grid:

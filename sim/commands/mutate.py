@@ -22,7 +22,7 @@ from sim.experiments import recipe_of
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.offline import mutate_bag
 from sim.fuzzing.retargeting import MAIN, retargeted
-from sim.fuzzing.scenario import Scenario
+from sim.fuzzing.scenario import NO_FILE, Scenario
 from sim.modes import find_mode
 
 
@@ -140,7 +140,7 @@ class _Attack:
             )
         document = manifest.recipe["scenario"]
         return cls(
-            Scenario(f"recipe of {manifest.key}", document, {(): 1}),
+            Scenario(f"recipe of {manifest.key}", document, NO_FILE),
             recipe.parameters,
             recipe.attack_seed(),
             manifest.onset_s,

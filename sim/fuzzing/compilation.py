@@ -15,7 +15,7 @@ from sim.fuzzing.grammar import ExpressionError
 from sim.fuzzing.lanes import check_names, compile_actions, playback, with_further_topics
 from sim.fuzzing.operators import ON_TIMER, compile_operators
 from sim.fuzzing.program import Action, Activation, Parameter, Program, Source
-from sim.fuzzing.scenario import Key, Scenario, ScenarioError, load_scenarios
+from sim.fuzzing.scenario import NO_FILE, Key, Scenario, ScenarioError, load_scenarios
 from sim.fuzzing.scopes import Function, Scope
 from sim.fuzzing.step import ACTIVATION
 from sim.fuzzing.topics import MAIN, check_topics, type_of
@@ -146,6 +146,7 @@ def compile_scenario(
         magnitude=magnitude,
         outputs=limits.get("outputs", OUTPUTS),
         memory=playback(parts),
+        to=tuple(main.get("to", ())),
     )
     with faults.gathered():
         program = with_further_topics(program, on_message, numbers)
@@ -342,5 +343,5 @@ def compile_document(mode: str, document: Mapping[str, Any]) -> Program:
     ScenarioError
         If this release's language is no longer that of the recipe.
     """
-    scenario = Scenario(f"recipe of {mode}", document, {(): 1})
+    scenario = Scenario(f"recipe of {mode}", document, NO_FILE)
     return compile_scenario(scenario, allow_actuation=True)

@@ -102,6 +102,7 @@ def with_further_topics(
             timer=None,
             magnitude=program.magnitude if kind == program.type else None,
             memory=playback(actions),
+            to=tuple(spec.get("to", ())),
             within_ns=round(spec.get("within_s", WITHIN_S) * SECOND),
         )
         lanes.append(lane)

@@ -18,7 +18,8 @@ from sim.fuzzing.ground_truth import in_bins
 from sim.fuzzing.program import Program
 from sim.fuzzing.scenario import Key
 from sim.middleware import qos
-from sim.middleware.domain import Domain, Publisher, Sample, Subscription
+from sim.middleware.domain import Domain
+from sim.middleware.endpoints import Publisher, Sample, Subscription
 from sim.middleware.executor import SECOND
 from sim.middleware.node import Node, Timer
 
@@ -60,11 +61,13 @@ class ScenarioNode:
         self._changes: list[tuple[int, float]] = []  # when, and how much at most
         self._latency_ns = 0 if program.is_in_place else latency_ns
         self._outputs: dict[str, Callable[[Any], None]] = {}
+        self._diverted = {lane.output_topic for lane in program.lanes if lane.to}
         self._owner = name
         if program.is_in_place:
             self._owner = next(domain.publishers(program.input_topic)).node
             for lane in program.lanes:
-                self._outputs[lane.output_topic] = next(domain.publishers(lane.input_topic)).send
+                publisher = next(domain.publishers(lane.input_topic))
+                self._outputs[lane.output_topic] = self._sender(publisher)
         else:
             Node(domain, name, latency_ns=latency_ns)
         for topic, kind in program.outlets.items():
@@ -79,7 +82,10 @@ class ScenarioNode:
                 self._hear(lane.input_topic, lane.type.name, hear)
                 continue
             for publisher in domain.publishers(lane.input_topic):
-                publisher.alter = functools.partial(self._on_publication, number, publisher)
+                if lane.to:
+                    publisher.divert(lane.to, functools.partial(self._on_link, number, publisher))
+                else:
+                    publisher.alter = functools.partial(self._on_publication, number, publisher)
 
     def begin(self, onset_ns: int) -> None:
         """Let the scenario act from ``onset_ns`` on; until then every message is handed on."""
@@ -137,6 +143,11 @@ class ScenarioNode:
             )
         )
 
+    def _sender(self, publisher: Publisher) -> Callable[[Any], None]:
+        """Return what sends in place of a publisher, to all or to those that are diverted."""
+        is_diverted = publisher.topic in self._diverted
+        return publisher.send_diverted if is_diverted else publisher.send
+
     @property
     def _heard_ns(self) -> int:
         """When what is heard now was published."""
@@ -169,6 +180,12 @@ class ScenarioNode:
                 result = result._replace(outputs=[])
         self._publish(result, publisher)
 
+    def _on_link(self, number: int, publisher: Publisher, sample: Sample) -> None:
+        """Alter a message on its way to some of its readers."""
+        lane = self._execution.lanes[number]
+        result = lane.on_message(sample.message, self._heard_ns, self._t_s)
+        self._publish(result, publisher)
+
     def _on_timer(self) -> None:
         self._publish(self._execution.on_timer(self._heard_ns, self._t_s))
 
@@ -176,7 +193,7 @@ class ScenarioNode:
         for due_ns, message, topic in result.outputs:
             send = self._outputs[topic]
             if source is not None and topic == source.topic:
-                send = source.send
+                send = self._sender(source)
             if due_ns > self._heard_ns:
                 self._executor.call_at(due_ns + self._latency_ns, send, message)
             else:
@@ -214,6 +231,14 @@ def _check_topics(domain: Domain, program: Program) -> None:
                 (*key, "output"),
                 f"expected a topic that somebody publishes, found {lane.input_topic}",
             )
+        readers = sorted({each.node for each in domain.subscriptions(lane.input_topic)})
+        for number, node in enumerate(lane.to):
+            if node not in readers:
+                raise program.scenario.error(
+                    (*key, "to", number),
+                    f"expected a node that hears {lane.input_topic} ({', '.join(readers)}), "
+                    f"found {node}",
+                )
     outputs: list[Key] = [(*key, "output") for key in keys]
     outputs += [("outputs", name, "topic") for name in program.scenario.document.get("outputs", {})]
     for key, (topic, kind) in zip(outputs, program.outlets.items(), strict=True):

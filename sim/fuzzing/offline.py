@@ -232,6 +232,13 @@ def _is_alike(message: Any, msgtype: str) -> bool:
 
 def _check_topics(reader: BagReader, program: Program) -> None:
     """Refuse a bag that does not have what the scenario hears."""
+    for lane in program.lanes:
+        if lane.to:
+            raise BagError(
+                f"{program.scenario.id} alters what {', '.join(lane.to)} hears of "
+                f"{lane.input_topic}. A bag shows what the recorder hears, which is not altered; "
+                "record the scenario in closed loop."
+            )
     if reader.serialization != "cdr":
         raise BagError(f"{reader.path} is a ROS 1 bag; convert it with `rosbags-convert` first.")
     needed = {source.topic: source.type.name for source in program.sources.values()}

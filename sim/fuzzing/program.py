@@ -146,6 +146,7 @@ class Program:
     magnitude: Term | None
     outputs: int  # at most, for one message
     memory: int  # how many messages are kept to be played back
+    to: tuple[str, ...] = ()  # only these nodes hear what is altered; none: everybody
     also: tuple["Program", ...] = ()  # one for each further topic that is altered together
     within_ns: int = 0  # of a further topic: how far it may be behind the main one it belongs to
 

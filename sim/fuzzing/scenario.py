@@ -6,24 +6,23 @@ and expressions is checked in ``sim.fuzzing.program``.
 """
 
 import dataclasses
-import functools
 import hashlib
 import itertools
 import json
 import math
 import re
 from collections.abc import Iterator, Mapping
-from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, Literal, cast
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
 
-import jsonschema
 import yaml
 
 from oracle_pipeline.bags import json_schema
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Label
+from sim.fuzzing.schema_words import in_words, schema
 
 Key = tuple[str | int, ...]  # where something stands in a document: ("transform", "actions", 0)
 Control = Literal["none", "passthrough", "shadow"]
@@ -38,8 +37,28 @@ _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _WORDS = {"": None, "~": None, "null": None, "true": True, "false": False}
 
 
+class Place(NamedTuple):
+    """Where something stands in a file, counted from 1."""
+
+    line: int = 1
+    column: int = 1
+
+    def __str__(self) -> str:
+        return f"{self.line}:{self.column}"
+
+    @classmethod
+    def of(cls, mark: Any) -> "Place":
+        """Return the place of YAML's mark."""
+        return cls() if mark is None else cls(int(mark.line) + 1, int(mark.column) + 1)
+
+
+NO_FILE: Mapping[Key, Place] = MappingProxyType({(): Place()})  # of a document that is in none
+
+
 class ScenarioError(OracleError):
-    """A scenario is refused; the text begins with file, line and key, a line for each fault.
+    """A scenario is refused; the text begins with the place and the key, a line for each fault.
+
+    The place is ``file:line:column``, as compilers write it and editors read it.
 
     Characters that a terminal would obey, or a log could not write, are shown by their codes.
     """
@@ -64,13 +83,13 @@ class Scenario:
         Where it comes from.
     document
         What the file says, as JSON knows it.
-    lines
-        The line of each key, counted from 1.
+    places
+        Where each key stands.
     """
 
     file: str
     document: Mapping[str, Any]
-    lines: Mapping[Key, int]
+    places: Mapping[Key, Place]
 
     @property
     def id(self) -> str:
@@ -111,6 +130,30 @@ class Scenario:
         return {name: spec["drawn"] for name, spec in parameters.items() if "drawn" in spec}
 
     @property
+    def is_in_place(self) -> bool:
+        """Whether messages are altered at their source, without a node."""
+        main = self.document["main"]
+        return bool(main["input"] == main["output"])
+
+    @property
+    def is_on_links(self) -> bool:
+        """Whether only some nodes hear what is altered, so that no recording shows it."""
+        return any("to" in each for each in self._altered)
+
+    @property
+    def spoken(self) -> list[tuple[str, str]]:
+        """All topics that it publishes on, with their types."""
+        further = self.document.get("outputs", {}).values()
+        return [
+            *((each["output"], each["type"]) for each in self._altered),
+            *((each["topic"], each["type"]) for each in further),
+        ]
+
+    @property
+    def _altered(self) -> list[Mapping[str, Any]]:
+        return [self.document["main"], *self.document.get("also", {}).values()]
+
+    @property
     def has_object(self) -> bool:
         """Whether it shows the robot the block's object that is not there."""
         return "object_x" in self.drawn.values()
@@ -127,7 +170,7 @@ class Scenario:
 
     def error(self, key: Key, text: str) -> ScenarioError:
         """Return the error that says where in the file something is wrong."""
-        return _error(self.file, self.lines, key, text)
+        return _error(self.file, self.places, key, text)
 
 
 def load_scenarios(path: Traversable) -> list[Scenario]:
@@ -165,32 +208,24 @@ def parse_scenarios(data: bytes, file: str) -> list[Scenario]:
         ) from error
     scenarios: dict[str, Scenario] = {}
     faults: list[str] = []
-    for document, lines in _documents(text, file):
-        faults += _faults(document, lines, file)
+    for document, places in _documents(text, file):
+        faults += _faults(document, places, file)
         if faults:
             continue
-        scenario = Scenario(file, document, lines)
+        scenario = Scenario(file, document, places)
         if scenario.id in scenarios:
             raise scenario.error(("id",), f"expected a new name, {scenario.id} stands above")
         scenarios[scenario.id] = scenario
     if faults:
         raise ScenarioError("\n".join(faults[:MAX_FAULTS]))
     if not scenarios:
-        raise ScenarioError(f"{file}:1: expected a scenario, found an empty file.")
+        raise ScenarioError(f"{file}:1:1: expected a scenario, found an empty file.")
     return list(scenarios.values())
 
 
-@functools.cache
-def schema() -> dict[str, Any]:
-    """Return the JSON Schema of a scenario."""
-    text = files(__package__).joinpath("scenario.schema.json").read_text("utf-8")
-    document: dict[str, Any] = json.loads(text)
-    return document
-
-
-def _error(file: str, lines: Mapping[Key, int], key: Key, text: str) -> ScenarioError:
-    line = next(lines[key[:n]] for n in range(len(key), -1, -1) if key[:n] in lines)
-    return ScenarioError(f"{file}:{line}: {_dotted(key)}: {text}.")
+def _error(file: str, places: Mapping[Key, Place], key: Key, text: str) -> ScenarioError:
+    place = next(places[key[:n]] for n in range(len(key), -1, -1) if key[:n] in places)
+    return ScenarioError(f"{file}:{place}: {_dotted(key)}: {text}.")
 
 
 def _dotted(key: Key) -> str:
@@ -202,27 +237,23 @@ def _dotted(key: Key) -> str:
 # YAML: events to plain data, without recursion, under bounds.
 
 
-def _documents(text: str, file: str) -> Iterator[tuple[Any, dict[Key, int]]]:
-    """Yield each document with the lines of its keys."""
+def _documents(text: str, file: str) -> Iterator[tuple[Any, dict[Key, Place]]]:
+    """Yield each document with the places of its keys."""
     builder = _Builder(file)
     try:
         for event in yaml.parse(text, Loader=yaml.CSafeLoader):
             if isinstance(event, yaml.DocumentEndEvent):
-                yield builder.root, builder.lines
+                yield builder.root, builder.places
                 builder = _Builder(file)
             elif isinstance(event, yaml.NodeEvent):
                 builder.add(event)
             elif isinstance(event, yaml.CollectionEndEvent):
                 builder.end()
     except yaml.MarkedYAMLError as error:
-        line = _line(error.problem_mark)
-        raise ScenarioError(f"{file}:{line}: expected YAML, {error.problem}.") from error
+        place = Place.of(error.problem_mark)
+        raise ScenarioError(f"{file}:{place}: expected YAML, {error.problem}.") from error
     except yaml.YAMLError as error:
-        raise ScenarioError(f"{file}:1: expected YAML, found {error}.") from error
-
-
-def _line(mark: Any) -> int:
-    return 1 if mark is None else int(mark.line) + 1
+        raise ScenarioError(f"{file}:1:1: expected YAML, found {error}.") from error
 
 
 class _Builder:
@@ -230,20 +261,20 @@ class _Builder:
 
     def __init__(self, file: str) -> None:
         self.root: Any = None
-        self.lines: dict[Key, int] = {}
+        self.places: dict[Key, Place] = {}
         self._file = file
         self._open: list[tuple[Key, dict[str, Any] | list[Any]]] = []
         self._name: str | None = None  # of the value that comes next in a mapping
 
     def add(self, event: yaml.NodeEvent) -> None:
         """Take the beginning of a node."""
-        line = _line(event.start_mark)
-        self._refuse_references(event, line)
+        place = Place.of(event.start_mark)
+        self._refuse_references(event, place)
         if self._open and isinstance(self._open[-1][1], dict) and self._name is None:
-            self._begin_entry(event, line)
+            self._begin_entry(event, place)
             return
         key = self._place()
-        self.lines.setdefault(key, line)
+        self.places.setdefault(key, place)
         if isinstance(event, yaml.ScalarEvent):
             self._put(self._scalar(event, key))
             return
@@ -258,7 +289,7 @@ class _Builder:
         """Take the end of a mapping or a list."""
         self._open.pop()
 
-    def _refuse_references(self, event: yaml.NodeEvent, line: int) -> None:
+    def _refuse_references(self, event: yaml.NodeEvent, place: Place) -> None:
         what = ""
         if isinstance(event, yaml.AliasEvent):
             what = f"the alias *{event.anchor}"
@@ -267,13 +298,13 @@ class _Builder:
         elif getattr(event, "tag", None) is not None:
             what = f"the tag {getattr(event, 'tag', None)}"
         if what:
-            raise ScenarioError(f"{self._file}:{line}: expected plain YAML, found {what[:80]}.")
+            raise ScenarioError(f"{self._file}:{place}: expected plain YAML, found {what[:80]}.")
 
-    def _begin_entry(self, event: yaml.NodeEvent, line: int) -> None:
+    def _begin_entry(self, event: yaml.NodeEvent, place: Place) -> None:
         key, mapping = self._open[-1]
         if not isinstance(event, yaml.ScalarEvent) or len(event.value) > MAX_SCALAR:
             raise self._error(key, "expected names for keys")
-        self.lines[*key, event.value] = line
+        self.places[*key, event.value] = place
         if event.value in mapping:
             raise self._error((*key, event.value), "expected each key once")
         self._name = event.value
@@ -314,81 +345,17 @@ class _Builder:
         return text
 
     def _error(self, key: Key, text: str) -> ScenarioError:
-        return _error(self._file, self.lines, key, text)
+        return _error(self._file, self.places, key, text)
 
 
 # JSON Schema: its findings in words.
 
 
-def _faults(document: Any, lines: dict[Key, int], file: str) -> list[str]:
+def _faults(document: Any, places: dict[Key, Place], file: str) -> list[str]:
     """Return what is wrong with a document, what comes first in it before the rest."""
     found = sorted(
         json_schema.faults(document, schema()),
-        key=lambda error: (len(error.absolute_path), lines[tuple(error.absolute_path)]),
+        key=lambda error: (len(error.absolute_path), places[tuple(error.absolute_path)]),
     )
-    told = (_error(file, lines, *words) for error in found for words in _in_words(error))
+    told = (_error(file, places, *words) for error in found for words in in_words(error))
     return list(itertools.islice(dict.fromkeys(map(str, told)), MAX_FAULTS))
-
-
-def _in_words(error: jsonschema.ValidationError) -> Iterator[tuple[Key, str]]:
-    """Yield where it went wrong and what was expected there."""
-    key: Key = tuple(error.absolute_path)
-    rule, value = error.validator, cast(Any, error.validator_value)
-    instance, rules = cast(Any, error.instance), cast(dict[str, Any], error.schema)
-    found = f"found {_shown(instance)}"
-    match rule:
-        case "type":
-            kinds = [value] if isinstance(value, str) else value
-            yield key, f"expected {' or '.join(_KINDS[kind] for kind in kinds)}, {found}"
-        case "const":
-            yield key, f"expected {value}, {found}"
-        case "enum":
-            yield key, f"expected one of {', '.join(value)}, {found}"
-        case "required":
-            yield from ((key, f"expected the key {n}") for n in value if n not in instance)
-        case "additionalProperties":
-            known = list(rules.get("properties", ()))
-            there = f"expected one of {', '.join(known)}" if known else "expected nothing"
-            for unknown in (name for name in instance if name not in known):
-                yield (*key, unknown), f"{there}, found {_shown(unknown)}"
-        case "pattern":
-            yield key, f"expected {_PATTERNS[value]}, {found}"
-        case "minProperties" | "minItems" | "minLength":
-            yield key, f"expected at least {value}, {found}"
-        case "maxProperties" | "maxItems" | "maxLength":
-            yield key, f"expected at most {value}, found {len(instance)}"
-        case "uniqueItems":
-            yield key, f"expected each value once, {found}"
-        case "minimum":
-            yield key, f"expected at least {value}, {found}"
-        case "exclusiveMinimum":
-            yield key, f"expected more than {value}, {found}"
-        case "maximum":
-            yield key, f"expected at most {value}, {found}"
-        case _:
-            yield key, f"expected otherwise: {error.message[:200]}"
-
-
-_KINDS = {
-    "object": "a mapping",
-    "array": "a list",
-    "string": "a text",
-    "number": "a number",
-    "integer": "a whole number",
-    "boolean": "true or false",
-}
-
-_PATTERNS = {
-    schema()["$defs"][name]["pattern"]: words
-    for name, words in {
-        "name": "a name such as random_noise",
-        "topic": "a full topic name such as /scan_tom",
-        "message_type": "a message type such as sensor_msgs/msg/LaserScan",
-        "field": "a field such as pose.pose.position.x",
-    }.items()
-}
-
-
-def _shown(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

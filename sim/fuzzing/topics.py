@@ -81,6 +81,12 @@ def _check_altered(
                 raise scenario.error(
                     (*key, "output"), "expected all topics to be altered in place, or none"
                 )
+            if "to" in spec and not _is_in_place(spec):
+                raise scenario.error(
+                    (*key, "to"),
+                    f"expected the output to be the input, {spec['input']}: who hears what is "
+                    "altered can be chosen only where no node stands between",
+                )
         inputs.append(spec["input"])
 
 

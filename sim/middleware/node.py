@@ -12,7 +12,8 @@ from rosbags.interfaces import Qos
 
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos as profiles
-from sim.middleware.domain import Domain, Publisher, Service, Subscription
+from sim.middleware.domain import Domain, Service
+from sim.middleware.endpoints import Publisher, Subscription
 from sim.middleware.stamps import time_message
 
 _Log = message_class("rcl_interfaces/msg/Log")

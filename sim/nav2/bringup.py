@@ -5,8 +5,9 @@ are added by ``sim.turtlebot3``.
 """
 
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -25,10 +26,10 @@ from sim.nav2.collision_monitor import (
     Source,
 )
 from sim.nav2.controller_server import ControllerServer
-from sim.nav2.costmap_node import GlobalCostmap, LocalCostmap, StockGlobalCostmap
-from sim.nav2.dwb_sampling import STOCK_SIM_TIME, Parameters
+from sim.nav2.costmap_node import GlobalCostmap, LocalCostmap
 from sim.nav2.lifecycle import LifecycleManager
 from sim.nav2.map_server import MapServer, OccupancyMap
+from sim.nav2.parameters import settings
 from sim.nav2.planner_server import PlannerServer
 from sim.nav2.rviz import NavigationDialog, RViz
 from sim.nav2.smoother_server import SmootherServer
@@ -62,6 +63,7 @@ def bring_up(
     monitored: Sequence[Source] = SOURCES,
     speed: float = 1.0,
     stock: bool = False,
+    parameters: Mapping[str, float] = MappingProxyType({}),
 ) -> Nav2:
     """Put Nav2 into a domain; it becomes active once AMCL was told where the robot starts.
 
@@ -84,7 +86,15 @@ def bring_up(
     stock
         Settings as Nav2 ships them, and not those that are tuned to narrow gaps;
         docs/explanation/navigation.md lists what differs.
+    parameters
+        Further values, by the names of ``sim.nav2.parameters``.
+
+    Raises
+    ------
+    RecipeError
+        If there is no such parameter, or it cannot have that value.
     """
+    values = settings(stock=stock, given=parameters)
 
     def listener(owner: str) -> str:
         """Return what stands for the heap address of a node's transform listener."""
@@ -111,16 +121,18 @@ def bring_up(
         rng=generator("/local_costmap/local_costmap"),
         transforms=transforms,
         latency_ns=latency_ns,
+        inflation=values.local_inflation,
     )
-    global_costmap = (StockGlobalCostmap if stock else GlobalCostmap)(
+    global_costmap = GlobalCostmap(
         domain,
         listener("global_costmap"),
         OBSTACLE_SOURCES,
         rng=generator("/global_costmap/global_costmap"),
         transforms=transforms,
         latency_ns=latency_ns,
+        inflation=values.global_inflation,
     )
-    dwb = Parameters(sim_time=STOCK_SIM_TIME) if stock else Parameters()
+    dwb = values.dwb
     ControllerServer(
         domain,
         local_costmap,

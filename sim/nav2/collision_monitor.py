@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.template import STAMP, Template
 from sim.jit import jit
 from sim.middleware import qos
-from sim.middleware.domain import Domain, Publisher
+from sim.middleware.domain import Domain
+from sim.middleware.endpoints import Publisher
 from sim.middleware.executor import SECOND
 from sim.middleware.geometry import Pose2D
 from sim.middleware.stamps import stamp_ns

@@ -36,7 +36,7 @@ from sim.nav2.costmap_layers import (
     static_costs,
 )
 from sim.nav2.footprint import FOOTPRINT, INSCRIBED_RADIUS, POLYGON, polygon_message
-from sim.nav2.inflation import COST_SCALING, GLOBAL_COST_SCALING, InflationLayer
+from sim.nav2.inflation import AS_SHIPPED, Inflation, InflationLayer
 from sim.nav2.laser import scan_points
 from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.voxel_messages import CLOUD, VOXELS, LaserClouds, VoxelGrids
@@ -101,6 +101,8 @@ class CostmapNode(LifecycleNode):
         Buffer to share with other listeners; its own if omitted.
     latency_ns
         From a scan's publication to its arrival here.
+    inflation
+        How far costs reach around obstacles, and how fast they fall.
 
     Attributes
     ----------
@@ -115,7 +117,6 @@ class CostmapNode(LifecycleNode):
     update_period_ns: ClassVar[int]
     publish_period_ns: ClassVar[int]
     clearing_margin: ClassVar[float] = 0.0  # see `ObstacleLayer` [m]
-    cost_scaling: ClassVar[float] = COST_SCALING
 
     def __init__(
         self,
@@ -126,10 +127,12 @@ class CostmapNode(LifecycleNode):
         rng: np.random.Generator,
         transforms: TransformBuffer | None = None,
         latency_ns: int = 0,
+        inflation: Inflation = AS_SHIPPED,
     ) -> None:
         label = self.label
         super().__init__(domain, f"/{label}/{label}", bond=False, rng=rng, latency_ns=latency_ns)
         self.is_current = True
+        self._inflated_by = inflation
         self._transforms = TransformListener(domain, listener, transforms).buffer
         self.set_grid(self.initial_grid())
         self._published_ns = 0
@@ -214,7 +217,7 @@ class CostmapNode(LifecycleNode):
         """Start anew on another grid."""
         self.grid = grid
         self.obstacles = ObstacleLayer(grid, margin=self.clearing_margin)
-        self._inflation = InflationLayer(grid.resolution, INSCRIBED_RADIUS, self.cost_scaling)
+        self._inflation = InflationLayer(grid.resolution, INSCRIBED_RADIUS, self._inflated_by)
         if grid.costs.size:
             place = ("origin.position.x", "origin.position.y")
             self._raw_bytes = Template(
@@ -330,7 +333,6 @@ class GlobalCostmap(CostmapNode):
     """The whole map, obstacles on it, and inflation; it is empty until the map arrives."""
 
     label = "global_costmap"
-    cost_scaling = GLOBAL_COST_SCALING
     frame = "map"
     update_period_ns = SECOND
     publish_period_ns = SECOND
@@ -357,12 +359,6 @@ class GlobalCostmap(CostmapNode):
         corner = meta.origin.position
         costs = self._static.copy()
         self.set_grid(Costmap2D(costs, meta.resolution, corner.x, corner.y, self.frame))
-
-
-class StockGlobalCostmap(GlobalCostmap):
-    """The same, inflated as Nav2's parameters say."""
-
-    cost_scaling = COST_SCALING
 
 
 def _points32(points: Points) -> list[float]:

@@ -1,5 +1,7 @@
 """The inflation layer: costs that fall with the distance from obstacles, as Nav2's."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +14,16 @@ COST_SCALING = 3.0  # how fast cost falls with distance [1/m]
 GLOBAL_COST_SCALING = 10.0
 
 
+class Inflation(NamedTuple):
+    """The parameters of an inflation layer."""
+
+    radius: float = INFLATION_RADIUS  # [m]
+    cost_scaling: float = COST_SCALING  # [1/m]
+
+
+AS_SHIPPED = Inflation()
+
+
 class InflationLayer:
     """Costs that fall with the distance from obstacles.
 
@@ -21,18 +33,18 @@ class InflationLayer:
         Edge of a cell [m].
     inscribed_radius
         Distance within which the robot collides whatever its heading [m].
-    cost_scaling
-        How fast cost falls with distance [1/m].
+    inflation
+        How far it reaches, and how fast cost falls with distance.
     """
 
     def __init__(
-        self, resolution: float, inscribed_radius: float, cost_scaling: float = COST_SCALING
+        self, resolution: float, inscribed_radius: float, inflation: Inflation = AS_SHIPPED
     ) -> None:
-        self._reach = round(INFLATION_RADIUS / resolution)
+        self._reach = round(inflation.radius / resolution)
         cells = np.arange(self._reach + 1)
         rows, columns = (axis.ravel() for axis in np.meshgrid(cells, cells))
         distance = np.hypot(rows, columns) * resolution
-        decay = np.exp(-cost_scaling * (distance - inscribed_radius))
+        decay = np.exp(-inflation.cost_scaling * (distance - inscribed_radius))
         costs = np.where(distance <= inscribed_radius, INSCRIBED, np.floor((INSCRIBED - 1) * decay))
         squared = rows**2 + columns**2
         near = squared <= self._reach**2

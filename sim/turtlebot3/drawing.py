@@ -19,7 +19,7 @@ from sim.nav2.costmap import Costmap2D
 from sim.nav2.costmap_layers import static_costs
 from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.footprint import INSCRIBED_RADIUS
-from sim.nav2.inflation import GLOBAL_COST_SCALING, InflationLayer
+from sim.nav2.inflation import GLOBAL_COST_SCALING, Inflation, InflationLayer
 from sim.nav2.navfn import plan
 from sim.seeds import attack_seed, generator, sequence
 from sim.testbed import Mode
@@ -141,7 +141,9 @@ def planning_grid(arena: Arena) -> Costmap2D:
     """Return the global costmap of an arena with nothing in it that is on no map."""
     world = occupancy_map(arena)
     costs = static_costs(world.data)
-    InflationLayer(RESOLUTION_M, INSCRIBED_RADIUS, GLOBAL_COST_SCALING).add_to(costs)
+    InflationLayer(
+        RESOLUTION_M, INSCRIBED_RADIUS, Inflation(cost_scaling=GLOBAL_COST_SCALING)
+    ).add_to(costs)
     return Costmap2D(costs, world.resolution, *world.origin, "map")
 
 
@@ -162,7 +164,8 @@ def draw(
     RecipeError
         If the mode is an attack and its node is to be absent.
     """
-    if campaign.options.wiring == "absent" and mode.label == "malicious":
+    absent = campaign.options.wiring == "absent" and not mode.scenario.is_in_place
+    if absent and mode.label == "malicious":
         raise RecipeError(f"{mode.id} without its node is no attack; take a passthrough mode.")
     block = draw_block(campaign.seed, run, campaign.goals_per_run, campaign.options.arena)
     return TurtleBot3Recipe(

@@ -85,9 +85,14 @@ class TurtleBot3Recipe:
         return attack_seed(self.seed, ATTACK, self.block)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the recipe as JSON knows it."""
+        """Return the recipe as JSON knows it; Nav2's parameters are in it if any is set."""
         goals = [asdict(goal) for goal in self.goals]
-        return {**asdict(self), "arena": self.arena.to_dict(), "goals": goals}
+        options = asdict(self.options)
+        if not options["nav2_params"]:
+            del options["nav2_params"]
+        return {
+            **asdict(self), "arena": self.arena.to_dict(), "goals": goals, "options": options,
+        }  # fmt: skip
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:

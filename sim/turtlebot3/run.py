@@ -99,6 +99,7 @@ class TurtleBot3Run:
             ],
             speed=recipe.conditions.speed,
             stock=options.nav2 == "stock",
+            parameters=options.nav2_params,
         )
         self._odometer = Odometer(self._executor, lambda: self._world.pose)
         self._patrol_over = False
@@ -236,7 +237,7 @@ class TurtleBot3Run:
     def _start_node(self) -> None:
         """Put the mode's node into the graph."""
         recipe = self._recipe
-        if recipe.options.wiring == "absent":
+        if recipe.options.wiring == "absent" and not self._program.is_in_place:
             return
         execution = execute(self._program, recipe.attack_seed(), recipe.parameters)
         self.node = ScenarioNode(self.domain, NODE, execution, latency_ns=self._latency_ns)

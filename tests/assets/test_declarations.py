@@ -29,7 +29,7 @@ def test_every_asset_says_what_it_is_whose_where_and_of_what_kind(asset: Any) ->
     assert asset.owners == ["team:behaviour-oracle"]
     assert asset.group_name not in (None, "default")
     assert asset.kinds
-    assert asset.tags["scope"] in ("run", "campaign", "recording")
+    assert asset.tags["scope"] in ("run", "campaign", "recording", "scenario")
     assert (asset.tags["scope"] == "campaign") == (asset.partitions_def is None)
     assert asset.metadata["place"].value.startswith("<ORACLE_HOME>/")
     assert asset.code_version

@@ -84,4 +84,4 @@ def test_scenario_files_are_partitions_and_a_broken_one_is_named_and_no_more(
     modes_there = {key.split("|")[0] for key in loaded.stdout.split()}
     assert "own" in modes_there
     assert "Broken" not in modes_there
-    assert f"Left out: {tmp_path}/broken.yaml:2: id: expected a name" in loaded.stderr
+    assert f"Left out: {tmp_path}/broken.yaml:2:1: id: expected a name" in loaded.stderr

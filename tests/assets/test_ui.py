@@ -16,6 +16,7 @@ from assets.experiment_runs import REPRODUCIBLE
 from assets.foreign import IS_NORMAL
 from assets.foreign import SPECS as ARRIVED
 from assets.run_checks import CHECKS
+from assets.searches import ATTACK_SEARCH
 from tests.assets.dagster_internals import WorkspaceFileTarget, WorkspaceProcessContext
 from tests.assets.laboratory import ATTACKED, CONTROL, EVERYTHING, KEY, PER_RUN, ROOT, Laboratory
 
@@ -59,12 +60,12 @@ def test_the_ui_shows_every_asset_with_kinds_owners_and_partitions(ui: Query) ->
         "  owners { ... on TeamAssetOwner { team } }"
         "  partitionKeysByDimension { name partitionKeys } } }"
     )["assetNodes"]
-    arrived = {spec.key.path[0] for spec in ARRIVED}
+    arrived = {spec.key.path[0] for spec in (*ARRIVED, ATTACK_SEARCH)}
     assert {node["assetKey"]["path"][0] for node in nodes} == {*EVERYTHING, *arrived}
     for node in nodes:
         assert node["kinds"], node
         assert node["owners"], node
-        if node["isPartitioned"] and node["groupName"] != "foreign":
+        if node["isPartitioned"] and node["groupName"] not in ("foreign", "search"):
             mode, run = node["partitionKeysByDimension"]
             assert (mode["name"], run["name"]) == ("mode", "run")
             assert mode["partitionKeys"][:3] == [

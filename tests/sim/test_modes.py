@@ -117,9 +117,9 @@ def test_a_broken_file_is_named_with_its_line_and_the_others_still_load(folder):
     assert "good" in modes()
     assert "first" not in modes()
     compiled, schema, taken = broken_scenarios()
-    assert compiled.startswith(f"{folder}/a.yaml:7: transform.actions[0].do[0].scale.by:")
-    assert schema.startswith(f"{folder}/b.yaml:1:")
-    assert taken.startswith(f"{folder}/c.yaml:2: id: expected a new name")
+    assert compiled.startswith(f"{folder}/a.yaml:7:51: transform.actions[0].do[0].scale.by:")
+    assert schema.startswith(f"{folder}/b.yaml:1:1:")
+    assert taken.startswith(f"{folder}/c.yaml:2:1: id: expected a new name")
     assert modes()["fake_object"].scenario is builtin_scenarios()["fake_object"]
 
 

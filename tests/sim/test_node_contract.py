@@ -12,7 +12,7 @@ from oracle_pipeline.bags.protocol import is_hidden
 from oracle_pipeline.bags.types import deserialize, message_class, serialize
 from oracle_pipeline.bags.writer import BagWriter
 from sim.middleware import qos
-from sim.middleware.domain import Subscription
+from sim.middleware.endpoints import Subscription
 from sim.middleware.geometry import Pose2D
 from sim.middleware.stamps import stamp_ns
 from sim.nav2.amcl import TRANSFORM_TOLERANCE_NS

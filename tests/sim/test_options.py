@@ -103,6 +103,15 @@ def test_with_wheel_odometry_the_robot_starts_at_zero_and_finds_its_goal(record)
     assert (first.x, first.y) == pytest.approx((0.0, 0.0), abs=0.05)
 
 
+def test_parameters_of_nav2_are_in_the_recipe_only_if_set_and_change_the_run(record):
+    name = "local_costmap.inflation_layer.inflation_radius"
+    usual, wide = record(), record(nav2_params={name: 0.3})
+    assert "nav2_params" not in usual.manifest().recipe["options"]
+    assert wide.manifest().recipe["options"]["nav2_params"] == {name: 0.3}
+    assert TurtleBot3Recipe.from_dict(wide.manifest().recipe).options.nav2_params == {name: 0.3}
+    assert usual.manifest().content_hash != wide.manifest().content_hash
+
+
 def test_a_recipe_with_options_survives_its_manifest(record):
     directory = record(wiring="replace", receive_stamps=True)
     recipe = TurtleBot3Recipe.from_dict(directory.manifest().recipe)

@@ -14,7 +14,8 @@ from oracle_pipeline.bags.qos_profiles import compatible
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.graphs.intervals import compose, read_intervals
 from oracle_pipeline.graphs.rclpy_graphs import IntervalGraphs, Traffic, _shared_out, snapshot
-from sim.middleware.domain import Domain, Publisher, Subscription
+from sim.middleware.domain import Domain
+from sim.middleware.endpoints import Publisher, Subscription
 from sim.recording import GraphRecorder
 from tests.sim.system import System
 

@@ -1,8 +1,11 @@
 """Pages of synthetic campaigns, made by the functions that make the real one."""
 
 import io
+import json
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pandas as pd
 import pytest
@@ -16,6 +19,7 @@ from oracle_pipeline.reporting import html, thesis_reports
 from oracle_pipeline.reporting.evaluation_report import evaluation_report
 from oracle_pipeline.reporting.explanation import explanations
 from oracle_pipeline.reporting.report import Report
+from oracle_pipeline.reporting.searched import searched
 from tests.oracle_pipeline.datasets.synthetic import campaign
 from tests.oracle_pipeline.evaluation.test_kill_rates import grid_of
 
@@ -63,7 +67,7 @@ def page_of(df, windows, truth, *, mutants=None, differences=None, change=lambda
 
     `change` may make another report of its evaluation.
     """
-    passed_on = {name: more.pop(name) for name in ("radar", "storage") if name in more}
+    passed_on = {name: more.pop(name) for name in ("radar", "storage", "searched") if name in more}
     with quickly():
         evaluation = campaign_evaluation.evaluate(
             df, windows, truth, graph_differences=differences, grid=mutants
@@ -106,6 +110,20 @@ def with_many_runs(report, runs=60):
     return Report(report.table, report.figures, report.summary, tables)
 
 
+def searches_of_two():
+    """Return the section on a search that found a miss, and on one that found none."""
+    passed = {"screened_out": False, "effect": 2.5, "score": 1.5, "p_value": 0.4}
+    caught = {"screened_out": False, "effect": 8.0, "score": 90.0, "p_value": 0.02}
+    given_up = {"screened_out": True, "effect": 0.0, "score": 70.0, "p_value": 0.02}
+    with TemporaryDirectory() as name:
+        for scenario, findings in (("drift", [passed, caught]), ("drop", [caught, given_up])):
+            folder = Path(name) / "searches" / scenario
+            folder.mkdir(parents=True)
+            (folder / "findings.json").write_text(json.dumps({"far": 0.05, "findings": findings}))
+            (folder / "front.png").write_bytes(draw(scenario))
+        return searched(Path(name))
+
+
 @cache
 def whole_page():
     """Return a page with every section, of a campaign in which attacks are plain to see."""
@@ -115,6 +133,7 @@ def whole_page():
         differences=[],
         radar={run: draw(run) for run in (GHOST, WITHOUT)},
         storage=pd.DataFrame({"mode": ["fake_object"], "full_bags": [9]}),
+        searched=searches_of_two(),
         Note="<script>alert(1)</script>",
     )
 

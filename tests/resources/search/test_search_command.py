@@ -3,15 +3,20 @@
 import json
 from pathlib import Path
 
+import optuna
 import pytest
 from click.testing import CliRunner, Result
 
 from oracle_pipeline.cli import main as oracle
 from resources.cli import main as oracle_sim
+from resources.search.attacks import ScenarioTemplate
 from resources.search.closed_loop import Finding, Proposal
 from resources.search.outcome import misses, save
+from resources.search.space import search_space
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for
 from sim.fuzzing.compilation import compile_file
-from sim.modes import find_mode
+from sim.modes import find_mode, modes
 from tests.recorded_runs import RecordedRuns, linked
 
 pytestmark = pytest.mark.slow
@@ -45,7 +50,7 @@ def test_a_search_goes_on_where_it_stopped(card: Path, tmp_path: Path) -> None:
         found.append(json.loads((tmp_path / "findings.json").read_text())["findings"])
     assert [len(each) for each in found] == [1, 3]
     assert found[1][:1] == found[0]
-    rates = [each["proposal"]["given"]["rate"] for each in found[1]]
+    rates = [each["proposal"]["values"]["rate"] for each in found[1]]
     assert len(set(rates)) == 3
     assert all(-0.02 <= rate <= 0.02 for rate in rates)
     assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
@@ -67,14 +72,39 @@ def test_another_objective_in_the_same_folder_is_refused_or_apart(
     assert again.exit_code == 0, again.output  # a study of its own beside the first
 
 
-def test_a_miss_is_a_scenario_with_what_was_found_as_its_default(tmp_path: Path) -> None:
-    scenario = find_mode("range_drift").scenario
+def test_a_search_without_a_template_chooses_topics_and_operators(
+    card: Path, tmp_path: Path
+) -> None:
+    words = [
+        "search", "--topic", "/odom", "--operator", "delay", "--operator", "drift",
+        "--reference", str(card), "--budget", "2", "--far", "0.2", "--blocks", "1", "--goals", "1",
+        "--workers", "1", "--wiring", "absent", "--sampler", "guided", "--out", str(tmp_path),
+    ]  # fmt: skip
+    result = CliRunner().invoke(oracle_sim, words)
+    assert result.exit_code == 0, result.output
+    found = json.loads((tmp_path / "findings.json").read_text())["findings"]
+    assert {each["proposal"]["values"]["operator"] for each in found} <= {"delay", "drift"}
+    assert {each["proposal"]["document"]["main"]["output"] for each in found} == {"/odom"}
+
+
+def test_a_miss_is_a_mode_with_what_was_found_as_its_default(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    template = ScenarioTemplate(find_mode("range_drift"), search_space(find_mode("range_drift")))
+    study = optuna.create_study()
+    study.enqueue_trial({"rate": 0.0125})
+    attack = template.suggest(study.ask())
     finding = Finding(
-        Proposal(7, 0, {"rate": 0.0125}), screened_out=False, effect=2.0,
-        effects={"driven_m": 1.5}, magnitude=0.3, score=1.0, p_value=0.4, families=(),
+        Proposal(7, 0, attack.document, attack.values), screened_out=False, effect=2.0,
+        effects={"driven_m": 1.5}, margin=0.5, violated=(), magnitude=0.3, score=1.0, p_value=0.4,
+        families=(), moved=(),
     )  # fmt: skip
-    (path,) = save(tmp_path, scenario, [finding], [finding], far=0.05)
+    (path,) = save(tmp_path, [finding], [finding], 0.05, tmp_path / "corpus")
     (program,) = compile_file(path)
     assert program.scenario.id == "range_drift_miss007"
     assert program.parameters["rate"].default == 0.0125
     assert misses([finding], far=0.5) == []
+    monkeypatch.setenv("ORACLE_SCENARIOS", str(path.parent))
+    mode = modes()["range_drift_miss007"]
+    recipe = recipe_for(mode, 3, Campaign())
+    assert recipe.parameters == {"rate": 0.0125}

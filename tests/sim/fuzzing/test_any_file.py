@@ -104,5 +104,5 @@ def test_all_faults_of_a_file_are_told_at_once(tmp_path):
         load_scenarios(file)
     lines = str(refusal.value).splitlines()
     assert [line.split(":")[1:3] for line in lines] == [
-        ["5", " more"], ["3", " label"], ["4", " main.input"],
+        ["5", "1"], ["3", "1"], ["4", "41"],
     ]  # fmt: skip

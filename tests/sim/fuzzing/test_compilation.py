@@ -1,6 +1,7 @@
 """What does not fit its messages, moves something or computes too much is refused."""
 
 import math
+import re
 
 import pytest
 
@@ -71,8 +72,8 @@ def test_what_does_not_fit_the_types_is_refused_with_its_place(rest, where, expe
     with pytest.raises(ScenarioError) as refused:
         program(rest)
     text = str(refused.value)
-    assert text.startswith("tried.yaml:5: ")
-    key, _, reason = text.removeprefix("tried.yaml:5: ").partition(": ")
+    place, key, reason = text.split(": ", 2)
+    assert re.fullmatch(r"tried.yaml:5:[0-9]+", place)
     assert key.endswith(where)
     assert expected in reason
 

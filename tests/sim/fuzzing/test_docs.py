@@ -6,7 +6,7 @@ import pytest
 
 from sim.fuzzing.functions import BUILTINS, CONSTANTS
 from sim.fuzzing.operators import OPERATORS
-from sim.fuzzing.scenario import schema
+from sim.fuzzing.schema_words import schema
 
 pytestmark = pytest.mark.slow
 

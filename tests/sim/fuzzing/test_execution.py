@@ -49,6 +49,7 @@ def test_the_same_run_gives_the_same_bytes_and_another_seed_may_not(name):
     assert told(1) == told(1)
     noise = {"random_noise", "random_noise_thesis", "benign_noise"}
     drawing = noise | {"sensor_drop", "sensor_delay", "message_mutator", "benign_drop"}
+    drawing |= {"odometry_reordered", "scan_link_drop", "infrared_ghost"}
     assert (told(1) != told(2)) == (name in drawing)
 
 

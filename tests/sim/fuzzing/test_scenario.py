@@ -6,7 +6,8 @@ import pytest
 import yaml
 
 from sim.fuzzing.operators import OPERATORS
-from sim.fuzzing.scenario import MAX_BYTES, ScenarioError, load_scenarios, parse_scenarios, schema
+from sim.fuzzing.scenario import MAX_BYTES, ScenarioError, load_scenarios, parse_scenarios
+from sim.fuzzing.schema_words import schema
 from sim.scenarios import builtin_scenarios
 
 GOOD = """\
@@ -68,8 +69,17 @@ def test_a_file_may_hold_several_scenarios():
 
 
 def test_lines_are_counted_through_all_documents():
-    with pytest.raises(ScenarioError, match=r"^tried.yaml:8: label: expected one of malicious"):
+    with pytest.raises(ScenarioError, match=r"^tried.yaml:8:1: label: expected one of malicious"):
         parse(GOOD + "---\n" + GOOD.replace("tried", "other").replace("malicious", "evil"))
+
+
+@pytest.mark.parametrize("name", builtin_scenarios())
+def test_the_place_of_a_key_is_where_it_stands_in_the_file(name):
+    scenario = builtin_scenarios()[name]
+    lines = Path(scenario.file).read_text("utf-8").splitlines()
+    for key, place in scenario.places.items():
+        if key and isinstance(key[-1], str):
+            assert re.match(rf"['\"]?{key[-1]}\b", lines[place.line - 1][place.column - 1 :]), key
 
 
 def test_the_digest_goes_by_what_is_said_and_not_by_layout():
@@ -166,7 +176,8 @@ def act(*operators):
 def test_a_wrong_file_is_refused_with_line_key_and_what_was_expected(text, where, expected):
     with pytest.raises(ScenarioError) as refused:
         parse(text)
-    assert str(refused.value).startswith(f"tried.yaml:{where}")
+    told = re.sub(r"^(tried.yaml:[0-9]+):[0-9]+", r"\1", str(refused.value))
+    assert told.startswith(f"tried.yaml:{where}")
     assert expected in str(refused.value)
     assert len(str(refused.value)) < 400
 

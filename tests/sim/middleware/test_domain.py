@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oracle_pipeline.bags.types import message_class
+from oracle_pipeline.bags.types import message_class, serialize
 from sim.middleware import qos
 from sim.middleware.action import ActionClient, ActionServer, Status
 from sim.middleware.domain import Domain
@@ -32,8 +32,6 @@ def test_a_sample_reaches_every_subscriber_after_its_own_latency(domain):
 
 
 def test_raw_subscribers_get_the_bytes_that_the_message_serialises_to(domain):
-    from oracle_pipeline.bags.types import serialize
-
     heard = []
     node = Node(domain, "/node")
     node.create_subscription(STRING, "/chatter", heard.append, raw=True)
@@ -43,6 +41,34 @@ def test_raw_subscribers_get_the_bytes_that_the_message_serialises_to(domain):
     domain.executor.run_until(1)
     assert heard == [serialize(String("hello"), STRING), serialize(String("bytes"), STRING)]
     assert publisher.message_bytes == sum(map(len, heard))
+
+
+def test_a_diverted_node_hears_only_what_it_is_sent_and_all_others_what_was_published(domain):
+    heard = {"/near": [], "/far": [], "/late": []}
+    talker = Node(domain, "/talker").create_publisher(STRING, "/chatter")
+    recorded = []
+    Node(domain, "/recorder").create_subscription(STRING, "/chatter", recorded.append, raw=True)
+
+    def listen(name):
+        node = Node(domain, name, latency_ns=3)
+        node.create_subscription(
+            STRING, "/chatter", lambda m: heard[name].append((node.now_ns, m.data))
+        )
+
+    listen("/near")
+    listen("/far")
+    held = []
+    talker.divert(["/far", "/late"], lambda sample: held.append(sample.message))
+    listen("/late")
+    talker.publish(String("one"))
+    talker.publish_serialized(serialize(String("two"), STRING))
+    domain.executor.run_until(10)
+    assert heard == {"/near": [(3, "one"), (3, "two")], "/far": [], "/late": []}
+    for message in reversed(held):
+        talker.send_diverted(message)
+    domain.executor.run_until(20)
+    assert heard["/far"] == heard["/late"] == [(13, "two"), (13, "one")]
+    assert len(heard["/near"]) == len(recorded) == talker.messages == 2
 
 
 @given(published=st.integers(0, 20), depth=st.integers(1, 5))

@@ -11,6 +11,7 @@ from sim.middleware.stamps import header
 from sim.nav2.costmap import FREE_SPACE, LETHAL, NO_INFORMATION
 from sim.nav2.costmap_node import GlobalCostmap, LocalCostmap
 from sim.nav2.footprint import FOOTPRINT
+from sim.nav2.inflation import Inflation
 from sim.nav2.map_server import MapServer, OccupancyMap
 from tests.sim.nav2.robot import IdealRobot
 
@@ -37,10 +38,11 @@ def make_map(size=80):
 class Rig:
     """A robot that stands still, a costmap, and ears on all its topics."""
 
-    def __init__(self, kind):
+    def __init__(self, kind, **settings):
         self.robot = IdealRobot("/cmd_vel")
         domain = self.robot.domain
-        self.costmap = kind(domain, "000000000001", SOURCES, rng=np.random.default_rng(1))
+        rng = np.random.default_rng(1)
+        self.costmap = kind(domain, "000000000001", SOURCES, rng=rng, **settings)
         server = MapServer(domain, {"map": make_map()}, "map")
         for node in (server, self.costmap):
             node.configure()
@@ -132,8 +134,17 @@ def test_obstacle_is_marked_and_inflated_in_the_costmaps_frame(rig):
     rig.robot.run(2.5)
     assert rig.cost(1.02, 0.01) == LETHAL
     assert rig.cost(0.82, 0.01) == 253
-    # 252 exp(-s (0.30 m - 0.2264 m)), by the costmap's own scaling s.
-    assert rig.cost(0.72, 0.01) == {3.0: 202, 10.0: 120}[rig.costmap.cost_scaling]
+    # 252 exp(-s (0.30 m - 0.2264 m)), by the scaling s.
+    assert rig.cost(0.72, 0.01) == 202
+    assert rig.cost(0.42, 0.01) == 0  # beyond the radius
+
+
+def test_radius_and_scaling_of_the_inflation_can_be_set():
+    rig = Rig(LocalCostmap, inflation=Inflation(radius=0.7, cost_scaling=10.0))
+    rig.see(1.02)
+    rig.robot.run(2.5)
+    assert rig.cost(0.72, 0.01) == 120
+    assert rig.cost(0.42, 0.01) > 0
 
 
 def test_source_may_appear_late_and_its_last_scan_stays(rig):

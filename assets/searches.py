@@ -1,0 +1,141 @@
+"""Searches for attacks that the oracle misses: a partition for each scenario that can be varied.
+
+This is an external asset, whose events the job ``search_attacks`` reports, as the recordings that
+arrived are (``assets.foreign``): ``--select '*'`` still means the whole campaign, which no search
+delays.
+"""
+
+from collections.abc import Iterator
+
+import dagster as dg
+from pydantic import Field
+
+from assets import presentation
+from assets.asset_defaults import declared
+from assets.worker.versions import analysis_code
+from oracle_pipeline.bags import layout
+from resources.campaign import CampaignSettings
+from resources.failures import clear_failures
+from resources.fleet import Fleet
+from resources.inbox import Inbox
+from resources.store import RunStore
+from sim.fuzzing.actuation import moves_something
+from sim.fuzzing.scenario import Scenario
+from sim.modes import modes
+from sim.scenarios import builtin_scenarios
+from sim.testbeds import TESTBEDS, which_testbed
+
+
+def can_be_varied(scenario: Scenario) -> bool:
+    """Tell whether a scenario is an attack on the robot that has bounded numbers to vary."""
+    parameters = scenario.document.get("parameters", {}).values()
+    return (
+        scenario.label == "malicious"
+        and which_testbed(scenario) == next(iter(TESTBEDS))
+        and not any(moves_something(*each) for each in scenario.spoken)
+        and any("min" in each and "max" in each and "drawn" not in each for each in parameters)
+    )
+
+
+TEMPLATES = dg.StaticPartitionsDefinition(
+    [
+        name
+        for name, scenario in {
+            **builtin_scenarios(),
+            **{mode.id: mode.scenario for mode in modes().values()},
+        }.items()
+        if can_be_varied(scenario)
+    ]
+)
+ATTACK_SEARCH = dg.AssetSpec(
+    "attack_search",
+    **declared("scenario", "searches/<scenario>/findings.json"),
+    group_name="search",
+    kinds={"optuna", "mujoco"},
+    code_version=analysis_code("resources.search.study"),
+    partitions_def=TEMPLATES,
+    description="""What a search found that varied the parameters of a scenario.
+
+`<root>/searches/<scenario>/findings.json` and `front.png`; each run with an effect that the oracle
+passes becomes a scenario in `<root>/searches/corpus`. Set `ORACLE_SCENARIOS` to that folder, and
+they are modes of the next campaign. The job `search_attacks` makes it, by the card `ORACLE_CARD`.
+The same as `oracle-sim search SCENARIO --reference CARD`.""",
+)
+
+
+class SearchConfig(dg.Config):
+    """How long a search goes on, and for what it looks."""
+
+    budget: str = Field(
+        default="100", description="When to end: so many trials, earlier ones included; or 30m."
+    )
+    objective: str = Field(
+        default="evade", description="What is looked for: evade, break or boundary."
+    )
+    sampler: str = Field(default="tpe", description="Who proposes: tpe, nsga2, guided or random.")
+    blocks: int = Field(default=3, ge=1, description="Trials take turns in so many blocks.")
+    goals: int = Field(default=1, ge=1, description="Goals of each run.")
+    time_limit: float = Field(
+        default=120.0, gt=0.0, description="Simulated seconds that a goal may take, on average."
+    )
+    far: float = Field(
+        default=0.05,
+        gt=0.0,
+        lt=1.0,
+        description="False positive rate at which the oracle decides.",
+    )
+
+
+@dg.op
+def search_scenario(
+    context: dg.OpExecutionContext,
+    config: SearchConfig,
+    store: RunStore,
+    fleet: Fleet,
+    campaign: CampaignSettings,
+    inbox: Inbox,
+) -> Iterator[dg.AssetMaterialization | dg.Output[None]]:
+    """Search the scenario of the partition; a search that is there goes on."""
+    from resources.search.outcome import PICTURE, is_miss, save
+    from resources.search.study import Budget
+    from resources.search.whole_search import Plan, search_of
+
+    name = context.partition_key
+    store.require_writable()
+    folder = layout.search(store.path, name)
+    with clear_failures():
+        plan = Plan(
+            card=inbox.card_path,
+            campaign=campaign.campaign(),
+            **config.model_dump(exclude={"budget"}),
+        )
+        study = search_of(name, folder, plan)
+        for finding in study.run(Budget.parse(config.budget), fleet.workers, context.log.warning):
+            if is_miss(finding, config.far):
+                context.log.info(f"Miss: trial {finding.proposal.run}, effect {finding.effect:.2g}")
+        findings, corpus = study.findings, layout.search_corpus(store.path)
+        files = save(folder, findings, study.front, config.far, corpus)
+    yield dg.AssetMaterialization(
+        ATTACK_SEARCH.key,
+        partition=name,
+        metadata={
+            "path": dg.MetadataValue.path(str(folder)),
+            "trials": len(findings),
+            "run_in_closed_loop": sum(not each.screened_out for each in findings),
+            "misses": len(files),
+            "largest_effect": max((each.effect for each in findings), default=0.0),
+            **presentation.pictures({"front": (folder / PICTURE).read_bytes()}),
+        },
+        tags={"dagster/code_version": str(ATTACK_SEARCH.code_version)},
+    )
+    yield dg.Output(None)
+
+
+@dg.job(
+    partitions_def=TEMPLATES,
+    description="Search one scenario's parameters for attacks that the oracle misses, by the "
+    "reference card that `ORACLE_CARD` names. Start it again with a larger budget to go on.",
+)
+def search_attacks() -> None:
+    """Search one scenario."""
+    search_scenario()

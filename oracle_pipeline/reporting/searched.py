@@ -1,0 +1,61 @@
+"""The section on searches for attacks: what each found, as a table, with its front as a picture."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.layout import FINDINGS, FRONT, searches
+from oracle_pipeline.reporting.page import Picture, picture
+from oracle_pipeline.reporting.page_tables import PageTable, of_any
+
+
+class Searched(NamedTuple):
+    """What a section on searches shows."""
+
+    table: PageTable
+    fronts: Sequence[Picture]
+
+
+def searched(root: Path) -> Searched | None:
+    """Return the section on the searches below a root; None if there are none.
+
+    Raises
+    ------
+    OracleError
+        The findings of a search cannot be read.
+    """
+    folders = searches(root)
+    if not folders:
+        return None
+    rows = [_row(folder) for folder in folders]
+    fronts = [
+        picture(f"Effect over score, search of {folder.name}", folder.name, png.read_bytes())
+        for folder in folders
+        if (png := folder / FRONT).is_file()
+    ]
+    return Searched(of_any("Searches", pd.DataFrame(rows)), fronts)
+
+
+def _row(folder: Path) -> dict[str, Any]:
+    path = folder / FINDINGS
+    try:
+        document = json.loads(path.read_text("utf-8"))
+        far, findings = float(document["far"]), document["findings"]
+        ran = [each for each in findings if not each["screened_out"]]
+        effects = [each for each in ran if each["effect"] >= 1.0]
+        passed = [each for each in effects if each["p_value"] > far]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise OracleError(f"{path} cannot be read ({error}); search again.") from error
+    return {
+        "scenario": folder.name,
+        "proposals": len(findings),
+        "run in closed loop": len(ran),
+        "with an effect on the task": len(effects),
+        "of these passed by the oracle": len(passed),
+        "largest effect passed": max((each["effect"] for each in passed), default=0.0),
+        "lowest score with an effect": min((each["score"] for each in effects), default=None),
+    }

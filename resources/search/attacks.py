@@ -1,0 +1,267 @@
+"""What a trial may run: a scenario whose parameters vary, or one made of an operator and a topic.
+
+Either way a proposal is a whole scenario, whose defaults are what was proposed. So what a search
+found can be recorded again, mutated and shared like any other scenario.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import optuna
+
+from resources.search.space import Dimension, SearchError
+from sim.fuzzing.actuation import moves_something
+from sim.fuzzing.value_types import Array, Message, Number, message_type
+from sim.testbed import Mode
+
+COMPOSED = "composed"  # the name of a search without a template
+_ONSET = Dimension("onset_s", 0.0, 15.0, "float")  # after the goal was accepted
+_LASTS = Dimension("lasts_s", 0.5, 60.0, "float")
+_LEFT_OUT = ("header", "covariance", "orientation")  # parts of fields that are not altered
+
+
+@dataclass(frozen=True, slots=True)
+class Attack:
+    """What a trial proposes.
+
+    Attributes
+    ----------
+    document : mapping
+        A scenario whose defaults are the values.
+    values : mapping of str to number or text
+        What was chosen, by name.
+    """
+
+    document: Mapping[str, Any]
+    values: Mapping[str, Any]
+
+
+class Template(Protocol):
+    """What a search varies."""
+
+    @property
+    def id(self) -> str:
+        """Name of its scenarios."""
+
+    @property
+    def conditions(self) -> Mapping[str, Any]:
+        """What is otherwise in the testbed."""
+
+    @property
+    def text(self) -> str:
+        """What is varied, for people."""
+
+    def suggest(self, trial: optuna.Trial) -> Attack:
+        """Return what a trial proposes."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioTemplate:
+    """A scenario whose parameters vary."""
+
+    mode: Mode
+    space: tuple[Dimension, ...]
+
+    @property
+    def id(self) -> str:
+        """Name of the scenario."""
+        return self.mode.id
+
+    @property
+    def conditions(self) -> Mapping[str, Any]:
+        """What is otherwise in the testbed."""
+        return self.mode.conditions
+
+    @property
+    def text(self) -> str:
+        """What is varied, for people."""
+        return ", ".join(f"{each.name} {each.low:g} to {each.high:g}" for each in self.space)
+
+    def suggest(self, trial: optuna.Trial) -> Attack:
+        """Return the scenario with the values that a trial proposes."""
+        values = {dimension.name: dimension.suggest(trial) for dimension in self.space}
+        document = self.mode.scenario.document
+        parameters = {
+            name: _fixed(spec, values[name]) if name in values else spec
+            for name, spec in document["parameters"].items()
+        }
+        return Attack({**document, "parameters": parameters}, values)
+
+
+def _fixed(spec: Mapping[str, Any], value: Any) -> dict[str, Any]:
+    """Return a parameter with a value that neither its block nor its run draws."""
+    kept = {key: what for key, what in spec.items() if key not in ("drawn", "draw")}
+    return {**kept, "default": value}
+
+
+@dataclass(frozen=True, slots=True)
+class Operator:
+    """An operator of the scenario language, and by what it is stronger or weaker."""
+
+    amount: Dimension | None
+    has_field: bool = False
+
+    def action(self, name: str, field: str | None, amount: Any) -> dict[str, Any]:
+        """Return it as an action of a scenario."""
+        place = {} if field is None else {"field": field}
+        match name:
+            case "noise":
+                return {"do": [{name: {**place, "dist": "gauss", "relative": "p.amount"}}]}
+            case "drift":
+                return {"do": [{name: {**place, "rate": "p.amount"}}]}
+            case "drop":
+                return {"when": "bernoulli(p.amount)", "do": [{name: {}}]}
+            case "delay":
+                return {"do": [{name: {"seconds": "p.amount"}}]}
+            case "reorder":
+                return {"do": [{"delay": {"seconds": "uniform(0.0, p.amount)"}}]}
+            case "duplicate":
+                return {"do": [{name: {"copies": "p.amount", "spacing_s": 0.01}}]}
+            case "replay":
+                return {"do": [{name: {"messages": amount}}]}
+            case "freeze":
+                return {"do": [{name: {}}]}
+            case _:
+                return {"do": [{name: {**place, "by": "p.amount"}}]}
+
+
+OPERATORS: Mapping[str, Operator] = {
+    "add": Operator(Dimension("add amount", -1.0, 1.0, "float"), has_field=True),
+    "scale": Operator(Dimension("scale factor", 0.5, 1.5, "float"), has_field=True),
+    "noise": Operator(Dimension("noise spread", 0.001, 0.5, "float"), has_field=True),
+    "drift": Operator(Dimension("drift rate", -0.1, 0.1, "float"), has_field=True),
+    "drop": Operator(Dimension("drop share", 0.01, 0.95, "float")),
+    "delay": Operator(Dimension("delay s", 0.01, 3.0, "float")),
+    "reorder": Operator(Dimension("reorder s", 0.01, 3.0, "float")),
+    "freeze": Operator(None),
+    "replay": Operator(Dimension("replay messages", 2, 50, "int")),
+    "duplicate": Operator(Dimension("duplicate copies", 2, 20, "int")),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ComposedTemplate:
+    """One operator on one topic, which is altered in place: which, how much, from when, how long.
+
+    Parameters
+    ----------
+    topics : mapping of str to str
+        Topic -> type.
+    operators : tuple of str
+        Of `OPERATORS`.
+    """
+
+    topics: Mapping[str, str]
+    operators: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls,
+        names: Sequence[str],
+        operators: Sequence[str],
+        there: Mapping[str, str],
+        *,
+        allow_actuation: bool = False,
+    ) -> "ComposedTemplate":
+        """Check what was asked for.
+
+        Parameters
+        ----------
+        names, operators : sequence of str
+            Topics, and operators; none: all.
+        there : mapping of str to str
+            The topics that there are, and their types.
+        allow_actuation : bool
+            Whether topics may be altered that move something.
+
+        Raises
+        ------
+        SearchError
+            A topic is not there, may move something, or has no number to alter, or there is no
+            such operator.
+        """
+        if unknown := [name for name in operators if name not in OPERATORS]:
+            raise SearchError(
+                f"There is no operator {unknown[0]}; there are {', '.join(OPERATORS)}."
+            )
+        chosen = tuple(operators) or tuple(OPERATORS)
+        needs_field = any(OPERATORS[name].has_field for name in chosen)
+        topics = {}
+        for name in names:
+            if name not in there:
+                raise SearchError(
+                    f"There is no topic {name}; there are {', '.join(sorted(there))}."
+                )
+            if moves_something(name, there[name]) and not allow_actuation:
+                raise SearchError(f"{name} may move the robot; allow it with --allow-actuation.")
+            if needs_field and not _fields(there[name]):
+                raise SearchError(f"{name} ({there[name]}) has no number that could be altered.")
+            topics[name] = there[name]
+        return cls(topics, chosen)
+
+    @property
+    def id(self) -> str:
+        """Name of its scenarios."""
+        return COMPOSED
+
+    @property
+    def conditions(self) -> Mapping[str, Any]:
+        """Nothing is otherwise in the testbed."""
+        return {}
+
+    @property
+    def text(self) -> str:
+        """What is varied, for people."""
+        return f"{', '.join(self.operators)} on {', '.join(self.topics)}"
+
+    def suggest(self, trial: optuna.Trial) -> Attack:
+        """Return the scenario that a trial proposes."""
+        topic = trial.suggest_categorical("topic", list(self.topics))
+        name = trial.suggest_categorical("operator", list(self.operators))
+        kind, operator = self.topics[topic], OPERATORS[name]
+        values: dict[str, Any] = {"topic": topic, "operator": name}
+        field, amount = None, None
+        if operator.has_field:
+            field = trial.suggest_categorical(f"field of {kind}", list(_fields(kind)))
+            values["field"] = field
+        if operator.amount is not None:
+            amount = operator.amount.suggest(trial)
+            values[operator.amount.name] = amount
+        onset, lasts = round(_ONSET.suggest(trial), 3), round(_LASTS.suggest(trial), 3)
+        values |= {_ONSET.name: onset, _LASTS.name: lasts}
+        document: dict[str, Any] = {
+            "schema": "mutant/v1",
+            "id": self.id,
+            "title": f"{name} on {topic}{'' if field is None else f', {field}'}"[:100],
+            "label": "malicious",
+            "main": {"type": kind, "input": topic, "output": topic},
+            "activation": {
+                "onset": {"after": "goal_accepted", "seconds": onset},
+                "duration_s": lasts,
+            },
+            "transform": {"actions": [{"name": name, **operator.action(name, field, amount)}]},
+        }
+        if operator.amount is not None and name != "replay":
+            form = "int" if operator.amount.kind == "int" else "float"
+            document["parameters"] = {"amount": {"type": form, "default": amount}}
+        return Attack(document, values)
+
+
+def _fields(msgtype: str) -> tuple[str, ...]:
+    """Return the numbers with fractions in a message, and arrays of them, by their paths."""
+    return tuple(_walk(message_type(msgtype), ""))
+
+
+def _walk(kind: Message, place: str) -> Iterator[str]:
+    for name, inner in kind.fields.items():
+        path = f"{place}{name}"
+        if name in _LEFT_OUT:
+            continue
+        if isinstance(inner, Message):
+            yield from _walk(inner, f"{path}.")
+        elif isinstance(inner, Array) and not inner.fixed:
+            if isinstance(inner.element, Number) and not inner.element.is_integer:
+                yield path
+        elif isinstance(inner, Number) and not inner.is_integer:
+            yield path

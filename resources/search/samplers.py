@@ -1,0 +1,141 @@
+"""Who proposes the next trial: Optuna's samplers by name, and one that messages guide."""
+
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, Literal, TypeAlias, cast, get_args
+
+import numpy as np
+import optuna
+from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
+from optuna.trial import FrozenTrial, TrialState
+
+from resources.search.space import SearchError
+
+Sampler: TypeAlias = Literal["tpe", "nsga2", "guided", "random"]
+
+MOVED = "moved"  # of a trial: the message-derived quantities that the attack moved
+_FIRST = 6  # trials that are drawn before any is varied
+_STEP = 0.15  # of the bounds: the standard deviation of a change
+_VARIED = 0.5  # share of the values of a trial that are varied
+_FROM_FRONT = 0.5  # share of the proposals that vary a trial of the front
+
+
+def sampler_named(text: str) -> Sampler:
+    """Return the name of a sampler.
+
+    Raises
+    ------
+    SearchError
+        There is none of that name.
+    """
+    for name in get_args(Sampler):
+        if name == text:
+            return cast("Sampler", name)
+    raise SearchError(f"There is no sampler {text}; there are {', '.join(get_args(Sampler))}.")
+
+
+def sampler_for(name: Sampler, seed: int) -> optuna.samplers.BaseSampler:
+    """Return a sampler by its name."""
+    match name:
+        case "tpe":
+            warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
+            return optuna.samplers.TPESampler(
+                seed=seed, n_startup_trials=_FIRST, multivariate=True, group=True
+            )
+        case "nsga2":
+            return optuna.samplers.NSGAIISampler(seed=seed, population_size=20)
+        case "guided":
+            return MessageGuidedSampler(seed)
+        case _:
+            return optuna.samplers.RandomSampler(seed=seed)
+
+
+class MessageGuidedSampler(optuna.samplers.BaseSampler):
+    """Varies trials that moved what few others moved, after ROFER's message-guided search.
+
+    Each trial tells which quantities, derived from the messages, the attack moved. Half of the
+    proposals vary a trial of the front. The others vary any trial, the likelier the rarer what it
+    moved: its messages went where the search has hardly been.
+
+    Parameters
+    ----------
+    seed : int
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._random = optuna.samplers.RandomSampler(seed=seed)
+        self._parents: dict[int, FrozenTrial | None] = {}  # by number of the trial that varies them
+
+    def infer_relative_search_space(
+        self,
+        study: optuna.Study,  # noqa: ARG002
+        trial: FrozenTrial,  # noqa: ARG002
+    ) -> dict[str, BaseDistribution]:
+        """Return none: values are proposed one by one."""
+        return {}
+
+    def sample_relative(
+        self,
+        study: optuna.Study,  # noqa: ARG002
+        trial: FrozenTrial,  # noqa: ARG002
+        search_space: dict[str, BaseDistribution],  # noqa: ARG002
+    ) -> dict[str, Any]:
+        """Return none: values are proposed one by one."""
+        return {}
+
+    def before_trial(self, study: optuna.Study, trial: FrozenTrial) -> None:
+        """Choose what the trial varies."""
+        self._parents[trial.number] = self._parent(study)
+
+    def sample_independent(
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        param_name: str,
+        param_distribution: BaseDistribution,
+    ) -> Any:
+        """Return a value: the parent's, one near it, or any."""
+        parent = self._parents.get(trial.number)
+        if parent is not None and param_name in parent.params:
+            value = parent.params[param_name]
+            if self._rng.random() >= _VARIED:
+                return value
+            if isinstance(param_distribution, FloatDistribution | IntDistribution):
+                return self._near(value, param_distribution)
+        return self._random.sample_independent(study, trial, param_name, param_distribution)
+
+    def _parent(self, study: optuna.Study) -> FrozenTrial | None:
+        trials = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+        if len(trials) < _FIRST:
+            return None
+        if self._rng.random() < _FROM_FRONT:
+            front = study.best_trials
+            return front[self._rng.integers(len(front))]
+        weights = rarity([trial.user_attrs.get(MOVED, ()) for trial in trials])
+        if not weights.any():
+            return None
+        return trials[self._rng.choice(len(trials), p=weights / weights.sum())]
+
+    def _near(self, value: float, bounds: FloatDistribution | IntDistribution) -> float | int:
+        low, high = float(bounds.low), float(bounds.high)
+        if bounds.log:
+            low, high, value = np.log(low), np.log(high), np.log(value)
+        moved = float(np.clip(value + self._rng.normal(0.0, _STEP * (high - low)), low, high))
+        moved = float(np.exp(moved)) if bounds.log else moved
+        if isinstance(bounds, IntDistribution):
+            return round(moved)
+        return float(np.clip(moved, bounds.low, bounds.high))
+
+
+def rarity(moved: Sequence[Sequence[str]]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return how rare what each trial moved is: the sum of 1 over how many moved each quantity.
+
+    Examples
+    --------
+    >>> rarity([["scan"], ["scan", "odometry"], []]).tolist()
+    [0.5, 1.5, 0.0]
+    """
+    counts = Counter(name for names in moved for name in names)
+    return np.array([sum(1.0 / counts[name] for name in names) for names in moved], np.float64)

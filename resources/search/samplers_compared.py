@@ -1,0 +1,65 @@
+"""Does learning pay? A sampler against random search, at the same budget, with several seeds."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from statistics import median
+from typing import NamedTuple
+
+import numpy as np
+
+from oracle_pipeline.bags.terminal import aligned_lines
+from resources.search.closed_loop import Finding
+from resources.search.outcome import is_miss
+from resources.search.samplers import Sampler
+from resources.search.study import Search
+
+
+class Success(NamedTuple):
+    """What one search found."""
+
+    misses: int
+    until_third: float  # trials until there were three misses; inf if there never were
+    closest: float  # lowest score of a run with an effect; inf if there was none
+
+
+Compared = dict[Sampler, list[Success]]  # a success for each seed
+
+
+def compared(
+    search: Callable[[Path, Sampler, int], Search],
+    folder: Path,
+    sampler: Sampler,
+    seeds: Sequence[int],
+    far: float,
+) -> Compared:
+    """Search with each seed, by the sampler and at random, each in a folder of its own."""
+    found: Compared = {sampler: [], "random": []}
+    for seed in seeds:
+        for name, successes in found.items():
+            study = search(folder / f"{name}_{seed}", name, seed)
+            successes.append(success(study.findings, far))
+    return found
+
+
+def success(findings: Sequence[Finding], far: float) -> Success:
+    """Return what the findings of a search amount to."""
+    places = np.flatnonzero([is_miss(each, far) for each in findings])
+    with_effect = [each.score for each in findings if each.has_effect]
+    third = float(places[2]) + 1.0 if len(places) > 2 else float("inf")
+    return Success(len(places), third, min(with_effect, default=float("inf")))
+
+
+def as_text(found: Compared) -> str:
+    """Return a line for each seed of each sampler, and their medians."""
+    heading = ("sampler", "misses", "trials until the third", "lowest score with an effect")
+    rows: list[tuple[str, ...]] = [heading]
+    for name, successes in found.items():
+        rows += [(name, *map(_shown, each)) for each in successes]
+        rows.append(
+            (f"{name}, median", *(_shown(median(all_)) for all_ in zip(*successes, strict=True)))
+        )
+    return "\n".join(aligned_lines(rows))
+
+
+def _shown(value: float) -> str:
+    return "-" if value == float("inf") else f"{value:.4g}"

@@ -1,0 +1,234 @@
+"""Who speaks and who hears on a topic: publishers, subscriptions, and delivery between them.
+
+A sample is serialised at most once, whoever listens. Endpoints are made through ``node``.
+"""
+
+from collections import deque
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from rosbags.interfaces import Qos
+
+from oracle_pipeline.bags.qos_profiles import is_latched
+from oracle_pipeline.bags.types import deserialize, serialize
+from sim.middleware.delays import Delays
+from sim.middleware.executor import Executor
+
+
+class Sample:
+    """One published message, as an object, as CDR bytes, or as both."""
+
+    __slots__ = ("_data", "_message", "msgtype")
+
+    def __init__(self, msgtype: str, message: Any = None, data: bytes | None = None) -> None:
+        self.msgtype = msgtype
+        self._message = message
+        self._data = data
+
+    @property
+    def message(self) -> Any:
+        """The message object; shared by all receivers, so nobody writes to it."""
+        if self._message is None:
+            self._message = deserialize(self.data, self.msgtype)
+        return self._message
+
+    @property
+    def data(self) -> bytes:
+        """The CDR bytes, encapsulation header included."""
+        if self._data is None:
+            self._data = serialize(self._message, self.msgtype)
+        return self._data
+
+
+@dataclass(slots=True, eq=False)
+class Subscription:
+    """One node's interest in a topic; without a callback it only counts."""
+
+    node: str
+    topic: str
+    msgtype: str
+    qos: Qos
+    callback: Callable[[Any], None] | None
+    raw: bool  # the callback takes CDR bytes, in the instant they are sent
+    latency_ns: int
+    delays: Delays | None = None  # what is added to the latency
+    # Publishers, and what each had sent before it was connected: traffic is counted once, there.
+    links: list[tuple["Publisher", int, int]] = field(default_factory=list)
+
+    @property
+    def messages(self) -> int:
+        """Samples received so far."""
+        return sum(publisher.messages - before for publisher, before, _ in self.links)
+
+    @property
+    def message_bytes(self) -> int:
+        """Their CDR bytes, as far as a recorder listened."""
+        return sum(publisher.message_bytes - before for publisher, _, before in self.links)
+
+    def due_ns(self, sent_ns: int) -> int:
+        """Return when a sample is heard that is sent now [ns]."""
+        if self.delays is None:
+            return sent_ns + self.latency_ns
+        return self.delays.due_ns(sent_ns, self.latency_ns)
+
+    def deliver(self, sample: Sample) -> None:
+        """Hand a sample to the callback."""
+        if self.callback is not None:
+            self.callback(sample.data if self.raw else sample.message)
+
+
+class _Listener(NamedTuple):
+    """A subscription that does something with what it hears, as the publisher looks at it."""
+
+    latency_ns: int
+    delays: Delays | None
+    hear: Callable[[Any], None]  # takes a message
+    deliver: Callable[[Sample], None]
+
+
+@dataclass(slots=True, eq=False)
+class Publisher:
+    """One node's voice on a topic."""
+
+    executor: Executor
+    node: str
+    topic: str
+    msgtype: str
+    qos: Qos
+    subscriptions: list[Subscription] = field(default_factory=list)
+    retained: deque[Sample] | None = None  # for late subscribers, when latched
+    messages: int = 0
+    message_bytes: int = 0  # sent while a recorder listened; else nothing need be serialised
+    # Takes what is published, and sends what it likes instead; the graph does not show it.
+    alter: Callable[[Sample], None] | None = None
+    _recorders: list[Callable[[bytes], None]] = field(default_factory=list)
+    _listeners: list["_Listener"] = field(default_factory=list)
+    _links: "_Links | None" = None
+
+    def publish(self, message: Any, data: bytes | None = None) -> None:
+        """Send a message object; the caller must not change it afterwards.
+
+        ``data`` are its CDR bytes, if the caller has them cheaper than by serialising.
+        """
+        if self.alter is None:
+            self.send(message, data)
+        else:
+            self.alter(Sample(self.msgtype, message, data))
+
+    def send(self, message: Any, data: bytes | None = None) -> None:
+        """Send a message object as it is, even where what is published is altered."""
+        self.messages += 1
+        if self._recorders:
+            if data is None:
+                data = serialize(message, self.msgtype)
+            self.message_bytes += len(data)
+            for record in self._recorders:
+                record(data)
+        if self.retained is not None:
+            self.retained.append(Sample(self.msgtype, message, data))
+        now_ns, call_at = self.executor.now_ns, self.executor.call_at
+        for latency_ns, delays, hear, _ in self._listeners:
+            due_ns = now_ns + latency_ns if delays is None else delays.due_ns(now_ns, latency_ns)
+            call_at(due_ns, hear, message)
+        if self._links is not None:
+            self._links.alter(Sample(self.msgtype, message, data))
+
+    def publish_serialized(self, data: bytes) -> None:
+        """Send CDR bytes; they become a message if somebody listens."""
+        if self.alter is not None:
+            self.alter(Sample(self.msgtype, data=data))
+            return
+        self.messages += 1
+        if self._recorders:
+            self.message_bytes += len(data)
+            for record in self._recorders:
+                record(data)
+        if self._listeners or self.retained is not None:
+            self._hand_on(Sample(self.msgtype, data=data))
+        if self._links is not None:
+            self._links.alter(Sample(self.msgtype, data=data))
+
+    def divert(self, nodes: Collection[str], alter: Callable[[Sample], None]) -> None:
+        """Let some nodes hear only what ``alter`` sends them, by `send_diverted`.
+
+        All others hear what is published, and the graph and its traffic stay as they are: this is
+        what a transport does that delays, loses or alters samples on its way to a reader.
+        """
+        self._links = _Links(frozenset(nodes), alter)
+        subscriptions, self._listeners = self.subscriptions, []
+        for subscription in subscriptions:
+            self._listen(subscription)
+
+    def send_diverted(self, message: Any) -> None:
+        """Send a message object to the nodes that are diverted, and to nobody else."""
+        if self._links is None:
+            raise ValueError(f"nobody who hears {self.topic} is diverted; call divert first")
+        now_ns, call_at = self.executor.now_ns, self.executor.call_at
+        for latency_ns, delays, hear, _ in self._links.listeners:
+            due_ns = now_ns + latency_ns if delays is None else delays.due_ns(now_ns, latency_ns)
+            call_at(due_ns, hear, message)
+
+    def _hand_on(self, sample: Sample) -> None:
+        if self.retained is not None:
+            self.retained.append(sample)
+        now_ns, call_at = self.executor.now_ns, self.executor.call_at
+        for latency_ns, delays, _, deliver in self._listeners:
+            due_ns = now_ns + latency_ns if delays is None else delays.due_ns(now_ns, latency_ns)
+            call_at(due_ns, deliver, sample)
+
+    def tap(self, callback: Callable[[bytes], None]) -> None:
+        """Hand on the bytes of each message from now on, and of those that are kept for late ones.
+
+        Who taps is no subscriber: nothing in the domain changes.
+        """
+        self._recorders.append(callback)
+        for sample in self.retained or ():
+            callback(sample.data)
+
+    def has_subscribers(self) -> bool:
+        """Tell whether a sample would reach anyone (Nav2 skips costly messages otherwise)."""
+        return bool(self.subscriptions)
+
+    def is_heard(self) -> bool:
+        """Tell whether any of the subscribers does something with a sample."""
+        return bool(self._recorders or self._listeners or self._links)
+
+    def connect(self, subscription: Subscription) -> None:
+        """Send to a subscription from now on; if latched, what was sent last as well."""
+        self.subscriptions.append(subscription)
+        callback = subscription.callback
+        if callback is not None and subscription.raw:
+            self._recorders.append(callback)
+        else:
+            self._listen(subscription)
+        late = list(self.retained or ()) if is_latched(subscription.qos) else []
+        size = sum(len(sample.data) for sample in late) if self._recorders else 0
+        subscription.links.append((self, self.messages - len(late), self.message_bytes - size))
+        for sample in late:
+            if subscription.raw:
+                subscription.deliver(sample)
+            else:
+                self.executor.call_at(
+                    subscription.due_ns(self.executor.now_ns), subscription.deliver, sample
+                )
+
+    def _listen(self, subscription: Subscription) -> None:
+        """Let a subscription hear messages, if it does something with them."""
+        callback, links = subscription.callback, self._links
+        if callback is None or subscription.raw:
+            return
+        diverted = links is not None and subscription.node in links.nodes
+        listeners = links.listeners if links is not None and diverted else self._listeners
+        listeners.append(
+            _Listener(subscription.latency_ns, subscription.delays, callback, subscription.deliver)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Links:
+    """The links of a publisher to nodes that hear something else than it publishes."""
+
+    nodes: frozenset[str]
+    alter: Callable[[Sample], None]
+    listeners: list[_Listener] = field(default_factory=list)

@@ -1,0 +1,46 @@
+"""The job that searches a scenario: it reports what it found, and its misses are modes."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from assets.searches import TEMPLATES, can_be_varied
+from oracle_pipeline.features import build_manager
+from oracle_pipeline.scoring.learning import learn
+from oracle_pipeline.scoring.reference import read_reference
+from resources.inbox import Inbox
+from sim.scenarios import builtin_scenarios
+from tests.assets.laboratory import Laboratory
+from tests.recorded_runs import RecordedRuns, linked
+
+
+def test_templates_are_attacks_on_the_robot_that_need_no_leave() -> None:
+    keys = TEMPLATES.get_partition_keys()
+    assert {"range_drift", "odometry_reordered", "infrared_ghost"} <= set(keys)
+    refused = ["fake_object", "command_scale", "benign_drop", "sensor_freeze", "atc_deadzone"]
+    assert not any(can_be_varied(builtin_scenarios()[name]) for name in refused)
+    assert not set(refused) & set(keys)
+
+
+@pytest.mark.slow
+def test_a_search_is_reported_and_goes_on(
+    laboratory: Laboratory, recorded_run: RecordedRuns, tmp_path: Path
+) -> None:
+    for run in range(5):
+        linked(recorded_run("lidar_passthrough", run), tmp_path / "normal")
+    card = tmp_path / "normal.card"
+    learn(read_reference([tmp_path / "normal"], build_manager())).save(card)
+    defs = laboratory.defs(inbox=Inbox(folder="", card=str(card)))
+    for budget in (1, 2):
+        config = {"budget": str(budget), "blocks": 1, "far": 0.2}
+        done = defs.resolve_job_def("search_attacks").execute_in_process(
+            partition_key="range_drift",
+            instance=laboratory.instance,
+            run_config={"ops": {"search_scenario": {"config": config}}},
+        )
+        assert done.success
+        assert laboratory.figures("attack_search", "range_drift")["trials"] == budget
+    folder = laboratory.root / "searches" / "range_drift"
+    assert len(json.loads((folder / "findings.json").read_text())["findings"]) == 2
+    assert (folder / "front.png").is_file()

@@ -1,0 +1,62 @@
+"""What a search composes: proposals are scenarios of the language, on topics that are there."""
+
+from pathlib import Path
+
+import optuna
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from resources.search.attacks import OPERATORS, ComposedTemplate
+from resources.search.space import SearchError
+from sim.fuzzing.compilation import compile_scenario
+from sim.fuzzing.scenario import parse_scenarios
+
+THERE = {
+    "/scan": "sensor_msgs/msg/LaserScan",
+    "/odom": "nav_msgs/msg/Odometry",
+    "/imu": "sensor_msgs/msg/Imu",
+    "/range_ella": "sensor_msgs/msg/Range",
+    "/cmd_vel": "geometry_msgs/msg/Twist",
+    "/map": "std_msgs/msg/String",
+}
+TOPICS = ["/scan", "/odom", "/imu", "/range_ella", "/cmd_vel"]
+TEMPLATE = ComposedTemplate.of(TOPICS, [], THERE, allow_actuation=True)
+
+
+@given(st.integers(0, 2**31))
+def test_every_composed_attack_is_a_scenario_that_compiles(seed: int) -> None:
+    import yaml
+
+    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=seed))
+    attack = TEMPLATE.suggest(study.ask())
+    text = yaml.safe_dump(dict(attack.document)).encode()
+    (scenario,) = parse_scenarios(text, "composed.yaml")
+    program = compile_scenario(scenario, allow_actuation=True)
+    assert program.is_in_place
+    assert program.input_topic == attack.values["topic"]
+    assert attack.values["operator"] in OPERATORS
+
+
+@pytest.mark.parametrize(
+    ("topic", "reason"),
+    [
+        ("/lidar", "There is no topic /lidar; there are /cmd_vel"),
+        ("/cmd_vel", "may move the robot; allow it with --allow-actuation"),
+        ("/map", "has no number that could be altered"),
+    ],
+)
+def test_a_topic_that_cannot_be_altered_is_refused(topic: str, reason: str) -> None:
+    with pytest.raises(SearchError, match=reason):
+        ComposedTemplate.of([topic], [], THERE)
+
+
+def test_an_unknown_operator_is_refused_with_those_that_there_are() -> None:
+    with pytest.raises(SearchError, match="no operator vanish; there are add, scale"):
+        ComposedTemplate.of(["/scan"], ["vanish"], THERE)
+
+
+def test_an_operator_that_needs_no_number_is_not_refused_on_any_topic(tmp_path: Path) -> None:
+    template = ComposedTemplate.of(["/map"], ["drop", "freeze"], THERE)
+    study = optuna.create_study()
+    assert template.suggest(study.ask()).values["topic"] == "/map"
