@@ -38,7 +38,7 @@ class Options:
     arena: ArenaChoice = "drawn"
     nav2: Navigation = "tuned"
     # Values of Nav2's parameters that are otherwise, by full name: see ``sim.nav2.parameters``.
-    nav2_params: Mapping[str, float] = field(default_factory=dict)
+    nav2_params: Mapping[str, float] = field(default_factory=dict, hash=False)
     cameras: bool = False  # images and points of the depth camera, 15 MB a second
     debug_topics: bool = False  # /evaluation and /marker, 20 MB a second while driving
     hidden_topics: bool = False  # feedback and status of actions

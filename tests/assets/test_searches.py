@@ -25,22 +25,22 @@ def test_templates_are_attacks_on_the_robot_that_need_no_leave() -> None:
 
 @pytest.mark.slow
 def test_a_search_is_reported_and_goes_on(
-    laboratory: Laboratory, recorded_run: RecordedRuns, tmp_path: Path
+    copy_of_campaign: Laboratory, recorded_run: RecordedRuns, tmp_path: Path
 ) -> None:
     for run in range(5):
         linked(recorded_run("lidar_passthrough", run), tmp_path / "normal")
     card = tmp_path / "normal.card"
     learn(read_reference([tmp_path / "normal"], build_manager())).save(card)
-    defs = laboratory.defs(inbox=Inbox(folder="", card=str(card)))
+    defs = copy_of_campaign.defs(inbox=Inbox(folder="", card=str(card)))
     for budget in (1, 2):
         config = {"budget": str(budget), "blocks": 1, "far": 0.2}
         done = defs.resolve_job_def("search_attacks").execute_in_process(
             partition_key="range_drift",
-            instance=laboratory.instance,
+            instance=copy_of_campaign.instance,
             run_config={"ops": {"search_scenario": {"config": config}}},
         )
         assert done.success
-        assert laboratory.figures("attack_search", "range_drift")["trials"] == budget
-    folder = laboratory.root / "searches" / "range_drift"
+        assert copy_of_campaign.figures("attack_search", "range_drift")["trials"] == budget
+    folder = copy_of_campaign.root / "searches" / "range_drift"
     assert len(json.loads((folder / "findings.json").read_text())["findings"]) == 2
     assert (folder / "front.png").is_file()

@@ -15,7 +15,7 @@ from tests.recorded_runs import RecordedRuns, linked
 def sets(recorded_run: RecordedRuns, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Roots of runs: two modes over six blocks, and two runs only."""
     root = tmp_path_factory.mktemp("sets")
-    for mode in ("lidar_passthrough", "fake_object"):
+    for mode in ("lidar_passthrough", "random_noise"):
         for run in range(6):
             linked(recorded_run(mode, run), root / mode)
     for run in range(2):
@@ -33,7 +33,7 @@ def test_attacked_runs_differ_from_normal_ones_and_the_files_say_where(
 ) -> None:
     junit, picture = tmp_path / "compare.xml", tmp_path / "compare.png"
     result = compare(
-        sets["lidar_passthrough"], sets["fake_object"], "--format", "json", "--junit", junit,
+        sets["lidar_passthrough"], sets["random_noise"], "--format", "json", "--junit", junit,
         "--picture", picture,
     )  # fmt: skip
     assert result.exit_code == 1, result.output
@@ -41,7 +41,7 @@ def test_attacked_runs_differ_from_normal_ones_and_the_files_say_where(
     assert document["outcome"] == "different"
     assert document["pairs"] == 6  # same blocks: run with run
     families = {each["feature"].split(".")[0] for each in document["differences"]}
-    assert "redundancy" in families  # the fake object is in one scanner only
+    assert {"pairs", "noise"} <= families  # the altered scans and those that they come from
     suite = ElementTree.fromstring(junit.read_bytes())  # noqa: S314 -- ours
     failed = {case.get("name") for case in suite if case.find("failure") is not None}
     assert failed == families

@@ -19,6 +19,7 @@ CURVE = RocCurve(DIAGONAL, DIAGONAL, DIAGONAL / 2, np.sqrt(DIAGONAL))
 GRID = pd.DataFrame(
     {
         "linkage": ["ward", "ward", "single", "single"],
+        "metric": ["euclidean"] * 4,
         "criterion": ["maxclust"] * 4,
         "t": [2.0, 4.0] * 2,
         "balanced_accuracy": [0.5, 0.9, 0.2, np.nan],

@@ -171,7 +171,7 @@ def test_every_check_says_in_words_how_it_ended(page, poor):
 
 
 def test_attacked_runs_are_explained_by_what_the_attack_changed_and_shown_beside_controls(page):
-    section = page[page.index('id="explained"') : page.index('id="alarms"')]
+    section = page[page.index('id="explained"') : page.index('id="searched"')]
     runs = re.findall(r"<h3><a [^>]+>(\w+)\|run\d\d\d</a></h3>", section)
     assert runs == ["random_noise", "fake_object", "delayed_fakeobject"]
     assert section.count("Called anomalous at a false-alarm rate of 5%") == 3

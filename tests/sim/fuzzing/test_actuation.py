@@ -57,8 +57,8 @@ def test_these_tell_of_the_robot_and_do_not_move_it(topic, msgtype):
     assert not moves_something(topic, msgtype)
 
 
-def test_of_what_is_built_in_command_injection_alone_needs_leave():
+def test_what_is_built_in_and_alters_commands_needs_leave_and_is_no_mode():
     mains = {name: scenario.document["main"] for name, scenario in builtin_scenarios().items()}
     moving = {name for name, main in mains.items() if moves_something(main["output"], main["type"])}
-    assert moving == {"command_injection"}
-    assert "command_injection" not in modes()
+    assert moving == {"command_injection", "command_scale"}
+    assert not moving & modes().keys()

@@ -162,7 +162,7 @@ transform:
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_refused_where_it_stands(rest, expected):
-    with pytest.raises(ScenarioError, match=rf"tried\.yaml:\d+: .*{expected}"):
+    with pytest.raises(ScenarioError, match=rf"tried\.yaml:\d+:\d+: .*{expected}"):
         program(rest)
 
 
@@ -368,7 +368,7 @@ def test_several_topics_can_be_altered_in_place(tmp_path):
     ],
 )
 def test_topics_that_cannot_be_altered_together_are_refused_where_they_stand(old, new, expected):
-    with pytest.raises(ScenarioError, match=rf"tried\.yaml:\d+: .*{expected}"):
+    with pytest.raises(ScenarioError, match=rf"tried\.yaml:\d+:\d+: .*{expected}"):
         together(TOGETHER.replace(old, new))
 
 

@@ -33,7 +33,7 @@ WHOLE = {
 def test_a_line_feed_behind_a_name_is_refused_where_it_stands(part):
     assert parse_scenarios(TEXT.format(**WHOLE).encode(), "f")
     spoilt = {**WHOLE, part: json.dumps(WHOLE[part] + "\n")}
-    with pytest.raises(ScenarioError, match=r"^f:[2-5]: .*expected a "):
+    with pytest.raises(ScenarioError, match=r"^f:[2-5]:\d+: .*expected a "):
         parse_scenarios(TEXT.format(**spoilt).encode(), "f")
 
 
