@@ -63,7 +63,7 @@ ui: setup ## Open the pipeline in the browser, on 127.0.0.1
 	oracle-ui -w workspace.yaml
 
 test: setup-dev lint types ## Check style and types, then run every test that needs only Python and PyPI
-	pytest -n 2 --dist loadfile --no-loadscope-reorder
+	pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 test-quick: setup-dev ## Run the tests that take less than a second each: while you work
 	pytest -n 2 --dist worksteal -m "not slow"

@@ -14,7 +14,7 @@ from tests.browser.chromium import CHROMIUM
 from tests.ui import WebServer, pipeline_ui
 
 MODE, FINE, DAMAGED = "random_noise", "run000", "run001"
-PATIENCE_MS = 600_000  # until what happens elsewhere shows on a page of a busy machine
+PATIENCE_MS = 90_000  # until what happens elsewhere shows on a page of a busy machine
 
 
 @pytest.fixture(scope="module")
