@@ -8,7 +8,15 @@ from assets.partitions import ALL, chosen_modes, run_count
 from sim.modes import modes
 
 # Settings that decide which runs are recorded and where; the command repeats those that are set.
-REPEATED = ("ORACLE_HOME", "ORACLE_GOALS_PER_RUN", "ORACLE_SCENARIOS")
+REPEATED = (
+    "ORACLE_HOME",
+    "ORACLE_GOALS_PER_RUN",
+    "ORACLE_ARENA",
+    "ORACLE_NAV2",
+    "ORACLE_SESSIONS",
+    "ORACLE_NOISE_PER_RUN",
+    "ORACLE_SCENARIOS",
+)
 
 
 def record_command(wanted: Sequence[str], blocks: int) -> str:
