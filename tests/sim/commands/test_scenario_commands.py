@@ -165,7 +165,9 @@ def test_a_right_file_is_called_right_and_a_wrong_one_named_with_line_and_key(tm
     told = done.stderr.splitlines()
     assert len(told) == 3
     assert told[0].startswith(f"{wrong}:4:1: label: expected one of malicious, normal, control")
-    assert re.match(rf"{re.escape(str(mistyped))}:10:\d+: transform\.actions\[0\]\.do\[0\]", told[1])
+    assert re.match(
+        rf"{re.escape(str(mistyped))}:10:\d+: transform\.actions\[0\]\.do\[0\]", told[1]
+    )
     assert told[2].startswith(f"Could not read {tmp_path / 'none.yaml'}")
 
 
