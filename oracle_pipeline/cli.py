@@ -18,7 +18,7 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import PlainTextGroup, version_option
 from oracle_pipeline.comparison.command import compare
 from oracle_pipeline.live.command import watch
-from oracle_pipeline.options import format_option, output_option, plugins_option
+from oracle_pipeline.options import format_option, output_option, plugins_option, rate_option
 from oracle_pipeline.replay.command import replay
 from oracle_pipeline.reporting.kinds_command import invariants, kinds, review
 
@@ -200,11 +200,7 @@ def _json(table: "pd.DataFrame", tables: "FeatureTables") -> str:
     help="Normal runs to compare with: a table of run features, a root with features/ or runs/, "
     "or any folder of run directories or bags. Attacked runs in it are left out.",
 )  # fmt: skip
-@click.option(
-    "--far", default=0.05, show_default=True,
-    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
-    help="False positive rate: the share of normal runs that may be called anomalous.",
-)  # fmt: skip
+@rate_option("--far", "False positive rate: the share of normal runs that may be called anomalous.")
 @format_option("text", "json", text="Text for reading; one JSON object for programs.")
 @output_option("--junit", "File for the verdicts as JUnit XML, for a CI system.")
 @output_option("--page", "File for a page (HTML) with the verdicts, their evidence and pictures.")

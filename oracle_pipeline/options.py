@@ -27,3 +27,11 @@ def output_option(name: str, text: str, *, required: bool = False) -> Callable[[
     return click.option(
         name, type=click.Path(path_type=Path, dir_okay=False), help=text, required=required
     )
+
+
+def rate_option(name: str, text: str) -> Callable[[Command], Command]:
+    """Return an option that takes a rate between 0 and 1, by default 0.05."""
+    return click.option(
+        name, default=0.05, show_default=True, help=text,
+        type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
+    )  # fmt: skip

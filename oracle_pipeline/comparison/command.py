@@ -7,17 +7,13 @@ from pathlib import Path
 
 import click
 
-from oracle_pipeline.options import format_option, output_option, plugins_option
+from oracle_pipeline.options import format_option, output_option, plugins_option, rate_option
 
 
 @click.command()
 @click.argument("first", metavar="A", type=click.Path(path_type=Path, exists=True))
 @click.argument("second", metavar="B", type=click.Path(path_type=Path, exists=True))
-@click.option(
-    "--level", default=0.05, show_default=True,
-    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
-    help="Chance to report any difference between sets that do not differ.",
-)  # fmt: skip
+@rate_option("--level", "Chance to report any difference between sets that do not differ.")
 @format_option("text", "json", text="Text for reading; one JSON object for programs.")
 @output_option(
     "--junit", "File for the outcome as JUnit XML, a test case for each family of features."

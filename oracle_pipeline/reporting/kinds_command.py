@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from oracle_pipeline.options import format_option, output_option, plugins_option
+from oracle_pipeline.options import format_option, output_option, plugins_option, rate_option
 
 if TYPE_CHECKING:
     from oracle_pipeline.oracles.kind import Material
@@ -45,11 +45,7 @@ _traces = click.option(
     "--questions", type=click.IntRange(0), default=0, show_default=True,
     help="How many questions the labels answer in place of a person.",
 )  # fmt: skip
-@click.option(
-    "--far", default=0.05, show_default=True,
-    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
-    help="False positive rate of each kind, and of all together.",
-)  # fmt: skip
+@rate_option("--far", "False positive rate of each kind, and of all together.")
 @format_option("text", "json", text="Text for reading; one JSON object for programs.")
 @_traces
 @plugins_option

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from oracle_pipeline.options import rate_option
 from sim.commands.batch import (
     allow_actuation_option,
     campaign,
@@ -60,11 +61,7 @@ if TYPE_CHECKING:
     "--time-limit", default=120.0, show_default=True, type=click.FloatRange(min=1.0),
     help="Simulated seconds that a goal may take, on average.",
 )  # fmt: skip
-@click.option(
-    "--far", default=0.05, show_default=True,
-    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
-    help="False positive rate at which the oracle decides.",
-)  # fmt: skip
+@rate_option("--far", "False positive rate at which the oracle decides.")
 @click.option(
     "--sampler", default="tpe", show_default=True,
     type=click.Choice(["tpe", "nsga2", "guided", "random"]),
