@@ -19,6 +19,7 @@ from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS
 from oracle_pipeline.scoring.judging import score
 from oracle_pipeline.scoring.verdict import Verdict
 from sim.campaigns import Campaign
+from sim.commands.batch import home
 from sim.experiments import recipe_for, record_run
 
 PROJECT = Path(__file__).parents[1]
@@ -35,10 +36,10 @@ STALE = (
 
 def main() -> int:
     """Record, judge and show the two runs; return 1 if the card no longer fits the code."""
-    home = Path(os.environ.get("ORACLE_HOME") or PROJECT / "data") / "demo"
-    runs = [recorded(mode, home) for mode in (NORMAL, ATTACKED)]
+    place = home() / "demo"
+    runs = [recorded(mode, place) for mode in (NORMAL, ATTACKED)]
     print(f"Comparing them with the normal runs of {CARD.relative_to(PROJECT)} ...", flush=True)
-    verdicts, page = judged(runs, home / "index.html")
+    verdicts, page = judged(runs, place / "index.html")
     print(output.as_text(verdicts, FAR, ()))
     print(f"Page: {page.as_uri()}")
     if not as_expected(verdicts):
@@ -49,9 +50,9 @@ def main() -> int:
     return 0
 
 
-def recorded(mode: str, home: Path) -> Path:
+def recorded(mode: str, place: Path) -> Path:
     """Record the demo's run of one mode, with the code as it is now."""
-    directory = RunDirectory(home, mode, BLOCK)
+    directory = RunDirectory(place, mode, BLOCK)
     print(f"Recording {directory.key} ...", flush=True)
     recipe = recipe_for(mode, BLOCK, Campaign(goals_per_run=GOALS))
     record_run(recipe, directory, refresh=True)
