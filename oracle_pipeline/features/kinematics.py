@@ -9,20 +9,23 @@ several are altered together, they disagree with those that are not.
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.motion import (
+    ANGLES,
     COMMAND,
     GYRO,
     JOINTS,
     MOTION_TOPICS,
     ORIENTATION,
     POSE,
+    RATES,
     SCAN,
     SPAN_S,
+    SPIN,
     TRAVEL,
     TURN,
     TWIST,
@@ -74,18 +77,23 @@ PAIRS = (
     Pair(TRAVEL, POSE, SCAN),
     Pair(TRAVEL, JOINTS, SCAN),
     Pair(TRAVEL, COMMAND, POSE),
+    Pair(SPIN, ANGLES, RATES),
 )
 
-_UNITS = {TURN: "rad/s", TRAVEL: "m/s"}
+#: ln of the scale, the lag [s] and the residual; NaN where nothing is known.
+Fit: TypeAlias = tuple[float, float, float]
+
+_UNITS = {TURN: "rad/s", TRAVEL: "m/s", SPIN: "rad/s"}
 _FEWEST = 8  # spans that a comparison takes
-_LEAST = {TURN: 0.5, TRAVEL: 0.3}  # to be gained before a scale is known
+_LEAST = {TURN: 0.5, TRAVEL: 0.3, SPIN: 3.0}  # to be gained before a scale is known
+_OBEYED = 1.5  # times the least residual, up to which a command may be the one obeyed
 _OUTLYING = 4.0  # robust deviations from which on a span does not count for scale and lag
 
 
 def _features() -> Iterator[Feature]:
     for pair in PAIRS:
         loose = COMMAND in pair
-        floor = 0.02 if loose else 5e-3 if SCAN in pair else 2e-3
+        floor = 5e-3 if loose or SCAN in pair else 2e-3
         what = f"{pair.quantity} by {pair.first} and by {pair.second}"
         yield Feature(
             pair.column("scale"), "1", floor,
@@ -103,6 +111,10 @@ def _features() -> Iterator[Feature]:
     yield Feature(
         "gravity", "m/s^2", 0.02, "median length of the measured acceleration, largest of the "
         "topics", "domain",
+    )  # fmt: skip
+    yield Feature(
+        "gravity_residual", "m/s^2", 0.02, "length of the mean of the measured accelerations less "
+        "gravity, along the vertical that the orientation tells; largest of the topics", "domain",
     )  # fmt: skip
 
 
@@ -126,6 +138,7 @@ class Prepared:
 
     pairs: Mapping[Pair, Mapping[str, Comparison]]  # by place: the two topics
     gravity: Mapping[str, Series]
+    unexplained: Mapping[str, Series]
 
 
 def prepare(window: Window) -> Prepared | Missing:
@@ -134,7 +147,7 @@ def prepare(window: Window) -> Prepared | Missing:
     pairs = {pair: dict(_compared(found, pair)) for pair in PAIRS}
     if not any(pairs.values()) and not found.gravity:
         return Missing("fewer than two sources tell how the robot moved")
-    return Prepared(pairs, found.gravity)
+    return Prepared(pairs, found.gravity, found.unexplained)
 
 
 def compute(window: Window) -> Values:
@@ -147,9 +160,8 @@ def compute(window: Window) -> Values:
             why = Missing(f"not both of {pair.first} and {pair.second} tell the {pair.quantity}")
             values |= {pair.column(s): why for s in ("scale", "lag", "residual")}
             continue
-        if COMMAND in pair:  # of a chain of commands the last one is obeyed
-            obeyed = min(fits, key=lambda place: (math.isnan(fits[place][2]), fits[place][2]))
-            fits = {obeyed: fits[obeyed]}
+        if COMMAND in pair:
+            fits = _obeyed(fits)
         still = f"too little {pair.quantity} was told in this window"
         for number, statistic in enumerate(("scale", "lag")):
             values[pair.column(statistic)] = _furthest(
@@ -158,6 +170,14 @@ def compute(window: Window) -> Values:
         values[pair.column("residual")] = largest({p: fit[2] for p, fit in fits.items()}, still)
     lengths = {topic: quantile(series, window, 0.5) for topic, series in prepared.gravity.items()}
     values["gravity"] = largest(lengths, "no inertial unit")
+    values["gravity_residual"] = largest(
+        {
+            topic: float(np.linalg.norm(series.values[part].mean(axis=0)))
+            for topic, series in prepared.unexplained.items()
+            if (part := within(series.times_s, window)).stop > part.start
+        },
+        "no inertial unit whose mount is known",
+    )
     return values
 
 
@@ -216,6 +236,8 @@ def _compared(found: Sources, pair: Pair) -> Iterator[tuple[str, Comparison]]:
         else:
             seconds = {track.topic: track for track in found.tracks[pair.second]}
         for topic, second in seconds.items():
+            if pair.quantity == SPIN and topic != first.topic:  # other joints
+                continue
             compared = _comparison(pair.quantity, first, second)
             if compared is not None and len(compared.times_s) >= _FEWEST:
                 place = topic if first.topic == topic else f"{first.topic} against {topic}"
@@ -243,7 +265,7 @@ def _comparison(quantity: str, first: Track, second: Track | Steps) -> Compariso
     )
 
 
-def _fitted(pair: Pair, compared: Comparison, window: Window) -> tuple[float, float, float]:
+def _fitted(pair: Pair, compared: Comparison, window: Window) -> Fit:
     """Return ln of the scale, the lag [s] and the residual in a window; NaN if it tells none."""
     part = within(compared.times_s, window)
     first, slopes, second = compared.first[part], compared.first_slope[part], compared.second[part]
@@ -261,6 +283,17 @@ def _fitted(pair: Pair, compared: Comparison, window: Window) -> tuple[float, fl
     if gained < _LEAST[pair.quantity] or scale <= 0.0:
         return math.nan, math.nan, residual
     return math.log(scale), lag, residual
+
+
+def _obeyed(fits: Mapping[str, Fit]) -> dict[str, Fit]:
+    """Return the commands that the robot may obey: those that explain its motion about best.
+
+    Of a chain of commands the last one is obeyed, and an altered copy explains the same motion
+    with another scale, so no single one is chosen.
+    """
+    residuals = [residual for *_, residual in fits.values() if not math.isnan(residual)]
+    limit = _OBEYED * min(residuals, default=math.inf)
+    return {place: fit for place, fit in fits.items() if not fit[2] > limit}
 
 
 def _furthest(by_place: Mapping[str, float], reason: str) -> Located | Missing:
