@@ -1,15 +1,16 @@
 """Whether the streams that tell how the robot moved agree: odometry, inertia, wheels, scans.
 
 A robot turns once, whoever measures it. Each source is held against each other that tells the
-same quantity: by what factor it gains more (the scale), how much later (the lag), and what neither
-explains (the residual). No stream is trusted. If one is altered, it disagrees with all others; if
-several are altered together, they disagree with those that are not.
+same quantity: by what factor it gains more (the scale), how much later (the lag), what neither
+explains (the residual), and what of that adds up (the drift). No stream is trusted. If one is
+altered, it disagrees with all others; if several are altered together, they disagree with those
+that are not.
 """
 
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,6 +63,15 @@ class Pair(NamedTuple):
         return f"{self.quantity}_{statistic}_{self.first}_{self.second}"
 
 
+class Fit(NamedTuple):
+    """How well the second source is explained by the first; NaN where nothing is known."""
+
+    scale: float = math.nan  # ln of it
+    lag: float = math.nan  # [s]
+    residual: float = math.nan  # what is left [unit/s]
+    drift: float = math.nan  # mean of what is left [unit/s]
+
+
 #: From the more exact source to the other: the second is explained by the first.
 PAIRS = (
     Pair(TURN, POSE, TWIST),
@@ -80,13 +90,11 @@ PAIRS = (
     Pair(SPIN, ANGLES, RATES),
 )
 
-#: ln of the scale, the lag [s] and the residual; NaN where nothing is known.
-Fit: TypeAlias = tuple[float, float, float]
-
 _UNITS = {TURN: "rad/s", TRAVEL: "m/s", SPIN: "rad/s"}
 _FEWEST = 8  # spans that a comparison takes
 _LEAST = {TURN: 0.5, TRAVEL: 0.3, SPIN: 3.0}  # to be gained before a scale is known
-_OBEYED = 1.5  # times the least residual, up to which a command may be the one obeyed
+_OBEYED = 1.5  # times the least median of what is left, up to which a command may be obeyed
+_EXACT = 5e-3  # of what is left, which tells no command from another [unit/s]
 _OUTLYING = 4.0  # robust deviations from which on a span does not count for scale and lag
 
 
@@ -107,6 +115,11 @@ def _features() -> Iterator[Feature]:
             pair.column("residual"), _UNITS[pair.quantity], 0.02 if loose else 2e-3,
             "root mean square of what scale and lag do not explain of the second: "
             f"{what}; largest of the topics", "domain",
+        )  # fmt: skip
+        yield Feature(
+            pair.column("drift"), _UNITS[pair.quantity], 5e-3 if loose or SCAN in pair else 1e-3,
+            "mean of what scale and lag do not explain of the second: "
+            f"{what}; furthest from 0 of the topics", "domain",
         )  # fmt: skip
     yield Feature(
         "gravity", "m/s^2", 0.02, "median length of the measured acceleration, largest of the "
@@ -145,6 +158,7 @@ def prepare(window: Window) -> Prepared | Missing:
     """Hold every source against every other one of its quantity."""
     found = sources(window.topics, scanner_setup(window))
     pairs = {pair: dict(_compared(found, pair)) for pair in PAIRS}
+    pairs |= {pair: _obeyed(places) for pair, places in pairs.items() if COMMAND in pair}
     if not any(pairs.values()) and not found.gravity:
         return Missing("fewer than two sources tell how the robot moved")
     return Prepared(pairs, found.gravity, found.unexplained)
@@ -158,16 +172,14 @@ def compute(window: Window) -> Values:
         fits = {place: _fitted(pair, each, window) for place, each in places.items()}
         if not places:
             why = Missing(f"not both of {pair.first} and {pair.second} tell the {pair.quantity}")
-            values |= {pair.column(s): why for s in ("scale", "lag", "residual")}
+            values |= {pair.column(statistic): why for statistic in Fit._fields}
             continue
-        if COMMAND in pair:
-            fits = _obeyed(fits)
         still = f"too little {pair.quantity} was told in this window"
-        for number, statistic in enumerate(("scale", "lag")):
-            values[pair.column(statistic)] = _furthest(
+        for number, statistic in enumerate(Fit._fields):
+            reduced = largest if statistic == "residual" else _furthest
+            values[pair.column(statistic)] = reduced(
                 {place: fit[number] for place, fit in fits.items()}, still
             )
-        values[pair.column("residual")] = largest({p: fit[2] for p, fit in fits.items()}, still)
     lengths = {topic: quantile(series, window, 0.5) for topic, series in prepared.gravity.items()}
     values["gravity"] = largest(lengths, "no inertial unit")
     values["gravity_residual"] = largest(
@@ -266,34 +278,42 @@ def _comparison(quantity: str, first: Track, second: Track | Steps) -> Compariso
 
 
 def _fitted(pair: Pair, compared: Comparison, window: Window) -> Fit:
-    """Return ln of the scale, the lag [s] and the residual in a window; NaN if it tells none."""
+    """Return how well a pair agrees in a window."""
     part = within(compared.times_s, window)
     first, slopes, second = compared.first[part], compared.first_slope[part], compared.second[part]
-    nothing = math.nan, math.nan, math.nan
     if len(first) < _FEWEST:
-        return nothing
+        return Fit()
     scale, lag, kept = fit(first, slopes, second)
-    gained = float(np.abs(first[kept]).sum())
     if math.isnan(scale):
-        return nothing
+        return Fit()
+    left = _left(first, slopes, second, scale, lag)
     lengths_s = compared.lengths_s[part]
-    shift = 0.0 if math.isnan(lag) else lag
-    left = np.abs(second - scale * (first - shift * slopes)) / lengths_s
-    residual = float(np.sqrt(np.mean(left**2)))
-    if gained < _LEAST[pair.quantity] or scale <= 0.0:
-        return math.nan, math.nan, residual
-    return math.log(scale), lag, residual
+    residual = float(np.sqrt(np.mean(np.abs(left / lengths_s) ** 2)))
+    drift = float(left.real.sum() / lengths_s.sum())
+    if float(np.abs(first[kept]).sum()) < _LEAST[pair.quantity] or scale <= 0.0:
+        return Fit(residual=residual, drift=drift)
+    return Fit(math.log(scale), lag, residual, drift)
 
 
-def _obeyed(fits: Mapping[str, Fit]) -> dict[str, Fit]:
-    """Return the commands that the robot may obey: those that explain its motion about best.
+def _left(first: Points, slopes: Points, second: Points, scale: float, lag: float) -> Points:
+    """Return what scale and lag do not explain of the second's gains."""
+    return second - scale * (first - (0.0 if math.isnan(lag) else lag) * slopes)
 
-    Of a chain of commands the last one is obeyed, and an altered copy explains the same motion
-    with another scale, so no single one is chosen.
+
+def _obeyed(places: Mapping[str, Comparison]) -> dict[str, Comparison]:
+    """Return the commands that the robot may obey: those that mostly explain its motion about best.
+
+    Of a chain of commands the last one is obeyed. A copy of it that was altered explains the
+    motion with another scale, or explains some of it not at all, so no single one is chosen.
     """
-    residuals = [residual for *_, residual in fits.values() if not math.isnan(residual)]
-    limit = _OBEYED * min(residuals, default=math.inf)
-    return {place: fit for place, fit in fits.items() if not fit[2] > limit}
+    left = {}
+    for place, each in places.items():
+        scale, lag, _ = fit(each.first, each.first_slope, each.second)
+        rest = _left(each.first, each.first_slope, each.second, scale, lag)
+        typical = float(np.median(np.abs(rest / each.lengths_s)))
+        left[place] = math.inf if math.isnan(typical) else typical
+    limit = max(_OBEYED * min(left.values(), default=0.0), _EXACT)
+    return {place: each for place, each in places.items() if left[place] <= limit}
 
 
 def _furthest(by_place: Mapping[str, float], reason: str) -> Located | Missing:
