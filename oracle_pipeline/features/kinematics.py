@@ -93,8 +93,8 @@ PAIRS = (
 _UNITS = {TURN: "rad/s", TRAVEL: "m/s", SPIN: "rad/s"}
 _FEWEST = 8  # spans that a comparison takes
 _LEAST = {TURN: 0.5, TRAVEL: 0.3, SPIN: 3.0}  # to be gained before a scale is known
-_OBEYED = 1.5  # times the least median of what is left, up to which a command may be obeyed
-_EXACT = 5e-3  # of what is left, which tells no command from another [unit/s]
+_OBEYED = 1.5  # times the least residual, up to which a command may be the one obeyed
+_EXACT = 5e-3  # residual that tells no command from another [unit/s]
 _OUTLYING = 4.0  # robust deviations from which on a span does not count for scale and lag
 
 
@@ -158,7 +158,6 @@ def prepare(window: Window) -> Prepared | Missing:
     """Hold every source against every other one of its quantity."""
     found = sources(window.topics, scanner_setup(window))
     pairs = {pair: dict(_compared(found, pair)) for pair in PAIRS}
-    pairs |= {pair: _obeyed(places) for pair, places in pairs.items() if COMMAND in pair}
     if not any(pairs.values()) and not found.gravity:
         return Missing("fewer than two sources tell how the robot moved")
     return Prepared(pairs, found.gravity, found.unexplained)
@@ -174,6 +173,8 @@ def compute(window: Window) -> Values:
             why = Missing(f"not both of {pair.first} and {pair.second} tell the {pair.quantity}")
             values |= {pair.column(statistic): why for statistic in Fit._fields}
             continue
+        if COMMAND in pair:
+            fits = _obeyed(fits)
         still = f"too little {pair.quantity} was told in this window"
         for number, statistic in enumerate(Fit._fields):
             reduced = largest if statistic == "residual" else _furthest
@@ -292,7 +293,8 @@ def _fitted(pair: Pair, compared: Comparison, window: Window) -> Fit:
     drift = float(left.real.sum() / lengths_s.sum())
     if float(np.abs(first[kept]).sum()) < _LEAST[pair.quantity] or scale <= 0.0:
         return Fit(residual=residual, drift=drift)
-    return Fit(math.log(scale), lag, residual, drift)
+    # A lag is the first term of a series, which tells nothing beyond a span.
+    return Fit(math.log(scale), lag if abs(lag) < SPAN_S else math.nan, residual, drift)
 
 
 def _left(first: Points, slopes: Points, second: Points, scale: float, lag: float) -> Points:
@@ -300,20 +302,15 @@ def _left(first: Points, slopes: Points, second: Points, scale: float, lag: floa
     return second - scale * (first - (0.0 if math.isnan(lag) else lag) * slopes)
 
 
-def _obeyed(places: Mapping[str, Comparison]) -> dict[str, Comparison]:
-    """Return the commands that the robot may obey: those that mostly explain its motion about best.
+def _obeyed(fits: Mapping[str, Fit]) -> dict[str, Fit]:
+    """Return the commands that the robot may obey: those that explain its motion about best.
 
-    Of a chain of commands the last one is obeyed. A copy of it that was altered explains the
-    motion with another scale, or explains some of it not at all, so no single one is chosen.
+    Of a chain of commands the last one is obeyed. A copy of it that was altered explains the same
+    motion with another scale, so no single one is chosen.
     """
-    left = {}
-    for place, each in places.items():
-        scale, lag, _ = fit(each.first, each.first_slope, each.second)
-        rest = _left(each.first, each.first_slope, each.second, scale, lag)
-        typical = float(np.median(np.abs(rest / each.lengths_s)))
-        left[place] = math.inf if math.isnan(typical) else typical
-    limit = max(_OBEYED * min(left.values(), default=0.0), _EXACT)
-    return {place: each for place, each in places.items() if left[place] <= limit}
+    residuals = [each.residual for each in fits.values() if not math.isnan(each.residual)]
+    limit = max(_OBEYED * min(residuals, default=math.inf), _EXACT)
+    return {place: each for place, each in fits.items() if not each.residual > limit}
 
 
 def _furthest(by_place: Mapping[str, float], reason: str) -> Located | Missing:

@@ -51,7 +51,7 @@ def motion(time_s: float) -> tuple[complex, float]:
 def robot(
     *, odometry: float = 1.0, twist: float = 1.0, gyro: float = 1.0, wheels: float = 1.0,
     rates: float = 1.0, command: float = 1.0, push: float = 0.0, drift: float = 0.0,
-    silent_s: tuple[float, float] = (0.0, 0.0), late_s: float = 0.0, scan: float = 1.0,
+    late_s: float = 0.0, scan: float = 1.0,
 ) -> list[tuple[float, str, Any]]:  # fmt: skip
     """All messages; what is said of one stream is multiplied by a factor, or told late."""
     vector = message_class("geometry_msgs/msg/Vector3")
@@ -82,7 +82,7 @@ def robot(
             message_class("geometry_msgs/msg/Twist")(
                 vector(factor * speed, 0.0, 0.0), vector(0.0, 0.0, factor * rate)
             )
-            for factor in (1.0, 0.0 if silent_s[0] < time_s < silent_s[1] else command)
+            for factor in (1.0, command)
         )
         recorded += [
             (time_s, "/odometry", told), (time_s, "/inertia", inertial),
@@ -161,13 +161,6 @@ def test_an_orientation_that_drifts_away_from_the_gyroscope_drifts(extracted, ho
     change = values["turn_drift_gyro_orientation"] - before["turn_drift_gyro_orientation"]
     assert change == pytest.approx(0.01, rel=0.1)  # some of it counts as scale
     assert where["turn_drift_gyro_orientation"] == "/inertia"
-
-
-def test_a_command_that_is_not_obeyed_for_a_while_leaves_a_residual(extracted, honest):
-    before, *_ = honest
-    values, where, _ = extracted(silent_s=(4.0, 6.0))
-    assert values["travel_residual_command_pose"] > before["travel_residual_command_pose"] + 0.03
-    assert where["travel_residual_command_pose"] == "/obeyed against /odometry"
 
 
 def test_a_push_that_the_orientation_does_not_explain_is_measured(extracted):
