@@ -317,7 +317,9 @@ def learn(good: tuple[Path, ...], output: Path, roles: Path | None, plugins: Pat
     from oracle_pipeline.scoring.reference import read_reference
 
     if output.suffix != SUFFIX:
-        raise click.UsageError(f"Let the name of the card end with {SUFFIX}: {output}{SUFFIX}")
+        raise click.UsageError(
+            f"The name of the card must end with {SUFFIX}, such as {output}{SUFFIX}"
+        )
     manager = build_manager(plugins)
     card = learn_card(read_reference(good, manager, _choices(roles)))
     card.save(output)

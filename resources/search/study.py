@@ -94,7 +94,9 @@ class Search:
                 load_if_exists=True,
             )  # fmt: skip
         except ValueError as error:
-            raise SearchError(f"{folder} holds another search: {error}; name another.") from error
+            raise SearchError(
+                f"{folder} holds another search: {error}; choose another folder."
+            ) from error
         # Proposals after a pause must not repeat those before it.
         fresh = seed + len(self._study.trials)
         self._study.sampler = sampler_for(sampler, fresh)

@@ -131,7 +131,10 @@ def test_mutate_points_a_scenario_at_a_topic_and_alters_it_in_place(foreign_bag,
     [
         (["random_noise", "--topic", "/none"], "has no topic /none, which random_noise hears"),
         (["random_noise", "--topic", "/reading"], "random_noise needs sensor_msgs/msg/LaserScan"),
-        (["fake_object", "--topic", "gps=/fix"], "hears no gps; it hears main, odom"),
+        (
+            ["fake_object", "--topic", "gps=/fix"],
+            "does not subscribe to gps; it subscribes to main, odom",
+        ),
         (["message_mutator", "--topic", "/cmd_vel"], "would alter /cmd_vel, which may move"),
     ],
 )
