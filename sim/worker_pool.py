@@ -110,8 +110,8 @@ class _Worker:
             if not self._pipe.poll(limit_s):
                 self._end()
                 raise JobTimeoutError(
-                    f"It was not over after {limit_s:g} s, and its worker was ended. If it needs "
-                    f"longer, set {LIMIT} to more seconds."
+                    f"It was not finished after {limit_s:g} s, so its worker was ended. If it "
+                    f"needs longer, set {LIMIT} to more seconds."
                 )
             is_done, result = self._pipe.recv()
         except (EOFError, ConnectionError) as error:

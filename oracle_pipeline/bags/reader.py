@@ -386,7 +386,7 @@ def _errors(path: Path, file: Path) -> Iterator[None]:
             raise
         raise BagError(f"{file}: {error}.") from error
     except MemoryError as error:
-        raise BagError(f"{file} needs more memory than there is; split it.") from error
+        raise BagError(f"{file} needs more memory than is free; split it.") from error
     except Exception as error:  # parsers of corrupt files raise anything
         reason = str(error).rstrip(".") or type(error).__name__
         raise BagError(
