@@ -74,7 +74,7 @@ def test_a_field_that_never_changes_must_not(constants, texts):
     ]
     seen = replace(NORMAL[1], constants={"/scan": constants})
     contract = Contract.learned(normal)
-    assert [each.text for each in contract.breaches(seen)] == [f"Field {text}" for text in texts]
+    assert [each.text for each in contract.breaches(seen)] == texts
     assert Contract.learned(normal[1:]).breaches(seen) == []
 
 
