@@ -87,7 +87,8 @@ def _widened(lethal: Bools) -> Bools:
     rows, columns = lethal.shape
     padded = np.pad(lethal, 1)
     around = [padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)]
-    return np.logical_or.reduce(around)
+    touching: Bools = np.logical_or.reduce(around)
+    return touching
 
 
 @hookimpl
