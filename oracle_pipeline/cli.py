@@ -301,8 +301,8 @@ def learn(good: tuple[Path, ...], output: Path, roles: Path | None, plugins: Pat
     """Write a reference card from normal recordings.
 
     GOOD is a run directory, a bag, a folder of these, a table of run features, or a root with
-    features/ or runs/. Attacked runs are left out. Record each day or start as a run of its own:
-    19 recordings carry a verdict at a false positive rate of 5%, 99 at 1%.
+    features/ or runs/. Attacked runs are left out. Use recordings of different days or starts: 19
+    support a verdict at a false positive rate of 5%, 99 at 1%.
 
     \b
     Examples:

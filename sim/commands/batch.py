@@ -31,14 +31,14 @@ Command = Callable[..., None]
 
 seed_option = click.option(
     "--seed", default=DEFAULT_SEED, show_default=True, type=click.IntRange(min=0),
-    help="What all randomness comes from; the same seed gives the same messages.",
+    help="Seed of all randomness; the same seed gives the same messages.",
 )  # fmt: skip
 allow_actuation_option = click.option(
-    "--allow-actuation", is_flag=True, help="The scenario may send commands to motors."
+    "--allow-actuation", is_flag=True, help="Allow a scenario that sends commands to motors."
 )
 workers_option = click.option(
     "--workers", default=lambda: os.cpu_count() or 1, type=click.IntRange(min=1),
-    help="Runs at a time.  [default: one for each core]",
+    help="Number of runs at the same time.  [default: one for each core]",
 )  # fmt: skip
 refresh_option = click.option("--refresh", is_flag=True, help="Simulate existing runs again.")
 
@@ -68,7 +68,7 @@ _CAMPAIGN_OPTIONS = (
     click.option(
         "--sessions", default=lambda: Campaign.from_environment().sessions,
         type=click.IntRange(min=1),
-        help="Blocks take turns in so many sessions (days in the laboratory).  [default: "
+        help="Number of sessions (days in the laboratory) in which blocks take turns.  [default: "
         "$ORACLE_SESSIONS or a session for each block]",
     ),
     click.option(
@@ -105,7 +105,7 @@ _CAMPAIGN_OPTIONS = (
         help="A parameter of Nav2, as inflation_radius=0.7 (of both costmaps) or "
         "FollowPath.PathDist.scale=20; may be given more than once.",
     ),
-    click.option("--cameras", is_flag=True, help="Depth camera on: 15 MB a second."),
+    click.option("--cameras", is_flag=True, help="Switch the depth camera on: 15 MB a second."),
     click.option(
         "--debug-topics", is_flag=True,
         help="Record the controller's /evaluation and /marker: 20 MB a second while it drives.",

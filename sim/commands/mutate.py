@@ -41,7 +41,7 @@ from sim.modes import find_mode
 )  # fmt: skip
 @click.option(
     "--seed", type=click.IntRange(min=0),
-    help=f"What all randomness comes from.  [default: that of --like, or {DEFAULT_SEED}]",
+    help=f"Seed of all randomness.  [default: that of --like, or {DEFAULT_SEED}]",
 )  # fmt: skip
 @click.option(
     "-p", "--parameter", "words", multiple=True, metavar="NAME=VALUE",

@@ -53,7 +53,7 @@ _HELP = "Type `attack NAME` (a mode or a scenario file), `attack off`, or Ctrl-C
               help="Goals of the patrol; it ends after the last.")  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
-    help="Root to keep the run in too, as `oracle-sim record` would. Without one, it is not kept.",
+    help="Root in which the run is kept, too, as by `oracle-sim record`.  [default: it is not kept]",
 )  # fmt: skip
 @seed_option
 def serve(
@@ -61,8 +61,8 @@ def serve(
 ) -> None:
     """Run a testbed on a real DDS domain, in real time.
 
-    All topics are there with ROS names and profiles, `/clock` too, and the nodes on
-    `ros_discovery_info`; so `oracle watch` and ROS 2 tools can look at it. Services are not.
+    All topics have their ROS names and QoS profiles, including `/clock`, and `ros_discovery_info`
+    lists the nodes. So `oracle watch` and ROS 2 tools can observe it. There are no services.
 
     While it runs, a line on standard input switches an attack on or off:
 
