@@ -53,7 +53,7 @@ _HELP = "Type `attack NAME` (a mode or a scenario file), `attack off`, or Ctrl-C
               help="Goals of the patrol; it ends after the last.")  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
-    help="Root in which the run is kept, too, as by `oracle-sim record`.  [default: it is not kept]",
+    help="Root to keep the run in, as `oracle-sim record` does.  [default: it is not kept]",
 )  # fmt: skip
 @seed_option
 def serve(
