@@ -34,7 +34,7 @@ class CampaignSettings(dg.ConfigurableResource[None]):
     sessions: int | None = Field(
         default=None,
         ge=1,
-        description="Number of sessions in which blocks take turns; if not set, one for each block.",
+        description="Sessions in which blocks take turns; if not set, each block has one of its own.",
     )
     noise_per_run: bool = Field(
         default=False,

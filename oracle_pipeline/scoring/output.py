@@ -204,5 +204,5 @@ def family_as_text(family: FamilyDeviation) -> str:
 
 
 def _z(z: float, *, capped: bool) -> str:
-    """Return a robust z, and whether it is only as large as z may be."""
+    """Return a robust z as text, with a mark if it is capped."""
     return f"{z:+.1f} (capped)" if capped else f"{z:+.1f}"
