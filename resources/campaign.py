@@ -34,7 +34,7 @@ class CampaignSettings(dg.ConfigurableResource[None]):
     sessions: int | None = Field(
         default=None,
         ge=1,
-        description="Sessions in which blocks take turns; if not set, each block has one of its own.",
+        description="Sessions in which blocks take turns; by default, each block has its own.",
     )
     noise_per_run: bool = Field(
         default=False,

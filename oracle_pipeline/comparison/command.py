@@ -1,6 +1,6 @@
 """``oracle compare``: how two sets of recordings differ.
 
-What it needs is imported when it runs, so that the help of all commands stays fast.
+It imports what it needs when it runs, so that the help of all commands stays fast.
 """
 
 from pathlib import Path

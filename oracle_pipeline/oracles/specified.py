@@ -1,4 +1,4 @@
-"""Specified oracle: what people say that a robot must do, as formulas of signal temporal logic."""
+"""Specified oracle: requirements that people wrote as formulas of signal temporal logic."""
 
 from collections.abc import Sequence
 from typing import Self
@@ -31,7 +31,7 @@ class Specified:
         return self
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
-        """Return by how many scales each run breaks the requirement that it breaks most."""
+        """Return each run's largest violation of a requirement, in scales."""
         beyond = self._violations(runs.traces)
         return np.asarray(np.nanmax(np.nan_to_num(beyond, nan=-FARTHEST), axis=1))
 
