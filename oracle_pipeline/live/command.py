@@ -1,4 +1,4 @@
-"""``oracle watch``: a DDS domain as it is watched, in words."""
+"""``oracle watch``: watches a DDS domain, and prints what happens."""
 
 import contextlib
 import dataclasses

@@ -1,4 +1,4 @@
-"""Many runs from a command: the options that say how to record, and the loop that makes them."""
+"""Runs many recordings from a command: common options, and the loop over runs."""
 
 import os
 import sys
@@ -123,7 +123,7 @@ _CAMPAIGN_OPTIONS = (
 
 @contextmanager
 def errors_told() -> Iterator[None]:
-    """Show an error of ours as a command shows it: in one line, with exit code 1."""
+    """Show an error of this project in one line, and exit with code 1."""
     try:
         yield
     except (OracleError, OSError) as error:
@@ -131,12 +131,12 @@ def errors_told() -> Iterator[None]:
 
 
 def home() -> Path:
-    """Return where runs are kept if nothing else is said."""
+    """Return the default root of runs."""
     return Path(os.environ.get("ORACLE_HOME", "data"))
 
 
 def campaign_options(command: Command) -> Command:
-    """Give a command the options that ``campaign`` takes."""
+    """Add the options that ``campaign`` takes to a command."""
     for option in reversed(_CAMPAIGN_OPTIONS):
         command = option(command)
     return command
@@ -162,15 +162,15 @@ def make_runs(
     place: Callable[[J], RunDirectory],
     workers: int,
 ) -> None:
-    """Make every run, several at a time, and tell of each; exit with 1 if any failed.
+    """Make all runs, several at a time, and print a line on each; exit with 1 if any failed.
 
     Parameters
     ----------
     make
-        Makes one run, or returns the manifest of what is there already; must be picklable, as the
-        jobs must.
+        Makes one run, or returns the manifest of an existing one. It and the jobs must be
+        picklable.
     jobs
-        One a run.
+        One for each run.
     place
         Where a job's run goes.
     workers

@@ -107,14 +107,14 @@ def mutate(
 
 
 def _by_name(words: Iterable[str]) -> dict[str, str]:
-    """Return topics by what the scenario hears them as."""
+    """Return topics by the name of the source in the scenario."""
     pairs = [word.rpartition("=") for word in words]
     return {name or MAIN: topic for name, _, topic in pairs}
 
 
 @dataclass(frozen=True, slots=True)
 class _Attack:
-    """What of a recorded run its attack is repeated from."""
+    """The parts of a recorded run from which its attack is repeated."""
 
     scenario: Scenario | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)

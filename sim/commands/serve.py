@@ -1,7 +1,7 @@
 """``oracle-sim serve``: a testbed on a DDS domain, in real time.
 
-The wall clock is here and nowhere else in ``sim``: it holds the run back, and changes nothing in
-it.
+This is the only module of ``sim`` that uses the wall clock. It slows the run down to real time, and
+changes nothing in it.
 """
 
 import contextlib
@@ -104,7 +104,7 @@ def _serve(
 
 
 class _Session:
-    """Goes along with a run: paces it, serves its domain, and does what is typed."""
+    """Accompanies a run: paces it, serves its domain, and executes typed commands."""
 
     def __init__(
         self, speed: float, number: int, mode: str, run: int, campaign: Campaign, *, is_kept: bool
@@ -134,7 +134,7 @@ class _Session:
             self._typed.put(line)
 
     def _advance(self, now_ns: int) -> None:
-        """Wait until the wall has come as far as the simulation."""
+        """Wait until wall time has reached the time of the simulation."""
         assert self._served is not None  # noqa: S101 -- `begin` made it
         self._served.look(now_ns)
         while not self._typed.empty():
