@@ -44,7 +44,7 @@ def retargeted(
         if moves_something(main, program.type.name) and not allow_actuation:
             raise ScenarioError(
                 f"{identifier} would alter {main}, which may move the robot; allow it with "
-                "--allow-actuation if you must."
+                "--allow-actuation."
             )
         program = dataclasses.replace(program, input_topic=main, output_topic=main)
     sources = {
