@@ -171,14 +171,11 @@ def _alarms(verdict: Verdict) -> Iterator[str]:
     if not verdict.alarms or verdict.alarms_per_h is None:
         return
     times = ", ".join(f"{alarm.time_s:g} s" for alarm in verdict.alarms)
-    rate = f"at most {verdict.alarms_per_h:.2g} false alarms an hour are promised"
+    rate = f"{verdict.alarms_per_h:.2g} false alarms an hour"
     if verdict.alarms_per_h > RATE_PER_H:
-        yield (
-            f"Alarm at {times}, which may be false: {rate}, because the reference has few hours "
-            "of normal recordings."
-        )
+        yield f"Alarm at {times}, perhaps false: the reference is too short to promise below {rate}."
     else:
-        yield f"Alarm at {times} ({rate})."
+        yield f"Alarm at {times} (at most {rate} are promised)."
 
 
 def cells(evidence: Evidence) -> tuple[str, ...]:
