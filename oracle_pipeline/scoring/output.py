@@ -194,7 +194,7 @@ def _alarms(verdict: Verdict) -> Iterator[str]:
     times = ", ".join(f"{alarm.time_s:g} s" for alarm in verdict.alarms)
     rate = f"{verdict.alarms_per_h:.2g} false alarms an hour"
     if verdict.alarms_per_h > RATE_PER_H:
-        yield f"Alarm at {times}, perhaps false: the reference is too short to promise below {rate}."
+        yield f"Alarm at {times}, perhaps false: so short a reference gives up to {rate}."
     else:
         yield f"Alarm at {times} (at most {rate} are promised)."
 
