@@ -1,6 +1,6 @@
-"""The windows of a recording: the spans of time that have a row of features each.
+"""The windows of a recording: spans of time, each with a row of features.
 
-A window is as long as an interval, so that every other window has a graph to itself.
+A window is as long as an interval, so every second window coincides with a graph.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ def windows_ns(duration_ns: int, times_ns: NDArray[np.int64]) -> list[tuple[int,
     duration_ns : int
         Of the recording.
     times_ns : array of int, shape (n,)
-        When messages came, since the start.
+        Arrival times of messages, since the start.
 
     Examples
     --------

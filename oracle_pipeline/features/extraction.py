@@ -1,7 +1,7 @@
 """From a run to its two feature tables: one row for the run, one row for each window.
 
-A plugin that raises costs its own columns, with the reason in the column ``missing``; never the
-run. Fields of the manifest become key columns; no plugin sees them.
+If a plugin raises an error, only its own columns are lost, and the column ``missing`` has the
+reason. Fields of the manifest become key columns, which no plugin sees.
 """
 
 import json
@@ -55,7 +55,7 @@ _log = logging.getLogger(__name__)
 
 
 class FeatureTables(NamedTuple):
-    """The features of one recording; what each column means is in ``attrs["fields"]``."""
+    """The features of one recording; ``attrs["fields"]`` describes the columns."""
 
     run: pd.DataFrame  # one row
     windows: pd.DataFrame  # one row for each window, by start
@@ -90,7 +90,12 @@ class _Row:
         self.missing[column] = reason
 
 
-def extract(run: OpenedRun, manager: FeatureManager, robot: Robot | None = None) -> FeatureTables:
+def extract(
+    run: OpenedRun,
+    manager: FeatureManager,
+    robot: Robot | None = None,
+    recording: KeptMessages | None = None,
+) -> FeatureTables:
     """Compute all features of one robot of a recording.
 
     Parameters
@@ -102,15 +107,18 @@ def extract(run: OpenedRun, manager: FeatureManager, robot: Robot | None = None)
         The plugins to use.
     robot : Robot, optional
         One that ``find_robots`` found; by default the only one of the recording.
+    recording : KeptMessages, optional
+        What was read of the robot's bag for the plugins, and perhaps for others; by default the bag
+        is read.
 
     Raises
     ------
     BagError
         If the bag cannot be read to its end, or has several robots and none is named.
     """
-    robot = robot or _only_robot(run)
+    robot = robot or only_robot(run)
     run = replace(run, bag=robot.bag)
-    recording = KeptMessages.read(robot, manager.plugins)
+    recording = recording or KeptMessages.read(robot, manager.plugins)
     whole = Span(0, recording.duration_ns)
     extraction = _Extraction(run, manager, recording, whole)
     of_run = extraction.row(whole)
@@ -153,7 +161,7 @@ def together(robots: Sequence[FeatureTables]) -> FeatureTables:
 
 
 def extract_window(run: OpenedRun, manager: FeatureManager, start_s: float) -> pd.DataFrame:
-    """Compute the features of one window of a recording that goes on.
+    """Compute the features of one window of a recording in progress.
 
     Parameters
     ----------
@@ -169,7 +177,7 @@ def extract_window(run: OpenedRun, manager: FeatureManager, start_s: float) -> p
     DataFrame of one row
         As in the table of windows.
     """
-    robot = _only_robot(run)
+    robot = only_robot(run)
     run = replace(run, bag=robot.bag)
     recording = KeptMessages.read(robot, manager.plugins)
     extraction = _Extraction(run, manager, recording, Span(0, recording.duration_ns))
@@ -313,7 +321,8 @@ class _Extraction:
         return Missing(f"{type(error).__name__}: {error}")
 
 
-def _only_robot(run: OpenedRun) -> Robot:
+def only_robot(run: OpenedRun) -> Robot:
+    """Return the robot of a recording; `BagError` if there are several."""
     robots = find_robots(run.bag)
     if len(robots) > 1:
         raise BagError(

@@ -1,4 +1,4 @@
-"""What fills a costmap: obstacles seen by lasers, and the static map.
+"""The layers that fill a costmap: obstacles seen by lasers, and the static map.
 
 Pure functions of grids and points; what is added around obstacles is in ``inflation``, transforms,
 topics and timers are in ``costmap_node``.
