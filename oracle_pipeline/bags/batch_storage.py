@@ -85,7 +85,7 @@ class BatchMcapWriter(McapWriter):
     def close_chunk(self) -> None:
         """Write the open chunk with its checksum, and behind it the index of its messages."""
         chunk, records = self.chunk, self.chunk.bio.getbuffer()
-        packed, size = self.compressor(records), len(records)
+        packed, size = self.compressor(bytes(records)), len(records)
         start = self.bio.tell()
         name = _sized(self.compression.encode())
         span = (chunk.message_start_time, chunk.message_end_time)
