@@ -8,6 +8,7 @@ Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomal
 
 import json
 import math
+import shlex
 import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -312,13 +313,18 @@ def learn(good: tuple[Path, ...], output: Path, roles: Path | None, plugins: Pat
     from oracle_pipeline.features import build_manager
     from oracle_pipeline.scoring.card import SUFFIX
     from oracle_pipeline.scoring.learning import learn as learn_card
-    from oracle_pipeline.scoring.output import card_as_text
+    from oracle_pipeline.scoring.output import RATES, card_as_text, lowest_far
     from oracle_pipeline.scoring.reference import read_reference
 
     if output.suffix != SUFFIX:
-        raise click.UsageError(f"Let the name of the card end with {SUFFIX}: {output}{SUFFIX}")
+        raise click.UsageError(
+            f"The name of the card must end with {SUFFIX}, such as {output}{SUFFIX}"
+        )
     manager = build_manager(plugins)
     card = learn_card(read_reference(good, manager, _choices(roles)))
     card.save(output)
     click.echo(card_as_text(card))
     click.echo(f"Card: {output}")
+    rate = lowest_far(card)
+    far = f" --far {rate:g}" if rate > RATES[0] else ""
+    click.echo(f"Next: oracle score RECORDING --reference {shlex.quote(str(output))}{far}")

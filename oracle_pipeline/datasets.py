@@ -280,7 +280,9 @@ def read_table(
     try:
         content = path.read_bytes()
     except FileNotFoundError as error:
-        raise DatasetError(f"There is no table {path}; make it first.") from error
+        raise DatasetError(
+            f"There is no table {path}; materialize `feature_dataset`, or check the path."
+        ) from error
     return parse_table(content, str(path), columns=columns, rows=rows)
 
 

@@ -87,7 +87,7 @@ def _open_run_directory(path: Path) -> OpenedRun:
     else:
         _log.warning(
             "%s was recorded by an older release and has no hashes: damage to its files may go "
-            "unnoticed. `oracle-sim remake %s` makes it again, with hashes.",
+            "unnoticed. `oracle-sim remake %s` rebuilds it, with hashes.",
             path,
             path,
         )

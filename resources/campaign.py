@@ -44,7 +44,7 @@ class CampaignSettings(dg.ConfigurableResource[None]):
 
     @classmethod
     def from_environment(cls) -> Self:
-        """Return the settings that the environment asks for."""
+        """Return the settings in the environment variables."""
         wanted = Campaign.from_environment()
         return cls(
             goals_per_run=wanted.goals_per_run,

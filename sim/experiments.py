@@ -193,13 +193,13 @@ def _verified(directory: RunDirectory, recipe: Recipe) -> Manifest:
         other = [name for name in names if found.recipe.get(name) != ours.get(name)]
         raise RunDirectoryError(
             f"{directory.path} was made from another recipe (it differs in {', '.join(other)}); "
-            "refresh it, or choose another root for this campaign."
+            "simulate it again with --refresh, or choose another root for this campaign."
         )
     sizes = bytes_on_disk(directory.path)
     if sizes != found.measured.bytes:
         raise RunDirectoryError(
             f"{directory.path} is damaged: its parts should have {dict(found.measured.bytes)} "
-            f"bytes and have {sizes}; refresh it to make it again."
+            f"bytes and have {sizes}; simulate it again with --refresh."
         )
     if is_local(directory.path):  # from an object store, who uses a file compares it
         require_undamaged(directory.path, found)

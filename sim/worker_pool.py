@@ -4,13 +4,14 @@
 hangs. Here each worker has a pipe of its own, so the loss of one costs nobody else anything.
 """
 
+import concurrent.futures
 import multiprocessing
 import os
 import pickle
 import threading
 import traceback
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
@@ -88,6 +89,33 @@ class WorkerPool(ThreadPoolExecutor):
         return result
 
 
+class LentPool(Executor):
+    """A pool for one of several uses: shut down, its workers stay, and what they know.
+
+    Parameters
+    ----------
+    pool
+        Whoever made it ends its workers.
+    """
+
+    def __init__(self, pool: WorkerPool) -> None:
+        self._pool = pool
+        self._futures: list[Future[Any]] = []
+
+    def submit(self, fn: Callable[..., R], /, *args: Any, **kwargs: Any) -> Future[R]:
+        """Hand a job to the next free worker of the pool."""
+        future = self._pool.submit(fn, *args, **kwargs)
+        self._futures.append(future)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Wait for the jobs of this use that have begun."""
+        for future in self._futures if cancel_futures else ():
+            future.cancel()
+        if wait:
+            concurrent.futures.wait(self._futures)
+
+
 class _Worker:
     """One process, and the pipe to it."""
 
@@ -110,8 +138,8 @@ class _Worker:
             if not self._pipe.poll(limit_s):
                 self._end()
                 raise JobTimeoutError(
-                    f"It was not over after {limit_s:g} s, and its worker was ended. If it needs "
-                    f"longer, set {LIMIT} to more seconds."
+                    f"It was not finished after {limit_s:g} s, so its worker was ended. If it "
+                    f"needs longer, set {LIMIT} to more seconds."
                 )
             is_done, result = self._pipe.recv()
         except (EOFError, ConnectionError) as error:

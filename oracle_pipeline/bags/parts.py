@@ -132,7 +132,7 @@ def _open_file(file: Path, path: Path, found: Parts) -> Part:
     except OSError as error:
         raise BagError(f"There is no bag {path}; check the path ({error.strerror}).") from error
     if not stat.S_ISREG(mode):
-        raise BagError(f"{path} is no file but a device, a pipe or a socket; such is not read.")
+        raise BagError(f"{path} is a device, a pipe or a socket; only files and folders are read.")
     with file.open("rb") as source:
         begin = source.read(16)
     if not begin:

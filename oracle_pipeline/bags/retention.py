@@ -65,8 +65,8 @@ def retain(run: RunDirectory, kept: Kept, wanted: Wanted) -> Manifest:
             _link_all_but_the_bag(run.path, scratch)
         except OSError as error:
             raise RunDirectoryError(
-                f"Could not link what stays of {run.path}: {error}. Choose a root on a disk that "
-                "has room and knows hard links."
+                f"Could not link the remaining files of {run.path}: {error}. Choose a root "
+                "on a disk that has free space and supports hard links."
             ) from error
         if kept == "trimmed":
             with BagReader(run.bag) as bag:

@@ -37,7 +37,7 @@ class OwnDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped
         """Learn what normal runs look like, shape (n_runs, n_features), scaled and finite."""
         rows = validate_data(self, X, dtype=np.float64)
         if len(rows) < 2:
-            raise DetectorError("One run shows no spread; fit a detector on at least two.")
+            raise DetectorError("A single run has no spread; fit the detector on at least two.")
         self._learn(rows)
         return self
 

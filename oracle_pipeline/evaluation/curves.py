@@ -13,7 +13,7 @@ from oracle_pipeline.evaluation.held_out import HeldOutScores
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import RocCurve, auc, roc_curve, share
 
-RATES = 40  # nominal false-alarm rates at which detection is measured
+RATES = 40  # nominal false positive rates at which detection is measured
 
 
 class Curve(NamedTuple):

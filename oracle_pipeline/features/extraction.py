@@ -91,7 +91,12 @@ class _Row:
         self.missing[column] = reason
 
 
-def extract(run: OpenedRun, manager: FeatureManager, robot: Robot | None = None) -> FeatureTables:
+def extract(
+    run: OpenedRun,
+    manager: FeatureManager,
+    robot: Robot | None = None,
+    recording: KeptMessages | None = None,
+) -> FeatureTables:
     """Compute all features of one robot of a recording.
 
     Parameters
@@ -103,15 +108,18 @@ def extract(run: OpenedRun, manager: FeatureManager, robot: Robot | None = None)
         The plugins to use.
     robot : Robot, optional
         One that ``find_robots`` found; by default the only one of the recording.
+    recording : KeptMessages, optional
+        What was read of the robot's bag for the plugins, and perhaps for others; by default the bag
+        is read.
 
     Raises
     ------
     BagError
         If the bag cannot be read to its end, or has several robots and none is named.
     """
-    robot = robot or _only_robot(run)
+    robot = robot or only_robot(run)
     run = replace(run, bag=robot.bag)
-    recording = KeptMessages.read(robot, manager.plugins)
+    recording = recording or KeptMessages.read(robot, manager.plugins)
     whole = Span(0, recording.duration_ns)
     extraction = _Extraction(run, manager, recording, whole)
     of_run = extraction.row(whole)
@@ -183,7 +191,7 @@ def extract_window(
     choices : RoleChoices, optional
         What a roles file says of the robot and its topics.
     """
-    robot = _only_robot(run, choices)
+    robot = only_robot(run, choices)
     run = replace(run, bag=robot.bag)
     recording = KeptMessages.read(robot, manager.plugins, carried)
     extraction = _Extraction(run, manager, recording, Span(0, recording.duration_ns))
@@ -335,7 +343,8 @@ class _Extraction:
         return Missing(f"{type(error).__name__}: {error}")
 
 
-def _only_robot(run: OpenedRun, choices: RoleChoices | None = None) -> Robot:
+def only_robot(run: OpenedRun, choices: RoleChoices | None = None) -> Robot:
+    """Return the robot of a recording; `BagError` if there are several."""
     robots = find_robots(run.bag, choices)
     if len(robots) > 1:
         raise BagError(

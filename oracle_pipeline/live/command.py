@@ -111,7 +111,7 @@ def watch(
             told = _as_json(event) if file_format == "json" else _as_text(event, watching)
             for line in told:
                 click.echo(line)
-    click.echo(f"{watching.heard} messages heard, {watching.dropped} dropped.", err=True)
+    click.echo(f"{watching.heard} messages received, {watching.dropped} dropped.", err=True)
     if watching.recording is not None:
         click.echo(f"Recording: {watching.recording.path}", err=True)
     ctx.exit(1 if alarms else 0)

@@ -238,7 +238,7 @@ class Watch:
             )
         except DdsError as error:
             self._unheard.add(topic)
-            self._pending.append(Note(f"{topic} is not heard: {error}"))
+            self._pending.append(Note(f"{topic} is not recorded: {error}"))
 
     def _announce(self, topic: str, publishers: list[Endpoint]) -> None:
         if not all(self._intake.hears(topic, each.qos) for each in publishers):

@@ -119,4 +119,4 @@ def _verdict(p: float) -> str:
     if np.isnan(p):
         return f"Not judged: there are too few normal runs for a verdict at {RATES[0]:.0%}."
     called = "Called" if p <= RATES[0] else "Not called"
-    return f"{called} anomalous at a false-alarm rate of {RATES[0]:.0%}: p = {p:.3g}."
+    return f"{called} anomalous at a false positive rate of {RATES[0]:.0%}: p = {p:.3g}."

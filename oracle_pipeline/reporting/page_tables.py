@@ -55,7 +55,7 @@ _COUNTS = (
     PageColumn("blocks", "blocks"),
 )
 _HELD_OUT = PageColumn("held out by", "split")
-_AT_5, _AT_1 = "at a false-alarm rate of 5%", "at 1%"
+_AT_5, _AT_1 = "at a false positive rate of 5%", "at 1%"
 _VERDICTS = (
     PageColumn("comparison", "scope"),
     _HELD_OUT,

@@ -127,7 +127,7 @@ class ReferenceCard:
             OSError,
         ) as error:
             raise CardError(
-                f"{path} is no reference card, or is damaged ({error}); make it again with "
+                f"{path} is no reference card, or is damaged ({error}); learn it again with "
                 "`oracle learn`."
             ) from error
         scorers = {
@@ -161,7 +161,7 @@ def _read(
         if facts["version"] != VERSION:
             raise CardError(
                 f"{path} is a card of version {facts['version']}, this release reads {VERSION}; "
-                "make it again with `oracle learn`."
+                "learn it again with `oracle learn`."
             )
         runs = parse_table(_member(archive, _RUNS), f"{path}/{_RUNS}")
         models, windows = (_rows(_member(archive, name)) for name in (_MODELS, _WINDOWS))

@@ -1,4 +1,4 @@
-"""From scores to verdicts with a known false-alarm rate: split-conformal p-values.
+"""From scores to verdicts with a known false positive rate: split-conformal p-values.
 
 A run is compared with calibration runs: normal ones that the detector was not fitted on. If it is
 exchangeable with them, its p-value is at most ``alpha`` with a probability of at most ``alpha``,
@@ -86,13 +86,15 @@ def runs_needed(rate: float) -> int:
     (19, 99)
     """
     if not 0.0 < rate < 1.0:
-        raise ConformalError(f"A false-alarm rate of {rate:g} is none; give one between 0 and 1.")
+        raise ConformalError(
+            f"A false positive rate of {rate:g} is invalid; give one between 0 and 1."
+        )
     count = int(1.0 / rate)
     return count - 1 if 1.0 / count <= rate else count
 
 
 def check_support(n_calibration: int, rate: float) -> None:
-    """Refuse a false-alarm rate that so many calibration runs cannot give.
+    """Refuse a false positive rate that so many calibration runs cannot give.
 
     Raises
     ------
@@ -102,9 +104,9 @@ def check_support(n_calibration: int, rate: float) -> None:
     needed = runs_needed(rate)
     if n_calibration < needed:
         raise ConformalError(
-            f"{n_calibration} calibration runs cannot support a false-alarm rate of {rate:.3g}: no "
-            f"run could be called anomalous, however odd. {needed} are needed; add normal runs "
-            "to the reference or allow more false alarms."
+            f"{n_calibration} calibration runs cannot support a false positive rate of {rate:.3g}: "
+            f"no run could be called anomalous, however unusual it is. {needed} are needed; add "
+            "normal runs to the reference, or choose a higher rate."
         )
 
 

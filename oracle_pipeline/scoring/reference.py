@@ -120,8 +120,8 @@ def _extracted(
             observations.append(observation)
     if not tables:
         raise ScoringError(
-            f"{listed([str(path) for path in paths])} holds no recording to compare with; name "
-            f"another. {' '.join(notes)}".rstrip()
+            f"{listed([str(path) for path in paths])} holds no recording to compare with; check "
+            f"the path, or name another. {' '.join(notes)}".rstrip()
         )
     if unlabelled:
         notes.append(f"{unlabelled} reference recordings have no label; they are taken as normal.")

@@ -166,7 +166,7 @@ def search(
 
 
 def _follow(trials: "Iterator[Finding]", far: float) -> None:
-    """Tell of each miss as it is found."""
+    """Print each miss when it is found."""
     from oracle_pipeline.bags.terminal import progress_bar
     from resources.search.outcome import is_miss
 

@@ -135,7 +135,8 @@ def derive_mutant(controls: Path, refresh: bool, job: Job) -> Manifest:
         found = directory.manifest()
         if found.recipe != document:
             raise RunDirectoryError(
-                f"{directory.path} is another mutant; refresh it, or choose another root."
+                f"{directory.path} holds another mutant; simulate it again with "
+                "--refresh, or choose another --out."
             )
         return found
     program = compile_scenario(mode.scenario, allow_actuation=True)

@@ -100,9 +100,9 @@ def mutate(
             attack.goals_s,
         )
     click.echo(
-        f"{bag_out}: onset at {summary.onset_s:.1f} s, {summary.heard} messages of "
-        f"{program.input_topic} heard, {summary.touched} touched, {summary.published} published "
-        f"on {program.output_topic}"
+        f"{bag_out}: attack from {summary.onset_s:.1f} s on; of {summary.heard} messages of "
+        f"{program.input_topic}, {summary.touched} affected; {summary.published} published on "
+        f"{program.output_topic}"
     )
 
 

@@ -143,5 +143,5 @@ def _range(spec: Mapping[str, Any]) -> str:
         (False, True): f"to {high}",
     }.get((low is not None, high is not None), "")
     within = " ".join(filter(None, [bounds, unit]))
-    drawn = ", the block's unless given" if "drawn" in spec else ""
+    drawn = " (drawn for each block unless you set it)" if "drawn" in spec else ""
     return f"{spec['default']}{f' ({within})' if within else ''}{drawn}"

@@ -74,7 +74,7 @@ def _checked(file: Path, *, allow_actuation: bool) -> Iterator[str | ScenarioErr
         else:
             yield (
                 f"{file}: {each.id} is correct; a message takes at most "
-                f"{program.cost / MAX_COST:.2%} of the work allowed"
+                f"{program.cost / MAX_COST:.2%} of the computation that is allowed"
             )
 
 

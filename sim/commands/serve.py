@@ -93,7 +93,7 @@ def _serve(
         root = out or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         directory = RunDirectory(root, mode, run)
         if directory.is_complete():
-            raise click.ClickException(f"{directory.path} is there already; choose another --out.")
+            raise click.ClickException(f"{directory.path} exists already; choose another --out.")
         session = _Session(speed, number, mode, run, campaign, is_kept=out is not None)
         try:
             record_run(recipe, directory, accompany=session.begin)

@@ -229,15 +229,15 @@ def _check_topics(domain: Domain, program: Program) -> None:
         if program.is_in_place and not any(domain.publishers(lane.input_topic)):
             raise program.scenario.error(
                 (*key, "output"),
-                f"expected a topic that somebody publishes, found {lane.input_topic}",
+                f"expected a topic with a publisher, found {lane.input_topic}",
             )
         readers = sorted({each.node for each in domain.subscriptions(lane.input_topic)})
         for number, node in enumerate(lane.to):
             if node not in readers:
                 raise program.scenario.error(
                     (*key, "to", number),
-                    f"expected a node that hears {lane.input_topic} ({', '.join(readers)}), "
-                    f"found {node}",
+                    f"expected a node that subscribes to {lane.input_topic} "
+                    f"({', '.join(readers)}), found {node}",
                 )
     outputs: list[Key] = [(*key, "output") for key in keys]
     outputs += [("outputs", name, "topic") for name in program.scenario.document.get("outputs", {})]

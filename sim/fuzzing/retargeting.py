@@ -36,7 +36,7 @@ def retargeted(
     identifier = program.scenario.id
     if unknown := sorted(topics.keys() - {MAIN, *program.sources}):
         raise ScenarioError(
-            f"{identifier} hears no {', '.join(unknown)}; it hears "
+            f"{identifier} does not subscribe to {', '.join(unknown)}; it subscribes to "
             f"{', '.join([MAIN, *program.sources])}."
         )
     main = topics.get(MAIN)

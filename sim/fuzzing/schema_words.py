@@ -53,7 +53,7 @@ def in_words(error: jsonschema.ValidationError) -> Iterator[tuple[tuple[str | in
         case "maximum":
             yield key, f"expected at most {value}, {found}"
         case _:
-            yield key, f"expected otherwise: {error.message[:200]}"
+            yield key, f"not valid: {error.message[:200]}"
 
 
 _KINDS = {

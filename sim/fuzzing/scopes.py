@@ -43,7 +43,7 @@ class Function:
                     raise error_at(
                         self.text,
                         node,
-                        f"a function cannot draw; hand it what {name} draws as an argument",
+                        f"a function cannot draw; pass the value of {name} as an argument",
                     )
 
 

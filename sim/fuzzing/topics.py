@@ -49,7 +49,7 @@ def check_topics(scenario: Scenario, faults: Faults, *, allow_actuation: bool) -
         with faults.gathered():
             if topic in sources or (topic in heard and topic != in_place.get(at)):
                 raise scenario.error(
-                    at, f"expected a topic that the scenario does not hear, found {topic}"
+                    at, f"expected a topic to which the scenario does not subscribe, found {topic}"
                 )
             if topic in topics[:place]:
                 raise scenario.error(at, f"expected a topic of its own, {topic} stands above")

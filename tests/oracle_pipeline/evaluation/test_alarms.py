@@ -3,6 +3,7 @@ import pytest
 
 from oracle_pipeline.evaluation.alarms import WatchedRuns, judge_alarms, times_to_detect, watched
 from oracle_pipeline.evaluation.comparisons import ComparedRuns
+from oracle_pipeline.evaluation.reference_scores import reference_of
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.judging import judge
 from oracle_pipeline.scoring.learning import Cards
@@ -18,6 +19,10 @@ JUDGED = by_hand(
 
 def alarms(*places):
     return np.isin(np.arange(45), places)
+
+
+def raised_in(runs):
+    return watched(runs, reference_of(runs, ~runs.malicious))
 
 
 def test_detection_counts_from_the_onset_to_the_end_of_the_first_window_that_alarms():
@@ -54,7 +59,7 @@ def test_the_figures_of_alarms_by_hand():
 
 def test_normal_runs_raise_no_more_alarms_than_promised_and_planted_attacks_are_found():
     planted = synthetic(20, effect=15.0)
-    raised = watched(planted)
+    raised = raised_in(planted)
     assert 0.5 < raised.per_hour < 3.0  # too few hours for the usual rate
     row = judge_alarms(
         raised, planted, ComparedRuns("all", np.ones(len(planted.features), dtype=bool)),
@@ -67,7 +72,7 @@ def test_normal_runs_raise_no_more_alarms_than_promised_and_planted_attacks_are_
 
 def test_oracle_score_raises_the_alarms_of_the_evaluation():
     planted = synthetic(8, effect=15.0)
-    raised = watched(planted)
+    raised = raised_in(planted)
     cards = Cards(Reference(planted.features, planted.windows))
     for row in range(0, len(planted.features), 7):
         of_run = planted.run == row
@@ -79,7 +84,7 @@ def test_oracle_score_raises_the_alarms_of_the_evaluation():
 
 
 def test_two_blocks_teach_nothing_and_raise_nothing():
-    raised = watched(synthetic(2))
+    raised = raised_in(synthetic(2))
     assert np.isnan(raised.score).all()
     assert np.isnan(raised.per_hour)
     assert not raised.alarm.any()
