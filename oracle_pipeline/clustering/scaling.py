@@ -100,4 +100,5 @@ def _medians(values: NDArray[np.float64], counts: NDArray[np.intp]) -> NDArray[n
 def _deviations(values: NDArray[np.float64], counts: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return the standard deviation of the numbers in each row."""
     away = values - (np.nansum(values, axis=1) / counts)[:, None]
-    return np.sqrt(np.nansum(away * away, axis=1) / counts)
+    variances: NDArray[np.float64] = np.nansum(away * away, axis=1) / counts
+    return np.sqrt(variances)

@@ -78,7 +78,8 @@ def reference_of(
 def scored(runs: MeasuredRuns, scorer: CrossConformalScorer | None) -> HeldOutScores:
     """Return what a scorer says of runs, each by the model that did not see the run's block."""
     if scorer is None:
-        return HeldOutScores(*np.full((2, len(runs.features)), np.nan), 0)
+        nothing = np.full(len(runs.features), np.nan)
+        return HeldOutScores(nothing, nothing, 0)
     of_folds = scorer.scores(runs)
     return HeldOutScores(
         scorer.own_score(of_folds, runs.block),

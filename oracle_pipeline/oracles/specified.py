@@ -20,7 +20,8 @@ class _Violations:
     requirements: tuple[Requirement, ...]
 
     def __call__(self, trace: pd.DataFrame) -> NDArray[np.float64]:
-        return violations(self.requirements, [trace])[0]
+        beyond: NDArray[np.float64] = violations(self.requirements, [trace])[0]
+        return beyond
 
 
 class Specified:
