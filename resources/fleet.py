@@ -1,4 +1,4 @@
-"""Who does the work of many runs: processes of this machine, or a Dask cluster."""
+"""The workers for many runs: processes of this machine, or a Dask cluster."""
 
 import os
 import time
@@ -20,7 +20,7 @@ NEWS_S = 10.0  # between two lines on the progress of a step
 
 
 class Fleet(dg.ConfigurableResource[None]):
-    """Worker processes, each a fresh interpreter; what they run imports no Dagster.
+    """Worker processes, each a fresh interpreter. Their code imports no Dagster.
 
     In a Dagster run they stay until its end: all steps share them, and none waits for imports.
     """
@@ -51,7 +51,7 @@ class Fleet(dg.ConfigurableResource[None]):
     def outcomes(
         self, function: Callable[[J], R], jobs: Sequence[J], done: str = "jobs done"
     ) -> Iterator[Outcome[J, R]]:
-        """Yield what became of every job, as they finish; one that fails fails alone.
+        """Yield the outcome of each job when it finishes; a failure does not affect other jobs.
 
         Progress and failures go to the log of the Dagster run.
 
@@ -67,7 +67,7 @@ class Fleet(dg.ConfigurableResource[None]):
         Raises
         ------
         dagster.Failure
-            Nobody answers at the address, or nobody works there.
+            No scheduler answers at the address, or it has no workers.
         """
         log = dg.get_dagster_logger()
         failed, started, told = 0, time.monotonic(), time.monotonic()
@@ -99,7 +99,7 @@ class Fleet(dg.ConfigurableResource[None]):
 
 
 def _news(over: int, jobs: int, done: str, failed: int, seconds: float) -> str:
-    """Say how far a step is, and how long the rest will take.
+    """Return a sentence on the progress of a step, and how long the rest will take.
 
     Examples
     --------

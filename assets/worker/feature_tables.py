@@ -56,7 +56,7 @@ def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bo
 
 
 def require_tables(run: RunDirectory) -> bool:
-    """Do `ensure_tables` for a complete run, without refresh."""
+    """Call `ensure_tables` for a complete run, without refresh."""
     return ensure_tables(run, run.manifest(), refresh=False)
 
 
@@ -74,7 +74,7 @@ def topics_of_features(bag: "BagReader") -> frozenset[str]:
 
 
 def _tidy(run: RunDirectory) -> None:
-    """Remove half-written tables of a killed worker; the caller holds the run."""
+    """Remove half-written tables of a killed worker; the caller holds the lock of the run."""
     if is_local(run.root):
         for table in TABLES:
             for leftover in run.feature_table(table).parent.glob(f".{run.run_id}.*"):

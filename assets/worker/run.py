@@ -80,7 +80,7 @@ class RunReport:
 
 
 def process_run(job: RunJob) -> RunReport:
-    """Make the requested assets of a run and what they need.
+    """Produce the requested assets of a run, and what they need.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def _readable_manifest(run: RunDirectory) -> Manifest | None:
 
 
 def _make_again(job: RunJob, former: Manifest) -> RunReport:
-    """Re-simulate a complete run; it is replaced unless the messages differ without a reason."""
+    """Re-simulate a complete run, and replace it unless the messages differ without a reason."""
     run = job.directory
     with made_aside(run) as aside:
         _record(replace(job, directory=aside))
@@ -148,7 +148,7 @@ def _lacks_its_bag(job: RunJob, manifest: Manifest) -> bool:
 
 @contextlib.contextmanager
 def _made_here(run: RunDirectory) -> Iterator[RunDirectory]:
-    """Yield a place on this machine to make a run: its own, or one that is published afterwards."""
+    """Yield a place on this machine for a run: its own, or one to publish afterwards."""
     if is_local(run.root):
         yield run
         return
@@ -193,7 +193,7 @@ def _finish(job: RunJob, status: Status) -> RunReport:
 
 
 def _retain(job: RunJob, manifest: Manifest) -> Manifest:
-    """Drop what is not kept, once everything is made that needs the whole bag."""
+    """Drop what the storage plan does not keep, after everything that needs the whole bag."""
     run = job.directory
     if manifest.measured.kept == "full":
         ensure_tables(run, manifest, refresh=False)
@@ -257,7 +257,7 @@ def _recording(
 
 
 def _picture(directory: RunDirectory) -> bytes | str:
-    """Return a picture of the run from above, or why there is none: that must not fail the run."""
+    """Return a picture of the run from above, or why there is none; no picture must fail a run."""
     from oracle_pipeline.replay.picture import kept_picture
 
     try:

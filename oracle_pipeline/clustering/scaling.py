@@ -100,5 +100,4 @@ def _medians(values: NDArray[np.float64], counts: NDArray[np.intp]) -> NDArray[n
 def _deviations(values: NDArray[np.float64], counts: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return the standard deviation of the numbers in each row."""
     away = values - (np.nansum(values, axis=1) / counts)[:, None]
-    variances: NDArray[np.float64] = np.nansum(away * away, axis=1) / counts
-    return np.sqrt(variances)
+    return np.asarray(np.sqrt(np.nansum(away * away, axis=1) / counts), dtype=np.float64)

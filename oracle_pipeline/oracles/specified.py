@@ -1,4 +1,4 @@
-"""Specified oracle: what people say that a robot must do, as formulas of signal temporal logic."""
+"""Specified oracle: requirements that people wrote as formulas of signal temporal logic."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,8 +20,8 @@ class _Violations:
     requirements: tuple[Requirement, ...]
 
     def __call__(self, trace: pd.DataFrame) -> NDArray[np.float64]:
-        beyond: NDArray[np.float64] = violations(self.requirements, [trace])[0]
-        return beyond
+        (of_trace,) = violations(self.requirements, [trace])
+        return np.asarray(of_trace, dtype=np.float64)
 
 
 class Specified:
@@ -43,7 +43,7 @@ class Specified:
         return self
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
-        """Return by how many scales each run breaks the requirement that it breaks most."""
+        """Return each run's largest violation of a requirement, in scales."""
         beyond = runs.each(_Violations(self.requirements))
         return np.asarray(np.nanmax(np.nan_to_num(beyond, nan=-FARTHEST), axis=1))
 

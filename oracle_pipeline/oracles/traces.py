@@ -1,19 +1,19 @@
-"""A trace: what a robot's recording says over time, as a few signals on one clock.
+"""A trace: a few signals of a recording over time, on one clock.
 
 Oracles that judge by rules need signals, not features: the commanded speed, the nearest return of a
 scanner, how many topics are quiet. Signals are found by the roles of topics, so they have the same
 names on every robot. What a robot does not record is NaN throughout.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.features.goals import GOAL_TOPICS, Goal, goals_of_log, goals_of_status
-from oracle_pipeline.features.kept_messages import KeptMessages
+from oracle_pipeline.features.goals import GOAL_TOPICS, goals_so_far
+from oracle_pipeline.features.kept_messages import NO_GRAPH, KeptMessages
 from oracle_pipeline.features.kept_rows import Span
 from oracle_pipeline.features.plugin import (
     Arrivals,
@@ -90,7 +90,7 @@ def values_of(trace: pd.DataFrame, names: Sequence[str]) -> Floats:
 
 
 def _changes(values: Floats) -> Floats:
-    """Return what values changed by over the last second."""
+    """Return the change of values over the last second."""
     steps = round(1.0 / STEP_S)
     changes = np.full(len(values), np.nan)
     changes[steps:] = values[steps:] - values[:-steps]
@@ -180,9 +180,9 @@ def trace_of(recording: KeptMessages) -> pd.DataFrame:
         a signal holds its last value, and is NaN before its first.
     """
     whole = Span(0, recording.duration_ns)
-    window = recording.window(TRACE, whole, recording.span(whole, None, ()))
+    window = recording.window(TRACE, whole, recording.span(whole, NO_GRAPH))
     if isinstance(window, Missing):  # a topic that cannot be decoded
-        window = recording.span(whole, None, ())
+        window = recording.span(whole, NO_GRAPH)
     clock = np.arange(0.0, whole.end_s, STEP_S)
     columns = {name: np.full(len(clock), np.nan) for name in SIGNALS}
     columns.update(signals(window, clock))
@@ -256,8 +256,8 @@ def _scanned(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
 
 
 def _navigated(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
-    goals = _goals(window)
-    if goals is None:
+    goals = goals_so_far(window)
+    if isinstance(goals, Missing):
         return
     time_s = np.zeros(len(clock))
     for goal in goals:
@@ -276,18 +276,6 @@ def _logged(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
         yield "errors", _so_far(np.concatenate(bad), clock)
 
 
-def _goals(window: Window) -> list[Goal] | None:
-    readers: tuple[tuple[str, Callable[[Series], list[Goal]]], ...] = (
-        ("status", goals_of_status),
-        ("log", goals_of_log),
-    )
-    for key, read in readers:
-        series = the_topic(window.history.get(key, {}))
-        if series is not None and len(series.times_s):
-            return read(series)
-    return None
-
-
 def _one(window: Window, key: str) -> Series | None:
     """Return what was kept of a role that only one topic has."""
     return the_topic(window.topics.get(key, {}))
@@ -299,7 +287,7 @@ def _first(window: Window, key: str) -> Series | None:
 
 
 def _held(series: Series, clock: Floats) -> Floats:
-    """Return what was said last at each time, shape (n_values, n_times); NaN before the first."""
+    """Return the last value at each time, shape (n_values, n_times); NaN before the first."""
     last = np.searchsorted(series.times_s, clock, side="right") - 1
     values = np.where(np.isfinite(series.values), series.values, np.nan)
     return np.where(last >= 0, values[np.maximum(last, 0)].T, np.nan)
