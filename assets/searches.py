@@ -66,13 +66,16 @@ class SearchConfig(dg.Config):
     """The budget of a search, and what it looks for."""
 
     budget: str = Field(
-        default="100", description="When to end: so many trials, earlier ones included; or 30m."
+        default="100",
+        description="When to end: a number of trials in total, or a time such as 30m.",
     )
     objective: str = Field(
         default="evade", description="What is looked for: evade, break or boundary."
     )
-    sampler: str = Field(default="tpe", description="Who proposes: tpe, nsga2, guided or random.")
-    blocks: int = Field(default=3, ge=1, description="Trials take turns in so many blocks.")
+    sampler: str = Field(
+        default="tpe", description="How trials are proposed: tpe, nsga2, guided or random."
+    )
+    blocks: int = Field(default=3, ge=1, description="Number of blocks in which trials take turns.")
     goals: int = Field(default=1, ge=1, description="Goals of each run.")
     time_limit: float = Field(
         default=120.0, gt=0.0, description="Simulated seconds that a goal may take, on average."

@@ -1,6 +1,6 @@
 """``oracle``: the analysis from the command line, without Dagster.
 
-What a command needs is imported when it runs, so that help is there at once.
+A command imports what it needs when it runs, so that `--help` is fast.
 
 Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomalous;
 ``oracle compare`` adds 1: different.
@@ -40,7 +40,7 @@ class _Failure(click.ClickException):
 
 
 class _Group(PlainTextGroup):
-    """Ends every failure with exit code 2; a bug of ours prints its traceback."""
+    """Ends every failure with exit code 2. A bug prints its traceback."""
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
@@ -81,7 +81,7 @@ _roles = click.option(
 
 
 def _choices(roles: Path | None) -> "RoleChoices | None":
-    """Return what a roles file says."""
+    """Return the content of a roles file."""
     from oracle_pipeline.robots.roles_file import RoleChoices
 
     return None if roles is None else RoleChoices.load(roles)
@@ -173,7 +173,7 @@ def _is_nan(value: object) -> bool:
 
 
 def _json(table: "pd.DataFrame", tables: "FeatureTables") -> str:
-    """Return the rows of a feature table, NaN as null, and what is to be said of them."""
+    """Return the rows of a feature table, with NaN as null, and the notes on them."""
     from oracle_pipeline.datasets import MISSING, WHERE, field_metadata
     from oracle_pipeline.features import families
 
@@ -301,8 +301,8 @@ def learn(good: tuple[Path, ...], output: Path, roles: Path | None, plugins: Pat
     """Write a reference card from normal recordings.
 
     GOOD is a run directory, a bag, a folder of these, a table of run features, or a root with
-    features/ or runs/. Attacked runs are left out. Record each day or start as a run of its own:
-    19 recordings carry a verdict at a false positive rate of 5%, 99 at 1%.
+    features/ or runs/. Attacked runs are left out. Use recordings of different days or starts: 19
+    support a verdict at a false positive rate of 5%, 99 at 1%.
 
     \b
     Examples:

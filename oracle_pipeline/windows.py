@@ -1,8 +1,8 @@
-"""The windows of a recording: the spans of time that have a row of features each.
+"""The windows of a recording: spans of time, each with a row of features.
 
-A window is short, so that an alarm need not wait: the first one that can raise it ends a window's
-length after the start of a recording. It is shorter than the interval of a graph, so it has the
-newest graph that was there when it ended.
+Windows are short, so an alarm comes early: the first window that can raise one ends its length
+after the start of the recording. A window is shorter than the interval between graphs, so it has
+the newest graph that existed when it ended.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ def windows_ns(duration_ns: int, times_ns: NDArray[np.int64]) -> list[tuple[int,
     duration_ns : int
         Of the recording.
     times_ns : array of int, shape (n,)
-        When messages came, since the start.
+        Arrival times of messages, since the start.
 
     Examples
     --------

@@ -34,7 +34,7 @@ class CampaignSettings(dg.ConfigurableResource[None]):
     sessions: int | None = Field(
         default=None,
         ge=1,
-        description="Blocks take turns in so many sessions; if not set, each has one of its own.",
+        description="Sessions in which blocks take turns; by default, each block has its own.",
     )
     noise_per_run: bool = Field(
         default=False,

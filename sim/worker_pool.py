@@ -1,7 +1,8 @@
-"""Worker processes, one job each at a time: a job that kills its worker or hangs is known by name.
+"""A pool of worker processes that names the job which killed its worker or hangs.
 
-``ProcessPoolExecutor`` breaks as a whole when one worker dies, and waits for ever for one that
-hangs. Here each worker has a pipe of its own, so the loss of one costs nobody else anything.
+``ProcessPoolExecutor`` breaks as a whole when one worker dies, and waits indefinitely for one that
+hangs. Here each worker has one job at a time and a pipe of its own, so the loss of one does not
+affect the others.
 """
 
 import concurrent.futures
@@ -26,7 +27,7 @@ _PATIENCE_S = 10.0  # for an idle worker to end
 
 
 class JobTimeoutError(OracleError):
-    """A job took longer than it may; its worker was ended."""
+    """A job exceeded its time limit, and its worker was ended."""
 
 
 class WorkerDied(BrokenExecutor):

@@ -1,4 +1,4 @@
-"""The hash by which two recordings are known to hold the same messages."""
+"""The content hash, which is equal for recordings with the same messages."""
 
 import hashlib
 import struct

@@ -1,4 +1,4 @@
-"""Messages in order of time, from stretches of files that overlap in it.
+"""Merges messages in order of time from parts of files that overlap in time.
 
 Recorders write slightly out of order: several threads, one chunk for each topic, no chunks at all.
 A first pass notes when each stretch begins; in the second, a message waits until no later stretch

@@ -1,8 +1,7 @@
-"""Which files are one recording: a file itself, or the parts in a folder.
+"""Finds the files of one recording: a single file, or the parts in a folder.
 
-What a folder holds is looked at, by name and by the first bytes of each file; ``metadata.yaml`` is
-asked only what else should be there. Nothing outside the folder is read, no matter what is written
-in it.
+The names and the first bytes of the files in a folder decide. ``metadata.yaml`` is used only to
+find out which parts are missing. Nothing outside the folder is read, whatever its files refer to.
 """
 
 import re

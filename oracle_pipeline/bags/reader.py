@@ -1,9 +1,9 @@
-"""Read recordings, whoever made them: rosbag2 (SQLite, MCAP, split, compressed) and ROS 1.
+"""Read recordings of any origin: rosbag2 (SQLite, MCAP, split, compressed) and ROS 1.
 
-The files of a recording are believed, not its ``metadata.yaml``. Here are: one view of a topic
-whatever the format, messages in order of time or, faster, as arrays in file order, and what could
-not be read. What a mode's node confesses about its attack is dropped, by topic name and by type;
-``read_ground_truth`` is the one way to see it.
+The files of a recording decide what it holds, not its ``metadata.yaml``. `BagReader` has the same
+view of topics for every format. It yields messages in order of time or, faster, as arrays in file
+order, and lists what could not be read. Ground truth about an attack is dropped, by topic name and
+by type; only ``read_ground_truth`` returns it.
 """
 
 import copy
@@ -71,11 +71,11 @@ class BagReader:
     message_count : int
         Messages on ``topics``.
     serialization : {"cdr", "ros1"}
-        What the bytes of a message are, unless its topic says otherwise.
+        Encoding of messages, unless a topic declares another one.
     losses : list of str
         What could not be read: the end of an unfinished file, a missing part.
     notes : list of str
-        What else is to be said of the recording.
+        Other remarks on the recording.
 
     Raises
     ------
@@ -115,12 +115,12 @@ class BagReader:
         self._shown = {name: name for name in self.topics}  # by the name that was recorded
 
     def renamed(self, names: Mapping[str, str]) -> Self:
-        """Return the same open bag with topics under other names; those without one are left out.
+        """Return the same open bag with renamed topics; topics without a new name are left out.
 
         Parameters
         ----------
         names : mapping of str to str
-            What topics are to be called, by their names here; no two alike.
+            New name by recorded name; all new names differ.
         """
         view = copy.copy(self)
         view.topics = {
@@ -335,7 +335,7 @@ class _OpenReader(BagReader):
 
 
 def read_ground_truth(path: Path) -> list[tuple[int, Any]]:
-    """Return what the attacking node confessed: stamps [ns] and ``GroundTruth`` messages."""
+    """Return the ground truth of the attacking node: stamps [ns] and ``GroundTruth`` messages."""
     with _OpenReader(path) as bag:
         confessing = [t.name for t in bag.topics.values() if t.msgtype == GROUND_TRUTH_TYPE]
         return [

@@ -103,7 +103,7 @@ def _link_all_but_the_bag(run: Path, scratch: Path) -> None:
 
 
 def _trim(bag: BagReader, path: Path, wanted: Collection[str]) -> None:
-    """Write a bag again without what weighs much; what the mode's node confesses stays."""
+    """Write a bag again without large topics; the ground truth of the mode's node stays."""
     payload = Counter[str]()
     for message in bag.messages():
         payload[message.topic] += len(message.data)

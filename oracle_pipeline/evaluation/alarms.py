@@ -1,8 +1,8 @@
 """Alarms during a run, as ``oracle score`` and the live monitor raise them.
 
-Each run is watched window by window, by the headline's scorer that did not see its block and with
-a threshold in which its block has no vote (``oracle_pipeline.scoring.alarms``). What was promised,
-false alarms an hour, is measured here, and how soon an attack is detected.
+Each run is watched window by window, by the headline's scorer that did not see its block and with a
+threshold in which its block has no vote (``oracle_pipeline.scoring.alarms``). This module measures
+the false alarms an hour, beside the promised rate, and the delay of detection.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 
 @dataclass(frozen=True, eq=False, slots=True)
 class WatchedRuns:
-    """What was raised while the runs of a campaign were watched; arrays of shape (n_windows,).
+    """Scores and alarms of the watched runs of a campaign; arrays of shape (n_windows,).
 
     Attributes
     ----------
@@ -95,8 +95,9 @@ def judge_alarms(
 ) -> dict[str, float | int | str]:
     """Return the figures of windows and alarms in one scope as table columns, an estimate as three.
 
-    The AUC is of windows in which something was changed against windows of normal runs; those of
-    attacked runs in which nothing was changed are left out, for what went before may still show.
+    The AUC compares windows in which something was changed with windows of normal runs. Windows of
+    attacked runs in which nothing was changed are left out, because an earlier change may still
+    have an effect there.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The whole evaluation of a campaign: each run once, every score held out, checks before figures.
+"""The whole evaluation of a campaign: each run once, all scores held out, with integrity checks.
 
 The steps are in the other modules of this package; this one runs them for every scorer.
 The protocol and what each figure means: docs/explanation/evaluation.md.
@@ -73,7 +73,7 @@ Row = dict[str, float | int | str]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CampaignEvaluation:
-    """What was measured of one campaign."""
+    """The results of the evaluation of one campaign."""
 
     campaign: JudgedRuns
     left_out: int  # attacked runs that ended before their attack
@@ -104,7 +104,7 @@ def evaluate(
     seed: int = SEED,
     progress: Progress = lambda _: None,
 ) -> CampaignEvaluation:
-    """Judge the detector panel on held-out blocks, and the headline's scorer in every way.
+    """Evaluate the detector panel on held-out blocks, and the headline's scorer in all analyses.
 
     Parameters
     ----------
@@ -113,13 +113,13 @@ def evaluate(
     windows : DataFrame
         Their windows, a row each.
     truth : DataFrame
-        What happened in each (`truth.truth_table`).
+        Ground truth of each run (`truth.truth_table`).
     graph_differences : sequence of str, optional
         Between graphs of pairs that should be equal; None if they were not compared.
     grid : MeasuredRuns, optional
         Attacked runs at several magnitudes (`kill_rates.kill_matrix`).
     bounds : sequence of str
-        Classifiers that see labels (`upper_bounds`): what these features hold at most.
+        Classifiers that see labels (`upper_bounds`), as upper bounds for these features.
     seed : int
         Of splits, detectors and resamples.
     progress : callable
@@ -186,7 +186,7 @@ def _evaluated(
 
 
 def _supported(scores: HeldOutScores) -> HeldOutScores:
-    """Return scores without p-values that could never be a verdict at the usual rate."""
+    """Return scores without p-values if these can never give a verdict at the usual rate."""
     if scores.calibration >= runs_needed(RATES[0]):
         return scores
     return replace(scores, p=np.full_like(scores.p, np.nan))

@@ -1,4 +1,4 @@
-"""Which runs are compared, by which scorer, and the figures of one comparison.
+"""The comparisons of an evaluation: which runs, which scorer, and which figures.
 
 The protocol is fixed before the final data are recorded: the panel, the sets of features and the
 one scorer whose figure is the headline. The reasons: docs/explanation/evaluation.md.
@@ -72,7 +72,7 @@ def comparisons(df: pd.DataFrame) -> list[ComparedRuns]:
 
     All modes; each attack against its control, and against its shadow, which does the same work and
     publishes the original; the fake object against a real one; the hard negatives together and
-    each. The last have no attacked run and measure false alarms only.
+    each. Hard negatives have no attacked run, so they measure false positives only.
     """
     modes = set(df["mode"])
     attacked = sorted(set(df.loc[df["label"] == "malicious", "mode"]))

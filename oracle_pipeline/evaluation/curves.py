@@ -80,7 +80,7 @@ def _detection(
 ) -> dict[str, Curve]:
     """Return for each attacked mode, and for normal runs, the share of ``p <= rate``.
 
-    Nothing where there are too few blocks for p-values.
+    NaN where there are too few blocks for p-values.
     """
     if not np.isfinite(scores.p).any():
         return {}

@@ -1,4 +1,4 @@
-"""Scores by the very scorer that users call: the one that a reference card holds.
+"""Scores by the same scorer that users call: that of a reference card.
 
 Learned once from all normal runs, it judges each run by the model that did not see the run's block
 (``oracle_pipeline.scoring.cross_conformal``), as ``oracle score`` does for a run of a campaign. For
@@ -31,7 +31,7 @@ def reference_scores(
         In each, the tested runs are scored by a reference learned from the normal runs that fit and
         calibrate. By default there is one reference, learned from all normal runs.
     features : str
-        Name of the set that the scorer looks at: ``all``, or an aspect of the card.
+        Name of the scorer's set of features: ``all``, or an aspect of the card.
 
     Returns
     -------

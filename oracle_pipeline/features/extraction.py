@@ -1,7 +1,7 @@
 """From a run to its two feature tables: one row for the run, one row for each window.
 
-A plugin that raises costs its own columns, with the reason in the column ``missing``; never the
-run. Fields of the manifest become key columns; no plugin sees them.
+If a plugin raises an error, only its own columns are lost, and the column ``missing`` has the
+reason. Fields of the manifest become key columns, which no plugin sees.
 """
 
 import json
@@ -56,7 +56,7 @@ _log = logging.getLogger(__name__)
 
 
 class FeatureTables(NamedTuple):
-    """The features of one recording; what each column means is in ``attrs["fields"]``."""
+    """The features of one recording; ``attrs["fields"]`` describes the columns."""
 
     run: pd.DataFrame  # one row
     windows: pd.DataFrame  # one row for each window, by start
@@ -162,7 +162,7 @@ def together(robots: Sequence[FeatureTables]) -> FeatureTables:
 
 
 class WindowFeatures(NamedTuple):
-    """The features of one window of a recording that goes on."""
+    """The features of one window of a recording in progress."""
 
     row: pd.DataFrame  # one row, as in the table of windows
     carried: Carried  # what the next window has to know
@@ -175,7 +175,7 @@ def extract_window(
     carried: Carried,
     choices: RoleChoices | None = None,
 ) -> WindowFeatures:
-    """Compute the features of one window of a recording that goes on.
+    """Compute the features of one window of a recording in progress.
 
     Parameters
     ----------

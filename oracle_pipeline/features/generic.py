@@ -1,8 +1,8 @@
-"""Features of any bag, whatever it is about: when messages came, and what their bytes look like.
+"""Features of any bag: arrival times of messages, and statistics of their bytes.
 
-Topics come and go with the system, columns must not: each number is computed for every topic
-apart, and the table has the largest (with its topic), the smallest and the mean. What compares
-topics of one type with each other is in ``pairs``.
+Topics differ between systems, but columns must not. So each number is computed for every topic
+separately, and the table has the largest (with its topic), the smallest and the mean. Features that
+compare topics of one type are in ``pairs``.
 """
 
 import zlib

@@ -1,4 +1,4 @@
-"""One pass over a bag for all plugins: what they keep of its messages, as arrays.
+"""One pass over a bag for all plugins, which returns as arrays what they keep of its messages.
 
 Each message is decoded at most once, and only if a plugin asked for it. Windows are slices of the
 arrays.

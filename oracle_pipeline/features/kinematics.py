@@ -1,7 +1,7 @@
-"""Whether the streams that tell how the robot moved agree: odometry, inertia, wheels, scans.
+"""Whether the streams that measure the robot's motion agree: odometry, IMU, wheels, scans.
 
-A robot turns once, whoever measures it. Each source is held against each other that tells the
-same quantity: by what factor it gains more (the scale), how much later (the lag), what neither
+All sources measure the same motion, so they must agree. Each source is compared with every other
+source of the same quantity: the ratio of their gains (the scale), the delay (the lag), what neither
 explains (the residual), and what of that adds up (the drift). No stream is trusted. If one is
 altered, it disagrees with all others; if several are altered together, they disagree with those
 that are not.

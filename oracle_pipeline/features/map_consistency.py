@@ -1,9 +1,8 @@
 """Whether laser scans agree with the map, seen from the estimated pose of the robot.
 
-The map is one more scanner: rays are cast through it from each scan's pose, and the two are
-compared as in ``redundancy``. A return in front of the map's is an obstacle that the
-map does not have, real or fake. One behind it went through a wall. Unknown cells of the map are
-ignored.
+The map is used as one more scanner: rays are cast through it from each scan's pose, and the two are
+compared as in ``redundancy``. A return in front of the map's is an obstacle that the map does not
+have, real or fake. One behind it went through a wall. Unknown cells of the map are ignored.
 """
 
 import math

@@ -1,9 +1,9 @@
-"""What each stream of a recording says of the robot's motion: how far it went and turned.
+"""The motion of the robot according to each stream of a recording: distance and turn.
 
 Whatever tells motion becomes a `Track`: what was travelled and turned from the beginning on, by
 stamp. Two tracks are compared by what they gained over the same spans, so frames, starting points
-and drift of long ago do not matter. Nothing is known by its topic: a message's type says what it
-tells. ``kinematics`` compares the tracks.
+and drift of long ago do not matter. Sources are found by message type, not by topic name.
+``kinematics`` compares the tracks.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -36,7 +36,7 @@ class PluginError(OracleError):
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """Stands in place of a number that this window does not give; the reason is kept."""
+    """Replaces a number that this window does not give; the reason is kept."""
 
     reason: str
 
@@ -215,7 +215,7 @@ Values: TypeAlias = Mapping[str, "float | Located | Missing"]
 
 @dataclass(frozen=True, slots=True)
 class FeaturePlugin:
-    """A plain function of a window and what must be known to call it.
+    """A plain function of a window, with the description needed to call it.
 
     Parameters
     ----------

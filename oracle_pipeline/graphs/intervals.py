@@ -15,7 +15,7 @@ _FILE = re.compile(r"(\d{6,})\.gexf")
 
 
 class Interval(NamedTuple):
-    """The graph of one interval: who was there, and what went over each edge."""
+    """The graph of one interval: nodes, topics, and the traffic of each edge."""
 
     start_s: float  # since the start of the recording [s]
     graph: RosGraph
@@ -49,7 +49,7 @@ def interval_count(recording_s: float) -> int:
 
 
 def compose(graphs: Iterable[RosGraph]) -> RosGraph:
-    """Return the union of graphs, traffic of common edges added up."""
+    """Return the union of graphs; the traffic of common edges is added up."""
     union: RosGraph = nx.DiGraph()
     for graph in graphs:
         union.add_nodes_from(graph.nodes(data=True))

@@ -1,4 +1,4 @@
-"""``oracle watch``: a DDS domain as it is watched, in words."""
+"""``oracle watch``: watches a DDS domain, and prints what happens."""
 
 import contextlib
 import dataclasses
@@ -45,11 +45,11 @@ MOST_BREACHES = 8  # of the contract that are told to a person at once
 )  # fmt: skip
 @click.option(
     "--view", metavar="[PORT]", is_flag=False, flag_value=8300, type=click.IntRange(0, 65535),
-    help="Serve a page on it at 127.0.0.1.  [port: 8300; 0: any free one]",
+    help="Serve a live page at 127.0.0.1.  [port: 8300; 0: any free one]",
 )  # fmt: skip
 @click.option(
     "--foxglove", metavar="[PORT]", is_flag=False, flag_value=8765, type=click.IntRange(0, 65535),
-    help="Serve it to Foxglove at 127.0.0.1.  [port: 8765; 0: any free one]",
+    help="Serve all topics to Foxglove at 127.0.0.1.  [port: 8765; 0: any free one]",
 )  # fmt: skip
 @plugins_option
 @click.pass_context

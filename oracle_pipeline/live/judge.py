@@ -1,7 +1,7 @@
-"""Judges windows in a process of its own, so that messages never wait for features.
+"""Judges windows in a separate process, so that messages never wait for features.
 
-The watch sends what it hears as it comes, and says when a window has ended; verdicts come back. On
-a machine that is too slow, old windows are left out, so that verdicts never lag far behind.
+The watch sends messages as they arrive, and reports when a window has ended. The process returns
+verdicts. On a machine that is too slow, old windows are left out, so verdicts never lag far behind.
 """
 
 import contextlib

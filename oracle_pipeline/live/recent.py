@@ -1,7 +1,7 @@
-"""The last seconds of a recording that goes on, as a bag in memory.
+"""The last seconds of a recording in progress, as a bag in memory.
 
-What a latched topic said last is kept however old it is, as a late subscriber would get it: maps
-and static transforms are sent once.
+The last message of a latched topic is kept however old it is, as for a late subscriber, because
+maps and static transforms are sent once.
 """
 
 from collections import Counter, deque
@@ -80,7 +80,7 @@ class _MemoryBag(BagReader):
 
 
 class RecentMessages:
-    """Keeps what windows of a recording that goes on need.
+    """Keeps the messages that windows of a recording in progress need.
 
     Parameters
     ----------

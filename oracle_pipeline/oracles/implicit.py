@@ -1,4 +1,4 @@
-"""Implicit oracle: what is wrong for any robot, whatever its task. Nobody writes a rule for it.
+"""Implicit oracle: finds what is wrong for any robot and task, without written rules.
 
 A goal that failed or never ended, an error in the log, numbers that are not finite, and periodic
 topics that fell silent.

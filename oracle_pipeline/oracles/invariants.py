@@ -1,4 +1,4 @@
-"""Derived oracle: what was always so in normal runs, in the manner of Daikon [1]_.
+"""Derived oracle: learns invariants of normal runs, after Daikon [1]_.
 
 Every normal run votes on simple candidates: the lower and the upper bound of a signal, of how fast
 it changes, and of the difference of two signals in one unit. A candidate with the bound that all
@@ -37,7 +37,7 @@ _GROWING = {"travelled"}  # the longer the run, the larger: no bound of one says
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """What a candidate is about: a signal, a rate, or the difference of two signals."""
+    """The quantity of a candidate: a signal, a rate, or the difference of two signals."""
 
     first: str
     second: str = ""
@@ -99,7 +99,7 @@ class LearnedInvariants:
     runs: int
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
-        """Return by how many scales each run breaks the invariant that it breaks most."""
+        """Return each run's largest violation of an invariant, in scales."""
         least, largest = runs.each(extremes).transpose(1, 0, 2)
         beyond = np.hstack(
             [(self.low - least) / self.low_scale, (largest - self.high) / self.high_scale]

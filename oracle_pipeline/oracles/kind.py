@@ -1,4 +1,4 @@
-"""What a kind of oracle is: it maps a run to one number, and higher is worse.
+"""The interface of a kind of oracle: it maps a run to one number; higher is worse.
 
 How the number becomes a p-value is the same for all kinds (``calibration``). A kind is a plugin:
 the built-in ones, those of other distributions, and those in the plugin folder offer themselves
@@ -90,7 +90,7 @@ class TracedRuns:
 
 
 class Judge(Protocol):
-    """What maps runs to numbers."""
+    """A fitted oracle, which maps runs to numbers."""
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
         """Return how wrong each run is, shape (n_runs,); finite, higher is worse."""
@@ -104,7 +104,7 @@ class OracleKind(Protocol):
     name : str
         One word.
     asks : str
-        What people have to give it, in a few words.
+        Input that people must give, in a few words.
     """
 
     name: str
@@ -119,7 +119,7 @@ class OracleKind(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """What a kind may be made from.
+    """The material from which a kind is built.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ class Hooks:
 
     @hookspec
     def register_oracles(self) -> list[Maker]:  # type: ignore[empty-body]
-        """Return what makes the kinds of oracle that a module offers.
+        """Return the factories of the kinds of oracle that a module offers.
 
         Each takes a `Material` and returns a fresh, unfitted kind, or None if the material lacks
         what the kind needs.
@@ -152,7 +152,7 @@ class Hooks:
 
 
 def build_kinds(material: Material, folder: Path | None = None) -> list[OracleKind]:
-    """Make the kinds of oracle: built in, then entry points, then the files of a folder.
+    """Build the kinds of oracle: built-in ones, then entry points, then the files of a folder.
 
     Parameters
     ----------

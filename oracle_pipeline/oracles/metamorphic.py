@@ -1,6 +1,6 @@
-"""Metamorphic and differential oracle: how a run relates to other runs of the same task.
+"""Metamorphic and differential oracle: compares a run with other runs of the same task.
 
-Nobody knows the right path, but the same task in the same world should give about the same outcome,
+The correct path is unknown, but the same task in the same world should give about the same outcome,
 whichever build drives. The runs of a block have equal start, goals and world: each is compared with
 the unaltered runs of its block. How far these are from each other is the unit.
 """
@@ -24,7 +24,7 @@ _NAMES = tuple(SIGNALS)
 
 
 def outcomes(trace: pd.DataFrame) -> NDArray[np.float64]:
-    """Return what a run came to: percentiles of all signals, then way, turning and time.
+    """Return the outcome of a run: percentiles of all signals, path length, turning and time.
 
     Returns
     -------
@@ -52,7 +52,7 @@ class _Judge:
     spread: NDArray[np.float64]
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
-        """Return by how many spreads each run differs most from the runs of its task."""
+        """Return each run's largest difference from the runs of its task, in spreads."""
         apart = np.abs(self.kind.differences(runs)) / self.spread
         return np.asarray(np.nan_to_num(apart).max(axis=1), dtype=np.float64)
 

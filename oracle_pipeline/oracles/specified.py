@@ -1,4 +1,4 @@
-"""Specified oracle: what people say that a robot must do, as formulas of signal temporal logic."""
+"""Specified oracle: requirements that people wrote as formulas of signal temporal logic."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class Specified:
         return self
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
-        """Return by how many scales each run breaks the requirement that it breaks most."""
+        """Return each run's largest violation of a requirement, in scales."""
         beyond = runs.each(_Violations(self.requirements))
         return np.asarray(np.nanmax(np.nan_to_num(beyond, nan=-FARTHEST), axis=1))
 

@@ -1,4 +1,4 @@
-"""A trace: what a robot's recording says over time, as a few signals on one clock.
+"""A trace: a few signals of a recording over time, on one clock.
 
 Oracles that judge by rules need signals, not features: the commanded speed, the nearest return of a
 scanner, how many topics are quiet. Signals are found by the roles of topics, so they have the same
@@ -90,7 +90,7 @@ def values_of(trace: pd.DataFrame, names: Sequence[str]) -> Floats:
 
 
 def _changes(values: Floats) -> Floats:
-    """Return what values changed by over the last second."""
+    """Return the change of values over the last second."""
     steps = round(1.0 / STEP_S)
     changes = np.full(len(values), np.nan)
     changes[steps:] = values[steps:] - values[:-steps]
@@ -287,7 +287,7 @@ def _first(window: Window, key: str) -> Series | None:
 
 
 def _held(series: Series, clock: Floats) -> Floats:
-    """Return what was said last at each time, shape (n_values, n_times); NaN before the first."""
+    """Return the last value at each time, shape (n_values, n_times); NaN before the first."""
     last = np.searchsorted(series.times_s, clock, side="right") - 1
     values = np.where(np.isfinite(series.values), series.values, np.nan)
     return np.where(last >= 0, values[np.maximum(last, 0)].T, np.nan)

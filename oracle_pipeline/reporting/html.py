@@ -1,4 +1,4 @@
-"""The report's main page: the first screen, the evidence, and behind folds the method.
+"""The report's main page: the first screen, the evidence, and the method behind folds.
 
 It loads nothing from the network. Its content comes from ``evaluation_report`` and
 ``thesis_reports`` beside this module; the first screen is put together in ``first_screen``, tables

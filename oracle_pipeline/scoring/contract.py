@@ -1,8 +1,8 @@
 """The contract of a system: topics, types, QoS, rates, nodes and edges of its normal recordings.
 
-A breach needs no statistics: a topic that is gone is gone. So it is told in words, before any
-p-value. Only topics with a steady rate have a rate in the contract. A robot that runs is held to
-the pace of its topics, too: how long they are silent, and how much they say in ten seconds.
+A departure from it needs no statistics, so it is reported in words, before any p-value. Only topics
+with a steady rate have a rate in the contract. A running robot is also compared with the pace of
+its topics: how long they are silent, and how many messages they have in ten seconds.
 """
 
 import math
@@ -32,14 +32,14 @@ _PROCESS_SUFFIX = re.compile(r"(?<=_)(?:0x)?[0-9a-f]*\d[0-9a-f]*$")
 
 @dataclass(frozen=True, slots=True)
 class TopicTerms:
-    """What normal recordings show of one topic.
+    """The terms of one topic, from normal recordings.
 
     Attributes
     ----------
     types : tuple of str
         Message types.
     qos : tuple of str
-        Offered profiles, in words; empty if the recordings do not tell.
+        Offered profiles, in words; empty if the recordings do not state them.
     lowest_hz, highest_hz : float or None
         Range of its rate; None if the rate is not steady.
     always : bool
@@ -94,7 +94,7 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Contract:
-    """What all normal recordings have in common, and what some of them have.
+    """The topics, nodes and edges of normal recordings.
 
     Attributes
     ----------
@@ -102,11 +102,11 @@ class Contract:
     always, ever : frozenset of str
         Nodes and edges of every normal recording with graphs, and of any.
     paces : dict of str to Pace
-        Longest silence, fewest and most messages of a topic, in any of them; of topics that have
-        a pace wherever they are.
+        Longest silence, fewest and most messages of a topic in any recording; only for topics that
+        have a pace in each recording with that topic.
     constants : dict of str to dict
-        Topic -> field that never changes within any of them -> its value in words; None if it is
-        not the same in all of them.
+        Topic -> field that never changes within any recording -> its value in words; None if the
+        recordings differ.
     """
 
     topics: Mapping[str, TopicTerms]
@@ -117,7 +117,7 @@ class Contract:
 
     @classmethod
     def learned(cls, observations: Sequence[Observation]) -> Self:
-        """Return the contract that normal recordings keep; at least one is needed."""
+        """Return the contract of normal recordings, of which at least one is needed."""
         names = sorted({name for seen in observations for name in seen.topics})
         graphs = [seen.graph for seen in observations if seen.graph is not None]
         irregular = {name for seen in observations for name in seen.topics.keys() - seen.paces}
@@ -203,7 +203,7 @@ class Contract:
         return gone + new
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract as JSON knows it."""
+        """Return the contract as JSON-compatible values."""
         return {
             "topics": {name: asdict(terms) for name, terms in self.topics.items()},
             "always": sorted(self.always),
@@ -214,7 +214,7 @@ class Contract:
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:
-        """Return the contract that `to_dict` gave."""
+        """Return the contract from the values of `to_dict`."""
         topics = {
             name: TopicTerms(
                 **{**terms, "types": tuple(terms["types"]), "qos": tuple(terms["qos"])}
@@ -304,7 +304,7 @@ def graph_elements(graph: RosGraph) -> frozenset[str]:
 
 
 def _shown(element: str) -> str:
-    """Say what an element of the graph is.
+    """Return an element of the graph in words.
 
     Examples
     --------

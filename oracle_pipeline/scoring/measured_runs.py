@@ -1,4 +1,4 @@
-"""What is measured of runs: their features and those of their windows, in one order."""
+"""The features of runs and of their windows, in one order."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from oracle_pipeline.datasets import (
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MeasuredRuns:
-    """What is measured of distinct runs; n_runs and n_windows rows, each by ``run_id``.
+    """Features of distinct runs; n_runs and n_windows rows, sorted by ``run_id``.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class MeasuredRuns:
 
 
 def require_runs(features: pd.DataFrame, table: pd.DataFrame, name: str) -> None:
-    """Refuse a table that lacks some of the runs; `name` says in the error which table it is."""
+    """Raise an error if a table lacks some of the runs; `name` is that of the table."""
     absent = sorted(set(features["run_id"]) - set(table["run_id"]))
     if absent:
         raise DatasetError(

@@ -192,14 +192,13 @@ def _alarms(verdict: Verdict) -> Iterator[str]:
     if not verdict.alarms or verdict.alarms_per_h is None:
         return
     times = ", ".join(f"{alarm.time_s:g} s" for alarm in verdict.alarms)
-    rate = f"at most {verdict.alarms_per_h:.2g} false alarms an hour are promised"
+    rate = f"{verdict.alarms_per_h:.2g} false ones an hour"
     if verdict.alarms_per_h > RATE_PER_H:
         yield (
-            f"Alarm at {times}, which may be false: {rate}, because the reference has few hours "
-            "of normal recordings."
+            f"Alarm at {times}, perhaps false: the reference is too short to promise below {rate}."
         )
     else:
-        yield f"Alarm at {times} ({rate})."
+        yield f"Alarm at {times} (at most {rate} are promised)."
 
 
 def cells(evidence: Evidence) -> tuple[str, ...]:
@@ -225,5 +224,5 @@ def family_as_text(family: FamilyDeviation) -> str:
 
 
 def _z(z: float, *, capped: bool) -> str:
-    """Return a robust z, and whether it is only as large as z may be."""
+    """Return a robust z as text, with a mark if it is capped."""
     return f"{z:+.1f} (capped)" if capped else f"{z:+.1f}"

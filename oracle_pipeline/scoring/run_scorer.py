@@ -1,7 +1,7 @@
-"""How unusual a run is: by its features, and by those of its most unusual windows.
+"""Scores of a run: by its own features, and by those of its most unusual windows.
 
-Two levels, two scores. How they become one number and a p-value is in
-``oracle_pipeline.scoring.cross_conformal``.
+These are two levels with a score each. ``oracle_pipeline.scoring.cross_conformal`` combines them
+into one score and a p-value.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ COMMON = 0.9  # windows count up to the length that this share of the fitted run
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What a scorer looks at, fixed before any run is seen.
+    """Features and detector of a scorer, fixed before any run is seen.
 
     Attributes
     ----------
@@ -54,8 +54,8 @@ class RunScorer:
     models_ : dict of str to Pipeline
         A fitted scaler and detector for each level that has features.
     windows_counted_ : int
-        Windows of a run that count, from its start. The longer a run, the more unusual its most
-        unusual windows, so all runs are looked at for the same length.
+        Number of windows of a run that count, from its start. A longer run has more extreme windows
+        by chance, so all runs are compared over the same length.
     """
 
     def __init__(self, design: Design) -> None:

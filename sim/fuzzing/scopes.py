@@ -1,4 +1,4 @@
-"""What an expression may name: the values it sees, and the functions of its scenario."""
+"""The scope of an expression: the values and functions that it may name."""
 
 import ast
 import functools

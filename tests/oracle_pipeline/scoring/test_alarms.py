@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from oracle_pipeline.scoring.alarms import (
     MEMORY,
     REPEAT_S,
+    Alarm,
     AlarmError,
     AlarmRule,
     AlarmWatch,
@@ -15,6 +16,8 @@ from oracle_pipeline.scoring.alarms import (
     Statistic,
     statistics_of,
 )
+from oracle_pipeline.scoring.output import paragraph
+from oracle_pipeline.scoring.verdict import Verdict
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
 OF_RUN = round(180.0 / HOP_S)  # windows of three minutes
@@ -150,3 +153,18 @@ def test_normal_recordings_that_are_too_short_for_some_lengths_calibrate_the_oth
     watch = AlarmWatch(rule)
     assert watch.feed(10.0, 1e3) is not None
     assert np.isfinite(statistics_of(np.ones(9), np.zeros(9, dtype=np.intp), rule)).all()
+
+
+@pytest.mark.parametrize(
+    ("per_hour", "shown"),
+    [
+        (0.5, "Alarm at 15 s (at most 0.5 false ones an hour are promised)."),
+        (5.1, "Alarm at 15 s, perhaps false: the reference is too short to promise below 5.1 "),
+    ],
+)
+def test_a_reference_that_supports_only_frequent_false_alarms_says_so(per_hour, shown):
+    verdict = Verdict(
+        "bag", "normal", p_value=0.3, suite_p_value=0.3, score=0.9,
+        alarms=(Alarm(15.0, 4.0, 3.0),), alarms_per_h=per_hour,
+    )  # fmt: skip
+    assert any(line.strip().startswith(shown) for line in paragraph(verdict))

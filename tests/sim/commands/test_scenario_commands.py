@@ -268,7 +268,7 @@ def test_a_mutant_that_is_there_is_kept_and_another_is_not_put_in_its_place(cont
     again = derive_mutant(controls, False, Job(mode, tmp_path, cell))
     assert again == made  # wall time included
     other = Mutant(0, 0, "share", 0.6)
-    with pytest.raises(RunDirectoryError, match="is another mutant"):
+    with pytest.raises(RunDirectoryError, match="holds another mutant"):
         derive_mutant(controls, False, Job(mode, tmp_path, other))
     remade = derive_mutant(controls, True, Job(mode, tmp_path, other))
     assert remade.attack == {"share": 0.6}

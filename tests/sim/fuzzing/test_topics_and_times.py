@@ -137,8 +137,8 @@ transform:
     ("rest", "expected"),
     [
         ("transform: {always: [{emit: {to: gone, fields: {}}}]}", r"emit.to: expected one of"),
-        ("outputs: {a: {type: std_msgs/msg/String, topic: /in}}", r"outputs.a.topic: .*not hear"),
-        ("outputs: {a: {type: std_msgs/msg/String, topic: /out}}", r"outputs.a.topic: .*its own"),
+        ("outputs: {a: {type: std_msgs/msg/String, topic: /in}}", r"a.topic: .*not subscribe"),
+        ("outputs: {a: {type: std_msgs/msg/String, topic: /out}}", r"outputs.a.topic: .*another"),
         ("outputs: {a: {type: geometry_msgs/msg/Twist, topic: /b}}", r"outputs.a.topic: .*moves"),
         ("outputs: {a: {type: std_msgs/msg/Strin, topic: /b}}", r"outputs.a.type: "),
         ("outputs: {a: {type: std_msgs/msg/String, topic: /_oracle/ground_truth}}", "no use of"),
