@@ -5,13 +5,14 @@ hangs. Here each worker has one job at a time and a pipe of its own, so the loss
 affect the others.
 """
 
+import concurrent.futures
 import multiprocessing
 import os
 import pickle
 import threading
 import traceback
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
@@ -87,6 +88,33 @@ class WorkerPool(ThreadPoolExecutor):
                 self._workers.append(worker)
         result: R = worker.do((fn, args, kwargs), self._limit_s)
         return result
+
+
+class LentPool(Executor):
+    """A pool for one of several uses: shut down, its workers stay, and what they know.
+
+    Parameters
+    ----------
+    pool
+        Whoever made it ends its workers.
+    """
+
+    def __init__(self, pool: WorkerPool) -> None:
+        self._pool = pool
+        self._futures: list[Future[Any]] = []
+
+    def submit(self, fn: Callable[..., R], /, *args: Any, **kwargs: Any) -> Future[R]:
+        """Hand a job to the next free worker of the pool."""
+        future = self._pool.submit(fn, *args, **kwargs)
+        self._futures.append(future)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Wait for the jobs of this use that have begun."""
+        for future in self._futures if cancel_futures else ():
+            future.cancel()
+        if wait:
+            concurrent.futures.wait(self._futures)
 
 
 class _Worker:

@@ -20,6 +20,7 @@ from typing import Literal
 from assets.worker.feature_tables import ensure_tables, tables_are_current, topics_of_features
 from assets.worker.reproduction import Reproduction, judge, made_aside, place_aside
 from assets.worker.versions import feature_code
+from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.graph_files import read_gexf
 from oracle_pipeline.bags.integrity import require_undamaged
@@ -162,9 +163,10 @@ def _made_here(run: RunDirectory) -> Iterator[RunDirectory]:
 
 def _put_in_place(local: RunDirectory, run: RunDirectory) -> None:
     """Publish a run that was made on this machine, and compare it with its pair."""
-    for file in (local.root / FEATURES).rglob("*"):
-        if file.is_file():
-            (run.root / file.relative_to(local.root).as_posix()).write_bytes(file.read_bytes())
+    for folder in (local.root / FEATURES, layout.traces(local.root)):
+        for file in folder.rglob("*"):
+            if file.is_file():
+                (run.root / file.relative_to(local.root).as_posix()).write_bytes(file.read_bytes())
     publish(local.path, run.path, MANIFEST_FILE)
     judge_pair(run)
 

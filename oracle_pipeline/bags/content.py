@@ -5,6 +5,7 @@ import struct
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 
 class ContentHash:
@@ -20,7 +21,10 @@ class ContentHash:
         self._update(prefix + self._pack(stamp_ns, len(data)) + data)
 
     def add_many(
-        self, prefixes: Sequence[bytes], stamps: Sequence[int], payloads: Sequence[bytes]
+        self,
+        prefixes: Sequence[bytes],
+        stamps: Sequence[int] | NDArray[np.int64],
+        payloads: Sequence[bytes],
     ) -> None:
         """Add messages in turn, as ``add`` does."""
         tails = np.empty((len(payloads), 2), "<i8")

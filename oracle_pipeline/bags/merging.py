@@ -32,6 +32,12 @@ class Messages(NamedTuple):
         offset = int(self.offsets[row])
         return self.data[offset : offset + int(self.sizes[row])]
 
+    def messages(self, rows: Rows) -> list[bytes]:
+        """Return the bytes of some messages."""
+        begins = self.offsets[rows]
+        ends = begins + self.sizes[rows]
+        return [self.data[a:b] for a, b in zip(begins.tolist(), ends.tolist(), strict=True)]
+
 
 def in_time_order(
     read: Callable[[], Iterator[Messages]], *, is_in_order: bool

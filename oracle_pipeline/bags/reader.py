@@ -174,15 +174,23 @@ class BagReader:
         ``batches``.
         """
         names = list(self.topics)
-        for batch, rows in in_time_order(
-            lambda: self.batches(topics), is_in_order=_is_in_order(self._files.parts)
-        ):
-            data = batch.data
-            for topic, stamp_ns, offset, size in zip(
-                batch.topics[rows].tolist(), batch.stamps_ns[rows].tolist(),
-                batch.offsets[rows].tolist(), batch.sizes[rows].tolist(), strict=True,
+        for batch, rows in self.in_order(topics):
+            for topic, stamp_ns, data in zip(
+                batch.topics[rows].tolist(), batch.stamps_ns[rows].tolist(), batch.messages(rows),
+                strict=True,
             ):  # fmt: skip
-                yield RawMessage(names[topic], stamp_ns, data[offset : offset + size])
+                yield RawMessage(names[topic], stamp_ns, data)
+
+    def in_order(
+        self, topics: Collection[str] | None = None
+    ) -> Iterator[tuple[Messages, NDArray[np.int64]]]:
+        """Yield messages in order of time as arrays, and rows in that order.
+
+        Parameter, order and error are those of ``messages``.
+        """
+        return in_time_order(
+            lambda: self.batches(topics), is_in_order=_is_in_order(self._files.parts)
+        )
 
     def deserialize(self, message: RawMessage) -> Any:
         """Decode a message, by the definition in the bag or else by the one that we know.
@@ -343,9 +351,13 @@ def content_hash(path: Path) -> str:
     """
     digest = ContentHash()
     with _OpenReader(path) as bag:
-        prefixes = {t.name: ContentHash.prefix(t.name, t.msgtype) for t in bag.topics.values()}
-        for topic, stamp_ns, data in bag.messages():
-            digest.add(prefixes[topic], stamp_ns, data)
+        prefixes = [ContentHash.prefix(t.name, t.msgtype) for t in bag.topics.values()]
+        for batch, rows in bag.in_order():
+            digest.add_many(
+                [prefixes[topic] for topic in batch.topics[rows].tolist()],
+                batch.stamps_ns[rows],
+                batch.messages(rows),
+            )
     return digest.hexdigest()
 
 

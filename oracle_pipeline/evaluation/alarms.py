@@ -15,9 +15,7 @@ from oracle_pipeline.evaluation.comparisons import ComparedRuns
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import auc, events_per_hour, quantile, share
 from oracle_pipeline.scoring.alarms import RATE_PER_H, AlarmWatch
-from oracle_pipeline.scoring.conformal import ConformalError
-from oracle_pipeline.scoring.learning import learned_scorer
-from oracle_pipeline.scoring.verdict import ScoringError
+from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -39,14 +37,17 @@ class WatchedRuns:
     per_hour: float
 
 
-def watched(campaign: JudgedRuns) -> WatchedRuns:
-    """Watch all runs of a campaign, at `RATE_PER_H` or the lowest rate that it supports."""
+def watched(campaign: JudgedRuns, scorer: CrossConformalScorer | None) -> WatchedRuns:
+    """Watch all runs of a campaign, at `RATE_PER_H` or the lowest rate that it supports.
+
+    Parameters
+    ----------
+    campaign : JudgedRuns
+    scorer : CrossConformalScorer or None
+        Learned from its normal runs; None if they are too few or have no feature.
+    """
     score, alarm = np.full(len(campaign.run), np.nan), np.zeros(len(campaign.run), dtype=np.bool_)
-    try:
-        scorer = learned_scorer(campaign.where(~campaign.malicious))
-    except (ConformalError, ScoringError):  # too few blocks or no feature
-        return WatchedRuns(score, alarm, np.nan)
-    if scorer.windows_ is None:
+    if scorer is None or scorer.windows_ is None:
         return WatchedRuns(score, alarm, np.nan)
     block, ends_s = campaign.block[campaign.run], campaign.end_s
     score[:] = scorer.window_scores(campaign.windows, block)

@@ -85,6 +85,7 @@ class CrossConformalScorer:
         DetectorError
             The detector cannot be fitted on so few runs.
         """
+        seen = runs.having(self.design.run_features, self.design.window_features)
         self.block_ = runs.block
         self.fold_ = dealt(_held_out_together(runs), self.folds, rng)
         self.scorers_ = []
@@ -92,7 +93,7 @@ class CrossConformalScorer:
         of_windows = np.empty(len(runs.run))
         for fold in range(self.fold_.max() + 1):
             out = self.fold_ == fold
-            held_out, scorer = runs.where(out), RunScorer(self.design).fit(runs.where(~out))
+            held_out, scorer = seen.where(out), RunScorer(self.design).fit(seen.where(~out))
             scores = scorer.score(held_out)
             if by_level is None:
                 by_level = np.empty((len(out), scores.shape[1]))
@@ -115,7 +116,8 @@ class CrossConformalScorer:
 
         The unit is the spread of held-out normal runs; 0 is their median. Higher is more anomalous.
         """
-        return np.stack([self._combined(scorer.score(runs)) for scorer in self.scorers_])
+        seen = runs.having(self.design.run_features, self.design.window_features)
+        return np.stack([self._combined(scorer.score(seen)) for scorer in self.scorers_])
 
     def p_values(
         self, scores: NDArray[np.float64], block: NDArray[np.int64] | None = None

@@ -10,6 +10,7 @@ from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.alarms import RATE_PER_H
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.conformal import runs_needed
+from oracle_pipeline.scoring.odd_recordings import odd_recordings
 from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
 
 # The worst of a suite counts.
@@ -23,6 +24,8 @@ _SHOWN: dict[Judgement, str] = {
 _WIDTH = len("NO VERDICT")
 
 RATES = (0.05, 0.01)  # false positive rates for which the output names what a card lacks
+
+_MOST_ODD = 5  # recordings of a card that are named
 
 HEADINGS = ("feature", "value", "usual (5-95 %)", "z", "window", "where")
 
@@ -74,6 +77,7 @@ def card_as_text(card: ReferenceCard) -> str:
         _alarms_as_text(card),
         _contract_as_text(card),
         *_roles_as_text(card),
+        *_odd_as_text(card),
         *card.notes,
     ]
     return "\n".join(lines)
@@ -127,6 +131,23 @@ def _contract_as_text(card: ReferenceCard) -> str:
     terms = card.contract.topics.values()
     steady = sum(of_topic.lowest_hz is not None for of_topic in terms)
     return f"Contract: {len(terms)} topics, {steady} of them with a steady rate."
+
+
+def _odd_as_text(card: ReferenceCard) -> list[str]:
+    """Return which recordings may not be normal."""
+    odd = list(odd_recordings(card))
+    if not odd:
+        return []
+    shown = [
+        f"    {each.name}: score {each.score:.3g}"
+        + (f", {each.farthest.feature} = {each.farthest.value:.3g}" if each.farthest else "")
+        for each in odd[:_MOST_ODD]
+    ]
+    return [
+        f"Unlike the others: {_count(len(odd), 'recording')}. Each raises the score that an attack "
+        "must exceed. Leave out those that went wrong, and learn again.",
+        *shown,
+    ]
 
 
 def _remarks(verdict: Verdict) -> list[str]:
