@@ -86,7 +86,7 @@ WINDOW_FEATURES = dg.AssetSpec(
     kinds={"pandas", "parquet"},
     **declared("run", "features/window/<mode>/<run>.parquet"),
     code_version=feature_code(),
-    description="""The features of each window of 10 s, every 5 s, from all plugins.
+    description="""The features of each window of 5 s, every 2.5 s, from all plugins.
 
 One row for each window, by its start `window_start_s` in the recording; units in the schema. A
 feature that cannot be computed for a window is empty, with the reason in column `missing`.""",

@@ -91,7 +91,7 @@ def _choices(roles: Path | None) -> "RoleChoices | None":
 @click.argument("run_or_bag", type=click.Path(path_type=Path))
 @click.option(
     "--table", type=click.Choice(["run", "window"]), default="run", show_default=True,
-    help="One row for the recording, or one for each window of 10 s (every 5 s).",
+    help="One row for the recording, or one for each window of 5 s (every 2.5 s).",
 )  # fmt: skip
 @format_option(
     "json", "parquet", text="JSON for reading and jq; Parquet for pandas, units in its schema."

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,8 +85,9 @@ class BatchMcapWriter(McapWriter):
 
     def close_chunk(self) -> None:
         """Write the open chunk with its checksum, and behind it the index of its messages."""
-        chunk, records = self.chunk, self.chunk.bio.getbuffer()
-        packed, size = self.compressor(bytes(records)), len(records)
+        chunk = self.chunk
+        records: Any = chunk.bio.getbuffer()  # compressors take any buffer
+        packed, size = self.compressor(records), len(records)
         start = self.bio.tell()
         name = _sized(self.compression.encode())
         span = (chunk.message_start_time, chunk.message_end_time)

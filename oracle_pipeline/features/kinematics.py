@@ -265,7 +265,8 @@ def _comparison(quantity: str, first: Track, second: Track | Steps) -> Compariso
     elif quantity not in second.gained:
         return None
     else:
-        begin = max(first.stamps_s[0], second.stamps_s[0])
+        # Spans that do not depend on when a recording begins.
+        begin = math.ceil(max(first.stamps_s[0], second.stamps_s[0]) / SPAN_S) * SPAN_S
         ends_s = np.arange(begin, min(first.stamps_s[-1], second.stamps_s[-1]), SPAN_S)
         from_s, to_s = ends_s[:-1], ends_s[1:]
         gained = gain(second, quantity, from_s, to_s)

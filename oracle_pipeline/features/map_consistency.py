@@ -220,8 +220,8 @@ def keep_believed(messages: Any) -> tuple[Floats, Floats, Floats, Floats]:
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of scans and map."""
     topics = SETUP_TOPICS | {
-        "map": Request(keep_grids, role=MAP, dtype=object, optional=True, many=True),
-        "poses": Request(keep_believed, role=POSE, optional=True, many=True),
+        "map": Request(keep_grids, role=MAP, dtype=object, optional=True, many=True, carried=True),
+        "poses": Request(keep_believed, role=POSE, optional=True, many=True, carried=True),
     }
     return [FeaturePlugin("map_consistency", "map", FEATURES, compute, topics, prepare=prepare)]
 
@@ -248,8 +248,6 @@ def _held_against(
 
 
 def _spaced(stamps_s: Floats) -> Ints:
-    """Return the indices of stamps that are at least `_PERIOD_S` apart."""
-    if not stamps_s.size:
-        return np.empty(0, dtype=np.int64)
-    _, first = np.unique(np.floor((stamps_s - stamps_s[0]) / _PERIOD_S), return_index=True)
+    """Return the indices of stamps, the first in each span of `_PERIOD_S`."""
+    _, first = np.unique(np.floor(stamps_s / _PERIOD_S), return_index=True)
     return first

@@ -74,6 +74,7 @@ FEATURES = (
     Feature(
         "driven_across", "1", 0.01,
         f"share of the scans with returns where the robot drives across later, {_SCANS}", "domain",
+        per_window=False,
     ),
 )  # fmt: skip
 

@@ -67,7 +67,7 @@ def watch(
 ) -> None:
     """Watch a running robot: record it, and judge it as it goes.
 
-    It joins a DDS domain without ROS, takes the ROS graph every 10 s, and judges windows of 10 s as
+    It joins a DDS domain without ROS, takes the ROS graph every 10 s, and judges windows of 5 s as
     they end. It never publishes. Ctrl-C ends the recording properly; `oracle score` then judges it
     as a whole, and Foxglove opens its bag.
 

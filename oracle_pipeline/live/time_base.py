@@ -1,7 +1,7 @@
 """The time of a recording: simulated time if there is a ``/clock``, else wall time.
 
 It is the choice of ``ros2 bag record``: with ``--use-sim-time`` stamps are the robot's own time, so
-windows of 10 s are 10 s of the robot, however fast the simulation is. A message then gets the
+windows of 5 s are 5 s of the robot, however fast the simulation is. A message then gets the
 robot's time at which it was sent, between the ticks of the clock before and after. So the load of
 the watching machine does not matter. After the newest tick, time continues at the speed of the last
 ticks.

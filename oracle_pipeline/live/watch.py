@@ -310,17 +310,10 @@ class Watch:
                 self._end_interval()
             if self._judge is not None:
                 start_ns = end_ns - round(WINDOW_S * _SECOND_NS)
-                self._judge.end_window(self._start_ns, start_ns, end_ns, self._running(end_s))
+                self._judge.end_window(self._start_ns, start_ns, end_ns)
             self._window += 1
         self._now_ns = max(self._now_ns, stamp_ns)
         self._look_at_contract()
-
-    def _running(self, now_s: float) -> Interval | None:
-        """Return the graph so far of the interval that goes on, if it has just begun: None."""
-        start_s = float(self._interval * INTERVAL_S)
-        if now_s <= start_s:
-            return None
-        return Interval(start_s, snapshot(self.discovery, self._traffic.sent()))
 
     def _end_interval(self) -> None:
         start_s = self._interval * INTERVAL_S

@@ -5,15 +5,15 @@ scanner, how many topics are quiet. Signals are found by the roles of topics, so
 names on every robot. What a robot does not record is NaN throughout.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.features.goals import GOAL_TOPICS, Goal, goals_of_log, goals_of_status
-from oracle_pipeline.features.kept_messages import KeptMessages
+from oracle_pipeline.features.goals import GOAL_TOPICS, goals_so_far
+from oracle_pipeline.features.kept_messages import NO_GRAPH, KeptMessages
 from oracle_pipeline.features.kept_rows import Span
 from oracle_pipeline.features.plugin import (
     Arrivals,
@@ -180,9 +180,9 @@ def trace_of(recording: KeptMessages) -> pd.DataFrame:
         a signal holds its last value, and is NaN before its first.
     """
     whole = Span(0, recording.duration_ns)
-    window = recording.window(TRACE, whole, recording.span(whole, None, ()))
+    window = recording.window(TRACE, whole, recording.span(whole, NO_GRAPH))
     if isinstance(window, Missing):  # a topic that cannot be decoded
-        window = recording.span(whole, None, ())
+        window = recording.span(whole, NO_GRAPH)
     clock = np.arange(0.0, whole.end_s, STEP_S)
     columns = {name: np.full(len(clock), np.nan) for name in SIGNALS}
     columns.update(signals(window, clock))
@@ -256,8 +256,8 @@ def _scanned(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
 
 
 def _navigated(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
-    goals = _goals(window)
-    if goals is None:
+    goals = goals_so_far(window)
+    if isinstance(goals, Missing):
         return
     time_s = np.zeros(len(clock))
     for goal in goals:
@@ -274,18 +274,6 @@ def _logged(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
     if logs:
         bad = [series.times_s[series.values >= _ERROR] for series in logs]
         yield "errors", _so_far(np.concatenate(bad), clock)
-
-
-def _goals(window: Window) -> list[Goal] | None:
-    readers: tuple[tuple[str, Callable[[Series], list[Goal]]], ...] = (
-        ("status", goals_of_status),
-        ("log", goals_of_log),
-    )
-    for key, read in readers:
-        series = the_topic(window.history.get(key, {}))
-        if series is not None and len(series.times_s):
-            return read(series)
-    return None
 
 
 def _one(window: Window, key: str) -> Series | None:

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.scoring.conformal import ConformalError
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
-MEMORY = 12  # windows that the statistic looks back: a minute
+MEMORY = round(60.0 / HOP_S)  # windows that the statistic looks back: a minute
 USUAL = 0.95  # share of normal windows whose scores add nothing to the statistic
 REPEAT_S = 600.0  # after an alarm no other is raised for so long [s]
 _LEAST_REACH = 1e-9  # of a number of windows with which normal recordings reach nothing
@@ -105,7 +105,7 @@ class AlarmWatch:
     --------
     >>> watch = AlarmWatch(AlarmRule(allowance=1.0, threshold=3.0, per_hour=0.5))
     >>> [watch.feed(end_s, score) is not None
-    ...  for end_s, score in ((10.0, 0.5), (15.0, 3.0), (20.0, 3.0), (25.0, 9.0))]
+    ...  for end_s, score in ((5.0, 0.5), (7.5, 3.0), (10.0, 3.0), (12.5, 9.0))]
     [False, False, True, False]
     """
 

@@ -32,7 +32,7 @@ from oracle_pipeline.scoring.contract import Contract
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.run_scorer import Design, RunScorer
 
-VERSION = 2
+VERSION = 3  # of the card, and of the windows that it was learned from
 SUFFIX = ".card"
 _FACTS, _RUNS, _MODELS = "card.json", "runs.parquet", "models.parquet"
 _WINDOWS = "windows.parquet"

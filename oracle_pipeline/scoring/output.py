@@ -192,9 +192,11 @@ def _alarms(verdict: Verdict) -> Iterator[str]:
     if not verdict.alarms or verdict.alarms_per_h is None:
         return
     times = ", ".join(f"{alarm.time_s:g} s" for alarm in verdict.alarms)
-    rate = f"{verdict.alarms_per_h:.2g} false alarms an hour"
+    rate = f"{verdict.alarms_per_h:.2g} false ones an hour"
     if verdict.alarms_per_h > RATE_PER_H:
-        yield f"Alarm at {times}, perhaps false: so short a reference gives up to {rate}."
+        yield (
+            f"Alarm at {times}, perhaps false: the reference is too short to promise below {rate}."
+        )
     else:
         yield f"Alarm at {times} (at most {rate} are promised)."
 

@@ -18,7 +18,7 @@ from oracle_pipeline.detectors import Detector, pipeline
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 LEVELS = ("run", "windows")
-TOP_WINDOWS = 3  # the mean score of so many windows stands for the run
+TOP_WINDOWS = 6  # the mean score of so many windows stands for the run
 COMMON = 0.9  # windows count up to the length that this share of the fitted runs has
 
 

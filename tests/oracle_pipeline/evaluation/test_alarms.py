@@ -11,14 +11,14 @@ from oracle_pipeline.scoring.reference import Reference
 from tests.oracle_pipeline.evaluation.campaigns import by_hand, synthetic
 
 JUDGED = by_hand(
-    ("delayed_fakeobject", 0, 40.0, 17.0, "[]"),  # windows end at 10, 15, ..., 40
+    ("delayed_fakeobject", 0, 40.0, 17.0, "[]"),  # windows end at 5, 7.5, ..., 40
     ("delayed_fakeobject", 1, 40.0, 17.0, "[]"),
     ("lidar_passthrough", 0, 40.0, 0.0, "[]"),
 )
 
 
 def alarms(*places):
-    return np.isin(np.arange(21), places)
+    return np.isin(np.arange(45), places)
 
 
 def raised_in(runs):
@@ -26,7 +26,7 @@ def raised_in(runs):
 
 
 def test_detection_counts_from_the_onset_to_the_end_of_the_first_window_that_alarms():
-    late = times_to_detect(alarms(0, 3, 4), JUDGED, JUDGED.onset_s)  # at 10 s: too early
+    late = times_to_detect(alarms(0, 8, 9), JUDGED, JUDGED.onset_s)  # at 5 s: too early
     assert late[:2].tolist() == [8.0, np.inf]
     assert np.isnan(late[2])
 
@@ -38,17 +38,17 @@ def test_an_attack_takes_effect_when_it_first_changes_a_message():
         ("fake_object", 2, 40.0, 3.0, "[]"),
     )
     assert judged.effect_s.tolist() == [20.0, 3.0, 3.0]
-    late = times_to_detect(np.isin(judged.place, (4,)), judged, judged.effect_s)
-    assert late.tolist() == [10.0, 27.0, 27.0]  # the fifth window ends at 30 s
+    late = times_to_detect(np.isin(judged.place, (10,)), judged, judged.effect_s)
+    assert late.tolist() == [10.0, 27.0, 27.0]  # that window ends at 30 s
 
 
 def test_the_figures_of_alarms_by_hand():
     raised = WatchedRuns(
-        np.where(JUDGED.attacked_windows(), 1.0, 0.0), alarms(3, 15, 17), per_hour=0.5
+        np.where(JUDGED.attacked_windows(), 1.0, 0.0), alarms(8, 33, 35), per_hour=0.5
     )
     everything = ComparedRuns("all modes", np.ones(3, dtype=bool))
     row = judge_alarms(raised, JUDGED, everything, np.random.default_rng(0))
-    assert (row["attacked_windows"], row["normal_windows"], row["auc"]) == (10, 7, 1.0)
+    assert (row["attacked_windows"], row["normal_windows"], row["auc"]) == (20, 15, 1.0)
     assert (row["attacked_runs"], row["normal_runs"], row["missed"]) == (2, 1, 0.5)
     assert (row["time_to_detect_median_s"], row["time_to_detect_90_s"]) == (8.0, np.inf)
     assert row["after_effect_median_s"] == 8.0
