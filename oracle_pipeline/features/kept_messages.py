@@ -39,7 +39,8 @@ from oracle_pipeline.graphs.views import system_view
 from oracle_pipeline.robots.robot import Robot, find_robots
 from oracle_pipeline.robots.roles import POINT_CLOUD, SCAN
 
-_MOST_WAITING = 16 * 2**20  # bytes of messages that are kept together with later ones
+# Bytes of messages that are kept together with later ones: of all topics, and of one.
+_MOST_WAITING, _MOST_WAITING_OF_TOPIC = 16 * 2**20, 2**22
 _NONE: Integers = np.zeros(0, dtype=np.int64)
 _NO_STAMP = np.iinfo(np.int64).min  # of a message without a header
 
@@ -54,6 +55,7 @@ class _Topic:
         self.by_rate: dict[int, list[KeptRows]] = {}  # by time between messages [ns]
         self.undecodable = ""
         self._waiting: dict[int, list[tuple[int, bytes]]] = {}  # number and message, by rate
+        self._held = 0  # bytes of them
         try:
             self._decode = bag.decoder(topic.name)
             self._store = bag.typestore(topic.msgtype)
@@ -107,6 +109,9 @@ class _Topic:
                     kept.skip(_too_large(data))
             return 0
         self._waiting.setdefault(rate_ns, []).append((number, data))
+        self._held += len(data)
+        if self._held > _MOST_WAITING_OF_TOPIC:
+            self.keep_waiting()
         return len(data)
 
     def keep_waiting(self) -> None:
@@ -123,6 +128,7 @@ class _Topic:
                 numbers, batch = numbers[whole], batch.some(np.flatnonzero(whole))
             self._add(numbers, batch, many)
         self._waiting.clear()
+        self._held = 0
 
     def _keep_odd(self, numbers: Integers, batch: Batch, many: list[KeptRows]) -> None:
         """Keep messages that are broken, or written in another way; decoding tells which."""
@@ -216,7 +222,7 @@ class KeptMessages:
         bag = robot.bag
         self._roles = robot.roles
         self._shared: dict[Any, Any] = {}
-        budget = Budget()
+        self._budget = budget = Budget()
         self.notes: list[str] = []
         self._topics = {name: _Topic(bag, topic) for name, topic in bag.topics.items()}
         self._kept: dict[str, dict[str, dict[str, KeptRows]]] = {
@@ -243,6 +249,7 @@ class KeptMessages:
         columns: list[list[Integers]] = [[], [], [], []]
         count = waiting = 0
         for batch in bag.batches():
+            recording._budget.count(len(batch.topics))
             stamps_ns = batch.stamps_ns
             order = np.lexsort((stamps_ns, batch.topics))
             ordered, since_start_ns = batch.topics[order], stamps_ns[order] - bag.start_ns

@@ -68,7 +68,7 @@ class Observation:
     graph : frozenset of str or None
         Nodes, and edges as ``node:/a -> topic:/b``; None for a recording without graphs.
     paces : mapping of str to Pace
-        Of the topics that have messages.
+        Of the topics that have messages; empty unless it was asked for.
     """
 
     topics: Mapping[str, tuple[str, tuple[str, ...], float | None]]
@@ -76,14 +76,17 @@ class Observation:
     paces: Mapping[str, Pace] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, run: OpenedRun) -> Self:
-        """Observe an open recording."""
+    def of(cls, run: OpenedRun, *, paced: bool = False) -> Self:
+        """Observe an open recording.
+
+        Paces are for learning a contract. The bag is read once more for them.
+        """
         topics = {
             name: (topic.msgtype, qos_words(topic.qos), _rate(topic.count, run.duration_s))
             for name, topic in run.bag.topics.items()
         }
         graph = graph_elements(compose(each.graph for each in run.intervals))
-        return cls(topics, graph if run.intervals else None, paces(run.bag))
+        return cls(topics, graph if run.intervals else None, paces(run.bag) if paced else {})
 
 
 @dataclass(frozen=True, slots=True)
