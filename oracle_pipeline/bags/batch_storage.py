@@ -1,7 +1,7 @@
 """rosbags' storages of rosbag2, written in batches of messages.
 
-What is done once a message decides what recording costs, so messages are packed many at a time, and
-the index of an MCAP chunk is made when the chunk ends.
+Work for each message dominates the cost of recording. So messages are packed in batches, and the
+index of an MCAP chunk is computed when the chunk ends.
 """
 
 import struct
