@@ -18,7 +18,6 @@ from resources.failures import clear_failures
 from resources.fleet import Fleet
 from resources.inbox import Inbox
 from resources.store import RunStore
-from sim.fuzzing.actuation import moves_something
 from sim.fuzzing.scenario import Scenario
 from sim.modes import modes
 from sim.scenarios import builtin_scenarios
@@ -31,7 +30,7 @@ def can_be_varied(scenario: Scenario) -> bool:
     return (
         scenario.label == "malicious"
         and which_testbed(scenario) == next(iter(TESTBEDS))
-        and not any(moves_something(*each) for each in scenario.spoken)
+        and not scenario.may_move
         and any("min" in each and "max" in each and "drawn" not in each for each in parameters)
     )
 

@@ -5,6 +5,7 @@ import argparse
 from bench import (
     campaign,
     clustering,
+    compare,
     engines,
     features,
     instance,
@@ -22,6 +23,7 @@ BENCHMARKS = {
     "navigation": navigation.rows,
     "features": features.rows,
     "clustering": clustering.rows,
+    "compare": compare.rows,
     "engines": engines.rows,
     "storage": storage.rows,
     "campaign": campaign.rows,

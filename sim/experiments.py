@@ -177,9 +177,9 @@ def _require_same(former: Manifest, manifest: Manifest, directory: RunDirectory)
     same_software = former.software == manifest.software
     if same_software and former.content_hash != manifest.content_hash:
         raise RunDirectoryError(
-            f"{directory.path} was made again with the same software, and other messages came out. "
-            "Either the manifest was edited or the machine computes wrongly; what was there is "
-            f"kept. To have it made anew, remove {directory.path} and record the run again."
+            f"{directory.path} was rebuilt with the same software, and its messages differ. "
+            "Either the manifest was edited or the machine computes wrongly. The former run is "
+            f"kept; to replace it, remove {directory.path} and record the run again."
         )
 
 

@@ -236,10 +236,13 @@ class _Steps:
         """Judge every scorer in every comparison, the headline first."""
         rows = self._rows(HEADLINE, BLOCK, headline)
         rounds = list(self._rounds())
-        with ThreadPoolExecutor(os.cpu_count()) as threads:  # most of it is NumPy's, without a lock
+        threads = ThreadPoolExecutor(os.cpu_count())  # most of it is NumPy's, without a lock
+        try:
             for each, scores in zip(rounds, threads.map(self._attempt, rounds), strict=True):
                 self.progress(f"{', '.join(each.scorer)}; held out: {each.split}")
                 rows += self._judged(each, scores)
+        finally:  # who is told to stop does not wait for what has not begun
+            threads.shutdown(cancel_futures=True)
         for name in bounds:
             self.progress(f"{name}, with labels")
             df, columns = self.campaign.features, self.sets.get("all", [])

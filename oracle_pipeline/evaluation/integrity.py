@@ -105,8 +105,8 @@ def blocks_to_separate() -> int:
 
 
 _TOO_FEW_IN_SESSIONS = (
-    f"Fewer than {blocks_to_separate()} blocks on either side cannot be told apart, however they "
-    f"differ: it takes {blocks_to_separate()} blocks in each of two sessions, or "
+    f"Fewer than {blocks_to_separate()} blocks on either side cannot be distinguished, however "
+    f"they differ: it takes {blocks_to_separate()} blocks in each of two sessions, or "
     f"{2 * blocks_to_separate()} in sessions of their own."
 )
 
@@ -308,9 +308,9 @@ def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> Integr
         name,
         passed=wrong.empty,
         figure=Estimate(*[float(len(features))] * 3),
-        sentence=f"{len(features)} of {len(columns)} features tell apart what nothing was altered "
-        f"in{f': {named}' if named else ''}. {of_modes} tell unaltered modes by who hears what, "
-        f"{matched} an unaltered counterpart.",
+        sentence=f"{len(features)} of {len(columns)} features distinguish unaltered runs"
+        f"{f': {named}' if named else ''}. {of_modes} distinguish unaltered modes by which node "
+        f"subscribes to what, {matched} an unaltered counterpart.",
     )
 
 

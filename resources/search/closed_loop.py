@@ -138,7 +138,7 @@ def run_trial(setting: Setting, controls: Path, proposal: Proposal) -> Finding:
     mode = Mode(Scenario("search", proposal.document, NO_FILE), setting.conditions)
     with tempfile.TemporaryDirectory(prefix="oracle-search-") as folder:
         root = Path(folder)
-        if setting.screen and not mode.scenario.is_on_links:
+        if setting.screen and not mode.scenario.needs_simulator:
             altered = Job(mode, root / "altered", proposal)
             manifest = derive_mutant(control.path.parent, False, altered)
             judged = _Judged.of(setting, altered.directory)

@@ -30,7 +30,6 @@ from sim.commands.kill_matrix import (
 )
 from sim.commands.magnitudes import BUILT_IN, sweeps_of
 from sim.commands.parameter_values import sweep
-from sim.fuzzing.actuation import moves_something
 from sim.modes import find_mode
 from sim.scenarios import builtin_scenarios
 from sim.testbed import Mode
@@ -126,8 +125,8 @@ def _attacks(controls: Path | None, *, allow_actuation: bool) -> list[str]:
         for name, scenario in builtin_scenarios().items()
         if name in BUILT_IN
         and which_testbed(scenario) in beds
-        and (allow_actuation or not any(moves_something(*each) for each in scenario.spoken))
-        and (controls is None or not scenario.is_on_links)
+        and (allow_actuation or not scenario.may_move)
+        and (controls is None or not scenario.needs_simulator)
     ]
 
 

@@ -14,8 +14,22 @@ from sim.fuzzing.fields import as_sent
 from sim.fuzzing.grammar import ExpressionError
 from sim.fuzzing.lanes import check_names, compile_actions, playback, with_further_topics
 from sim.fuzzing.operators import ON_TIMER, compile_operators
-from sim.fuzzing.program import Action, Activation, Parameter, Program, Source
-from sim.fuzzing.scenario import NO_FILE, Key, Scenario, ScenarioError, load_scenarios
+from sim.fuzzing.program import (
+    Action,
+    Activation,
+    Parameter,
+    ParameterChange,
+    Program,
+    Source,
+)
+from sim.fuzzing.scenario import (
+    NO_FILE,
+    SET_PARAMETERS,
+    Key,
+    Scenario,
+    ScenarioError,
+    load_scenarios,
+)
 from sim.fuzzing.scopes import Function, Scope
 from sim.fuzzing.step import ACTIVATION
 from sim.fuzzing.topics import MAIN, check_topics, type_of
@@ -100,6 +114,7 @@ def compile_scenario(
         "t": FLOAT,
         "now": FLOAT,
     }
+    node_parameters = tuple(_node_parameters(scenario, context, allow_actuation=allow_actuation))
     on_timer = _rescoped(context, kept)
     on_message = _rescoped(context, {"msg": kind, **kept})
     transform = document.get("transform", {})
@@ -147,6 +162,7 @@ def compile_scenario(
         outputs=limits.get("outputs", OUTPUTS),
         memory=playback(parts),
         to=tuple(main.get("to", ())),
+        node_parameters=node_parameters,
     )
     with faults.gathered():
         program = with_further_topics(program, on_message, numbers)
@@ -159,6 +175,23 @@ def compile_scenario(
             "less",
         )
     return program
+
+
+def _node_parameters(
+    scenario: Scenario, context: CompileContext, *, allow_actuation: bool
+) -> Iterator[ParameterChange]:
+    """Yield what is set at the onset; whether nodes have such parameters is seen when it is run."""
+    for number, spec in enumerate(scenario.document.get(SET_PARAMETERS, ())):
+        key: Key = (SET_PARAMETERS, number)
+        with context.faults.gathered():
+            if not allow_actuation:
+                raise scenario.error(
+                    key,
+                    "expected no parameter that is set; allow actuation if you must: parameters "
+                    "decide how the robot moves",
+                )
+            value = context.term(spec["value"], (*key, "value"), Number)
+            yield ParameterChange(spec["node"], spec["name"], value)
 
 
 def _scope(scenario: Scenario, names: Mapping[str, Type]) -> Scope:
@@ -314,8 +347,14 @@ def _sources(scenario: Scenario, context: CompileContext) -> dict[str, Source]:
     return sources
 
 
-def compile_file(path: Path) -> Iterator[Program]:
+def compile_file(path: Path, *, allow_actuation: bool = False) -> Iterator[Program]:
     """Compile the scenarios of a file one by one, as far as they are right.
+
+    Parameters
+    ----------
+    path
+    allow_actuation
+        Whether they may publish on topics that move something.
 
     Raises
     ------
@@ -325,7 +364,7 @@ def compile_file(path: Path) -> Iterator[Program]:
     budget = Budget()
     try:
         for scenario in load_scenarios(path):
-            yield compile_scenario(scenario, budget=budget)
+            yield compile_scenario(scenario, allow_actuation=allow_actuation, budget=budget)
     except ScenarioError:
         raise
     except Exception as error:  # a defect of ours must not cost the user's other files

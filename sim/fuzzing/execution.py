@@ -19,7 +19,7 @@ from sim.fuzzing.ground_truth import GroundTruth
 from sim.fuzzing.program import Program
 from sim.fuzzing.random import Draws
 from sim.fuzzing.state_operators import STORED_NS
-from sim.fuzzing.step import ACTIVATION, Step
+from sim.fuzzing.step import ACTIVATION, Step, Term
 from sim.middleware.executor import SECOND
 from sim.middleware.stamps import header as make_header
 from sim.middleware.stamps import stamp_ns as nanoseconds
@@ -272,11 +272,15 @@ class Execution:
         )
 
     @_QUIETLY
+    def constant(self, term: Term) -> float:
+        """Return the value of what depends on no message."""
+        return float(term(self._step(0, 0, {})))
+
     def _period_ns(self) -> int | None:
         program = self.program
         if program.period is None:
             return None
-        period_s: float = program.period(self._step(0, 0, {}))
+        period_s = self.constant(program.period)
         low, high = _PERIODS_S
         if not low <= period_s <= high:
             raise program.scenario.error(

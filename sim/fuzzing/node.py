@@ -12,8 +12,9 @@ from typing import Any
 
 from oracle_pipeline.bags.manifest import Change
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE
+from sim.fuzzing.conditions import Conditions
 from sim.fuzzing.execution import Execution, Result
-from sim.fuzzing.ground_truth import in_bins
+from sim.fuzzing.ground_truth import GroundTruth, in_bins
 from sim.fuzzing.program import Program
 from sim.fuzzing.scenario import Key
 from sim.middleware import qos
@@ -73,6 +74,7 @@ class ScenarioNode:
             if topic not in self._outputs:
                 self._outputs[topic] = self._publisher(topic, kind.name)
         self._tell = self._publisher(GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE)
+        self._conditions = Conditions(domain, execution)
         for source, spec in program.sources.items():
             self._hear(spec.topic, spec.type.name, functools.partial(self._on_source, source))
         for number, lane in enumerate(program.lanes):
@@ -93,11 +95,19 @@ class ScenarioNode:
         if period_ns is not None:
             first_ns = onset_ns + period_ns + self._latency_ns
             self._timer = Timer(self._domain, period_ns, self._on_timer, first_ns)
+        if self._conditions:
+            self._executor.call_at(onset_ns, self._on_onset, self._conditions)
+            duration_s = self._execution.program.activation.duration_s
+            if duration_s is not None:
+                end_ns = onset_ns + round(duration_s * SECOND)
+                self._executor.call_at(end_ns, self._conditions.undo)
 
     def end(self, end_ns: int) -> None:
         """Stop the scenario at ``end_ns``."""
         begun = self._onset_ns is not None
         self._execution.end((end_ns - (self._onset_ns or 0)) / SECOND if begun else -math.inf)
+        if self._conditions:
+            self._executor.call_at(max(end_ns, self._executor.now_ns), self._conditions.undo)
 
     def switch(self, execution: Execution) -> None:
         """Run another scenario from now on, with its onset now.
@@ -125,7 +135,9 @@ class ScenarioNode:
             )
         if self._timer is not None:
             self._timer.cancel()
-        self._execution = execution
+        conditions = Conditions(self._domain, execution)
+        self._conditions.undo()
+        self._execution, self._conditions = execution, conditions
         self.begin(self._executor.now_ns)
 
     def changes(self, start_ns: int) -> tuple[Change, ...]:
@@ -188,6 +200,11 @@ class ScenarioNode:
     def _on_timer(self) -> None:
         self._publish(self._execution.on_timer(self._heard_ns, self._t_s))
 
+    def _on_onset(self, conditions: Conditions) -> None:
+        if conditions is self._conditions:  # else it was switched to another scenario
+            for truth in conditions.apply():
+                self._told(truth)
+
     def _publish(self, result: Result, source: Publisher | None = None) -> None:
         for due_ns, message, topic in result.outputs:
             send = self._outputs[topic]
@@ -197,11 +214,14 @@ class ScenarioNode:
                 self._executor.call_at(due_ns + self._latency_ns, send, message)
             else:
                 send(message)
-        truth = result.truth
-        if truth is not None:
-            self._tell(truth.message())
-            if truth.magnitude > 0.0:
-                self._changes.append((self._executor.now_ns, truth.magnitude))
+        if result.truth is not None:
+            self._told(result.truth)
+
+    def _told(self, truth: GroundTruth) -> None:
+        """Tell what was done, and keep it for the manifest."""
+        self._tell(truth.message())
+        if truth.magnitude > 0.0:
+            self._changes.append((self._executor.now_ns, truth.magnitude))
 
 
 def _check_topics(domain: Domain, program: Program) -> None:

@@ -239,6 +239,11 @@ def _check_topics(reader: BagReader, program: Program) -> None:
                 f"{lane.input_topic}. A bag shows what the recorder hears, which is not altered; "
                 "record the scenario in closed loop."
             )
+    if program.scenario.needs_simulator:
+        raise BagError(
+            f"{program.scenario.id} changes parameters of nodes, or QoS. A bag cannot show how "
+            "nodes would have acted; record the scenario in closed loop."
+        )
     if reader.serialization != "cdr":
         raise BagError(f"{reader.path} is a ROS 1 bag; convert it with `rosbags-convert` first.")
     needed = {source.topic: source.type.name for source in program.sources.values()}

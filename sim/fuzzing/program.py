@@ -66,6 +66,15 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
+class ParameterChange:
+    """A parameter of a node that is set at the onset."""
+
+    node: str
+    name: str
+    value: Term
+
+
+@dataclass(frozen=True, slots=True)
 class Activation:
     """When a scenario acts."""
 
@@ -149,6 +158,7 @@ class Program:
     to: tuple[str, ...] = ()  # only these nodes hear what is altered; none: everybody
     also: tuple["Program", ...] = ()  # one for each further topic that is altered together
     within_ns: int = 0  # of a further topic: how far it may be behind the main one it belongs to
+    node_parameters: tuple[ParameterChange, ...] = ()  # set from the onset to the end
 
     @property
     def has_header(self) -> bool:

@@ -22,10 +22,13 @@ import yaml
 from oracle_pipeline.bags import json_schema
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Label
+from sim.fuzzing.actuation import moves_something
 from sim.fuzzing.schema_words import in_words, schema
 
 Key = tuple[str | int, ...]  # where something stands in a document: ("transform", "actions", 0)
 Control = Literal["none", "passthrough", "shadow"]
+
+SET_PARAMETERS = "set_parameters"  # of nodes
 
 MAX_BYTES = 2**18  # of a file
 MAX_DEPTH = 24  # of a document
@@ -136,9 +139,16 @@ class Scenario:
         return bool(main["input"] == main["output"])
 
     @property
-    def is_on_links(self) -> bool:
-        """Whether only some nodes receive altered messages, so that no recording shows them."""
-        return any("to" in each for each in self._altered)
+    def needs_simulator(self) -> bool:
+        """Whether no recording shows what it does: on links, to QoS or to parameters of nodes."""
+        links = any("to" in each or "qos" in each for each in self._altered)
+        return SET_PARAMETERS in self.document or links
+
+    @property
+    def may_move(self) -> bool:
+        """Whether it may move the robot, or change where it goes, so that it needs leave."""
+        spoken = (moves_something(*each) for each in self.spoken)
+        return SET_PARAMETERS in self.document or any(spoken)
 
     @property
     def spoken(self) -> list[tuple[str, str]]:

@@ -87,6 +87,12 @@ def _check_altered(
                     f"expected the output to be the input, {spec['input']}: receivers can be "
                     "chosen only for a topic that is altered in place",
                 )
+            if "qos" in spec and not _is_in_place(spec):
+                raise scenario.error(
+                    (*key, "qos"),
+                    f"expected the output to be the input, {spec['input']}: what a publisher "
+                    "offers can be changed only where no node stands between",
+                )
         inputs.append(spec["input"])
 
 

@@ -16,6 +16,7 @@ from oracle_pipeline.bags.qos_profiles import compatible, is_latched
 from sim.middleware.delays import Delays
 from sim.middleware.endpoints import Publisher, Sample, Subscription
 from sim.middleware.executor import Executor
+from sim.middleware.parameters import NodeParameter
 
 _Endpoint = TypeVar("_Endpoint")
 
@@ -68,6 +69,7 @@ class Domain:
         self._delays = functools.cache(delays)  # all subscriptions of a node share them
         self.revision = 0  # counts publishers: who looks for new ones need not look when it stands
         self.topics: dict[str, str] = {}  # name -> message type, in order of appearance
+        self.parameters: dict[tuple[str, str], NodeParameter] = {}  # by node and name
         self._publishers: dict[str, list[Publisher]] = {}  # by topic
         self._subscriptions: dict[str, list[Subscription]] = {}  # by topic
         self._nodes: dict[str, None] = {}
@@ -123,6 +125,10 @@ class Domain:
     def add_action_client(self, node: str, name: str, action_type: str) -> None:
         """Register a node as a client of an action."""
         self._action_clients.append((node, name, action_type))
+
+    def add_parameter(self, parameter: NodeParameter) -> None:
+        """Register a parameter that others may set."""
+        self.parameters[parameter.node, parameter.name] = parameter
 
     def service(self, name: str) -> Service:
         """Return a service that is up."""

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from rosbags.interfaces import Qos
 
-from oracle_pipeline.bags.qos_profiles import is_latched
+from oracle_pipeline.bags.qos_profiles import compatible, is_latched
 from oracle_pipeline.bags.types import deserialize, serialize
 from sim.middleware.delays import Delays
 from sim.middleware.executor import Executor
@@ -176,6 +176,27 @@ class Publisher:
         for latency_ns, delays, _, deliver in self._listeners:
             due_ns = now_ns + latency_ns if delays is None else delays.due_ns(now_ns, latency_ns)
             call_at(due_ns, deliver, sample)
+
+    def offer(self, qos: Qos) -> list[str]:
+        """Offer another profile, as a publisher that comes back; return who hears it no longer.
+
+        Who taps, and who takes raw bytes, adapts to any offer, as rosbag2 does.
+        """
+        self.qos = qos
+        if not is_latched(qos):
+            self.retained = None
+        elif self.retained is None:
+            self.retained = deque(maxlen=qos.depth)
+        self._listeners.clear()
+        if self._links is not None:
+            self._links.listeners.clear()
+        deaf = []
+        for subscription in self.subscriptions:
+            if compatible(qos, subscription.qos):
+                self._listen(subscription)
+            elif subscription.callback is not None and not subscription.raw:
+                deaf.append(subscription.node)
+        return deaf
 
     def tap(self, callback: Callable[[bytes], None]) -> None:
         """Hand on the bytes of each message from now on, and of those that are kept for late ones.

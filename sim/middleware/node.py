@@ -14,6 +14,7 @@ from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos as profiles
 from sim.middleware.domain import Domain, Service
 from sim.middleware.endpoints import Publisher, Subscription
+from sim.middleware.parameters import EVENT, NodeParameter
 from sim.middleware.stamps import time_message
 
 _Log = message_class("rcl_interfaces/msg/Log")
@@ -84,13 +85,15 @@ class Node:
         self.latency_ns = latency_ns
         self._rng = rng
         self._rosout = self.create_publisher("rcl_interfaces/msg/Log", "/rosout", profiles.ROSOUT)
-        event = "rcl_interfaces/msg/ParameterEvent"
+        self._parameter_events: Publisher | None = None
         if "P" in endpoints:
-            self.create_publisher(event, "/parameter_events", profiles.PARAMETER_EVENTS)
+            self._parameter_events = self.create_publisher(
+                EVENT, "/parameter_events", profiles.PARAMETER_EVENTS
+            )
             for service, srvtype in _PARAMETER_SERVICES.items():
                 self.create_service(srvtype, f"{name}/{service}", _no_parameters)
         if "E" in endpoints:
-            self.create_subscription(event, "/parameter_events", None, profiles.PARAMETER_EVENTS)
+            self.create_subscription(EVENT, "/parameter_events", None, profiles.PARAMETER_EVENTS)
         if "C" in endpoints:
             self.create_subscription("rosgraph_msgs/msg/Clock", "/clock", None, profiles.CLOCK)
 
@@ -140,6 +143,19 @@ class Node:
         service = Service(self.name, name, srvtype, handler)
         self.domain.add_service(service)
         return service
+
+    def declare_parameter(
+        self,
+        name: str,
+        value: float,
+        checked: Callable[[float], float],
+        changed: Callable[[float], None],
+    ) -> None:
+        """Let others set a parameter; see `NodeParameter`."""
+        if self._parameter_events is None:
+            raise ValueError(f"{self.name} was made without parameters")
+        parameter = NodeParameter(self.name, name, value, checked, changed, self._parameter_events)
+        self.domain.add_parameter(parameter)
 
     def create_client(self, srvtype: str, name: str) -> "Client":
         """Get ready to call a service."""

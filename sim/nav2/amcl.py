@@ -240,4 +240,4 @@ def _cloud_data(time_ns: int, belief: ParticleFilter) -> bytes:
     particles[:, 7] = belief.weights
     prefix = before_count + struct.pack("<I", count)
     padding = bytes(-(len(prefix) - _ENCAPSULATION) % 8)
-    return prefix + padding + particles.astype("<f8").tobytes()
+    return b"".join((prefix, padding, particles.astype("<f8", copy=False).data))

@@ -5,6 +5,7 @@ whether the robot gets on and whether it is there.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -25,6 +26,7 @@ from sim.nav2.dwb_debug import DebugTopics
 from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.messages import TWIST, twist_bytes, twist_message
+from sim.nav2.parameters import of_node
 from sim.nav2.paths import PATH, length_ahead, path_bytes, path_poses
 from sim.nav2.rotation_shim import RotationShim
 
@@ -122,6 +124,13 @@ class ControllerServer(LifecycleNode):
         self._costmap = costmap
         self._transforms = transforms
         self._planner = RotationShim(parameters) if faces_paths else LocalPlanner(parameters)
+        for name, setting in of_node("controller_server").items():
+            self.declare_parameter(
+                name,
+                getattr(self._planner.parameters, setting.field),
+                partial(setting.checked, name),
+                partial(self._on_parameter, setting.field),
+            )
         self._progress = ProgressChecker()
         self._goal_checker = GoalChecker()
         self._velocity = (0.0, 0.0)
@@ -164,6 +173,10 @@ class ControllerServer(LifecycleNode):
 
     def _on_speed_limit(self, message: Any) -> None:
         self._planner.limit_speed(message.speed_limit, percentage=message.percentage)
+
+    def _on_parameter(self, field: str, value: float) -> None:
+        changed: dict[str, Any] = {field: value}  # whole where the field is
+        self._planner.configure(self._planner.parameters._replace(**changed))
 
     def _on_goal(self, goal: GoalHandle) -> None:
         for replaced in self._goals[1:]:

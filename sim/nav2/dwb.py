@@ -38,7 +38,7 @@ class LocalPlanner:
 
     def __init__(self, parameters: Parameters | None = None) -> None:
         self._base = parameters or Parameters()
-        self._limited = self._base
+        self._limited, self._share = self._base, 1.0  # of its maximal speed
         self.plan: Poses = np.empty((0, 3))
         self._near_goal = False
         self._rotating = False
@@ -57,11 +57,21 @@ class LocalPlanner:
     def limit_speed(self, limit: float, *, percentage: bool) -> None:
         """Scale the speed limits to ``limit`` (per cent, or m/s); 0 lifts the limit."""
         base = self._base
-        ratio = limit / 100.0 if percentage else min(1.0, limit / base.max_vel_x)
+        self._share = limit / 100.0 if percentage else min(1.0, limit / base.max_vel_x)
         if limit == 0.0:
-            ratio = 1.0
-        self._limited = base._replace(
-            max_vel_x=base.max_vel_x * ratio, max_vel_theta=base.max_vel_theta * ratio
+            self._share = 1.0
+        self.configure(base)
+
+    @property
+    def parameters(self) -> Parameters:
+        """Limits, sampling and scales, without the speed limit."""
+        return self._base
+
+    def configure(self, parameters: Parameters) -> None:
+        """Take other parameters from now on; a speed limit stays."""
+        self._base, share = parameters, self._share
+        self._limited = parameters._replace(
+            max_vel_x=parameters.max_vel_x * share, max_vel_theta=parameters.max_vel_theta * share
         )
 
     def compute(

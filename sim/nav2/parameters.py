@@ -29,6 +29,22 @@ class Setting(NamedTuple):
     low: float
     high: float
 
+    def checked(self, name: str, value: float) -> float:
+        """Return a value as the parameter has it.
+
+        Raises
+        ------
+        RecipeError
+            It cannot have that value; the text begins with `name`.
+        """
+        if not self.low <= value <= self.high:
+            raise RecipeError(f"{name}: expected {self.low:g} to {self.high:g}, found {value:g}.")
+        if not isinstance(self.low, int):
+            return value
+        if value != int(value):
+            raise RecipeError(f"{name}: expected a whole number, found {value:g}.")
+        return int(value)
+
 
 _DWB, _LOCAL, _GLOBAL = "dwb", "local_inflation", "global_inflation"
 
@@ -69,6 +85,15 @@ PARAMETERS: Mapping[str, Setting] = {
 }
 
 
+def of_node(node: str) -> dict[str, Setting]:
+    """Return the parameters of a node by their names there."""
+    return {
+        name.removeprefix(f"{node}."): setting
+        for name, setting in PARAMETERS.items()
+        if name.startswith(f"{node}.")
+    }
+
+
 def settings(*, stock: bool, given: Mapping[str, float]) -> Settings:
     """Return the values of all parameters.
 
@@ -89,7 +114,7 @@ def settings(*, stock: bool, given: Mapping[str, float]) -> Settings:
         setting = PARAMETERS.get(name)
         if setting is None:
             raise RecipeError(f"There is no parameter {name}; there are {', '.join(PARAMETERS)}.")
-        changed[setting.part][setting.field] = _checked(name, setting, value)
+        changed[setting.part][setting.field] = setting.checked(name, value)
     dwb = Parameters(sim_time=STOCK_SIM_TIME) if stock else Parameters()
     everywhere = AS_SHIPPED if stock else Inflation(cost_scaling=GLOBAL_COST_SCALING)
     return Settings(
@@ -123,16 +148,5 @@ def named_values(words: Sequence[str]) -> dict[str, float]:
             value = float(text)
         except ValueError as error:
             raise RecipeError(f"{name}: expected NAME=NUMBER, found {word!r}.") from error
-        found |= {known: _checked(known, PARAMETERS[known], value) for known in meant}
+        found |= {known: PARAMETERS[known].checked(known, value) for known in meant}
     return dict(sorted(found.items()))
-
-
-def _checked(name: str, setting: Setting, value: float) -> float:
-    """Return a value as its parameter has it."""
-    if not setting.low <= value <= setting.high:
-        raise RecipeError(f"{name}: expected {setting.low:g} to {setting.high:g}, found {value:g}.")
-    if not isinstance(setting.low, int):
-        return value
-    if value != int(value):
-        raise RecipeError(f"{name}: expected a whole number, found {value:g}.")
-    return int(value)

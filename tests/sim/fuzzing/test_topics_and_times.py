@@ -362,7 +362,7 @@ def test_several_topics_can_be_altered_in_place(tmp_path):
             "/scan",
             "also.odom.output: expected a topic to which the scenario does not subscribe",
         ),
-        ("/tom_a", "/scan_a", "also.tom.output: expected a topic of its own, /scan_a stands"),
+        ("/tom_a", "/scan_a", "also.tom.output: expected another topic: /scan_a is named"),
         ("  tom:", "  main:", "also.main: expected another name"),
         ("[main, tom]", "[main, ella]", r"actions\[0\].on\[1\]: expected one of main, tom, odom"),
         ("[main, tom]", "[main, odom]", r"actions\[0\].do\[0\].set.field: "),

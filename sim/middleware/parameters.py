@@ -1,0 +1,69 @@
+"""Parameters that a node lets others set while it runs, and the event that tells of it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from oracle_pipeline.bags.types import message_class
+from sim.middleware.endpoints import Publisher
+from sim.middleware.stamps import time_message
+
+EVENT = "rcl_interfaces/msg/ParameterEvent"
+_Event, _Parameter, _Value = map(
+    message_class,
+    (EVENT, "rcl_interfaces/msg/Parameter", "rcl_interfaces/msg/ParameterValue"),
+)
+_INTEGER, _DOUBLE = 2, 3  # rcl_interfaces/msg/ParameterType
+
+
+@dataclass(slots=True, eq=False)
+class NodeParameter:
+    """A number of a node that may be set while it runs.
+
+    Parameters
+    ----------
+    node, name
+        Whose it is, and what it is called there.
+    value
+        What it is now.
+    checked
+        Returns a value as the parameter has it, or raises an `OracleError`.
+    changed
+        Takes a new value.
+    events
+        Where the node tells that a parameter was set.
+    """
+
+    node: str
+    name: str
+    value: float
+    checked: Callable[[float], float]
+    changed: Callable[[float], None]
+    events: Publisher
+
+    def set(self, value: float) -> None:
+        """Set it, as its node's service ``set_parameters`` does, and tell so.
+
+        Raises
+        ------
+        OracleError
+            It cannot have that value.
+        """
+        self.value = self.checked(value)
+        self.changed(self.value)
+        stamp = time_message(self.events.executor.now_ns)
+        told = _Parameter(self.name, _value(self.value))
+        self.events.publish(_Event(stamp, self.node, [], [told], []))
+
+
+def _value(number: float) -> object:
+    """Return ``rcl_interfaces/msg/ParameterValue``."""
+    whole = isinstance(number, int)
+    empty: tuple[object, ...] = (
+        np.zeros(0, np.uint8), np.zeros(0, np.bool_), np.zeros(0, np.int64), np.zeros(0), [],
+    )  # fmt: skip
+    return _Value(
+        _INTEGER if whole else _DOUBLE, False, int(number) if whole else 0,
+        0.0 if whole else float(number), "", *empty,
+    )  # fmt: skip
