@@ -24,7 +24,7 @@ COMPILE := pip-compile --quiet --strip-extras --no-header --no-annotate \
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*## ' Makefile | awk -F':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
 
-setup: $(VENV)/.ready ## Make .venv with what running needs, in pinned versions
+setup: $(VENV)/.compiled ## Make .venv with what running needs, in pinned versions
 
 setup-dev: $(VENV)/.ready-dev ## Add what tests, types and benchmarks need
 
@@ -33,6 +33,11 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 		|| { echo "This needs Python 3.11 or newer; say which with: make setup PYTHON=python3.12"; exit 1; }
 	$$($(PYTHON) scripts/choose_python.py $(if $(filter file,$(origin PYTHON)),,--only)) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+	@touch $@
+
+# What changes later is compiled when it is first called.
+$(VENV)/.compiled: $(VENV)/.ready
+	$(BIN)/python scripts/compile_loops.py
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
@@ -62,7 +67,8 @@ campaign: setup ## Simulate 60 blocks of every mode and hard negative, and evalu
 ui: setup ## Open the pipeline in the browser, on 127.0.0.1
 	oracle-ui -w workspace.yaml
 
-test: setup-dev lint types ## Check style and types, then run every test that needs only Python and PyPI
+test: setup-dev ## Check style and types, then run every test that needs only Python and PyPI
+	@$(MAKE) --no-print-directory --jobs=2 lint types $(VENV)/.compiled
 	pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 test-quick: setup-dev ## Run the tests that take less than a second each: while you work

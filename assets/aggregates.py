@@ -1,4 +1,4 @@
-"""What the assets over all runs share: their declaration, their inputs and their results."""
+"""Helpers for assets over all runs: declaration, inputs and results."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -94,7 +94,7 @@ def windows_of(store: RunStore, df: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def keep(result: "Report", store: RunStore, name: str) -> dg.MaterializeResult[None]:
-    """Save a report where `oracle_report` finds it, show it, and say so in the log."""
+    """Save a report where `oracle_report` finds it, show it in the UI, and log where it is."""
     from oracle_pipeline.datasets import content_hash
     from oracle_pipeline.reporting.report import SUMMARY
 

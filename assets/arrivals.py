@@ -1,6 +1,6 @@
 """The sensor that judges recordings as they arrive in a folder.
 
-A tick only looks at names and sizes. What it requests is in ``assets.foreign``.
+A tick only looks at names and sizes. The job that it requests is in ``assets.foreign``.
 """
 
 import json
@@ -24,7 +24,7 @@ QUIET_S = 600.0  # after which a recording without an end is one that was cut of
 
 @dataclass(slots=True)
 class _Cursor:
-    """What earlier ticks saw, by key of the recording."""
+    """The state of recordings at earlier ticks, by key of the recording."""
 
     seen: dict[str, str] = field(default_factory=dict)  # fingerprint at the last tick
     requested: dict[str, str] = field(default_factory=dict)  # fingerprint when it was requested
@@ -43,7 +43,7 @@ class _Cursor:
     "reference card of ORACLE_CARD. Each recording is a partition and a Dagster run of its own.",
 )
 def arrived_recordings(context: dg.SensorEvaluationContext, inbox: Inbox) -> dg.SensorResult:
-    """Request the recordings that are new or have changed, and tell which were removed."""
+    """Request the recordings that are new or have changed, and report those that were removed."""
     from oracle_pipeline.bags.arrivals import arrivals
 
     former = _Cursor.of(context.cursor)
@@ -76,7 +76,7 @@ def arrived_recordings(context: dg.SensorEvaluationContext, inbox: Inbox) -> dg.
 
 
 def _is_ready(arrival: "Arrival", former: _Cursor) -> bool:
-    """Tell whether a recording is at rest, has its end, and was not requested as it is now."""
+    """Tell whether a recording is finished, and was not requested in its present state."""
     at_rest = former.seen.get(arrival.key) == arrival.fingerprint
     cut_off = time.time() - arrival.changed_s > QUIET_S
     is_new = former.requested.get(arrival.key) != arrival.fingerprint
@@ -97,7 +97,7 @@ def _removal(key: str, name: str) -> dg.AssetObservation:
 
 
 def _nothing(found: Iterable["Arrival"], former: _Cursor, removed: Collection[str]) -> str:
-    """Say why nothing is requested."""
+    """Return the reason why nothing is requested."""
     waiting = [
         arrival.name
         for arrival in found

@@ -1,4 +1,4 @@
-"""What all assets share: whom to ask, what they are about, and where their content is kept."""
+"""What all assets declare: owner, scope, and the place of their content."""
 
 from typing import Any, Literal, TypedDict
 
@@ -24,7 +24,7 @@ def declared(scope: Scope, place: str) -> Declared:
     Parameters
     ----------
     scope
-        What one item of it is about; ``--select tag:scope=campaign`` selects by it.
+        What one item of the asset describes; ``--select tag:scope=campaign`` selects by it.
     place
         Where its content is, below the root of the store.
     """

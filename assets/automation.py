@@ -43,7 +43,7 @@ report = dg.define_asset_job(
 evaluate = dg.define_asset_job(
     "evaluate",
     selection=[feature_dataset, oracle_evaluation],
-    description="Measure how well the oracle tells the recorded runs apart.",
+    description="Measure how well the oracle separates the attacked from the normal runs on disk.",
 )
 thesis = dg.define_asset_job(
     "thesis",

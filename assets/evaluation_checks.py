@@ -15,16 +15,25 @@ EVALUATION, TABLE = "oracle_evaluation", "checks"
 CHECKS = tuple(
     dg.AssetCheckSpec(name, asset=EVALUATION, description=description)
     for name, description in {
-        "sessions_score_alike": "A/A: runs of one mode in two sessions, on disjoint blocks, score "
-        "alike.",
-        "graphs_of_pairs_are_equal": "An attacked mode and its control show the same graphs.",
-        "label_is_predicted_better_than_session": "Features predict the label better "
-        "than the session.",
-        "shuffled_labels_are_chance": "Labels permuted within blocks are not predicted.",
-        "hard_negatives_pass": "Harmless changes are seldom called anomalous.",
-        "shortcuts_are_apart": "No headline feature identifies a run by its nodes or topics.",
-        "unaltered_runs_are_alike": "No headline feature distinguishes a passthrough from its "
-        "shadow control.",
+        "sessions_score_alike": (
+            "A/A test: runs of one mode in two sessions, on disjoint blocks, have similar scores."
+        ),
+        "graphs_of_pairs_are_equal": "An attacked mode and its control have the same ROS graphs.",
+        "label_is_predicted_better_than_session": (
+            "Features predict the label better than the session."
+        ),
+        "shuffled_labels_are_chance": (
+            "With labels permuted within blocks, the AUC is that of chance."
+        ),
+        "hard_negatives_pass": (
+            "Runs with a harmless change (hard negatives) are rarely called anomalous."
+        ),
+        "shortcuts_are_apart": (
+            "No feature of the headline identifies attacked runs by their nodes or topics."
+        ),
+        "unaltered_runs_are_alike": (
+            "No feature of the headline distinguishes a passthrough from its shadow control."
+        ),
     }.items()
 )
 
@@ -33,7 +42,7 @@ CHECKS = tuple(
 def checks_of_evaluation(
     context: dg.AssetCheckExecutionContext, store: RunStore
 ) -> Iterator[dg.AssetCheckResult]:
-    """Show the results of the integrity checks; an unsupported check does not pass."""
+    """Return the results of the integrity checks; an unsupported check does not pass."""
     from oracle_pipeline.reporting.report import Report
 
     with clear_failures():
@@ -62,7 +71,7 @@ def checks_of_evaluation(
 
 
 def _severity(status: str) -> dg.AssetCheckSeverity:
-    """Return a warning for a check that could not be made, an error for one that failed."""
+    """Return the severity: a warning for an unsupported check, an error for a failed one."""
     if status == "unsupported":
         return dg.AssetCheckSeverity.WARN
     return dg.AssetCheckSeverity.ERROR

@@ -92,7 +92,7 @@ def check_evaluation(
     metadata: Figures,
     severity: dg.AssetCheckSeverity = dg.AssetCheckSeverity.ERROR,
 ) -> dg.AssetCheckEvaluation:
-    """Return a check's result for one partition, tied to the materialization that was checked."""
+    """Return a check's result for one partition, linked to the materialization it checked."""
     return dg.AssetCheckEvaluation(
         asset_key=spec.asset_key,
         check_name=spec.name,

@@ -86,7 +86,7 @@ WINDOW_FEATURES = dg.AssetSpec(
     kinds={"pandas", "parquet"},
     **declared("run", "features/window/<mode>/<run>.parquet"),
     code_version=feature_code(),
-    description="""The features of each window of 10 s, every 5 s, from all plugins.
+    description="""The features of each window of 5 s, every 2.5 s, from all plugins.
 
 One row for each window, by its start `window_start_s` in the recording; units in the schema. A
 feature that cannot be computed for a window is empty, with the reason in column `missing`.""",
@@ -231,10 +231,10 @@ def _outcomes(
 def _materialized(
     specs: Sequence[dg.AssetSpec], store: RunStore, report: "RunReport", *, last: bool
 ) -> Iterator[Materialized]:
-    """Yield the current state of the assets of a run.
+    """Yield the materializations of the assets of a run.
 
-    A table of the step's last run says what its columns are: the UI shows those of the newest
-    event, and 60 kB for each table of each run would make the event log slow.
+    Only the tables of the step's last run describe their columns. The UI shows the newest event,
+    and 60 kB for each table of each run would make the event log slow.
     """
     for spec in specs:
         made = report.assets[spec.key.to_user_string()]

@@ -1,7 +1,7 @@
-"""Recordings that arrive in a folder: features and verdict of each, and a page on all of them.
+"""Assets for recordings that arrive in a folder: features and verdicts, and a page on all of them.
 
-These are external assets, whose events the job ``judge_arrivals`` reports. Dagster refuses a
-command or job whose assets have different partitions; external ones are in none, so that
+They are external assets: the job ``judge_arrivals`` reports their events. Dagster refuses a command
+or job over assets with different partitions. External assets are not part of any selection, so
 ``--select '*'`` still means the whole campaign.
 """
 
@@ -77,7 +77,7 @@ IS_NORMAL = dg.AssetCheckSpec(
 
 
 class JudgeConfig(dg.Config):
-    """How strict a verdict is, and what one recording may take."""
+    """The false positive rate of a verdict, and limits for one recording."""
 
     far: float = Field(
         default=0.05,
@@ -98,7 +98,7 @@ class JudgeConfig(dg.Config):
 def judge_recording(
     context: dg.OpExecutionContext, config: JudgeConfig, store: RunStore, inbox: Inbox
 ) -> Iterator[dg.AssetMaterialization | dg.AssetCheckEvaluation | dg.Output[None]]:
-    """Judge the recording of the partition, and make the page on all recordings again."""
+    """Judge the recording of the partition, and renew the page on all recordings."""
     from assets.worker.foreign import judge_arrival
     from oracle_pipeline.scoring.isolation import Limits
 
@@ -157,7 +157,7 @@ def judge_arrivals() -> None:
 def checks_of_arrivals(
     context: dg.AssetCheckExecutionContext, store: RunStore
 ) -> Iterator[dg.AssetCheckEvaluation | dg.Output[None]]:
-    """Show all stored verdicts again; nothing is judged."""
+    """Return the check results of all stored verdicts; nothing is judged again."""
     from oracle_pipeline.scoring.kept_verdicts import kept_verdicts
 
     with clear_failures():

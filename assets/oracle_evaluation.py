@@ -30,7 +30,7 @@ QUESTIONS = 20  # that labels answer, in place of a person
 
 
 class EvaluationConfig(TestbedConfig):
-    """What is evaluated, and beside which bounds."""
+    """Which runs are evaluated, and which classifiers bound the result."""
 
     upper_bounds: list[str] = Field(
         default=["random_forest"],

@@ -1,4 +1,4 @@
-"""The report on everything that was measured.
+"""The asset that writes the report.
 
 A thin shell around ``oracle_pipeline.reporting.html``, which is imported inside the functions, so
 that the code location loads without pandas and scikit-learn.

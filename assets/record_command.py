@@ -21,16 +21,16 @@ REPEATED = (
 
 
 def record_command(wanted: Sequence[str], blocks: int) -> str:
-    """Return the command that records the first so many blocks of modes, and analyses them.
+    """Return the command that records the first blocks of modes, and analyses them.
 
-    A range of partitions is one of neighbouring modes; runs that are there already are verified.
+    A range of partitions covers neighbouring modes. Runs that exist are verified.
 
     Parameters
     ----------
     wanted : sequence of str
-        Modes; ``benign_*`` stands for all that begin so.
+        Modes; ``benign_*`` stands for all with this prefix.
     blocks : int
-        How many, from the first.
+        Number of blocks, from the first one.
     """
     beginnings = tuple(name[:-1] for name in wanted if name.endswith("*"))
     chosen = [mode for mode in modes() if mode in wanted or mode.startswith(beginnings)]

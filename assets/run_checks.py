@@ -1,7 +1,7 @@
 """Checks of every run, made whenever the run is materialized.
 
-One step makes all selected checks with the fleet and gives every run a result of its own. A failed
-check is an error to look into, but blocks no asset.
+One step performs all selected checks on the fleet, and gives each run a result of its own. A failed
+check is an error to investigate, but it blocks no asset.
 """
 
 from collections.abc import Iterable, Iterator
@@ -101,7 +101,7 @@ def checks_of_runs(
 
 
 def complete_pairs(runs: Iterable[RunDirectory]) -> list[tuple[RunDirectory, RunDirectory]]:
-    """Return control and attacked run of every complete pair with one of its two among the runs."""
+    """Return control and attacked run of each complete pair of which at least one run is given."""
     ours = set(runs)
     pairs = [
         (RunDirectory(root, control, number), RunDirectory(root, attacked, number))

@@ -88,7 +88,7 @@ def _requests(instance: dg.DagsterInstance, changed: Mapping[str, str]) -> Itera
 
 
 def _ranges(mode: str, keys: Collection[str]) -> Iterator[tuple[str, str]]:
-    """Yield first and last key of each unbroken range of a mode's runs among the keys."""
+    """Yield the first and last key of each contiguous range of a mode's runs among the keys."""
     runs = RUNS.get_partitions_def_for_dimension("run").get_partition_keys()
     of_mode = [f"{mode}|{run}" for run in runs]
     for is_there, group in itertools.groupby(of_mode, lambda key: key in keys):

@@ -1,8 +1,7 @@
 """Searches for attacks that the oracle misses: a partition for each scenario that can be varied.
 
-This is an external asset, whose events the job ``search_attacks`` reports, as the recordings that
-arrived are (``assets.foreign``): ``--select '*'`` still means the whole campaign, which no search
-delays.
+This is an external asset, as in ``assets.foreign``: the job ``search_attacks`` reports its events.
+So ``--select '*'`` still means the whole campaign, and no search delays it.
 """
 
 from collections.abc import Iterator
@@ -63,16 +62,19 @@ The same as `oracle-sim search SCENARIO --reference CARD`.""",
 
 
 class SearchConfig(dg.Config):
-    """How long a search goes on, and for what it looks."""
+    """The budget of a search, and what it looks for."""
 
     budget: str = Field(
-        default="100", description="When to end: so many trials, earlier ones included; or 30m."
+        default="100",
+        description="When to end: a number of trials in total, or a time such as 30m.",
     )
     objective: str = Field(
         default="evade", description="What is looked for: evade, break or boundary."
     )
-    sampler: str = Field(default="tpe", description="Who proposes: tpe, nsga2, guided or random.")
-    blocks: int = Field(default=3, ge=1, description="Trials take turns in so many blocks.")
+    sampler: str = Field(
+        default="tpe", description="How trials are proposed: tpe, nsga2, guided or random."
+    )
+    blocks: int = Field(default=3, ge=1, description="Number of blocks in which trials take turns.")
     goals: int = Field(default=1, ge=1, description="Goals of each run.")
     time_limit: float = Field(
         default=120.0, gt=0.0, description="Simulated seconds that a goal may take, on average."
@@ -94,7 +96,7 @@ def search_scenario(
     campaign: CampaignSettings,
     inbox: Inbox,
 ) -> Iterator[dg.AssetMaterialization | dg.Output[None]]:
-    """Search the scenario of the partition; a search that is there goes on."""
+    """Search the scenario of the partition; an existing search is continued."""
     from resources.search.outcome import PICTURE, is_miss, save
     from resources.search.study import Budget
     from resources.search.whole_search import Plan, search_of

@@ -45,7 +45,7 @@ class BootstrapConfig(TestbedConfig):
 
 
 class GridConfig(dg.Config):
-    """What the grid search tries and selects by; the defaults are the thesis's grid."""
+    """The grid, and the measure to select by; the defaults are the thesis's."""
 
     linkages: list[str] = Field(
         default=["ward", "single", "complete", "average"], description="Linkages to try."

@@ -1,1 +1,1 @@
-"""What the project measures of itself: ``make bench``. Ratios of one run on one machine."""
+"""Benchmarks of this project (``make bench``), as ratios measured in one run on one machine."""

@@ -1,4 +1,4 @@
-"""Run the benchmarks that are named, or the default, and print a table of each."""
+"""Run the named benchmarks, or the default ones, and print a table for each."""
 
 import argparse
 
@@ -35,7 +35,7 @@ DEFAULT = ("testbed", "scenarios")  # speed, size and memory; the others take lo
 
 
 def main() -> None:
-    """Print one line a figure: what it is, its median, the goal."""
+    """Print a line for each figure: its name, its median and its goal."""
     parser = argparse.ArgumentParser(prog="python -m bench", description=main.__doc__)
     parser.add_argument(
         "names", nargs="*", default=DEFAULT, metavar="NAME",

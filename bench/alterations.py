@@ -1,7 +1,7 @@
-"""What an attacker may do to a recording on its way to the features, without a second bag.
+"""Alterations that an attacker could make to a recording, applied while features read it.
 
-An `Alteration` takes each decoded message of the types it asks for and returns what stands in its
-place, or None to leave it out. Nothing is written: the reader hands out the altered bytes.
+An `Alteration` receives each decoded message of the types that it names, and returns a replacement,
+or None to leave the message out. No second bag is written: the reader returns the altered bytes.
 """
 
 import math
@@ -24,7 +24,7 @@ POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 FIVE = 1.05  # 5 % more
 
-#: Takes topic, message and seconds since the onset, changes the message; False leaves it out.
+#: Takes topic, message and seconds since the onset, and changes the message. False drops it.
 Change: TypeAlias = Callable[[str, Any, float], bool | None]
 
 
@@ -37,9 +37,9 @@ class Alteration:
     changes : mapping of str to callable
         By message type: returns a `Change`, fresh for each recording, as it may remember.
     onset_s : float
-        Before that nothing is changed [s of the recording].
+        When the alteration begins [s of the recording].
     late_s : mapping of str to float
-        By message type: how much later its messages are recorded [s].
+        By message type: how much later its messages arrive [s].
     """
 
     changes: Mapping[str, Callable[[], Change]] = field(default_factory=dict)
@@ -48,7 +48,7 @@ class Alteration:
 
 
 class AlteredBag(BagReader):
-    """A bag with some topics left out and the messages of others altered."""
+    """A bag without some topics, and with altered messages on others."""
 
     def __init__(self, path: Path, alteration: Alteration, left_out: Collection[str]) -> None:
         super().__init__(path)
@@ -56,7 +56,7 @@ class AlteredBag(BagReader):
         self.topics = {name: t for name, t in self.topics.items() if name not in left_out}
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """Yield the messages as they were altered."""
+        """Yield the altered messages."""
         wanted = self.topics.keys() if topics is None else self.topics.keys() & set(topics)
         changes = {each: make() for each, make in self._alteration.changes.items()}
         for raw in super().messages(wanted):
@@ -82,7 +82,7 @@ def pose_of(pose: Any) -> tuple[float, float, float]:
 
 
 def open_altered(path: Path, alteration: Alteration, left_out: Collection[str] = ()) -> OpenedRun:
-    """Open a run directory as if it had been recorded so; its graphs are left out."""
+    """Open a run directory as if it had been recorded with an alteration; graphs are left out."""
     run = open_run(path)
     bag = AlteredBag(run.bag.path, alteration, left_out)
     run.bag.close()
@@ -90,7 +90,7 @@ def open_altered(path: Path, alteration: Alteration, left_out: Collection[str] =
 
 
 def ranges_by(function: Callable[[Any], Any]) -> Alteration:
-    """Return the alteration that makes other ranges of a scan, from 15 s on."""
+    """Return an alteration that changes the ranges of a scan, from 15 s on."""
 
     def change(_topic: str, message: Any, _since_s: float) -> None:
         message.ranges = np.asarray(function(message), dtype=np.float32)
@@ -99,7 +99,7 @@ def ranges_by(function: Callable[[Any], Any]) -> Alteration:
 
 
 def replayed(behind: int) -> Alteration:
-    """Return the alteration that shows the ranges of so many scans before."""
+    """Return an alteration that replaces the ranges of a scan by those of some scans earlier."""
 
     def make() -> Change:
         past: dict[str, list[Any]] = {}
@@ -115,14 +115,14 @@ def replayed(behind: int) -> Alteration:
 
 
 def frozen() -> Alteration:
-    """Return the alteration that shows the same ranges for ever."""
+    """Return an alteration that repeats the same ranges until the recording ends."""
     return replayed(10**9)
 
 
 def phantom(ahead_m: float, radius_m: float, noise_m: float) -> Alteration:
-    """Return the alteration that puts a cylinder where the robot looks when it begins.
+    """Return an alteration that adds a cylinder ahead of the robot's pose at the onset.
 
-    It stands in the odometry frame, before what is farther away, with noise like a sensor's.
+    The cylinder is fixed in the odometry frame, hides what is behind it, and has sensor noise.
     """
 
     def make() -> dict[str, Change]:
@@ -161,7 +161,7 @@ def phantom(ahead_m: float, radius_m: float, noise_m: float) -> Alteration:
 
 
 def without_small_things(message: Any) -> Any:
-    """Return the ranges of a scan without the nearest thing that stands free."""
+    """Return the ranges of a scan without the nearest free-standing object."""
     ranges = np.asarray(message.ranges, dtype=np.float64).copy()
     edges = np.flatnonzero(np.abs(np.diff(np.where(np.isfinite(ranges), ranges, 50.0))) > 0.3)
     best, nearest = None, math.inf
@@ -180,7 +180,7 @@ def without_small_things(message: Any) -> Any:
 
 
 def blinded(message: Any) -> Any:
-    """Return the ranges of a scan that meets nothing in a sector of 60 degrees ahead."""
+    """Return the ranges of a scan without returns in a sector of 60 degrees ahead."""
     ranges = np.asarray(message.ranges, dtype=np.float64).copy()
     rays = round(math.radians(30.0) / message.angle_increment)
     ranges[:rays] = ranges[len(ranges) - rays :] = np.inf
@@ -191,7 +191,7 @@ def odometry(
     *, along: float = 1.0, turn: float = 1.0, twist: float = 1.0, east_m: float = 0.0,
     aside_m_s: float = 0.0,
 ) -> Callable[[], Change]:  # fmt: skip
-    """Return what alters poses and twists of odometry, from the first message on."""
+    """Return a change of the poses and twists of odometry, from the first message on."""
 
     def make() -> Change:
         pose = _pose_change(along, turn, east_m, aside_m_s)
@@ -210,7 +210,7 @@ def transforms(
     child: str, *, along: float = 1.0, turn: float = 1.0, east_m: float = 0.0,
     aside_m_s: float = 0.0,
 ) -> Callable[[], Change]:  # fmt: skip
-    """Return what alters the transforms to one frame."""
+    """Return a change of the transforms to one frame."""
 
     def make() -> Change:
         pose = _pose_change(along, turn, east_m, aside_m_s)
@@ -247,7 +247,7 @@ def _pose_change(
 
 
 def scaled(*paths: tuple[str, ...], only: int | None = None) -> Callable[[], Change]:
-    """Return what makes fields of a message 5 % larger; of an array all, or only one number."""
+    """Return a change that makes fields of a message 5 % larger: a whole array, or one element."""
 
     def change(_topic: str, message: Any, _since_s: float) -> None:
         for *owners, last in paths:
@@ -265,7 +265,7 @@ def scaled(*paths: tuple[str, ...], only: int | None = None) -> Callable[[], Cha
 
 
 def localisation(east_m: float) -> Callable[[], Change]:
-    """Return what moves a localisation's poses."""
+    """Return a change that moves the poses of a localisation."""
 
     def change(_topic: str, message: Any, _since_s: float) -> None:
         message.pose.pose.position.x += east_m

@@ -1,8 +1,8 @@
-"""A whole campaign through Dagster, against the seconds that its simulations and analyses take.
+"""Wall time of a whole campaign in Dagster, compared with the time of its pure work.
 
-Pure seconds are what each run says its simulation and its features took, and what each step over
-all runs took. The wall is that of ``dagster asset materialize``, from the shell's point of view:
-its start, planning, pictures of the runs, events and checks are what is on top.
+Pure work is the time that each run reports for its simulation and its features, plus the time of
+each step over all runs. Wall time is that of the command ``dagster asset materialize``. The
+difference is start-up, planning, pictures of the runs, events and checks.
 """
 
 import os
@@ -20,8 +20,8 @@ from oracle_pipeline.bags.run_directory import RunDirectory
 from sim.campaigns import Campaign
 from soak.budget import MODES, campaign
 
-# Runs a mode, goals a run: with patrols as they are by default, with the shortest ones, where all
-# that is not work weighs most, and `make run`.
+# Runs per mode and goals per run: default patrols, the shortest patrols (where overhead weighs
+# most), and `make run`.
 CAMPAIGNS = ((20, Campaign().goals_per_run), (20, 1), (3, Campaign().goals_per_run))
 GOAL = 1.3
 MOST = 10_000  # events that Dagster hands out at a time
@@ -52,14 +52,14 @@ def rows() -> Iterator[Row]:
 
 
 def _warm_up(root: Path) -> None:
-    """Have everything compiled that a run needs."""
+    """Compile everything that a run needs."""
     for mode in ("random_noise", "delayed_fakeobject"):
         run = RunDirectory(root, mode, 0)
         process_run(RunJob(run, Campaign(goals_per_run=1), OF_A_RUN, refresh=False))
 
 
 def _pure_seconds(dagster_home: Path) -> tuple[float, float]:
-    """Return the seconds of all runs' work, and of the steps over all runs."""
+    """Return the seconds of work of all runs, and of the steps over all runs."""
     with dg.DagsterInstance.from_config(str(dagster_home)) as instance:
         of_runs_s = 0.0
         for asset in TIMED:

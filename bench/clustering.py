@@ -1,6 +1,6 @@
-"""Clustering at scale: counted rows against SciPy's repeated ones, and very many distinct rows.
+"""Clustering at scale: weighted rows compared with SciPy on copies, and many distinct rows.
 
-Rows are made up: 40 features, normal around 50 centres.
+Rows are synthetic: 40 features, normally distributed around 50 centres.
 """
 
 import resource
@@ -50,7 +50,7 @@ def _features(n: int, rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def _seconds(function: Callable[..., object], *arguments: object) -> float:
-    """Return the time that one core works on a call, however busy the machine is."""
+    """Return the processor time of a call, which does not depend on how busy the machine is."""
     started = time.process_time()
     function(*arguments)
     return time.process_time() - started

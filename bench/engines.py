@@ -1,10 +1,9 @@
-"""Who does the work: one process against two, and a Dask cluster against the pool of processes.
+"""Speed of executors: one process against two, and a Dask cluster against a process pool.
 
-The job is the product's own: one run from recipe to features. Every measure is the time from the
-first job to the last outcome of workers that have done such a job before, so what is compared is
-the work, not the start of processes. Rounds alternate between what is compared, so that what else
-the machine does falls on all of it. What its two cores give two processes that share nothing is
-measured beside it, with the yardstick.
+A job takes one run from recipe to features, as in the product. Each measurement is the time from
+the first job to the last outcome. Workers have done such a job before, so the start of processes
+does not count. Rounds alternate, so that other load on the machine affects all alternatives alike.
+The yardstick measures beside it how much faster two independent processes are on this machine.
 """
 
 import tempfile

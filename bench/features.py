@@ -1,8 +1,8 @@
-"""Features: how long a bag takes to both tables, against reading it, and against decoding it.
+"""Time from a bag to both feature tables, compared with only reading and only decoding it.
 
-One run is recorded. A round is to read the bag with rosbags, then to read it as it is read here and
-decode what plugins ask to see decoded, then to extract all features, one right after the other, in
-seconds of this process.
+One run is recorded. Each round does three things, one right after the other, in processor time:
+read the bag with rosbags; read it with our reader and decode the messages that plugins request;
+extract all features.
 """
 
 import tempfile

@@ -1,4 +1,4 @@
-"""A figure and its goal, as one line of text; and the medians that figures are made of."""
+"""A figure and its goal as one line of text, and the medians behind figures."""
 
 import statistics
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ class Row:
 
 
 def spread(values: Sequence[float]) -> str:
-    """Return the range of what a median was taken of."""
+    """Return the range of the values behind a median."""
     return f"({len(values)} rounds: {min(values):.3g} to {max(values):.3g})"
 
 

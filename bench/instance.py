@@ -1,7 +1,7 @@
-"""How long people wait for Dagster when there are a thousand runs of each of the six modes.
+"""How long people wait for Dagster with a thousand runs of each of the six modes.
 
-Records are made without their runs: only what Dagster does with them is timed. An instance is a
-workstation's, on SQLite.
+The records are created without simulating any runs, because only Dagster is timed. The instance is
+that of a workstation, on SQLite.
 """
 
 import json
@@ -70,7 +70,7 @@ def _in_a_process(function: str, *arguments: str) -> str:
 
 
 def materialize(home: str) -> None:
-    """Say of all runs of six modes that they are there; print how many."""
+    """Report all runs of six modes as materialized, and print how many there are."""
     import dagster as dg
 
     keys = _keys()

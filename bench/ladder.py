@@ -1,9 +1,10 @@
-"""The attacker ladder: how well attacks are told apart when the attacker holds more and more.
+"""The attacker ladder: how well attacks are detected by how much the attacker controls.
 
-Pairs of runs are recorded in closed loop; what an attacker could do besides is done to the right
-ones on their way to the features. A rung is a set of topics that are left in the bag. Scores are
-the evaluation's own: run and windows, fitted and calibrated on right runs of other blocks.
-``ORACLE_BENCH_RUNS`` names a folder to keep the runs in, ``ORACLE_BENCH_BLOCKS`` their number.
+Pairs of runs are recorded in closed loop. Further attacks are applied to the normal runs while
+their features are extracted. A rung is a set of topics that are left in the bag. Scores are those
+of the evaluation: run and windows, fitted and calibrated on normal runs of other blocks.
+``ORACLE_BENCH_RUNS`` names a folder to keep the runs in, ``ORACLE_BENCH_BLOCKS`` the number of
+blocks.
 """
 
 import os
@@ -66,7 +67,7 @@ _NEW = ("kinematics", "transforms", "permanence", "noise", "stamps")
 
 @dataclass(frozen=True)
 class Rung:
-    """What an attacker leaves in the bag."""
+    """The topics that an attacker leaves in the bag."""
 
     name: str
     left_out: tuple[str, ...]
@@ -80,7 +81,7 @@ TWO = Rung("two scanners together", (_SOURCE, "/range_ella"))
 
 @dataclass(frozen=True)
 class Attack:
-    """An alteration of right runs on a rung, or an attacked mode if there is none."""
+    """An alteration of normal runs on a rung; without an alteration, an attacked mode."""
 
     name: str
     rung: Rung
@@ -158,7 +159,7 @@ ATTACKS = (
 
 
 def rows() -> Iterator[Row]:
-    """Yield a figure for each attack, and for the fake object against the real one."""
+    """Yield a figure for each attack, and for the fake object against a real one."""
     kept = os.environ.get("ORACLE_BENCH_RUNS")
     blocks = range(int(os.environ.get("ORACLE_BENCH_BLOCKS", BLOCKS)))
     with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor() as pool:
@@ -185,7 +186,7 @@ class Tables:
 
     @classmethod
     def of(cls, tables: Iterator[features.FeatureTables]) -> "Tables":
-        """Collect them."""
+        """Collect the features of runs."""
         found = list(tables)
         return cls([each.run for each in found], [each.windows for each in found])
 

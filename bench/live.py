@@ -1,10 +1,10 @@
-"""The oracle beside a running robot: delay of alarms, false ones, latency, share of a core, losses.
+"""The oracle beside a running robot: alarm delay, false alarms, latency, processor share, losses.
 
-`oracle-sim serve` and `oracle watch` are processes of their own on one DDS domain. A card is
-learned from patrols that `oracle watch` recorded, each of a session of its own. Then patrols of
-other sessions are watched, while attacks of many kinds are switched on and off, in drawn order.
-Times are the robot's. A delay counts from the switch to the verdict that raises the alarm, as if
-none had come before: the silence of ten minutes after an alarm is left out.
+`oracle-sim serve` and `oracle watch` run as separate processes on one DDS domain. A card is learned
+from patrols that `oracle watch` recorded, each in a session of its own. Then patrols of other
+sessions are watched, while many kinds of attack are switched on and off in random order. Times are
+by the robot's clock. A delay is the time from switching an attack on to the verdict that raises the
+alarm. It ignores the ten minutes of silence after an earlier alarm.
 """
 
 import os
@@ -38,7 +38,7 @@ DOMAIN = 231
 
 @dataclass(frozen=True)
 class Patrol:
-    """What came of a patrol with attacks."""
+    """The result of a patrol with attacks."""
 
     delays: dict[str, float]  # by attack [s]; infinity if there was no alarm
     false_alarms: int
@@ -74,7 +74,7 @@ def _of_attacks(patrols: Sequence[Patrol]) -> Iterator[Row]:
 
 
 def _attacked(card: Path, out: Path, run: int) -> Patrol:
-    """Watch one patrol, and switch every attack on and off."""
+    """Watch one patrol, and switch each attack on and off."""
     order = np.random.default_rng(run).permutation(ATTACKS).tolist()
     patrol = ("--run", str(run), "--speed", str(SPEED), "--goals", "100")
     phases = []
@@ -93,7 +93,7 @@ def _attacked(card: Path, out: Path, run: int) -> Patrol:
 
 
 def _patrol(watch: Watching, phases: list[tuple[str, float, float]], rule: AlarmRule) -> Patrol:
-    """Return the delays; what the statistic remembers of an attack is no false alarm."""
+    """Return the delays. An alarm from an attack that has just ended does not count as false."""
     start_s, statistic = watch.start_s(), Statistic(rule)
     raised = [
         (start_s + verdict["end_s"], verdict["latency_s"])
@@ -122,7 +122,7 @@ def _rule(card: Path) -> AlarmRule:
 
 
 def _at_real_time(card: Path, root: Path) -> Iterator[Row]:
-    """Watch one patrol at real time that the testbed records, too."""
+    """Watch one patrol at real time, which the testbed records as well."""
     patrol = ("--run", "300", "--goals", "4", "--out", root / "own")
     with (
         watching(DOMAIN, "--reference", card, "--out", root / "live") as watch,

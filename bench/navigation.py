@@ -1,7 +1,8 @@
-"""How well the robot drives when nobody attacks it, and what a fake object does to it.
+"""How well the robot drives without an attack, and how a fake object changes that.
 
-Blocks 0 to 99, a third in each normal mode; of the first 30 also the run with the fake object and
-the run without any mode's node. Bags are read for what AMCL believed, and dropped.
+Blocks 0 to 99, a third of them in each normal mode. The first 30 blocks also have a run with the
+fake object and a run without any mode's node. Bags are read for the poses of AMCL, and then
+deleted.
 """
 
 import os
@@ -79,7 +80,7 @@ def rows() -> Iterator[Row]:
 
 
 def _went_otherwise(run: Manifest, control: Manifest) -> bool:
-    """Tell whether a goal came out differently, or the way to one was longer or took a recovery."""
+    """Tell whether a goal had another outcome, a longer path or an additional recovery."""
     return any(
         ours is None
         or theirs is None
@@ -91,7 +92,7 @@ def _went_otherwise(run: Manifest, control: Manifest) -> bool:
 
 
 def _goals(manifest: Manifest) -> list[GoalResult | None]:
-    """Return what became of each goal; None for those that were never sent."""
+    """Return the result of each goal; None for goals that were never sent."""
     results: list[GoalResult | None] = list(manifest.goal_results)
     return results + [None] * (len(manifest.goals) - len(results))
 
@@ -127,7 +128,7 @@ def _drive_one(job: _Job) -> _Drive:
 
 
 def _amcl_errors_m(directory: RunDirectory) -> list[float]:
-    """Return how far each pose of AMCL is from the truth, which the odometry is."""
+    """Return how far each pose of AMCL is from the odometry, which is ground truth here."""
     times, truth, believed = [], [], []
     with BagReader(directory.bag) as bag:
         for raw in bag.messages(["/odom", "/amcl_pose"]):

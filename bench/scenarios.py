@@ -1,7 +1,7 @@
-"""Scenarios: what a message costs in each of those that are built in, and the air traffic testbed.
+"""Processor time of a message in each built-in scenario, and speed of the air traffic testbed.
 
-A message's time is the least of several rounds, so that what else the machine does falls out; the
-figure is the mean over the messages.
+The time of a message is the minimum over several rounds, which excludes other load on the machine.
+The figure is the mean over the messages.
 """
 
 import dataclasses
@@ -49,7 +49,7 @@ def rows() -> Iterator[Row]:
 
 
 def _message_us(program: Program) -> float:
-    """Return what a message costs [us], long after the onset."""
+    """Return the processor time of a message, long after the onset [us]."""
     messages = list(_messages(program))
     rounds = []
     for _ in range(ROUNDS):
@@ -66,7 +66,7 @@ def _message_us(program: Program) -> float:
 
 
 def _messages(program: Program) -> Iterator[Any]:
-    """Yield messages such as a recording has of the program's type."""
+    """Yield messages of the program's type, as a recording holds them."""
     rng = np.random.default_rng(1)
     for number in range(MESSAGES):
         message = zero(program.type)

@@ -1,6 +1,6 @@
-"""`oracle-sim serve` and `oracle watch` as processes of their own on one DDS domain.
+"""`oracle-sim serve` and `oracle watch` as separate processes on one DDS domain.
 
-What `python -m bench live` and `python -m soak.watching` are made of.
+`python -m bench live` and `python -m soak.watching` use this module.
 """
 
 import contextlib
@@ -22,16 +22,16 @@ _SECOND_NS = 1_000_000_000
 
 @dataclass
 class Watching:
-    """An `oracle watch` that runs, or has ended.
+    """A process of `oracle watch`, running or ended.
 
     Attributes
     ----------
     told : list of dict
-        What it printed, an object each.
+        The objects that it printed.
     heard, dropped : int
-        Messages; known when it has ended.
+        Numbers of messages; known when it has ended.
     recording : Path or None
-        Where its recording is, when it has ended.
+        Its recording, once it has ended.
     """
 
     process: Any
@@ -57,7 +57,7 @@ class Watching:
 
 @contextlib.contextmanager
 def watching(domain: int, *words: str | Path) -> Iterator[Watching]:
-    """Watch a domain; at the end, wait until the recording is whole."""
+    """Watch a domain; at the end, wait until the recording is complete."""
     process = _process("oracle", "watch", "--domain", str(domain), "--format", "json", *words)
     watch = Watching(process)
     reader = threading.Thread(target=_read, args=(process.stdout, watch.told))
@@ -79,7 +79,7 @@ def watching(domain: int, *words: str | Path) -> Iterator[Watching]:
 
 @contextlib.contextmanager
 def serving(domain: int, *words: str | Path) -> Iterator[Any]:
-    """Serve a patrol on a domain; its process ends with the block, if it has not by then."""
+    """Serve a patrol on a domain; its process ends with the ``with`` block at the latest."""
     process = _process("oracle-sim", "serve", "--domain", str(domain), *words)
     try:
         process.stderr.readline()  # it is there
@@ -91,7 +91,7 @@ def serving(domain: int, *words: str | Path) -> Iterator[Any]:
 
 
 def switch(serve: Any, attack: str) -> float:
-    """Switch an attack on; return when that was, by the robot's clock [s]."""
+    """Switch an attack on, and return the time by the robot's clock [s]."""
     serve.stdin.write(f"attack {attack}\n")
     serve.stdin.flush()
     said = serve.stderr.readline()
@@ -110,7 +110,7 @@ def processor_s(process: int) -> float:
 
 
 def memory_bytes(process: int) -> int:
-    """Return what a process and its children hold."""
+    """Return the memory of a process and its children."""
     return sum(
         os.sysconf("SC_PAGESIZE") * int(Path(f"/proc/{each}/statm").read_text().split()[1])
         for each in (process, *_children(process))
@@ -118,7 +118,7 @@ def memory_bytes(process: int) -> int:
 
 
 def recorded(out: Path, runs: range, speed: float, goals: int, domain: int) -> None:
-    """Let `oracle watch` record normal patrols, each of a session of its own."""
+    """Let `oracle watch` record normal patrols, each in a session of its own."""
     for run in runs:
         patrol = "--speed", str(speed), "--run", str(run), "--goals", str(goals)
         with watching(domain, "--out", out / str(run)), serving(domain, *patrol) as serve:

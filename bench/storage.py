@@ -1,4 +1,4 @@
-"""What runs take on disk under each plan, and what many of them take in memory."""
+"""Disk space of a run under each storage plan, and memory for many runs."""
 
 import shutil
 import subprocess
@@ -49,18 +49,18 @@ def _bytes_of_runs(root: Path, runs: list[RunDirectory]) -> Iterator[Row]:
         megabytes = [stock.runs[run].total / 1e6 for run in runs]
         yield Row(f"a run of 8 goals, kept: {kept}", median(megabytes), "MB", None, True,
                   spread(megabytes))  # fmt: skip
-        yield Row("  verified and brought to that in", median(seconds), "s", None, True,
+        yield Row("  time to verify and to reduce it", median(seconds), "s", None, True,
                   spread(seconds))  # fmt: skip
 
 
 def _peak_memory(root: Path, number: int) -> Row:
     command = [sys.executable, "-c", _IN_A_PROCESS, str(root), str(number)]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
-    return Row(f"peak memory of who has {number} runs verified", float(done.stdout), "MiB")
+    return Row(f"peak memory after verifying {number} runs", float(done.stdout), "MiB")
 
 
 def verify(root: str, number: int) -> None:
-    """Have one run verified many times, and print the peak memory of this process [MiB]."""
+    """Verify one run many times, and print the peak memory of this process [MiB]."""
     run = RunDirectory(Path(root), MODES[0], 0)
     job = RunJob(run, Campaign(), OF_A_RUN, refresh=False)
     for outcome in fan_out(process_run, [job] * number, lambda: process_pool(2)):
@@ -77,7 +77,7 @@ def _walk(root: Path) -> Row:
         shutil.copytree(RunDirectory(root, MODES[0], 0).path, copy.path, copy_function=_link)
     started = time.perf_counter()
     runs = len(take_stock(root).runs)
-    return Row(f"stock taken of {runs} runs", time.perf_counter() - started, "s")
+    return Row(f"time to take stock of {runs} runs", time.perf_counter() - started, "s")
 
 
 def _link(source: str, target: str) -> None:

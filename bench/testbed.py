@@ -1,7 +1,8 @@
-"""The testbed: a whole run against the yardstick, and where its time goes.
+"""Speed of the testbed: a whole run compared with the yardstick, and where its time goes.
 
-All on one core. A round is the yardstick, a run and the yardstick again, so that what else the
-machine does falls on both; processor time leaves out what others take of the core.
+Everything runs on one core. A round is the yardstick, a run and the yardstick again, so that other
+load on the machine affects both. Times are processor times, which exclude other programs on the
+core.
 """
 
 import functools
@@ -97,7 +98,7 @@ def _cold_start_s(out: Path) -> float:
 
 
 class _Shares:
-    """Wall time by who spends it; what is called from within is not counted to the caller."""
+    """Wall time by the function that spends it, without the functions that it calls."""
 
     def __init__(self) -> None:
         self.seconds: defaultdict[str, float] = defaultdict(float)
@@ -121,7 +122,7 @@ class _Shares:
 
 
 def _shares(root: Path, block: int) -> Iterator[Row]:
-    """Yield what part of a run each node has; counting makes the run slower."""
+    """Yield each node's share of a run's time. Counting makes the run slower."""
     shares = _Shares()
 
     class Counting(Executor):
@@ -160,7 +161,7 @@ def _method(shares: _Shares, name: str, function: Callable[..., Any]) -> Callabl
 
 
 def _owner(callback: Callable[..., None]) -> str:
-    """Return whose callback it is."""
+    """Return the name of the node that a callback belongs to."""
     if isinstance(callback, functools.partial):
         return _owner(callback.func)
     bound = getattr(callback, "__self__", None)

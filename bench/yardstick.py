@@ -1,10 +1,10 @@
-"""The yardstick of the testbed: a fixed MuJoCo loop that speed is measured against.
+"""The yardstick of the testbed: a fixed MuJoCo loop with which its speed is compared.
 
-A robot on two wheels stands in a world of walls and pillars; the loop simulates it and casts its
-two LiDARs' rays. This is the least that a simulator of the testbed's robot would have to do, and
-how long it takes says how fast the machine is. It is frozen: nothing here comes from ``sim``, so
-that a faster testbed has a better ratio, and figures of different versions compare. A test holds
-the digest of the model and of this loop's results.
+The loop simulates a two-wheeled robot in a world of walls and pillars, and casts the rays of its
+two LiDARs. That is the minimum work of any simulator of this robot, so its time shows how fast the
+machine is. The loop is frozen: it uses nothing of ``sim``. So a faster testbed has a better ratio,
+and figures of different versions can be compared. A test compares digests of the model and of the
+loop's results.
 """
 
 import time
@@ -28,7 +28,7 @@ _SEEN = np.array([1, 0, 0, 0, 0, 0], np.uint8)  # geom groups: the world, not th
 
 
 class Loop(NamedTuple):
-    """What one pass over the loop took and came to."""
+    """Time and result of one pass of the loop."""
 
     seconds: float  # of the machine's clock
     processor_s: float  # of this process alone: what else the machine does does not count
@@ -42,7 +42,7 @@ def _model() -> mujoco.MjModel:
 
 
 def run(simulated_s: float) -> Loop:
-    """Simulate for so long, in steps of 5 ms with contacts, and scan twice 5 times a second."""
+    """Simulate in steps of 5 ms with contacts; both LiDARs scan 5 times a second."""
     model = _model()
     data = mujoco.MjData(model)
     data.qpos[:3] = _START

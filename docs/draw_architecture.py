@@ -1,8 +1,8 @@
-"""Draw docs/images/architecture.svg: the rooms of the code, and who imports whom.
+"""Draw docs/images/architecture.svg: the rooms of the code and their imports.
 
-A room is a package, and ``assets`` and ``resources`` with the modules directly in them. Each room
-stands above all that it imports, also by way of single modules, which are not drawn. An arrow that
-a longer way implies is left out. Run by ``make architecture``.
+A room is a package; the modules directly in ``assets`` and in ``resources`` count as a room each.
+Each room is drawn above every room that it imports, directly or through single modules, which are
+not drawn. An arrow that follows from others is left out. ``make architecture`` runs this.
 """
 
 from pathlib import Path
@@ -26,14 +26,14 @@ ROOM_WIDTH, ROOM_HEIGHT = 0.86, 0.46  # in steps between rooms and between layer
 
 
 def room_of(module: str, packages: set[str]) -> str:
-    """Return the room in which a module stands, or the module itself if it stands in none."""
+    """Return the room of a module, or the module itself if it is in none."""
     second_level = ".".join(module.split(".")[:2])
     top = module.partition(".")[0]
     return top if top in WHOLE and second_level not in packages else second_level
 
 
 def room_graph() -> "nx.DiGraph[str]":
-    """Return the rooms, with an edge from each to those that it needs, and no implied edge."""
+    """Return the graph of rooms: an edge to each room that one needs, without implied edges."""
     imports = grimp.build_graph(*COLOURS)
     packages = {module.rpartition(".")[0] for module in imports.modules}
     graph: nx.DiGraph[str] = nx.DiGraph()
@@ -48,7 +48,7 @@ def room_graph() -> "nx.DiGraph[str]":
 
 
 def positions(graph: "nx.DiGraph[str]") -> dict[str, tuple[float, float]]:
-    """Return where each room stands; within a layer, near the rooms that it imports."""
+    """Return the position of each room; within a layer, it is near the rooms that it imports."""
     placed: dict[str, tuple[float, float]] = {}
     for height, layer in enumerate(nx.topological_generations(graph.reverse())):
         wish = {room: [placed[below][0] for below in graph[room]] for room in layer}
@@ -86,7 +86,7 @@ def draw(graph: "nx.DiGraph[str]", axes: Axes) -> None:
 
 
 def main() -> None:
-    """Draw the picture of the code as it is."""
+    """Draw the picture of the present code."""
     graph = room_graph()
     mpl.rcParams["svg.hashsalt"] = "architecture"  # the same code gives the same file
     mpl.rcParams["svg.fonttype"] = "none"

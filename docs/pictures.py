@@ -1,8 +1,8 @@
 """Draws the pictures of the docs: ``make pictures``.
 
-Records the two runs of the README's picture below a root of their own, joins their pictures, makes
-the film, simulates a small campaign, and takes screenshots of it in the Dagster UI. With a
-campaign's root as argument, it also takes one of that report. Screenshots need a Chromium.
+It records the two runs of the README's picture below a separate root, joins their pictures, makes
+the film, simulates a small campaign, and takes screenshots of it in the Dagster UI. With the root
+of a campaign as argument, it also takes a screenshot of that report. Screenshots need Chromium.
 """
 
 import os
@@ -45,14 +45,14 @@ WIDE = {"width": 1600, "height": 800}
 
 
 def run(group: object, *words: object) -> None:
-    """Run a command of ours, or end with what it says."""
+    """Run a command of this project; if it fails, exit with its output."""
     done = CliRunner().invoke(group, [str(word) for word in words])  # type: ignore[arg-type]
     if done.exit_code:
         sys.exit(done.output)
 
 
 def draw_runs() -> None:
-    """Draw the control beside the attack, and the attack as a film."""
+    """Draw the control beside the attack, and make a film of the attack."""
     pictures = []
     for mode in (CONTROL, ATTACK):
         run(oracle_sim, "record", "-m", mode, "-n", 1, "--goals", 8, "--out", ROOT)
@@ -71,7 +71,7 @@ def draw_runs() -> None:
 
 
 def simulate_campaign() -> None:
-    """Simulate what `make run` does, in a checkout of its own, so that the UI has it to show."""
+    """Simulate the campaign of `make run` in a separate checkout, for the UI to show."""
     for file in (".env", "workspace.yaml", ".dagster_home/dagster.yaml"):
         (CHECKOUT / file).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(file, CHECKOUT / file)

@@ -12,8 +12,8 @@ from oracle_pipeline.datasets import DatasetError, is_malicious
 def bootstrap(df: pd.DataFrame, n: int, malicious_rate: float, seed: int) -> pd.DataFrame:
     """Draw ``n`` rows with replacement, a fixed share of them attacked.
 
-    Copies add no information: each row keeps its ``run_id``, and `distinct_runs` counts how many
-    runs there really are.
+    Copies add no information. Each row keeps its ``run_id``, and `distinct_runs` counts the
+    distinct runs.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ def bootstrap(df: pd.DataFrame, n: int, malicious_rate: float, seed: int) -> pd.
     malicious_rate : float
         Share of the rows that are drawn from the attacked runs, in [0, 1].
     seed : int
-        Of the generator that draws.
+        Seed of the random generator.
 
     Returns
     -------
@@ -86,7 +86,7 @@ def distinct_runs(df: pd.DataFrame) -> DistinctRuns:
 
 
 def lacking(df: pd.DataFrame) -> str:
-    """Return which class of runs a table lacks for any comparison, in words; empty if neither."""
+    """Return a sentence that names the class of runs a table lacks; empty if it has both."""
     malicious = is_malicious(df)
     absent = [
         name for name, rows in (("malicious", malicious), ("normal", ~malicious)) if not rows.any()

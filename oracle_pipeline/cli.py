@@ -1,6 +1,6 @@
 """``oracle``: the analysis from the command line, without Dagster.
 
-What a command needs is imported when it runs, so that help is there at once.
+A command imports what it needs when it runs, so that `--help` is fast.
 
 Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomalous;
 ``oracle compare`` adds 1: different.
@@ -8,6 +8,7 @@ Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomal
 
 import json
 import math
+import shlex
 import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,7 +40,7 @@ class _Failure(click.ClickException):
 
 
 class _Group(PlainTextGroup):
-    """Ends every failure with exit code 2; a bug of ours prints its traceback."""
+    """Ends every failure with exit code 2. A bug prints its traceback."""
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
@@ -80,7 +81,7 @@ _roles = click.option(
 
 
 def _choices(roles: Path | None) -> "RoleChoices | None":
-    """Return what a roles file says."""
+    """Return the content of a roles file."""
     from oracle_pipeline.robots.roles_file import RoleChoices
 
     return None if roles is None else RoleChoices.load(roles)
@@ -90,7 +91,7 @@ def _choices(roles: Path | None) -> "RoleChoices | None":
 @click.argument("run_or_bag", type=click.Path(path_type=Path))
 @click.option(
     "--table", type=click.Choice(["run", "window"]), default="run", show_default=True,
-    help="One row for the recording, or one for each window of 10 s (every 5 s).",
+    help="One row for the recording, or one for each window of 5 s (every 2.5 s).",
 )  # fmt: skip
 @format_option(
     "json", "parquet", text="JSON for reading and jq; Parquet for pandas, units in its schema."
@@ -172,7 +173,7 @@ def _is_nan(value: object) -> bool:
 
 
 def _json(table: "pd.DataFrame", tables: "FeatureTables") -> str:
-    """Return the rows of a feature table, NaN as null, and what is to be said of them."""
+    """Return the rows of a feature table, with NaN as null, and the notes on them."""
     from oracle_pipeline.datasets import MISSING, WHERE, field_metadata
     from oracle_pipeline.features import families
 
@@ -300,8 +301,8 @@ def learn(good: tuple[Path, ...], output: Path, roles: Path | None, plugins: Pat
     """Write a reference card from normal recordings.
 
     GOOD is a run directory, a bag, a folder of these, a table of run features, or a root with
-    features/ or runs/. Attacked runs are left out. Record each day or start as a run of its own:
-    19 recordings carry a verdict at a false positive rate of 5%, 99 at 1%.
+    features/ or runs/. Attacked runs are left out. Use recordings of different days or starts: 19
+    support a verdict at a false positive rate of 5%, 99 at 1%.
 
     \b
     Examples:
@@ -312,13 +313,18 @@ def learn(good: tuple[Path, ...], output: Path, roles: Path | None, plugins: Pat
     from oracle_pipeline.features import build_manager
     from oracle_pipeline.scoring.card import SUFFIX
     from oracle_pipeline.scoring.learning import learn as learn_card
-    from oracle_pipeline.scoring.output import card_as_text
+    from oracle_pipeline.scoring.output import RATES, card_as_text, lowest_far
     from oracle_pipeline.scoring.reference import read_reference
 
     if output.suffix != SUFFIX:
-        raise click.UsageError(f"Let the name of the card end with {SUFFIX}: {output}{SUFFIX}")
+        raise click.UsageError(
+            f"The name of the card must end with {SUFFIX}, such as {output}{SUFFIX}"
+        )
     manager = build_manager(plugins)
     card = learn_card(read_reference(good, manager, _choices(roles)))
     card.save(output)
     click.echo(card_as_text(card))
     click.echo(f"Card: {output}")
+    rate = lowest_far(card)
+    far = f" --far {rate:g}" if rate > RATES[0] else ""
+    click.echo(f"Next: oracle score RECORDING --reference {shlex.quote(str(output))}{far}")

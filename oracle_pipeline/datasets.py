@@ -43,8 +43,8 @@ class DatasetError(OracleError):
 class Fields(dict[str, dict[str, str]]):
     """What is declared of each column; shared by all tables that are made from one.
 
-    pandas copies ``attrs`` deeply whenever a column is taken, which a table of hundreds of declared
-    columns feels.
+    pandas makes a deep copy of ``attrs`` whenever a column is selected, which is slow for hundreds
+    of declared columns.
     """
 
     def __deepcopy__(self, _memo: dict[int, object]) -> Self:
@@ -94,7 +94,7 @@ def is_hard_negative(df: pd.DataFrame) -> NDArray[np.bool_]:
 
 
 def without_empty_families(df: pd.DataFrame) -> pd.DataFrame:
-    """Return a table without the families of which no row has a value: other systems' ones."""
+    """Return a table without families that have no value in any row, such as another system's."""
     columns = feature_columns(df)
     families = {column.split(".", 1)[0] for column in columns if df[column].notna().any()}
     empty = [column for column in columns if column.split(".", 1)[0] not in families]
@@ -206,12 +206,12 @@ def _runs(table: pd.DataFrame) -> str:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Give a file to write that takes the place of `path` once it is whole and on the disk.
+    """Yield a file to write that replaces `path` once it is complete and on disk.
 
     Raises
     ------
     OSError
-        Naming the file, if it cannot be written; what was there stays.
+        The file cannot be written; the old one stays.
     """
     if not is_local(path):  # an object is there when all of it is
         whole = io.BytesIO()
@@ -260,7 +260,7 @@ def read_table(
     columns: Collection[str] | None = None,
     rows: tuple[str, Iterable[str]] | None = None,
 ) -> pd.DataFrame:
-    """Read a Parquet table back; what its columns mean is in ``attrs["fields"]``.
+    """Read a Parquet table; ``attrs["fields"]`` describes its columns.
 
     Parameters
     ----------
@@ -275,12 +275,14 @@ def read_table(
     ------
     DatasetError
         The file is absent, is not Parquet, or was changed after `write_table` wrote it. A table
-        that was written otherwise has no seal and is taken as it is.
+        that another program wrote has no seal, and is read without this check.
     """
     try:
         content = path.read_bytes()
     except FileNotFoundError as error:
-        raise DatasetError(f"There is no table {path}; make it first.") from error
+        raise DatasetError(
+            f"There is no table {path}; materialize `feature_dataset`, or check the path."
+        ) from error
     return parse_table(content, str(path), columns=columns, rows=rows)
 
 
@@ -291,7 +293,7 @@ def parse_table(
     columns: Collection[str] | None = None,
     rows: tuple[str, Iterable[str]] | None = None,
 ) -> pd.DataFrame:
-    """Return the table that `table_bytes` made bytes of; `name` stands in errors.
+    """Return the table from the bytes that `table_bytes` returned; errors mention `name`.
 
     As `read_table`, errors included.
     """
@@ -323,7 +325,7 @@ def parse_table(
 
 
 def content_hash(df: pd.DataFrame) -> str:
-    """Return the SHA-256 of a table's column names and values, whatever file it was stored in."""
+    """Return the SHA-256 of a table's column names and values; the file does not matter."""
     digest = hashlib.sha256()
     for column in df.columns:
         digest.update(json.dumps(str(column)).encode())

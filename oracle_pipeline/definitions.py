@@ -1,7 +1,7 @@
 """All assets, checks, resources, jobs, schedules and sensors in one ``Definitions``.
 
-Nobody imports this module but Dagster and tests. ``build_defs`` takes other resources in place of
-the default ones, so that a test or a script swaps a part without patching anything.
+Only Dagster and tests import this module. ``build_defs`` accepts resources in place of the default
+ones, so a test or a script can replace one without patching.
 """
 
 import os

@@ -1,7 +1,7 @@
 """A run directory, a live recording or a foreign bag, opened and checked.
 
 A run directory has a manifest, a bag and graphs; a recording that ``oracle watch`` made has a bag
-and graphs; a foreign bag has neither manifest nor graphs, and what needs them raises an error.
+and graphs; a foreign bag has neither, and methods that need them raise an error.
 """
 
 import logging
@@ -61,7 +61,7 @@ def open_run(path: Path, *, strict: bool = False) -> OpenedRun:
     Raises
     ------
     OracleError
-        If it is neither, incomplete, damaged, or its bag is not the one its manifest is about.
+        If it is none of these, is incomplete or damaged, or if its bag does not match its manifest.
     """
     if (path / MANIFEST_FILE).is_file():
         return _open_run_directory(path)
@@ -87,7 +87,7 @@ def _open_run_directory(path: Path) -> OpenedRun:
     else:
         _log.warning(
             "%s was recorded by an older release and has no hashes: damage to its files may go "
-            "unnoticed. `oracle-sim remake %s` makes it again, with hashes.",
+            "unnoticed. `oracle-sim remake %s` rebuilds it, with hashes.",
             path,
             path,
         )

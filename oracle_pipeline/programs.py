@@ -1,7 +1,7 @@
 """Entry points of the programs whose code lives in the packages above this one.
 
-``assets``, ``resources`` and ``sim`` are common names. Where another distribution or folder has one
-of them too, Python may import that one; here such a clash is told in words.
+``assets``, ``resources`` and ``sim`` are common names. If another distribution or folder has a
+package of the same name, Python may import that one. The error message here explains such a clash.
 """
 
 import pkgutil
@@ -27,12 +27,12 @@ def oracle_ui() -> None:
 
 @contextmanager
 def clashes_explained() -> Iterator[None]:
-    """Let an import that failed because of a clash of names say so.
+    """Explain an import error that a clash of names has caused.
 
     Raises
     ------
     ImportError
-        As the import did; in words if one of our packages is hidden by another one.
+        The original error, with an explanation if another package hides one of ours.
     """
     try:
         yield
@@ -53,7 +53,7 @@ def _run(place: str) -> None:
 
 
 def _clash() -> str:
-    """Return what hides one of our packages, in words; nothing if all are ours."""
+    """Return a sentence on what hides one of our packages; empty if nothing does."""
     for name in _OURS:
         found = find_spec(name)
         places = [] if found is None else [*(found.submodule_search_locations or ())]

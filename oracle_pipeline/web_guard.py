@@ -1,9 +1,10 @@
-"""What the web server refuses, so that no page of another origin can drive it.
+"""A guard for the web server: pages of other origins cannot use it.
 
-Dagster's web server has no login, and takes GraphQL by GET and as plain text. A browser sends both
-for any page that its user visits, and a name that is rebound to 127.0.0.1 makes such a page look
-like one of ours. So a request has to name a host of ours, come from a page of ours, or from no
-page, and change things as a JSON POST only. A browser asks before it sends that to another origin.
+Dagster's web server has no login, and accepts GraphQL by GET and as plain text. A browser sends
+both for any page that its user visits, and a name that is rebound to 127.0.0.1 makes such a page
+look like ours. So a request must name a known host, must come from our own page or from no page,
+and may change things only as a JSON POST. A browser asks before it sends a JSON POST to another
+origin.
 
 References: Fetch Standard (CORS-safelisted requests, ``Sec-Fetch-*``), RFC 6454 (origins).
 """
@@ -28,11 +29,11 @@ _log = logging.getLogger("dagster.ui")
 
 
 class OriginError(ValueError):
-    """An entry of the allow list is no origin."""
+    """An entry of the allow list is not an origin."""
 
 
 def parse_origins(text: str) -> list[str]:
-    """Return the origins of an allow list: what a browser shows of an address, before the path.
+    """Return the origins in an allow list; an origin is the part of an address before the path.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ def _normal(origin: str) -> str:
 
 
 class Guard:
-    """Hand on the requests of our own pages and of programs, and refuse the others.
+    """Forward requests of our own pages and of programs, and refuse all others.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ class Guard:
     origins
         Where people open the UI, besides loopback addresses: see `parse_origins`.
     advice
-        What a refused user is told to do.
+        Advice for a user whose request is refused.
     """
 
     def __init__(
@@ -127,12 +128,12 @@ class Guard:
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether a header names this machine itself, at any port: it may be a tunnel's."""
+    """Tell whether a header names this machine, at any port (as through a tunnel)."""
     return bool(_HOST.fullmatch(host)) and re.sub(r":[0-9]+$", "", host) in _LOOPBACK
 
 
 def _is_sent_by_another_site(method: str, headers: Headers) -> bool:
-    """Tell whether a page of another site asks, unless it is a link that somebody follows."""
+    """Tell whether a page of another site sent the request, other than by following a link."""
     if headers.get("sec-fetch-site", "none") in {"none", "same-origin"}:
         return False
     follows = headers.get("sec-fetch-mode"), headers.get("sec-fetch-dest")
@@ -140,7 +141,7 @@ def _is_sent_by_another_site(method: str, headers: Headers) -> bool:
 
 
 def _not_in_foreign_frames(send: Send) -> Send:
-    """Forbid pages of other origins to show ours in a frame, where clicks could be stolen."""
+    """Forbid pages of other origins to show ours in a frame, which could steal clicks."""
 
     async def framed(message: Message) -> None:
         if message["type"] == "http.response.start":

@@ -1,16 +1,16 @@
-"""The windows of a recording: the spans of time that have a row of features each.
+"""The windows of a recording: spans of time, each with a row of features.
 
-A window is as long as an interval, so that every other window has a graph to itself.
+Windows are short, so an alarm comes early: the first window that can raise one ends its length
+after the start of the recording. A window is shorter than the interval between graphs, so it has
+the newest graph that existed when it ended.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S
-
-WINDOW_S = INTERVAL_S  # length of a window; the end of the recording may cut the last one off [s]
+WINDOW_S = 5.0  # length of a window; the end of the recording may cut the last one off [s]
 HOP_S = WINDOW_S / 2  # from the start of one window to that of the next [s]
-MIN_WINDOW_S = MIN_INTERVAL_S  # a shorter rest at the end of a recording has no window [s]
+MIN_WINDOW_S = HOP_S  # a shorter rest at the end of a recording has no window [s]
 
 _SECOND_NS = 1_000_000_000
 
@@ -23,13 +23,13 @@ def windows_ns(duration_ns: int, times_ns: NDArray[np.int64]) -> list[tuple[int,
     duration_ns : int
         Of the recording.
     times_ns : array of int, shape (n,)
-        When messages came, since the start.
+        Arrival times of messages, since the start.
 
     Examples
     --------
-    >>> times_ns = np.arange(0, 19, dtype=np.int64) * 10**9
-    >>> [(start // 10**9, end // 10**9) for start, end in windows_ns(19 * 10**9, times_ns)]
-    [(0, 10), (5, 15), (10, 19)]
+    >>> times_ns = np.arange(0, 12, dtype=np.int64) * 10**9
+    >>> [(start / 1e9, end / 1e9) for start, end in windows_ns(12 * 10**9, times_ns)]
+    [(0.0, 5.0), (2.5, 7.5), (5.0, 10.0), (7.5, 12.0)]
     """
     length_ns, hop_ns, shortest_ns = (
         round(seconds * _SECOND_NS) for seconds in (WINDOW_S, HOP_S, MIN_WINDOW_S)

@@ -1,1 +1,1 @@
-"""Dagster resources: where runs are stored, who executes them, how much storage they may use."""
+"""Dagster resources: the place of runs, the worker processes, and the storage budget."""

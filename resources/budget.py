@@ -14,7 +14,7 @@ from resources.store import RunStore
 
 
 class StorageBudget(dg.ConfigurableResource[None]):
-    """Plans storage before runs start, so that a full disk is an error at the start."""
+    """Plan storage before runs start, so that a lack of disk space is an error at the start."""
 
     limit: str = Field(
         default="",
@@ -52,7 +52,7 @@ class StorageBudget(dg.ConfigurableResource[None]):
     def alone(self, store: RunStore) -> Iterator[None]:
         """Hold the root, so that only one materialization writes runs below it at a time.
 
-        A plan is valid only while nobody else fills the disk. A second materialization waits.
+        A plan is valid only while no other process fills the disk. A second materialization waits.
         """
         if not store.is_local:
             yield

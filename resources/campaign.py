@@ -34,7 +34,7 @@ class CampaignSettings(dg.ConfigurableResource[None]):
     sessions: int | None = Field(
         default=None,
         ge=1,
-        description="Blocks take turns in so many sessions; if not set, each has one of its own.",
+        description="Sessions in which blocks take turns; by default, each block has its own.",
     )
     noise_per_run: bool = Field(
         default=False,
@@ -44,7 +44,7 @@ class CampaignSettings(dg.ConfigurableResource[None]):
 
     @classmethod
     def from_environment(cls) -> Self:
-        """Return the settings that the environment asks for."""
+        """Return the settings in the environment variables."""
         wanted = Campaign.from_environment()
         return cls(
             goals_per_run=wanted.goals_per_run,

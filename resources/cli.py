@@ -1,4 +1,4 @@
-"""``oracle-sim`` with the commands that know more than ``sim``: what is stored, and verdicts."""
+"""``oracle-sim`` with the commands that need more than ``sim``: storage and search."""
 
 from sim.commands.main import main
 

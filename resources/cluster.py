@@ -22,7 +22,7 @@ PATIENCE_S = 60  # for the scheduler to answer, and for the first worker to come
 
 
 class ClusterError(OracleError):
-    """Nobody answers, or nobody works there."""
+    """No scheduler answers at the address, or it has no workers."""
 
 
 class WorkerLost(BrokenExecutor):
@@ -32,8 +32,8 @@ class WorkerLost(BrokenExecutor):
 class DaskExecutor(Executor):
     """The workers of the cluster whose scheduler is at an address, such as ``tcp://host:8786``.
 
-    The executor that `distributed` itself has waits for ever for a result whose worker or scheduler
-    went away at the wrong moment. Here, all that loses a result ends its future, and alike.
+    The executor of `distributed` itself waits indefinitely for a result whose worker or scheduler
+    disappeared at the wrong moment. Here, each loss of a result ends its future with an error.
 
     Raises
     ------
@@ -65,7 +65,7 @@ class DaskExecutor(Executor):
         self._there: dict[Future[Any], distributed.Future[Any]] = {}
 
     def submit(self, fn: Callable[..., R], /, *args: Any, **kwargs: Any) -> Future[R]:
-        """Hand a call to the cluster."""
+        """Submit a call to the cluster."""
         key = (f"{getattr(fn, '__name__', 'job')}-{self._group}", next(self._numbers))
         here: Future[R] = Future()
         there = self._client.submit(fn, *args, key=key, **kwargs)
@@ -75,7 +75,7 @@ class DaskExecutor(Executor):
         return here
 
     def _pass_on(self, here: Future[R], there: "distributed.Future[R]") -> None:
-        """End a future of ours as that of the cluster ended."""
+        """End our future with the outcome of the cluster's future."""
         try:
             here.set_result(there.result(timeout=PATIENCE_S))
         except (distributed.KilledWorker, CancelledError, OSError) as error:
@@ -87,7 +87,7 @@ class DaskExecutor(Executor):
             del self._there[here]
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Leave the cluster; what has not started by then never will, if so wanted."""
+        """Disconnect from the cluster; by option, cancel jobs that have not started."""
         if wait and not cancel_futures:
             concurrent.futures.wait(list(self._there))
         self._client.close()

@@ -28,7 +28,7 @@ __all__ = [
 def checked_materialization(
     record: dg.EventLogRecord,
 ) -> AssetCheckEvaluationTargetMaterializationData:
-    """Return the reference that ties a check's result to the materialization it looked at.
+    """Return the reference from a check's result to the materialization that was checked.
 
     Dagster sets it by itself only for a step of one partition. Without it, the UI cannot tell
     whether the newest materialization of a partition has been checked.

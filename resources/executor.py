@@ -1,4 +1,4 @@
-"""The executor of all jobs: Dagster's own in one process, which is taken note of."""
+"""The executor of all jobs: Dagster's in-process executor, with a record of its process."""
 
 from collections.abc import Iterator
 

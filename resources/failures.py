@@ -1,4 +1,4 @@
-"""Turns errors that a user can fix into the failure that Dagster shows first."""
+"""Turns errors that a user can fix into a failure that Dagster shows with its remedy."""
 
 import contextlib
 import errno

@@ -1,15 +1,17 @@
-"""Who does the work of many runs: processes of this machine, or a Dask cluster."""
+"""The workers for many runs: processes of this machine, or a Dask cluster."""
 
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
 from typing import TypeVar
 
 import dagster as dg
-from pydantic import Field
+from pydantic import Field, PrivateAttr
 
 from resources.failures import clear_failures
 from sim.fan_out import Outcome, fan_out, process_pool
+from sim.worker_pool import LentPool, WorkerPool
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -18,7 +20,10 @@ NEWS_S = 10.0  # between two lines on the progress of a step
 
 
 class Fleet(dg.ConfigurableResource[None]):
-    """Worker processes, each a fresh interpreter; what they run imports no Dagster."""
+    """Worker processes, each a fresh interpreter. Their code imports no Dagster.
+
+    In a Dagster run they stay until its end: all steps share them, and none waits for imports.
+    """
 
     workers: int = Field(
         default=os.cpu_count() or 1,
@@ -31,11 +36,22 @@ class Fleet(dg.ConfigurableResource[None]):
         description="Scheduler of a Dask cluster to work on, such as `tcp://host:8786`; "
         "empty: this machine.",
     )
+    _pool: WorkerPool | None = PrivateAttr(default=None)  # of a Dagster run, once it has a job
+    _stays: bool = PrivateAttr(default=False)
+
+    def setup_for_execution(self, context: dg.InitResourceContext) -> None:  # noqa: ARG002
+        """Let the workers stay until the run ends."""
+        self._stays = True
+
+    def teardown_after_execution(self, context: dg.InitResourceContext) -> None:  # noqa: ARG002
+        """End the workers."""
+        if self._pool is not None:
+            self._pool.shutdown()
 
     def outcomes(
         self, function: Callable[[J], R], jobs: Sequence[J], done: str = "jobs done"
     ) -> Iterator[Outcome[J, R]]:
-        """Yield what became of every job, as they finish; one that fails fails alone.
+        """Yield the outcome of each job when it finishes; a failure does not affect other jobs.
 
         Progress and failures go to the log of the Dagster run.
 
@@ -51,7 +67,7 @@ class Fleet(dg.ConfigurableResource[None]):
         Raises
         ------
         dagster.Failure
-            Nobody answers at the address, or nobody works there.
+            No scheduler answers at the address, or it has no workers.
         """
         log = dg.get_dagster_logger()
         failed, started, told = 0, time.monotonic(), time.monotonic()
@@ -68,14 +84,22 @@ class Fleet(dg.ConfigurableResource[None]):
 
     def _fan_out(self, function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[Outcome[J, R]]:
         if not self.address:
-            return fan_out(function, jobs, lambda: process_pool(min(self.workers, len(jobs))))
+            return fan_out(function, jobs, self._workers)
         from resources.cluster import DaskExecutor
 
         return fan_out(function, jobs, lambda: DaskExecutor(self.address))
 
+    def _workers(self) -> Executor:
+        """Return the workers of this machine, as many as there are jobs at a time."""
+        if not self._stays:
+            return process_pool(self.workers)
+        if self._pool is None:
+            self._pool = process_pool(self.workers)
+        return LentPool(self._pool)
+
 
 def _news(over: int, jobs: int, done: str, failed: int, seconds: float) -> str:
-    """Say how far a step is, and how long the rest will take.
+    """Return a sentence on the progress of a step, and how long the rest will take.
 
     Examples
     --------

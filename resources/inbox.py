@@ -16,7 +16,7 @@ class InboxError(OracleError):
 
 
 class Inbox(dg.ConfigurableResource[None]):
-    """Where recordings arrive; empty settings switch judging off."""
+    """Where recordings arrive. With empty settings, nothing is judged."""
 
     # No part of a run's config: whoever starts a run must not choose what this process reads.
     folder: dg.ResourceDependency[str] = Field(

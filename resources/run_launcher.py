@@ -1,7 +1,7 @@
 """The run launcher of our Dagster instances: the default one, with a health check.
 
-Dagster's monitoring daemon asks it whether the process of a run is there still; the default
-launcher cannot tell.
+Dagster's monitoring daemon asks it whether the process of a run still exists. The default launcher
+cannot tell.
 """
 
 import dagster as dg
@@ -11,7 +11,7 @@ from resources.run_processes import reason_of_loss
 
 
 class WatchedRunLauncher(dg.DefaultRunLauncher):
-    """Start runs at the code server, and know which of this machine have lost their process."""
+    """Start runs at the code server, and detect runs on this machine whose process has died."""
 
     @property
     def supports_check_run_worker_health(self) -> bool:
@@ -19,7 +19,7 @@ class WatchedRunLauncher(dg.DefaultRunLauncher):
         return True
 
     def check_run_worker_health(self, run: dg.DagsterRun) -> CheckRunHealthResult:
-        """Tell whether the process of a run is gone, whoever started it."""
+        """Tell whether the process of a run has died, whichever program started it."""
         if reason := reason_of_loss(self._instance, run.run_id):
             return CheckRunHealthResult(WorkerStatus.FAILED, reason)
         return CheckRunHealthResult(WorkerStatus.RUNNING)

@@ -1,10 +1,10 @@
-"""Which processes execute Dagster runs, and which runs have lost theirs.
+"""Keeps account of the processes that execute Dagster runs, and finds runs whose process died.
 
-A process that is killed tells nobody: Dagster shows its run as started for ever, and the queue
-counts it. So each process holds a file of its own with a kernel's lock (``flock``) while it
-executes a run. The kernel lets go when the process ends, however it ends, so neither a process
-number that is used again nor a clock that is set can deceive. The files lie below the folder of the
-Dagster instance on this machine: runs of another machine have none here, and are left alone.
+A killed process cannot report its end: Dagster would show its run as started indefinitely, and the
+queue would count it. So each process locks a file of its own (``flock``) while it executes a run.
+The kernel releases the lock when the process ends, however it ends. Therefore neither a reused
+process number nor a changed clock matters. The files are below the folder of the Dagster instance
+on this machine. Runs of other machines have no file here, and are left alone.
 """
 
 import fcntl
@@ -22,7 +22,7 @@ _held: dict[str, int] = {}
 
 
 def hold(instance: dg.DagsterInstance, run_id: str) -> None:
-    """Take note that this process executes a run, for as long as it lives."""
+    """Record that this process executes a run, until the process ends."""
     for former in [known for known in _held if _has_ended(instance, known)]:
         os.close(_held.pop(former))
     folder = _folder(instance)
@@ -53,7 +53,7 @@ def fail_lost_runs(instance: dg.DagsterInstance) -> list[str]:
 
 
 def reason_of_loss(instance: dg.DagsterInstance, run_id: str) -> str | None:
-    """Say that the process of a run is gone; None if it lives, or is not of this machine."""
+    """Return why the process of a run is gone; None if it lives, or is not of this machine."""
     file = _folder(instance) / run_id
     try:
         with lock(file, wait=False):

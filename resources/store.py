@@ -1,4 +1,4 @@
-"""Where runs, features, datasets and reports live: the layout of one folder, here or on S3."""
+"""The layout of the folder that holds runs, features, datasets and reports, here or on S3."""
 
 import secrets
 from pathlib import Path
@@ -37,7 +37,7 @@ class RunStore(dg.ConfigurableResource[None]):
         return cast(Path, UPath(self.root, use_listings_cache=False))
 
     def require_writable(self) -> None:
-        """Make the root; fail now, with advice, if nothing could be written there later."""
+        """Create the root; raise an error with advice now if nothing can be written there later."""
         try:
             if self.is_local:
                 self.path.mkdir(parents=True, exist_ok=True)

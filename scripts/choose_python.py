@@ -1,8 +1,8 @@
 """Print the Python that `make setup` should use: the given one, or a faster one of its version.
 
-A simulated run is mostly Python code, and a Python that was built without optimisation takes a
-sixth to a half longer over it. Builds do not reliably say how they were made, so each is timed.
-Standard library only: this runs before anything is installed.
+A simulated run is mostly Python code. A Python that was built without optimisation takes a sixth to
+a half longer for it. Builds do not reliably state how they were made, so each is timed. Only the
+standard library is used, because this runs before anything is installed.
 """
 
 import argparse
@@ -15,8 +15,8 @@ from pathlib import Path
 ROUNDS = 3
 WORTH_IT = 1.1  # times faster, from which on another one is used
 
-# Attributes, calls, a dictionary: what a simulation does. Without what the imports stand for, an
-# environment cannot be made or the project not be used.
+# Attributes, calls and a dictionary, as in a simulation. A Python without one of the imported
+# modules cannot make an environment, or cannot run the project.
 PROBE = """
 import bz2, ctypes, ensurepip, lzma, sqlite3, ssl, time, venv
 class Point:
@@ -44,7 +44,7 @@ def seconds(python: str) -> float | None:
 
 
 def candidates() -> list[str]:
-    """Return the Pythons of this one's version that are on the path or the system's; this first."""
+    """Return this Python, then others of its version on the path or in the system's folders."""
     name = f"python{sys.version_info.major}.{sys.version_info.minor}"
     found = [sys.executable, shutil.which(name), f"/usr/bin/{name}", f"/usr/local/bin/{name}"]
     by_place = {str(Path(path).resolve()): path for path in reversed(found) if path}
@@ -52,9 +52,9 @@ def candidates() -> list[str]:
 
 
 def fastest(pythons: list[str]) -> tuple[str, float]:
-    """Return the one to use, and how many times faster than the first it is.
+    """Return the Python to use, and how many times faster than the first it is.
 
-    They are timed in turn, so that what else the machine does falls on all of them.
+    They are timed in turn, so that other load on the machine affects all of them.
     """
     times: dict[str, list[float]] = {}
     for _ in range(ROUNDS):
@@ -71,16 +71,16 @@ def fastest(pythons: list[str]) -> tuple[str, float]:
 
 
 def is_optimised() -> bool:
-    """Tell whether this Python was built with optimisation, as far as it says.
+    """Tell whether this Python was built with optimisation, as far as it states so.
 
-    A distribution's own Python is; it is built in the distribution's way.
+    A distribution's own Python counts as optimised.
     """
     arguments = sysconfig.get_config_var("CONFIG_ARGS")
     return arguments is None or "--enable-optimizations" in arguments or sys.prefix == "/usr"
 
 
 def main() -> None:
-    """Print the path; what there is to say about it goes to the standard error."""
+    """Print the path; remarks about it go to standard error."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", action="store_true", help="use this one, and only warn")
     only = parser.parse_args().only

@@ -30,7 +30,7 @@ GOALS = 1
 FAR = 0.05
 STALE = (
     f"The shipped card {CARD.relative_to(PROJECT)} no longer fits the code: the {NORMAL} run "
-    f"should be normal, the {ATTACKED} run anomalous. Make it again with `make demo-card`."
+    f"should be normal, the {ATTACKED} run anomalous. Learn it again with `make demo-card`."
 )
 
 

@@ -20,14 +20,14 @@ DEFAULT_SEED = 20260101
 
 
 class RecipeError(OracleError):
-    """A campaign was asked for something that cannot be drawn."""
+    """A setting of a campaign is invalid."""
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What a launch file and ``ros2 bag record`` would be told; by default as on Humble.
+    """Settings that a launch file and ``ros2 bag record`` would have; the defaults are Humble's.
 
-    Those that a testbed has no use for change nothing there.
+    A testbed ignores settings that do not apply to it.
     """
 
     # How the mode's node stands in the system. Additive: what it publishes is one more source of
@@ -60,10 +60,10 @@ class Campaign:
 
     @classmethod
     def from_environment(cls) -> Self:
-        """Return the default campaign, as far as the environment says nothing else.
+        """Return the default campaign, with the settings in the environment variables.
 
-        It may say ``ORACLE_GOALS_PER_RUN``, ``ORACLE_ARENA``, ``ORACLE_NAV2``,
-        ``ORACLE_SESSIONS`` and ``ORACLE_NOISE_PER_RUN``.
+        These are ``ORACLE_GOALS_PER_RUN``, ``ORACLE_ARENA``, ``ORACLE_NAV2``, ``ORACLE_SESSIONS``
+        and ``ORACLE_NOISE_PER_RUN``.
         """
         return cls(
             goals_per_run=_count("ORACLE_GOALS_PER_RUN") or cls().goals_per_run,

@@ -1,4 +1,4 @@
-"""Runs of any mode: their recipes, and how each becomes a run directory, whole or not at all."""
+"""Runs of any mode: recipes, and recording into a run directory, complete or not at all."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -55,7 +55,7 @@ def record_run(
     refresh: bool = False,
     accompany: Callable[[TestbedRun], None] = lambda _: None,
 ) -> Manifest:
-    """Make one run on the testbed that its recipe is for, whole or not at all.
+    """Make one run on the testbed of its recipe, completely or not at all.
 
     Parameters
     ----------
@@ -71,8 +71,7 @@ def record_run(
     Returns
     -------
     Manifest
-        Of the new run, or of the one that is there already if it was made from this recipe and
-        is whole.
+        Of the new run, or of an existing complete run of the same recipe.
 
     Raises
     ------
@@ -87,7 +86,7 @@ def record_run(
 
 
 def remake_run(former: Manifest, directory: RunDirectory) -> Manifest:
-    """Make a run again whose bag was dropped or trimmed, from the recipe in its manifest.
+    """Rebuild a run whose bag was dropped or trimmed, from the recipe in its manifest.
 
     Parameters
     ----------
@@ -134,7 +133,7 @@ def recipe_of(manifest: Manifest) -> Recipe:
 
 
 def can_be_made_again(manifest: Manifest) -> bool:
-    """Tell whether this software makes the very same run from the recipe in its manifest."""
+    """Tell whether this software makes the same run from the recipe in its manifest."""
     if manifest.software != software():
         return False
     try:
@@ -145,7 +144,7 @@ def can_be_made_again(manifest: Manifest) -> bool:
 
 
 def compared(former: Manifest, again: Manifest) -> Comparison:
-    """Tell whether a run that was made again is what it was, and if not, what explains it."""
+    """Tell whether a rebuilt run equals the former one, and if not, why."""
     if again.content_hash == former.content_hash:
         return "same messages"
     if again.software != former.software:
@@ -159,7 +158,7 @@ def _make(
     former: Manifest | None = None,
     accompany: Callable[[TestbedRun], None] = lambda _: None,
 ) -> Manifest:
-    """Make a run, whole or not at all; it takes the place of one that is there."""
+    """Make a run, completely or not at all; it replaces an existing one."""
     testbed = next(bed for bed in TESTBEDS.values() if isinstance(recipe, bed.recipe))
     with directory.staged() as scratch:
         started = time.perf_counter()  # only for ``measured``: nothing that is recorded sees it
@@ -178,14 +177,14 @@ def _require_same(former: Manifest, manifest: Manifest, directory: RunDirectory)
     same_software = former.software == manifest.software
     if same_software and former.content_hash != manifest.content_hash:
         raise RunDirectoryError(
-            f"{directory.path} was made again with the same software, and other messages came out. "
-            "Either the manifest was edited or the machine computes wrongly; what was there is "
-            f"kept. To have it made anew, remove {directory.path} and record the run again."
+            f"{directory.path} was rebuilt with the same software, and its messages differ. "
+            "Either the manifest was edited or the machine computes wrongly. The former run is "
+            f"kept; to replace it, remove {directory.path} and record the run again."
         )
 
 
 def _verified(directory: RunDirectory, recipe: Recipe) -> Manifest:
-    """Return the manifest of a finished run, if it is this recipe's and nothing is missing."""
+    """Return the manifest of a finished run, if it has this recipe and nothing is missing."""
     found = directory.manifest()
     ours = recipe.to_dict()
     if found.recipe != ours:
@@ -193,13 +192,13 @@ def _verified(directory: RunDirectory, recipe: Recipe) -> Manifest:
         other = [name for name in names if found.recipe.get(name) != ours.get(name)]
         raise RunDirectoryError(
             f"{directory.path} was made from another recipe (it differs in {', '.join(other)}); "
-            "refresh it, or choose another root for this campaign."
+            "simulate it again with --refresh, or choose another root for this campaign."
         )
     sizes = bytes_on_disk(directory.path)
     if sizes != found.measured.bytes:
         raise RunDirectoryError(
             f"{directory.path} is damaged: its parts should have {dict(found.measured.bytes)} "
-            f"bytes and have {sizes}; refresh it to make it again."
+            f"bytes and have {sizes}; simulate it again with --refresh."
         )
     if is_local(directory.path):  # from an object store, who uses a file compares it
         require_undamaged(directory.path, found)

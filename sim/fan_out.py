@@ -1,8 +1,8 @@
-"""Many independent jobs over ``concurrent.futures`` executors, each failing alone.
+"""Runs many independent jobs on ``concurrent.futures`` executors; each fails alone.
 
-A job that raises becomes an outcome with the error's text, and so does one that takes too long.
-Where a worker dies (on a cluster it may take other jobs with it), what was lost is run once more
-together, then one by one, so that only a job that kills its worker on its own is given up.
+A job that raises an error or takes too long becomes an outcome with the text of the error. If a
+worker dies (on a cluster, with other jobs), the lost jobs are run once more together, then one by
+one. So only a job that kills its worker on its own is given up.
 """
 
 import traceback
@@ -22,7 +22,7 @@ _ROUNDS_TOGETHER = 2
 
 @dataclass(frozen=True, slots=True)
 class Outcome(Generic[J, R]):
-    """What became of one job: a result, or the text of the error that ended it."""
+    """The outcome of one job: a result, or the text of the error that ended it."""
 
     job: J
     result: R | None = None

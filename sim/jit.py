@@ -1,4 +1,4 @@
-"""The one way hot loops are compiled: numba, cached on disk, IEEE arithmetic (no fastmath)."""
+"""Compilation of hot loops: numba, cached on disk, IEEE arithmetic (no fastmath)."""
 
 from collections.abc import Callable
 from typing import Any, cast

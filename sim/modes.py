@@ -1,9 +1,9 @@
 """The experiment modes: scenarios, and under which conditions of the testbed they are run.
 
-What a mode's node does to the attacked topic, when, and how the runs are labelled stands in the
-mode's scenario file. Modes are the six of the experiments that this project reproduces, shadow
-controls of their attacks, hard negatives, whatever the folder ``ORACLE_SCENARIOS`` holds, and the
-second testbed's. See docs/reference/modes.md.
+The scenario file of a mode states what its node does to the attacked topic, when, and the label of
+the runs. Modes are the six of the experiments that this project reproduces, shadow controls of
+their attacks, hard negatives, the scenarios in the folder ``ORACLE_SCENARIOS``, and those of the
+second testbed. See docs/reference/modes.md.
 """
 
 import functools
@@ -30,7 +30,7 @@ def modes() -> Mapping[str, Mode]:
 
 
 def broken_scenarios() -> tuple[str, ...]:
-    """Return what is wrong with files of the user's folder; they are no modes."""
+    """Return the errors in files of the user's folder, which do not become modes."""
     return _in_environment()[1]
 
 
@@ -42,7 +42,7 @@ def find_mode(name: str, *, allow_actuation: bool = False) -> Mode:
     Raises
     ------
     ScenarioError
-        If there is no such scenario, or it is wrong.
+        If there is no such scenario, or it is invalid.
     """
     known, builtins = modes(), builtin_scenarios()
     if name in known:
@@ -75,7 +75,7 @@ def _in_environment() -> tuple[Mapping[str, Mode], tuple[str, ...]]:
 def _modes(
     folder: str | None, *, allow_actuation: bool
 ) -> tuple[Mapping[str, Mode], tuple[str, ...]]:
-    """Return the modes with those of a folder of scenario files, and what is wrong in it."""
+    """Return the modes with those of a folder of scenario files, and the errors in it."""
     builtins = builtin_scenarios()
     found: list[Mode] = []
     for testbed in TESTBEDS.values():

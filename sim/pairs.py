@@ -1,6 +1,6 @@
-"""What an attack did to the robot's task: an attacked run against its block's control.
+"""The effect of an attack on the robot's task: an attacked run compared with its control.
 
-How large an effect is beyond chance, only the evaluation can tell, from many runs.
+Only the evaluation can tell from many runs whether an effect is more than chance.
 """
 
 import contextlib
@@ -33,7 +33,7 @@ def judge_pair(directory: RunDirectory) -> None:
 
 
 def _controls_of(mode: str) -> tuple[str, str]:
-    """Return the modes whose runs show how an attacked one would have gone."""
+    """Return the control modes of an attacked mode."""
     paired = next((control for control, attack in PAIRS if attack == mode), CONTROL)
     return paired, f"{mode}_shadow"
 

@@ -1,7 +1,8 @@
-"""The recorder: what ``ros2 bag record -a`` would have taken, and the ROS graph every 10 s.
+"""The recorder: records what ``ros2 bag record -a`` would, and the ROS graph every 10 s.
 
-Bag stamps are simulated time at receipt unless asked otherwise. The graph of an interval holds who
-was there at its end and what went over each edge during it; hidden topics are in no graph.
+Bag stamps are simulated time at receipt unless asked otherwise. The graph of an interval has the
+nodes and topics that exist at its end, and the traffic of each edge during the interval. Hidden
+topics are in no graph.
 """
 
 from collections.abc import Collection, Iterator
@@ -36,7 +37,7 @@ _DISCOVERY_NS = 100 * MILLISECOND  # rosbag2 looks for new topics this often
 
 
 class Recorder(Node):
-    """Subscribes to every visible topic as it appears and writes what it hears.
+    """Subscribes to every visible topic when it appears, and writes its messages.
 
     Parameters
     ----------
@@ -105,7 +106,7 @@ class Recorder(Node):
 
 
 class ReceiveClock:
-    """The clock on the recorder's wall: when a message arrived, in nanoseconds since 1970.
+    """The recorder's wall clock: the arrival time of a message, in nanoseconds since 1970.
 
     It runs as fast as simulated time; each message takes its own time to arrive.
 

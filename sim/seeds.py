@@ -1,4 +1,4 @@
-"""Randomness that branches: what is drawn on one branch of a seed does not move another's draws."""
+"""Branches of randomness: draws on one branch of a seed do not affect other branches."""
 
 import zlib
 

@@ -1,7 +1,7 @@
-"""A testbed's domain on a real DDS domain: what its nodes are, and all that they say, as bytes.
+"""Mirrors a testbed's domain on a real DDS domain: its nodes, endpoints and messages.
 
-It goes along with a run and changes nothing in it. Requests of services travel inside the
-simulation only, so services are not on DDS; neither is the ground truth.
+It accompanies a run and changes nothing in it. Requests of services travel inside the simulation
+only, so services are not on DDS; neither is the ground truth.
 """
 
 import numpy as np
@@ -53,7 +53,7 @@ class ServedDomain:
         self._looked_ns: int | None = None
 
     def look(self, now_ns: int) -> None:
-        """Put on DDS what is new; to be called whenever simulated time moves."""
+        """Mirror what is new; call it whenever simulated time advances."""
         if self._looked_ns is not None and now_ns - self._looked_ns < _LOOK_NS:
             return
         self._looked_ns = now_ns
@@ -78,7 +78,7 @@ class ServedDomain:
             self._tell()
 
     def _tell(self) -> None:
-        """Tell which endpoints are whose, as every ROS 2 process does."""
+        """Publish which endpoints belong to which node, as every ROS 2 process does."""
         heard: dict[str, list[object]] = {}
         said: dict[str, list[object]] = {}
         for subscription, reader in self._readers.items():
@@ -95,14 +95,14 @@ class ServedDomain:
 
 
 def switch(run: TestbedRun, recipe: Recipe) -> None:
-    """Let the mode's node do at once what it does in another recipe of the same testbed.
+    """Let the mode's node run the scenario of another recipe of the same testbed from now on.
 
-    The run is no longer what its own recipe says.
+    The run then no longer follows its own recipe.
 
     Raises
     ------
     ScenarioError
-        If the node is not there yet, or hears or publishes other topics in that recipe.
+        If the node does not exist yet, or reads or publishes other topics in that recipe.
     """
     program = compile_document(recipe.mode, recipe.scenario)
     if run.node is None:

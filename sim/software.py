@@ -1,4 +1,4 @@
-"""What a run's bytes depend on besides its recipe: our code, the libraries, the processor.
+"""The software that a run's bytes depend on: this code, the libraries, the processor.
 
 The same recipe gives the same messages as long as these three stay the same.
 """
@@ -20,7 +20,7 @@ _LIBRARIES = ("geographiclib", "llvmlite", "mujoco", "numba", "numpy", "rosbags"
 
 @functools.cache
 def software() -> Software:
-    """Return what this process makes runs with."""
+    """Return the software of this process."""
     libraries = " ".join(f"{name}-{version(name)}" for name in _LIBRARIES)
     return Software(
         code=run_code(),
@@ -30,11 +30,11 @@ def software() -> Software:
 
 
 def run_code(root: Path = ROOT) -> str:
-    """Return the version of everything of ours that turns a recipe into messages.
+    """Return the version of this project's code that turns a recipe into messages.
 
     Parameters
     ----------
     root
-        The folder of our packages.
+        The folder of this project's packages.
     """
     return code_hash([testbed.made_by for testbed in TESTBEDS.values()], root=root)

@@ -1,6 +1,6 @@
-"""What a testbed is, and the experiments that are made in one.
+"""The interface of a testbed and of its experiments.
 
-Each has a folder of its own with a module ``testbed``; all of them stand in ``sim.testbeds``.
+Each testbed has a folder with a module ``testbed``; ``sim.testbeds`` lists them all.
 """
 
 from collections.abc import Callable, Mapping
@@ -41,10 +41,10 @@ class Mode:
         return self.scenario.title
 
     def noise(self, campaign: Campaign) -> str:
-        """Return whose draws of sensor noise and latencies its runs have.
+        """Return the branch from which its runs draw sensor noise and latencies.
 
-        Empty: those of their block. If the campaign draws noise for each run, those of this mode,
-        which an attack shares with its shadow control: such pairs stay exact.
+        Empty for that of the block. If the campaign draws noise for each run, it is that of the
+        mode, which an attack shares with its shadow control, so such pairs stay exact.
         """
         if not campaign.noise_per_run:
             return ""
@@ -86,7 +86,7 @@ class Mode:
 
 
 class Recipe(Protocol):
-    """All that a run is a function of; a frozen dataclass of numbers, texts and others like it."""
+    """Everything that determines a run; a frozen dataclass of numbers, texts and other recipes."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
@@ -120,7 +120,7 @@ class Recipe(Protocol):
 
 
 class TestbedRun(Protocol):
-    """A testbed that has come up, and the one run that is made in it.
+    """A testbed that has started, and the one run that is made in it.
 
     Attributes
     ----------
@@ -150,10 +150,10 @@ class Testbed:
         Built-in scenarios that are modes, in the order in which they are shown. The shadow controls
         of the attacks among them follow.
     hard_negatives
-        Built-in scenarios that are normal and look odd, with what is otherwise in the testbed.
+        Built-in scenarios that are normal but look unusual, with the changed conditions.
     messages
-        Packages whose messages only this testbed has. A scenario that hears one of them is run
-        here, every other in the first testbed.
+        Packages whose messages only this testbed has. A scenario that reads one of them runs here,
+        every other in the first testbed.
     recipe
         Class of the recipes.
     draw

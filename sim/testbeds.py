@@ -1,4 +1,4 @@
-"""All testbeds. A further one is a folder like these two, and a line here."""
+"""The list of testbeds. To add one, make a folder like these two, and add a line here."""
 
 from collections.abc import Mapping
 

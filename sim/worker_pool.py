@@ -1,16 +1,18 @@
-"""Worker processes, one job each at a time: a job that kills its worker or hangs is known by name.
+"""A pool of worker processes that names the job which killed its worker or hangs.
 
-``ProcessPoolExecutor`` breaks as a whole when one worker dies, and waits for ever for one that
-hangs. Here each worker has a pipe of its own, so the loss of one costs nobody else anything.
+``ProcessPoolExecutor`` breaks as a whole when one worker dies, and waits indefinitely for one that
+hangs. Here each worker has one job at a time and a pipe of its own, so the loss of one does not
+affect the others.
 """
 
+import concurrent.futures
 import multiprocessing
 import os
 import pickle
 import threading
 import traceback
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
@@ -25,7 +27,7 @@ _PATIENCE_S = 10.0  # for an idle worker to end
 
 
 class JobTimeoutError(OracleError):
-    """A job took longer than it may; its worker was ended."""
+    """A job exceeded its time limit, and its worker was ended."""
 
 
 class WorkerDied(BrokenExecutor):
@@ -88,6 +90,33 @@ class WorkerPool(ThreadPoolExecutor):
         return result
 
 
+class LentPool(Executor):
+    """A pool for one of several uses: shut down, its workers stay, and what they know.
+
+    Parameters
+    ----------
+    pool
+        Whoever made it ends its workers.
+    """
+
+    def __init__(self, pool: WorkerPool) -> None:
+        self._pool = pool
+        self._futures: list[Future[Any]] = []
+
+    def submit(self, fn: Callable[..., R], /, *args: Any, **kwargs: Any) -> Future[R]:
+        """Hand a job to the next free worker of the pool."""
+        future = self._pool.submit(fn, *args, **kwargs)
+        self._futures.append(future)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Wait for the jobs of this use that have begun."""
+        for future in self._futures if cancel_futures else ():
+            future.cancel()
+        if wait:
+            concurrent.futures.wait(self._futures)
+
+
 class _Worker:
     """One process, and the pipe to it."""
 
@@ -110,8 +139,8 @@ class _Worker:
             if not self._pipe.poll(limit_s):
                 self._end()
                 raise JobTimeoutError(
-                    f"It was not over after {limit_s:g} s, and its worker was ended. If it needs "
-                    f"longer, set {LIMIT} to more seconds."
+                    f"It was not finished after {limit_s:g} s, so its worker was ended. If it "
+                    f"needs longer, set {LIMIT} to more seconds."
                 )
             is_done, result = self._pipe.recv()
         except (EOFError, ConnectionError) as error:

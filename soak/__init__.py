@@ -1,1 +1,1 @@
-"""What takes hours to show: campaigns that are killed again and again, and tight budgets."""
+"""Tests that take hours: campaigns that are killed many times, full disks, small budgets."""

@@ -1,9 +1,9 @@
-"""Assets that are ended while they are made leave nothing lost, damaged or half-written.
+"""Interrupting an asset must leave nothing lost, damaged or half-written.
 
-``python -m soak.aggregates`` makes a small campaign. Then it materializes tables and reports over
-all runs, one after the other, and ends each at a random moment of its step: all of it is killed, or
-the caller alone, or the caller gets SIGTERM. After each of these, every table and report has to be
-whole and to say what it said before. A run in the making gets SIGTERM too.
+``python -m soak.aggregates`` simulates a small campaign. Then it materializes the tables and
+reports over all runs, one after the other, and interrupts each at a random moment of its step: it
+kills all processes, or only the caller, or sends the caller SIGTERM. After each interruption, every
+table and report must be complete and have its former content. Runs in progress get SIGTERM, too.
 """
 
 import argparse
@@ -54,7 +54,7 @@ _LOG = "log"
 
 
 def make_campaign(root: Path) -> None:
-    """Make a few short runs and everything that is made of them."""
+    """Simulate a few short runs and materialize all assets over them."""
     campaign = Campaign(goals_per_run=1)
     for mode, run in RUNS:
         place = RunDirectory(root, mode, run)
@@ -65,7 +65,7 @@ def make_campaign(root: Path) -> None:
 
 
 def made(root: Path, asset: str) -> dg.ExecuteInProcessResult:
-    """Make an asset over all runs in this process."""
+    """Materialize an asset over all runs in this process."""
     resources = {"store": RunStore(root=str(root)), "fleet": Fleet(workers=2)}
     job = build_defs(**resources).resolve_implicit_global_asset_job_def()
     return job.execute_in_process(
@@ -76,7 +76,7 @@ def made(root: Path, asset: str) -> dg.ExecuteInProcessResult:
 
 
 def start(place: Path, assets: Sequence[str], *options: str) -> "subprocess.Popen[bytes]":
-    """Start making assets as a process group of its own; the root is ``<place>/data``."""
+    """Start materializing assets in a process group of its own; the root is ``<place>/data``."""
     (place / "home").mkdir(exist_ok=True)
     ours = {
         "DAGSTER_HOME": str(place / "home"),
@@ -92,13 +92,13 @@ def start(place: Path, assets: Sequence[str], *options: str) -> "subprocess.Pope
 
 
 def wait_for_step(place: Path, running: "subprocess.Popen[bytes]") -> None:
-    """Wait until an asset begins to be made."""
+    """Wait until the step of an asset begins."""
     while running.poll() is None and _STARTED not in (place / _LOG).read_bytes():
         time.sleep(0.02)
 
 
 def end(running: "subprocess.Popen[bytes]", how: str) -> list[str]:
-    """End a process group; return what is wrong with how it ended."""
+    """End a process group, and return what went wrong."""
     if how == "terminate":
         running.terminate()
     elif how == "kill all":
@@ -115,7 +115,7 @@ def end(running: "subprocess.Popen[bytes]", how: str) -> list[str]:
 
 
 def state(root: Path) -> dict[str, str]:
-    """Return what every table and report says, as a hash, or why it cannot be read."""
+    """Return a hash of the content of each table and report, or why it cannot be read."""
     store = RunStore(root=str(root))
     tables = {name: _said(_of_table, store.dataset(name)) for name in (DATASET, WINDOWS, TRUTH)}
     reports = {name: _said(_of_report, store.results(name)) for name in REPORTS}
@@ -147,12 +147,12 @@ def _of_report(place: Path) -> str:
 
 
 def _of_page(place: Path) -> str:
-    """Return whether all of the page is there; what it says of bytes on disk may differ."""
+    """Return the content of a complete page without its sizes on disk, which may differ."""
     return "whole" if place.read_text("utf-8").rstrip().endswith("</html>") else "not whole"
 
 
 def compared(root: Path, expected: Mapping[str, str]) -> list[str]:
-    """Return which tables and reports are not what they were, and what was left behind."""
+    """Return the tables and reports that have changed, and files that were left behind."""
     found = state(root)
     wrong = [f"{name}: {found[name]}" for name in expected if found[name] != expected[name]]
     return wrong + [f"{name} was left behind" for name in leftovers(root)]
@@ -161,7 +161,7 @@ def compared(root: Path, expected: Mapping[str, str]) -> list[str]:
 def ended_early(
     place: Path, endings: int, rng: np.random.Generator
 ) -> Iterator[tuple[str, list[str]]]:
-    """End assets at random moments of their step; yield what was done, and what is wrong then."""
+    """Interrupt assets at random moments of their step; yield each interruption and its faults."""
     expected, seconds = state(place / "data"), {}
     for number in range(endings):
         asset, how = KILLED[number % len(KILLED)], ENDINGS[number % len(ENDINGS)]
@@ -183,7 +183,7 @@ def ended_early(
 
 
 def stopped_runs(place: Path, count: int, rng: np.random.Generator) -> Iterator[list[str]]:
-    """Send SIGTERM while runs are made; yield what is wrong after each."""
+    """Send SIGTERM while runs are simulated; yield the faults after each signal."""
     for number in range(count):
         run = RunDirectory(place / "data", RUNS[0][0], len(RUNS) + number)
         running = start(place, RUN_ASSETS, "--partition", run.key)
@@ -199,7 +199,7 @@ def stopped_runs(place: Path, count: int, rng: np.random.Generator) -> Iterator[
 
 
 def _seconds_of_step(place: Path, asset: str) -> float:
-    """Return how long an asset takes from the beginning of its step [s]."""
+    """Return the duration of an asset's step [s]."""
     running = start(place, [asset])
     wait_for_step(place, running)
     began = time.monotonic()
@@ -208,7 +208,7 @@ def _seconds_of_step(place: Path, asset: str) -> float:
 
 
 def main() -> None:
-    """End assets early, many times, and say whether anything was lost or damaged."""
+    """Interrupt assets many times, and print whether anything was lost or damaged."""
     parser = argparse.ArgumentParser(prog="python -m soak.aggregates", description=main.__doc__)
     parser.add_argument("--endings", type=int, default=21)
     parser.add_argument("--stops", type=int, default=5, help="of a run in the making, by SIGTERM")

@@ -1,8 +1,8 @@
-"""A campaign of hundreds of runs under a small budget, with all assets, watched all the time.
+"""A campaign of hundreds of runs under a small storage budget, with disk usage sampled.
 
-``python -m soak.budget`` starts what a person would: `dagster asset materialize` with
-ORACLE_STORAGE_BUDGET set. It ends with all features, all graphs and a report, and at no moment is
-more below ORACLE_HOME than the budget.
+``python -m soak.budget`` runs `dagster asset materialize` with ORACLE_STORAGE_BUDGET set, as a
+person would. The campaign must end with all features, all graphs and a report, and the files below
+ORACLE_HOME must never exceed the budget.
 """
 
 import argparse
@@ -25,7 +25,7 @@ _LOOK_S = 1.0
 
 
 class Watch(threading.Thread):
-    """Looks how much lies below a root, and how much memory the processes of a group hold."""
+    """Samples the disk usage below a root and the memory of the processes of a group."""
 
     def __init__(self, root: Path, group: int) -> None:
         super().__init__()
@@ -36,14 +36,14 @@ class Watch(threading.Thread):
         self.looks = 0
 
     def run(self) -> None:
-        """Look until it is over."""
+        """Take samples until it is stopped."""
         while not self._over.wait(_LOOK_S):
             self.most_bytes = max(self.most_bytes, take_stock(self._root).total)
             self.most_memory = max(self.most_memory, _largest_process(self._group))
             self.looks += 1
 
     def stop(self) -> None:
-        """End it."""
+        """Stop taking samples."""
         self._over.set()
         self.join()
 
@@ -63,7 +63,7 @@ def _largest_process(group: int) -> int:
 def campaign(
     home: Path, runs: int, goals: int, *, budget: str = "", stdout: int | None = None
 ) -> "subprocess.Popen[bytes]":
-    """Start the whole asset graph over the six modes; no budget means what is free on the disk."""
+    """Start the whole asset graph over the six modes; the default budget is the free disk space."""
     environment = os.environ | {
         "DAGSTER_HOME": str(home / "dagster"),
         "ORACLE_HOME": str(home / "data"),
@@ -111,7 +111,7 @@ def main() -> None:
             f"{watch.most_bytes / 1e6:.0f} of {limit / 1e6:.0f} MB in {watch.looks} looks, largest "
             f"process {watch.most_memory / 2**20:.0f} MiB"
         )
-    print("\n".join(wrong) or "All is there, and the budget was kept.")
+    print("\n".join(wrong) or "Everything exists, and the budget was kept.")
     sys.exit(bool(wrong))
 
 

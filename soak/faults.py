@@ -1,7 +1,7 @@
-"""A campaign that is killed at random moments, again and again, ends as one that was left alone.
+"""A campaign that is killed at random moments must end like an undisturbed one.
 
-``python -m soak.faults`` does what the test suite does, for longer. All of it is killed, or the
-caller alone (its workers have to end with it), or one worker (the caller goes on).
+``python -m soak.faults`` repeats a test of the suite many more times. It kills all processes, or
+only the caller (its workers must end, too), or one worker (the caller must continue).
 """
 
 import argparse
@@ -51,7 +51,7 @@ def jobs(root: Path) -> list[RunJob]:
 
 
 def run_campaign(root: str) -> None:
-    """Make all runs below a root; raises if one fails."""
+    """Simulate all runs below a root, and raise an error if one fails."""
     for outcome in fan_out(process_run, jobs(Path(root)), lambda: process_pool(WORKERS)):
         if outcome.error is not None:
             raise RuntimeError(outcome.error)
@@ -66,7 +66,7 @@ def start(root: Path) -> "subprocess.Popen[bytes]":
 
 
 def strike(campaign: "subprocess.Popen[bytes]", rng: np.random.Generator, whom: str) -> None:
-    """Kill a campaign at some moment after its first run began."""
+    """Kill a campaign at a random moment after its first run began."""
     time.sleep(rng.uniform(0.0, LATEST_S))
     if campaign.poll() is not None:
         return
@@ -82,7 +82,7 @@ def strike(campaign: "subprocess.Popen[bytes]", rng: np.random.Generator, whom: 
 
 
 def _workers(caller: int) -> list[int]:
-    """Return the worker processes of a caller: those that were spawned to work."""
+    """Return the worker processes that a caller spawned."""
     children = Path(f"/proc/{caller}/task/{caller}/children").read_text().split()
     return [
         int(child)
@@ -104,13 +104,13 @@ def wait_until_gone(campaign: "subprocess.Popen[bytes]") -> bool:
 
 
 def wait_for_work(root: Path, campaign: "subprocess.Popen[bytes]") -> None:
-    """Wait until somebody works on a run."""
+    """Wait until a worker has begun a run."""
     while campaign.poll() is None and not any(root.glob("runs/*/.lock-*")):
         time.sleep(0.05)
 
 
 def state(root: Path) -> dict[str, Any]:
-    """Return all that is known of the runs below a root, but for times and sizes."""
+    """Return what is stored about the runs below a root, without times and sizes."""
     return {run.key: _known(run) for run in find_runs(root)}
 
 
@@ -123,7 +123,7 @@ def _known(run: RunDirectory) -> dict[str, Any]:
 
 
 def damaged(root: Path) -> list[str]:
-    """Return the runs that look finished and are not whole."""
+    """Return the runs that look finished but are incomplete."""
     return [run.key for run in find_runs(root) if not _is_whole(run)]
 
 
@@ -135,17 +135,17 @@ def _is_whole(run: RunDirectory) -> bool:
 
 
 def made_in(root: Path) -> dict[str, float]:
-    """Return how long each finished run took to make: another figure is another making."""
+    """Return how long each finished run took; another figure means another simulation."""
     return {run.key: run.manifest().measured.wall_s for run in find_runs(root)}
 
 
 def leftovers(root: Path) -> list[str]:
-    """Return what dead processes have left behind."""
+    """Return the files that dead processes left behind."""
     return sorted(str(path.relative_to(root)) for path in root.rglob(".*"))
 
 
 def disturbed(root: Path, kills: int, seed: int) -> Iterator[list[str]]:
-    """Kill a campaign so many times, then complete it; yield what is wrong after each."""
+    """Kill a campaign many times, then complete it; yield the faults after each kill."""
     rng = np.random.default_rng(seed)
     first_made: dict[str, float] = {}
     for number in range(kills):
@@ -169,7 +169,7 @@ def disturbed(root: Path, kills: int, seed: int) -> Iterator[list[str]]:
 
 
 def main() -> None:
-    """Kill a campaign many times and check that its result is that of an undisturbed one."""
+    """Kill a campaign many times, and check that its result equals that of an undisturbed one."""
     parser = argparse.ArgumentParser(prog="python -m soak.faults", description=main.__doc__)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)

@@ -1,8 +1,8 @@
-"""Bits that are flipped in what was recorded and measured, one at a time: none goes unnoticed.
+"""Flip bits in recordings and tables, one at a time: each flip must be noticed or harmless.
 
 ``python -m soak.flips`` flips bits in the bag (MCAP and SQLite), the graphs and the manifest of a
-run, in its feature tables and in the joined one, and computes or reads features after each flip.
-They are the same, or there is an error that says what is damaged. The test suite does the same with
+run, in its feature tables and in the joined table. After each flip it computes or reads features.
+They must be unchanged, or an error must name the damaged file. The test suite does the same with
 fewer flips.
 """
 
@@ -32,7 +32,7 @@ Features = Callable[[], list[pd.DataFrame]]
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Files that go together, and what is made of them."""
+    """Files that belong together, and how features are obtained from them."""
 
     name: str
     files: tuple[Path, ...]
@@ -41,7 +41,7 @@ class Target:
 
 @dataclass(slots=True)
 class Tally:
-    """What became of the flips in one target."""
+    """The results of the flips in one target."""
 
     caught: int = 0
     harmless: int = 0  # the same features
@@ -54,7 +54,7 @@ class Tally:
 
 
 def flip_bits(target: Target, count: int, rng: np.random.Generator) -> Tally:
-    """Flip so many bits of a target's files, each as likely as any other; all are restored."""
+    """Flip bits of a target's files, drawn uniformly; each is restored afterwards."""
     tally = Tally()
     expected = target.features()
     sizes = np.array([file.stat().st_size for file in target.files])
@@ -89,7 +89,7 @@ def _same(found: Sequence[pd.DataFrame], expected: Sequence[pd.DataFrame]) -> bo
 
 
 def targets_of(run: RunDirectory, manager: FeatureManager) -> Iterator[Target]:
-    """Return what there is to damage of a run and its tables."""
+    """Return the targets of a run and its tables."""
     tables = [run.feature_table(table) for table in ("run", "window")]
 
     def of_recording(path: Path) -> Features:
@@ -110,7 +110,7 @@ def _features(path: Path, manager: FeatureManager) -> list[pd.DataFrame]:
 
 
 def made(root: Path) -> Iterator[tuple[str, Target]]:
-    """Make a run of each storage and a joined table; give what there is to damage of them."""
+    """Record a run with each storage, make a joined table, and yield their targets."""
     manager = build_manager()
     rows = []
     for storage in ("mcap", "sqlite3"):
@@ -125,7 +125,7 @@ def made(root: Path) -> Iterator[tuple[str, Target]]:
 
 
 def main() -> None:
-    """Flip bits one at a time, and say whether any of them went unnoticed."""
+    """Flip bits one at a time, and print whether any flip went unnoticed."""
     parser = argparse.ArgumentParser(prog="python -m soak.flips", description=main.__doc__)
     parser.add_argument("--flips", type=int, default=500, help="in each target")
     parser.add_argument("--seed", type=int, default=0)

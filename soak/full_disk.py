@@ -1,7 +1,7 @@
-"""Each asset is made while files cannot grow, as on a full disk: it fails, and nothing is lost.
+"""Materialize each asset while files cannot grow, as on a full disk. Nothing may be lost.
 
-``python -m soak.full_disk`` makes a small campaign and then each asset again, with a limit that is
-drawn below the size of the largest file that the asset writes.
+``python -m soak.full_disk`` simulates a small campaign. Then it materializes each asset again with
+a limit on file sizes, drawn below the size of the largest file that the asset writes.
 """
 
 import argparse
@@ -30,7 +30,7 @@ TIMES = 3  # each asset
 
 @contextlib.contextmanager
 def largest_file(size: int) -> Iterator[None]:
-    """No file can grow larger, as on a disk that is full."""
+    """Limit the size of files, as a full disk does."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
@@ -40,7 +40,7 @@ def largest_file(size: int) -> Iterator[None]:
 
 
 def aggregate(root: Path, asset: str, rng: np.random.Generator) -> list[str]:
-    """Make an asset over all runs on a full disk; return what is wrong then."""
+    """Materialize an asset over all runs on a full disk, and return the faults."""
     store = RunStore(root=str(root))
     if asset in REPORTS:
         outputs = list(store.results(asset).rglob("*"))
@@ -52,18 +52,18 @@ def aggregate(root: Path, asset: str, rng: np.random.Generator) -> list[str]:
         with largest_file(_limit(outputs, rng)):
             success = made(root, asset).success
     except Exception as error:  # Dagster's own database may be the first that cannot grow
-        print(f"as it should be: {type(error).__name__}: {error}"[:200])
+        print(f"expected: {type(error).__name__}: {error}"[:200])
     wrong = [f"{asset} was made on a full disk"] if success else []
     return wrong + compared(root, expected)
 
 
 def recording(run: RunDirectory, rng: np.random.Generator) -> list[str]:
-    """Record a run again on a full disk; return what is wrong then."""
+    """Record a run again on a full disk, and return the faults."""
     return _of_run(run, frozenset(RECORDED), list(run.bag.iterdir()), rng)
 
 
 def features(run: RunDirectory, rng: np.random.Generator) -> list[str]:
-    """Extract the features of a run again on a full disk; return what is wrong then."""
+    """Extract the features of a run again on a full disk, and return the faults."""
     tables = [run.feature_table(table) for table in TABLES]
     return _of_run(run, frozenset(FEATURES), tables, rng)
 
@@ -78,7 +78,7 @@ def _of_run(
             process_run(RunJob(run, Campaign(goals_per_run=1), wanted, refresh=True))
         wrong.append(f"{run.key} was made on a full disk")
     except Exception as error:
-        print(f"as it should be: {type(error).__name__}: {error}"[:200])
+        print(f"expected: {type(error).__name__}: {error}"[:200])
     after = _hashes(run.root)
     wrong += [f"{name} changed" for name in before | after if before.get(name) != after.get(name)]
     return wrong + [f"{name} was left behind" for name in leftovers(run.root)]
@@ -98,7 +98,7 @@ def _hashes(root: Path) -> dict[str, str]:
 
 
 def everything(root: Path, rng: np.random.Generator) -> Iterator[tuple[str, list[str]]]:
-    """Make each asset once on a full disk; yield what it was, and what is wrong then."""
+    """Materialize each asset once on a full disk; yield its name and its faults."""
     run = RunDirectory(root, *RUNS[0])
     yield "recording of a run", recording(run, rng)
     yield "features of a run", features(run, rng)
@@ -107,7 +107,7 @@ def everything(root: Path, rng: np.random.Generator) -> Iterator[tuple[str, list
 
 
 def main() -> None:
-    """Make each asset on a full disk, and say whether anything was lost or damaged."""
+    """Materialize each asset on a full disk, and print whether anything was lost or damaged."""
     parser = argparse.ArgumentParser(prog="python -m soak.full_disk", description=main.__doc__)
     parser.add_argument("--times", type=int, default=TIMES)
     parser.add_argument("--seed", type=int, default=0)

@@ -1,9 +1,9 @@
 """Peak memory of `oracle features` on recordings of 200 MB that are hard to read.
 
-``python -m soak.memory [--megabytes 200] [NAME...]`` makes each recording, reads it in a process of
-its own, and prints the peak of that process beside the goal of 1 GiB. ``repetitive`` is large scans
-in compressed chunks, ``scans`` the same without compression, ``small`` millions of small messages
-with headers, ``topics`` thousands of topics.
+``python -m soak.memory [--megabytes 200] [NAME...]`` writes each recording, reads it in a separate
+process, and prints the peak memory of that process beside the goal of 1 GiB. ``repetitive`` has
+large scans in compressed chunks, ``scans`` has scans without compression, ``small`` has millions of
+small messages with headers, and ``topics`` has thousands of topics.
 """
 
 import argparse
@@ -32,7 +32,7 @@ _PERIOD_NS = 100_000
 
 
 def main() -> None:
-    """Make and measure the recordings that are named, or all."""
+    """Write and measure the named recordings, or all."""
     parser = argparse.ArgumentParser(prog="python -m soak.memory", description=main.__doc__)
     parser.add_argument("names", nargs="*", default=list(RECORDINGS), metavar="NAME")
     parser.add_argument("--megabytes", type=float, default=200.0, help="size of each recording")
@@ -63,7 +63,7 @@ def measured(path: Path) -> tuple[float, int]:
 
 
 def repetitive(path: Path, size: int) -> None:
-    """Write scans of 20,000 rays that are all alike, compressed."""
+    """Write identical scans of 20,000 rays, compressed."""
     _write(path, size, [("/scan", _scan(20_000))], "zstd", most_decompressed=30 * size)
 
 
@@ -102,7 +102,7 @@ def _write(
     most_decompressed: int = 2**62,
     most_messages: int = 2**62,
 ) -> None:
-    """Write messages, topic by topic and again, until the file is large enough."""
+    """Write messages on all topics in turn, until the file is large enough."""
     with path.open("wb") as sink:
         sink.write(MAGIC + _record(1, _text("ros2") + _text("")))
         for record in _described(published):

@@ -1,9 +1,9 @@
-"""A robot that drives normally for an hour, watched all the time.
+"""Watch a robot that drives normally for an hour.
 
-``python -m soak.watching`` learns a card from patrols, each of a session of its own, serves a long
-patrol of one more session on a DDS domain, and watches it. Nothing is dropped, the memory of the
-watch does not grow, it takes at most a share of a core, and there is at most one alarm. A line a
-minute says how it goes.
+``python -m soak.watching`` learns a card from patrols, each in a session of its own. Then it serves
+a long patrol of another session on a DDS domain, and watches it. The watch must drop no message,
+its memory must not grow, it may take only a share of a core, and it may raise at most one alarm. It
+prints a line each minute.
 """
 
 import argparse
@@ -41,7 +41,7 @@ _LOOK_S = 60.0
 
 
 def main() -> None:
-    """Serve, watch, look, and exit with 1 if anything was not as it should be."""
+    """Serve and watch a patrol, and exit with 1 if a goal was missed."""
     parser = argparse.ArgumentParser(prog="python -m soak.watching", description=main.__doc__)
     parser.add_argument("--minutes", type=float, default=60.0, help="by the robot's clock")
     parser.add_argument("--speed", type=float, default=1.0)
@@ -66,7 +66,7 @@ def main() -> None:
 
 
 def _looked_at(watch: Watching, serve: Any, wall_s: float) -> list[dict[str, float]]:
-    """Wait, look once a minute, and return what was seen."""
+    """Wait, take a measurement each minute, and return them."""
     began = before_at = time.monotonic()
     before_s = processor_s(watch.process.pid)
     minutes: list[dict[str, float]] = []
@@ -89,11 +89,11 @@ def _looked_at(watch: Watching, serve: Any, wall_s: float) -> list[dict[str, flo
 
 
 def _is_right(watch: Watching, minutes: list[dict[str, float]], speed: float) -> bool:
-    """Print what came of it, and tell whether all goals are met; some are of real time only."""
+    """Print the results, and tell whether all goals are met; some hold at real time only."""
     settled = [each["memory_mb"] for each in minutes[int(len(minutes) * SETTLED) :]]
     share = float(np.median([each["share"] for each in minutes]))
     latency = np.quantile([each["latency_s"] for each in watch.verdicts()], [0.5, 0.9, 1.0])
-    print(f"Messages: {watch.heard} heard, {watch.dropped} dropped.")
+    print(f"Messages: {watch.heard} received, {watch.dropped} dropped.")
     print(f"Memory: {settled[0]:.0f} MB settled, {max(settled):.0f} MB at most.")
     print(f"Share of a core: {share:.1%} (median of the minutes).")
     print("Latency of verdicts: median {:.2f} s, 90 % {:.2f} s, at most {:.2f} s.".format(*latency))

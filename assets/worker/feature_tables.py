@@ -1,5 +1,7 @@
 """The feature tables of one run: extracted again only if run, code or tables have changed.
 
+The same reading of the bag gives the signals that rules judge (``oracle_pipeline.oracles.traces``).
+
 A small JSON file beside the tables holds hashes of their inputs and of their content. Heavy imports
 are inside the functions, so that verifying a run is quick.
 """
@@ -11,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from assets.worker.versions import feature_code
+from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.layout import TABLES
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.remote import fetched, is_local
@@ -32,13 +35,20 @@ def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bo
     """
     from oracle_pipeline.datasets import replacing
     from oracle_pipeline.features import build_manager, extract, write
+    from oracle_pipeline.features.extraction import only_robot
+    from oracle_pipeline.features.kept_messages import KeptMessages
     from oracle_pipeline.opened_run import open_run
+    from oracle_pipeline.oracles.kept_traces import keep_trace
+    from oracle_pipeline.oracles.traces import TRACE, trace_of
 
     if not refresh and tables_are_current(run, manifest):
         return False
     _tidy(run)
     with fetched(run.path) as folder, open_run(folder) as opened:
-        write(extract(opened, build_manager()), run)
+        manager, robot = build_manager(), only_robot(opened)
+        recording = KeptMessages.read(robot, (*manager.plugins, TRACE))
+        write(extract(opened, manager, robot, recording), run)
+        keep_trace(trace_of(recording), run, layout.traces(run.root))
     record = {"inputs": _inputs(manifest), "tables": _hashes(run)}
     with replacing(_record(run)) as sink:
         sink.write(json.dumps(record).encode())
@@ -46,7 +56,7 @@ def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bo
 
 
 def require_tables(run: RunDirectory) -> bool:
-    """Do `ensure_tables` for a complete run, without refresh."""
+    """Call `ensure_tables` for a complete run, without refresh."""
     return ensure_tables(run, run.manifest(), refresh=False)
 
 
@@ -64,7 +74,7 @@ def topics_of_features(bag: "BagReader") -> frozenset[str]:
 
 
 def _tidy(run: RunDirectory) -> None:
-    """Remove half-written tables of a killed worker; the caller holds the run."""
+    """Remove half-written tables of a killed worker; the caller holds the lock of the run."""
     if is_local(run.root):
         for table in TABLES:
             for leftover in run.feature_table(table).parent.glob(f".{run.run_id}.*"):

@@ -1,4 +1,4 @@
-"""What is done for one recording that arrived from elsewhere: features, then the verdict."""
+"""The work on one recording that arrived: extract features, then judge it."""
 
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Judged(NamedTuple):
-    """What became of a recording."""
+    """The result for one recording."""
 
     kept: "KeptVerdict"
     tables: "FeatureTables | None"  # None: it could not be read

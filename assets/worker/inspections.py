@@ -39,7 +39,7 @@ class Finding:
 
 
 def inspect(inspection: Inspection) -> Finding:
-    """Make an inspection; a file that cannot be read is a fault."""
+    """Perform an inspection; a file that cannot be read is a fault."""
     try:
         return _INSPECTIONS[inspection.name](*inspection.runs)
     except (OracleError, OSError) as error:
@@ -49,7 +49,7 @@ def inspect(inspection: Inspection) -> Finding:
 def bag_is_complete(run: RunDirectory) -> Finding:
     """Read every message of the bag, whole or trimmed, and compare it with the manifest.
 
-    A whole bag has to have the content hash of the manifest. Of a trimmed one, the manifest knows
+    A complete bag must have the content hash in the manifest. For a trimmed bag, the manifest has
     the hashes of its files.
     """
     manifest = run.manifest()

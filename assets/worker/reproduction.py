@@ -37,7 +37,7 @@ def place_aside(run: RunDirectory) -> RunDirectory:
 
 @contextlib.contextmanager
 def made_aside(run: RunDirectory) -> Iterator[RunDirectory]:
-    """Yield a place on this machine to re-simulate a run, apart from the former one."""
+    """Yield a place on this machine for a re-simulated run, separate from the former one."""
     if is_local(run.root):
         yield place_aside(run)
         return

@@ -20,6 +20,7 @@ from typing import Literal
 from assets.worker.feature_tables import ensure_tables, tables_are_current, topics_of_features
 from assets.worker.reproduction import Reproduction, judge, made_aside, place_aside
 from assets.worker.versions import feature_code
+from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.graph_files import read_gexf
 from oracle_pipeline.bags.integrity import require_undamaged
@@ -79,7 +80,7 @@ class RunReport:
 
 
 def process_run(job: RunJob) -> RunReport:
-    """Make the requested assets of a run and what they need.
+    """Produce the requested assets of a run, and what they need.
 
     Raises
     ------
@@ -113,7 +114,7 @@ def _readable_manifest(run: RunDirectory) -> Manifest | None:
 
 
 def _make_again(job: RunJob, former: Manifest) -> RunReport:
-    """Re-simulate a complete run; it is replaced unless the messages differ without a reason."""
+    """Re-simulate a complete run, and replace it unless the messages differ without a reason."""
     run = job.directory
     with made_aside(run) as aside:
         _record(replace(job, directory=aside))
@@ -147,7 +148,7 @@ def _lacks_its_bag(job: RunJob, manifest: Manifest) -> bool:
 
 @contextlib.contextmanager
 def _made_here(run: RunDirectory) -> Iterator[RunDirectory]:
-    """Yield a place on this machine to make a run: its own, or one that is published afterwards."""
+    """Yield a place on this machine for a run: its own, or one to publish afterwards."""
     if is_local(run.root):
         yield run
         return
@@ -162,9 +163,10 @@ def _made_here(run: RunDirectory) -> Iterator[RunDirectory]:
 
 def _put_in_place(local: RunDirectory, run: RunDirectory) -> None:
     """Publish a run that was made on this machine, and compare it with its pair."""
-    for file in (local.root / FEATURES).rglob("*"):
-        if file.is_file():
-            (run.root / file.relative_to(local.root).as_posix()).write_bytes(file.read_bytes())
+    for folder in (local.root / FEATURES, layout.traces(local.root)):
+        for file in folder.rglob("*"):
+            if file.is_file():
+                (run.root / file.relative_to(local.root).as_posix()).write_bytes(file.read_bytes())
     publish(local.path, run.path, MANIFEST_FILE)
     judge_pair(run)
 
@@ -191,7 +193,7 @@ def _finish(job: RunJob, status: Status) -> RunReport:
 
 
 def _retain(job: RunJob, manifest: Manifest) -> Manifest:
-    """Drop what is not kept, once everything is made that needs the whole bag."""
+    """Drop what the storage plan does not keep, after everything that needs the whole bag."""
     run = job.directory
     if manifest.measured.kept == "full":
         ensure_tables(run, manifest, refresh=False)
@@ -255,7 +257,7 @@ def _recording(
 
 
 def _picture(directory: RunDirectory) -> bytes | str:
-    """Return a picture of the run from above, or why there is none: that must not fail the run."""
+    """Return a picture of the run from above, or why there is none; no picture must fail a run."""
     from oracle_pipeline.replay.picture import kept_picture
 
     try:

@@ -1,6 +1,6 @@
-"""What the assets are made with: hashes of the source files behind them.
+"""Code versions of the assets: hashes of the source files that they depend on.
 
-A changed hash makes an asset stale in the UI and its files be made again.
+If a hash changes, the UI shows the asset as stale, and its files are computed again.
 """
 
 import functools
@@ -18,14 +18,14 @@ _READ_BY = "assets.aggregates"  # what all assets over all runs share
 
 @functools.cache
 def analysis_code(module: str, root: Path = ROOT) -> str:
-    """Return the version of what turns feature tables into the results of a module of assets.
+    """Return the version of the code that computes the results of a module of assets.
 
     Parameters
     ----------
     module
-        That defines the assets.
+        The module that defines the assets.
     root
-        The folder of our packages.
+        The folder of this project's packages.
     """
     return code_hash([module, _READ_BY], within=[_ANALYSIS], root=root)
 
@@ -37,7 +37,7 @@ def feature_code(root: Path = ROOT) -> str:
     Parameters
     ----------
     root
-        The folder of our packages.
+        The folder of this project's packages.
     """
     folder = os.environ.get(_PLUGIN_FOLDER)
     plugins = [

@@ -1,4 +1,4 @@
-"""An MkDocs hook: puts the help of every command into the page of commands.
+"""An MkDocs hook that puts the help of every command into the page of commands.
 
 The page holds a line ``<!-- commands: oracle_pipeline.cli:main oracle -->`` for each program.
 """

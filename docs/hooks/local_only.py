@@ -1,4 +1,4 @@
-"""An MkDocs hook: refuses pages that load anything from another host."""
+"""An MkDocs hook that refuses pages which load anything from another host."""
 
 import re
 from typing import Any
@@ -11,6 +11,6 @@ _ELSEWHERE = re.compile(
 
 
 def on_post_page(output: str, **context: Any) -> None:
-    """Raise if the page would need a network to be shown."""
+    """Raise an error if showing the page needs a network."""
     if found := _ELSEWHERE.search(output):
         raise PluginError(f"{context['page'].file.src_path} loads from elsewhere: {found[0]}")

@@ -1,1 +1,1 @@
-"""Bags, run directories and graph files: the leaf that the simulation and the analysis share."""
+"""Bags, run directories and graph files: the only code that simulation and analysis share."""

@@ -1,6 +1,6 @@
-"""Recordings that arrive in a folder: which are there, and whether they are still being written.
+"""Finds recordings that arrive in a folder, and tells whether they are still being written.
 
-Names and sizes are looked at, and the last bytes of an MCAP file; no message is read.
+Only names, sizes and the last bytes of MCAP files are read, no messages.
 """
 
 import hashlib
@@ -43,7 +43,7 @@ class Arrival:
 
 
 class Arrivals(NamedTuple):
-    """What a look at the folder gave."""
+    """The recordings found by one scan of the folder."""
 
     found: list[Arrival]  # by name
     faults: list[str]  # why some entries could not be looked at
@@ -72,10 +72,10 @@ def arrivals(folder: Path) -> Arrivals:
 
 
 def key_of(name: str) -> str:
-    """Return a short ASCII key of a file name, another one for each name.
+    """Return a short ASCII key of a file name, unique for each name.
 
-    An ordinary name is its own key. Of any other name, including one that is no UTF-8, the key has
-    what is readable, and a digest of its bytes.
+    An ordinary name is its own key. For any other name, including one that is not UTF-8, the key
+    has the readable part and a digest of its bytes.
 
     Examples
     --------

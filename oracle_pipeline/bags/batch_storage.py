@@ -1,7 +1,7 @@
 """rosbags' storages of rosbag2, written in batches of messages.
 
-What is done once a message decides what recording costs, so messages are packed many at a time, and
-the index of an MCAP chunk is made when the chunk ends.
+Work for each message dominates the cost of recording. So messages are packed in batches, and the
+index of an MCAP chunk is computed when the chunk ends.
 """
 
 import struct
@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +64,7 @@ class BatchMcapWriter(McapWriter):
             origin = self.chunk.bio.tell() - (int(ends[begin - 1]) if begin else 0)
             end = int(np.searchsorted(ends, self._CHUNK_SIZE - origin, side="right")) + 1
             some = slice(begin, min(end, count))
-            self.chunk.bio.write(b"".join(parts[2 * some.start : 2 * some.stop]))
+            self.chunk.bio.writelines(parts[2 * some.start : 2 * some.stop])
             self._note(heads["channel"][some], heads["log"][some],
                        origin + ends[some] - _HEAD.size - sizes[some])  # fmt: skip
             if end <= count:
@@ -84,8 +85,9 @@ class BatchMcapWriter(McapWriter):
 
     def close_chunk(self) -> None:
         """Write the open chunk with its checksum, and behind it the index of its messages."""
-        chunk, records = self.chunk, self.chunk.bio.getbuffer()
-        packed, size = self.compressor(bytes(records)), len(records)
+        chunk = self.chunk
+        records: Any = chunk.bio.getbuffer()  # compressors take any buffer
+        packed, size = self.compressor(records), len(records)
         start = self.bio.tell()
         name = _sized(self.compression.encode())
         span = (chunk.message_start_time, chunk.message_end_time)
@@ -98,14 +100,13 @@ class BatchMcapWriter(McapWriter):
         self.bio.write(name + struct.pack("<Q", len(packed)))
         self.bio.write(packed)
         end = self.bio.tell()
-        offsets = []
+        index, at = b"", end
         for channel, entries in self._entries():
-            offsets.append((channel, self.bio.tell()))
-            self.bio.write(_INDEX_HEAD.pack(_INDEX, 6 + len(entries), channel, len(entries)))
-            self.bio.write(entries)
-        index = b"".join(struct.pack("<HQ", *offset) for offset in offsets)
+            index += struct.pack("<HQ", channel, at)
+            head = _INDEX_HEAD.pack(_INDEX, 6 + len(entries), channel, len(entries))
+            at += self.bio.write(head + entries)
         summary = struct.pack("<QQQQI", *span, start, end - start, len(index)) + index
-        summary += struct.pack("<Q", self.bio.tell() - end) + name
+        summary += struct.pack("<Q", at - end) + name
         summary += struct.pack("<QQ", len(packed), size)
         record = BytesIO()
         record.write(summary)  # rosbags asks where its end is
@@ -123,10 +124,12 @@ class BatchMcapWriter(McapWriter):
         if not self._index:
             return
         channels, stamps, offsets = map(np.concatenate, zip(*self._index, strict=True))
-        entries = np.column_stack([stamps, offsets]).astype("<u8")
-        names, first = np.unique(channels, return_index=True)
-        for channel in names[np.argsort(first)].tolist():
-            yield channel, entries[channels == channel].tobytes()
+        order = np.argsort(channels, kind="stable")
+        entries = np.column_stack([stamps, offsets])[order].astype("<u8", copy=False)
+        names, begins = np.unique(channels[order], return_index=True)
+        ends = np.append(begins[1:], len(order))
+        for number in np.argsort(order[begins]).tolist():
+            yield int(names[number]), entries[begins[number] : ends[number]].tobytes()
 
 
 class BatchSqlite3Writer(Sqlite3Writer):

@@ -1,7 +1,7 @@
-"""What a robot did in one run, in quantities: from the ground truth in its manifest.
+"""Quantities of what a robot did in one run, from the ground truth in its manifest.
 
-The simulator notes how an attacked run differs from its control, the evaluation how any run differs
-from the other runs of its block.
+The simulator uses them to compare an attacked run with its control, the evaluation to compare any
+run with the others of its block.
 """
 
 from collections.abc import Mapping

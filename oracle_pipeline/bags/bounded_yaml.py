@@ -1,4 +1,4 @@
-"""Read YAML that others wrote, without letting it grow: by events, within limits."""
+"""Read YAML of unknown origin by events, within limits on size and depth."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Decompression that stops: at the size that was declared, and at where a cut file ends."""
+"""Bounded decompression: it stops at the declared size, and at the end of a cut file."""
 
 import bz2
 import shutil
@@ -36,7 +36,7 @@ _DECOMPRESSORS: dict[str, Callable[[], Any]] = {
 
 
 def decompress(packed: bytes, compression: str, size: int) -> bytes:
-    """Return what a chunk holds: as much of it as there is, if it was cut.
+    """Return the content of a chunk; of a cut chunk, as much as exists.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def decompress(packed: bytes, compression: str, size: int) -> bytes:
     compression
         ``zstd``, ``lz4`` or ``bz2``; empty or ``none`` for none.
     size
-        Declared, decompressed [B]; nothing beyond it is made.
+        Declared decompressed size [B]; nothing beyond it is decompressed.
 
     Raises
     ------

@@ -1,10 +1,11 @@
-"""The hash by which two recordings are known to hold the same messages."""
+"""The content hash, which is equal for recordings with the same messages."""
 
 import hashlib
 import struct
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 
 class ContentHash:
@@ -20,7 +21,10 @@ class ContentHash:
         self._update(prefix + self._pack(stamp_ns, len(data)) + data)
 
     def add_many(
-        self, prefixes: Sequence[bytes], stamps: Sequence[int], payloads: Sequence[bytes]
+        self,
+        prefixes: Sequence[bytes],
+        stamps: Sequence[int] | NDArray[np.int64],
+        payloads: Sequence[bytes],
     ) -> None:
         """Add messages in turn, as ``add`` does."""
         tails = np.empty((len(payloads), 2), "<i8")

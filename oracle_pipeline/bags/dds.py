@@ -1,8 +1,8 @@
 """Raw messages on a DDS domain, through Eclipse Cyclone DDS and without ROS.
 
-Types are built at run time from the type store. Endpoints here take and give CDR bytes as they are:
-nothing is decoded. All that is used of the inside of cyclonedds-python stands in this module;
-the package is the optional extra ``live``.
+Types are built at run time from the type store. Endpoints here exchange CDR bytes without decoding
+them. All uses of cyclonedds-python's internals are in this module; the package is the optional
+extra ``live``.
 """
 
 import atexit
@@ -110,7 +110,7 @@ def leave(participant: Participant) -> None:
 
 @atexit.register
 def _leave_all() -> None:
-    """Leave while the interpreter is whole: later, a thread of DDS could wait for it for ever."""
+    """Leave before the interpreter shuts down, because later a thread of DDS could block it."""
     for participant in list(_joined):
         leave(participant)
 
@@ -344,7 +344,7 @@ class Discovered(NamedTuple):
 
 
 class BuiltinReaders:
-    """Hears who comes and goes; each method returns what is new since it was called last."""
+    """Observes participants and endpoints; each method returns what is new since its last call."""
 
     def __init__(self, participant: Participant) -> None:
         self._participants = builtin.BuiltinDataReader(

@@ -1,4 +1,4 @@
-"""ROS 2's names on DDS, and how a message's bytes travel there.
+"""ROS 2's names on DDS, and the encoding of message bytes there.
 
 The names are those of all RMW implementations [1]_: ``/scan`` is the DDS topic ``rt/scan``, and
 ``sensor_msgs/msg/LaserScan`` the type ``sensor_msgs::msg::dds_::LaserScan_``.

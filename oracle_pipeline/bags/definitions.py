@@ -1,7 +1,7 @@
-"""The message types of one recording: its own definitions first, then those that we know.
+"""The message types of one recording: its own definitions first, then built-in ones.
 
-A definition is a foreign text. Its size, and what it unfolds to, are limited before code is made of
-it.
+A definition is text of unknown origin. Its size, and the number of fields it expands to, are
+limited before code is generated from it.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -177,7 +177,7 @@ def _used(parsed: dict[str, Any]) -> set[str]:
 
 
 def _check_size(msgtype: str, defined: dict[str, Any]) -> None:
-    """Refuse a type that contains itself, or that unfolds to more fields than any real one."""
+    """Refuse a type that contains itself, or that expands to more fields than any real one."""
     sizes: dict[str, int] = {}
     under_way: set[str] = set()
 

@@ -1,4 +1,4 @@
-"""The one tree of errors that this distribution raises on purpose."""
+"""The base classes of all errors that this distribution raises on purpose."""
 
 
 class OracleError(Exception):
@@ -22,4 +22,4 @@ class GraphError(OracleError):
 
 
 class DdsError(OracleError):
-    """A DDS domain cannot be joined, or a topic not be heard or published there."""
+    """A DDS domain cannot be joined, or a topic there cannot be read or published."""

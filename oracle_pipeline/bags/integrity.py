@@ -1,8 +1,8 @@
-"""The files of a run beside the hashes in its manifest.
+"""Compares the files of a run with the hashes in its manifest.
 
 ``measured.files`` of a manifest holds the SHA-256 of each file of the bag and of each graph. The
-manifest itself has a seal (``seals``). A manifest of an older release holds no hashes: the files of
-such a run are taken as they are.
+manifest itself has a seal (``seals``). A manifest of an older release has no hashes, so the files
+of such a run are not checked.
 """
 
 import hashlib

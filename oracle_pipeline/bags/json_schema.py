@@ -1,7 +1,7 @@
-"""JSON Schemas as they are meant: ``$`` is the end of the text, as in ECMA 262.
+"""Validation by JSON Schema with ``$`` as the end of the text, as in ECMA 262.
 
-To Python ``$`` is also the place before a last line feed, so that ``fake_object`` and a line feed
-would pass for a name, and become the name of a folder or of a partition.
+In Python, ``$`` also matches before a final line feed. So ``fake_object`` followed by a line feed
+would pass as a name, and become the name of a folder or a partition.
 """
 
 import re
@@ -24,5 +24,5 @@ _Validator: Any = jsonschema.validators.extend(  # type: ignore[no-untyped-call]
 
 
 def faults(document: Any, schema: Mapping[str, Any]) -> list[jsonschema.ValidationError]:
-    """Return all that is wrong with a document, nothing if it is as its schema says."""
+    """Return all faults of a document by its schema."""
     return list(_Validator(schema).iter_errors(document))

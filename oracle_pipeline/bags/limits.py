@@ -1,4 +1,4 @@
-"""What no real recording comes near, and what a broken or hostile one is stopped at.
+"""Limits far beyond real recordings, at which a broken or hostile one is refused.
 
 Every limit is named in the error that it causes. With all of them, a recording of up to 200 MB on
 disk is read in at most 1 GiB of memory. Features of laser scans take more (`soak/memory.py`).

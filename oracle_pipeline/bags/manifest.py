@@ -1,9 +1,9 @@
-"""The manifest of a run: what was asked for, what happened, what it was made with.
+"""The manifest of a run: its recipe, its outcome, and the software that made it.
 
-``manifest.json`` is written last, so a directory with one is complete; its JSON Schema stands
-beside this module. It has a seal (``seals``) and holds the hashes of the run's other files.
-Positions are in the map frame [m, rad], times in seconds of the recording.
-Everything but ``measured`` is a function of the recipe. Labels come from here, never from a name.
+``manifest.json`` is written last, so a directory with one is complete. Its JSON Schema is beside
+this module. It has a seal (``seals``) and the hashes of the run's other files. Positions are in the
+map frame [m, rad], times in seconds of the recording. Everything but ``measured`` is a function of
+the recipe. Labels come from here, never from a name.
 """
 
 import dataclasses
@@ -51,7 +51,7 @@ class Pose:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class GoalResult:
-    """What became of one goal; a goal that was never sent has none."""
+    """The result of one goal; a goal that was never sent has none."""
 
     accepted_s: float
     ended_s: float | None  # None: the run ended first
@@ -70,7 +70,7 @@ class Contact:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Drive:
-    """What the robot really did beside its goals: no feature sees it."""
+    """Ground truth on how the robot drove, which no feature sees."""
 
     clearance_m: float | None  # least distance of its base from any surface; None: no goal was sent
     commands: int  # to move, that the collision monitor was asked to pass on
@@ -81,7 +81,7 @@ CHANGE_BIN_S = 5.0  # length of the bins in which changes are counted [s]
 
 
 class Change(NamedTuple):
-    """What the mode's node changed in one bin of time, from its own log."""
+    """Changes that the mode's node made in one bin of time, by its own log."""
 
     start_s: float  # a multiple of `CHANGE_BIN_S`
     messages: int  # changed, dropped, delayed or made up
@@ -90,7 +90,7 @@ class Change(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class TopicCount:
-    """What the bag holds of one topic."""
+    """The content of the bag for one topic."""
 
     type: str
     messages: int
@@ -98,7 +98,7 @@ class TopicCount:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Software:
-    """What the run was made with; equal software and recipe make equal messages."""
+    """The software that made the run; equal software and recipe give equal messages."""
 
     code: str  # version of this distribution
     dependencies: str  # digest of the locked dependencies
@@ -107,7 +107,7 @@ class Software:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Measured:
-    """What differs between two makings of the same run."""
+    """Measurements that differ when the same run is simulated again."""
 
     wall_s: float
     bytes: Mapping[str, int]  # part of the run directory -> bytes on disk

@@ -1,8 +1,7 @@
-"""Read an MCAP file, whoever wrote it: chunked or not, with a summary or without, or cut.
+"""Read any MCAP file: chunked or not, with or without a summary, complete or cut.
 
-The specification is that of mcap.dev. What a summary says is used to open a file fast; messages
-are always read from the data section, record by record, so an index that is missing or incomplete
-loses none.
+The specification is at mcap.dev. A summary is used to open a file fast. Messages are always read
+from the data section, record by record, so a missing or incomplete index loses none.
 """
 
 import itertools
@@ -85,7 +84,7 @@ class McapPart:
     file : Path
         To read.
     path : Path
-        As the user knows it: the same, or the compressed file that it came from.
+        Path for messages to the user: the same, or the compressed file that it came from.
 
     Raises
     ------

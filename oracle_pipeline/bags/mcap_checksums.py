@@ -1,4 +1,4 @@
-"""The checksums (CRC-32) of an MCAP file that rosbags leaves empty: written, and compared.
+"""Writes and compares the checksums (CRC-32) of an MCAP file that rosbags leaves empty.
 
 That of a chunk is written with it, by ``batch_storage``.
 

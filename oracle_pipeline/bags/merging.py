@@ -1,4 +1,4 @@
-"""Messages in order of time, from stretches of files that overlap in it.
+"""Merges messages in order of time from parts of files that overlap in time.
 
 Recorders write slightly out of order: several threads, one chunk for each topic, no chunks at all.
 A first pass notes when each stretch begins; in the second, a message waits until no later stretch
@@ -31,6 +31,12 @@ class Messages(NamedTuple):
         """Return a message's bytes."""
         offset = int(self.offsets[row])
         return self.data[offset : offset + int(self.sizes[row])]
+
+    def messages(self, rows: Rows) -> list[bytes]:
+        """Return the bytes of some messages."""
+        begins = self.offsets[rows]
+        ends = begins + self.sizes[rows]
+        return [self.data[a:b] for a, b in zip(begins.tolist(), ends.tolist(), strict=True)]
 
 
 def in_time_order(

@@ -1,4 +1,4 @@
-"""One file of a recording, whatever its format: what it holds, batch by batch, in file order."""
+"""One file of a recording in any format, read batch by batch in file order."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator
@@ -43,7 +43,7 @@ class Batch(NamedTuple):
 
 @dataclass(slots=True)
 class Extent:
-    """What a part holds, told by its index or counted."""
+    """The content of a part, by its index or by counting."""
 
     counts: Counter[int] = field(default_factory=Counter)  # messages by channel
     start_ns: int | None = None

@@ -1,8 +1,7 @@
-"""Which files are one recording: a file itself, or the parts in a folder.
+"""Finds the files of one recording: a single file, or the parts in a folder.
 
-What a folder holds is looked at, by name and by the first bytes of each file; ``metadata.yaml`` is
-asked only what else should be there. Nothing outside the folder is read, no matter what is written
-in it.
+The names and the first bytes of the files in a folder decide. ``metadata.yaml`` is used only to
+find out which parts are missing. Nothing outside the folder is read, whatever its files refer to.
 """
 
 import re
@@ -132,7 +131,7 @@ def _open_file(file: Path, path: Path, found: Parts) -> Part:
     except OSError as error:
         raise BagError(f"There is no bag {path}; check the path ({error.strerror}).") from error
     if not stat.S_ISREG(mode):
-        raise BagError(f"{path} is no file but a device, a pipe or a socket; such is not read.")
+        raise BagError(f"{path} is a device, a pipe or a socket; only files and folders are read.")
     with file.open("rb") as source:
         begin = source.read(16)
     if not begin:

@@ -1,4 +1,4 @@
-"""What the recorder and the analysis agree on: names, pairs and lengths of the experiments."""
+"""Conventions that recorder and analysis share: names, pairs and lengths of experiments."""
 
 PAIRS: tuple[tuple[str, str], ...] = (
     ("lidar_passthrough", "random_noise"),

@@ -1,4 +1,4 @@
-"""QoS profiles: which of them talk to each other, and how a bag keeps them.
+"""QoS profiles: their compatibility, and their form in a bag.
 
 In a bag they are YAML in a text, of numbers (Humble) or words (Jazzy and later).
 A bag has sixty topics and a handful of distinct profiles, so each text is parsed once.

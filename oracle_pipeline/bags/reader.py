@@ -1,9 +1,9 @@
-"""Read recordings, whoever made them: rosbag2 (SQLite, MCAP, split, compressed) and ROS 1.
+"""Read recordings of any origin: rosbag2 (SQLite, MCAP, split, compressed) and ROS 1.
 
-The files of a recording are believed, not its ``metadata.yaml``. Here are: one view of a topic
-whatever the format, messages in order of time or, faster, as arrays in file order, and what could
-not be read. What a mode's node confesses about its attack is dropped, by topic name and by type;
-``read_ground_truth`` is the one way to see it.
+The files of a recording decide what it holds, not its ``metadata.yaml``. `BagReader` has the same
+view of topics for every format. It yields messages in order of time or, faster, as arrays in file
+order, and lists what could not be read. Ground truth about an attack is dropped, by topic name and
+by type; only ``read_ground_truth`` returns it.
 """
 
 import copy
@@ -71,11 +71,11 @@ class BagReader:
     message_count : int
         Messages on ``topics``.
     serialization : {"cdr", "ros1"}
-        What the bytes of a message are, unless its topic says otherwise.
+        Encoding of messages, unless a topic declares another one.
     losses : list of str
         What could not be read: the end of an unfinished file, a missing part.
     notes : list of str
-        What else is to be said of the recording.
+        Other remarks on the recording.
 
     Raises
     ------
@@ -115,12 +115,12 @@ class BagReader:
         self._shown = {name: name for name in self.topics}  # by the name that was recorded
 
     def renamed(self, names: Mapping[str, str]) -> Self:
-        """Return the same open bag with topics under other names; those without one are left out.
+        """Return the same open bag with renamed topics; topics without a new name are left out.
 
         Parameters
         ----------
         names : mapping of str to str
-            What topics are to be called, by their names here; no two alike.
+            New name by recorded name; all new names differ.
         """
         view = copy.copy(self)
         view.topics = {
@@ -174,15 +174,23 @@ class BagReader:
         ``batches``.
         """
         names = list(self.topics)
-        for batch, rows in in_time_order(
-            lambda: self.batches(topics), is_in_order=_is_in_order(self._files.parts)
-        ):
-            data = batch.data
-            for topic, stamp_ns, offset, size in zip(
-                batch.topics[rows].tolist(), batch.stamps_ns[rows].tolist(),
-                batch.offsets[rows].tolist(), batch.sizes[rows].tolist(), strict=True,
+        for batch, rows in self.in_order(topics):
+            for topic, stamp_ns, data in zip(
+                batch.topics[rows].tolist(), batch.stamps_ns[rows].tolist(), batch.messages(rows),
+                strict=True,
             ):  # fmt: skip
-                yield RawMessage(names[topic], stamp_ns, data[offset : offset + size])
+                yield RawMessage(names[topic], stamp_ns, data)
+
+    def in_order(
+        self, topics: Collection[str] | None = None
+    ) -> Iterator[tuple[Messages, NDArray[np.int64]]]:
+        """Yield messages in order of time as arrays, and rows in that order.
+
+        Parameter, order and error are those of ``messages``.
+        """
+        return in_time_order(
+            lambda: self.batches(topics), is_in_order=_is_in_order(self._files.parts)
+        )
 
     def deserialize(self, message: RawMessage) -> Any:
         """Decode a message, by the definition in the bag or else by the one that we know.
@@ -327,7 +335,7 @@ class _OpenReader(BagReader):
 
 
 def read_ground_truth(path: Path) -> list[tuple[int, Any]]:
-    """Return what the attacking node confessed: stamps [ns] and ``GroundTruth`` messages."""
+    """Return the ground truth of the attacking node: stamps [ns] and ``GroundTruth`` messages."""
     with _OpenReader(path) as bag:
         confessing = [t.name for t in bag.topics.values() if t.msgtype == GROUND_TRUTH_TYPE]
         return [
@@ -343,9 +351,13 @@ def content_hash(path: Path) -> str:
     """
     digest = ContentHash()
     with _OpenReader(path) as bag:
-        prefixes = {t.name: ContentHash.prefix(t.name, t.msgtype) for t in bag.topics.values()}
-        for topic, stamp_ns, data in bag.messages():
-            digest.add(prefixes[topic], stamp_ns, data)
+        prefixes = [ContentHash.prefix(t.name, t.msgtype) for t in bag.topics.values()]
+        for batch, rows in bag.in_order():
+            digest.add_many(
+                [prefixes[topic] for topic in batch.topics[rows].tolist()],
+                batch.stamps_ns[rows],
+                batch.messages(rows),
+            )
     return digest.hexdigest()
 
 
@@ -386,7 +398,7 @@ def _errors(path: Path, file: Path) -> Iterator[None]:
             raise
         raise BagError(f"{file}: {error}.") from error
     except MemoryError as error:
-        raise BagError(f"{file} needs more memory than there is; split it.") from error
+        raise BagError(f"{file} needs more memory than is free; split it.") from error
     except Exception as error:  # parsers of corrupt files raise anything
         reason = str(error).rstrip(".") or type(error).__name__
         raise BagError(

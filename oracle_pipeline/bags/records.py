@@ -1,4 +1,4 @@
-"""One compiled pass over the records of a chunk: where each message is, of what channel and time.
+"""One compiled pass over the records of a chunk: position, channel and time of each message.
 
 A record of an MCAP file is an opcode, a length and that many bytes. A record of a ROS 1 bag is a
 header (named fields) and data, each behind its length. Both functions stop where the bytes end or

@@ -1,10 +1,9 @@
-"""Folders below a root in an object store: brought here to be read, put there to be whole.
+"""Folders below a root in an object store: copied here for reading, and published as a whole.
 
 A root is a folder of this machine (``pathlib.Path``) or of an object store (``upath.UPath``, such
 as ``s3://bucket/prefix``). Single files, manifests and tables, are read and written alike in both.
-Bags are read and written by libraries that want files of this machine, and an object store cannot
-rename a finished folder into its place: this module is what that takes. On this machine it does
-nothing.
+Bags are read and written by libraries that need local files, and an object store cannot rename a
+finished folder. This module handles both. For a local root it does nothing.
 """
 
 import contextlib

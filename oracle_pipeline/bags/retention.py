@@ -65,8 +65,8 @@ def retain(run: RunDirectory, kept: Kept, wanted: Wanted) -> Manifest:
             _link_all_but_the_bag(run.path, scratch)
         except OSError as error:
             raise RunDirectoryError(
-                f"Could not link what stays of {run.path}: {error}. Choose a root on a disk that "
-                "has room and knows hard links."
+                f"Could not link the remaining files of {run.path}: {error}. Choose a root "
+                "on a disk that has free space and supports hard links."
             ) from error
         if kept == "trimmed":
             with BagReader(run.bag) as bag:
@@ -103,7 +103,7 @@ def _link_all_but_the_bag(run: Path, scratch: Path) -> None:
 
 
 def _trim(bag: BagReader, path: Path, wanted: Collection[str]) -> None:
-    """Write a bag again without what weighs much; what the mode's node confesses stays."""
+    """Write a bag again without large topics; the ground truth of the mode's node stays."""
     payload = Counter[str]()
     for message in bag.messages():
         payload[message.topic] += len(message.data)

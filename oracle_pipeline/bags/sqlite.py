@@ -66,8 +66,8 @@ class SqlitePart:
             self.close()
             if isinstance(error, sqlite3.Error):
                 raise BagError(
-                    f"{path} is no database of a rosbag2, or a damaged one: {error}. See what "
-                    f"`sqlite3 {path} .recover` saves."
+                    f"{path} is not a database of rosbag2, or it is damaged: {error}. Try "
+                    f"to recover it with `sqlite3 {path} .recover`."
                 ) from error
             raise
 

@@ -1,10 +1,10 @@
 """Agglomeration of weighted rows: which clusters join, and at what height.
 
 The algorithms are those that Müllner recommends [1]_: the nearest-neighbour chain for Ward,
-complete and average linkage, a minimum spanning tree for single linkage. All are exact. A row that
-stands for w copies is a cluster of size w from the start, because copies are at no distance and
-join first. Ward's clusters are known by their means and single linkage needs points alone, so these
-two take memory in proportion to the rows; the other two need the matrix of all distances.
+complete and average linkage, a minimum spanning tree for single linkage. All are exact. A row with
+w copies starts as a cluster of size w, because copies have distance zero and join first. Ward needs
+only the means of clusters, and single linkage only points, so their memory is proportional to the
+rows. The other two need the matrix of all distances.
 
 The dendrogram made of these joins is in ``oracle_pipeline.clustering.tree``.
 
@@ -48,8 +48,8 @@ def ward(X: Floats, copies: Counts) -> Joins:
 def single(X: Floats) -> Joins:
     """Join rows by single linkage, in memory for the rows alone and time in their square.
 
-    The joins are the edges of the minimum spanning tree, by Prim's algorithm. How often a row
-    counts makes no difference to it.
+    The joins are the edges of the minimum spanning tree, by Prim's algorithm. The number of copies
+    of a row does not matter.
     """
     order = _neighbours_together(X)
     rows, squares = _prim(_features_first(X[order]))
@@ -57,7 +57,7 @@ def single(X: Floats) -> Joins:
 
 
 def complete(distances: Floats) -> Joins:
-    """Join rows by complete linkage, to which it makes no difference how often a row counts.
+    """Join rows by complete linkage; the number of copies of a row does not matter.
 
     The `distances` are overwritten.
     """
@@ -77,7 +77,7 @@ def distances_of(X: Floats) -> Floats:
 
 
 def _neighbours_together(X: Floats) -> Indices:
-    """Return an order in which near rows are in one block, so that far blocks are soon left."""
+    """Return an order that keeps near rows together, so that a search leaves far blocks early."""
     return np.asarray(KDTree(X, leafsize=_BLOCK).indices, dtype=np.intp)
 
 

@@ -1,4 +1,4 @@
-"""The settings that a grid search over clusterings tries, and what it may select by."""
+"""The settings of a grid search over clusterings, and the measures it can select by."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -25,7 +25,8 @@ class Grid:
     thresholds : tuple of float
         Clusters (``maxclust``) or distance (``distance``).
     select_by : str
-        The setting with the highest value of it is selected: with labels, so a bound, no verdict.
+        The setting with the highest value of this measure is selected. Selecting uses labels, so
+        the result is a bound and not a verdict.
 
     Raises
     ------
@@ -53,10 +54,10 @@ class Grid:
 
 
 def in_metric(X: NDArray[np.float64], metric: Metric) -> NDArray[np.float64]:
-    """Return rows whose Euclidean distances are, or rise with, their distances in a metric.
+    """Return rows whose Euclidean distances are monotonic in their distances in a metric.
 
-    On rows of length 1, the squared Euclidean distance is twice the cosine distance; on rows that
-    have mean 0 before, twice the correlation distance. A row of length 0 stays as it is.
+    On rows of length 1, the squared Euclidean distance is twice the cosine distance. If each row is
+    centred first, it is twice the correlation distance. A row of length 0 is not changed.
 
     Examples
     --------

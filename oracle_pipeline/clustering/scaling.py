@@ -53,31 +53,51 @@ class FlooredRobustScaler(TransformerMixin, BaseEstimator):  # type: ignore[misc
 
     def fit(self, X: pd.DataFrame, y: None = None) -> Self:  # noqa: ARG002  # scikit-learn passes it
         """Learn centre and scale from the rows of `X`, shape (n_runs, n_features)."""
-        share_finite = _finite(X).notna().mean()
-        self.kept_ = list(share_finite.index[share_finite > 0.0])
-        self.dropped_ = list(share_finite.index[share_finite == 0.0])
-        self.indicated_ = list(share_finite.index[(share_finite > 0.0) & (share_finite < 1.0)])
+        values = _finite(X)
+        counts = np.count_nonzero(~np.isnan(values), axis=1)
+        names = np.array(list(X.columns), dtype=object)
+        self.kept_ = names[counts > 0].tolist()
+        self.dropped_ = names[counts == 0].tolist()
+        self.indicated_ = names[(counts > 0) & (counts < len(X))].tolist()
 
-        values = _finite(X[self.kept_])
-        center = values.median()
-        deviation = MAD_TO_DEVIATION * (values - center).abs().median().to_numpy()
-        resolution = pd.Series(self.floors or {}, dtype=np.float64).reindex(self.kept_)
-        floor = resolution.fillna(SPREAD_FLOOR * values.std(ddof=0)).to_numpy()
-        rounding = ROUNDING_FLOOR * values.abs().max().to_numpy()
+        values, counts = values[counts > 0], counts[counts > 0]
+        self.center_ = _medians(values, counts)
+        deviation = MAD_TO_DEVIATION * _medians(np.abs(values - self.center_[:, None]), counts)
+        floors = self.floors or {}
+        floor = np.array([floors.get(name, np.nan) for name in self.kept_], dtype=np.float64)
+        undeclared = np.isnan(floor)
+        floor[undeclared] = SPREAD_FLOOR * _deviations(values[undeclared], counts[undeclared])
+        rounding = ROUNDING_FLOOR * np.fmax.reduce(np.abs(values), axis=1, initial=0.0)
         scale = np.maximum.reduce([deviation, floor, rounding])
-        self.center_ = center.to_numpy()
         self.scale_ = np.where(scale > 0.0, scale, 1.0)
         return self
 
     def transform(self, X: pd.DataFrame) -> NDArray[np.float64]:
         """Return shape (n_runs, len(kept_) + len(indicated_)), without unit and without NaN."""
-        values = _finite(X[self.kept_]).to_numpy()
-        scaled = np.clip((values - self.center_) / self.scale_, -CLIP, CLIP)
-        indicators = _finite(X[self.indicated_]).isna().to_numpy()
-        return np.hstack([np.nan_to_num(scaled, nan=0.0), indicators])
+        values = _finite(X if list(X.columns) == self.kept_ else X[self.kept_])
+        indicated = np.isin(self.kept_, self.indicated_)
+        kept = len(self.kept_)
+        scaled = np.empty((len(X), kept + len(self.indicated_)))
+        scaled[:, :kept] = ((values - self.center_[:, None]) / self.scale_[:, None]).T
+        scaled[:, kept:] = np.isnan(values[indicated]).T
+        np.clip(scaled, -CLIP, CLIP, out=scaled)
+        return np.nan_to_num(scaled, copy=False, nan=0.0)
 
 
-def _finite(X: pd.DataFrame) -> pd.DataFrame:
-    """Return the values as float64, NaN where they are not finite."""
-    values = X.astype(np.float64)
-    return values.where(np.isfinite(values))
+def _finite(X: pd.DataFrame) -> NDArray[np.float64]:
+    """Return the values, a row for each column of `X`, NaN where they are not finite."""
+    values = X.to_numpy(dtype=np.float64).T
+    return np.ascontiguousarray(np.where(np.isfinite(values), values, np.nan))
+
+
+def _medians(values: NDArray[np.float64], counts: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return the median of the numbers in each row, of which there are so many; the rest is NaN."""
+    ordered, row = np.sort(values, axis=1), np.arange(len(values))  # NaN comes last
+    middle = (ordered[row, (counts - 1) // 2] + ordered[row, counts // 2]) / 2.0
+    return np.asarray(middle, dtype=np.float64)
+
+
+def _deviations(values: NDArray[np.float64], counts: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return the standard deviation of the numbers in each row."""
+    away = values - (np.nansum(values, axis=1) / counts)[:, None]
+    return np.asarray(np.sqrt(np.nansum(away * away, axis=1) / counts), dtype=np.float64)

@@ -1,6 +1,6 @@
-"""Unsupervised results of a tree for each run: a verdict by flat clusters, or a score.
+"""Unsupervised results for each run from a tree: a verdict by flat clusters, or a score.
 
-Higher scores are more anomalous. How good they are is measured in ``oracle_pipeline.evaluation``.
+Higher scores are more anomalous. ``oracle_pipeline.evaluation`` measures how good they are.
 """
 
 import numpy as np
@@ -34,7 +34,7 @@ def hac_height(tree: Tree, reference: NDArray[np.bool_] | None = None) -> NDArra
     """Return the height at which each row joins the majority.
 
     ``h(x) = min {t : the component of x at height t holds at least half of the reference rows}``,
-    which makes a dendrogram comparable with any detector: an odd row joins late. With single
+    which makes a dendrogram comparable with any detector: an unusual row joins late. With single
     linkage it is the minimax path distance to the majority.
 
     Parameters
@@ -42,8 +42,8 @@ def hac_height(tree: Tree, reference: NDArray[np.bool_] | None = None) -> NDArra
     tree : Tree
         Over n distinct rows; each counts as often as it has copies.
     reference : ndarray of bool, shape (n,), optional
-        The rows that stand for normal behaviour; by default all of them, which presumes that most
-        are normal.
+        The rows that represent normal behaviour; by default all rows, which assumes that most are
+        normal.
 
     Returns
     -------

@@ -41,13 +41,14 @@ class Tree:
     def cut(self, criterion: Criterion, t: float) -> NDArray[np.int32]:
         """Return the cluster of each distinct row, numbered from 1.
 
-        Rows at no distance from each other are never parted, whatever `t` is: of as many clusters
-        as there are distinct rows, or more, each distinct row is one.
+        Rows at distance zero are never separated, whatever `t` is. If `t` is at least the number of
+        distinct rows, each distinct row is a cluster.
 
         Parameters
         ----------
         criterion : {"distance", "maxclust"}
-            What `t` is: the greatest height within a cluster, or the greatest number of clusters.
+            Meaning of `t`: the greatest height within a cluster, or the greatest number of
+            clusters.
         t : float
         """
         if criterion == "maxclust":
@@ -63,9 +64,9 @@ def grow_tree(
 ) -> Tree:
     """Agglomerate rows by their Euclidean distance, exactly.
 
-    The tree is that of the rows repeated `copies` times, at the cost of the distinct ones. Ward and
-    single linkage take memory for the rows alone, so 100,000 rows are a matter of minutes; complete
-    and average linkage take a matrix of all distances and refuse more than `MATRIX_ROWS` rows.
+    The tree equals that of the rows repeated `copies` times, at the cost of the distinct rows. Ward
+    and single linkage need memory for the rows only, so 100,000 rows take minutes. Complete and
+    average linkage need a matrix of all distances, and refuse more than `MATRIX_ROWS` rows.
 
     Parameters
     ----------
@@ -73,7 +74,7 @@ def grow_tree(
         Scaled and finite.
     method : {"ward", "single", "complete", "average"}
     copies : ndarray of shape (n,), optional
-        How many rows each row stands for, at least 1; by default itself alone.
+        Number of copies of each row, at least 1; by default 1.
 
     Raises
     ------

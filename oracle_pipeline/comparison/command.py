@@ -1,6 +1,6 @@
 """``oracle compare``: how two sets of recordings differ.
 
-What it needs is imported when it runs, so that the help of all commands stays fast.
+It imports what it needs when it runs, so that the help of all commands stays fast.
 """
 
 from pathlib import Path
@@ -13,7 +13,7 @@ from oracle_pipeline.options import format_option, output_option, plugins_option
 @click.command()
 @click.argument("first", metavar="A", type=click.Path(path_type=Path, exists=True))
 @click.argument("second", metavar="B", type=click.Path(path_type=Path, exists=True))
-@rate_option("--level", "Chance to report any difference between sets that do not differ.")
+@rate_option("--level", "Probability of reporting a difference between sets that do not differ.")
 @format_option("text", "json", text="Text for reading; one JSON object for programs.")
 @output_option(
     "--junit", "File for the outcome as JUnit XML, a test case for each family of features."

@@ -46,7 +46,7 @@ class Difference:
     first, second : float
         Medians of the sets.
     shift, low, high : float
-        Of the second set over the first, with its 95 % interval from resampled recordings.
+        Second set minus first, with its 95 % interval from resampled recordings.
     effect : float
         From -1 (all values of the second set are smaller) to 1 (all are larger).
     p_value : float
@@ -82,7 +82,7 @@ class Comparison:
     pairs : int
         How many pairs of equal mode and block were compared; 0 if recordings have no partner.
     level : float
-        Chance of one false difference or more, if the sets do not differ.
+        Probability of at least one false difference, if the sets do not differ.
     compared : dict of str to int
         By family, how many features vary at all.
     differences : tuple of Difference
@@ -113,7 +113,7 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> Compari
     first, second : Reference
         As `oracle_pipeline.scoring.reference.read_reference` reads them.
     level : float
-        The chance to report any difference between sets that do not differ.
+        Probability of reporting a difference between sets that do not differ.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What is compared of a recording: its features, and which topics, nodes and edges it has.
+"""The quantities that are compared: features, and the presence of topics, nodes and edges.
 
 The presence of a topic is a feature like any other, 0 or 1. So one test covers behaviour and
 interface.
@@ -52,7 +52,7 @@ def aligned(first: pd.DataFrame, second: pd.DataFrame) -> tuple[pd.DataFrame, pd
 def resolved_values(table: pd.DataFrame, declared: pd.DataFrame) -> NDArray[np.float64]:
     """Return the values in steps of each feature's resolution, shape (n_rows, n_columns).
 
-    A difference that means nothing becomes a tie. `declared` is the feature table whose columns
+    A difference below the resolution becomes a tie. `declared` is the feature table whose columns
     declare their resolution.
     """
     floors = feature_floors(declared)

@@ -27,7 +27,7 @@ _LEAST_ERROR = 0.05
 
 
 class Design(ABC):
-    """How recordings could have been assigned to the two sets if the sets did not differ."""
+    """The possible assignments of recordings to the two sets, if the sets do not differ."""
 
     @property
     @abstractmethod
@@ -51,8 +51,8 @@ class Design(ABC):
     def t(self, assignments: Numbers) -> Numbers:
         """Return the statistic, shape (n_assignments, n_features).
 
-        It is positive where the second set has the larger values, and 0 for a feature that cannot
-        tell the sets apart.
+        It is positive where the second set has the larger values, and 0 for a feature that does not
+        differ.
         """
 
     @abstractmethod

@@ -1,7 +1,7 @@
-"""The detector panel: from scaled features of normal runs to a score of any one run.
+"""The detector panel: detectors learn from scaled features of normal runs, and score any run.
 
 Detectors are scikit-learn estimators. ``oracle_pipeline.scoring.conformal`` turns their scores
-into verdicts with a known false-alarm rate.
+into verdicts with a known false positive rate.
 """
 
 from oracle_pipeline.detectors.base import Detector, DetectorError

@@ -1,4 +1,4 @@
-"""The contract of all detectors: fitted on normal runs only, scoring each run by itself."""
+"""The contract of all detectors: fit on normal runs only, and score each run by itself."""
 
 from typing import Any, Protocol, Self
 
@@ -15,7 +15,7 @@ class DetectorError(OracleError):
 
 
 class Detector(Protocol):
-    """What the panel's members, ours and scikit-learn's, have in common."""
+    """The interface that all detectors of the panel share, ours and scikit-learn's."""
 
     def fit(self, X: ArrayLike, y: None = None) -> Self:
         """Learn what normal runs look like, shape (n_runs, n_features), scaled and finite."""
@@ -28,7 +28,7 @@ class Detector(Protocol):
 
 
 class OwnDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped bases
-    """A detector that scikit-learn has not: checks its input, a subclass does the rest.
+    """Base of detectors that scikit-learn lacks: it checks the input, a subclass does the rest.
 
     There is no ``predict``: a threshold comes from runs that the detector was not fitted on.
     """
@@ -37,7 +37,7 @@ class OwnDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped
         """Learn what normal runs look like, shape (n_runs, n_features), scaled and finite."""
         rows = validate_data(self, X, dtype=np.float64)
         if len(rows) < 2:
-            raise DetectorError("One run shows no spread; fit a detector on at least two.")
+            raise DetectorError("A single run has no spread; fit the detector on at least two.")
         self._learn(rows)
         return self
 

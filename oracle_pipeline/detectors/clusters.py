@@ -1,7 +1,7 @@
 """Detectors that read clusters of normal runs.
 
-Heights and sizes in a tree depend on all of its rows. So each row is scored in a tree of its own,
-of the normal runs and that row.
+Heights and sizes in a tree depend on all of its rows. So each row is scored in a separate tree of
+the normal runs and that row.
 """
 
 from collections.abc import Callable
@@ -53,10 +53,10 @@ class HacHeight(_InTree):
 
 
 class SmallCluster(_InTree):
-    """How small the cluster is that a run falls into [1]_.
+    """Size of the cluster that a run falls into [1]_; smaller is more unusual.
 
-    Transductive by nature: the rule speaks of the clusters of all runs at hand. Here these are the
-    normal runs and the one that is scored.
+    The rule is transductive: it describes the clusters of all runs at hand. Here these are the
+    normal runs and the run that is scored.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class ReferenceDistance(OwnDetector):
     Parameters
     ----------
     n_clusters : int
-        Behaviours that normal runs may have, at most.
+        Largest number of kinds of normal behaviour.
 
     References
     ----------
@@ -140,7 +140,7 @@ class DenseRegions(OwnDetector):
     Parameters
     ----------
     min_cluster_size : int
-        Runs that make a behaviour of their own.
+        Smallest number of runs that count as a kind of behaviour.
     """
 
     def __init__(self, min_cluster_size: int = 5) -> None:

@@ -9,7 +9,7 @@ from oracle_pipeline.detectors.base import DetectorError, OwnDetector
 
 
 class MaxZ(OwnDetector):
-    """The largest absolute z-score: how far out the oddest single feature is.
+    """The largest absolute z-score: how far out the most unusual single feature is.
 
     The rows are z-scores already (`FlooredRobustScaler`), so nothing is left to learn.
     """

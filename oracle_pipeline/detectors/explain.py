@@ -1,4 +1,4 @@
-"""Which features of a run are unlike those of normal runs, and by how much."""
+"""Find the features of a run that differ from those of normal runs, and by how much."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -27,7 +27,7 @@ class Deviation(NamedTuple):
 
 
 class FamilyDeviation(NamedTuple):
-    """How many features of one family are unlike those of normal runs."""
+    """The number of features of one family that differ from those of normal runs."""
 
     family: str
     unusual: int
@@ -38,7 +38,7 @@ class FamilyDeviation(NamedTuple):
 
 
 class UsualRanges:
-    """What is usual for each feature among some normal runs: range, median and scale.
+    """The usual values of each feature among some normal runs: range, median and scale.
 
     Parameters
     ----------
@@ -56,8 +56,8 @@ class UsualRanges:
     def deviations(self, row: pd.DataFrame) -> list[Deviation]:
         """Rank the features of one run that are outside their usual range, the farthest first.
 
-        Each feature is looked at alone, whatever the detector; a run can be odd by a combination of
-        which no part is.
+        Each feature is compared alone, whatever the detector. A run can be unusual through a
+        combination of features none of which is unusual alone.
 
         Parameters
         ----------

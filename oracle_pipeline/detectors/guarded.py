@@ -18,7 +18,7 @@ class DistinctLocalOutlierFactor(LocalOutlierFactor):  # type: ignore[misc]  # u
     """Local outlier factor over distinct rows.
 
     Copies of a row have infinite density, and every row beside them looks like an outlier
-    (scikit-learn issue 27839); they carry no information, so they count once.
+    (scikit-learn issue 27839). Copies carry no information, so they count once.
     """
 
     def fit(self, X: ArrayLike, y: None = None) -> Self:  # noqa: ARG002  # scikit-learn passes it
@@ -34,7 +34,7 @@ class DistinctLocalOutlierFactor(LocalOutlierFactor):  # type: ignore[misc]  # u
 
 
 class AmpleEllipticEnvelope(EllipticEnvelope):  # type: ignore[misc]  # untyped base
-    """Minimum covariance determinant, for data that can support it."""
+    """Minimum covariance determinant; refuses data with too few runs for it."""
 
     def fit(self, X: ArrayLike, y: None = None) -> Self:  # noqa: ARG002  # scikit-learn passes it
         """Learn the envelope; `DetectorError` unless there are five rows for each feature."""

@@ -30,7 +30,7 @@ DEFAULT_DETECTOR = "mahalanobis"  # why: docs/explanation/detectors.md
 
 
 def panel(seed: int) -> dict[str, Detector]:
-    """Return the detectors by name, unfitted; `seed` is that of those that draw."""
+    """Return the detectors by name, unfitted; `seed` is for those that draw random numbers."""
     return {
         "hac_height": HacHeight(),
         "small_cluster_count": SmallCluster(reading="count"),
@@ -49,9 +49,9 @@ def panel(seed: int) -> dict[str, Detector]:
 
 
 def upper_bounds(seed: int) -> dict[str, ClassifierMixin]:
-    """Return classifiers by name, unfitted: what the features hold if the attacks were known.
+    """Return classifiers by name, unfitted: upper bounds for what the features contain.
 
-    They are trained on attacked runs too, so they are no oracle; they bound what one can reach.
+    They are trained on attacked runs, too. So they are not oracles, but bounds for one.
     """
     return {
         "random_forest": RandomForestClassifier(

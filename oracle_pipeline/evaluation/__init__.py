@@ -1,1 +1,1 @@
-"""How well verdicts and scores separate attacked from normal runs, always with intervals."""
+"""Measures how well verdicts and scores separate attacked from normal runs, with intervals."""

@@ -1,8 +1,8 @@
 """Alarms during a run, as ``oracle score`` and the live monitor raise them.
 
-Each run is watched window by window, by the headline's scorer that did not see its block and with
-a threshold in which its block has no vote (``oracle_pipeline.scoring.alarms``). What was promised,
-false alarms an hour, is measured here, and how soon an attack is detected.
+Each run is watched window by window, by the headline's scorer that did not see its block and with a
+threshold in which its block has no vote (``oracle_pipeline.scoring.alarms``). This module measures
+the false alarms an hour, beside the promised rate, and the delay of detection.
 """
 
 from dataclasses import dataclass
@@ -15,14 +15,12 @@ from oracle_pipeline.evaluation.comparisons import ComparedRuns
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import auc, events_per_hour, quantile, share
 from oracle_pipeline.scoring.alarms import RATE_PER_H, AlarmWatch
-from oracle_pipeline.scoring.conformal import ConformalError
-from oracle_pipeline.scoring.learning import learned_scorer
-from oracle_pipeline.scoring.verdict import ScoringError
+from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class WatchedRuns:
-    """What was raised while the runs of a campaign were watched; arrays of shape (n_windows,).
+    """Scores and alarms of the watched runs of a campaign; arrays of shape (n_windows,).
 
     Attributes
     ----------
@@ -39,14 +37,17 @@ class WatchedRuns:
     per_hour: float
 
 
-def watched(campaign: JudgedRuns) -> WatchedRuns:
-    """Watch all runs of a campaign, at `RATE_PER_H` or the lowest rate that it supports."""
+def watched(campaign: JudgedRuns, scorer: CrossConformalScorer | None) -> WatchedRuns:
+    """Watch all runs of a campaign, at `RATE_PER_H` or the lowest rate that it supports.
+
+    Parameters
+    ----------
+    campaign : JudgedRuns
+    scorer : CrossConformalScorer or None
+        Learned from its normal runs; None if they are too few or have no feature.
+    """
     score, alarm = np.full(len(campaign.run), np.nan), np.zeros(len(campaign.run), dtype=np.bool_)
-    try:
-        scorer = learned_scorer(campaign.where(~campaign.malicious))
-    except (ConformalError, ScoringError):  # too few blocks or no feature
-        return WatchedRuns(score, alarm, np.nan)
-    if scorer.windows_ is None:
+    if scorer is None or scorer.windows_ is None:
         return WatchedRuns(score, alarm, np.nan)
     block, ends_s = campaign.block[campaign.run], campaign.end_s
     score[:] = scorer.window_scores(campaign.windows, block)
@@ -94,8 +95,9 @@ def judge_alarms(
 ) -> dict[str, float | int | str]:
     """Return the figures of windows and alarms in one scope as table columns, an estimate as three.
 
-    The AUC is of windows in which something was changed against windows of normal runs; those of
-    attacked runs in which nothing was changed are left out, for what went before may still show.
+    The AUC compares windows in which something was changed with windows of normal runs. Windows of
+    attacked runs in which nothing was changed are left out, because an earlier change may still
+    have an effect there.
 
     Parameters
     ----------

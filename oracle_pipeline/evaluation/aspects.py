@@ -1,4 +1,4 @@
-"""Tampering and misbehaviour: two truths about a run, and the two scores that are to find them.
+"""Tampering and misbehaviour: two truths about a run, each compared with its own score.
 
 A run is *tampered* if an attack altered messages, and *misbehaved* if the robot did something else
 than in unaltered runs of its block (``oracle_pipeline.evaluation.task_effects``). Each truth is
@@ -65,7 +65,7 @@ def by_mode(
 ) -> pd.DataFrame:
     """Return a row for each mode: how many of its runs misbehaved, and what they were called.
 
-    Beside it what they are called by scores that no hard negative taught. The last row is of all
+    Further columns use scores that were learned without hard negatives. The last row is for all
     hard negatives, if there are any.
 
     Parameters
@@ -106,7 +106,7 @@ def quadrants(
     effects: TaskEffects,
     rng: np.random.Generator,
 ) -> pd.DataFrame:
-    """Return a row for each of tampered or not, misbehaved or not, and what the runs were called.
+    """Return a row for each combination of tampered and misbehaved, and what its runs were called.
 
     Runs of which it is not known whether they misbehaved are left out.
     """
@@ -138,7 +138,7 @@ def _called(
 ) -> dict[str, float]:
     """Return the share of some runs that each score, and both, call anomalous, at the usual rate.
 
-    What both call neither, or only one calls, follows from the three.
+    The shares that only one of the scores, or neither, calls anomalous follow from these three.
     """
     of_aspects = {aspect: of_aspect.p for aspect, of_aspect in scores.items()}
     if len(of_aspects) > 1:

@@ -1,9 +1,9 @@
-"""Features that tell runs apart in which nothing was altered: what a verdict must not rest on.
+"""Finds features that distinguish unaltered runs, on which a verdict must not depend.
 
-A shadow control computes everything that an attack would change and hands the original on; its
-block, graph and randomness are those of the passthrough beside it. A feature that tells the two
-apart tells the experiment and not the robot. So does one that tells two unaltered modes, by who
-hears what, or the session.
+A shadow control computes everything that an attack would change, but forwards the original. Its
+block, graph and randomness are those of the passthrough beside it. A feature that distinguishes the
+two describes the experiment and not the robot. So does a feature that distinguishes two unaltered
+modes (by which node subscribes to what) or sessions.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,7 +27,7 @@ LEVEL = 0.05  # false discovery rate of what is listed, among the features of on
 
 @dataclass(frozen=True, slots=True)
 class Tell:
-    """One feature that tells something where nothing was altered."""
+    """One feature that distinguishes unaltered runs."""
 
     feature: str
     tells: Told
@@ -46,7 +46,7 @@ def exact_pairs(df: pd.DataFrame) -> list[tuple[str, str]]:
 def unmatched(df: pd.DataFrame) -> list[str]:
     """Return the attacked modes that have no unaltered counterpart, control or shadow.
 
-    A feature that tells modes apart tells runs of such a mode by what the mode is.
+    A feature that distinguishes modes can identify runs of such a mode without seeing the attack.
     """
     modes, control_of = set(df["mode"]), {attacked: control for control, attacked in PAIRS}
     attacked = dict.fromkeys(df.loc[df["label"] == "malicious", "mode"])
@@ -54,12 +54,12 @@ def unmatched(df: pd.DataFrame) -> list[str]:
 
 
 def blocks_needed(features: int) -> int:
-    """Return how many blocks it takes to list a single one of so many features."""
+    """Return the number of blocks that listing one of so many features takes."""
     return int(np.ceil(np.log2(2.0 * max(1, features) / LEVEL)))
 
 
 def audit(df: pd.DataFrame, columns: Sequence[str] | None = None) -> pd.DataFrame:
-    """List every feature that tells control, mode or session where nothing was altered.
+    """List every feature that distinguishes controls, modes or sessions of unaltered runs.
 
     Runs of two modes are compared block by block by a sign test, sessions by the ranks of their
     blocks (Kruskal and Wallis), or the earlier with the later ones if each has few blocks; features
@@ -68,7 +68,7 @@ def audit(df: pd.DataFrame, columns: Sequence[str] | None = None) -> pd.DataFram
     Parameters
     ----------
     df : DataFrame
-        A row a run. Attacked runs and modes that change something are not looked at.
+        A row for each run. Attacked runs and modes that change something are ignored.
     columns : sequence of str, optional
         By default all features.
 
@@ -84,7 +84,7 @@ def audit(df: pd.DataFrame, columns: Sequence[str] | None = None) -> pd.DataFram
 
 
 def told_in_pair(df: pd.DataFrame, columns: Sequence[str], pair: tuple[str, str]) -> list[Tell]:
-    """Return the features that tell two unaltered modes apart."""
+    """Return the features that distinguish two unaltered modes."""
     one, other = (
         df[df["mode"] == mode].set_index("block")[list(columns)].sort_index() for mode in pair
     )

@@ -1,11 +1,14 @@
-"""The whole evaluation of a campaign: each run once, every score held out, checks before figures.
+"""The whole evaluation of a campaign: each run once, all scores held out, with integrity checks.
 
 The steps are in the other modules of this package; this one runs them for every scorer.
 The protocol and what each figure means: docs/explanation/evaluation.md.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -42,7 +45,7 @@ from oracle_pipeline.evaluation.held_out import (
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.kill_rates import kill_matrix
 from oracle_pipeline.evaluation.open_claims import OpenClaim, open_claims
-from oracle_pipeline.evaluation.reference_scores import reference_scores
+from oracle_pipeline.evaluation.reference_scores import reference_of, reference_scores, scored
 from oracle_pipeline.evaluation.splits import (
     BLOCK,
     HARMLESS,
@@ -56,6 +59,7 @@ from oracle_pipeline.evaluation.splits import (
 )
 from oracle_pipeline.evaluation.task_effects import TaskEffects, task_effects
 from oracle_pipeline.scoring.conformal import runs_needed
+from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.feature_sets import feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
@@ -69,7 +73,7 @@ Row = dict[str, float | int | str]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CampaignEvaluation:
-    """What was measured of one campaign."""
+    """The results of the evaluation of one campaign."""
 
     campaign: JudgedRuns
     left_out: int  # attacked runs that ended before their attack
@@ -100,7 +104,7 @@ def evaluate(
     seed: int = SEED,
     progress: Progress = lambda _: None,
 ) -> CampaignEvaluation:
-    """Judge the detector panel on held-out blocks, and the headline's scorer in every way.
+    """Evaluate the detector panel on held-out blocks, and the headline's scorer in all analyses.
 
     Parameters
     ----------
@@ -109,13 +113,13 @@ def evaluate(
     windows : DataFrame
         Their windows, a row each.
     truth : DataFrame
-        What happened in each (`truth.truth_table`).
+        Ground truth of each run (`truth.truth_table`).
     graph_differences : sequence of str, optional
         Between graphs of pairs that should be equal; None if they were not compared.
     grid : MeasuredRuns, optional
         Attacked runs at several magnitudes (`kill_rates.kill_matrix`).
     bounds : sequence of str
-        Classifiers that see labels (`upper_bounds`): what these features hold at most.
+        Classifiers that see labels (`upper_bounds`), as upper bounds for these features.
     seed : int
         Of splits, detectors and resamples.
     progress : callable
@@ -145,6 +149,7 @@ def _evaluated(
     bounds: Sequence[str],
 ) -> CampaignEvaluation:
     """Take the steps; `runs` counts those that ended before their attack, too."""
+    steps.progress(", ".join(HEADLINE))
     headline = _supported(steps.score(HEADLINE, steps.folds))
     table = steps.table(headline, bounds)
     checks = steps.checks(headline, table, graph_differences)
@@ -181,10 +186,18 @@ def _evaluated(
 
 
 def _supported(scores: HeldOutScores) -> HeldOutScores:
-    """Return scores without p-values that could never be a verdict at the usual rate."""
+    """Return scores without p-values if these can never give a verdict at the usual rate."""
     if scores.calibration >= runs_needed(RATES[0]):
         return scores
     return replace(scores, p=np.full_like(scores.p, np.nan))
+
+
+class _Round(NamedTuple):
+    """A scorer, and in which folds it is judged."""
+
+    scorer: Scorer
+    split: str
+    folds: Sequence[Fold]
 
 
 class _Steps:
@@ -199,45 +212,72 @@ class _Steps:
         self.sets = feature_sets(campaign.features)
         self.compared = comparisons(campaign.features)
         self.folds = block_folds(campaign.features, seed)
+        self._references: dict[str, CrossConformalScorer | None] = {}
+        self._known: dict[Scorer, HeldOutScores] = {}  # of references
+
+    def reference(self, features: str) -> CrossConformalScorer | None:
+        """Return what is learned from all normal runs, once for each set of features."""
+        if features not in self._references:
+            normal = ~self.campaign.malicious
+            self._references[features] = reference_of(self.campaign, normal, features)
+        return self._references[features]
 
     def score(self, scorer: Scorer, folds: Sequence[Fold]) -> HeldOutScores:
-        self.progress(f"{scorer.detector}, {scorer.features}, {scorer.level}")
-        if scorer in OF_CARD:
-            refolded = None if folds is self.folds else folds
-            return reference_scores(self.campaign, refolded, scorer.features)
-        detector, columns = self.detectors[scorer.detector], self.sets.get(scorer.features, [])
-        return held_out(self.campaign, columns, detector, folds, scorer.level)
+        if scorer not in OF_CARD:
+            detector, columns = self.detectors[scorer.detector], self.sets.get(scorer.features, [])
+            return held_out(self.campaign, columns, detector, folds, scorer.level)
+        if folds is not self.folds:
+            return reference_scores(self.campaign, folds, scorer.features)
+        if scorer not in self._known:
+            self._known[scorer] = scored(self.campaign, self.reference(scorer.features))
+        return self._known[scorer]
 
     def table(self, headline: HeldOutScores, bounds: Sequence[str]) -> pd.DataFrame:
         """Judge every scorer in every comparison, the headline first."""
         rows = self._rows(HEADLINE, BLOCK, headline)
-        for scorer in scorers(self.detectors, self.sets):
-            if scorer != HEADLINE:
-                rows += self._scored(scorer, BLOCK, self.folds)
-        df = self.campaign.features
-        rows += self._scored(HEADLINE, SESSION, group_folds(df, SESSION, self.seed))
-        for blocks in BLOCKS_OF_SESSION:
-            if folds := group_folds(df, SESSION, self.seed, blocks):
-                rows += self._scored(HEADLINE, f"{SESSION} but {blocks} blocks", folds)
-        if folds := group_folds(df, WORLD, self.seed):
-            rows += self._scored(HEADLINE, WORLD, folds)
-        if is_hard_negative(df).any():
-            rows += self._scored(HEADLINE, HARMLESS, untaught(df, self.folds))
+        rounds = list(self._rounds())
+        threads = ThreadPoolExecutor(os.cpu_count())  # most of it is NumPy's, without a lock
+        try:
+            for each, scores in zip(rounds, threads.map(self._attempt, rounds), strict=True):
+                self.progress(f"{', '.join(each.scorer)}; held out: {each.split}")
+                rows += self._judged(each, scores)
+        finally:  # who is told to stop does not wait for what has not begun
+            threads.shutdown(cancel_futures=True)
         for name in bounds:
             self.progress(f"{name}, with labels")
-            classifier, columns = upper_bounds(self.seed)[name], self.sets.get("all", [])
-            probability = supervised_scores(df, columns, classifier, self.folds)
+            df, columns = self.campaign.features, self.sets.get("all", [])
+            probability = supervised_scores(df, columns, upper_bounds(self.seed)[name], self.folds)
             scores = HeldOutScores(probability, np.full_like(probability, np.nan), 0)
             rows += self._rows(Scorer(f"{name} (sees labels)", "all", "run"), BLOCK, scores)
         return pd.DataFrame(rows)
 
-    def _scored(self, scorer: Scorer, split: str, folds: Sequence[Fold]) -> list[Row]:
+    def _rounds(self) -> Iterator[_Round]:
+        """Yield all scorers with the folds that they are judged in, but for the headline."""
+        for scorer in scorers(self.detectors, self.sets):
+            if scorer != HEADLINE:
+                yield _Round(scorer, BLOCK, self.folds)
+        df = self.campaign.features
+        yield _Round(HEADLINE, SESSION, group_folds(df, SESSION, self.seed))
+        for blocks in BLOCKS_OF_SESSION:
+            if folds := group_folds(df, SESSION, self.seed, blocks):
+                yield _Round(HEADLINE, f"{SESSION} but {blocks} blocks", folds)
+        if folds := group_folds(df, WORLD, self.seed):
+            yield _Round(HEADLINE, WORLD, folds)
+        if is_hard_negative(df).any():
+            yield _Round(HEADLINE, HARMLESS, untaught(df, self.folds))
+
+    def _attempt(self, each: _Round) -> HeldOutScores | DetectorError:
         try:
-            return self._rows(scorer, split, self.score(scorer, folds), tested_in(folds))
+            return self.score(each.scorer, each.folds)
         except DetectorError as error:
-            all_modes = self.compared[0]
-            row = unjudged(self.campaign, all_modes, str(error))
-            return [{**scorer._asdict(), "split": split, "scope": all_modes.name, **row}]
+            return error
+
+    def _judged(self, each: _Round, scores: HeldOutScores | DetectorError) -> list[Row]:
+        if isinstance(scores, HeldOutScores):
+            return self._rows(each.scorer, each.split, scores, tested_in(each.folds))
+        all_modes = self.compared[0]
+        row = unjudged(self.campaign, all_modes, str(scores))
+        return [{**each.scorer._asdict(), "split": each.split, "scope": all_modes.name, **row}]
 
     def _rows(
         self,
@@ -259,7 +299,7 @@ class _Steps:
     def alarms(self) -> tuple[WatchedRuns, pd.DataFrame]:
         """Return the alarms that the headline's scorer raises window by window, and judge them."""
         self.progress("alarms")
-        watched_runs = watched(self.campaign)
+        watched_runs = watched(self.campaign, self.reference(HEADLINE.features))
         return watched_runs, pd.DataFrame(
             {"scope": each.name, **judge_alarms(watched_runs, self.campaign, each, self.rng)}
             for each in self.compared

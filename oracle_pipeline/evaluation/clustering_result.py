@@ -1,4 +1,4 @@
-"""How well one clustering separates attacked from normal runs, by our reading and the thesis's."""
+"""Measures how well a clustering separates attacked from normal runs, in two readings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -80,8 +80,8 @@ def in_best_cluster(
 ) -> NDArray[np.bool_]:
     """Return which runs are in the cluster with most of the malicious rows (the first, if tied).
 
-    This looks at the labels that it is then measured against: it reads a result as the thesis does
-    and is no verdict.
+    This uses the labels with which it is then compared. It reads a result as the thesis does, and
+    is not a verdict.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def cluster_and_judge(
     method, criterion, t
         How the tree is grown and cut.
     variant : Variant
-        What of the rows is clustered, and how the best cluster is looked for.
+        Which columns are clustered, and how the best cluster is found.
     metric : {"euclidean", "cosine", "correlation"}
         What distances are. The thesis's way to number clusters knows the first only.
     """

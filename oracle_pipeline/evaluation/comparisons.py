@@ -1,4 +1,4 @@
-"""Which runs are compared, by which scorer, and the figures of one comparison.
+"""The comparisons of an evaluation: which runs, which scorer, and which figures.
 
 The protocol is fixed before the final data are recorded: the panel, the sets of features and the
 one scorer whose figure is the headline. The reasons: docs/explanation/evaluation.md.
@@ -22,7 +22,7 @@ from oracle_pipeline.evaluation.metrics import auc, average_precision, matthews,
 from oracle_pipeline.scoring.conformal import runs_needed
 from oracle_pipeline.scoring.feature_sets import ASPECTS
 
-RATES = (0.05, 0.01)  # false-alarm rates a verdict is asked to keep; the first is the usual one
+RATES = (0.05, 0.01)  # false positive rates a verdict is asked to keep; the first is the usual one
 BLOCKS_NEEDED = {0.01: 250}  # two in five calibrate, so that even one mode alone gives 99 runs
 ONE_SIDED = 0.90  # level of a two-sided interval whose lower end is the one-sided 95% bound
 
@@ -74,7 +74,8 @@ def comparisons(df: pd.DataFrame) -> list[ComparedRuns]:
     All modes; each attack against its control, and against its shadow, which does the same work and
     publishes the original; an attack that has neither, such as one that a search found, against
     all normal modes, named ``normal / attacked``; the fake object against a real one; the hard
-    negatives together and each. The last have no attacked run and measure false alarms only.
+    negatives together and each. Hard negatives have no attacked run, so they measure false
+    positives only.
     """
     modes = set(df["mode"])
     attacked = sorted(set(df.loc[df["label"] == "malicious", "mode"]))
@@ -114,7 +115,7 @@ def judge(
 ) -> dict[str, float | int | str]:
     """Return the figures of one comparison as table columns, an estimate as three.
 
-    Besides areas: at each nominal false-alarm rate the detection rate, the realised rate and the
+    Besides areas: at each nominal false positive rate the detection rate, the realised rate and the
     one-sided 95% lower bound of that, Matthews' correlation and balanced accuracy; nothing at a
     rate that the campaign is too small for. `positive` runs, of shape (n_runs,), are to be found;
     by default the attacked ones.

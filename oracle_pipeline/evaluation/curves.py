@@ -13,7 +13,7 @@ from oracle_pipeline.evaluation.held_out import HeldOutScores
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import RocCurve, auc, roc_curve, share
 
-RATES = 40  # nominal false-alarm rates at which detection is measured
+RATES = 40  # nominal false positive rates at which detection is measured
 
 
 class Curve(NamedTuple):
@@ -80,7 +80,7 @@ def _detection(
 ) -> dict[str, Curve]:
     """Return for each attacked mode, and for normal runs, the share of ``p <= rate``.
 
-    Nothing where there are too few blocks for p-values.
+    NaN where there are too few blocks for p-values.
     """
     if not np.isfinite(scores.p).any():
         return {}

@@ -1,4 +1,4 @@
-"""A measured figure that cannot be printed without its interval, and how intervals are made."""
+"""An estimate that is always printed with its interval, and functions that compute intervals."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -83,7 +83,7 @@ def clopper_pearson(rate: float, n: float, level: float = LEVEL) -> Estimate:
 
 
 def newcombe_auc(value: float, n_positive: int, n_negative: int, level: float = LEVEL) -> Estimate:
-    """Return an AUC with Newcombe's score interval (method 5), which is honest at 0 and 1 too.
+    """Return an AUC with Newcombe's score interval (method 5), which is valid at 0 and 1, too.
 
     The interval holds every AUC from which `value` is less than 1.96 Hanley-McNeil standard errors
     away [1]_ (at a level of 95%), found on a grid of 1e-4.

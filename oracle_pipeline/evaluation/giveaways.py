@@ -1,4 +1,4 @@
-"""Which features give runs away: those outside the usual range of normal runs of other blocks."""
+"""Features that show an attack: those outside the usual range of other blocks' normal runs."""
 
 from collections.abc import Mapping, Sequence
 
@@ -44,7 +44,7 @@ def deviations_of_runs(df: pd.DataFrame) -> dict[str, list[Deviation]]:
 
 
 def giveaways(df: pd.DataFrame, deviations: Mapping[str, Sequence[Deviation]]) -> pd.DataFrame:
-    """Return the features that tell the runs of each attacked mode from normal ones.
+    """Return the features that distinguish the runs of each attacked mode from normal runs.
 
     Parameters
     ----------

@@ -48,14 +48,14 @@ def held_out(
     ----------
     runs : Runs
     columns : sequence of str
-        Features to use; per window those of them that windows have.
+        Features to use; for windows, those of them that windows have.
     detector : Detector
         Unfitted; it is cloned.
     folds : sequence of Fold
         Over the runs.
     level : {"run", "windows", "both"}
-        From the features of the run, from those of its oddest windows (`top_windows`), or whichever
-        of the two is further from what its calibration runs show.
+        Score by the features of the run, by those of its most unusual windows (`top_windows`), or
+        by whichever of the two is farther from its calibration runs.
 
     Raises
     ------
@@ -108,9 +108,9 @@ def window_scores(
 def top_windows(
     scores: NDArray[np.float64], runs: MeasuredRuns, folds: Sequence[Fold]
 ) -> NDArray[np.float64]:
-    """Return the mean score of each run's three oddest windows, shape (n_folds, n_runs).
+    """Return the mean score of each run's three most unusual windows, shape (n_folds, n_runs).
 
-    The longer a run, the odder its oddest windows, and attacked runs are longer. So windows count
+    A longer run has more extreme windows by chance, and attacked runs are longer. So windows count
     only up to the length that nine tenths of the fitted runs reach.
     """
     counts = runs.counts
@@ -169,7 +169,7 @@ def supervised_scores(
 ) -> NDArray[np.float64]:
     """Return the scores of a classifier that was trained with the labels of other blocks.
 
-    Not an oracle: an upper bound of what these features can achieve.
+    It is not an oracle but an upper bound of what these features can achieve.
 
     Parameters
     ----------

@@ -96,7 +96,7 @@ def same_between_sessions(
 
 
 def blocks_to_separate() -> int:
-    """Return in how many blocks each two sessions must be recorded to be told apart at all.
+    """Return how many blocks each of two sessions needs before they can be distinguished at all.
 
     Fewer could be separated perfectly, and the interval of `same_between_sessions` would still
     hold 0.5.
@@ -105,8 +105,8 @@ def blocks_to_separate() -> int:
 
 
 _TOO_FEW_IN_SESSIONS = (
-    f"Fewer than {blocks_to_separate()} blocks on either side cannot be told apart, however they "
-    f"differ: it takes {blocks_to_separate()} blocks in each of two sessions, or "
+    f"Fewer than {blocks_to_separate()} blocks on either side cannot be distinguished, however "
+    f"they differ: it takes {blocks_to_separate()} blocks in each of two sessions, or "
     f"{2 * blocks_to_separate()} in sessions of their own."
 )
 
@@ -119,7 +119,7 @@ def session_groups(
     Parameters
     ----------
     features : DataFrame
-        A row a run.
+        A row for each run.
     members : ndarray of bool, shape (n_runs,)
         The runs that count.
 
@@ -206,7 +206,7 @@ def shuffled_labels(
     make_folds: Callable[[pd.DataFrame, int], list[Fold]],
     rng: np.random.Generator,
 ) -> IntegrityCheck:
-    """Labels that are permuted within blocks are not predicted: no way leads from label to score.
+    """Labels that are permuted within blocks are not predicted, so no label leaks into a score.
 
     Everything is fitted anew for each permutation, on one fold in turn.
 
@@ -245,7 +245,7 @@ def shuffled_labels(
 def hard_negatives(
     scores: HeldOutScores, campaign: JudgedRuns, rng: np.random.Generator
 ) -> IntegrityCheck:
-    """Hard negatives, normal runs with a harmless change, are seldom called anomalous."""
+    """Hard negatives, normal runs with a harmless change, are rarely called anomalous."""
     name, harmless = "hard_negatives_pass", is_hard_negative(campaign.features)
     judged = harmless & np.isfinite(scores.p)
     if not harmless.any():
@@ -269,7 +269,7 @@ def hard_negatives(
 
 
 def blocks_to_exclude(rate: float, confidence: float = 0.95) -> int:
-    """Return how many blocks without a false alarm exclude a higher rate of them.
+    """Return how many blocks without a false positive exclude a higher false positive rate.
 
     Examples
     --------
@@ -280,11 +280,12 @@ def blocks_to_exclude(rate: float, confidence: float = 0.95) -> int:
 
 
 def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> IntegrityCheck:
-    """No feature behind the headline tells experiments apart where nothing was altered.
+    """No feature behind the headline distinguishes unaltered runs.
 
-    No feature tells a shadow control from the passthrough beside it, or the session. One may tell
-    an unaltered mode from another, by who hears what, if each attacked mode has a counterpart of
-    which it tells the same. The figure is how many features do what they may not.
+    No feature may distinguish a shadow control from the passthrough beside it, or one session from
+    another. A feature may distinguish unaltered modes, by which node subscribes to what, if each
+    attacked mode has an unaltered counterpart. The figure is the number of features that break this
+    rule.
     """
     name, df = "unaltered_runs_are_alike", campaign.features
     pairs, needed = exact_pairs(df), blocks_needed(len(columns))
@@ -307,9 +308,9 @@ def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> Integr
         name,
         passed=wrong.empty,
         figure=Estimate(*[float(len(features))] * 3),
-        sentence=f"{len(features)} of {len(columns)} features tell apart what nothing was altered "
-        f"in{f': {named}' if named else ''}. {of_modes} tell unaltered modes by who hears what, "
-        f"{matched} an unaltered counterpart.",
+        sentence=f"{len(features)} of {len(columns)} features distinguish unaltered runs"
+        f"{f': {named}' if named else ''}. {of_modes} distinguish unaltered modes by which node "
+        f"subscribes to what, {matched} an unaltered counterpart.",
     )
 
 
@@ -344,7 +345,7 @@ def shortcuts_apart(
 
 
 def banner(checks: Sequence[IntegrityCheck]) -> str:
-    """Return what stands beside a figure that is not to be believed yet; empty if it is."""
+    """Return the remark beside a figure that is not supported yet; empty if it is."""
     return " ".join(
         f"{check.name} is {check.status}: {check.sentence}"
         for check in checks

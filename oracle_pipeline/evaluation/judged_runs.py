@@ -19,7 +19,7 @@ from oracle_pipeline.windows import WINDOW_S
 
 @dataclass(frozen=True, eq=False, slots=True)
 class JudgedRuns(MeasuredRuns):
-    """Runs that are judged, and what really happened in them.
+    """Runs that are judged, with their ground truth.
 
     Attributes
     ----------

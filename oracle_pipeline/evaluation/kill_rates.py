@@ -1,4 +1,4 @@
-"""How weak an attack the oracle still sees: kill matrix, mutation score, detectable magnitude.
+"""The weakest attack that the oracle detects: kill matrix, mutation score, detectable magnitude.
 
 A grid of attacked runs, one operator of the scenario language at several magnitudes, is scored by
 an oracle that was fitted on the campaign. A run that is called anomalous is a killed mutant; one in
@@ -45,7 +45,7 @@ def kill_matrix(
     seed : int
         Of the split and of detectors that draw.
     rate : float
-        False-alarm rate of the verdicts.
+        False positive rate of the verdicts.
 
     Returns
     -------
@@ -96,7 +96,7 @@ def kill_matrix(
 
 
 def _fold(runs: MeasuredRuns, mutants: NDArray[np.bool_], seed: int) -> Fold:
-    """Return the round in which the mutants are tested, by nobody who saw their blocks."""
+    """Return the fold that tests the mutants, fitted on other blocks only."""
     train = ~np.isin(runs.block, runs.block[mutants])
     fit, calibrate = fit_and_calibrate(runs.features, train, np.random.default_rng(seed))
     return Fold(fit, calibrate, mutants, train)
@@ -142,8 +142,8 @@ def mutation_scores(kills: pd.DataFrame) -> pd.DataFrame:
 def minimum_detectable(kills: pd.DataFrame) -> pd.DataFrame:
     """Return for each oracle and operator the smallest magnitude that is detected reliably.
 
-    That is the smallest of the grid from which on, at every larger one too, at least 0.9 of the
-    mutants are killed; NaN if the largest is not. Between it and the next smaller one of the grid
+    It is the smallest magnitude of the grid at which, as at every larger one, at least 0.9 of the
+    mutants are killed. NaN if there is none. Between it and the next smaller one of the grid
     (``magnitude_low``; 0 below the first) lies the true one.
 
     Parameters

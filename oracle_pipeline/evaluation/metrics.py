@@ -1,9 +1,9 @@
 """Confusion matrix, rates, AUC, average precision and ROC curve over distinct runs.
 
-Rows may be copies (a bootstrap draws them): every metric here takes one value a *run* and weights
-it by the run's copies, so the figure is that of the rows, while its interval is that of the runs.
-Runs of one block share start, goals and nuisance seed, so resampling draws blocks. Where runs are
-not copied (our own evaluation), `share` gives a rate with an interval that knows of blocks too.
+Rows may be copies (a bootstrap draws them): every metric here takes one value for each *run* and
+weights it by the run's copies. So the figure is that of the rows, while its interval is that of the
+runs. Runs of one block share start, goals and nuisance seed, so resampling draws blocks. Where runs
+are not copied (our own evaluation), `share` gives a rate with an interval that knows of blocks too.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ BAND = [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)]  # percentiles
 
 
 class MetricError(OracleError):
-    """A figure is asked of numbers that cannot give it."""
+    """A figure cannot be computed from these numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +180,7 @@ def events_per_hour(
 def matthews(flagged: NDArray[np.bool_], runs: DistinctRuns, rng: np.random.Generator) -> Estimate:
     """Return Matthews' correlation of verdict and truth, by rows.
 
-    The interval is of percentiles over resampled blocks: of a perfect verdict it shows no doubt.
+    The interval is of percentiles over resampled blocks: for a perfect verdict it has no width.
     """
     value = confusion(flagged, runs).mcc
     if np.isnan(value):
@@ -202,7 +202,7 @@ def auc(
     rng: np.random.Generator,
     level: float = LEVEL,
 ) -> Estimate:
-    """Return the chance that a malicious row scores above another one, ties counting half.
+    """Return the probability that a malicious row scores above another row; ties count half.
 
     Of a hard verdict (0 or 1) this is the balanced accuracy.
 
@@ -220,8 +220,8 @@ def auc(
     -------
     Estimate
         The wider, on each side, of the percentiles over resampled blocks and Newcombe's interval
-        for that many distinct runs: a few blocks that happen to be separated show no doubt when
-        resampled. Nothing if a class is missing.
+        for that many distinct runs: resampling a few perfectly separated blocks gives an interval
+        without width. Nothing if a class is missing.
     """
     scored, score = _scored(score, runs)
     n_malicious = int(scored.malicious.sum())

@@ -2,7 +2,7 @@
 
 The durations of the thesis's runs are not published. Here they are as in navigation: most runs are
 alike and a few many times longer, as after recoveries or at a timeout. No number of a run depends
-on its label, so any "accuracy" is that of a method that found nothing.
+on its label, so any "accuracy" here is due to chance.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ LONG_RUN_S = (800.0, 3600.0)  # from several recoveries to the timeout of the th
 
 
 def label_free_runs(p_long: float, rng: np.random.Generator) -> pd.DataFrame:
-    """Return runs as the thesis had them in number, with features that know nothing of labels.
+    """Return as many runs as the thesis had, with features that do not depend on labels.
 
     Parameters
     ----------

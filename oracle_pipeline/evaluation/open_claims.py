@@ -1,4 +1,4 @@
-"""What a campaign cannot support yet, why, and which runs to record for it."""
+"""The claims that a campaign cannot support yet, the reasons, and which runs to record."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -90,7 +90,7 @@ def _verdicts(df: pd.DataFrame) -> list[OpenClaim]:
 
 
 def _area(df: pd.DataFrame, doubts: Sequence[IntegrityCheck]) -> list[OpenClaim]:
-    """Return what keeps an AUC from being claimed: first what more runs would settle."""
+    """Return what prevents claiming an AUC, beginning with what more runs would settle."""
     claims = []
     lacks = [check for check in doubts if check.status == "unsupported"]
     if lacks:

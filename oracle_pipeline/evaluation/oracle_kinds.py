@@ -1,4 +1,4 @@
-"""Kinds of oracle side by side: what each finds, its false positives, and its cost."""
+"""Compares kinds of oracle: the attacks that each finds, its false positives, and its cost."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +31,7 @@ Row = dict[str, float | int | str]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class KindsComparison:
-    """What several oracles found in the same runs.
+    """The results of several oracles on the same runs.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ def compare_kinds(
     runs : TracedRuns
         Normal and attacked ones.
     others : mapping of str to Judged, optional
-        What other oracles said of these runs, for comparison; they are not in the union.
+        Results of other oracles on these runs, for comparison; they are not in the union.
     rate : float
         False positive rate of every verdict, that of the union included.
     progress : callable
@@ -76,9 +76,10 @@ def compare_kinds(
     for kind in kinds:
         progress(kind.name)
         cost: Row = {"oracle": kind.name, "asks": kind.asks, "written": kind.written()}
+        alone = TracedRuns(runs.table, runs.traces)  # knows nothing yet, so the cost is the kind's
         began_s = time.process_time()
         try:
-            verdicts[kind.name] = judged(kind, runs)
+            verdicts[kind.name] = judged(kind, alone)
         except OracleError as error:
             rows.append({**cost, "note": str(error)})
             continue
@@ -105,7 +106,7 @@ def compare_kinds(
 
 
 def by_cards(roots: Sequence[Path], runs: TracedRuns) -> dict[str, Judged]:
-    """Return what a reference card says of the runs of a root, if it has their features.
+    """Return the scores of a reference card for the runs of a root, if it has their features.
 
     Parameters
     ----------

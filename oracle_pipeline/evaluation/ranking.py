@@ -1,4 +1,4 @@
-"""How attacked runs rank among all: what even a few runs show, without any threshold."""
+"""The rank of attacked runs among all runs, which needs no threshold and few runs."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -21,7 +21,7 @@ class Ranking:
     on_top : int
         Attacked runs among as many of the highest scores; of equal scores normal runs come first.
     by_chance : float
-        What a scorer that tells nothing would have there.
+        The number expected from a score without information.
     """
 
     attacked: int

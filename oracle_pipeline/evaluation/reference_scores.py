@@ -1,4 +1,4 @@
-"""Scores by the very scorer that users call: the one that a reference card holds.
+"""Scores by the same scorer that users call: that of a reference card.
 
 Learned once from all normal runs, it judges each run by the model that did not see the run's block
 (``oracle_pipeline.scoring.cross_conformal``), as ``oracle score`` does for a run of a campaign. For
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.evaluation.held_out import HeldOutScores
 from oracle_pipeline.evaluation.splits import Fold
 from oracle_pipeline.scoring.conformal import ConformalError
+from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.learning import learned_scorer
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.verdict import ScoringError
@@ -30,7 +31,7 @@ def reference_scores(
         In each, the tested runs are scored by a reference learned from the normal runs that fit and
         calibrate. By default there is one reference, learned from all normal runs.
     features : str
-        Name of the set that the scorer looks at: ``all``, or an aspect of the card.
+        Name of the scorer's set of features: ``all``, or an aspect of the card.
 
     Returns
     -------
@@ -42,22 +43,49 @@ def reference_scores(
     DetectorError
         The detector cannot be fitted on so few runs.
     """
-    everything = np.ones(len(runs.features), dtype=np.bool_)
-    rounds = [(~runs.malicious, everything)]
-    if folds is not None:
-        rounds = [(fold.fit | fold.calibrate, fold.test) for fold in folds]
+    if folds is None:
+        return scored(runs, reference_of(runs, ~runs.malicious, features))
     score, p = np.full((2, len(runs.features)), np.nan)
     blocks = []
-    for normal, tested in rounds:
-        try:
-            scorer = learned_scorer(runs.where(normal), features)
-        except (ConformalError, ScoringError):  # too few blocks or no feature: the row says so
-            continue
-        of_folds, own_block = scorer.scores(runs.where(tested)), runs.block[tested]
-        score[tested] = scorer.own_score(of_folds, own_block)
-        p[tested] = scorer.p_values(of_folds, own_block)
-        blocks.append(_votes(scorer.block_, own_block))
+    for fold in folds:
+        scorer = reference_of(runs, fold.fit | fold.calibrate, features)
+        if scorer is not None:
+            of_fold = scored(runs.where(fold.test), scorer)
+            score[fold.test], p[fold.test] = of_fold.score, of_fold.p
+            blocks.append(of_fold.calibration)
     return HeldOutScores(score, p, min(blocks, default=0))
+
+
+def reference_of(
+    runs: MeasuredRuns, normal: NDArray[np.bool_], features: str = "all"
+) -> CrossConformalScorer | None:
+    """Return the scorer learned from some runs; None if they are too few or have no feature.
+
+    Parameters
+    ----------
+    runs : MeasuredRuns
+    normal : ndarray of bool, shape (n_runs,)
+        Which of them are normal, and teach.
+    features : str
+        As for `reference_scores`.
+    """
+    try:
+        return learned_scorer(runs.where(normal), features)
+    except (ConformalError, ScoringError):  # the row of the table says so
+        return None
+
+
+def scored(runs: MeasuredRuns, scorer: CrossConformalScorer | None) -> HeldOutScores:
+    """Return what a scorer says of runs, each by the model that did not see the run's block."""
+    if scorer is None:
+        unknown = np.full(len(runs.features), np.nan)
+        return HeldOutScores(unknown, unknown, 0)
+    of_folds = scorer.scores(runs)
+    return HeldOutScores(
+        scorer.own_score(of_folds, runs.block),
+        scorer.p_values(of_folds, runs.block),
+        _votes(scorer.block_, runs.block),
+    )
 
 
 def _votes(learned: NDArray[np.int64], tested: NDArray[np.int64]) -> int:

@@ -1,4 +1,4 @@
-"""Which runs a detector is fitted on, calibrated with and tested on: always different blocks.
+"""Splits of runs into different blocks for fitting, calibrating and testing.
 
 Runs of a block share start, goals and nuisance seed, so whole blocks go to one side. Only normal
 runs train: those of half the training blocks fit the detector, those of the other half calibrate
@@ -25,7 +25,7 @@ WORLD: Final = "world"
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Fold:
-    """Who does what in one round; masks of shape (n_rows,)."""
+    """The rows that fit, calibrate and are tested in one fold; masks of shape (n_rows,)."""
 
     fit: NDArray[np.bool_]  # normal runs
     calibrate: NDArray[np.bool_]  # normal runs of other blocks
@@ -47,7 +47,8 @@ def block_folds(df: pd.DataFrame, seed: int, n_folds: int = FOLDS) -> list[Fold]
     seed : int
         Of the order in which blocks are dealt.
     n_folds : int
-        At most; a block a fold if there are fewer blocks. With fewer than three blocks none.
+        Largest number of folds. With fewer blocks, each block is a fold; with fewer than three
+        blocks, there are no folds.
     """
     rng = np.random.default_rng(seed)
     hand = _dealt(df, np.ones(len(df), dtype=np.bool_), n_folds, rng)
@@ -57,7 +58,7 @@ def block_folds(df: pd.DataFrame, seed: int, n_folds: int = FOLDS) -> list[Fold]
 def group_folds(
     df: pd.DataFrame, column: Literal["session", "world"], seed: int, blocks_that_train: int = 0
 ) -> list[Fold]:
-    """Return folds that hold out whole sessions or worlds, but for some blocks that train.
+    """Return folds that hold out whole sessions or worlds, except some blocks that train.
 
     One group at a time is held out, or a fifth of them if there are more than five. With only one
     group, or where a group has no further block, there are no folds.

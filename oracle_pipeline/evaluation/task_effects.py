@@ -1,10 +1,10 @@
-"""What an attack did to the robot's task, and whether that is more than chance.
+"""The effect of an attack on the robot's task, and whether it is more than chance.
 
 The runs of a block have the same start and goals. Each is compared with the unaltered runs of its
 block, the passthroughs and the shadow controls, if these were made under the same conditions: a
 robot that has to drive slowly does not misbehave. How far unaltered runs are from each other is the
-uncertainty. A run *misbehaved* if it is farther from them in any quantity than that. From ground
-truth: no feature sees it.
+uncertainty. A run *misbehaved* if it is farther from them than that in any quantity. All of this is
+ground truth, which no feature sees.
 """
 
 import json
@@ -94,8 +94,8 @@ def task_effects(campaign: JudgedRuns) -> TaskEffects:
 def _uncertainty(apart: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return how far unaltered runs are from each other by chance, shape (n_quantities,).
 
-    Any one quantity makes a run misbehave, so all of them together are to call `LEVEL` of the
-    unaltered runs unaltered: what each does alone is widened until they do.
+    Any single quantity can make a run count as misbehaved. So the uncertainties are widened until
+    `LEVEL` of the unaltered runs are within all of them.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""When a run is unusual, and by which family of features: every window of every run.
+"""Measures when a run is unusual, by family of features, for every window of every run.
 
 A window's distance in one family is the largest robust distance of the family's features from
-normal windows of other blocks. It is usual up to what 95 % of normal windows reach, each measured
-by a scale that did not see its block.
+normal windows of other blocks. A distance is usual if it is at most that of 95 % of normal windows,
+each measured by a scale that did not see its block.
 """
 
 from collections.abc import Sequence

@@ -35,7 +35,7 @@ _SLICES: dict[FeatureSet, tuple[str, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One way to go from runs to rows that are clustered, and to a cluster that is judged.
+    """One variant of the path from runs to clustered rows, and to the cluster that is judged.
 
     Parameters
     ----------

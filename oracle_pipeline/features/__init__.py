@@ -1,6 +1,6 @@
 """Features of runs: plugins, their manager, and the two tables they fill.
 
-A plugin needs no more than what is named here.
+A plugin needs only the names in this module.
 """
 
 from oracle_pipeline.features.extraction import (

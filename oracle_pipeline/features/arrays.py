@@ -1,4 +1,4 @@
-"""Statistics of arrays of numbers, whatever they mean; many arrays at a time.
+"""Statistics of arrays of numbers, for many arrays at a time.
 
 ``generic`` reduces them to windows and topics; ``topic_pairs`` compares topics by them.
 """

@@ -1,4 +1,4 @@
-"""What the fusion of air traffic made of its sensors, and what it warned of.
+"""Features of the tracks and warnings of the air traffic fusion.
 
 A track that one kind of sensor alone keeps alive is an aircraft that hides, or one that is not
 there; two tracks that fly as one are an aircraft that was seen in two places.

@@ -1,8 +1,8 @@
-"""Many messages of one type as though they were one, whose fields are arrays.
+"""Many messages of one type as one object whose fields are arrays.
 
-Where each field stands is found out for all messages together: behind fields of fixed size it is
-the same place, behind a string or a sequence it is a place for each. Only fields that somebody
-looks at are read.
+The position of each field is computed for all messages together: after fields of fixed size it is
+the same, after a string or a sequence it differs by message. Only fields that are accessed are
+read.
 """
 
 from collections.abc import Sequence

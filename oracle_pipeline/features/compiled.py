@@ -1,8 +1,8 @@
 """Feature plugins that are shared libraries, each in a process of its own.
 
 The interface is ``oracle_plugin.h`` beside this module. Tables pass as Arrow files to the process
-and from there through the Arrow C data interface to the library. Whatever the library does to its
-process costs its own features of that recording.
+and from there through the Arrow C data interface to the library. If the library crashes its
+process, only its own features of that recording are lost.
 """
 
 import json
@@ -198,7 +198,7 @@ def _batch(topics: Mapping[str, Series], fields: list[str]) -> pa.RecordBatch:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """End a process that nobody asks any more."""
+    """End a process that is no longer needed."""
     process.kill()
     process.wait()
     for pipe in (process.stdin, process.stdout):

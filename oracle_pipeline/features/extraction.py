@@ -1,7 +1,7 @@
 """From a run to its two feature tables: one row for the run, one row for each window.
 
-A plugin that raises costs its own columns, with the reason in the column ``missing``; never the
-run. Fields of the manifest become key columns; no plugin sees them.
+If a plugin raises an error, only its own columns are lost, and the column ``missing`` has the
+reason. Fields of the manifest become key columns, which no plugin sees.
 """
 
 import json
@@ -20,7 +20,6 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bags.errors import BagError
-from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.limits import MOST_WINDOWS
 from oracle_pipeline.bags.manifest import UNKNOWN_WORLD
 from oracle_pipeline.bags.run_directory import RunDirectory
@@ -34,8 +33,8 @@ from oracle_pipeline.datasets import (
     feature_columns,
     write_table,
 )
-from oracle_pipeline.features.kept_messages import KeptMessages
-from oracle_pipeline.features.kept_rows import Span
+from oracle_pipeline.features.kept_messages import NO_GRAPH, Graphs, KeptMessages
+from oracle_pipeline.features.kept_rows import Carried, Span
 from oracle_pipeline.features.manager import FeatureManager
 from oracle_pipeline.features.plugin import (
     Feature,
@@ -46,16 +45,18 @@ from oracle_pipeline.features.plugin import (
     Window,
 )
 from oracle_pipeline.features.thesis import MessageTable, ThesisPlugin
-from oracle_pipeline.graphs.intervals import graph_between
+from oracle_pipeline.graphs.intervals import compose, known_in
+from oracle_pipeline.graphs.views import system_view
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.robots.robot import Robot, find_robots, of_robot
+from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.windows import windows_ns
 
 _log = logging.getLogger(__name__)
 
 
 class FeatureTables(NamedTuple):
-    """The features of one recording; what each column means is in ``attrs["fields"]``."""
+    """The features of one recording; ``attrs["fields"]`` describes the columns."""
 
     run: pd.DataFrame  # one row
     windows: pd.DataFrame  # one row for each window, by start
@@ -90,7 +91,12 @@ class _Row:
         self.missing[column] = reason
 
 
-def extract(run: OpenedRun, manager: FeatureManager, robot: Robot | None = None) -> FeatureTables:
+def extract(
+    run: OpenedRun,
+    manager: FeatureManager,
+    robot: Robot | None = None,
+    recording: KeptMessages | None = None,
+) -> FeatureTables:
     """Compute all features of one robot of a recording.
 
     Parameters
@@ -102,15 +108,18 @@ def extract(run: OpenedRun, manager: FeatureManager, robot: Robot | None = None)
         The plugins to use.
     robot : Robot, optional
         One that ``find_robots`` found; by default the only one of the recording.
+    recording : KeptMessages, optional
+        What was read of the robot's bag for the plugins, and perhaps for others; by default the bag
+        is read.
 
     Raises
     ------
     BagError
         If the bag cannot be read to its end, or has several robots and none is named.
     """
-    robot = robot or _only_robot(run)
+    robot = robot or only_robot(run)
     run = replace(run, bag=robot.bag)
-    recording = KeptMessages.read(robot, manager.plugins)
+    recording = recording or KeptMessages.read(robot, manager.plugins)
     whole = Span(0, recording.duration_ns)
     extraction = _Extraction(run, manager, recording, whole)
     of_run = extraction.row(whole)
@@ -152,32 +161,46 @@ def together(robots: Sequence[FeatureTables]) -> FeatureTables:
     return FeatureTables(*joined)
 
 
-def extract_window(run: OpenedRun, manager: FeatureManager, start_s: float) -> pd.DataFrame:
-    """Compute the features of one window of a recording that goes on.
+class WindowFeatures(NamedTuple):
+    """The features of one window of a recording in progress."""
+
+    row: pd.DataFrame  # one row, as in the table of windows
+    carried: Carried  # what the next window has to know
+
+
+def extract_window(
+    run: OpenedRun,
+    manager: FeatureManager,
+    start_s: float,
+    carried: Carried,
+    choices: RoleChoices | None = None,
+) -> WindowFeatures:
+    """Compute the features of one window of a recording in progress.
 
     Parameters
     ----------
     run : OpenedRun
-        The recording until the end of the window; it may begin some time before the window.
+        The recording until the end of the window. Its bag has the start of the whole recording,
+        but may hold the last messages only.
     manager : FeatureManager
         The plugins to use.
     start_s : float
-        When the window begins, since the start of what is given [s].
-
-    Returns
-    -------
-    DataFrame of one row
-        As in the table of windows.
+        When the window begins, since the start of the recording [s].
+    carried : mapping
+        Of the window before; empty for the first one.
+    choices : RoleChoices, optional
+        What a roles file says of the robot and its topics.
     """
-    robot = _only_robot(run)
+    robot = only_robot(run, choices)
     run = replace(run, bag=robot.bag)
-    recording = KeptMessages.read(robot, manager.plugins)
+    recording = KeptMessages.read(robot, manager.plugins, carried)
     extraction = _Extraction(run, manager, recording, Span(0, recording.duration_ns))
     span = Span(round(start_s * 1e9), recording.duration_ns)
     row = extraction.row(span, per_window=True)
     windowed = {c: f for c, f in manager.features().items() if f.per_window}
     fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}
-    return _table(_keys(run, robot), {WINDOW_START: [start_s]}, windowed, [row], fields)
+    table = _table(_keys(run, robot), {WINDOW_START: [start_s]}, windowed, [row], fields)
+    return WindowFeatures(table, recording.carried())
 
 
 def families(tables: FeatureTables) -> dict[str, dict[str, Any]]:
@@ -197,7 +220,7 @@ def families(tables: FeatureTables) -> dict[str, dict[str, Any]]:
 
 
 def window_spans(recording: KeptMessages) -> list[Span]:
-    """Return the windows that have a message: 10 s, each 5 s; cut off by the end, at least 5 s."""
+    """Return the windows that have a message; the end may cut the last one off."""
     windows = windows_ns(recording.duration_ns, recording.occupied())
     if len(windows) > MOST_WINDOWS:
         raise BagError(
@@ -231,6 +254,8 @@ class _Extraction:
         self._plugins = manager.plugins
         self._recording = recording
         self._failed: set[str] = set()  # plugins whose failure is in the log
+        self._whole = whole
+        self._graphs: dict[tuple[float, ...], Graphs] = {(): NO_GRAPH}  # by starts of intervals
         common = self._common(whole)
         self._prepared = {
             plugin.name: self._prepare(plugin, recording.window(plugin, whole, common))
@@ -257,7 +282,7 @@ class _Extraction:
 
         How many there are is known only when it succeeds; a failure is kept under its own name.
         """
-        graph = self._graph(span)
+        graph = self._graphs_of(span).graph
         try:
             with messages.cursor() as cursor:
                 numbers = plugin.extract(nx.DiGraph() if graph is None else graph, cursor)
@@ -269,12 +294,17 @@ class _Extraction:
             row.put(column, number)
         return _fields(features)
 
-    def _graph(self, span: Span) -> RosGraph | None:
-        graph = graph_between(self._run.intervals, span.start_s, span.end_s)
-        return None if graph is None else nx.freeze(graph)
+    def _graphs_of(self, span: Span) -> Graphs:
+        """Return the graph of a span; spans that have the same share it."""
+        known = known_in(self._run.intervals, span.start_s, span.end_s, self._whole.end_s)
+        starts = tuple(interval.start_s for interval in known)
+        if starts not in self._graphs:
+            graph = nx.freeze(compose(each.graph for each in known))
+            self._graphs[starts] = Graphs(graph, nx.freeze(system_view(graph)), known)
+        return self._graphs[starts]
 
     def _common(self, span: Span) -> Window:
-        return self._recording.span(span, self._graph(span), self._run.intervals)
+        return self._recording.span(span, self._graphs_of(span))
 
     def _prepare(self, plugin: FeaturePlugin, window: Window | Missing) -> Any:
         """Return what a plugin makes of the whole recording, or why it cannot."""
@@ -313,8 +343,9 @@ class _Extraction:
         return Missing(f"{type(error).__name__}: {error}")
 
 
-def _only_robot(run: OpenedRun) -> Robot:
-    robots = find_robots(run.bag)
+def only_robot(run: OpenedRun, choices: RoleChoices | None = None) -> Robot:
+    """Return the robot of a recording; `BagError` if there are several."""
+    robots = find_robots(run.bag, choices)
     if len(robots) > 1:
         raise BagError(
             f"{run.path} has several robots: {', '.join(robot.name for robot in robots)}; compute "

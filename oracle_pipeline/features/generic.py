@@ -1,8 +1,8 @@
-"""Features of any bag, whatever it is about: when messages came, and what their bytes look like.
+"""Features of any bag: arrival times of messages, and statistics of their bytes.
 
-Topics come and go with the system, columns must not: each number is computed for every topic
-apart, and the table has the largest (with its topic), the smallest and the mean. What compares
-topics of one type with each other is in ``pairs``.
+Topics differ between systems, but columns must not. So each number is computed for every topic
+separately, and the table has the largest (with its topic), the smallest and the mean. Features that
+compare topics of one type are in ``pairs``.
 """
 
 import zlib
@@ -38,9 +38,13 @@ _STRIDE = 8  # bytes from a number to the next, or to the next but one if they a
 _OVER_TOPICS = {"max": "largest of the topics", "min": "smallest", "mean": "mean over the topics"}
 
 
-def _features(name: str, unit: str, floor: float, description: str) -> Iterator[Feature]:
+def _features(
+    name: str, unit: str, floor: float, description: str, *, per_window: bool = True
+) -> Iterator[Feature]:
     for reduction, words in _OVER_TOPICS.items():
-        yield Feature(f"{name}_{reduction}", unit, floor, f"{description}, {words}")
+        yield Feature(
+            f"{name}_{reduction}", unit, floor, f"{description}, {words}", per_window=per_window
+        )
 
 
 TIMING_FEATURES = (
@@ -54,10 +58,12 @@ TIMING_FEATURES = (
     *_features(
         "jitter", "1", 0.01,
         "median abs deviation of the time between messages over its median, steady topics",
+        per_window=False,
     ),
     Feature(
         "gap_max", "1", 0.1,
         "longest time between messages over the topic's median, largest of the steady topics",
+        per_window=False,
     ),
     Feature(
         "out_of_order_max", "1", 1e-3,

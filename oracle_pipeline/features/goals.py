@@ -120,9 +120,9 @@ def keep_status(message: Any) -> list[tuple[bytes, int]]:
     return [(s.goal_info.goal_id.uuid.tobytes(), s.status) for s in message.status_list]
 
 
-def keep_log(message: Any) -> list[str]:
-    """Return what the root of the tree became, one after the other."""
-    return [c.current_status for c in message.event_log if c.node_name == _ROOT]
+def keep_log(message: Any) -> list[str] | None:
+    """Return what the root of the tree became, one after the other; None if it did not change."""
+    return [c.current_status for c in message.event_log if c.node_name == _ROOT] or None
 
 
 def keep_plans(messages: Any) -> NDArray[np.float64]:
@@ -137,10 +137,10 @@ def keep_plans(messages: Any) -> NDArray[np.float64]:
 
 #: What tells goals; a robot may lack either.
 GOAL_TOPICS = {
-    "status": Request(keep_status, role=GOAL_STATUS, dtype=object, optional=True),
-    "log": Request(keep_log, role=BEHAVIOR_TREE, dtype=object, optional=True),
+    "status": Request(keep_status, role=GOAL_STATUS, dtype=object, optional=True, carried=True),
+    "log": Request(keep_log, role=BEHAVIOR_TREE, dtype=object, optional=True, carried=True),
 }
-PLANS = Request(keep_plans, role=PLAN, many=True)
+PLANS = Request(keep_plans, role=PLAN, many=True, carried=True)
 
 
 @hookimpl

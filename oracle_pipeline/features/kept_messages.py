@@ -1,4 +1,4 @@
-"""One pass over a bag for all plugins: what they keep of its messages, as arrays.
+"""One pass over a bag for all plugins, which returns as arrays what they keep of its messages.
 
 Each message is decoded at most once, and only if a plugin asked for it. Windows are slices of the
 arrays.
@@ -6,18 +6,22 @@ arrays.
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
-import networkx as nx
 import numpy as np
 
-from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.graph_files import RosGraph
-from oracle_pipeline.bags.limits import LARGEST_DECODED
 from oracle_pipeline.bags.merging import Messages
-from oracle_pipeline.bags.reader import BagReader, Topic
-from oracle_pipeline.features.columns import Batch
-from oracle_pipeline.features.kept_rows import Budget, Integers, KeptRows, Span, read_only
+from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.features.kept_rows import (
+    Budget,
+    Carried,
+    Integers,
+    KeptRows,
+    Span,
+    read_only,
+)
+from oracle_pipeline.features.kept_topic import KeptTopic
 from oracle_pipeline.features.message_layout import (
     SHORTEST_WITH_HEADER,
     MessageLayout,
@@ -27,132 +31,22 @@ from oracle_pipeline.features.plugin import (
     Arrivals,
     FeaturePlugin,
     Missing,
-    RawRecord,
-    Request,
     Series,
     Window,
 )
-from oracle_pipeline.features.point_clouds import CutClouds, sliced
-from oracle_pipeline.features.timeline import epochs, timeline
+from oracle_pipeline.features.timeline import Timeline, epochs, timeline
 from oracle_pipeline.graphs.intervals import Interval
-from oracle_pipeline.graphs.views import system_view
 from oracle_pipeline.robots.robot import Robot, find_robots
-from oracle_pipeline.robots.roles import POINT_CLOUD, SCAN
 
 _MOST_WAITING = 16 * 2**20  # bytes of messages that are kept together with later ones
 _NONE: Integers = np.zeros(0, dtype=np.int64)
 _NO_STAMP = np.iinfo(np.int64).min  # of a message without a header
 
 
-class _Topic:
-    """One topic of the bag, and who keeps what of its messages."""
-
-    def __init__(self, bag: BagReader, topic: Topic) -> None:
-        self.name, self.msgtype = topic.name, topic.msgtype
-        self.layout = MessageLayout(bag, topic.name)
-        self.kept: dict[Any, KeptRows] = {}  # by what makes two requests the same
-        self.by_rate: dict[int, list[KeptRows]] = {}  # by time between messages [ns]
-        self.undecodable = ""
-        self._waiting: dict[int, list[tuple[int, bytes]]] = {}  # number and message, by rate
-        try:
-            self._decode = bag.decoder(topic.name)
-            self._store = bag.typestore(topic.msgtype)
-        except BagError as error:
-            self.undecodable = str(error)
-
-    def ask(self, request: Request, budget: Budget) -> KeptRows:
-        """Return what keeps the rows of a request, one for all equal requests."""
-        as_scan = request.role == SCAN and self.msgtype == POINT_CLOUD
-        key = request.keep, np.dtype(request.dtype), request.raw, request.every_s, as_scan
-        if key not in self.kept:
-            self.kept[key] = kept = KeptRows(request, budget)
-            kept.as_scan = as_scan
-            self.by_rate.setdefault(round(request.every_s * 1e9), []).append(kept)
-            if self.undecodable and not request.raw:
-                kept.fail(self.undecodable)
-        return self.kept[key]
-
-    def has(self, rate_ns: int, *, many: bool) -> bool:
-        """Tell whether messages are asked for at a rate, one by one or many together."""
-        return any(
-            kept.request.many == many and not kept.error for kept in self.by_rate.get(rate_ns, ())
-        )
-
-    def keep(self, number: int, data: bytes, rates_ns: list[int]) -> None:
-        """Keep what is wanted, by itself, of a message that is due at some rates."""
-        record = RawRecord(data, self.layout)
-        content: Any = None
-        scan: Any = None
-        for rate_ns in rates_ns:
-            for kept in self.by_rate[rate_ns]:
-                if kept.error or kept.request.many:
-                    continue
-                if kept.request.raw:
-                    kept.add(number, record, len(data))
-                    continue
-                try:
-                    content = content or self._decoded(data)
-                    if kept.as_scan:
-                        scan = scan or sliced(content)
-                except BagError as error:
-                    kept.skip(str(error))
-                else:
-                    kept.add(number, scan if kept.as_scan else content, len(data))
-
-    def wait(self, rate_ns: int, number: int, data: bytes) -> int:
-        """Take a message that is kept together with others; return how many bytes it holds."""
-        if len(data) > LARGEST_DECODED:
-            for kept in self.by_rate[rate_ns]:
-                if kept.request.many:
-                    kept.skip(_too_large(data))
-            return 0
-        self._waiting.setdefault(rate_ns, []).append((number, data))
-        return len(data)
-
-    def keep_waiting(self) -> None:
-        """Keep what is wanted of the messages that were taken."""
-        for rate_ns, messages in self._waiting.items():
-            many = [kept for kept in self.by_rate[rate_ns] if kept.request.many]
-            numbers = np.array([number for number, _ in messages], dtype=np.int64)
-            batch = Batch(
-                [data for _, data in messages], self._store, self.msgtype, is_cdr=self.layout.is_cdr
-            )
-            whole = batch.whole
-            if not whole.all():
-                self._keep_odd(numbers[~whole], batch.some(np.flatnonzero(~whole)), many)
-                numbers, batch = numbers[whole], batch.some(np.flatnonzero(whole))
-            self._add(numbers, batch, many)
-        self._waiting.clear()
-
-    def _keep_odd(self, numbers: Integers, batch: Batch, many: list[KeptRows]) -> None:
-        """Keep messages that are broken, or written in another way; decoding tells which."""
-        written, good = [], []
-        for number, data in zip(numbers.tolist(), batch.data, strict=True):
-            try:
-                content = self._decoded(data)
-                written.append(bytes(self._store.serialize_cdr(content, self.msgtype)))
-                good.append(number)
-            except Exception as error:  # of a generated encoder, too
-                for kept in many:
-                    kept.skip(str(error))
-        again = Batch(written, self._store, self.msgtype, is_cdr=True)
-        self._add(np.array(good, dtype=np.int64), again, many)
-
-    def _add(self, numbers: Integers, batch: Batch, many: list[KeptRows]) -> None:
-        scans = CutClouds(batch, self._decoded)
-        for kept in many:
-            kept.add_many(numbers, scans if kept.as_scan else batch)
-
-    def _decoded(self, data: bytes) -> Any:
-        if len(data) > LARGEST_DECODED:
-            raise BagError(_too_large(data))
-        return self._decode(data)
-
-
 class _Sampling:
     """Which messages are due at one rate: of each topic the first in each span of its length."""
 
-    def __init__(self, rate_ns: int, topics: list[_Topic]) -> None:
+    def __init__(self, rate_ns: int, topics: list[KeptTopic]) -> None:
         self._rate_ns = rate_ns
         self._asks = np.array([rate_ns in topic.by_rate for topic in topics], dtype=np.bool_)
         self._last = np.full(len(topics), -1)
@@ -175,10 +69,10 @@ class _Sampling:
 class _Headers:
     """Reads the stamps in the headers of messages."""
 
-    def __init__(self, topics: list[_Topic]) -> None:
+    def __init__(self, topics: list[KeptTopic]) -> None:
         self._has = np.array([topic.layout.has_header for topic in topics], dtype=np.bool_)
 
-    def stamps_ns(self, batch: Messages, topics: list[_Topic]) -> Integers:
+    def stamps_ns(self, batch: Messages, topics: list[KeptTopic]) -> Integers:
         """Return the stamp of each message of a batch [ns]."""
         stamps_ns = np.full(len(batch.topics), _NO_STAMP)
         rows = np.flatnonzero(self._has[batch.topics] & (batch.sizes >= SHORTEST_WITH_HEADER))
@@ -201,6 +95,17 @@ def decoded_topics(bag: BagReader, plugins: Iterable[FeaturePlugin]) -> frozense
     )
 
 
+class Graphs(NamedTuple):
+    """The ROS graph of a span, as every plugin sees it."""
+
+    graph: RosGraph | None
+    system: RosGraph | None
+    intervals: tuple[Interval, ...]
+
+
+NO_GRAPH = Graphs(None, None, ())
+
+
 class KeptMessages:
     """When the messages of a bag came, and what plugins kept of them.
 
@@ -218,7 +123,7 @@ class KeptMessages:
         self._shared: dict[Any, Any] = {}
         budget = Budget()
         self.notes: list[str] = []
-        self._topics = {name: _Topic(bag, topic) for name, topic in bag.topics.items()}
+        self._topics = {name: KeptTopic(bag, topic) for name, topic in bag.topics.items()}
         self._kept: dict[str, dict[str, dict[str, KeptRows]]] = {
             plugin.name: {
                 key: {
@@ -232,8 +137,22 @@ class KeptMessages:
         }
 
     @classmethod
-    def read(cls, robot: Robot, plugins: tuple[FeaturePlugin, ...]) -> Self:
-        """Read what a robot sees of a bag, for some plugins."""
+    def read(
+        cls,
+        robot: Robot,
+        plugins: tuple[FeaturePlugin, ...],
+        carried: Carried | None = None,
+    ) -> Self:
+        """Read what a robot sees of a bag, for some plugins.
+
+        Parameters
+        ----------
+        robot : Robot
+        plugins : tuple of FeaturePlugin
+        carried : mapping, optional
+            Of a bag that holds the end of a recording only: what `carried` returned before. Its
+            clock does not jump then, whatever is missing.
+        """
         bag = robot.bag
         recording = cls(robot, plugins)
         topics = list(recording._topics.values())
@@ -270,8 +189,17 @@ class KeptMessages:
             count += len(stamps_ns)
         for topic in topics:
             topic.keep_waiting()
-        recording._finish(bag, *columns)
+        recording._finish(bag, carried, *columns)
         return recording
+
+    def carried(self) -> Carried:
+        """Return the rows that stay known when their messages are forgotten."""
+        return {
+            (topic.name, key): kept.last()
+            for topic in self._topics.values()
+            for key, kept in topic.kept.items()
+            if kept.request.carried and not kept.error
+        }
 
     def occupied(self) -> Integers:
         """Return when messages came, in order of time, since the start [ns]."""
@@ -280,6 +208,7 @@ class KeptMessages:
     def _finish(
         self,
         bag: BagReader,
+        carried: Carried | None,
         numbers: list[Integers],
         stamps_ns: list[Integers],
         all_sizes: list[Integers],
@@ -292,8 +221,11 @@ class KeptMessages:
         bounds = np.searchsorted(of[by_topic], np.arange(1, len(topics)))
         ordered_ns = _joined(stamps_ns)[by_topic]
         split = np.split(ordered_ns, bounds) if topics else []
-        epoch_of = epochs(split)
-        clock = timeline(split, epoch_of, bag.start_ns, bag.end_ns)
+        if carried is None:
+            epoch_of = epochs(split)
+            clock = timeline(split, epoch_of, bag.start_ns, bag.end_ns)
+        else:
+            epoch_of, clock = [], Timeline((0,), (bag.start_ns,), (bag.end_ns,))
         self.duration_ns = clock.duration_ns
         if note := clock.note():
             self.notes.append(note)
@@ -312,7 +244,11 @@ class KeptMessages:
                 topic.msgtype, read_only(own_ns / 1e9), read_only(sizes[rows]),
                 read_only(own_headers),
             )  # fmt: skip
-            notes = {kept.finish(times_ns) for kept in topic.kept.values()}
+            known = carried or {}
+            notes = {
+                kept.finish(times_ns, known.get((topic.name, key)))
+                for key, kept in topic.kept.items()
+            }
             self.notes += sorted(f"{topic.name}: {note}." for note in notes if note)
             if topic.undecodable:
                 self.notes.append(
@@ -321,13 +257,11 @@ class KeptMessages:
                     f"{topic.undecodable}"
                 )
 
-    def span(self, span: Span, graph: RosGraph | None, intervals: Iterable[Interval]) -> Window:
+    def span(self, span: Span, graphs: Graphs) -> Window:
         """Return what every plugin sees of a span."""
-        past = tuple(each for each in intervals if each.start_s < span.end_s)
         arrivals = {name: self._within(name, span) for name in sorted(self._topics)}
-        system = None if graph is None else nx.freeze(system_view(graph))
         return Window(
-            span.start_s, span.end_s, graph, system, past, arrivals, roles=self._roles,
+            span.start_s, span.end_s, *graphs, arrivals, roles=self._roles,
             shared=self._shared,
         )  # fmt: skip
 
@@ -341,7 +275,7 @@ class KeptMessages:
         """Return what one plugin sees of a span, or why it can see nothing."""
         requests = self._kept[plugin.name]
         if plugin.needs_graph and common.graph is None:
-            return Missing("the bag was recorded without graphs")
+            return Missing("no graph was recorded before its end")
         for key, request in plugin.topics.items():
             for name, kept in requests[key].items():
                 if kept.error:
@@ -356,16 +290,9 @@ class KeptMessages:
         return replace(common, topics=topics, history=history)
 
 
-def _too_large(data: bytes) -> str:
-    return (
-        f"a message of {len(data)} bytes is not decoded; the limit is {LARGEST_DECODED} "
-        "(LARGEST_DECODED)"
-    )
-
-
 def _by_topic(
-    topics: list[_Topic], numbers: Integers, rows: Integers
-) -> Iterator[tuple[_Topic, list[int]]]:
+    topics: list[KeptTopic], numbers: Integers, rows: Integers
+) -> Iterator[tuple[KeptTopic, list[int]]]:
     """Yield the topics of rows that are in order of the topic, and the rows of each."""
     if len(rows):
         for some in np.split(rows, np.flatnonzero(np.diff(numbers[rows])) + 1):

@@ -1,7 +1,8 @@
 """What one request keeps of the messages of one topic, as an array."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from oracle_pipeline.features.plugin import Request, Series
 
 Integers: TypeAlias = NDArray[np.int64]
 
+CARRIED = 20  # last rows of a request that stay known
 _BROKEN_SHARE = 0.1  # of the messages of a topic; if more are broken, it is the type that is wrong
 
 
@@ -49,6 +51,31 @@ class Budget:
         """Tell whether there is still room, and take it."""
         self._left -= size
         return self._left >= 0
+
+
+class Rows(NamedTuple):
+    """Rows that were kept of one topic, in order of time."""
+
+    times_ns: Integers  # since the start of the recording, shape (n,)
+    values: NDArray[Any]  # shape (n, ...)
+
+    def followed_by(self, later: Self) -> "Rows":
+        """Return these rows as far as they are older than all later ones, and then those."""
+        if not len(later.times_ns):
+            return self
+        older = slice(0, int(self.times_ns.searchsorted(later.times_ns[0])))
+        return (
+            Rows(
+                np.concatenate([self.times_ns[older], later.times_ns]),
+                np.concatenate([self.values[older], later.values]),
+            )
+            if older.stop
+            else Rows(*later)
+        )
+
+
+#: The rows that stay known, by topic and by what makes two requests the same.
+Carried: TypeAlias = Mapping[tuple[str, Any], Rows]
 
 
 class KeptRows:
@@ -132,8 +159,16 @@ class KeptRows:
         self._blocks.clear()
         self._numbers.clear()
 
-    def finish(self, times_ns: Integers) -> str | None:
-        """Make arrays of all that was kept, in time order; return what was left out, if it was."""
+    def finish(self, times_ns: Integers, earlier: Rows | None) -> str | None:
+        """Make arrays of all that was kept, in time order; return what was left out, if it was.
+
+        Parameters
+        ----------
+        times_ns : ndarray of shape (n_messages,)
+            Of all messages, since the start of the recording.
+        earlier : Rows or None
+            Kept of messages that are no longer there.
+        """
         tried = self._broken + len(self._numbers)
         if not self.error and self._broken > _BROKEN_SHARE * tried:
             self.fail(f"{self._broken} of {tried} messages are broken: {self._first_error}")
@@ -146,8 +181,11 @@ class KeptRows:
         self._blocks.clear()
         kept_ns = times_ns[np.array(self._numbers, dtype=np.int64)]
         order = np.argsort(kept_ns, kind="stable")
-        self._times_ns = kept_ns[order]
-        self._series = Series(read_only(self._times_ns / 1e9), read_only(values[order]))
+        rows = Rows(kept_ns[order], values[order])
+        if earlier is not None:
+            rows = earlier.followed_by(rows)
+        self._times_ns = rows.times_ns
+        self._series = Series(read_only(rows.times_ns / 1e9), read_only(rows.values))
         if self.error or not self._broken:
             return None
         return f"{self._broken} of {tried} messages are left out as broken: {self._first_error}"
@@ -158,6 +196,10 @@ class KeptRows:
         if np.dtype(self.request.dtype) == object:
             return np.fromiter(self._rows, dtype=object, count=len(self._rows))
         return np.array(self._rows, dtype=self.request.dtype)
+
+    def last(self) -> Rows:
+        """Return the last rows."""
+        return Rows(self._times_ns[-CARRIED:], self._series.values[-CARRIED:])
 
     def within(self, span: Span) -> Series:
         """Return what came in a span."""

@@ -1,9 +1,10 @@
-"""Whether the streams that tell how the robot moved agree: odometry, inertia, wheels, scans.
+"""Whether the streams that measure the robot's motion agree: odometry, IMU, wheels, scans.
 
-A robot turns once, whoever measures it. Each source is held against each other that tells the
-same quantity: by what factor it gains more (the scale), how much later (the lag), and what neither
-explains (the residual). No stream is trusted. If one is altered, it disagrees with all others; if
-several are altered together, they disagree with those that are not.
+All sources measure the same motion, so they must agree. Each source is compared with every other
+source of the same quantity: the ratio of their gains (the scale), the delay (the lag), what neither
+explains (the residual), and what of that adds up (the drift). No stream is trusted. If one is
+altered, it disagrees with all others; if several are altered together, they disagree with those
+that are not.
 """
 
 import math
@@ -15,14 +16,17 @@ import numpy as np
 
 from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.motion import (
+    ANGLES,
     COMMAND,
     GYRO,
     JOINTS,
     MOTION_TOPICS,
     ORIENTATION,
     POSE,
+    RATES,
     SCAN,
     SPAN_S,
+    SPIN,
     TRAVEL,
     TURN,
     TWIST,
@@ -59,6 +63,15 @@ class Pair(NamedTuple):
         return f"{self.quantity}_{statistic}_{self.first}_{self.second}"
 
 
+class Fit(NamedTuple):
+    """How well the second source is explained by the first; NaN where nothing is known."""
+
+    scale: float = math.nan  # ln of it
+    lag: float = math.nan  # [s]
+    residual: float = math.nan  # what is left [unit/s]
+    drift: float = math.nan  # mean of what is left [unit/s]
+
+
 #: From the more exact source to the other: the second is explained by the first.
 PAIRS = (
     Pair(TURN, POSE, TWIST),
@@ -74,18 +87,21 @@ PAIRS = (
     Pair(TRAVEL, POSE, SCAN),
     Pair(TRAVEL, JOINTS, SCAN),
     Pair(TRAVEL, COMMAND, POSE),
+    Pair(SPIN, ANGLES, RATES),
 )
 
-_UNITS = {TURN: "rad/s", TRAVEL: "m/s"}
+_UNITS = {TURN: "rad/s", TRAVEL: "m/s", SPIN: "rad/s"}
 _FEWEST = 8  # spans that a comparison takes
-_LEAST = {TURN: 0.5, TRAVEL: 0.3}  # to be gained before a scale is known
+_LEAST = {TURN: 0.5, TRAVEL: 0.3, SPIN: 3.0}  # to be gained before a scale is known
+_OBEYED = 1.5  # times the least residual, up to which a command may be the one obeyed
+_EXACT = 5e-3  # residual that tells no command from another [unit/s]
 _OUTLYING = 4.0  # robust deviations from which on a span does not count for scale and lag
 
 
 def _features() -> Iterator[Feature]:
     for pair in PAIRS:
         loose = COMMAND in pair
-        floor = 0.02 if loose else 5e-3 if SCAN in pair else 2e-3
+        floor = 5e-3 if loose or SCAN in pair else 2e-3
         what = f"{pair.quantity} by {pair.first} and by {pair.second}"
         yield Feature(
             pair.column("scale"), "1", floor,
@@ -100,9 +116,18 @@ def _features() -> Iterator[Feature]:
             "root mean square of what scale and lag do not explain of the second: "
             f"{what}; largest of the topics", "domain",
         )  # fmt: skip
+        yield Feature(
+            pair.column("drift"), _UNITS[pair.quantity], 5e-3 if loose or SCAN in pair else 1e-3,
+            "mean of what scale and lag do not explain of the second: "
+            f"{what}; furthest from 0 of the topics", "domain",
+        )  # fmt: skip
     yield Feature(
         "gravity", "m/s^2", 0.02, "median length of the measured acceleration, largest of the "
         "topics", "domain",
+    )  # fmt: skip
+    yield Feature(
+        "gravity_residual", "m/s^2", 0.02, "length of the mean of the measured accelerations less "
+        "gravity, along the vertical that the orientation tells; largest of the topics", "domain",
     )  # fmt: skip
 
 
@@ -126,6 +151,7 @@ class Prepared:
 
     pairs: Mapping[Pair, Mapping[str, Comparison]]  # by place: the two topics
     gravity: Mapping[str, Series]
+    unexplained: Mapping[str, Series]
 
 
 def prepare(window: Window) -> Prepared | Missing:
@@ -134,7 +160,7 @@ def prepare(window: Window) -> Prepared | Missing:
     pairs = {pair: dict(_compared(found, pair)) for pair in PAIRS}
     if not any(pairs.values()) and not found.gravity:
         return Missing("fewer than two sources tell how the robot moved")
-    return Prepared(pairs, found.gravity)
+    return Prepared(pairs, found.gravity, found.unexplained)
 
 
 def compute(window: Window) -> Values:
@@ -145,19 +171,26 @@ def compute(window: Window) -> Values:
         fits = {place: _fitted(pair, each, window) for place, each in places.items()}
         if not places:
             why = Missing(f"not both of {pair.first} and {pair.second} tell the {pair.quantity}")
-            values |= {pair.column(s): why for s in ("scale", "lag", "residual")}
+            values |= {pair.column(statistic): why for statistic in Fit._fields}
             continue
-        if COMMAND in pair:  # of a chain of commands the last one is obeyed
-            obeyed = min(fits, key=lambda place: (math.isnan(fits[place][2]), fits[place][2]))
-            fits = {obeyed: fits[obeyed]}
+        if COMMAND in pair:
+            fits = _obeyed(fits)
         still = f"too little {pair.quantity} was told in this window"
-        for number, statistic in enumerate(("scale", "lag")):
-            values[pair.column(statistic)] = _furthest(
+        for number, statistic in enumerate(Fit._fields):
+            reduced = largest if statistic == "residual" else _furthest
+            values[pair.column(statistic)] = reduced(
                 {place: fit[number] for place, fit in fits.items()}, still
             )
-        values[pair.column("residual")] = largest({p: fit[2] for p, fit in fits.items()}, still)
     lengths = {topic: quantile(series, window, 0.5) for topic, series in prepared.gravity.items()}
     values["gravity"] = largest(lengths, "no inertial unit")
+    values["gravity_residual"] = largest(
+        {
+            topic: float(np.linalg.norm(series.values[part].mean(axis=0)))
+            for topic, series in prepared.unexplained.items()
+            if (part := within(series.times_s, window)).stop > part.start
+        },
+        "no inertial unit whose mount is known",
+    )
     return values
 
 
@@ -216,6 +249,8 @@ def _compared(found: Sources, pair: Pair) -> Iterator[tuple[str, Comparison]]:
         else:
             seconds = {track.topic: track for track in found.tracks[pair.second]}
         for topic, second in seconds.items():
+            if pair.quantity == SPIN and topic != first.topic:  # other joints
+                continue
             compared = _comparison(pair.quantity, first, second)
             if compared is not None and len(compared.times_s) >= _FEWEST:
                 place = topic if first.topic == topic else f"{first.topic} against {topic}"
@@ -230,7 +265,8 @@ def _comparison(quantity: str, first: Track, second: Track | Steps) -> Compariso
     elif quantity not in second.gained:
         return None
     else:
-        begin = max(first.stamps_s[0], second.stamps_s[0])
+        # Spans that do not depend on when a recording begins.
+        begin = math.ceil(max(first.stamps_s[0], second.stamps_s[0]) / SPAN_S) * SPAN_S
         ends_s = np.arange(begin, min(first.stamps_s[-1], second.stamps_s[-1]), SPAN_S)
         from_s, to_s = ends_s[:-1], ends_s[1:]
         gained = gain(second, quantity, from_s, to_s)
@@ -243,24 +279,39 @@ def _comparison(quantity: str, first: Track, second: Track | Steps) -> Compariso
     )
 
 
-def _fitted(pair: Pair, compared: Comparison, window: Window) -> tuple[float, float, float]:
-    """Return ln of the scale, the lag [s] and the residual in a window; NaN if it tells none."""
+def _fitted(pair: Pair, compared: Comparison, window: Window) -> Fit:
+    """Return how well a pair agrees in a window."""
     part = within(compared.times_s, window)
     first, slopes, second = compared.first[part], compared.first_slope[part], compared.second[part]
-    nothing = math.nan, math.nan, math.nan
     if len(first) < _FEWEST:
-        return nothing
+        return Fit()
     scale, lag, kept = fit(first, slopes, second)
-    gained = float(np.abs(first[kept]).sum())
     if math.isnan(scale):
-        return nothing
+        return Fit()
+    left = _left(first, slopes, second, scale, lag)
     lengths_s = compared.lengths_s[part]
-    shift = 0.0 if math.isnan(lag) else lag
-    left = np.abs(second - scale * (first - shift * slopes)) / lengths_s
-    residual = float(np.sqrt(np.mean(left**2)))
-    if gained < _LEAST[pair.quantity] or scale <= 0.0:
-        return math.nan, math.nan, residual
-    return math.log(scale), lag, residual
+    residual = float(np.sqrt(np.mean(np.abs(left / lengths_s) ** 2)))
+    drift = float(left.real.sum() / lengths_s.sum())
+    if float(np.abs(first[kept]).sum()) < _LEAST[pair.quantity] or scale <= 0.0:
+        return Fit(residual=residual, drift=drift)
+    # A lag is the first term of a series, which tells nothing beyond a span.
+    return Fit(math.log(scale), lag if abs(lag) < SPAN_S else math.nan, residual, drift)
+
+
+def _left(first: Points, slopes: Points, second: Points, scale: float, lag: float) -> Points:
+    """Return what scale and lag do not explain of the second's gains."""
+    return second - scale * (first - (0.0 if math.isnan(lag) else lag) * slopes)
+
+
+def _obeyed(fits: Mapping[str, Fit]) -> dict[str, Fit]:
+    """Return the commands that the robot may obey: those that explain its motion about best.
+
+    Of a chain of commands the last one is obeyed. A copy of it that was altered explains the same
+    motion with another scale, so no single one is chosen.
+    """
+    residuals = [each.residual for each in fits.values() if not math.isnan(each.residual)]
+    limit = max(_OBEYED * min(residuals, default=math.inf), _EXACT)
+    return {place: each for place, each in fits.items() if not each.residual > limit}
 
 
 def _furthest(by_place: Mapping[str, float], reason: str) -> Located | Missing:

@@ -26,7 +26,7 @@ from oracle_pipeline.features.scan_geometry import (
     Planar,
     keep_odometry,
 )
-from oracle_pipeline.robots.roles import ODOMETRY, POSE
+from oracle_pipeline.robots.roles import ODOMETRY, PLAN, POSE
 
 BELIEF_FEATURES = (
     Feature(
@@ -42,6 +42,13 @@ CORRECTION_FEATURES = (
         "distance of a pose from where odometry leads from the one before, median", "navigation",
     ),
     Feature("yaw_correction", "rad", 0.005, "the same of the yaw, median", "navigation"),
+)  # fmt: skip
+PLAN_FEATURES = (
+    Feature(
+        "plan_offset", "m", 0.02,
+        "distance from where the robot believed to be to where its plan begins, median",
+        "navigation",
+    ),
 )  # fmt: skip
 
 
@@ -87,15 +94,53 @@ def compute_corrections(window: Window) -> Values | Missing:
     return {"position_correction": position, "yaw_correction": yaw}
 
 
+def keep_plan_starts(messages: Any) -> tuple[Floats, Floats, Floats]:
+    """Return stamp and first place of ``nav_msgs/msg/Path``s; NaN for an empty one."""
+    first = np.searchsorted(messages.poses.owners, np.arange(len(messages)))
+    empty = np.bincount(messages.poses.owners, minlength=len(messages)) == 0
+    position = messages.poses.pose.position
+    x, y = (
+        np.where(empty, np.nan, np.append(column, np.nan)[first])
+        for column in (position.x, position.y)
+    )
+    return header_stamps_s(messages), x, y
+
+
+def prepare_plan_offsets(window: Window) -> Series:
+    """Return how far each plan begins from the robot [m]."""
+    (plans,), (poses,), (odometry,) = (
+        window.topics[name].values() for name in ("plan", "poses", "odometry")
+    )
+    stamps_s, x, y = plans.values.T
+    at_s, *believed = poses.values[np.argsort(poses.values[:, 0], kind="stable"), :4].T
+    last = np.searchsorted(at_s, stamps_s, side="right") - 1
+    place = Planar(believed[0] + 1j * believed[1], np.exp(1j * believed[2])).at(last)
+    driven = Motion(odometry, Frames({}))
+    moved = driven.base(at_s[last]).inverse().compose(driven.base(stamps_s))
+    offset = np.abs(x + 1j * y - place.compose(moved).shift)
+    return Series(plans.times_s, np.where(last >= 0, offset, np.nan))
+
+
+def compute_plan_offsets(window: Window) -> Values | Missing:
+    """Reduce to the window."""
+    offset = quantile(window.prepared, window, 0.5)
+    return Missing("no plan in this window") if np.isnan(offset) else {"plan_offset": offset}
+
+
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of localisation."""
     poses = {"poses": Request(keep_belief, role=POSE, many=True)}
     odometry = {"odometry": Request(keep_odometry, role=ODOMETRY, dtype=object, many=True)}
+    plans = {"plan": Request(keep_plan_starts, role=PLAN, many=True)}
     return [
         FeaturePlugin("belief", "navigation", BELIEF_FEATURES, compute_belief, poses),
         FeaturePlugin(
             "corrections", "navigation", CORRECTION_FEATURES, compute_corrections,
             poses | odometry, prepare=prepare_corrections,
+        ),
+        FeaturePlugin(
+            "plan_offsets", "navigation", PLAN_FEATURES, compute_plan_offsets,
+            poses | odometry | plans, prepare=prepare_plan_offsets,
         ),
     ]  # fmt: skip

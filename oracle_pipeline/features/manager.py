@@ -22,6 +22,7 @@ import pluggy
 from oracle_pipeline.features import (
     atc_reports,
     atc_tracks,
+    costmap_consistency,
     generic,
     goals,
     kinematics,
@@ -67,6 +68,7 @@ _BUILT_IN = (
     transforms,
     stamps,
     map_consistency,
+    costmap_consistency,
     navigation,
     velocity,
     localisation,

@@ -1,9 +1,8 @@
 """Whether laser scans agree with the map, seen from the estimated pose of the robot.
 
-The map is one more scanner: rays are cast through it from each scan's pose, and the two are
-compared as in ``redundancy``. A return in front of the map's is an obstacle that the
-map does not have, real or fake. One behind it went through a wall. Unknown cells of the map are
-ignored.
+The map is used as one more scanner: rays are cast through it from each scan's pose, and the two are
+compared as in ``redundancy``. A return in front of the map's is an obstacle that the map does not
+have, real or fake. One behind it went through a wall. Unknown cells of the map are ignored.
 """
 
 import math
@@ -221,8 +220,8 @@ def keep_believed(messages: Any) -> tuple[Floats, Floats, Floats, Floats]:
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of scans and map."""
     topics = SETUP_TOPICS | {
-        "map": Request(keep_grids, role=MAP, dtype=object, optional=True, many=True),
-        "poses": Request(keep_believed, role=POSE, optional=True, many=True),
+        "map": Request(keep_grids, role=MAP, dtype=object, optional=True, many=True, carried=True),
+        "poses": Request(keep_believed, role=POSE, optional=True, many=True, carried=True),
     }
     return [FeaturePlugin("map_consistency", "map", FEATURES, compute, topics, prepare=prepare)]
 
@@ -249,8 +248,6 @@ def _held_against(
 
 
 def _spaced(stamps_s: Floats) -> Ints:
-    """Return the indices of stamps that are at least `_PERIOD_S` apart."""
-    if not stamps_s.size:
-        return np.empty(0, dtype=np.int64)
-    _, first = np.unique(np.floor((stamps_s - stamps_s[0]) / _PERIOD_S), return_index=True)
+    """Return the indices of stamps, the first in each span of `_PERIOD_S`."""
+    _, first = np.unique(np.floor(stamps_s / _PERIOD_S), return_index=True)
     return first

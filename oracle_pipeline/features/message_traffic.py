@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.jit import jit
-from oracle_pipeline.bags.protocol import INTERVAL_S
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -79,8 +78,8 @@ def compute(window: Window) -> Values | Missing:
     messages, data = _flows(graph, "messages"), _flows(graph, "bytes")
     if not any(messages.values()):
         return Missing("no message went over an edge")
-    changes = [each for each in window.prepared if each.start_s + INTERVAL_S > window.start_s]
-    changes = [each for each in changes if each.start_s < window.end_s]
+    starts = {interval.start_s for interval in window.intervals}
+    changes = [each for each in window.prepared if each.start_s in starts]
     return {
         "flow_entropy": _entropy(messages),
         "byte_flow_entropy": _entropy(data),

@@ -1,9 +1,9 @@
-"""What each stream of a recording says of the robot's motion: how far it went and turned.
+"""The motion of the robot according to each stream of a recording: distance and turn.
 
 Whatever tells motion becomes a `Track`: what was travelled and turned from the beginning on, by
 stamp. Two tracks are compared by what they gained over the same spans, so frames, starting points
-and drift of long ago do not matter. Nothing is known by its topic: a message's type says what it
-tells. ``kinematics`` compares the tracks.
+and drift of long ago do not matter. Sources are found by message type, not by topic name.
+``kinematics`` compares the tracks.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,14 +29,16 @@ from oracle_pipeline.robots.roles import IMU, TRANSFORMS
 #: What a source measures, and how: kinds of tracks.
 POSE, TWIST, GYRO, ORIENTATION = "pose", "twist", "gyro", "orientation"
 JOINTS, SCAN, COMMAND = "joints", "scan", "command"
+ANGLES, RATES = "angles", "rates"  # of joints: their positions and their velocities
 
-TRAVEL, TURN = "travel", "turn"  # quantities: [m] and [rad]
+TRAVEL, TURN, SPIN = "travel", "turn", "spin"  # quantities: [m], [rad], and [rad] of joints
 
 SPAN_S = 0.4  # over which gains are compared, unless a source has spans of its own
 _SLOPE_S = 0.1  # to each side of a time at which a rate is taken
 _HELD_S = 0.5  # that a command holds if none follows
 _EXPLAINED = 0.9  # share of the motion that joints have to tell to count as wheels
 _SAMPLED_S = 0.05  # between the messages of an inertial unit that are read
+_GRAVITY = 9.80665  # [m/s^2]
 
 
 class Track(NamedTuple):
@@ -55,6 +57,7 @@ class Sources:
     tracks: Mapping[str, Sequence[Track]]
     steps: Mapping[str, Steps]  # by topic of the scanner
     gravity: Mapping[str, Series]  # length of the accelerations that a unit measured [m/s^2]
+    unexplained: Mapping[str, Series]  # accelerations less gravity, in the unit's frame; (n, 3)
 
 
 def gain(track: Track, quantity: str, from_s: Floats, to_s: Floats) -> Points:
@@ -95,6 +98,8 @@ def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> 
             for topic, series in _long(topics["joints"])
             if (track := wheels(topic, series, [*poses, *gyros])) is not None
         ],
+        ANGLES: list(_spun(topics["joints"], _POSITIONS)),
+        RATES: list(_spun(topics["joints"], _VELOCITIES)),
         COMMAND: [
             _commanded(topic, series, poses[0]) for topic, series in _long(topics["commands"])
         ]
@@ -106,7 +111,12 @@ def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> 
         topic: Series(series.times_s, np.linalg.norm(series.values[:, 8:11], axis=1))
         for topic, series in inertial.items()
     }
-    return Sources(tracks, {t: s for t, s in matched.items() if len(s.to_s)}, gravity)
+    unexplained = {
+        topic: Series(series.times_s, series.values[:, 8:11] - _GRAVITY * _up(series, mount))
+        for topic, series, mount in units
+    }
+    matched = {topic: found for topic, found in matched.items() if len(found.to_s)}
+    return Sources(tracks, matched, gravity, unexplained)
 
 
 def keep_driven(messages: Any) -> tuple[Floats, ...]:
@@ -211,16 +221,10 @@ def wheels(topic: str, series: Series, references: Sequence[Track]) -> Track | N
     another source tells; how large they are is left to the comparison. A joint that holds a
     motion's whole scale is that of all of them, should all have turned alike.
     """
-    stamps_s, names, positions, velocities = zip(*series.values, strict=True)
-    same = np.array([each == names[0] for each in names])
-    chosen = positions if len(positions[0]) == len(names[0]) else velocities
-    whole = same & np.array([len(each) == len(names[0]) for each in chosen])
-    if not names[0] or whole.sum() < 2:
+    measured = _measured(series, _POSITIONS) or _measured(series, _VELOCITIES)
+    if measured is None:
         return None
-    order = np.flatnonzero(whole)[np.argsort(np.array(stamps_s)[whole], kind="stable")]
-    measured = np.stack([np.asarray(chosen[i], dtype=np.float64) for i in order])
-    at_s = np.array(stamps_s)[order]
-    angles = np.unwrap(measured, axis=0) if chosen is positions else _summed(at_s, measured)
+    times_s, at_s, angles = measured
     ends_s = np.arange(at_s[0], at_s[-1], SPAN_S)
     turned = np.diff(np.column_stack([np.interp(ends_s, at_s, a) for a in angles.T]), axis=0)
     gained: dict[str, Points] = {}
@@ -230,7 +234,43 @@ def wheels(topic: str, series: Series, references: Sequence[Track]) -> Track | N
             direction = _explaining(turned, gains)
             if direction is not None:
                 gained[quantity] = _complex(angles @ direction)
-    return Track(topic, series.times_s[order], at_s, gained) if gained else None
+    return Track(topic, times_s, at_s, gained) if gained else None
+
+
+_POSITIONS, _VELOCITIES = 2, 3  # columns of what `keep_joints` keeps
+
+
+def _measured(series: Series, column: int) -> tuple[Floats, Floats, Floats] | None:
+    """Return when recorded, stamps and angles of joints by positions, or by summed velocities.
+
+    Shapes are (n,), (n,) and (n, joints). None if the messages do not tell them for all joints.
+    """
+    names, told = series.values[0][1], [each[column] for each in series.values]
+    whole = np.array(
+        [len(t) == len(names) and e[1] == names for t, e in zip(told, series.values, strict=True)]
+    )
+    if not names or whole.sum() < 2:
+        return None
+    stamps_s = np.array([each[0] for each in series.values])
+    order = np.flatnonzero(whole)[np.argsort(stamps_s[whole], kind="stable")]
+    values = np.stack([np.asarray(told[i], dtype=np.float64) for i in order])
+    at_s = stamps_s[order]
+    angles = np.unwrap(values, axis=0) if column == _POSITIONS else _summed(at_s, values)
+    return series.times_s[order], at_s, angles
+
+
+def _spun(topics: Mapping[str, Series], column: int) -> Iterator[Track]:
+    """Yield what the joints of each topic turned.
+
+    All joints together are two sums, the second with alternating signs: no change of one or more
+    joints cancels in both.
+    """
+    for topic, series in _long(topics):
+        measured = _measured(series, column)
+        if measured is not None:
+            times_s, at_s, angles = measured
+            signs = 1.0 + 1j * (-1.0) ** np.arange(angles.shape[1])
+            yield Track(topic, times_s, at_s, {SPIN: angles @ signs})
 
 
 def _explaining(turned: Floats, gains: Floats) -> Floats | None:
@@ -296,6 +336,15 @@ def _gyro(topic: str, series: Series, mount: Planar) -> Track:
 def _has_orientation(series: Series) -> bool:
     q, variance = series.values[:, 1:5], series.values[0, 11]
     return bool(variance != -1.0 and np.ptp(q, axis=0).max() > 0.0)
+
+
+def _up(series: Series, mount: Planar) -> Floats:
+    """Return which way is up in a unit's frame, shape (n, 3); as mounted if it does not tell."""
+    x, y, z, w = series.values[:, 1:5].T
+    up = 2.0 * np.column_stack([x * z - w * y, y * z + w * x, 0.5 - x * x - y * y])
+    told = (series.values[:, 11] != -1.0) & (x * x + y * y + z * z + w * w > 0.5)
+    level = np.array([0.0, 0.0, -1.0 if mount.flipped else 1.0])
+    return np.where(told[:, None], up, level)
 
 
 def _oriented(topic: str, series: Series, mount: Planar) -> Track:

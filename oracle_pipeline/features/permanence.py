@@ -1,9 +1,10 @@
-"""Whether what one laser scanner sees stays where it is, as things do while a robot drives past.
+"""Whether objects that one laser scanner sees stay in place while the robot drives past.
 
 No second sensor and no map is needed: the scanner's own earlier scans say what stood there and
-where there was free space, odometry says how it moved since. A thing that is suddenly there where
-the scanner had looked through, or through which it looks now, came or went. A thing that moves
-with the robot is loose. A place that the robot drives across cannot have held what it saw there.
+where there was free space, odometry says how it moved since. An object has appeared if it is where
+the scanner saw free space before, and it has vanished if the scanner now sees through it. An object
+that moves with the robot is loose. A place that the robot drives across cannot have contained an
+object.
 """
 
 import math
@@ -73,6 +74,7 @@ FEATURES = (
     Feature(
         "driven_across", "1", 0.01,
         f"share of the scans with returns where the robot drives across later, {_SCANS}", "domain",
+        per_window=False,
     ),
 )  # fmt: skip
 

@@ -36,7 +36,7 @@ class PluginError(OracleError):
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """Stands in place of a number that this window does not give; the reason is kept."""
+    """Replaces a number that this window does not give; the reason is kept."""
 
     reason: str
 
@@ -96,6 +96,9 @@ class Request:
         message of a topic is taken [s]; 0: all.
     needs_array : bool
         Only topics whose messages have an array of floating-point numbers (``RawRecord.array``).
+    carried : bool
+        What is kept stays known: a window of a running robot gets the last rows however old they
+        are, such as the goal that was accepted minutes ago. Other rows are of the last seconds.
     """
 
     keep: Callable[[Any], Any]
@@ -108,6 +111,7 @@ class Request:
     every_s: float = 0.0
     needs_array: bool = False
     many: bool = False
+    carried: bool = False
 
     def __post_init__(self) -> None:
         if self.role and self.role not in ROLES:
@@ -176,7 +180,8 @@ class Window:
     system : DiGraph or None
         The same without observers, ``oracle_pipeline.graphs.views.system_view``.
     intervals : tuple of Interval
-        The graphs that it was composed of, and those before, in order of time.
+        The graphs that it was composed of, in order of time: of the intervals of the span that
+        ended before it did, or else the newest one before them.
     arrivals : mapping of str to Arrivals
         When messages came within the span, on every topic of the bag, silent ones included.
     topics : mapping of str to (mapping of str to Series)
@@ -210,7 +215,7 @@ Values: TypeAlias = Mapping[str, "float | Located | Missing"]
 
 @dataclass(frozen=True, slots=True)
 class FeaturePlugin:
-    """A plain function of a window and what must be known to call it.
+    """A plain function of a window, with the description needed to call it.
 
     Parameters
     ----------

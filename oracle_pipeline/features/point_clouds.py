@@ -1,4 +1,4 @@
-"""What a planar scanner in a point cloud's place would have seen.
+"""Converts point clouds to the scans of a planar scanner in the same place.
 
 A cloud is cut at the height of its sensor, in the sensor's own frame (x forward, y left, z up). Of
 the points near that plane, the nearest in each direction is a return. A direction without a point

@@ -1,10 +1,10 @@
-"""Whether sensors that see the same scene agree about it: laser scanners, and ranges ahead.
+"""Whether sensors that see the same scene agree: laser scanners and range sensors.
 
 Every scanner is compared with every other one, given their mounts in ``/tf_static`` and the motion
 of the robot between their scans. A real object is seen by all of them. If another scanner measures
 through a return, the return is false or the other scanner is blind to it. Both are the same
-contradiction, seen from one side or the other, so the largest over the ordered pairs covers
-both. No topic is trusted, and none is named.
+contradiction, seen from either side, so the largest value over the ordered pairs covers both. No
+topic is trusted, and none is named.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""How a robot moved between two of its laser scans, told by the scans alone.
+"""Estimates how a robot moved between two of its laser scans, from the scans alone.
 
 Point-to-line registration of a scan against an earlier one of the same scanner, after Censi's
 PL-ICP, with the association along bearings. The turn to begin with comes from sliding one range

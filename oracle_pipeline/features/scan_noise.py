@@ -1,7 +1,7 @@
-"""Whether a laser scanner's noise is everywhere and always the same, as a sensor's is.
+"""Whether a laser scanner's noise is the same everywhere and always, as for a real sensor.
 
-What is put into a scan, or worked on, seldom has the noise of what the sensor measured: it is too
-smooth, too rough, or the very numbers of an earlier scan. One scanner says so by itself.
+Ranges that were inserted or processed rarely have the noise of the sensor: they are too smooth, too
+rough, or equal to an earlier scan. One scanner is enough to see this.
 """
 
 import math

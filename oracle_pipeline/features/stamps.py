@@ -1,8 +1,8 @@
-"""Whether sensors' messages come as long after their stamps as those of other sensors do.
+"""Whether a sensor's messages arrive as long after their stamps as those of other sensors.
 
-What somebody holds back, works on or stamps anew is later, earlier or less regular than it was.
-Latencies are told against the freshest sensor of the recording, so that it does not matter when
-the recorder's clock began.
+Messages that are held back, processed or stamped again arrive later, earlier or less regularly.
+Latencies are relative to the freshest sensor of the recording, so the start of the recorder's clock
+does not matter.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Features of the ROS graph's shape: the thesis's seven, as their names promise, and companions.
+"""Features of the ROS graph's shape: the thesis's seven, computed as named, and related ones.
 
 The thesis's code differs from its text; docs/reference/features.md shows its numbers beside ours.
 ``structural.*`` describes the system view, without observers. ``structural_raw.*`` describes all

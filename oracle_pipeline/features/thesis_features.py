@@ -1,6 +1,6 @@
-"""The ten numbers that the thesis's code computes of a run, for its variant of the method.
+"""The ten numbers that the thesis's code computes for a run, used by its variant of the method.
 
-They are not what their names promise: corrected features are in ``structural``, ``odometry``,
+They differ from what their names say. Corrected features are in ``structural``, ``odometry``,
 ``laser_ranges`` and ``goals``; docs/explanation/thesis.md lists the differences. As in the thesis's
 code, there are two plugins: an error in the messages loses all three contextual features, never the
 structural ones, and a NaN becomes 0. Plugins in the thesis's *form* are in ``thesis``.

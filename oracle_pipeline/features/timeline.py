@@ -1,8 +1,8 @@
 """The clock of a recording, with its jumps taken out.
 
 A recorder's clock may be set while it records: from 0 to the simulation's time, by NTP, by a month
-when the robot finds a network. A recording is then a sequence of spans. Features see them one
-behind the other, without what is between them; within a span nothing changes.
+when the robot finds a network. A recording is then a sequence of spans. Features see the spans one
+after the other, without the gaps between them. Within a span, times do not change.
 """
 
 from dataclasses import dataclass

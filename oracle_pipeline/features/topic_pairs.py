@@ -1,4 +1,4 @@
-"""How two topics of one type differ, whatever they mean: redundant sensors, a topic and its relay.
+"""How two topics of one type differ, such as redundant sensors, or a topic and its relay.
 
 Only messages with an array of floating-point numbers can be compared. An array is compared with
 the one on the other topic that was recorded closest in time, index by index. Sensors that look

@@ -1,8 +1,8 @@
 """Whether transforms, odometry and localisation put the robot in the same place.
 
-Odometry is told twice, as a message and as a transform; a localisation's pose is what its
-transform and odometry's lead to. What is told twice has to be equal. Which transforms belong to a
-message, its own frames say.
+Odometry is published twice, as a message and as a transform. A localisation's pose must equal the
+combination of its transform and that of odometry. The frames in a message determine which
+transforms belong to it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

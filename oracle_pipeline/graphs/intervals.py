@@ -15,7 +15,7 @@ _FILE = re.compile(r"(\d{6,})\.gexf")
 
 
 class Interval(NamedTuple):
-    """The graph of one interval: who was there, and what went over each edge."""
+    """The graph of one interval: nodes, topics, and the traffic of each edge."""
 
     start_s: float  # since the start of the recording [s]
     graph: RosGraph
@@ -49,7 +49,7 @@ def interval_count(recording_s: float) -> int:
 
 
 def compose(graphs: Iterable[RosGraph]) -> RosGraph:
-    """Return the union of graphs, traffic of common edges added up."""
+    """Return the union of graphs; the traffic of common edges is added up."""
     union: RosGraph = nx.DiGraph()
     for graph in graphs:
         union.add_nodes_from(graph.nodes(data=True))
@@ -63,14 +63,22 @@ def compose(graphs: Iterable[RosGraph]) -> RosGraph:
     return union
 
 
-def graph_between(intervals: Sequence[Interval], start_s: float, end_s: float) -> RosGraph | None:
-    """Return the graph of a span of time: all intervals that it touches, composed.
+def known_in(
+    intervals: Sequence[Interval], start_s: float, end_s: float, recorded_s: float
+) -> tuple[Interval, ...]:
+    """Return the intervals of a span of time, as far as their graphs were there when it ended.
 
-    None if it touches none, as in a bag that was recorded without graphs.
+    A graph is there when its interval has ended. If none of those that the span touches has, it is
+    the newest one before them; in the first interval of a recording there is none.
+
+    Parameters
+    ----------
+    intervals : sequence of Interval
+        Of the recording, in order of time.
+    start_s, end_s : float
+        Of the span, since the start of the recording [s].
+    recorded_s : float
+        Length of the recording, which may cut its last interval off [s].
     """
-    touched = [
-        interval.graph
-        for interval in intervals
-        if interval.start_s < end_s and start_s < interval.start_s + INTERVAL_S
-    ]
-    return compose(touched) if touched else None
+    ended = tuple(each for each in intervals if min(each.start_s + INTERVAL_S, recorded_s) <= end_s)
+    return tuple(each for each in ended if start_s < each.start_s + INTERVAL_S) or ended[-1:]

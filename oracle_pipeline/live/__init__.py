@@ -1,1 +1,1 @@
-"""The oracle beside a running robot: a DDS domain is watched, recorded and judged."""
+"""The oracle beside a running robot: it watches, records and judges a DDS domain."""

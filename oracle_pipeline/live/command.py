@@ -1,4 +1,4 @@
-"""``oracle watch``: a DDS domain as it is watched, in words."""
+"""``oracle watch``: watches a DDS domain, and prints what happens."""
 
 import contextlib
 import dataclasses
@@ -45,11 +45,11 @@ MOST_BREACHES = 8  # of the contract that are told to a person at once
 )  # fmt: skip
 @click.option(
     "--view", metavar="[PORT]", is_flag=False, flag_value=8300, type=click.IntRange(0, 65535),
-    help="Serve a page on it at 127.0.0.1.  [port: 8300; 0: any free one]",
+    help="Serve a live page at 127.0.0.1.  [port: 8300; 0: any free one]",
 )  # fmt: skip
 @click.option(
     "--foxglove", metavar="[PORT]", is_flag=False, flag_value=8765, type=click.IntRange(0, 65535),
-    help="Serve it to Foxglove at 127.0.0.1.  [port: 8765; 0: any free one]",
+    help="Serve all topics to Foxglove at 127.0.0.1.  [port: 8765; 0: any free one]",
 )  # fmt: skip
 @plugins_option
 @click.pass_context
@@ -67,7 +67,7 @@ def watch(
 ) -> None:
     """Watch a running robot: record it, and judge it as it goes.
 
-    It joins a DDS domain without ROS, takes the ROS graph every 10 s, and judges windows of 10 s as
+    It joins a DDS domain without ROS, takes the ROS graph every 10 s, and judges windows of 5 s as
     they end. It never publishes. Ctrl-C ends the recording properly; `oracle score` then judges it
     as a whole, and Foxglove opens its bag.
 
@@ -111,7 +111,7 @@ def watch(
             told = _as_json(event) if file_format == "json" else _as_text(event, watching)
             for line in told:
                 click.echo(line)
-    click.echo(f"{watching.heard} messages heard, {watching.dropped} dropped.", err=True)
+    click.echo(f"{watching.heard} messages received, {watching.dropped} dropped.", err=True)
     if watching.recording is not None:
         click.echo(f"Recording: {watching.recording.path}", err=True)
     ctx.exit(1 if alarms else 0)

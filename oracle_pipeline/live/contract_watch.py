@@ -1,7 +1,7 @@
-"""A running robot held to the contract of its normal recordings, once a second.
+"""Compares a running robot with the contract of its normal recordings, once a second.
 
-A breach needs no statistics and no window: a topic that falls silent, a node that is new. It has to
-be seen twice in a row, since discovery tells a node and its endpoints one by one.
+A departure, such as a silent topic or a new node, needs no statistics and no window. It must be
+seen twice in a row, because discovery reports a node and its endpoints one by one.
 """
 
 import math
@@ -53,7 +53,7 @@ class ContractWatch:
     def look(
         self, now_s: float, discovery: Discovery, heard: Collection[str]
     ) -> tuple[Breach, ...]:
-        """Return the breaches that are to be told; to be called once a second.
+        """Return the breaches to report; call it once a second.
 
         Parameters
         ----------

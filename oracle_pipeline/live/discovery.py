@@ -1,7 +1,7 @@
-"""Who is on a DDS domain: ROS nodes, and what each publishes and subscribes to.
+"""Discovery on a DDS domain: ROS nodes, their publishers and subscriptions.
 
-DDS knows participants and endpoints. Which of them are a node's, ROS 2 tells on
-``ros_discovery_info``. A participant that vanishes without goodbye is gone when its lease ends.
+DDS knows participants and endpoints. ROS 2 publishes on ``ros_discovery_info`` which of them belong
+to which node. A participant that vanishes without goodbye is gone when its lease ends.
 """
 
 import contextlib
@@ -40,7 +40,7 @@ class Endpoint:
 
 
 class Discovery:
-    """Keeps the picture of a domain.
+    """Keeps the present state of a domain.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
-"""A running watch in Foxglove: its WebSocket, on this machine only.
+"""Serves a running watch to Foxglove by WebSocket, on this machine only.
 
-Topics are handed on as they are, with their ROS 2 message definitions, so Foxglove shows scans,
-paths, maps and transforms by itself. What a latched topic said is said again to those who come
-later, as DDS does: without the static transforms no scan has a place on the map. Added are the
-verdicts on windows (``/oracle/window``), a log of alarms and notes (``/oracle/log``), and the ROS
-graph for the panel Topic Graph. Clients cannot publish, and pages of other sites cannot connect
+Topics are forwarded unchanged, with their ROS 2 message definitions, so Foxglove shows scans,
+paths, maps and transforms by itself. Clients that connect later get the messages of latched topics
+again, as in DDS: without static transforms, no scan has a place on the map. Added are the verdicts
+on windows (``/oracle/window``), a log of alarms and notes (``/oracle/log``), and the ROS graph for
+the panel Topic Graph. Clients cannot publish, and pages of other sites cannot connect
 (``handshake_guard``). A layout is in ``docs/foxglove/live.json``.
 """
 
@@ -84,7 +84,7 @@ class FoxgloveServer:
         self._now_ns = 0
 
     def show(self, event: Event) -> None:
-        """Hand an event to those who are connected."""
+        """Send an event to all connected clients."""
         if isinstance(event, MessageHeard):
             self._message(event)
         elif isinstance(event, GraphTaken):
@@ -147,7 +147,7 @@ class FoxgloveServer:
         return Channel(event.topic, schema=schema, message_encoding="cdr", context=self._context)
 
     def _say_again(self, topic: str) -> None:
-        """Say again what was said once, as a latched topic does: maps and static transforms."""
+        """Send the messages of latched topics again, such as maps and static transforms."""
         for event in tuple(self._latched.get(topic, ())):
             self._hand_on(event)
 

@@ -1,9 +1,9 @@
-"""A guard in front of a WebSocket server that takes every page for its own.
+"""A guard in front of a WebSocket server that does not check the origin of pages.
 
 Foxglove's SDK does not look at the origin of a connection, so any page that a browser shows could
 read a robot's topics. The guard reads the request that opens a connection, refuses pages of other
-sites, and from then on hands bytes on as they are. What it guards speaks TLS with a certificate
-that only the guard knows, so no browser opens a connection behind its back.
+sites, and then forwards bytes unchanged. The guarded server uses TLS with a certificate that only
+the guard knows, so no browser can bypass the guard.
 """
 
 import asyncio
@@ -39,7 +39,7 @@ class Certificate(NamedTuple):
 
 
 def certificate() -> Certificate:
-    """Return a new certificate that nobody trusts who was not told to."""
+    """Return a new self-signed certificate."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "oracle watch")])
     now = datetime.datetime.now(datetime.UTC)
@@ -68,7 +68,7 @@ def certificate() -> Certificate:
 
 
 class HandshakeGuard:
-    """Listens on this machine, and hands the connections that it lets in on; a context manager.
+    """Listens on this machine, and forwards accepted connections; a context manager.
 
     Parameters
     ----------

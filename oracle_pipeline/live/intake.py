@@ -1,8 +1,8 @@
-"""Messages of a DDS domain as they come, as bytes, in a queue that cannot grow without bound.
+"""Receives the messages of a DDS domain as bytes, into a bounded queue.
 
-A thread of its own waits for them, so that each gets its time of arrival at once. If nobody takes
-them fast enough, the newest are dropped and counted. Robots never wait for us: readers keep the
-last messages only, so a full queue here fills no queue there.
+A separate thread waits for them, so each gets its time of arrival at once. If they are not taken
+fast enough, the newest are dropped and counted. A robot never waits for the watch: readers keep
+only the last messages, so a full queue here fills no queue there.
 """
 
 import threading
@@ -42,7 +42,7 @@ class Intake:
     participant
         Where the readers live.
     queue_bytes : int
-        What may wait in the queue.
+        Size of the queue [B].
 
     Attributes
     ----------

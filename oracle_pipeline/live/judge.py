@@ -1,7 +1,7 @@
-"""Judges windows in a process of its own, so that messages never wait for features.
+"""Judges windows in a separate process, so that messages never wait for features.
 
-The watch sends what it hears as it comes, and says when a window has ended; verdicts come back. On
-a machine that is too slow, old windows are left out, so that verdicts never lag far behind.
+The watch sends messages as they arrive, and reports when a window has ended. The process returns
+verdicts. On a machine that is too slow, old windows are left out, so verdicts never lag far behind.
 """
 
 import contextlib
@@ -21,6 +21,7 @@ from rosbags.interfaces import Qos
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.features.extraction import extract_window
+from oracle_pipeline.features.kept_rows import Carried
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.live.recent import RecentMessages, Stamped
 from oracle_pipeline.live.window_scorer import WindowScorer, WindowVerdict
@@ -48,7 +49,6 @@ class _Window:
     recording_ns: int  # when the recording began
     start_ns: int
     end_ns: int
-    running: Interval | None  # the graph so far of an interval that has not ended
     ended_at: float  # by the monotonic clock of the machine [s]
 
 
@@ -106,11 +106,9 @@ class Judge:
         """Hand the graph of an interval over."""
         self._tell(interval)
 
-    def end_window(
-        self, recording_ns: int, start_ns: int, end_ns: int, running: Interval | None
-    ) -> None:
+    def end_window(self, recording_ns: int, start_ns: int, end_ns: int) -> None:
         """Ask for the verdict on a window that has ended."""
-        self._tell(_Window(recording_ns, start_ns, end_ns, running, time.monotonic()))
+        self._tell(_Window(recording_ns, start_ns, end_ns, time.monotonic()))
 
     def verdicts(self, timeout_s: float = 0.0) -> Iterator[WindowVerdict]:
         """Yield the verdicts that are there, or come within some time.
@@ -169,8 +167,10 @@ def _work(pipe: Connection, card: Path, alarms_per_h: float | None, plugins: Pat
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the watch, which says the end
     try:
         manager = build_manager(plugins)
-        scorer = WindowScorer(ReferenceCard.load(card), alarms_per_h)
+        reference = ReferenceCard.load(card)
+        scorer = WindowScorer(reference, alarms_per_h)
         recent = RecentMessages()
+        carried: Carried = {}
         while (told := inbox.take()) is not None:
             if isinstance(told, list):
                 recent.add(told)
@@ -181,10 +181,9 @@ def _work(pipe: Connection, card: Path, alarms_per_h: float | None, plugins: Pat
             elif inbox.windows > _MOST_WAITING:
                 pipe.send(_LeftOut())
             else:
-                run = recent.until(told.recording_ns, told.end_ns, told.running)
-                begin_s = (told.start_ns - run.bag.start_ns) / _SECOND_NS
-                row = extract_window(run, manager, max(0.0, begin_s))
-                row["window_start_s"] = (told.start_ns - told.recording_ns) / _SECOND_NS
+                run = recent.until(told.recording_ns, told.end_ns)
+                start_s = (told.start_ns - told.recording_ns) / _SECOND_NS
+                row, carried = extract_window(run, manager, start_s, carried, reference.roles)
                 verdict = scorer.judge(row, (told.end_ns - told.recording_ns) / _SECOND_NS)
                 pipe.send(replace(verdict, latency_s=time.monotonic() - told.ended_at))
     except OracleError as error:

@@ -1,4 +1,4 @@
-"""Where live views listen: on this machine only."""
+"""Sockets for live views, which listen on this machine only."""
 
 import socket
 

@@ -1,7 +1,7 @@
-"""A page on a running watch, served to this machine's browsers: ``page.html`` beside this module.
+"""Serves a page on a running watch (``page.html``) to browsers of this machine.
 
-The page asks nothing and can change nothing: it hears server-sent events, each with those parts
-that have changed. Requests pass the same guard as those to Dagster's UI.
+The page can change nothing: it receives server-sent events, each with the parts that have changed.
+Requests pass the same guard as those to Dagster's UI.
 """
 
 import asyncio

@@ -1,7 +1,7 @@
-"""The last seconds of a recording that goes on, as a bag in memory.
+"""The last seconds of a recording in progress, as a bag in memory.
 
-What a latched topic said last is kept however old it is, as a late subscriber would get it: maps
-and static transforms are sent once.
+The last message of a latched topic is kept however old it is, as for a late subscriber, because
+maps and static transforms are sent once.
 """
 
 from collections import Counter, deque
@@ -37,7 +37,13 @@ class Stamped(NamedTuple):
 class _MemoryBag(BagReader):
     """Messages in memory, with all that features ask of a bag; in order of time."""
 
-    def __init__(self, topics: dict[str, tuple[str, tuple[Qos, ...]]], messages: list[Stamped]):
+    def __init__(
+        self,
+        topics: dict[str, tuple[str, tuple[Qos, ...]]],
+        messages: list[Stamped],
+        start_ns: int,
+        end_ns: int,
+    ) -> None:
         self.path = Path("live")
         self.notes, self.losses = [], []
         counts = Counter(message.topic for message in messages)
@@ -45,8 +51,7 @@ class _MemoryBag(BagReader):
             name: Topic(name, msgtype, counts[name], qos) for name, (msgtype, qos) in topics.items()
         }
         self.message_count = len(messages)
-        self.start_ns = messages[0].stamp_ns if messages else 0
-        self.end_ns = messages[-1].stamp_ns if messages else 0
+        self.start_ns, self.end_ns = start_ns, end_ns
         self.serialization = "cdr"
         channels = [Channel(t.name, t.msgtype, "cdr", "", "", "", "") for t in self.topics.values()]
         self._types = BagTypes(self.path, channels, {})
@@ -75,7 +80,7 @@ class _MemoryBag(BagReader):
 
 
 class RecentMessages:
-    """Keeps what windows of a recording that goes on need.
+    """Keeps the messages that windows of a recording in progress need.
 
     Parameters
     ----------
@@ -112,8 +117,8 @@ class RecentMessages:
         """Add the graph of an interval; its start is in seconds of the recording."""
         self._graphs.append(interval)
 
-    def until(self, start_ns: int, end_ns: int, running: Interval | None) -> OpenedRun:
-        """Return what is kept until a time, as a recording.
+    def until(self, start_ns: int, end_ns: int) -> OpenedRun:
+        """Return what is kept until a time, as a recording that has its own start.
 
         Parameters
         ----------
@@ -121,22 +126,17 @@ class RecentMessages:
             Stamp at which the whole recording began.
         end_ns : int
             Stamp at which what is returned ends.
-        running : Interval or None
-            The graph so far of an interval that has not ended.
         """
         begin_ns = max(start_ns, end_ns - self._context_ns)
         recent = [m for m in self._messages if begin_ns <= m.stamp_ns < end_ns]
-        there = {id(message) for message in recent}
         latched = [
-            Stamped(message.topic, begin_ns, message.data)
+            message
             for kept in self._latched.values()
             for message in kept
-            if message.stamp_ns < begin_ns and id(message) not in there
+            if message.stamp_ns < begin_ns
         ]
-        shift_s = (begin_ns - start_ns) / _SECOND_NS
-        graphs = (*self._graphs, *((running,) if running else ()))
-        intervals = tuple(Interval(each.start_s - shift_s, each.graph) for each in graphs)
-        return OpenedRun(Path("live"), _MemoryBag(self._topics, latched + recent), None, intervals)
+        bag = _MemoryBag(self._topics, latched + recent, start_ns, end_ns - 1)
+        return OpenedRun(Path("live"), bag, None, tuple(self._graphs))
 
     def _forget(self, before_ns: int) -> None:
         messages = self._messages

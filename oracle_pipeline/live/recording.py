@@ -1,7 +1,7 @@
-"""The recording that a watch leaves: a bag, the graph of every interval, and what is known of both.
+"""The recording of a watch: a bag, the graph of each interval, and a summary.
 
 ``<folder>/<name>`` holds ``bag/``, ``graphs/`` and, written last, ``recording.json``. Until it is
-whole it has a hidden name, so that whoever looks into the folder never sees a part of it.
+complete, it has a hidden name, so no program that reads the folder sees a part of it.
 """
 
 import json

@@ -1,7 +1,7 @@
-"""What a live page shows: the newest of everything, bounded, however long a watch goes on.
+"""The state that a live page shows: the newest of everything, in bounded memory.
 
-The watch hands events in; a page asks what has changed since it last asked. So a slow page costs
-the watch nothing.
+The watch adds events, and a page asks for the changes since its last request. So a slow page does
+not slow the watch.
 """
 
 import math

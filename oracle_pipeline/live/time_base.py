@@ -1,10 +1,10 @@
-"""The time of a recording: simulated time where there is a ``/clock``, else that of the wall.
+"""The time of a recording: simulated time if there is a ``/clock``, else wall time.
 
-It is the choice of ``ros2 bag record``: with ``--use-sim-time`` stamps are the robot's own time,
-so windows of 10 s are 10 s of the robot, however fast the simulation is. A message then gets the
-robot's time at which it was sent, between the ticks of the clock before and after. So it does not
-matter how busy the machine is that watches. After the newest tick, time goes on as fast as it did
-between the last ticks.
+It is the choice of ``ros2 bag record``: with ``--use-sim-time`` stamps are the robot's own time, so
+windows of 5 s are 5 s of the robot, however fast the simulation is. A message then gets the
+robot's time at which it was sent, between the ticks of the clock before and after. So the load of
+the watching machine does not matter. After the newest tick, time continues at the speed of the last
+ticks.
 """
 
 import struct
@@ -28,14 +28,14 @@ class WallTime:
     is_ready = True
 
     def hear(self, message: Received) -> None:
-        """Hear a tick, which means nothing here."""
+        """Ignore a tick of ``/clock``."""
 
     def stamp_ns(self, message: Received) -> int:
         """Return the stamp of a message."""
         return message.wall_ns
 
     def now_ns(self, wall_ns: int) -> int:
-        """Return the time that it is."""
+        """Return the present time."""
         return wall_ns
 
 

@@ -1,7 +1,6 @@
-"""A domain that is watched: what comes is recorded and judged, and told as it happens.
+"""Watches a domain: records and judges messages, and reports events as they happen.
 
-``Watch`` is what ``oracle watch`` and live views are made of. It only ever reads: it has no writer
-on the domain.
+``oracle watch`` and the live views use ``Watch``. It only reads, and has no writer on the domain.
 """
 
 from collections import deque
@@ -72,7 +71,7 @@ class ContractAlarm:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """What a person should know: what is dropped, or cannot be heard."""
+    """A remark for people, such as on dropped messages or a topic that cannot be read."""
 
     text: str
 
@@ -81,7 +80,7 @@ Event: TypeAlias = MessageHeard | GraphTaken | WindowVerdict | Alarm | ContractA
 
 
 class Watch:
-    """Watches a domain; a context manager, and an iterator over what happens.
+    """Watches a domain; a context manager, and an iterator over events.
 
     Parameters
     ----------
@@ -203,7 +202,7 @@ class Watch:
         yield from self._finish()
 
     def _settle(self) -> None:
-        """Wait until there is somebody, and those who are there are known; choose the time."""
+        """Wait until nodes are on the domain and known, and choose the time base."""
         until = None
         while (until is None or monotonic() < until) and not self._stopped:
             self.discovery.update()
@@ -238,7 +237,7 @@ class Watch:
             )
         except DdsError as error:
             self._unheard.add(topic)
-            self._pending.append(Note(f"{topic} is not heard: {error}"))
+            self._pending.append(Note(f"{topic} is not recorded: {error}"))
 
     def _announce(self, topic: str, publishers: list[Endpoint]) -> None:
         if not all(self._intake.hears(topic, each.qos) for each in publishers):
@@ -255,7 +254,7 @@ class Watch:
             self._judge.add_topic(topic, msgtype, profiles)
 
     def _deal_with(self, came: list[Received]) -> Iterator[Event]:
-        """Record messages, count them, and hand them on, up to the end of each window."""
+        """Record messages, count them, and forward them, up to the end of each window."""
         fresh: list[Stamped] = []
         for received in came:
             stamp_ns = self._time.stamp_ns(received)
@@ -311,17 +310,10 @@ class Watch:
                 self._end_interval()
             if self._judge is not None:
                 start_ns = end_ns - round(WINDOW_S * _SECOND_NS)
-                self._judge.end_window(self._start_ns, start_ns, end_ns, self._running(end_s))
+                self._judge.end_window(self._start_ns, start_ns, end_ns)
             self._window += 1
         self._now_ns = max(self._now_ns, stamp_ns)
         self._look_at_contract()
-
-    def _running(self, now_s: float) -> Interval | None:
-        """Return the graph so far of the interval that goes on, if it has just begun: None."""
-        start_s = float(self._interval * INTERVAL_S)
-        if now_s <= start_s:
-            return None
-        return Interval(start_s, snapshot(self.discovery, self._traffic.sent()))
 
     def _end_interval(self) -> None:
         start_s = self._interval * INTERVAL_S

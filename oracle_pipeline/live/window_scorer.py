@@ -1,7 +1,7 @@
-"""The windows of a recording that goes on, judged by a reference card as they end.
+"""Judges the windows of a recording in progress by a reference card, as they end.
 
-Score and rule of alarms are the card's own: a recording that has ended gets the same alarms from
-``oracle score``.
+Scores and alarm rule are those of the card, so ``oracle score`` raises the same alarms on the
+finished recording.
 """
 
 from dataclasses import dataclass

@@ -1,1 +1,1 @@
-"""Five kinds of oracle side by side, each calibrated as the scorer of a reference card is."""
+"""Five kinds of oracle, each calibrated like the scorer of a reference card."""

@@ -49,10 +49,10 @@ def judged(kind: OracleKind, runs: TracedRuns) -> Judged:
 def union(verdicts: Sequence[Judged], runs: TracedRuns) -> Judged:
     """Judge runs by several oracles at once, at the false positive rate of one.
 
-    The least of a run's p-values is no p-value: the more oracles, the smaller it gets by chance.
-    Here a run's most unusual score, in units of what normal runs show, is a score like any other:
-    it is compared with that of normal runs (maxT of Westfall and Young). P-values themselves would
-    tie: among few blocks, most runs share the smallest.
+    The smallest of a run's p-values is not a p-value itself: with more oracles it gets smaller by
+    chance. So each run's most unusual score, in units of the spread of normal runs, is compared
+    with that of normal runs (maxT of Westfall and Young). P-values themselves would tie, because
+    with few blocks most runs share the smallest one.
     """
     normal = runs.normal
     units = [_in_tails(each.score, each.score[normal]) for each in verdicts]
@@ -61,9 +61,9 @@ def union(verdicts: Sequence[Judged], runs: TracedRuns) -> Judged:
 
 
 def _in_tails(score: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return scores above the median of normal runs, over how far their upper tail reaches.
+    """Return scores above the median of normal runs, divided by the length of their upper tail.
 
-    Where all normal runs score alike, whatever is above them is far out.
+    If all normal runs have the same score, any higher score is far out.
     """
     median, tail, highest = np.quantile(normal, [0.5, TAIL, 1.0])
     reach = max(tail - median, 0.1 * (highest - median))

@@ -1,8 +1,8 @@
-"""Human oracle: a person says of a few runs whether they are wrong, and this learns from it.
+"""Human oracle: learns from a person's answers whether a few runs are good or bad.
 
-What the other kinds say of a run are its coordinates. The runs to ask about are those that a model
-of the answers is least sure of, far from what was asked before (uncertainty and diversity [1]_).
-Answers stand in a small JSON file, so they can be given by a person, kept, and read by a test::
+The scores of the other kinds are a run's coordinates. It asks about the runs of which a model of
+the answers is least sure, and that are far from earlier questions (uncertainty and diversity [1]_).
+Answers are stored in a small JSON file::
 
     {"answers": {"fake_object/run003": "bad", "lidar_passthrough/run001": "good"}}
 
@@ -74,7 +74,7 @@ def save_answers(answers: Mapping[str, bool], path: Path) -> None:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Coordinates:
-    """What several kinds say of a run, on one scale.
+    """The scores of several kinds for a run, on one scale.
 
     Attributes
     ----------
@@ -249,7 +249,7 @@ def interview(
 
 
 def with_answers(material: Material, answers: Mapping[str, bool]) -> Material:
-    """Return the same material with other answers."""
+    """Return the material with other answers."""
     return replace(material, answers=dict(answers))
 
 
@@ -269,7 +269,7 @@ def answered_by_labels(material: Material, count: int) -> Material:
 
 
 def evidence(material: Material, run: str) -> list[str]:
-    """Return what the kinds say of a run, a line each, for a person who is asked about it."""
+    """Return the score of each kind for a run, a line each, for the person who is asked."""
     runs = material.runs
     asked = runs.where((runs.table["run_id"] == run).to_numpy())
     lines = []
@@ -283,7 +283,7 @@ def evidence(material: Material, run: str) -> list[str]:
 
 
 def learned_line(material: Material) -> str:
-    """Return in words where the answers put the line between good and bad runs."""
+    """Return a sentence on the threshold between good and bad runs."""
     runs = material.runs
     try:
         opinion = Human(material.answers, runs, looked_at(material)).learn(runs.where(runs.normal))
@@ -327,7 +327,7 @@ def _line(
 
 
 def _threshold(scores: NDArray[np.float64], bad: NDArray[np.bool_]) -> float:
-    """Return where as many answers as possible are on their side, kinds of answer weighted alike.
+    """Return the threshold that separates good from bad answers best, both weighted equally.
 
     Between the neighbouring scores of answers; of several places the middle one.
     """

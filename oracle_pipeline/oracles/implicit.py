@@ -1,4 +1,4 @@
-"""Implicit oracle: what is wrong for any robot, whatever its task. Nobody writes a rule for it.
+"""Implicit oracle: finds what is wrong for any robot and task, without written rules.
 
 A goal that failed or never ended, an error in the log, numbers that are not finite, and periodic
 topics that fell silent.
@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.features.plugin import hookimpl
-from oracle_pipeline.oracles.kind import Maker, OncePerTrace, TracedRuns
+from oracle_pipeline.oracles.kind import Maker, TracedRuns
 from oracle_pipeline.oracles.traces import STEP_S
 
 _COUNTS = ("goals_failed", "errors", "non_finite")  # so far: the last value is the total
@@ -23,16 +23,13 @@ class Implicit:
     name = "implicit"
     asks = "nothing"
 
-    def __init__(self) -> None:
-        self._failures = OncePerTrace(failures)
-
     def learn(self, normal: TracedRuns) -> Self:  # noqa: ARG002 -- there is nothing to learn
         """Return itself."""
         return self
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
         """Return how much went wrong in each run, 0 if nothing did."""
-        return np.asarray(np.log1p(self._failures(runs.traces)).sum(axis=1), dtype=np.float64)
+        return np.asarray(np.log1p(runs.each(failures)).sum(axis=1), dtype=np.float64)
 
     def written(self) -> int:
         """Return 0: there is nothing to write."""

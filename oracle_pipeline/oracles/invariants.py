@@ -1,4 +1,4 @@
-"""Derived oracle: what was always so in normal runs, in the manner of Daikon [1]_.
+"""Derived oracle: learns invariants of normal runs, after Daikon [1]_.
 
 Every normal run votes on simple candidates: the lower and the upper bound of a signal, of how fast
 it changes, and of the difference of two signals in one unit. A candidate with the bound that all
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
 from oracle_pipeline.features.plugin import hookimpl
-from oracle_pipeline.oracles.kind import KindError, Maker, OncePerTrace, TracedRuns
+from oracle_pipeline.oracles.kind import KindError, Maker, TracedRuns
 from oracle_pipeline.oracles.requirements import FARTHEST, Requirement
 from oracle_pipeline.oracles.traces import RATE, SIGNALS, values_of
 
@@ -37,7 +37,7 @@ _GROWING = {"travelled"}  # the longer the run, the larger: no bound of one says
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """What a candidate is about: a signal, a rate, or the difference of two signals."""
+    """The quantity of a candidate: a signal, a rate, or the difference of two signals."""
 
     first: str
     second: str = ""
@@ -90,7 +90,6 @@ class LearnedInvariants:
         How far apart the normal runs are in what they reach: the unit of a violation.
     runs : int
         They were learned from.
-    extremes : OncePerTrace
     """
 
     low: NDArray[np.float64]
@@ -98,11 +97,10 @@ class LearnedInvariants:
     low_scale: NDArray[np.float64]
     high_scale: NDArray[np.float64]
     runs: int
-    extremes: OncePerTrace
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
-        """Return by how many scales each run breaks the invariant that it breaks most."""
-        least, largest = self.extremes(runs.traces).transpose(1, 0, 2)
+        """Return each run's largest violation of an invariant, in scales."""
+        least, largest = runs.each(extremes).transpose(1, 0, 2)
         beyond = np.hstack(
             [(self.low - least) / self.low_scale, (largest - self.high) / self.high_scale]
         )
@@ -134,9 +132,6 @@ class Invariants:
     name = "invariants"
     asks = "nothing, or a review"
 
-    def __init__(self) -> None:
-        self._extremes = OncePerTrace(extremes)
-
     def learn(self, normal: TracedRuns) -> LearnedInvariants:
         """Return the bounds that all normal runs kept.
 
@@ -150,16 +145,14 @@ class Invariants:
                 f"Invariants take {FEWEST} normal runs at least, there are {len(normal.traces)}; "
                 "record more."
             )
-        least, largest = self._extremes(normal.traces).transpose(1, 0, 2)
+        least, largest = normal.each(extremes).transpose(1, 0, 2)
         enough = np.isfinite(least).sum(axis=0) >= FEWEST
         floors = np.array([each.floor for each in _EXPRESSIONS])
         low, high = np.full((2, len(floors)), np.nan)
         low[enough] = np.nanmin(least[:, enough], axis=0)
         high[enough] = np.nanmax(largest[:, enough], axis=0)
         low_scale, high_scale = (np.maximum(_spread(each), floors) for each in (least, largest))
-        return LearnedInvariants(
-            low, high, low_scale, high_scale, len(normal.traces), self._extremes
-        )
+        return LearnedInvariants(low, high, low_scale, high_scale, len(normal.traces))
 
     def written(self) -> int:
         """Return 0: they are learned."""

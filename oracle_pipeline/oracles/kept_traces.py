@@ -35,20 +35,31 @@ def kept_trace(run: RunDirectory, folder: Path | None) -> pd.DataFrame:
     """
     if folder is None:
         return _read(run)
-    path = folder / run.mode / f"{run.run_id}.parquet"
-    told = f"{run.manifest().content_hash} {_code()}"
-    inputs = hashlib.sha256(told.encode()).hexdigest()
     try:
-        trace = read_table(path)
-        if field_metadata(trace).get(TIME, {}).get(_INPUTS) == inputs:
+        trace = read_table(_place(run, folder))
+        if field_metadata(trace).get(TIME, {}).get(_INPUTS) == _inputs(run):
             return trace
     except DatasetError:
         pass  # none, or a damaged one: it is read again
     trace = _read(run)
-    fields = {name: {"unit": signal.unit} for name, signal in SIGNALS.items()}
-    trace.attrs["fields"] = Fields({TIME: {"unit": "s", _INPUTS: inputs}, **fields})
-    write_table(trace, path)
+    keep_trace(trace, run, folder)
     return trace
+
+
+def keep_trace(trace: pd.DataFrame, run: RunDirectory, folder: Path) -> None:
+    """Write the trace of a run to its file."""
+    fields = {name: {"unit": signal.unit} for name, signal in SIGNALS.items()}
+    trace.attrs["fields"] = Fields({TIME: {"unit": "s", _INPUTS: _inputs(run)}, **fields})
+    write_table(trace, _place(run, folder))
+
+
+def _place(run: RunDirectory, folder: Path) -> Path:
+    return folder / run.mode / f"{run.run_id}.parquet"
+
+
+def _inputs(run: RunDirectory) -> str:
+    """Return a hash of what a trace depends on: the messages and the code."""
+    return hashlib.sha256(f"{run.manifest().content_hash} {_code()}".encode()).hexdigest()
 
 
 @functools.cache

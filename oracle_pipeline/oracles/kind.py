@@ -1,4 +1,4 @@
-"""What a kind of oracle is: it maps a run to one number, and higher is worse.
+"""The interface of a kind of oracle: it maps a run to one number; higher is worse.
 
 How the number becomes a p-value is the same for all kinds (``calibration``). A kind is a plugin:
 the built-in ones, those of other distributions, and those in the plugin folder offer themselves
@@ -6,10 +6,10 @@ through the hook ``register_oracles``.
 """
 
 import logging
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -26,6 +26,10 @@ from oracle_pipeline.oracles.requirements import Requirement
 _log = logging.getLogger(__name__)
 
 hookspec = pluggy.HookspecMarker(PROJECT)
+
+
+# By function and by the identity of a trace: the trace, and what the function returns for it.
+_Known: TypeAlias = dict[Hashable, dict[int, tuple[pd.DataFrame, NDArray[np.float64]]]]
 
 
 class KindError(OracleError):
@@ -46,11 +50,23 @@ class TracedRuns:
 
     table: pd.DataFrame
     traces: tuple[pd.DataFrame, ...]
+    _known: _Known = field(default_factory=dict, repr=False)  # shared with those that `where` gives
 
     def where(self, chosen: NDArray[np.bool_]) -> "TracedRuns":
         """Return the runs of a mask of shape (n_runs,)."""
         kept = tuple(self.traces[row] for row in np.flatnonzero(chosen))
-        return TracedRuns(self.table[chosen].reset_index(drop=True), kept)
+        return TracedRuns(self.table[chosen].reset_index(drop=True), kept, self._known)
+
+    def each(self, compute: Callable[[pd.DataFrame], NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Return what a function returns for each trace, stacked.
+
+        It is called once for each, however many kinds and folds ask; equal functions are one.
+        """
+        known = self._known.setdefault(compute, {})
+        for trace in self.traces:
+            if id(trace) not in known:  # the trace is kept, so its identity stays its own
+                known[id(trace)] = trace, compute(trace)
+        return np.stack([known[id(trace)][1] for trace in self.traces])
 
     @property
     def block(self) -> NDArray[np.int64]:
@@ -73,25 +89,8 @@ class TracedRuns:
         return np.asarray(self.table["label"].isin(LABELS), dtype=np.bool_) & ~self.malicious
 
 
-class OncePerTrace:
-    """Calls a function of a trace once for each, however many folds ask."""
-
-    def __init__(self, compute: Callable[[pd.DataFrame], NDArray[np.float64]]) -> None:
-        self._compute = compute
-        self._known: dict[int, tuple[pd.DataFrame, NDArray[np.float64]]] = {}
-
-    def __call__(self, traces: Iterable[pd.DataFrame]) -> NDArray[np.float64]:
-        """Return what the function returns for each trace, stacked."""
-        found = []
-        for trace in traces:
-            if id(trace) not in self._known:  # the trace is kept, so its identity stays its own
-                self._known[id(trace)] = trace, self._compute(trace)
-            found.append(self._known[id(trace)][1])
-        return np.stack(found)
-
-
 class Judge(Protocol):
-    """What maps runs to numbers."""
+    """A fitted oracle, which maps runs to numbers."""
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
         """Return how wrong each run is, shape (n_runs,); finite, higher is worse."""
@@ -105,7 +104,7 @@ class OracleKind(Protocol):
     name : str
         One word.
     asks : str
-        What people have to give it, in a few words.
+        Input that people must give, in a few words.
     """
 
     name: str
@@ -120,7 +119,7 @@ class OracleKind(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """What a kind may be made from.
+    """The material from which a kind is built.
 
     Attributes
     ----------
@@ -145,7 +144,7 @@ class Hooks:
 
     @hookspec
     def register_oracles(self) -> list[Maker]:  # type: ignore[empty-body]
-        """Return what makes the kinds of oracle that a module offers.
+        """Return the factories of the kinds of oracle that a module offers.
 
         Each takes a `Material` and returns a fresh, unfitted kind, or None if the material lacks
         what the kind needs.
@@ -153,7 +152,7 @@ class Hooks:
 
 
 def build_kinds(material: Material, folder: Path | None = None) -> list[OracleKind]:
-    """Make the kinds of oracle: built in, then entry points, then the files of a folder.
+    """Build the kinds of oracle: built-in ones, then entry points, then the files of a folder.
 
     Parameters
     ----------

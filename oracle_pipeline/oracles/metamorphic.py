@@ -1,6 +1,6 @@
-"""Metamorphic and differential oracle: how a run relates to other runs of the same task.
+"""Metamorphic and differential oracle: compares a run with other runs of the same task.
 
-Nobody knows the right path, but the same task in the same world should give about the same outcome,
+The correct path is unknown, but the same task in the same world should give about the same outcome,
 whichever build drives. The runs of a block have equal start, goals and world: each is compared with
 the unaltered runs of its block. How far these are from each other is the unit.
 """
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
 from oracle_pipeline.datasets import is_hard_negative
 from oracle_pipeline.features.plugin import hookimpl
-from oracle_pipeline.oracles.kind import KindError, Maker, Material, OncePerTrace, TracedRuns
+from oracle_pipeline.oracles.kind import KindError, Maker, Material, TracedRuns
 from oracle_pipeline.oracles.traces import SIGNALS, STEP_S, values_of
 
 PERCENTILES = (5.0, 50.0, 95.0)
@@ -24,7 +24,7 @@ _NAMES = tuple(SIGNALS)
 
 
 def outcomes(trace: pd.DataFrame) -> NDArray[np.float64]:
-    """Return what a run came to: percentiles of all signals, then way, turning and time.
+    """Return the outcome of a run: percentiles of all signals, path length, turning and time.
 
     Returns
     -------
@@ -52,7 +52,7 @@ class _Judge:
     spread: NDArray[np.float64]
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
-        """Return by how many spreads each run differs most from the runs of its task."""
+        """Return each run's largest difference from the runs of its task, in spreads."""
         apart = np.abs(self.kind.differences(runs)) / self.spread
         return np.asarray(np.nan_to_num(apart).max(axis=1), dtype=np.float64)
 
@@ -73,7 +73,7 @@ class Metamorphic:
     def __init__(self, partners: TracedRuns) -> None:
         plain = partners.normal & ~is_hard_negative(partners.table)
         self._partners = partners.where(plain)
-        self._outcomes = OncePerTrace(outcomes)
+        self._differences: dict[int, tuple[pd.DataFrame, NDArray[np.float64]]] = {}  # by trace
 
     def learn(self, normal: TracedRuns) -> _Judge:
         """Learn how far normal runs of one task are from each other."""
@@ -95,16 +95,21 @@ class Metamorphic:
         An exact repetition says nothing, so equal partners count once, and a run is no partner of
         itself. NaN where there is no partner.
         """
-        found = np.full((len(runs.traces), len(_FLOORS)), np.nan)
-        partners, block_of_partners = self._outcomes(self._partners.traces), self._partners.block
-        of_runs = self._outcomes(runs.traces)
-        for row, (own, block) in enumerate(zip(of_runs, runs.block, strict=True)):
-            others = np.unique(partners[block_of_partners == block], axis=0)
-            others = others[~np.isclose(others, own, equal_nan=True).all(axis=1)]
-            if len(others):
-                known = np.isfinite(others).any(axis=0)
-                found[row, known] = own[known] - np.nanmedian(others[:, known], axis=0)
-        return found
+        known = self._differences
+        for trace, own, block in zip(runs.traces, runs.each(outcomes), runs.block, strict=True):
+            if id(trace) not in known:  # the trace is kept, so its identity stays its own
+                known[id(trace)] = trace, self._difference(own, int(block))
+        return np.stack([known[id(trace)][1] for trace in runs.traces])
+
+    def _difference(self, own: NDArray[np.float64], block: int) -> NDArray[np.float64]:
+        others = self._partners.each(outcomes)[self._partners.block == block]
+        others = np.unique(others, axis=0)
+        others = others[~np.isclose(others, own, equal_nan=True).all(axis=1)]
+        difference = np.full(len(own), np.nan)
+        if len(others):
+            known = np.isfinite(others).any(axis=0)
+            difference[known] = own[known] - np.nanmedian(others[:, known], axis=0)
+        return difference
 
     def written(self) -> int:
         """Return how many recordings serve as partners."""

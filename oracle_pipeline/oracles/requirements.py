@@ -1,4 +1,4 @@
-"""Requirements in signal temporal logic: a YAML file, and how far a trace is from breaking each.
+"""Requirements in signal temporal logic: reading them from YAML, and their robustness on a trace.
 
 ::
 
@@ -62,7 +62,7 @@ def load(path: Path) -> list[Requirement]:
     Raises
     ------
     RequirementError
-        With file, line, and what is wrong.
+        The file is invalid; the message names file, line and fault.
     """
     try:
         with path.open("rb") as source:
@@ -103,7 +103,7 @@ def dump(requirements: Iterable[Requirement], head: str) -> str:
 def violations(
     requirements: Sequence[Requirement], traces: Iterable[pd.DataFrame]
 ) -> NDArray[np.float64]:
-    """Return how far each trace is beyond each requirement, in scales; below 0: it holds.
+    """Return how far each trace violates each requirement, in scales; below 0, it holds.
 
     Returns
     -------

@@ -1,14 +1,27 @@
-"""Specified oracle: what people say that a robot must do, as formulas of signal temporal logic."""
+"""Specified oracle: requirements that people wrote as formulas of signal temporal logic."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.features.plugin import hookimpl
-from oracle_pipeline.oracles.kind import Maker, OncePerTrace, TracedRuns
+from oracle_pipeline.oracles.kind import Maker, TracedRuns
 from oracle_pipeline.oracles.requirements import FARTHEST, Requirement, violations
+
+
+@dataclass(frozen=True, slots=True)
+class _Violations:
+    """How far a trace is beyond each of some requirements."""
+
+    requirements: tuple[Requirement, ...]
+
+    def __call__(self, trace: pd.DataFrame) -> NDArray[np.float64]:
+        (of_trace,) = violations(self.requirements, [trace])
+        return np.asarray(of_trace, dtype=np.float64)
 
 
 class Specified:
@@ -24,15 +37,14 @@ class Specified:
 
     def __init__(self, requirements: Sequence[Requirement]) -> None:
         self.requirements = tuple(requirements)
-        self._violations = OncePerTrace(lambda trace: violations(self.requirements, [trace])[0])
 
     def learn(self, normal: TracedRuns) -> Self:  # noqa: ARG002 -- there is nothing to learn
         """Return itself."""
         return self
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
-        """Return by how many scales each run breaks the requirement that it breaks most."""
-        beyond = self._violations(runs.traces)
+        """Return each run's largest violation of a requirement, in scales."""
+        beyond = runs.each(_Violations(self.requirements))
         return np.asarray(np.nanmax(np.nan_to_num(beyond, nan=-FARTHEST), axis=1))
 
     def written(self) -> int:

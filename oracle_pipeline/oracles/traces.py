@@ -1,19 +1,19 @@
-"""A trace: what a robot's recording says over time, as a few signals on one clock.
+"""A trace: a few signals of a recording over time, on one clock.
 
 Oracles that judge by rules need signals, not features: the commanded speed, the nearest return of a
 scanner, how many topics are quiet. Signals are found by the roles of topics, so they have the same
 names on every robot. What a robot does not record is NaN throughout.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.features.goals import GOAL_TOPICS, Goal, goals_of_log, goals_of_status
-from oracle_pipeline.features.kept_messages import KeptMessages
+from oracle_pipeline.features.goals import GOAL_TOPICS, goals_so_far
+from oracle_pipeline.features.kept_messages import NO_GRAPH, KeptMessages
 from oracle_pipeline.features.kept_rows import Span
 from oracle_pipeline.features.plugin import (
     Arrivals,
@@ -90,57 +90,73 @@ def values_of(trace: pd.DataFrame, names: Sequence[str]) -> Floats:
 
 
 def _changes(values: Floats) -> Floats:
-    """Return what values changed by over the last second."""
+    """Return the change of values over the last second."""
     steps = round(1.0 / STEP_S)
     changes = np.full(len(values), np.nan)
     changes[steps:] = values[steps:] - values[:-steps]
     return changes
 
 
-def _keep_odometry(message: Any) -> tuple[float, ...]:
-    position, twist = message.pose.pose.position, message.twist.twist
+def _keep_odometry(messages: Any) -> tuple[Floats, ...]:
+    position, twist = messages.pose.pose.position, messages.twist.twist
     return position.x, position.y, twist.linear.x, twist.angular.z
 
 
-def _keep_inertial(message: Any) -> tuple[float, float]:
-    a = message.linear_acceleration
-    return message.angular_velocity.z, float(np.sqrt(a.x * a.x + a.y * a.y + a.z * a.z))
+def _keep_inertial(messages: Any) -> tuple[Floats, Floats]:
+    a = messages.linear_acceleration
+    return messages.angular_velocity.z, np.sqrt(a.x * a.x + a.y * a.y + a.z * a.z)
 
 
-def _keep_pose(message: Any) -> tuple[float, float, float]:
-    position, variance = message.pose.pose.position, message.pose.covariance
-    return position.x, position.y, float(np.sqrt(max(0.0, variance[0] + variance[7])))
+def _keep_poses(messages: Any) -> tuple[Floats, Floats, Floats]:
+    position, variance = messages.pose.pose.position, messages.pose.covariance
+    return position.x, position.y, np.sqrt(np.maximum(0.0, variance[:, 0] + variance[:, 7]))
 
 
-def _keep_scan(message: Any) -> tuple[float, float, float]:
+def _keep_scans(messages: Any) -> Floats:
     """Return the nearest return [m], the share of rays without one, and how uneven ranges are [m].
 
     The last is the median of the second differences between neighbouring rays.
     """
-    ranges = np.asarray(message.ranges, dtype=np.float64)
-    if not len(ranges):
-        return np.nan, np.nan, np.nan
-    valid = (ranges >= message.range_min) & (ranges <= message.range_max)
-    together = valid[2:] & valid[1:-1] & valid[:-2]
-    left, middle, right = ranges[:-2][together], ranges[1:-1][together], ranges[2:][together]
-    bends = np.abs(left - 2.0 * middle + right)
-    return (
-        float(ranges[valid].min()) if valid.any() else np.nan,
-        float(1.0 - valid.mean()),
-        float(np.median(bends)) if len(bends) else np.nan,
-    )
+    kept = np.full((len(messages.ranges), 3), np.nan)
+    lengths = np.array([len(ranges) for ranges in messages.ranges])
+    for length in np.unique(lengths[lengths > 0]):
+        rows = np.flatnonzero(lengths == length)
+        ranges = np.stack(list(messages.ranges[rows])).astype(np.float64)
+        least, most = (limit[rows, None] for limit in (messages.range_min, messages.range_max))
+        valid = (ranges >= least) & (ranges <= most)
+        together = valid[:, 2:] & valid[:, 1:-1] & valid[:, :-2]
+        with np.errstate(invalid="ignore"):  # infinite ranges are not valid
+            bends = np.abs(ranges[:, :-2] - 2.0 * ranges[:, 1:-1] + ranges[:, 2:])
+        nearest = np.where(valid, ranges, np.inf).min(axis=1)
+        kept[rows, 0] = np.where(valid.any(axis=1), nearest, np.nan)
+        kept[rows, 1] = 1.0 - valid.mean(axis=1)
+        kept[rows, 2] = _medians(np.where(together, bends, np.nan))
+    return kept
 
 
-_SEEN = FeaturePlugin(
+def _medians(rows: Floats) -> Floats:
+    """Return the median of the numbers in each row; NaN without any."""
+    counts, ordered = np.count_nonzero(~np.isnan(rows), axis=1), np.sort(rows, axis=1)  # NaN last
+    medians, known = np.full(len(rows), np.nan), np.flatnonzero(counts)
+    low, high = (counts[known] - 1) // 2, counts[known] // 2
+    medians[known] = (ordered[known, low] + ordered[known, high]) / 2.0
+    return medians
+
+
+#: What a trace is made of, as a plugin asks for it; it has no features.
+TRACE = FeaturePlugin(
     "trace", "trace", (), lambda _: Missing("a trace has no features"),
     GOAL_TOPICS | {
-        "command": Request(keep_command, role=COMMAND, optional=True),
-        "odometry": Request(_keep_odometry, role=ODOMETRY, optional=True),
-        "inertial": Request(_keep_inertial, role=IMU, optional=True, every_s=_SAMPLED_S),
-        "pose": Request(_keep_pose, role=POSE, optional=True),
-        "scans": Request(_keep_scan, role=SCAN, optional=True),
+        "command": Request(keep_command, role=COMMAND, optional=True, many=True),
+        "odometry": Request(_keep_odometry, role=ODOMETRY, optional=True, many=True),
+        "inertial": Request(
+            _keep_inertial, role=IMU, optional=True, every_s=_SAMPLED_S, many=True
+        ),
+        "pose": Request(_keep_poses, role=POSE, optional=True, many=True),
+        "scans": Request(_keep_scans, role=SCAN, optional=True, many=True),
         "logged": Request(
-            lambda message: float(message.level), msgtype="rcl_interfaces/msg/Log", optional=True
+            lambda messages: messages.level, msgtype="rcl_interfaces/msg/Log", optional=True,
+            many=True,
         ),
     },
 )  # fmt: skip
@@ -149,22 +165,24 @@ _SEEN = FeaturePlugin(
 def read_trace(robot: Robot) -> pd.DataFrame:
     """Read the signals of one robot, in one pass over its bag.
 
+    Returns and errors are those of `trace_of`, and `BagError` if the bag cannot be read to its end.
+    """
+    return trace_of(KeptMessages.read(robot, (TRACE,)))
+
+
+def trace_of(recording: KeptMessages) -> pd.DataFrame:
+    """Return the signals of a recording that was read for `TRACE`, and perhaps for others.
+
     Returns
     -------
     DataFrame
         Columns ``time_s`` (every 0.05 s from the start of the recording) and all of `SIGNALS`;
         a signal holds its last value, and is NaN before its first.
-
-    Raises
-    ------
-    BagError
-        The bag cannot be read to its end.
     """
-    recording = KeptMessages.read(robot, (_SEEN,))
     whole = Span(0, recording.duration_ns)
-    window = recording.window(_SEEN, whole, recording.span(whole, None, ()))
+    window = recording.window(TRACE, whole, recording.span(whole, NO_GRAPH))
     if isinstance(window, Missing):  # a topic that cannot be decoded
-        window = recording.span(whole, None, ())
+        window = recording.span(whole, NO_GRAPH)
     clock = np.arange(0.0, whole.end_s, STEP_S)
     columns = {name: np.full(len(clock), np.nan) for name in SIGNALS}
     columns.update(signals(window, clock))
@@ -238,8 +256,8 @@ def _scanned(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
 
 
 def _navigated(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
-    goals = _goals(window)
-    if goals is None:
+    goals = goals_so_far(window)
+    if isinstance(goals, Missing):
         return
     time_s = np.zeros(len(clock))
     for goal in goals:
@@ -258,18 +276,6 @@ def _logged(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
         yield "errors", _so_far(np.concatenate(bad), clock)
 
 
-def _goals(window: Window) -> list[Goal] | None:
-    readers: tuple[tuple[str, Callable[[Series], list[Goal]]], ...] = (
-        ("status", goals_of_status),
-        ("log", goals_of_log),
-    )
-    for key, read in readers:
-        series = the_topic(window.history.get(key, {}))
-        if series is not None and len(series.times_s):
-            return read(series)
-    return None
-
-
 def _one(window: Window, key: str) -> Series | None:
     """Return what was kept of a role that only one topic has."""
     return the_topic(window.topics.get(key, {}))
@@ -281,7 +287,7 @@ def _first(window: Window, key: str) -> Series | None:
 
 
 def _held(series: Series, clock: Floats) -> Floats:
-    """Return what was said last at each time, shape (n_values, n_times); NaN before the first."""
+    """Return the last value at each time, shape (n_values, n_times); NaN before the first."""
     last = np.searchsorted(series.times_s, clock, side="right") - 1
     values = np.where(np.isfinite(series.values), series.values, np.nan)
     return np.where(last >= 0, values[np.maximum(last, 0)].T, np.nan)

@@ -1,4 +1,4 @@
-"""Where a run's film and picture are kept, and the picture itself."""
+"""The picture of a run, and the places where picture and film are kept."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A run seen from above: the content of a drawing, and the still picture.
+"""A run seen from above: the scene to draw, and the still picture.
 
 ``oracle_pipeline.replay.film`` draws the same scene as a film.
 """
@@ -54,7 +54,7 @@ class DrawnGrid:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Moment:
-    """What was known at one instant: the newest of everything, placed when it was heard."""
+    """The state at one instant: the newest of everything, placed when it was received."""
 
     time_s: float  # since the start of the recording
     robot: tuple[float, float, float]  # x, y, yaw
@@ -69,7 +69,7 @@ class Moment:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ReplayScene:
-    """What happened in one run; metres and radians in one frame, seconds since its start."""
+    """The scene of one run; metres and radians in one frame, seconds since its start."""
 
     title: str
     frame: str  # map (REP 105), or odom where that is all that is known

@@ -1,9 +1,9 @@
 """From an opened run to its scene, in one pass over its bag and manifest.
 
-What a topic is for is found as it is for features. The driven path is that of the robot's base,
-from transforms and odometry, in the root frame: map, or odom if nothing localized the robot.
-Everything is planar, so a point is a complex number [m] and a rotation a complex factor. Drawing is
-in ``oracle_pipeline.replay.scene``.
+Topics are found by role, as for features. The driven path is that of the robot's base, from
+transforms and odometry, in the root frame: map, or odom if nothing localized the robot. Everything
+is planar, so a point is a complex number [m] and a rotation a complex factor. Drawing is in
+``oracle_pipeline.replay.scene``.
 """
 
 import cmath

@@ -183,7 +183,7 @@ def _headline_pictures(curves: HeadlineCurves) -> dict[str, bytes]:
     pictures = {"roc": figures.roc_curves(curves.roc)}
     if curves.detection:
         pictures["detection"] = figures.curves(
-            curves.detection, "nominal false-alarm rate", "share called anomalous", log=True
+            curves.detection, "nominal false positive rate", "share called anomalous", log=True
         )
     return pictures | {
         "effort": figures.curves(

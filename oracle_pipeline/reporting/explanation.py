@@ -1,4 +1,4 @@
-"""One run of each attack explained: its verdict, the evidence, and a picture.
+"""Explains one run of each attack: its verdict, the evidence, and a picture.
 
 Beside it is the picture of the run that differs only by the attack. Evidence comes from
 ``oracle_pipeline.scoring.evidence``, pictures from ``oracle_pipeline.replay.picture``.
@@ -85,7 +85,7 @@ def _explanation(
 
 
 def drawn(runs: Iterable[str], draw: Callable[[str], bytes]) -> tuple[dict[str, bytes], list[str]]:
-    """Return the pictures of runs, and of those that have none, why."""
+    """Return the pictures of runs, and the reasons for missing ones."""
     pictures, undrawn = {}, []
     for run in runs:
         try:
@@ -119,4 +119,4 @@ def _verdict(p: float) -> str:
     if np.isnan(p):
         return f"Not judged: there are too few normal runs for a verdict at {RATES[0]:.0%}."
     called = "Called" if p <= RATES[0] else "Not called"
-    return f"{called} anomalous at a false-alarm rate of {RATES[0]:.0%}: p = {p:.3g}."
+    return f"{called} anomalous at a false positive rate of {RATES[0]:.0%}: p = {p:.3g}."

@@ -1,4 +1,4 @@
-"""The first screen: what was recorded, what was found, what cannot be claimed yet and what to do.
+"""The first screen of the report: what was recorded, found, and cannot be claimed yet.
 
 It holds no figure of its own; all are of ``oracle_evaluation``.
 """

@@ -1,4 +1,4 @@
-"""The page on recordings that arrived from elsewhere: a verdict each, and what gave it away.
+"""The page on recordings that arrived: a verdict for each, with its evidence.
 
 One self-contained HTML file beside the report; the page itself is ``templates/foreign.html.j2``.
 """

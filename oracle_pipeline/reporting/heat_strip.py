@@ -1,4 +1,4 @@
-"""When a run was unusual: windows from left to right, families of features from top to bottom.
+"""A drawing of when a run was unusual: windows by column, families of features by row.
 
 The page draws it as inline SVG; places are in per cent of the width. What is usual is measured in
 ``oracle_pipeline.evaluation.unusual_windows``.

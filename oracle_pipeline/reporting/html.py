@@ -1,4 +1,4 @@
-"""The report's main page: the first screen, the evidence, and behind folds the method.
+"""The report's main page: the first screen, the evidence, and the method behind folds.
 
 It loads nothing from the network. Its content comes from ``evaluation_report`` and
 ``thesis_reports`` beside this module; the first screen is put together in ``first_screen``, tables
@@ -74,9 +74,9 @@ _SECTIONS = {
 _CAPTIONS = {
     "roc": ("ROC curves", "ROC curves with 95% bands from resampled blocks; dotted: chance"),
     "detection": (
-        "Detection rate over false-alarm rate",
-        "Share of runs called anomalous over the nominal false-alarm rate, with 95% bands; normal "
-        "runs should lie on or below the nominal rate",
+        "Detection rate over false positive rate",
+        "Share of runs called anomalous over the nominal false positive rate, with 95% bands; "
+        "normal runs should lie on or below the nominal rate",
     ),
     "effort": (
         "Effort curve",

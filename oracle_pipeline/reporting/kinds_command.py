@@ -64,9 +64,9 @@ def kinds(
 
     The kinds: implicit (crash, abort, silence), specified (formulas of signal temporal logic),
     invariants (what always held in normal runs), metamorphic (other runs of the same task), human
-    (answers of a person). Each gives p-values at the same false positive rate, sessions held out;
-    `union` is all of them together at that rate. A root with datasets/ adds the scorer of a
-    reference card.
+    (answers of a person). Each kind gives p-values at the same false positive rate, with whole
+    sessions held out. `union` is all of them together at that rate. A root with datasets/ adds the
+    scorer of a reference card.
 
     RUN_OR_BAG is a run directory, a bag, or a folder of these. Normal runs are found by their
     label; for bags without one, name a folder of normal ones with --reference.
@@ -119,9 +119,9 @@ def review(
 ) -> None:
     """Ask a person about the most informative runs.
 
-    The runs to ask about are those that a model of the answers so far is least sure of, far from
-    those already asked about. Look at each with `oracle replay` or on its page of the report. The
-    answers are written after each question; `oracle kinds --answers` learns from them.
+    It asks about the runs of which a model of the answers so far is least sure, and that differ
+    most from those already asked about. Look at each with `oracle replay` or on its page of the
+    report. The answers are written after each question; `oracle kinds --answers` learns from them.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""What all pages of the report share: their templates, and pictures inside them."""
+"""Helpers for all pages of the report: templates and embedded pictures."""
 
 import base64
 import functools
@@ -20,7 +20,7 @@ class Picture(NamedTuple):
 
 @functools.cache
 def template(name: str) -> jinja2.Template:
-    """Return a template of the folder ``templates``; what it is given is text, never markup."""
+    """Return a template of the folder ``templates``; its values are escaped as text."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("oracle_pipeline.reporting"),
         autoescape=True,

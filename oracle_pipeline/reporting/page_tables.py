@@ -1,4 +1,4 @@
-"""The tables of the HTML page: which columns of a report are shown, under which headings, and how.
+"""The tables of the HTML page: columns, headings and formats.
 
 The page itself is put together in ``oracle_pipeline.reporting.html``.
 """
@@ -55,7 +55,7 @@ _COUNTS = (
     PageColumn("blocks", "blocks"),
 )
 _HELD_OUT = PageColumn("held out by", "split")
-_AT_5, _AT_1 = "at a false-alarm rate of 5%", "at 1%"
+_AT_5, _AT_1 = "at a false positive rate of 5%", "at 1%"
 _VERDICTS = (
     PageColumn("comparison", "scope"),
     _HELD_OUT,
@@ -271,7 +271,7 @@ def of_thesis(
 
 
 def of_explanation(explanation: Explanation) -> PageTable:
-    """Return what gave a run away, one feature in each row."""
+    """Return the evidence for a run, one feature in each row."""
     return of_evidence(f"What is unusual in {explanation.run_id}", explanation.evidence)
 
 
@@ -295,7 +295,7 @@ def of_families(families: Iterable[FamilyDeviation]) -> PageTable:
 
 
 def of_giveaways(giveaways: pd.DataFrame) -> PageTable:
-    """Return the features that give each attacked mode away; a mode is named in its first row."""
+    """Return the features that show each attacked mode; a mode is named in its first row."""
     again = giveaways.duplicated("mode")
     shown = giveaways.assign(
         mode=giveaways["mode"].mask(again, ""),

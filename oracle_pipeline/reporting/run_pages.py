@@ -42,7 +42,7 @@ BAGS = {
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ShownRuns:
-    """All that the pages of runs are made of."""
+    """The data behind the pages of runs."""
 
     measured: MeasuredRuns
     evaluation: Report  # of `oracle_pipeline.reporting.evaluation_report`
@@ -55,7 +55,7 @@ class ShownRuns:
 
 
 class JudgedTables(NamedTuple):
-    """What the evaluation says of single runs."""
+    """Results of the evaluation for single runs."""
 
     runs: pd.DataFrame  # by run, with the rank of its score
     scored: int
@@ -181,7 +181,7 @@ def _pages(shown: ShownRuns) -> Iterator[tuple[str, str]]:
 
 
 class JudgedRun(NamedTuple):
-    """What the evaluation says of one run."""
+    """Results of the evaluation for one run."""
 
     verdict: str
     scores: PageTable | None  # None: the run was not judged
@@ -224,7 +224,7 @@ def _verdict(judged: pd.Series | None, scored: int) -> str:
 
 
 def _facts(manifest: Manifest) -> dict[str, str]:
-    """Return what is known of a run, by name."""
+    """Return facts about a run, by name."""
     reached = sum(goal.outcome == "succeeded" for goal in manifest.goal_results)
     changed = sum(change.messages for change in manifest.changes)
     facts = {
@@ -247,7 +247,7 @@ def _value(value: Any) -> str:
 
 
 def _goals(manifest: Manifest) -> PageTable:
-    """Return what became of each goal."""
+    """Return the result of each goal."""
     table = pd.DataFrame(
         [
             (

@@ -1,4 +1,4 @@
-"""Every run as a mark on a line, its mode's: at a glance, whether attacked runs fall apart.
+"""A plot with a line for each mode and a mark for each run, by score.
 
 The page draws it as inline SVG in its own inks, so that one drawing reads in light and in dark and
 text keeps its size on a phone. Places are in per cent of the width.
@@ -100,7 +100,7 @@ def strip_plot(
 
 
 def _description(mode: pd.Series, runs: pd.DataFrame, of_kinds: Sequence[int]) -> str:
-    """Return what a line shows, for those who cannot see it."""
+    """Return a text alternative for a line of the plot."""
     span = ""
     if len(runs):
         span = f", scores from {runs['score'].min():.3g} to {runs['score'].max():.3g}"

@@ -1,4 +1,4 @@
-"""Tampering and misbehaviour of single runs: what the two scores say, and what really happened.
+"""Tampering and misbehaviour of single runs: the two scores beside the ground truth.
 
 The scores and the truth are measured in ``oracle_pipeline.evaluation``: ``aspects`` and
 ``task_effects``. Here they are put in words, for the first screen and the pages of runs.

@@ -1,15 +1,14 @@
 """Alarms while a robot runs: window by window, with a promised number of false alarms an hour.
 
-The statistic scans the last minute [1]_: for each number of latest windows, how far their scores
-together lie above what is usual, in units of the most that normal recordings reach with so many. So
-one window beyond all normal ones raises an alarm at once, however long normal recordings are a
-little unusual, and many windows that are a little out raise it slowly. A minute after the last of
-them it is low again.
+The statistic scans the last minute [1]_. For the latest 1, 2, ... windows, it sums how far their
+scores are above the usual score, and divides by the largest such sum in normal recordings. So one
+window beyond all normal ones raises an alarm at once. Many slightly unusual windows raise it
+slowly. A minute after the last unusual window, the statistic is low again.
 
 The threshold comes from normal recordings, each scored by a model that did not see its block. It is
 the lowest for which a new block of the same kind keeps the promised rate on average (conformal risk
-control [2]_). The recordings of a block are watched one after another, as those of a robot's day,
-and the block is one unit: it does not matter how its recordings and windows depend on each other.
+control [2]_). The recordings of a block are watched one after another, like those of one day. A
+block is one unit, so its recordings and windows may depend on each other.
 
 References
 ----------
@@ -30,7 +29,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.scoring.conformal import ConformalError
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
-MEMORY = 12  # windows that the statistic looks back: a minute
+MEMORY = round(60.0 / HOP_S)  # windows that the statistic looks back: a minute
 USUAL = 0.95  # share of normal windows whose scores add nothing to the statistic
 REPEAT_S = 600.0  # after an alarm no other is raised for so long [s]
 _LEAST_REACH = 1e-9  # of a number of windows with which normal recordings reach nothing
@@ -66,7 +65,7 @@ class AlarmRule:
     per_hour : float
         False alarms an hour that are promised at most.
     reach : tuple of float, length MEMORY
-        How far above the allowance normal recordings come with 1, 2, ... windows together.
+        Largest sum of 1, 2, ... windows above the allowance in normal recordings.
     """
 
     allowance: float
@@ -96,7 +95,7 @@ class Statistic:
 
 
 class AlarmWatch:
-    """Watches one recording or robot: give it each window's score, get an alarm or none.
+    """Watches one recording or robot: takes the score of each window, and returns an alarm or None.
 
     Parameters
     ----------
@@ -106,7 +105,7 @@ class AlarmWatch:
     --------
     >>> watch = AlarmWatch(AlarmRule(allowance=1.0, threshold=3.0, per_hour=0.5))
     >>> [watch.feed(end_s, score) is not None
-    ...  for end_s, score in ((10.0, 0.5), (15.0, 3.0), (20.0, 3.0), (25.0, 9.0))]
+    ...  for end_s, score in ((5.0, 0.5), (7.5, 3.0), (10.0, 3.0), (12.5, 9.0))]
     [False, False, True, False]
     """
 
@@ -188,7 +187,7 @@ class NormalWindows:
         return clock.most / clock.hours if clock.hours else math.inf
 
     def without(self, block: int) -> "NormalWindows":
-        """Return the windows of all other blocks: those that may judge a recording of this one."""
+        """Return the windows of all other blocks, for judging a recording of this block."""
         others = self.block != block
         kept = others[self.run]
         number = (np.cumsum(others) - 1).astype(np.intp)
@@ -220,7 +219,7 @@ class NormalWindows:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Clock:
-    """When the windows of normal recordings end, if those of a block are watched one by one.
+    """The end times of normal windows, if the recordings of a block are watched in turn.
 
     A block that is longer than most counts as if it were as long as the median one.
     """
@@ -245,7 +244,7 @@ class _Clock:
         return count
 
     def lowest_threshold(self, statistic: Floats, allowed: float) -> float:
-        """Return the lowest threshold that so many alarms pass at most."""
+        """Return the lowest threshold that at most the allowed number of alarms exceed."""
         candidates = np.unique(statistic[np.isfinite(statistic)])
         low, high = 0, len(candidates) - 1  # above the highest there is no alarm at all
         if high < 0:
@@ -260,7 +259,7 @@ class _Clock:
 
 
 def totals_of(excess: Floats, run: NDArray[np.intp]) -> Iterator[Floats]:
-    """Yield the sums of the latest 1, 2, ... windows; -inf where a recording has not so many.
+    """Yield the sums of the latest 1, 2, ... windows; -inf where a recording has fewer.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """The reference card: everything that scoring needs, learned once and kept in one file.
 
-A card is a ZIP of JSON and Parquet: ``card.json`` says what it holds, ``runs.parquet`` has the
+A card is a ZIP of JSON and Parquet: ``card.json`` describes the content, ``runs.parquet`` has the
 features of the normal recordings, ``models.parquet`` the fitted scorers, ``windows.parquet`` the
-scores of the normal windows. Nothing in it is executed when it is read, and the checksums of the
-ZIP notice damage.
+scores of the normal windows. Reading a card executes nothing in it, and the checksums of the ZIP
+reveal damage.
 """
 
 import io
@@ -32,7 +32,7 @@ from oracle_pipeline.scoring.contract import Contract
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.run_scorer import Design, RunScorer
 
-VERSION = 2
+VERSION = 3  # of the card, and of the windows that it was learned from
 SUFFIX = ".card"
 _FACTS, _RUNS, _MODELS = "card.json", "runs.parquet", "models.parquet"
 _WINDOWS = "windows.parquet"
@@ -51,7 +51,7 @@ _LARGEST = 1 << 30  # bytes of one member; a card of 840 runs has 40 MB
 
 
 class CardError(OracleError):
-    """A file is no reference card, or not one of this release."""
+    """A file is not a reference card, or is one of another release."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -70,7 +70,7 @@ class ReferenceCard:
     aspects : mapping of str to CrossConformalScorer
         Scorers of ``tampering`` and ``misbehaviour``, as far as the recordings have such features.
     roles : RoleChoices or None
-        What a roles file said of the recordings' robots and topics; None without one.
+        Robots and topics that a roles file named; None without one.
     """
 
     scorer: CrossConformalScorer
@@ -127,7 +127,7 @@ class ReferenceCard:
             OSError,
         ) as error:
             raise CardError(
-                f"{path} is no reference card, or is damaged ({error}); make it again with "
+                f"{path} is no reference card, or is damaged ({error}); learn it again with "
                 "`oracle learn`."
             ) from error
         scorers = {
@@ -144,7 +144,7 @@ class ReferenceCard:
         )
 
     def card_for(self, _row: pd.DataFrame) -> "ReferenceCard":
-        """Return this card: it is for one kind of system."""
+        """Return this card, which is for one kind of system."""
         return self
 
 
@@ -161,7 +161,7 @@ def _read(
         if facts["version"] != VERSION:
             raise CardError(
                 f"{path} is a card of version {facts['version']}, this release reads {VERSION}; "
-                "make it again with `oracle learn`."
+                "learn it again with `oracle learn`."
             )
         runs = parse_table(_member(archive, _RUNS), f"{path}/{_RUNS}")
         models, windows = (_rows(_member(archive, name)) for name in (_MODELS, _WINDOWS))
@@ -205,7 +205,7 @@ def _described(scorer: CrossConformalScorer) -> dict[str, Any]:
 
 
 def _models(scorers: Mapping[str, CrossConformalScorer]) -> list[dict[str, Any]]:
-    """Return the fitted scalers and detectors, a row a scorer, fold and level."""
+    """Return the fitted scalers and detectors, a row for each scorer, fold and level."""
     return [
         {"scorer": name, "fold": fold, "level": level, **_state(model)}
         for name, scorer in scorers.items()
@@ -215,7 +215,7 @@ def _models(scorers: Mapping[str, CrossConformalScorer]) -> list[dict[str, Any]]
 
 
 def _windows(scorers: Mapping[str, CrossConformalScorer]) -> list[dict[str, Any]]:
-    """Return the held-out scores of the normal windows, a row a scorer and recording."""
+    """Return the held-out scores of the normal windows, a row for each scorer and recording."""
     return [
         {"scorer": name, "scores": known.scores[mine], "start_s": known.start_s[mine]}
         for name, scorer in scorers.items()

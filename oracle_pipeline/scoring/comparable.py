@@ -1,4 +1,4 @@
-"""The features and the normal runs of a reference that one recording can be compared with."""
+"""Selects the features and normal runs of a reference for comparison with one recording."""
 
 import json
 from collections.abc import Sequence
@@ -89,7 +89,7 @@ def listed(words: Sequence[str]) -> str:
 def _normal_runs(
     row: pd.DataFrame, reference: pd.DataFrame, columns: list[str], notes: list[str]
 ) -> pd.DataFrame:
-    """Return the runs to compare with; why some normal ones are left out goes to `notes`."""
+    """Return the runs to compare with; `notes` gets the reasons why normal runs are left out."""
     normal = reference[~is_malicious(reference)]
     alike = same_kind(normal, columns)
     if not alike.all():

@@ -1,4 +1,4 @@
-"""From scores to verdicts with a known false-alarm rate: split-conformal p-values.
+"""Split-conformal p-values: from scores to verdicts with a known false positive rate.
 
 A run is compared with calibration runs: normal ones that the detector was not fitted on. If it is
 exchangeable with them, its p-value is at most ``alpha`` with a probability of at most ``alpha``,
@@ -18,7 +18,7 @@ from oracle_pipeline.bags.errors import OracleError
 
 
 class ConformalError(OracleError):
-    """The calibration runs cannot support the verdict that is asked for."""
+    """There are too few calibration runs for the requested false positive rate."""
 
 
 def p_values(
@@ -34,9 +34,9 @@ def p_values(
         Scores of runs that the detector was not fitted on.
     scores : ndarray of shape (m,)
     blocks : ndarray of shape (n,), optional
-        Block of each calibration run. With it every block counts once, by the share of its runs:
-        runs of one block are alike, so they are exchangeable with a run of another block only block
-        by block [1]_, and ``n`` is the number of blocks.
+        Block of each calibration run. With it, each block counts once, by the share of its runs,
+        and ``n`` is the number of blocks. Runs of one block resemble each other, so only blocks are
+        exchangeable [1]_.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def p_values(
 
 
 def runs_needed(rate: float) -> int:
-    """Return the fewest calibration runs that can give a p-value of at most `rate`.
+    """Return the smallest number of calibration runs that can give a p-value of at most `rate`.
 
     Examples
     --------
@@ -86,33 +86,35 @@ def runs_needed(rate: float) -> int:
     (19, 99)
     """
     if not 0.0 < rate < 1.0:
-        raise ConformalError(f"A false-alarm rate of {rate:g} is none; give one between 0 and 1.")
+        raise ConformalError(
+            f"A false positive rate of {rate:g} is invalid; give one between 0 and 1."
+        )
     count = int(1.0 / rate)
     return count - 1 if 1.0 / count <= rate else count
 
 
 def check_support(n_calibration: int, rate: float) -> None:
-    """Refuse a false-alarm rate that so many calibration runs cannot give.
+    """Raise an error if there are too few calibration runs for a false positive rate.
 
     Raises
     ------
     ConformalError
-        Saying how many runs are needed.
+        There are too few; the message states how many are needed.
     """
     needed = runs_needed(rate)
     if n_calibration < needed:
         raise ConformalError(
-            f"{n_calibration} calibration runs cannot support a false-alarm rate of {rate:.3g}: no "
-            f"run could be called anomalous, however odd. {needed} are needed; add normal runs "
-            "to the reference or allow more false alarms."
+            f"{n_calibration} calibration runs cannot support a false positive rate of {rate:.3g}: "
+            f"no run could be called anomalous, however unusual it is. {needed} are needed; add "
+            "normal runs to the reference, or choose a higher rate."
         )
 
 
 def adjusted_for_suite(p: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return Benjamini-Hochberg p-values of runs that are judged together.
 
-    If runs up to `rate` are called anomalous, at most that share of them is normal on average;
-    p-values that share their calibration runs depend on one another in the way this allows.
+    If runs with a p-value up to `rate` are called anomalous, at most that share of them is normal,
+    on average. The procedure allows the dependence between p-values that share calibration runs.
 
     Examples
     --------

@@ -1,12 +1,13 @@
 """The contract of a system: topics, types, QoS, rates, nodes and edges of its normal recordings.
 
-A breach needs no statistics: a topic that is gone is gone. So it is told in words, before any
-p-value. Only topics with a steady rate have a rate in the contract. A robot that runs is held to
-the pace of its topics, too: how long they are silent, and how much they say in ten seconds.
+A departure from it needs no statistics, so it is reported in words, before any p-value. Only topics
+with a steady rate have a rate in the contract. A running robot is also compared with the pace of
+its topics: how long they are silent, and how many messages they have in ten seconds.
 """
 
 import math
 import re
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple, Self
@@ -16,11 +17,13 @@ from rosbags.interfaces import Qos
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.graphs.intervals import compose
 from oracle_pipeline.opened_run import OpenedRun
+from oracle_pipeline.scoring.constants import constants
 from oracle_pipeline.scoring.pace import FEWEST, SPAN_S, Pace, paces, widest
 
 STEADY = 1.5  # a rate that varies by at most this factor between normal recordings is steady
 MARGIN = 0.05  # of a rate, added to what normal recordings showed
 SILENCE_S = 1.0  # added to twice the longest silence of normal recordings, on a running robot [s]
+FEWEST_RECORDINGS = 5  # with a topic that tell which of its fields never change
 COUNT_MARGIN = 0.1  # of the messages in `SPAN_S`, added to what normal recordings showed, and 2
 
 # ROS 2 tools give some nodes a suffix of their own for each process.
@@ -29,14 +32,14 @@ _PROCESS_SUFFIX = re.compile(r"(?<=_)(?:0x)?[0-9a-f]*\d[0-9a-f]*$")
 
 @dataclass(frozen=True, slots=True)
 class TopicTerms:
-    """What normal recordings show of one topic.
+    """The terms of one topic, from normal recordings.
 
     Attributes
     ----------
     types : tuple of str
         Message types.
     qos : tuple of str
-        Offered profiles, in words; empty if the recordings do not tell.
+        Offered profiles, in words; empty if the recordings do not state them.
     lowest_hz, highest_hz : float or None
         Range of its rate; None if the rate is not steady.
     always : bool
@@ -59,7 +62,7 @@ class Breach(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What one recording shows, without looking into any message.
+    """What one recording shows that needs no statistics.
 
     Attributes
     ----------
@@ -69,11 +72,14 @@ class Observation:
         Nodes, and edges as ``node:/a -> topic:/b``; None for a recording without graphs.
     paces : mapping of str to Pace
         Of the topics that have messages.
+    constants : mapping of str to mapping
+        Topic -> field that never changes -> its value in words.
     """
 
     topics: Mapping[str, tuple[str, tuple[str, ...], float | None]]
     graph: frozenset[str] | None
     paces: Mapping[str, Pace] = field(default_factory=dict)
+    constants: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, run: OpenedRun) -> Self:
@@ -83,12 +89,12 @@ class Observation:
             for name, topic in run.bag.topics.items()
         }
         graph = graph_elements(compose(each.graph for each in run.intervals))
-        return cls(topics, graph if run.intervals else None, paces(run.bag))
+        return cls(topics, graph if run.intervals else None, paces(run.bag), constants(run.bag))
 
 
 @dataclass(frozen=True, slots=True)
 class Contract:
-    """What all normal recordings have in common, and what some of them have.
+    """The topics, nodes and edges of normal recordings.
 
     Attributes
     ----------
@@ -96,18 +102,22 @@ class Contract:
     always, ever : frozenset of str
         Nodes and edges of every normal recording with graphs, and of any.
     paces : dict of str to Pace
-        Longest silence, fewest and most messages of a topic, in any of them; of topics that have
-        a pace wherever they are.
+        Longest silence, fewest and most messages of a topic in any recording; only for topics that
+        have a pace in each recording with that topic.
+    constants : dict of str to dict
+        Topic -> field that never changes within any recording -> its value in words; None if the
+        recordings differ.
     """
 
     topics: Mapping[str, TopicTerms]
     always: frozenset[str]
     ever: frozenset[str]
     paces: Mapping[str, Pace] = field(default_factory=dict)
+    constants: Mapping[str, Mapping[str, str | None]] = field(default_factory=dict)
 
     @classmethod
     def learned(cls, observations: Sequence[Observation]) -> Self:
-        """Return the contract that normal recordings keep; at least one is needed."""
+        """Return the contract of normal recordings, of which at least one is needed."""
         names = sorted({name for seen in observations for name in seen.topics})
         graphs = [seen.graph for seen in observations if seen.graph is not None]
         irregular = {name for seen in observations for name in seen.topics.keys() - seen.paces}
@@ -120,6 +130,7 @@ class Contract:
                 for name, pace in widest(seen.paces for seen in observations).items()
                 if name not in irregular
             },
+            {name: _constants(name, observations) for name in names},
         )
 
     def breaches(self, seen: Observation, *, rates: bool = True) -> list[Breach]:
@@ -143,6 +154,8 @@ class Contract:
             else:
                 found += _of_topic(name, terms, kind, qos)
                 found += _of_rate(name, terms, rate_hz) if rates else []
+                if kind in terms.types and name in seen.constants:
+                    found += self._of_constants(name, seen.constants[name])
         return found + self._of_graph(seen.graph)
 
     def breach_of_silence(self, name: str, silent_s: float) -> Breach | None:
@@ -171,6 +184,17 @@ class Contract:
             f"{pace.fewest} to {pace.most}.",
         )
 
+    def _of_constants(self, name: str, seen: Mapping[str, str]) -> Iterable[Breach]:
+        for path, usual in self.constants.get(name, {}).items():
+            if path not in seen:
+                yield Breach(
+                    name,
+                    f"Field {path} of topic {name} changes; in normal recordings it never does.",
+                )
+            elif usual is not None and seen[path] != usual:
+                now, usual = (textwrap.shorten(text, 40) for text in (seen[path], usual))
+                yield Breach(name, f"Field {path} of topic {name} is {now} instead of {usual}.")
+
     def _of_graph(self, graph: frozenset[str] | None) -> list[Breach]:
         if graph is None or not self.ever:
             return []
@@ -179,17 +203,18 @@ class Contract:
         return gone + new
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract as JSON knows it."""
+        """Return the contract as JSON-compatible values."""
         return {
             "topics": {name: asdict(terms) for name, terms in self.topics.items()},
             "always": sorted(self.always),
             "ever": sorted(self.ever),
             "paces": self.paces,
+            "constants": self.constants,
         }
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:
-        """Return the contract that `to_dict` gave."""
+        """Return the contract from the values of `to_dict`."""
         topics = {
             name: TopicTerms(
                 **{**terms, "types": tuple(terms["types"]), "qos": tuple(terms["qos"])}
@@ -197,7 +222,13 @@ class Contract:
             for name, terms in document["topics"].items()
         }
         known = {name: Pace(*pace) for name, pace in document.get("paces", {}).items()}
-        return cls(topics, frozenset(document["always"]), frozenset(document["ever"]), known)
+        return cls(
+            topics,
+            frozenset(document["always"]),
+            frozenset(document["ever"]),
+            known,
+            document.get("constants", {}),
+        )
 
 
 def _terms(name: str, observations: Iterable[Observation]) -> TopicTerms:
@@ -212,6 +243,18 @@ def _terms(name: str, observations: Iterable[Observation]) -> TopicTerms:
         highest_hz=max(rates) if steady else None,
         always=len(present) == len(seen),
     )
+
+
+def _constants(name: str, observations: Iterable[Observation]) -> dict[str, str | None]:
+    """Return the fields of a topic that never change within any recording."""
+    seen = [of.constants[name] for of in observations if name in of.constants]
+    if len(seen) < FEWEST_RECORDINGS:
+        return {}
+    fields = [path for path in seen[0] if all(path in each for each in seen)]
+    return {
+        path: seen[0][path] if all(each[path] == seen[0][path] for each in seen) else None
+        for path in fields
+    }
 
 
 def _of_topic(name: str, terms: TopicTerms, kind: str, qos: Sequence[str]) -> list[Breach]:
@@ -261,7 +304,7 @@ def graph_elements(graph: RosGraph) -> frozenset[str]:
 
 
 def _shown(element: str) -> str:
-    """Say what an element of the graph is.
+    """Return an element of the graph in words.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""P-values that waste no recording: each normal run calibrates a model that did not see it.
+"""Cross-conformal p-values: each normal run calibrates a model that did not see it.
 
 The normal runs are dealt into folds, whole sessions to one side. For each fold a scorer is fitted
 on the other folds and scores this one. A new run is scored by every scorer, and is compared with
@@ -6,9 +6,9 @@ each normal run under the scorer that was not fitted on it (cross-conformal pred
 regression [2]_). A split into a fitting and a calibrating half needs twice the recordings for the
 same smallest p-value.
 
-If the new run is exchangeable with the normal ones, ``p <= alpha`` happens at most with probability
-``2 alpha`` whatever the scorer, and with about ``alpha`` for scorers that hardly change when one
-fold is left out [2]_. The realised rate is measured in the evaluation.
+If the new run is exchangeable with the normal ones, ``p <= alpha`` has a probability of at most ``2
+alpha``, whatever the scorer, and of about ``alpha`` for scorers that hardly change when one fold is
+left out [2]_. The evaluation measures the realised rate.
 
 Runs of one session share a day's nuisance, so no scorer calibrates on a session that it was fitted
 on; with fewer than three sessions, whole blocks are dealt instead. Runs of one block share start
@@ -44,20 +44,20 @@ class CrossConformalScorer:
     Parameters
     ----------
     design : Design
-        What is looked at.
+        The features and the detector.
     folds : int
-        At most; never more than there are sessions, or blocks where those are dealt.
+        Largest number of folds; there are never more than sessions (or blocks, if those are dealt).
 
     Attributes
     ----------
     scorers_ : list of RunScorer
-        One a fold, fitted on all other folds.
+        One for each fold, fitted on all other folds.
     fold_ : ndarray of int, shape (n_runs,)
         In which fold each normal run was held out.
     block_ : ndarray of int, shape (n_runs,)
         Of each normal run.
     centre_, spread_ : ndarray of shape (n_levels,)
-        Median and scaled MAD of the held-out scores: what brings the levels to one scale.
+        Median and scaled MAD of the held-out scores, which bring the levels to one scale.
     held_out_ : ndarray of shape (n_runs,)
         Score of each normal run by the scorer that did not see it.
     windows_ : NormalWindows or None
@@ -85,6 +85,7 @@ class CrossConformalScorer:
         DetectorError
             The detector cannot be fitted on so few runs.
         """
+        seen = runs.having(self.design.run_features, self.design.window_features)
         self.block_ = runs.block
         self.fold_ = dealt(_held_out_together(runs), self.folds, rng)
         self.scorers_ = []
@@ -92,7 +93,7 @@ class CrossConformalScorer:
         of_windows = np.empty(len(runs.run))
         for fold in range(self.fold_.max() + 1):
             out = self.fold_ == fold
-            held_out, scorer = runs.where(out), RunScorer(self.design).fit(runs.where(~out))
+            held_out, scorer = seen.where(out), RunScorer(self.design).fit(seen.where(~out))
             scores = scorer.score(held_out)
             if by_level is None:
                 by_level = np.empty((len(out), scores.shape[1]))
@@ -115,7 +116,8 @@ class CrossConformalScorer:
 
         The unit is the spread of held-out normal runs; 0 is their median. Higher is more anomalous.
         """
-        return np.stack([self._combined(scorer.score(runs)) for scorer in self.scorers_])
+        seen = runs.having(self.design.run_features, self.design.window_features)
+        return np.stack([self._combined(scorer.score(seen)) for scorer in self.scorers_])
 
     def p_values(
         self, scores: NDArray[np.float64], block: NDArray[np.int64] | None = None
@@ -128,7 +130,7 @@ class CrossConformalScorer:
             As of `scores`.
         block : ndarray of int, shape (n_runs,), optional
             Block of each run, if it is one of the blocks learned from. Then only the scorer that
-            did not see the block speaks, and the block has no vote.
+            did not see the block is used, and the block has no vote.
 
         Returns
         -------
@@ -178,7 +180,7 @@ class CrossConformalScorer:
     def window_scores(
         self, windows: pd.DataFrame, block: NDArray[np.int64] | None = None
     ) -> NDArray[np.float64]:
-        """Return one score for each window, shape (n_windows,): what `AlarmWatch` is fed.
+        """Return one score for each window, shape (n_windows,), as input of `AlarmWatch`.
 
         A window is scored by itself, so those of a running robot can be scored one by one.
 

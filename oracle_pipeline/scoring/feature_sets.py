@@ -7,7 +7,8 @@ from oracle_pipeline.datasets import feature_columns, field_metadata
 
 LEFT_OUT = ("thesis",)  # families that are no part of our oracle
 ASPECTS = ("tampering", "misbehaviour")  # what a recording is scored by besides all features
-REDUNDANT = ("redundancy", "pairs")  # families that compare sensors, or a topic and its relay
+# Families that compare sensors, a topic and its relay, or a sensor and what all sensors marked.
+REDUNDANT = ("redundancy", "pairs", "costmap")
 
 
 def feature_sets(df: pd.DataFrame) -> dict[str, list[str]]:

@@ -1,6 +1,6 @@
-"""Work on one recording in a process of its own, within limits.
+"""Work on one recording in a separate process, within limits of time and memory.
 
-Whatever a recording does to its process, the others of a suite get their verdicts. Processes are
+If a recording kills its process, the others of a suite still get their verdicts. Processes are
 forked from a server that has imported everything once.
 """
 
@@ -32,7 +32,7 @@ _GIB = 2**30
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What one recording may take."""
+    """Limits for the work on one recording."""
 
     seconds: float = 900.0
     gibibytes: float = 4.0  # of memory
@@ -42,7 +42,7 @@ DEFAULT_LIMITS = Limits()
 
 
 class Extracted(NamedTuple):
-    """What the other process found of one robot."""
+    """The result of the other process for one robot."""
 
     recording: str  # its path, and which robot if there are several
     tables: FeatureTables
@@ -65,7 +65,7 @@ def extract_apart(
     path : Path
         A run directory or a bag.
     manager : FeatureManager
-        As `build_manager` made it; the process makes its own of the same plugins.
+        As returned by `build_manager`; the process builds its own with the same plugins.
     limits : Limits
         Of that process.
     strict : bool
@@ -104,12 +104,12 @@ def _extracted(
 
 
 def apart(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT_LIMITS) -> T:
-    """Return what a function makes of a recording, in another process.
+    """Return the result of a function on a recording, computed in another process.
 
     Parameters
     ----------
     work : callable
-        From the path to something picklable; picklable itself.
+        Takes the path and returns a picklable value; must be picklable itself.
     path : Path
         A run directory or a bag.
     limits : Limits

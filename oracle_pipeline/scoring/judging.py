@@ -1,7 +1,7 @@
 """Verdicts on recordings, by the scorer of a reference card.
 
-First what needs no statistics: how a recording departs from the contract of its system. Then its
-p-value among the normal runs, and the features that are outside their usual range.
+A verdict has the departures from the contract of the system, which need no statistics, the p-value
+among the normal runs, and the features outside their usual range.
 """
 
 import math
@@ -37,7 +37,7 @@ OTHER_ROLES = (
 
 
 class CardSource(Protocol):
-    """A reference card, or what learns one for each kind of system."""
+    """A reference card, or an object that learns a card for each kind of system."""
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -81,7 +81,7 @@ def score(
     strict : bool
         Do not judge an incomplete recording.
     choices : RoleChoices, optional
-        What a roles file says of robots and topics; by default, what it said of the normal runs.
+        Content of a roles file; by default, the one that the reference was learned with.
     """
     notes: tuple[str, ...] = ()
     if choices is None:
@@ -97,7 +97,7 @@ def score(
 
 
 def settled(verdicts: Sequence[Verdict], far: float) -> list[Verdict]:
-    """Correct verdicts for being judged together.
+    """Adjust verdicts that are judged together.
 
     With few normal runs the correction can make an alarm on one recording impossible, however
     unusual it is. Then a recording that is not anomalous is unsupported, not normal.
@@ -158,7 +158,7 @@ def _of_robots(
     strict: bool,
     choices: RoleChoices | None,
 ) -> list[Verdict]:
-    """Return the verdicts on the robots of a recording; one with the error if it has none."""
+    """Return a verdict for each robot of a recording, or one verdict with the error."""
     try:
         robots = extract_apart(path, manager, limits, strict=strict, choices=choices)
     except (OracleError, OSError) as error:

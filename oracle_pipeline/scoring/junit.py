@@ -12,7 +12,7 @@ _NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 class TestCase(NamedTuple):
-    """One test case: passed if nothing is said of it."""
+    """One test case; it has passed if it has neither a failure nor an error."""
 
     name: str
     kind: Literal["", "failure", "error"] = ""
@@ -20,7 +20,7 @@ class TestCase(NamedTuple):
 
 
 def as_junit(verdicts: Sequence[Verdict]) -> bytes:
-    """Return JUnit XML: a test case for each recording, anomalous ones are its failures."""
+    """Return JUnit XML with a test case for each recording; anomalous ones are failures."""
     return junit_document("oracle score", [_test_case(verdict) for verdict in verdicts])
 
 

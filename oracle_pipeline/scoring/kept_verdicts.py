@@ -1,4 +1,4 @@
-"""Verdicts on recordings that arrived from elsewhere, kept as JSON beside their features."""
+"""Verdicts on recordings that arrived, stored as JSON beside their features."""
 
 import dataclasses
 import json
@@ -18,12 +18,12 @@ VERSION = 1
 
 
 class KeptVerdictError(OracleError):
-    """A file holds no verdict, or one of another release."""
+    """A file is not a verdict, or is one of another release."""
 
 
 @dataclass(frozen=True, slots=True)
 class KeptVerdict:
-    """A verdict, and by what it was reached."""
+    """A verdict, with the card and the rate that led to it."""
 
     key: str  # of the recording, as `oracle_pipeline.bags.arrivals` makes it
     fingerprint: str  # of its files when it was judged

@@ -52,13 +52,13 @@ def learn(reference: Reference) -> ReferenceCard:
 
 
 def learned_scorer(normal: MeasuredRuns, features: str = "all") -> CrossConformalScorer:
-    """Return the scorer that learns from these normal runs.
+    """Return a scorer that is fitted on normal runs.
 
     Parameters
     ----------
     normal : MeasuredRuns
     features : str
-        Name of the set that it looks at (`feature_sets`).
+        Name of its set of features (`feature_sets`).
 
     Raises
     ------
@@ -71,7 +71,7 @@ def learned_scorer(normal: MeasuredRuns, features: str = "all") -> CrossConforma
 
 
 def design(runs: MeasuredRuns, features: str = "all") -> Design:
-    """Return what is looked at: the features of a set that these runs and their windows have."""
+    """Return the design: the features of a set that these runs and their windows have."""
     columns = feature_sets(runs.features).get(features, [])
     if not columns:
         raise ScoringError("The normal runs have no feature with a value; extract them again.")
@@ -87,8 +87,8 @@ def design(runs: MeasuredRuns, features: str = "all") -> Design:
 class Cards:
     """A card for each kind of system that a reference holds, learned when it is first needed.
 
-    A robot and an air traffic system may stand in one table. Runs are of one kind if they have
-    values in the same families of features as the recording.
+    A robot and an air traffic system may be in one table. Runs are of one kind if they have values
+    in the same families of features as the recording.
 
     Parameters
     ----------

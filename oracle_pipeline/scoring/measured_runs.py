@@ -1,24 +1,32 @@
-"""What is measured of runs: their features and those of their windows, in one order."""
+"""The features of runs and of their windows, in one order."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.datasets import DatasetError, is_malicious
+from oracle_pipeline.datasets import (
+    MISSING,
+    WHERE,
+    DatasetError,
+    feature_columns,
+    is_malicious,
+)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MeasuredRuns:
-    """What is measured of distinct runs; n_runs and n_windows rows, each by ``run_id``.
+    """Features of distinct runs; n_runs and n_windows rows, sorted by ``run_id``.
 
     Attributes
     ----------
     features : DataFrame
         One row for each run.
     windows : DataFrame
-        One row for each window, by start.
+        One row for each window, by start; without the texts on where features were attained and
+        why they are missing, which nobody who measures reads.
     run : ndarray of shape (n_windows,)
         Row of `features` that each window belongs to.
     """
@@ -39,9 +47,20 @@ class MeasuredRuns:
         require_runs(features, windows, "window")
         runs = features.sort_values("run_id", ignore_index=True)
         number = pd.Series(np.arange(len(runs)), index=runs["run_id"])
-        of_runs = windows[windows["run_id"].isin(number.index)]
+        numbers = windows.drop(columns=[WHERE, MISSING], errors="ignore")
+        of_runs = numbers[windows["run_id"].isin(number.index)]
         of_runs = of_runs.sort_values(["run_id", "window_start_s"], ignore_index=True)
         return cls(runs, of_runs, number.loc[of_runs["run_id"]].to_numpy(dtype=np.intp))
+
+    def having(self, of_runs: Sequence[str], of_windows: Sequence[str]) -> "MeasuredRuns":
+        """Return the runs with some features alone, and their windows without keys, too.
+
+        There is less to copy for each choice of runs.
+        """
+        keys = [c for c in self.features.columns if c not in feature_columns(self.features)]
+        return MeasuredRuns(
+            self.features[[*keys, *of_runs]], self.windows[list(of_windows)], self.run
+        )
 
     def where(self, chosen: NDArray[np.bool_]) -> "MeasuredRuns":
         """Return the runs of a mask of shape (n_runs,), with their windows."""
@@ -98,7 +117,7 @@ class MeasuredRuns:
 
 
 def require_runs(features: pd.DataFrame, table: pd.DataFrame, name: str) -> None:
-    """Refuse a table that lacks some of the runs; `name` says in the error which table it is."""
+    """Raise an error if a table lacks some of the runs; `name` is that of the table."""
     absent = sorted(set(features["run_id"]) - set(table["run_id"]))
     if absent:
         raise DatasetError(

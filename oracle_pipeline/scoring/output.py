@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 from collections.abc import Iterator, Sequence
 
 from oracle_pipeline.bags.terminal import aligned_lines
@@ -9,6 +10,7 @@ from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.alarms import RATE_PER_H
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.conformal import runs_needed
+from oracle_pipeline.scoring.odd_recordings import odd_recordings
 from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
 
 # The worst of a suite counts.
@@ -21,7 +23,9 @@ _SHOWN: dict[Judgement, str] = {
 }
 _WIDTH = len("NO VERDICT")
 
-RATES = (0.05, 0.01)  # false positive rates that a card is held against
+RATES = (0.05, 0.01)  # false positive rates for which the output names what a card lacks
+
+_MOST_ODD = 5  # recordings of a card that are named
 
 HEADINGS = ("feature", "value", "usual (5-95 %)", "z", "window", "where")
 
@@ -62,20 +66,30 @@ def as_text(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> st
 def card_as_text(card: ReferenceCard) -> str:
     """Return what a card holds, which rates it supports, and what it lacks."""
     runs, scorer = card.runs, card.scorer
-    blocks = runs["block"].nunique()
+    blocks, sessions = runs["block"].nunique(), runs["session"].nunique()
     lines = [
-        f"Learned from {len(runs)} normal recordings of {blocks} blocks and "
-        f"{runs['session'].nunique()} sessions.",
-        f"Features: {len(scorer.design.run_features)} of recordings, "
+        f"Learned from {_count(len(runs), 'normal recording')}: {_count(blocks, 'block')}, "
+        f"{_count(sessions, 'session')}.",
+        f"Features: {len(scorer.design.run_features)} of whole recordings, "
         f"{len(scorer.design.window_features)} of windows.",
         f"Scores beside the verdict: {', '.join(card.aspects) or 'none'}.",
+        _support(blocks),
         _alarms_as_text(card),
         _contract_as_text(card),
         *_roles_as_text(card),
-        *(_support(blocks, rate) for rate in RATES),
+        *_odd_as_text(card),
         *card.notes,
     ]
     return "\n".join(lines)
+
+
+def lowest_far(card: ReferenceCard) -> float:
+    """Return the lowest false positive rate at which a card supports a verdict, to 3 digits."""
+    return math.ceil(1000.0 / (card.runs["block"].nunique() + 1)) / 1000.0
+
+
+def _count(number: int, name: str) -> str:
+    return f"{number} {name}{'' if number == 1 else 's'}"
 
 
 def _roles_as_text(card: ReferenceCard) -> list[str]:
@@ -86,11 +100,15 @@ def _roles_as_text(card: ReferenceCard) -> list[str]:
     return [f"Roles file, used for scoring too: {'; '.join([*robots, *chosen])}."]
 
 
-def _support(blocks: int, rate: float) -> str:
-    needed = runs_needed(rate)
-    if blocks >= needed:
-        return f"Supports verdicts at a false positive rate of {rate:.0%}."
-    return f"Supports no verdict at {rate:.0%}: {needed} blocks are needed, {needed - blocks} more."
+def _support(blocks: int) -> str:
+    """Return which false positive rates so many blocks support, and what lower ones take."""
+    lacking = [
+        f"{rate:.0%} takes {_count(runs_needed(rate) - blocks, 'more block')}"
+        for rate in RATES
+        if blocks < runs_needed(rate)
+    ]
+    supported = f"Verdicts: at a false positive rate of {1.0 / (blocks + 1):.2g} or more"
+    return f"{'; '.join([supported, *lacking])}."
 
 
 def _alarms_as_text(card: ReferenceCard) -> str:
@@ -100,10 +118,10 @@ def _alarms_as_text(card: ReferenceCard) -> str:
         return "No alarms within a recording: the recordings have no features of windows."
     lowest = windows.lowest_rate()
     if lowest <= RATE_PER_H:
-        return f"Supports alarms within a recording, with at most {RATE_PER_H:g} false an hour."
+        return f"Alarms within a recording: at most {RATE_PER_H:g} false alarms an hour."
     return (
-        f"Supports alarms within a recording, with at most {lowest:.2g} false an hour; "
-        f"{RATE_PER_H:g} takes {lowest / RATE_PER_H:.1f} times as many hours of normal blocks."
+        f"Alarms within a recording: at most {lowest:.2g} false alarms an hour; {RATE_PER_H:g} an "
+        f"hour takes {lowest / RATE_PER_H:.2g} times as many hours of normal recordings."
     )
 
 
@@ -113,6 +131,23 @@ def _contract_as_text(card: ReferenceCard) -> str:
     terms = card.contract.topics.values()
     steady = sum(of_topic.lowest_hz is not None for of_topic in terms)
     return f"Contract: {len(terms)} topics, {steady} of them with a steady rate."
+
+
+def _odd_as_text(card: ReferenceCard) -> list[str]:
+    """Return which recordings may not be normal."""
+    odd = list(odd_recordings(card))
+    if not odd:
+        return []
+    shown = [
+        f"    {each.name}: score {each.score:.3g}"
+        + (f", {each.farthest.feature} = {each.farthest.value:.3g}" if each.farthest else "")
+        for each in odd[:_MOST_ODD]
+    ]
+    return [
+        f"Unlike the others: {_count(len(odd), 'recording')}. Each raises the score that an attack "
+        "must exceed. Leave out those that went wrong, and learn again.",
+        *shown,
+    ]
 
 
 def _remarks(verdict: Verdict) -> list[str]:
@@ -154,12 +189,16 @@ def _aspects(verdict: Verdict) -> Iterator[str]:
 
 def _alarms(verdict: Verdict) -> Iterator[str]:
     """Yield a line on the alarms within the recording."""
-    if verdict.alarms:
-        times = ", ".join(f"{alarm.time_s:g} s" for alarm in verdict.alarms)
+    if not verdict.alarms or verdict.alarms_per_h is None:
+        return
+    times = ", ".join(f"{alarm.time_s:g} s" for alarm in verdict.alarms)
+    rate = f"{verdict.alarms_per_h:.2g} false ones an hour"
+    if verdict.alarms_per_h > RATE_PER_H:
         yield (
-            f"Alarm at {times} (at most {verdict.alarms_per_h:.2g} false alarms an hour are "
-            "promised)."
+            f"Alarm at {times}, perhaps false: the reference is too short to promise below {rate}."
         )
+    else:
+        yield f"Alarm at {times} (at most {rate} are promised)."
 
 
 def cells(evidence: Evidence) -> tuple[str, ...]:
@@ -185,5 +224,5 @@ def family_as_text(family: FamilyDeviation) -> str:
 
 
 def _z(z: float, *, capped: bool) -> str:
-    """Return a robust z, and whether it is only as large as z may be."""
+    """Return a robust z as text, with a mark if it is capped."""
     return f"{z:+.1f} (capped)" if capped else f"{z:+.1f}"

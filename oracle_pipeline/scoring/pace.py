@@ -1,7 +1,7 @@
 """How regularly the messages of a topic come, from their stamps alone.
 
-A running robot is held to it within seconds: a silence longer than any that normal recordings show,
-or more or fewer messages in ten seconds.
+`oracle watch` compares a running robot with it within seconds: it notices a silence longer than any
+in normal recordings, and more or fewer messages in ten seconds.
 """
 
 from collections.abc import Iterable, Mapping
@@ -18,7 +18,7 @@ _SECOND_NS = 1_000_000_000
 
 
 class Pace(NamedTuple):
-    """Of a topic, from its first message on."""
+    """The pace of a topic, from its first message on."""
 
     longest_gap_s: float  # without a message, up to the end of the recording [s]
     fewest: int | None  # messages in any span of `SPAN_S`; None if no recording is so long
@@ -71,7 +71,7 @@ def paces(bag: BagReader) -> dict[str, Pace]:
 
 
 def widest(seen: Iterable[Mapping[str, Pace]]) -> dict[str, Pace]:
-    """Return of each topic what all recordings together show."""
+    """Return the pace of each topic over all recordings."""
     together: dict[str, Pace] = {}
     for pace_of in seen:
         for name, pace in pace_of.items():

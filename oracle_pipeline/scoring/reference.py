@@ -34,11 +34,10 @@ class Reference:
     windows : DataFrame or None
         The features of their windows, if these are known.
     observations : tuple of Observation
-        What the recordings show without looking into messages, in the order of `table`; empty if
-        only tables were read.
+        Interfaces of the recordings, in the order of `table`; empty if only tables were read.
     notes : tuple of str
     roles : RoleChoices or None
-        What a roles file said of the recordings; None without one.
+        Robots and topics that a roles file named; None without one.
     """
 
     table: pd.DataFrame
@@ -62,7 +61,7 @@ def read_reference(
     manager : FeatureManager
         The plugins to compute with.
     choices : RoleChoices, optional
-        What a roles file says of robots and topics.
+        Robots and topics that a roles file names.
 
     Raises
     ------
@@ -120,8 +119,8 @@ def _extracted(
             observations.append(observation)
     if not tables:
         raise ScoringError(
-            f"{listed([str(path) for path in paths])} holds no recording to compare with; name "
-            f"another. {' '.join(notes)}".rstrip()
+            f"{listed([str(path) for path in paths])} holds no recording to compare with; check "
+            f"the path, or name another. {' '.join(notes)}".rstrip()
         )
     if unlabelled:
         notes.append(f"{unlabelled} reference recordings have no label; they are taken as normal.")

@@ -1,7 +1,7 @@
-"""How unusual a run is: by its features, and by those of its most unusual windows.
+"""Scores of a run: by its own features, and by those of its most unusual windows.
 
-Two levels, two scores. How they become one number and a p-value is in
-``oracle_pipeline.scoring.cross_conformal``.
+These are two levels with a score each. ``oracle_pipeline.scoring.cross_conformal`` combines them
+into one score and a p-value.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,13 +18,13 @@ from oracle_pipeline.detectors import Detector, pipeline
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 LEVELS = ("run", "windows")
-TOP_WINDOWS = 3  # the mean score of so many windows stands for the run
+TOP_WINDOWS = 6  # the mean score of so many windows stands for the run
 COMMON = 0.9  # windows count up to the length that this share of the fitted runs has
 
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What a scorer looks at, fixed before any run is seen.
+    """Features and detector of a scorer, fixed before any run is seen.
 
     Attributes
     ----------
@@ -54,8 +54,8 @@ class RunScorer:
     models_ : dict of str to Pipeline
         A fitted scaler and detector for each level that has features.
     windows_counted_ : int
-        Windows of a run that count, from its start. The longer a run, the more unusual its most
-        unusual windows, so all runs are looked at for the same length.
+        Number of windows of a run that count, from its start. A longer run has more extreme windows
+        by chance, so all runs are compared over the same length.
     """
 
     def __init__(self, design: Design) -> None:
@@ -78,7 +78,7 @@ class RunScorer:
         ):
             if columns:
                 model = pipeline(clone(design.detector), design.floors)
-                self.models_[level] = model.fit(table[list(columns)])
+                self.models_[level] = model.fit(_these(table, columns))
         return self
 
     def score(self, runs: MeasuredRuns) -> NDArray[np.float64]:
@@ -86,7 +86,8 @@ class RunScorer:
         scores = []
         for level, model in self.models_.items():
             if level == "run":
-                scores.append(-model.score_samples(runs.features[list(self.design.run_features)]))
+                seen = _these(runs.features, self.design.run_features)
+                scores.append(-model.score_samples(seen))
             else:
                 scores.append(
                     top_windows(self.score_windows(runs.windows), runs, self.windows_counted_)
@@ -95,10 +96,13 @@ class RunScorer:
 
     def score_windows(self, windows: pd.DataFrame) -> NDArray[np.float64]:
         """Return the score of each row of a window table, shape (n_windows,)."""
-        columns = list(self.design.window_features)
-        return np.asarray(
-            -self.models_["windows"].score_samples(windows[columns]), dtype=np.float64
-        )
+        seen = _these(windows, self.design.window_features)
+        return np.asarray(-self.models_["windows"].score_samples(seen), dtype=np.float64)
+
+
+def _these(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
+    """Return some columns of a table, which is not copied if it has no others."""
+    return table if list(table.columns) == list(columns) else table[list(columns)]
 
 
 def top_windows(

@@ -33,7 +33,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class AspectScore:
-    """How unusual a recording is in one aspect: what its messages say, or what the robot did."""
+    """Score of a recording in one aspect: tampering or misbehaviour."""
 
     p_value: float  # among the normal blocks, by the features of the aspect alone
     suite_p_value: float  # adjusted for the recordings judged together
@@ -42,7 +42,7 @@ class AspectScore:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The judgement of one recording and all that it rests on; an error has no numbers."""
+    """The judgement of one recording with its basis; an error has no numbers."""
 
     recording: str
     outcome: Judgement

@@ -1,7 +1,7 @@
-"""What a trial may run: a scenario whose parameters vary, or one made of an operator and a topic.
+"""What a trial can run: a scenario with varied parameters, or one operator on one topic.
 
-Either way a proposal is a whole scenario, whose defaults are what was proposed. So what a search
-found can be recorded again, mutated and shared like any other scenario.
+In both cases a proposal is a complete scenario with the proposed values as defaults. So what a
+search found can be recorded, mutated and shared like any other scenario.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,7 +28,7 @@ class Attack:
     Attributes
     ----------
     document : mapping
-        A scenario whose defaults are the values.
+        A scenario with the values as defaults.
     values : mapping of str to number or text
         What was chosen, by name.
     """
@@ -79,7 +79,7 @@ class ScenarioTemplate:
         return ", ".join(f"{each.name} {each.low:g} to {each.high:g}" for each in self.space)
 
     def suggest(self, trial: optuna.Trial) -> Attack:
-        """Return the scenario with the values that a trial proposes."""
+        """Return the scenario with the values of a trial."""
         values = {dimension.name: dimension.suggest(trial) for dimension in self.space}
         document = self.mode.scenario.document
         parameters = {
@@ -97,7 +97,7 @@ def _fixed(spec: Mapping[str, Any], value: Any) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Operator:
-    """An operator of the scenario language, and by what it is stronger or weaker."""
+    """An operator of the scenario language, and the parameters that set its strength."""
 
     amount: Dimension | None
     has_field: bool = False
@@ -142,7 +142,7 @@ OPERATORS: Mapping[str, Operator] = {
 
 @dataclass(frozen=True, slots=True)
 class ComposedTemplate:
-    """One operator on one topic, which is altered in place: which, how much, from when, how long.
+    """One operator on one topic, altered in place; trials choose both, strength and times.
 
     Parameters
     ----------
@@ -164,22 +164,22 @@ class ComposedTemplate:
         *,
         allow_actuation: bool = False,
     ) -> "ComposedTemplate":
-        """Check what was asked for.
+        """Check the requested topics and operators, and return the template.
 
         Parameters
         ----------
         names, operators : sequence of str
-            Topics, and operators; none: all.
+            Topics, and operators. Without operators, all of them.
         there : mapping of str to str
-            The topics that there are, and their types.
+            The topics that exist, and their types.
         allow_actuation : bool
             Whether topics may be altered that move something.
 
         Raises
         ------
         SearchError
-            A topic is not there, may move something, or has no number to alter, or there is no
-            such operator.
+            A topic does not exist, may move something, or has no number to alter, or an operator
+            does not exist.
         """
         if unknown := [name for name in operators if name not in OPERATORS]:
             raise SearchError(
@@ -207,7 +207,7 @@ class ComposedTemplate:
 
     @property
     def conditions(self) -> Mapping[str, Any]:
-        """Nothing is otherwise in the testbed."""
+        """The conditions of the testbed: the usual ones."""
         return {}
 
     @property

@@ -1,6 +1,6 @@
-"""One trial of a search: a run in closed loop, what it did to the task, and its verdict.
+"""One trial of a search: a run in closed loop, its effect on the task, and its verdict.
 
-Nothing of a run stays but numbers: its scenario and its recipe make it again.
+Only numbers are kept of a run, because its scenario and its recipe can reproduce it.
 """
 
 import functools
@@ -58,12 +58,12 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """What one trial is to run.
+    """The run that one trial asks for.
 
     Attributes
     ----------
     document : mapping
-        The scenario, whose defaults are the values.
+        The scenario, with the values as defaults.
     values : mapping of str to number or text
         What was proposed, by name.
     """
@@ -75,13 +75,13 @@ class Proposal:
 
     @property
     def given(self) -> Mapping[str, Any]:
-        """No parameter: what is proposed are the scenario's defaults."""
+        """Further parameters: none, because the scenario's defaults are the proposal."""
         return {}
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What one trial showed.
+    """The result of one trial.
 
     Attributes
     ----------
@@ -89,12 +89,12 @@ class Finding:
         The oracle detects the attack already if it only alters the recording of the control, so
         it was not run in closed loop and has no effect.
     effect : float
-        Largest change of the task, in steps that matter: 1 or more is an effect.
+        Largest change of the task, in units of a change that matters: 1 or more is an effect.
     effects : mapping of str to float
-        Attacked less control, in the unit of each quantity.
+        Attacked run minus control, in the unit of each quantity.
     margin : float or None
-        How far the run is from violating a property of its behaviour, in steps that matter, the
-        least of all; below 0 one is violated. None if it was not run.
+        Smallest distance of the run from violating a property of its behaviour, in units of a
+        change that matters. Below 0, a property is violated. None if it was not run.
     violated : tuple of str
         The properties that it violates.
     magnitude : float or None
@@ -105,7 +105,7 @@ class Finding:
     families : tuple of str
         Families of features outside their usual range, the farthest first.
     moved : tuple of str
-        Features that the attack moved from where they are in the control.
+        Features that differ from those of the control.
     """
 
     proposal: Proposal
@@ -122,18 +122,18 @@ class Finding:
 
     @property
     def has_effect(self) -> bool:
-        """Whether the robot did its task otherwise."""
+        """Whether the attack changed how the robot did its task."""
         return self.effect >= 1.0
 
 
 def run_control(setting: Setting, root: Path, block: int) -> Manifest:
-    """Record a block without an attack, below a root where it stays: screening alters its bag."""
+    """Record a block without an attack. The run is kept, because screening alters its bag."""
     recipe = recipe_for(CONTROL, block, setting.campaign)
     return record_run(recipe, RunDirectory(root, CONTROL, block))
 
 
 def run_trial(setting: Setting, controls: Path, proposal: Proposal) -> Finding:
-    """Run one proposal in closed loop and judge it, unless its messages alone give it away."""
+    """Run one proposal in closed loop and judge it, unless screening detects it already."""
     control = RunDirectory(controls, CONTROL, proposal.block)
     mode = Mode(Scenario("search", proposal.document, NO_FILE), setting.conditions)
     with tempfile.TemporaryDirectory(prefix="oracle-search-") as folder:
@@ -151,7 +151,7 @@ def run_trial(setting: Setting, controls: Path, proposal: Proposal) -> Finding:
 
 
 def task_effects(attacked: Manifest, control: Manifest) -> dict[str, tuple[float, float]]:
-    """Return of each quantity how much more the attacked run has, and that in steps that matter."""
+    """Return the change of each quantity, in its own unit and in units of a change that matters."""
     ours, theirs = behaviour(attacked), behaviour(control)
     effects = {}
     for name in ours.keys() & theirs.keys():
@@ -164,8 +164,8 @@ def task_effects(attacked: Manifest, control: Manifest) -> dict[str, tuple[float
 def margins(attacked: Manifest, control: Manifest) -> dict[str, float]:
     """Return how far a run is from violating each property of its behaviour.
 
-    In steps that matter; below 0 the property is violated. A property that the control violates
-    tells nothing, and is left out.
+    In units of a change that matters; below 0 the property is violated. A property that the control
+    violates, too, is left out.
     """
     ours, theirs = behaviour(attacked), behaviour(control)
     if not ours or not theirs:
@@ -227,7 +227,7 @@ def _finding(
 
 
 def _moved(attacked: pd.DataFrame, control: RunDirectory, card: Path) -> tuple[str, ...]:
-    """Return the features that are elsewhere than in the control."""
+    """Return the features that differ from those of the control."""
     ranges = _ranges(card)
     apart = _placed(attacked, ranges) - _in_control(control, card)
     far = np.flatnonzero(np.nan_to_num(np.abs(apart)) >= MOVED_SCALES)
@@ -235,7 +235,7 @@ def _moved(attacked: pd.DataFrame, control: RunDirectory, card: Path) -> tuple[s
 
 
 def _placed(row: pd.DataFrame, ranges: UsualRanges) -> NDArray[np.float64]:
-    """Return the features of a run in the scales of the normal runs."""
+    """Return the features of a run, scaled as those of the normal runs."""
     scaler = ranges.scaler
     values = row.reindex(columns=scaler.kept_).iloc[0].to_numpy(dtype=np.float64)
     return np.asarray((values - scaler.center_) / scaler.scale_, dtype=np.float64)

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     "--operator",
     "operators",
     multiple=True,
-    help="With --topic: what may be done to its messages.  [default: all]",
+    help="With --topic: an operator to try, such as drift; may be given more than once.  "
+    "[default: all]",
 )
 @click.option(
     "--objective", default="evade", show_default=True,
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--budget", default="100", show_default=True,
-    help="When to end: 200 trials, earlier ones included; or 30m, or 2h.",
+    help="When to end: a number of trials in total, or a time such as 30m or 2h.",
 )  # fmt: skip
 @click.option(
     "--range", "ranges", metavar="NAME=LOW:HIGH", multiple=True,
@@ -55,7 +56,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--blocks", default=3, show_default=True, type=click.IntRange(min=1),
-    help="Trials take turns in so many blocks: starts, goals, arenas and sessions.",
+    help="Number of blocks (start, goals, arena, session) in which trials take turns.",
 )  # fmt: skip
 @click.option(
     "--time-limit", default=120.0, show_default=True, type=click.FloatRange(min=1.0),
@@ -65,16 +66,16 @@ if TYPE_CHECKING:
 @click.option(
     "--sampler", default="tpe", show_default=True,
     type=click.Choice(["tpe", "nsga2", "guided", "random"]),
-    help="Who proposes: Optuna's TPE or NSGA-II; guided varies what moved messages as few others "
-    "did; random learns nothing, to compare with.",
+    help="How trials are proposed: by Optuna's TPE or NSGA-II; guided: near trials that changed "
+    "features which few others changed; random: for comparison.",
 )  # fmt: skip
 @click.option(
     "--screen/--no-screen", default=True, show_default=True,
-    help="For evade: give a trial up if the oracle detects it in an altered recording already.",
+    help="For evade: skip the run of a trial that the oracle detects in an altered recording.",
 )  # fmt: skip
 @click.option(
     "--out", default="search", show_default=True, type=click.Path(path_type=Path, file_okay=False),
-    help="Folder of the search. A search that is there goes on.",
+    help="Folder of the search. An existing search is continued.",
 )  # fmt: skip
 @click.option(
     "--corpus", type=click.Path(path_type=Path, file_okay=False),
@@ -82,7 +83,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--compare", "seeds", type=click.IntRange(min=2), metavar="SEEDS",
-    help="Also search at random, both with so many seeds, and print the medians.",
+    help="Number of seeds with which to search, also at random; prints the medians.",
 )  # fmt: skip
 @allow_actuation_option
 @campaign_options
@@ -110,14 +111,14 @@ def search(
     """Search for attacks that the oracle misses.
 
     TEMPLATE is the name of a built-in scenario or mode, or FILE, or FILE#NAME; its parameters are
-    varied. Without it, each trial chooses one of the --topic, one --operator, how much, from when
-    on and for how long. Each trial is run in closed loop, compared with the same run without the
-    attack, and scored. The next proposals learn from both.
+    varied. Without it, each trial chooses one of the given topics, an operator, its strength, its
+    onset and its duration. Each trial is run in closed loop, compared with the same run without the
+    attack, and scored. Later trials learn from both results.
 
     An effect of 1 is a change that matters: 15 % of the way or the time, 5 cm of clearance, a goal,
-    a recovery, or 5 % of the commands. The search leaves findings.json, front.png, and in misses/ a
-    scenario file for each run with an effect that the oracle passes. Call it again with a larger
-    budget to go on.
+    a recovery, or 5 % of the commands. The search writes findings.json, front.png, and into misses/
+    a scenario file for each run with an effect that the oracle passes. Call it again with a larger
+    budget to continue.
 
     \b
     Example:
@@ -166,7 +167,7 @@ def search(
 
 
 def _follow(trials: "Iterator[Finding]", far: float) -> None:
-    """Tell of each miss as it is found."""
+    """Print each miss when it is found."""
     from oracle_pipeline.bags.terminal import progress_bar
     from resources.search.outcome import is_miss
 

@@ -1,4 +1,4 @@
-"""What a search looks for, by name, as values that an optimiser orders."""
+"""The objectives of a search, by name, as values for an optimiser."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -19,11 +19,11 @@ class Objective:
     Attributes
     ----------
     directions : tuple of str
-        Of each value.
+        Of each value: `maximize` or `minimize`.
     values : callable
         Takes a finding and the false positive rate of the oracle, and returns the values.
     text : str
-        What is looked for, for people.
+        A description for people.
     wants_detected : bool
         Whether only runs that the oracle detects count.
     screens : bool
@@ -38,7 +38,7 @@ class Objective:
 
 
 def _ordered(value: float | None) -> float:
-    """Return a number that can be ordered; None is beyond all."""
+    """Return a number that can be ordered; None becomes larger than all others."""
     return _BEYOND_ALL if value is None or not math.isfinite(value) else value
 
 

@@ -1,4 +1,4 @@
-"""What a search leaves: its findings, a picture, and the misses as scenarios ready to run."""
+"""The output of a search: its findings, a picture, and the misses as scenarios to run."""
 
 import dataclasses
 import json
@@ -32,11 +32,11 @@ def misses(findings: Sequence[Finding], far: float) -> list[Finding]:
 def save(
     folder: Path, findings: Sequence[Finding], front: Sequence[Finding], far: float, corpus: Path
 ) -> list[Path]:
-    """Write all of it; return the files of the misses, in the corpus.
+    """Write all of it, and return the files of the misses in the corpus.
 
-    They are scenarios whose defaults are what the search found, each with a name of its own. Name
-    the corpus in ``ORACLE_SCENARIOS``, and they are modes of the next campaign. Attacks that alter
-    a topic in place have no node, and would stand out among normal runs that all have one. So the
+    The files are scenarios with the found values as defaults, each with a name of its own. If
+    ``ORACLE_SCENARIOS`` names the corpus, they are modes of the next campaign. Attacks that alter a
+    topic in place have no node, and would stand out among normal runs that all have one. So the
     corpus also holds a normal scenario without a node.
     """
     document = {

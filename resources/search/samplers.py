@@ -1,4 +1,4 @@
-"""Who proposes the next trial: Optuna's samplers by name, and one that messages guide."""
+"""Samplers that propose the next trial: Optuna's by name, and one that is guided by messages."""
 
 import warnings
 from collections import Counter
@@ -27,7 +27,7 @@ def sampler_named(text: str) -> Sampler:
     Raises
     ------
     SearchError
-        There is none of that name.
+        There is no sampler of that name.
     """
     for name in get_args(Sampler):
         if name == text:
@@ -52,11 +52,11 @@ def sampler_for(name: Sampler, seed: int) -> optuna.samplers.BaseSampler:
 
 
 class MessageGuidedSampler(optuna.samplers.BaseSampler):
-    """Varies trials that moved what few others moved, after ROFER's message-guided search.
+    """Varies trials that changed features which few others changed, after ROFER's guided search.
 
-    Each trial tells which quantities, derived from the messages, the attack moved. Half of the
-    proposals vary a trial of the front. The others vary any trial, the likelier the rarer what it
-    moved: its messages went where the search has hardly been.
+    Each trial reports which features of the messages the attack changed. Half of the proposals vary
+    a trial of the front. The others vary any trial, with a probability that grows with the rarity
+    of the features that it changed: there, the search has tried little.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class MessageGuidedSampler(optuna.samplers.BaseSampler):
         study: optuna.Study,  # noqa: ARG002
         trial: FrozenTrial,  # noqa: ARG002
     ) -> dict[str, BaseDistribution]:
-        """Return none: values are proposed one by one."""
+        """Return no values: they are proposed one by one."""
         return {}
 
     def sample_relative(
@@ -82,7 +82,7 @@ class MessageGuidedSampler(optuna.samplers.BaseSampler):
         trial: FrozenTrial,  # noqa: ARG002
         search_space: dict[str, BaseDistribution],  # noqa: ARG002
     ) -> dict[str, Any]:
-        """Return none: values are proposed one by one."""
+        """Return no values: they are proposed one by one."""
         return {}
 
     def before_trial(self, study: optuna.Study, trial: FrozenTrial) -> None:
@@ -130,7 +130,7 @@ class MessageGuidedSampler(optuna.samplers.BaseSampler):
 
 
 def rarity(moved: Sequence[Sequence[str]]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return how rare what each trial moved is: the sum of 1 over how many moved each quantity.
+    """Return the rarity of each trial: the sum, over its features, of 1 / trials that changed it.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Does learning pay? A sampler against random search, at the same budget, with several seeds."""
+"""Compares a sampler with random search, at the same budget, with several seeds."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -42,7 +42,7 @@ def compared(
 
 
 def success(findings: Sequence[Finding], far: float) -> Success:
-    """Return what the findings of a search amount to."""
+    """Return a summary of the findings of a search."""
     places = np.flatnonzero([is_miss(each, far) for each in findings])
     with_effect = [each.score for each in findings if each.has_effect]
     third = float(places[2]) + 1.0 if len(places) > 2 else float("inf")

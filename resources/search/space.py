@@ -1,4 +1,4 @@
-"""What a search may vary: the numbers of a scenario that have bounds."""
+"""The search space: the numbers of a scenario that have bounds."""
 
 import math
 import re
@@ -20,12 +20,12 @@ _RANGE = re.compile(rf"(\w+)=({_NUMBER}):({_NUMBER})", re.IGNORECASE)
 
 
 class SearchError(OracleError):
-    """A search is described in a way that cannot be followed."""
+    """The description of a search is invalid."""
 
 
 @dataclass(frozen=True, slots=True)
 class Dimension:
-    """One parameter that is varied, within bounds that both count."""
+    """One varied parameter, with its bounds (inclusive)."""
 
     name: str
     low: float
@@ -34,7 +34,7 @@ class Dimension:
 
     @property
     def is_logarithmic(self) -> bool:
-        """Whether the bounds are so far apart that ratios matter, not differences."""
+        """Whether the bounds are so far apart that the scale is logarithmic."""
         return self.kind == "float" and self.low > 0.0 and self.high / self.low >= RATIO_FOR_LOG
 
     def suggest(self, trial: optuna.Trial) -> Any:
@@ -47,10 +47,10 @@ class Dimension:
 
 
 def search_space(mode: Mode, ranges: Sequence[str] = ()) -> tuple[Dimension, ...]:
-    """Return what can be varied in a scenario.
+    """Return the parameters of a scenario that can be varied.
 
-    Numbers with a min and a max and truth values are varied; what a block draws is not, unless a
-    range names it.
+    Numbers with a min and a max, and truth values, are varied. A parameter that a block draws is
+    varied only if a range names it.
 
     Parameters
     ----------

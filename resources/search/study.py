@@ -1,7 +1,7 @@
-"""The loop of a search: propose, run, learn; kept on disk, so that it can go on later.
+"""The loop of a search: propose, run, learn. It is stored on disk and can be resumed.
 
-Trials are proposed in rounds of one for each worker, and their results are told in the order of
-their numbers. So the same seed and the same number of workers give the same search.
+Trials are proposed in rounds, one trial for each worker. The sampler gets their results in the
+order of their numbers. So the same seed and the same number of workers give the same search.
 """
 
 import dataclasses
@@ -28,7 +28,7 @@ _FINDING = "finding"
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Budget:
-    """When a search ends: after so many trials, those before included, or after a time."""
+    """When a search ends: after a number of trials, including earlier ones, or after a time."""
 
     trials: float = float("inf")
     seconds: float = float("inf")
@@ -51,23 +51,23 @@ class Budget:
 
 
 class Search:
-    """A search of what a template varies.
+    """A search over the space of a template.
 
     Parameters
     ----------
     folder : Path
-        Where the study is kept. A study that is there goes on.
+        Where the study is stored. An existing study is resumed.
     template : Template
     setting : Setting
     objective : Objective
     controls : Path
         Folder of the runs without an attack; searches of the same setting may share it.
     blocks : int
-        Trials take turns in so many blocks.
+        Number of blocks, in which trials take turns.
     seed : int
         Of the proposals.
     sampler : str
-        Who proposes: see `resources.search.samplers`.
+        Name of the sampler: see `resources.search.samplers`.
     """
 
     def __init__(
@@ -94,14 +94,16 @@ class Search:
                 load_if_exists=True,
             )  # fmt: skip
         except ValueError as error:
-            raise SearchError(f"{folder} holds another search: {error}; name another.") from error
+            raise SearchError(
+                f"{folder} holds another search: {error}; choose another folder."
+            ) from error
         # Proposals after a pause must not repeat those before it.
         fresh = seed + len(self._study.trials)
         self._study.sampler = sampler_for(sampler, fresh)
 
     @property
     def findings(self) -> list[Finding]:
-        """What all trials showed, in the order of their numbers."""
+        """The findings of all trials, in the order of their numbers."""
         told = [trial.user_attrs.get(_FINDING) for trial in self._study.trials]
         return [_from_dict(document) for document in told if document]
 
@@ -111,7 +113,7 @@ class Search:
         return [_from_dict(trial.user_attrs[_FINDING]) for trial in self._study.best_trials]
 
     def run(self, budget: Budget, workers: int, failed: Callable[[str], None]) -> Iterator[Finding]:
-        """Yield the findings of trials as they are told, until the budget is used up.
+        """Yield the findings of trials as they arrive, until the budget is used up.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""A search from its settings: by the name of a scenario, or of topics and operators."""
+"""A search from its settings: over the parameters of a scenario, or over topics and operators."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ CONTROLS = "controls"  # folder of the runs without an attack, in that of the se
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How a search is made.
+    """The settings of a search.
 
     Attributes
     ----------
     card : Path
         Reference card of the oracle to search against.
     campaign : Campaign
-        What all runs have in common, but for goals and time limit.
+        What all runs have in common, except goals and time limit.
     goals : int
         Of each run.
     time_limit : float
@@ -69,7 +69,7 @@ class Plan:
 
 
 def template_of(name: str | None, folder: Path, plan: Plan) -> Template:
-    """Return what a search varies: a scenario, or topics and operators if there is no name."""
+    """Return the template of a search: a scenario, or without a name topics and operators."""
     if name is not None:
         mode = find_mode(name, allow_actuation=plan.allow_actuation)
         return ScenarioTemplate(mode, search_space(mode, plan.ranges))
@@ -89,16 +89,16 @@ def search_of(
     seed: int | None = None,
     sampler: Sampler | None = None,
 ) -> Search:
-    """Return the search in a folder, which goes on if it is there.
+    """Return the search in a folder; an existing search is resumed.
 
     Parameters
     ----------
     template
-        What is varied, or the name of a scenario.
+        The template, or the name of a scenario.
     folder
         Of the search.
     plan
-        How it is made.
+        The settings.
     controls
         Folder of the runs without an attack; by default one in that of the search.
     seed, sampler
@@ -107,7 +107,7 @@ def search_of(
     Raises
     ------
     OracleError
-        Something that the plan names is not there.
+        Something that the plan names does not exist.
     """
     if isinstance(template, str):
         template = template_of(template, folder, plan)

@@ -1,4 +1,4 @@
-"""How much of each run is kept on disk: the first blocks keep most, all runs of a block the same.
+"""How much of each run is kept on disk: most of the first blocks, the same for all runs of a block.
 
 A pure function of sizes. Sizes on disk are measured in ``resources.storage.stock``. Reasons:
 docs/how-to/storage.md.

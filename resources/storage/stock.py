@@ -151,9 +151,9 @@ def make_plan(
     reserve
         Space that stays free on the disk [B].
     workers
-        Runs that are made at the same time, each with its whole bag.
+        Number of runs that are simulated at the same time, each with its complete bag.
     goals
-        Of a run, for a first guess.
+        Goals of a run, for a first estimate.
 
     Raises
     ------
@@ -232,7 +232,7 @@ def _working_room(new: Sequence[RunDirectory], expected: Mapping[str, Sizes], wo
 
 
 def _may_take(run: RunDirectory, stock: Stock) -> tuple[Kept, Sizes]:
-    """Return how much is kept of a finished run, and its size if less were kept."""
+    """Return how much is kept of a finished run, and its size if less of it were kept."""
     from sim.experiments import can_be_made_again  # the testbeds: half a second to import
 
     now = stock.runs[run]

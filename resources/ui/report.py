@@ -1,7 +1,7 @@
-"""The report beside Dagster's pages, since a browser follows no ``file:`` link from a web page.
+"""Serves the report beside Dagster's pages, since browsers refuse ``file:`` links from web pages.
 
-Pages are made from recordings, which anybody may have made. They are served without leave to run
-scripts, so that whatever stands in them cannot use the UI in the reader's name.
+Pages contain text from recordings of unknown origin. They are served without permission to run
+scripts, so nothing in them can use the UI on the reader's behalf.
 """
 
 from pathlib import Path
@@ -16,10 +16,10 @@ _NO_SCRIPTS = "sandbox; default-src 'none'; img-src 'self' data:; style-src 'uns
 
 
 class _Pages(StaticFiles):
-    """The files of a folder, as pages that do nothing."""
+    """The files of a folder, served as pages that cannot run scripts."""
 
     async def check_config(self) -> None:
-        """Take a folder that is not there yet: then there is no page."""
+        """Accept a folder that does not exist yet; then there is no page."""
 
     def file_response(self, *arguments: Any, **settings: Any) -> Response:
         response = super().file_response(*arguments, **settings)

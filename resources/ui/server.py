@@ -1,7 +1,8 @@
 """``oracle-ui``: the pipeline in the browser, behind the guard, with Dagster's daemon beside it.
 
-Does what ``dagster dev`` does, whose web server cannot be put behind anything: one code server for
-each code location, which web server and daemon share. The web server runs in this process.
+It does the work of ``dagster dev``, whose web server cannot be put behind a guard: it starts one
+code server for each code location, which web server and daemon share. The web server runs in this
+process.
 """
 
 import contextlib
@@ -134,7 +135,7 @@ def _web_server(instance: DagsterInstance, workspace: Path) -> Iterator[uvicorn.
 
 @contextlib.contextmanager
 def _daemon(workspace: Path, server: uvicorn.Server) -> Iterator[None]:
-    """Run Dagster's daemon; should it end by itself, the web server ends too."""
+    """Run Dagster's daemon; if it ends by itself, the web server ends, too."""
     command = [sys.executable, "-m", "dagster._daemon", "run", "-w", str(workspace)]
     # A session of its own: Control-C reaches this process alone, which ends the others in order.
     daemon = subprocess.Popen(command, start_new_session=True)
@@ -155,7 +156,7 @@ def _daemon(workspace: Path, server: uvicorn.Server) -> Iterator[None]:
 
 
 def _listener(host: str, port: int | None) -> socket.socket:
-    """Return a socket that listens: at the port, else at Dagster's own, else at a free one."""
+    """Return a listening socket: at the port, else at Dagster's own, else at a free one."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for wanted in [port] if port else [PORT, 0]:
         try:

@@ -1,4 +1,4 @@
-"""The controller's display: a label a track, and which of them need a look."""
+"""The controller's display: a label for each track, and the tracks that need attention."""
 
 import math
 from typing import Any

@@ -1,4 +1,4 @@
-"""What is drawn for an air traffic run, from the campaign's seed: weather, flights, a target.
+"""Draws the weather, flights and target of an air traffic run from the campaign's seed.
 
 Run i of every mode belongs to block i, and has the same of each.
 """

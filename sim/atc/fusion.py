@@ -1,4 +1,4 @@
-"""The fusion node: one track an aircraft, from ADS-B and both radars.
+"""The fusion node: one track for each aircraft, from ADS-B and both radars.
 
 A report with an address belongs to the track of that address; a primary echo to the nearest track
 that it fits. What does not fit its track is left out, unless it happens three times in a row with

@@ -1,4 +1,4 @@
-"""What an air traffic run is made from: all that it is a function of."""
+"""The recipe of an air traffic run: everything that determines it."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass

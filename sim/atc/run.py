@@ -60,7 +60,8 @@ class AtcRun:
         activation = self._program.activation
         if activation.after == "goal_accepted" or activation.until_goal is not None:
             raise self._program.scenario.error(
-                ("activation",), "expected no goal: air traffic has none; count from the start"
+                ("activation",),
+                "expected no goal, because air traffic has none; count from the start",
             )
         self._start_ns = round(SETTLING_S * SECOND)  # of the recording
         delay_s = activation.delay_s(recipe.attack_seed())

@@ -1,4 +1,4 @@
-"""Who flies: fixes and routes around Kingston, and the traffic of a block.
+"""Air traffic: fixes and routes around Kingston, and the flights of a block.
 
 Fixes are the towns below them. Besides drawn arrivals, departures and overflights there is always
 the same small scene on the airway from Belleville to Brockville: a jet (``C07AB1``, ``ACA123``)

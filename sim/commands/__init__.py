@@ -1,1 +1,1 @@
-"""``oracle-sim``: what a person types. No run depends on this folder."""
+"""The commands of ``oracle-sim``. No run depends on this folder."""

@@ -1,4 +1,4 @@
-"""Many runs from a command: the options that say how to record, and the loop that makes them."""
+"""Runs many recordings from a command: common options, and the loop over runs."""
 
 import os
 import sys
@@ -31,14 +31,14 @@ Command = Callable[..., None]
 
 seed_option = click.option(
     "--seed", default=DEFAULT_SEED, show_default=True, type=click.IntRange(min=0),
-    help="What all randomness comes from; the same seed gives the same messages.",
+    help="Seed of all randomness; the same seed gives the same messages.",
 )  # fmt: skip
 allow_actuation_option = click.option(
-    "--allow-actuation", is_flag=True, help="The scenario may send commands to motors."
+    "--allow-actuation", is_flag=True, help="Allow a scenario that sends commands to motors."
 )
 workers_option = click.option(
     "--workers", default=lambda: os.cpu_count() or 1, type=click.IntRange(min=1),
-    help="Runs at a time.  [default: one for each core]",
+    help="Number of runs at the same time.  [default: one for each core]",
 )  # fmt: skip
 refresh_option = click.option("--refresh", is_flag=True, help="Simulate existing runs again.")
 
@@ -68,7 +68,7 @@ _CAMPAIGN_OPTIONS = (
     click.option(
         "--sessions", default=lambda: Campaign.from_environment().sessions,
         type=click.IntRange(min=1),
-        help="Blocks take turns in so many sessions (days in the laboratory).  [default: "
+        help="Number of sessions (days in the laboratory) in which blocks take turns.  [default: "
         "$ORACLE_SESSIONS or a session for each block]",
     ),
     click.option(
@@ -105,7 +105,7 @@ _CAMPAIGN_OPTIONS = (
         help="A parameter of Nav2, as inflation_radius=0.7 (of both costmaps) or "
         "FollowPath.PathDist.scale=20; may be given more than once.",
     ),
-    click.option("--cameras", is_flag=True, help="Depth camera on: 15 MB a second."),
+    click.option("--cameras", is_flag=True, help="Switch the depth camera on: 15 MB a second."),
     click.option(
         "--debug-topics", is_flag=True,
         help="Record the controller's /evaluation and /marker: 20 MB a second while it drives.",
@@ -123,7 +123,7 @@ _CAMPAIGN_OPTIONS = (
 
 @contextmanager
 def errors_told() -> Iterator[None]:
-    """Show an error of ours as a command shows it: in one line, with exit code 1."""
+    """Show an error of this project in one line, and exit with code 1."""
     try:
         yield
     except (OracleError, OSError) as error:
@@ -131,12 +131,12 @@ def errors_told() -> Iterator[None]:
 
 
 def home() -> Path:
-    """Return where runs are kept if nothing else is said."""
+    """Return the default root of runs."""
     return Path(os.environ.get("ORACLE_HOME", "data"))
 
 
 def campaign_options(command: Command) -> Command:
-    """Give a command the options that ``campaign`` takes."""
+    """Add the options that ``campaign`` takes to a command."""
     for option in reversed(_CAMPAIGN_OPTIONS):
         command = option(command)
     return command
@@ -162,15 +162,15 @@ def make_runs(
     place: Callable[[J], RunDirectory],
     workers: int,
 ) -> None:
-    """Make every run, several at a time, and tell of each; exit with 1 if any failed.
+    """Make all runs, several at a time, and print a line on each; exit with 1 if any failed.
 
     Parameters
     ----------
     make
-        Makes one run, or returns the manifest of what is there already; must be picklable, as the
-        jobs must.
+        Makes one run, or returns the manifest of an existing one. It and the jobs must be
+        picklable.
     jobs
-        One a run.
+        One for each run.
     place
         Where a job's run goes.
     workers

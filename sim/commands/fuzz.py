@@ -60,8 +60,7 @@ def fuzz(
     """Record runs of a scenario with randomly drawn parameters.
 
     Every number with a min and a max is drawn uniformly between them; what was drawn is in the
-    run's manifest. Run i has start, goals and nuisance of block i. What is recorded already is
-    left as it is.
+    run's manifest. Run i has start, goals and nuisance of block i. Existing runs are kept.
 
     \b
     Example:

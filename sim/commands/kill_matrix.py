@@ -1,8 +1,8 @@
 """Grids of mutants: one scenario at several magnitudes, over several blocks, and their index.
 
-A mutant is a run directory. It is recorded, or made from the bag of a run of its block in which
-the scenario's node handed everything on: then it tells what the topics would have shown, not what
-the robot would have done.
+A mutant is a run directory. It is recorded in closed loop, or computed from the bag of a run of its
+block in which the scenario's node forwarded everything. Then it shows what the topics would have
+carried, but not how the robot would have reacted.
 """
 
 import dataclasses
@@ -135,7 +135,8 @@ def derive_mutant(controls: Path, refresh: bool, job: Job) -> Manifest:
         found = directory.manifest()
         if found.recipe != document:
             raise RunDirectoryError(
-                f"{directory.path} is another mutant; refresh it, or choose another root."
+                f"{directory.path} holds another mutant; simulate it again with "
+                "--refresh, or choose another --out."
             )
         return found
     program = compile_scenario(mode.scenario, allow_actuation=True)
@@ -166,7 +167,7 @@ def derive_mutant(controls: Path, refresh: bool, job: Job) -> Manifest:
 
 
 def write_index(grid: Grid) -> Path:
-    """Write which mutant is what, as far as they are there.
+    """Write the index of the mutants that exist.
 
     Returns
     -------
@@ -201,7 +202,7 @@ def _row(directory: RunDirectory, mutant: Mutant, changed: int) -> dict[str, Any
 
 
 def _mutated(original: Manifest, mode: Mode, summary: Summary) -> Manifest:
-    """Return what the manifest of a mutant says otherwise than that of the run it is made of."""
+    """Return the fields of a mutant's manifest that differ from those of its source run."""
     return dataclasses.replace(
         original,
         mode=mode.id,

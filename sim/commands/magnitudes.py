@@ -1,4 +1,4 @@
-"""By what each attack is stronger or weaker: the sweeps of a kill matrix if none are asked for."""
+"""The magnitude of each built-in attack, which is the default sweep of a kill matrix."""
 
 from collections.abc import Mapping
 

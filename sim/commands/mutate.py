@@ -41,7 +41,7 @@ from sim.modes import find_mode
 )  # fmt: skip
 @click.option(
     "--seed", type=click.IntRange(min=0),
-    help=f"What all randomness comes from.  [default: that of --like, or {DEFAULT_SEED}]",
+    help=f"Seed of all randomness.  [default: that of --like, or {DEFAULT_SEED}]",
 )  # fmt: skip
 @click.option(
     "-p", "--parameter", "words", multiple=True, metavar="NAME=VALUE",
@@ -100,21 +100,21 @@ def mutate(
             attack.goals_s,
         )
     click.echo(
-        f"{bag_out}: onset at {summary.onset_s:.1f} s, {summary.heard} messages of "
-        f"{program.input_topic} heard, {summary.touched} touched, {summary.published} published "
-        f"on {program.output_topic}"
+        f"{bag_out}: attack from {summary.onset_s:.1f} s on; of {summary.heard} messages of "
+        f"{program.input_topic}, {summary.touched} affected; {summary.published} published on "
+        f"{program.output_topic}"
     )
 
 
 def _by_name(words: Iterable[str]) -> dict[str, str]:
-    """Return topics by what the scenario hears them as."""
+    """Return topics by the name of the source in the scenario."""
     pairs = [word.rpartition("=") for word in words]
     return {name or MAIN: topic for name, _, topic in pairs}
 
 
 @dataclass(frozen=True, slots=True)
 class _Attack:
-    """What of a recorded run its attack is repeated from."""
+    """The parts of a recorded run from which its attack is repeated."""
 
     scenario: Scenario | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)

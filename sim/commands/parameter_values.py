@@ -22,7 +22,7 @@ _WORDS = {"true": True, "false": False}
 
 
 class ParameterError(OracleError):
-    """Values of parameters are described in a way that cannot be understood."""
+    """The description of parameter values is invalid."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class Sweep:
 
 
 def typed(program: Program, words: Iterable[str]) -> dict[str, Any]:
-    """Return values that were typed as ``name=value``; whether they fit, ``Program.start`` sees.
+    """Return values that were typed as ``name=value``; ``Program.start`` checks them.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def typed(program: Program, words: Iterable[str]) -> dict[str, Any]:
 
 
 def _typed(parameter: Parameter, text: str) -> Any:
-    """Return a text as what the parameter's type makes of it, or else as it is."""
+    """Return a text converted to the parameter's type, or unchanged if that is impossible."""
     match parameter.type:
         case Boolean():
             return _WORDS.get(text, text)
@@ -143,5 +143,5 @@ def _range(spec: Mapping[str, Any]) -> str:
         (False, True): f"to {high}",
     }.get((low is not None, high is not None), "")
     within = " ".join(filter(None, [bounds, unit]))
-    drawn = ", the block's unless given" if "drawn" in spec else ""
+    drawn = " (drawn for each block unless you set it)" if "drawn" in spec else ""
     return f"{spec['default']}{f' ({within})' if within else ''}{drawn}"

@@ -66,8 +66,7 @@ def record(
     """Record runs of one mode, or of a scenario.
 
     Run i of every mode has the same start, goals and session (block i), so runs compare across
-    modes. What is recorded already is left as it is; an interrupted call is completed by the
-    next one.
+    modes. Existing runs are kept, so the same call again completes an interrupted one.
 
     \b
     Example:

@@ -41,9 +41,9 @@ def scenario() -> None:
 def check(files: tuple[Path, ...], allow_actuation: bool) -> None:
     """Check syntax, names, types and cost of scenario files.
 
-    Prints file, line, key and what was expected there for all faults, and exits with 1 if there is
-    one. A message may cause the computation of 16.8 million array elements, which takes about a
-    tenth of a second; what a scenario needs of that, with arrays as long as it allows, is printed.
+    Prints the file, line, key and expected value of every fault, and exits with 1 if there is one.
+    Also prints the computation for one message in the worst case, as a share of the limit: 16.8
+    million array elements, about a tenth of a second.
 
     \b
     Example:
@@ -74,7 +74,7 @@ def _checked(file: Path, *, allow_actuation: bool) -> Iterator[str | ScenarioErr
         else:
             yield (
                 f"{file}: {each.id} is correct; a message takes at most "
-                f"{program.cost / MAX_COST:.2%} of the work allowed"
+                f"{program.cost / MAX_COST:.2%} of the computation that is allowed"
             )
 
 

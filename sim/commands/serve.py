@@ -1,7 +1,7 @@
 """``oracle-sim serve``: a testbed on a DDS domain, in real time.
 
-The wall clock is here and nowhere else in ``sim``: it holds the run back, and changes nothing in
-it.
+This is the only module of ``sim`` that uses the wall clock. It slows the run down to real time, and
+changes nothing in it.
 """
 
 import contextlib
@@ -53,7 +53,7 @@ _HELP = "Type `attack NAME` (a mode or a scenario file), `attack off`, or Ctrl-C
               help="Goals of the patrol; it ends after the last.")  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
-    help="Root to keep the run in too, as `oracle-sim record` would. Without one, it is not kept.",
+    help="Root to keep the run in, as `oracle-sim record` does.  [default: it is not kept]",
 )  # fmt: skip
 @seed_option
 def serve(
@@ -61,8 +61,8 @@ def serve(
 ) -> None:
     """Run a testbed on a real DDS domain, in real time.
 
-    All topics are there with ROS names and profiles, `/clock` too, and the nodes on
-    `ros_discovery_info`; so `oracle watch` and ROS 2 tools can look at it. Services are not.
+    All topics have their ROS names and QoS profiles, including `/clock`, and `ros_discovery_info`
+    lists the nodes. So `oracle watch` and ROS 2 tools can observe it. There are no services.
 
     While it runs, a line on standard input switches an attack on or off:
 
@@ -93,7 +93,7 @@ def _serve(
         root = out or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         directory = RunDirectory(root, mode, run)
         if directory.is_complete():
-            raise click.ClickException(f"{directory.path} is there already; choose another --out.")
+            raise click.ClickException(f"{directory.path} exists already; choose another --out.")
         session = _Session(speed, number, mode, run, campaign, is_kept=out is not None)
         try:
             record_run(recipe, directory, accompany=session.begin)
@@ -104,7 +104,7 @@ def _serve(
 
 
 class _Session:
-    """Goes along with a run: paces it, serves its domain, and does what is typed."""
+    """Accompanies a run: paces it, serves its domain, and executes typed commands."""
 
     def __init__(
         self, speed: float, number: int, mode: str, run: int, campaign: Campaign, *, is_kept: bool
@@ -134,7 +134,7 @@ class _Session:
             self._typed.put(line)
 
     def _advance(self, now_ns: int) -> None:
-        """Wait until the wall has come as far as the simulation."""
+        """Wait until wall time has reached the time of the simulation."""
         assert self._served is not None  # noqa: S101 -- `begin` made it
         self._served.look(now_ns)
         while not self._typed.empty():

@@ -1,1 +1,1 @@
-"""The scenario language: what is done to the messages of a topic, in a testbed or over a bag."""
+"""The scenario language, which alters the messages of a topic in a testbed or in a bag."""

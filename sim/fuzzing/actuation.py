@@ -1,4 +1,4 @@
-"""Which topics move something, by their names and types; a scenario needs leave to speak there."""
+"""Finds topics that move something, by name and type; a scenario needs permission for these."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""Scenarios compiled: what a file says, checked against the types of the messages."""
+"""Compiles scenarios, and checks them against the types of their messages."""
 
 import dataclasses
 import math
@@ -375,7 +375,7 @@ def compile_file(path: Path, *, allow_actuation: bool = False) -> Iterator[Progr
 
 
 def compile_document(mode: str, document: Mapping[str, Any]) -> Program:
-    """Compile the scenario in a recipe; whether it may move something was asked before.
+    """Compile the scenario in a recipe; permission to move something was checked before.
 
     Raises
     ------

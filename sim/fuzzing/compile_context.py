@@ -1,4 +1,4 @@
-"""What operators are compiled against: scope, message types, and the fields that they change.
+"""The context of compilation: scope, message types, and the fields that operators change.
 
 Everything is checked here against the types of the messages, and errors name the place in the file.
 """
@@ -27,7 +27,7 @@ MAX_OPERATIONS = 30_000  # of all expressions in a file, functions counted at ea
 
 @dataclass(slots=True)
 class Budget:
-    """How many operations may still be compiled for a file, so that none keeps anybody waiting."""
+    """The number of operations that may still be compiled for a file, which bounds the time."""
 
     left: int = MAX_OPERATIONS
 

@@ -1,7 +1,7 @@
 """Parameters of a scenario that each run draws between their bounds.
 
-The draws go by the run's seed and the parameter's name, so a shadow control and an offline mutation
-have those of the attack.
+The draws depend on the run's seed and the parameter's name, so a shadow control and an offline
+mutation have the same values as the attack.
 """
 
 import math

@@ -1,9 +1,8 @@
-"""A scenario at work: what becomes of each message.
+"""Executes a scenario on messages.
 
-A ``Program`` is fixed; an ``Execution`` remembers. The same execution makes the same outputs in the
-simulator and over a recorded bag: a message's draws go by the stamp in its header (by its number
-where it has none), never by what came before, and times are those at which messages were
-published, which is what a recorder notes.
+A ``Program`` is immutable; an ``Execution`` has state. It gives the same outputs in the simulator
+and over a recorded bag: the draws for a message depend on the stamp in its header (or on its number
+if it has none), never on earlier messages. Times are those of publishing, which a recorder stores.
 """
 
 import math
@@ -41,7 +40,7 @@ class Output(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What becomes of a message."""
+    """The outputs for a message."""
 
     outputs: list[Output]
     truth: GroundTruth | None  # None: a timer had nothing to do
@@ -59,7 +58,7 @@ def execute(
     run_seed
         With the scenario's own seed, the key of all draws.
     parameters
-        Values that are to be others than those drawn for the run, or the defaults.
+        Values in place of those drawn for the run, or of the defaults.
 
     Raises
     ------
@@ -93,7 +92,7 @@ class _Shared:
 
 
 class Execution:
-    """One run of a program, begun by ``execute``: all that it remembers from message to message.
+    """One run of a program, begun by ``execute``, with its state between messages.
 
     Parameters
     ----------
@@ -151,12 +150,12 @@ class Execution:
         self.lanes = (self, *further)
 
     def end(self, t_s: float) -> None:
-        """Act no more from so long after the onset on."""
+        """Stop acting at a time after the onset."""
         self._shared.ends_s = t_s
 
     @_QUIETLY
     def on_source(self, name: str, message: Any, stamp_ns: int) -> None:
-        """Hear a message of one of the sources.
+        """Take a message of one of the sources.
 
         Parameters
         ----------
@@ -187,15 +186,16 @@ class Execution:
         message
             As a message object; it is not written to.
         stamp_ns
-            When it was published. A node that hears it later publishes the outputs that much later.
+            When it was published. A node that receives it later publishes the outputs later by the
+            same time.
         t_s
             From the onset to ``stamp_ns``; negative before.
 
         Returns
         -------
         Result
-            Messages with the time at which each is due, ``stamp_ns`` unless delayed; what is not
-            changed is the very object that came.
+            Messages with the time at which each is due, ``stamp_ns`` unless delayed. An unchanged
+            message is the same object.
         """
         truth_ns = stamp_ns
         header = None
@@ -289,7 +289,7 @@ class Execution:
         return round(period_s * SECOND)
 
     def _reason_to_pass(self, step: Step, t_s: float) -> str | None:
-        """Return why a message is handed on as it is, or None."""
+        """Return why a message is forwarded unchanged, or None."""
         program = self.program
         if program.scenario.control == "passthrough":
             return "unchanged"

@@ -1,8 +1,8 @@
 """Expressions of the scenario language: parsed, checked against types, compiled to closures.
 
-The text is Python's expression grammar, of which a closed list of nodes is accepted; what they
-mean is decided here and nothing is ever handed to Python's own evaluation. Every expression is
-total: it ends, costs at most what ``cost`` says, and gives a value of its type whatever the data.
+The text has Python's expression grammar, of which a closed list of nodes is accepted. This module
+defines what they mean; Python never evaluates the text. Every expression is total: it terminates,
+costs at most ``cost``, and has a value of its type for any data.
 
 Numbers are int64, which wraps, and float64, by IEEE 754: ``/`` and ``**`` give float64, a whole
 number divided by 0 with ``//`` or ``%`` is 0. Outside an array's bounds and without a row in a

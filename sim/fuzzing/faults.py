@@ -1,4 +1,4 @@
-"""The faults of a scenario, told together."""
+"""Collects the faults of a scenario, so that all are reported together."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,7 +8,7 @@ from sim.fuzzing.scenario import MAX_FAULTS, ScenarioError
 
 
 class TooMuchError(ScenarioError):
-    """There is more than may be compiled, so that looking for further faults must end."""
+    """The limit of compilation is reached, so further faults are not looked for."""
 
 
 @dataclass(frozen=True, slots=True)

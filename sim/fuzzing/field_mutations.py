@@ -1,7 +1,7 @@
-"""The ``mutate`` operator's changes: a field of any message, changed as its type suggests.
+"""The changes of the ``mutate`` operator, which suit the type of a field.
 
-The four kinds are those of RoboFuzz, after AFL: flip a bit, add a little, put in a value that
-software tends to stumble over, put in a boundary of the type.
+The four kinds are those of RoboFuzz, after AFL: flip a bit, add a small number, insert a value that
+often causes faults, insert a boundary of the type.
 """
 
 import math

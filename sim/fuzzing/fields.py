@@ -1,7 +1,7 @@
-"""Fields of messages: where they are, what goes into them, and what changed.
+"""Fields of messages: access, assignment and comparison.
 
-Messages are shared by all who hear them, so nothing here writes to one: a change makes a copy
-along the way to the field.
+Messages are shared by all subscribers, so nothing here writes to them: a change copies the path to
+the field.
 """
 
 import dataclasses
@@ -27,7 +27,7 @@ _LARGEST_WHOLE = float(2**63 - 1024)  # the last float64 before 2**63
 
 
 class RefusedMessage(Exception):  # noqa: N818 -- a verdict on a message, not a failure
-    """A message is handed on unchanged; the text says why."""
+    """A message is forwarded unchanged; the text says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +109,8 @@ def with_fields(message: Any, values: Mapping[str, Any]) -> Any:
 def as_sent(kind: Type) -> Callable[[Any], Any]:
     """Return the function that rounds a message as sending it does.
 
-    In the process that makes it, a message may hold float64 where its type has float32; whoever
-    reads it from a bag does not see them. What nothing is rounded in comes back as the same object.
+    In the process that makes it, a message may have float64 where its type has float32, but a
+    reader of a bag gets float32. If nothing is rounded, the same object is returned.
     """
     return _rounding(kind) or _same
 

@@ -1,4 +1,4 @@
-"""The grammar of expressions: a closed list of the nodes of Python's, and what may stand in them.
+"""The grammar of expressions: a closed list of nodes of Python's grammar.
 
 What the nodes mean, and whether types fit, is decided in ``sim.fuzzing.expressions``.
 """
@@ -39,12 +39,12 @@ class ExpressionError(OracleError):
 def parse(text: str) -> ast.expr:
     """Return the tree of a text; what its names mean and whether types fit is left open.
 
-    The same text gives the same tree, which nobody may change.
+    The same text gives the same tree, which must not be changed.
 
     Raises
     ------
     ExpressionError
-        If the text is too long, no expression, or has anything that is not of the language.
+        If the text is too long, is not an expression, or uses something outside the language.
     """
     if len(text) > MAX_LENGTH:
         raise ExpressionError(

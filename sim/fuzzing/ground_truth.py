@@ -1,4 +1,4 @@
-"""What a scenario says that it did: a message for each it heard, and a summary in the manifest."""
+"""The ground truth of a scenario: a message for each input message, and a summary."""
 
 import math
 from collections.abc import Iterable

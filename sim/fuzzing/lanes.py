@@ -1,7 +1,7 @@
-"""What a scenario does to each topic that it alters; several are altered together.
+"""Compiles the actions of a scenario on each topic that it alters.
 
-An action that is done to the main topic and to a further one has the same draws on both: those of a
-message of the further topic go by the main message before it.
+An action on the main topic and on a further one has the same draws on both: a message of the
+further topic uses the draws of the main message before it.
 """
 
 import dataclasses

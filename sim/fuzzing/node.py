@@ -1,9 +1,8 @@
-"""The node that a scenario is: it stands between the topic that it hears and the one it speaks on.
+"""The node of a scenario, between the topic that it reads and the topic that it publishes.
 
-A scenario whose output is its input is no node: what is published there is altered at its source,
-and everybody hears the altered one. What is published instead is worked out in
-``sim.fuzzing.execution``, for the simulator and for a recorded bag alike. What was changed is told
-on the hidden ground-truth topic.
+A scenario that alters a topic in place has no node: messages are altered at their source, and all
+subscribers receive the altered ones. ``sim.fuzzing.execution`` computes them, for the simulator and
+for a recorded bag alike. The hidden ground-truth topic reports what was changed.
 """
 
 import functools
@@ -28,16 +27,16 @@ from sim.middleware.node import Node, Timer
 class ScenarioNode:
     """Run a scenario.
 
-    It hears what was published ``latency_ns`` ago and publishes that much later than its scenario
-    says, as over a recorded bag, where nothing takes time.
+    It receives messages ``latency_ns`` after they were published, and publishes later by the same
+    time. Over a recorded bag, there is no latency.
 
     Parameters
     ----------
     domain
-        Where the node lives; what it hears is there already.
+        Domain of the node; the topics that it reads exist already.
     name
-        The same for every scenario of a testbed, so that no graph tells them apart. In place there
-        is no node: who publishes the topic publishes and hears what the scenario does.
+        The same for every scenario of a testbed, so that no graph distinguishes them. In place,
+        there is no node: the publisher of the topic does its publishing and reading.
     execution
         One run of a program.
     latency_ns
@@ -46,7 +45,7 @@ class ScenarioNode:
     Raises
     ------
     ScenarioError
-        If the domain has not what the scenario hears, or has its output under another type.
+        If the domain lacks a topic that the scenario reads, or has its output under another type.
     """
 
     def __init__(
@@ -90,7 +89,7 @@ class ScenarioNode:
                     publisher.alter = functools.partial(self._on_publication, number, publisher)
 
     def begin(self, onset_ns: int) -> None:
-        """Let the scenario act from ``onset_ns`` on; until then every message is handed on."""
+        """Let the scenario act from ``onset_ns`` on; until then, every message is forwarded."""
         self._onset_ns = onset_ns
         period_ns = self._execution.timer_period_ns
         if period_ns is not None:
@@ -104,7 +103,7 @@ class ScenarioNode:
                 self._executor.call_at(end_ns, self._conditions.undo)
 
     def end(self, end_ns: int) -> None:
-        """Let the scenario act no more from ``end_ns`` on."""
+        """Stop the scenario at ``end_ns``."""
         begun = self._onset_ns is not None
         self._execution.end((end_ns - (self._onset_ns or 0)) / SECOND if begun else -math.inf)
         if self._conditions:
@@ -116,7 +115,7 @@ class ScenarioNode:
         Raises
         ------
         ScenarioError
-            If it hears or publishes what this node does not.
+            If it reads or publishes topics that this node does not.
         """
         program, now = execution.program, self._program
         known = {(name, source.topic, source.type.name) for name, source in now.sources.items()}
@@ -156,13 +155,13 @@ class ScenarioNode:
         )
 
     def _sender(self, publisher: Publisher) -> Callable[[Any], None]:
-        """Return what sends in place of a publisher, to all or to those that are diverted."""
+        """Return a function that replaces a publisher's sending, to all or diverted subscribers."""
         is_diverted = publisher.topic in self._diverted
         return publisher.send_diverted if is_diverted else publisher.send
 
     @property
     def _heard_ns(self) -> int:
-        """When what is heard now was published."""
+        """Time at which the present message was published."""
         return self._executor.now_ns - self._latency_ns
 
     @property
@@ -181,7 +180,7 @@ class ScenarioNode:
         self._publish(lane.on_message(message, self._heard_ns, self._t_s))
 
     def _on_publication(self, number: int, publisher: Publisher, sample: Sample) -> None:
-        """Alter a message at its source; one that stays as it is keeps its bytes."""
+        """Alter a message at its source; an unchanged message keeps its bytes."""
         message = sample.message
         lane = self._execution.lanes[number]
         result = lane.on_message(message, self._heard_ns, self._t_s)
@@ -226,7 +225,7 @@ class ScenarioNode:
 
 
 def _check_topics(domain: Domain, program: Program) -> None:
-    """Refuse a scenario that hears what nobody could say."""
+    """Refuse a scenario that reads topics without a publisher."""
     heard: list[tuple[Key, str, str]] = [
         (("sources", name), source.topic, source.type.name)
         for name, source in program.sources.items()
@@ -249,15 +248,15 @@ def _check_topics(domain: Domain, program: Program) -> None:
         if program.is_in_place and not any(domain.publishers(lane.input_topic)):
             raise program.scenario.error(
                 (*key, "output"),
-                f"expected a topic that somebody publishes, found {lane.input_topic}",
+                f"expected a topic with a publisher, found {lane.input_topic}",
             )
         readers = sorted({each.node for each in domain.subscriptions(lane.input_topic)})
         for number, node in enumerate(lane.to):
             if node not in readers:
                 raise program.scenario.error(
                     (*key, "to", number),
-                    f"expected a node that hears {lane.input_topic} ({', '.join(readers)}), "
-                    f"found {node}",
+                    f"expected a node that subscribes to {lane.input_topic} "
+                    f"({', '.join(readers)}), found {node}",
                 )
     outputs: list[Key] = [(*key, "output") for key in keys]
     outputs += [("outputs", name, "topic") for name in program.scenario.document.get("outputs", {})]

@@ -1,4 +1,4 @@
-"""A scenario over a recorded bag: what the node would have published, without a simulator.
+"""Applies a scenario to a recorded bag, as its node would have done, without a simulator.
 
 The mutant is the bag with the output topic added, or in place of the one that was recorded, and
 with the scenario's own ground truth. All other topics keep their messages, stamps and QoS. A
@@ -37,7 +37,7 @@ _ROOT = "NavigateRecovery"  # root node of Nav2's behaviour trees
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What became of a bag."""
+    """A summary of the changes to a bag."""
 
     onset_s: float  # in seconds of the recording
     heard: int  # messages of the input topic while the node was there
@@ -81,7 +81,7 @@ def mutate_bag(
         Onset in seconds of the recording; by default what the scenario says, for which the bag
         may have to show when a goal was accepted.
     parameters : mapping, optional
-        Values that are to be others than those drawn by the seed, or the defaults.
+        Values in place of those drawn by the seed, or of the defaults.
     track : callable, optional
         Gets the bag's messages and their number, and gives them back one by one: a progress bar.
     goals_s : sequence of float, optional
@@ -174,7 +174,7 @@ class _Run:
         self._advance(self._reader.end_ns)
 
     def _advance(self, now_ns: int) -> None:
-        """Let the timer beat, and write what is due, up to a time."""
+        """Run the timer, and write what is due, up to a time."""
         while self._beats is not None and self._beat_ns is not None and self._beat_ns <= now_ns:
             self._write_due(self._beat_ns)
             result = self._execution.on_timer(self._beat_ns, self._t_s(self._beat_ns))
@@ -188,7 +188,7 @@ class _Run:
             self._writer.write(topic, due_ns, data)
 
     def _publish(self, result: Result, now_ns: int, message: Any = None, data: bytes = b"") -> None:
-        """Put what a message or a beat led to in the queue; what came keeps its bytes."""
+        """Queue the outputs of a message or the timer; an unchanged message keeps its bytes."""
         for due_ns, output, topic in result.outputs:
             same = output is message
             self._put(due_ns, topic, data if same else serialize(output, output.__msgtype__))
@@ -219,7 +219,7 @@ class _Run:
 
 
 def _is_alike(message: Any, msgtype: str) -> bool:
-    """Tell whether a message that the bag's definition decoded has the fields that we know."""
+    """Tell whether a message decoded by the bag's definition has the built-in type's fields."""
     theirs, ours = type(message), message_class(msgtype)
     if theirs is ours:
         return True
@@ -231,7 +231,7 @@ def _is_alike(message: Any, msgtype: str) -> bool:
 
 
 def _check_topics(reader: BagReader, program: Program) -> None:
-    """Refuse a bag that does not have what the scenario hears."""
+    """Refuse a bag without the topics that the scenario reads."""
     for lane in program.lanes:
         if lane.to:
             raise BagError(

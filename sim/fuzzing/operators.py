@@ -113,8 +113,8 @@ def compile_operators(
 ) -> tuple[Operator, ...]:
     """Compile the operators of one action.
 
-    One that is not allowed there, is wrong, or changes what another one changes as well is left
-    out, and told by the context's faults.
+    An operator that is not allowed there, is invalid, or changes the same field as another one is
+    left out and added to the context's faults.
     """
     operators, changed = [], list[str]()
     for place, spec in enumerate(specs):

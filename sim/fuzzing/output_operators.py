@@ -18,7 +18,7 @@ _MAX_DELAY_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Drop:
-    """Hand nothing on."""
+    """Drop the message."""
 
     cost: int = 1
 
@@ -35,7 +35,7 @@ class Drop:
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """Hand on later, by a minute at most."""
+    """Forward later, by a minute at most."""
 
     seconds: Term
 
@@ -57,7 +57,7 @@ class Delay:
 
 @dataclass(frozen=True, slots=True)
 class Duplicate:
-    """Hand on several times, ``spacing_s`` apart."""
+    """Forward several times, ``spacing_s`` apart."""
 
     copies: Term
     spacing_s: Term
@@ -83,7 +83,7 @@ class Duplicate:
 
 
 class _Held(NamedTuple):
-    """What is played back, and since when."""
+    """The messages that are replayed, and since when."""
 
     messages: Sequence[Any]
     oldest: int  # how many messages came before the first of them
@@ -93,10 +93,10 @@ class _Held(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Playback:
-    """Hand on messages of before, over and over, under the headers of those that come.
+    """Forward earlier messages, repeatedly, under the headers of those that arrive.
 
-    They are the last ``messages`` from before it began, or without any the one at which it began.
-    It begins anew after a message to which it did not apply.
+    These are the last ``messages`` before the operator began, or else the one at which it began. It
+    begins again after a message to which it did not apply.
     """
 
     messages: int
@@ -124,7 +124,7 @@ class Playback:
 
 @dataclass(frozen=True, slots=True)
 class Emit:
-    """Publish one message more: a copy of the one that came, or a new one."""
+    """Publish one more message: a copy of the one that arrived, or a new one."""
 
     is_copy: bool
     topic: str

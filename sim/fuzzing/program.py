@@ -22,7 +22,7 @@ class Parameter:
     high: float | None
 
     def checked(self, value: Any) -> Any:
-        """Return a value as its type has it.
+        """Return a value converted to its type.
 
         Raises
         ------
@@ -54,7 +54,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A topic that is heard besides the main one."""
+    """A further topic that the scenario reads."""
 
     topic: str
     type: Message

@@ -1,8 +1,8 @@
-"""Draws that depend on what they are for, not on what was drawn before.
+"""Random draws that depend on their purpose, not on earlier draws.
 
 The generator is counter-based (Philox): its key is the seed of the run and of the scenario, its
-counter the message, the operation and the place of the draw in it. So online, offline and after
-lost messages a message meets the same numbers.
+counter the message, the operation and the place of the draw in it. So a message gets the same
+numbers online, offline and after lost messages.
 """
 
 from dataclasses import dataclass, field

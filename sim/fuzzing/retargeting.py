@@ -1,7 +1,7 @@
-"""A scenario pointed at other topics than its file names, of the same types.
+"""Points a scenario at topics other than those in its file, of the same types.
 
-Its main topic is then altered in place: what the scenario makes of a message is recorded instead of
-it, as if the driver that publishes it were compromised.
+Its main topic is then altered in place: the altered message replaces the recorded one, as if the
+driver that publishes it were compromised.
 """
 
 import dataclasses
@@ -17,16 +17,16 @@ MAIN = "main"
 def retargeted(
     program: Program, topics: Mapping[str, str], *, allow_actuation: bool = False
 ) -> Program:
-    """Return a program that hears other topics, and alters the main one in place.
+    """Return a program that reads other topics, and alters the main one in place.
 
     Parameters
     ----------
     program : Program
         What is done.
     topics : mapping of str to str
-        Topics by what they are heard as: `MAIN`, or the name of a source.
+        Topics by their name in the scenario: `MAIN`, or the name of a source.
     allow_actuation : bool
-        Also alter what may move a robot.
+        Also alter topics that may move a robot.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def retargeted(
     identifier = program.scenario.id
     if unknown := sorted(topics.keys() - {MAIN, *program.sources}):
         raise ScenarioError(
-            f"{identifier} hears no {', '.join(unknown)}; it hears "
+            f"{identifier} does not subscribe to {', '.join(unknown)}; it subscribes to "
             f"{', '.join([MAIN, *program.sources])}."
         )
     main = topics.get(MAIN)
@@ -44,7 +44,7 @@ def retargeted(
         if moves_something(main, program.type.name) and not allow_actuation:
             raise ScenarioError(
                 f"{identifier} would alter {main}, which may move the robot; allow it with "
-                "--allow-actuation if you must."
+                "--allow-actuation."
             )
         program = dataclasses.replace(program, input_topic=main, output_topic=main)
     sources = {

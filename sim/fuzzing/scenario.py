@@ -1,8 +1,8 @@
 """Scenario files: YAML read under bounds, checked against ``scenario.schema.json``.
 
-A file holds one scenario a document. Tags, anchors and aliases are refused, depth and size are
-bounded, and plain scalars mean what YAML 1.2's core schema says. What the scenario says of fields
-and expressions is checked in ``sim.fuzzing.program``.
+Each YAML document in a file is a scenario. Tags, anchors and aliases are refused, depth and size
+are bounded, and plain scalars mean what YAML 1.2's core schema says. What the scenario says of
+fields and expressions is checked in ``sim.fuzzing.program``.
 """
 
 import dataclasses
@@ -59,7 +59,7 @@ NO_FILE: Mapping[Key, Place] = MappingProxyType({(): Place()})  # of a document 
 
 
 class ScenarioError(OracleError):
-    """A scenario is refused; the text begins with the place and the key, a line for each fault.
+    """A scenario is invalid; the text has a line for each fault, with place and key.
 
     The place is ``file:line:column``, as compilers write it and editors read it.
 
@@ -169,7 +169,7 @@ class Scenario:
         return "object_x" in self.drawn.values()
 
     def as_shadow(self) -> "Scenario":
-        """Return its control: the same node doing the same work, publishing the original."""
+        """Return its shadow control: the same node and work, publishing the original."""
         changes = {
             "id": f"{self.id}_shadow",
             "title": f"{self.title}: worked out, and not sent",

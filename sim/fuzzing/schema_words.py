@@ -1,4 +1,4 @@
-"""The JSON Schema of a scenario, and its findings in words."""
+"""The JSON Schema of a scenario, and its errors in words."""
 
 import functools
 import json
@@ -18,7 +18,7 @@ def schema() -> dict[str, Any]:
 
 
 def in_words(error: jsonschema.ValidationError) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    """Yield where it went wrong and what was expected there."""
+    """Yield the place of each error, and what was expected there."""
     key: tuple[str | int, ...] = tuple(error.absolute_path)
     rule, value = error.validator, cast(Any, error.validator_value)
     instance, rules = cast(Any, error.instance), cast(dict[str, Any], error.schema)
@@ -53,7 +53,7 @@ def in_words(error: jsonschema.ValidationError) -> Iterator[tuple[tuple[str | in
         case "maximum":
             yield key, f"expected at most {value}, {found}"
         case _:
-            yield key, f"expected otherwise: {error.message[:200]}"
+            yield key, f"not valid: {error.message[:200]}"
 
 
 _KINDS = {

@@ -1,4 +1,4 @@
-"""What an expression may name: the values it sees, and the functions of its scenario."""
+"""The scope of an expression: the values and functions that it may name."""
 
 import ast
 import functools
@@ -43,7 +43,7 @@ class Function:
                     raise error_at(
                         self.text,
                         node,
-                        f"a function cannot draw; hand it what {name} draws as an argument",
+                        f"a function cannot draw; pass the value of {name} as an argument",
                     )
 
 

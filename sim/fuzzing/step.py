@@ -1,4 +1,4 @@
-"""A message on its way through a scenario, and what is worked out and done for it."""
+"""A message on its way through a scenario, with the values computed for it."""
 
 import functools
 from collections.abc import Sequence

@@ -49,15 +49,15 @@ def check_topics(scenario: Scenario, faults: Faults, *, allow_actuation: bool) -
         with faults.gathered():
             if topic in sources or (topic in heard and topic != in_place.get(at)):
                 raise scenario.error(
-                    at, f"expected a topic that the scenario does not hear, found {topic}"
+                    at, f"expected a topic to which the scenario does not subscribe, found {topic}"
                 )
             if topic in topics[:place]:
-                raise scenario.error(at, f"expected a topic of its own, {topic} stands above")
+                raise scenario.error(at, f"expected another topic: {topic} is named above already")
             if moves_something(topic, kind) and not allow_actuation:
                 raise scenario.error(
                     at,
-                    f"expected a topic that moves nothing, found {topic}; allow actuation if you "
-                    f"must: {kind} there may move the robot",
+                    f"expected a topic that moves nothing, found {topic}: {kind} there may "
+                    "move the robot; allow it with --allow-actuation",
                 )
     with faults.gathered():
         if GROUND_TRUTH_TOPIC in heard | set(topics):
@@ -84,8 +84,8 @@ def _check_altered(
             if "to" in spec and not _is_in_place(spec):
                 raise scenario.error(
                     (*key, "to"),
-                    f"expected the output to be the input, {spec['input']}: who hears what is "
-                    "altered can be chosen only where no node stands between",
+                    f"expected the output to be the input, {spec['input']}: receivers can be "
+                    "chosen only for a topic that is altered in place",
                 )
             if "qos" in spec and not _is_in_place(spec):
                 raise scenario.error(

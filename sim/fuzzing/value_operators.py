@@ -146,7 +146,7 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class MapArray:
-    """Work every element of an array out anew, from itself and its index."""
+    """Compute every element of an array from itself and its index."""
 
     target: Target
     names: tuple[str, ...]
@@ -186,7 +186,7 @@ class MapArray:
 
 @dataclass(frozen=True, slots=True)
 class RemoveWhere:
-    """Take out the elements of an array for which something holds."""
+    """Remove the elements of an array for which a condition holds."""
 
     target: Target
     names: tuple[str, ...]

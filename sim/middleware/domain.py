@@ -1,4 +1,4 @@
-"""One ROS domain: who is in the graph, what each publishes and hears, and delivery.
+"""One ROS domain: the graph of nodes, publishers and subscriptions, and delivery.
 
 Introspection answers what ``ros2 node list`` and ``ros2 node info`` answer. Endpoints are made
 through ``node``; delivery is in ``endpoints``.

@@ -1,4 +1,4 @@
-"""Who speaks and who hears on a topic: publishers, subscriptions, and delivery between them.
+"""Publishers and subscriptions of a topic, and delivery between them.
 
 A sample is serialised at most once, whoever listens. Endpoints are made through ``node``.
 """

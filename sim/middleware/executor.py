@@ -1,4 +1,4 @@
-"""Simulated time and the order in which things happen in it.
+"""Simulated time, and the order of events in it.
 
 Callbacks due at the same instant run in the order in which they were scheduled; nothing else
 decides, so a run depends on its inputs only.

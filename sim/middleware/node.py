@@ -1,4 +1,4 @@
-"""What a robot's software is written against: the node, in the manner of rclpy.
+"""The node, with an interface like that of rclpy, for a robot's software.
 
 A node turns messages into messages. Each one has its own generator for randomness and its own
 processing latency; it never sees the world.

@@ -1,4 +1,4 @@
-"""Nav2 as on Humble, one module a node; the mathematics stand in modules of their own.
+"""Nav2 as on Humble, one module for each node; the mathematics is in separate modules.
 
 ``bringup`` makes and wires the nodes. Localisation: ``map_server``, ``amcl``. Costs: ``costmap``,
 ``costmap_layers``, ``costmap_node``. Planning: ``planner_server``, ``navfn``, ``smoother_server``.

@@ -14,7 +14,7 @@ from oracle_pipeline.bags.types import message_class, serialize
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
-from sim.middleware.geometry import Pose2D, wrap_angle
+from sim.middleware.geometry import Pose2D, wrap_angle, yaw_quaternion
 from sim.middleware.stamps import header, stamp_ns
 from sim.middleware.tf import (
     TransformBroadcaster,
@@ -22,6 +22,7 @@ from sim.middleware.tf import (
     TransformError,
     TransformListener,
     planar_transform,
+    transforms_template,
 )
 from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.likelihood_field import LikelihoodField
@@ -75,6 +76,9 @@ class Amcl(LifecycleNode):
         super().__init__(domain, "/amcl", rng=rng, latency_ns=latency_ns)
         self._transforms = TransformListener(domain, listener, transforms).buffer
         self._broadcaster = TransformBroadcaster(self)
+        self._transform_bytes = transforms_template(
+            [planar_transform(0, MAP_FRAME, ODOM_FRAME, Pose2D())]
+        )
         self._field: LikelihoodField | None = None
         self._filter: ParticleFilter | None = None
         self._updated_at: Pose2D | None = None  # robot in odom at the last update
@@ -175,8 +179,13 @@ class Amcl(LifecycleNode):
     def _send_transform(self, time_ns: int) -> None:
         if self._map_to_odom is not None:
             valid_ns = time_ns + TRANSFORM_TOLERANCE_NS
-            transform = planar_transform(valid_ns, MAP_FRAME, ODOM_FRAME, self._map_to_odom)
-            self._broadcaster.send([transform])
+            pose = self._map_to_odom
+            self._broadcaster.send(
+                [planar_transform(valid_ns, MAP_FRAME, ODOM_FRAME, pose)],
+                self._transform_bytes.data(
+                    *divmod(valid_ns, SECOND), (pose.x, pose.y, 0.0, *yaw_quaternion(pose.yaw))
+                ),
+            )
 
     # -- services --------------------------------------------------------------------------
 
@@ -231,4 +240,4 @@ def _cloud_data(time_ns: int, belief: ParticleFilter) -> bytes:
     particles[:, 7] = belief.weights
     prefix = before_count + struct.pack("<I", count)
     padding = bytes(-(len(prefix) - _ENCAPSULATION) % 8)
-    return prefix + padding + particles.astype("<f8").tobytes()
+    return b"".join((prefix, padding, particles.astype("<f8", copy=False).data))

@@ -1,4 +1,4 @@
-"""The collision monitor: the last word on a velocity before it reaches the wheels.
+"""The collision monitor: limits or stops a velocity before it reaches the wheels.
 
 For every command it counts the sensor points inside each polygon around the robot and stops the
 robot, slows it down or lets it approach, as Nav2's collision monitor does on Humble.

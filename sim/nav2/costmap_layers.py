@@ -1,4 +1,4 @@
-"""What fills a costmap: obstacles seen by lasers, and the static map.
+"""The layers that fill a costmap: obstacles seen by lasers, and the static map.
 
 Pure functions of grids and points; what is added around obstacles is in ``inflation``, transforms,
 topics and timers are in ``costmap_node``.
@@ -72,9 +72,14 @@ class ObstacleLayer:
 
     def add_to(self, costs: Costs) -> None:
         """Raise ``costs`` to this layer's where it knows something."""
-        known = self.costs != NO_INFORMATION
-        higher = (costs == NO_INFORMATION) | (self.costs > costs)
-        np.copyto(costs, self.costs, where=known & higher)
+        _raise(costs.reshape(-1), self.costs.reshape(-1))
+
+
+@jit
+def _raise(costs: Costs, seen: Costs) -> None:
+    for i in range(len(costs)):
+        is_higher = (costs[i] == NO_INFORMATION) | (seen[i] > costs[i])
+        costs[i] = seen[i] if (seen[i] != NO_INFORMATION) & is_higher else costs[i]
 
 
 def beam_ends(grid: Costmap2D, seen: Observation, margin: float) -> Points:

@@ -56,8 +56,18 @@ class Scoring(NamedTuple):
 @jit
 def cell(grid: CostGrid, x: float, y: float) -> tuple[int, int]:
     """Return column and row of a point, (-1, -1) outside."""
-    column = math.floor((x - grid.origin_x) / grid.resolution)
-    row = math.floor((y - grid.origin_y) / grid.resolution)
+    return _cell_at(grid, *_in_cells(grid, x, y))
+
+
+@jit
+def _in_cells(grid: CostGrid, x: float, y: float) -> tuple[float, float]:
+    """Return how far a point is from the grid's corner [cells]."""
+    return (x - grid.origin_x) / grid.resolution, (y - grid.origin_y) / grid.resolution
+
+
+@jit
+def _cell_at(grid: CostGrid, along: float, up: float) -> tuple[int, int]:
+    column, row = math.floor(along), math.floor(up)
     if 0 <= column < grid.costs.shape[1] and 0 <= row < grid.costs.shape[0]:
         return int(column), int(row)
     return -1, -1
@@ -82,18 +92,17 @@ def map_plan(
             goal_x, goal_y, last = column, row, i
         elif last >= 0:
             break
-    for row in range(rows):
+    for row in range(1, rows):  # along columns, many at a time, then on from there along rows
         for column in range(columns):
-            if row > 0:
-                distance[row, column] = min(distance[row, column], distance[row - 1, column] + 1)
-            if column > 0:
-                distance[row, column] = min(distance[row, column], distance[row, column - 1] + 1)
-    for row in range(rows - 1, -1, -1):
-        for column in range(columns - 1, -1, -1):
-            if row < rows - 1:
-                distance[row, column] = min(distance[row, column], distance[row + 1, column] + 1)
-            if column < columns - 1:
-                distance[row, column] = min(distance[row, column], distance[row, column + 1] + 1)
+            distance[row, column] = min(distance[row, column], distance[row - 1, column] + 1)
+    for row in range(rows - 2, -1, -1):
+        for column in range(columns):
+            distance[row, column] = min(distance[row, column], distance[row + 1, column] + 1)
+    for row in range(rows):
+        for column in range(1, columns):
+            distance[row, column] = min(distance[row, column], distance[row, column - 1] + 1)
+        for column in range(columns - 2, -1, -1):
+            distance[row, column] = min(distance[row, column], distance[row, column + 1] + 1)
     nose_x, nose_y = goal_x, goal_y
     if last == len(plan) - 1:
         column, row = cell(grid, plan[last, 0] + shift_x, plan[last, 1] + shift_y)
@@ -129,7 +138,9 @@ def map_cells(
     They are goal align, path align (0 where it is off), path dist and goal dist; all are -1 if
     the rollout, or the point in front of the robot, ends outside the costmap.
     """
-    return _cells_at(grid, critics, end[0], end[1], *nose(parameters, end[2]))
+    nose_x, nose_y = nose(parameters, end[2])
+    here, ahead = cell(grid, end[0], end[1]), cell(grid, end[0] + nose_x, end[1] + nose_y)
+    return _cells_at(critics, here, ahead)
 
 
 @jit
@@ -141,10 +152,9 @@ def nose(parameters: Parameters, yaw: float) -> tuple[float, float]:
 
 @jit
 def _cells_at(
-    grid: CostGrid, critics: Critics, x: float, y: float, nose_x: float, nose_y: float
+    critics: Critics, here: tuple[int, int], ahead: tuple[int, int]
 ) -> tuple[int, int, int, int]:
-    column, row = cell(grid, x, y)
-    ahead_column, ahead_row = cell(grid, x + nose_x, y + nose_y)
+    (column, row), (ahead_column, ahead_row) = here, ahead
     if column < 0 or ahead_column < 0:
         return -1, -1, -1, -1
     goal_align = abs(ahead_column - critics.nose_x) + abs(ahead_row - critics.nose_y)
@@ -260,16 +270,22 @@ def _totals(
                 ends[j, 1], ends[j, 2] = nose(parameters, yaw)
             yaw, nose_x, nose_y = ends[j]
             x, y = place(parameters, pose[0], pose[1], velocity[0], v, count, ways[j])
+            here = _in_cells(grid, x, y)
+            ahead = _in_cells(grid, x + nose_x, y + nose_y)
             if (
-                _is_at_border((x - grid.origin_x) / grid.resolution)
-                or _is_at_border((y - grid.origin_y) / grid.resolution)
-                or _is_at_border((x + nose_x - grid.origin_x) / grid.resolution)
-                or _is_at_border((y + nose_y - grid.origin_y) / grid.resolution)
+                _is_at_border(here[0])
+                or _is_at_border(here[1])
+                or _is_at_border(ahead[0])
+                or _is_at_border(ahead[1])
             ):
                 x, y, _ = rollout[roll(parameters, pose, velocity, (v, w), rollout) - 1]
-            total = map_score(parameters, grid, _cells_at(grid, critics, x, y, nose_x, nose_y))
+                here = _in_cells(grid, x, y)
+                ahead = _in_cells(grid, x + nose_x, y + nose_y)
+            column, row = _cell_at(grid, *here)
+            cells = _cells_at(critics, (column, row), _cell_at(grid, *ahead))
+            total = map_score(parameters, grid, cells)
             total += parameters.rotate_to_goal_scale * rotate_to_goal(parameters, critics, v, yaw)
-            cost = cost_at(grid, x, y)
-            if cost < INSCRIBED and total < math.inf:  # not so of what is not a number
+            if total < math.inf and grid.costs[row, column] < INSCRIBED:  # false for NaN, too
+                cost = int(grid.costs[row, column])
                 totals[i * len(turning) + j] = total + parameters.base_obstacle_scale * cost
     return totals

@@ -1,4 +1,4 @@
-"""What DWB shows of its choice: ``/evaluation`` and ``/marker``, built only while heard.
+"""DWB's debug topics ``/evaluation`` and ``/marker``, built only for subscribers.
 
 A cycle has some 400 trajectories of some 20 poses each. They are scored again here, by the
 planner's own critics and in Nav2's order, and laid out straight as CDR: the bytes are those that

@@ -1,4 +1,4 @@
-"""What the DWB local planner tries: sampled velocities, each rolled out into a trajectory.
+"""The candidates of the DWB local planner: sampled velocities and their trajectories.
 
 As ``dwb_plugins``' standard trajectory generator on Humble.
 """

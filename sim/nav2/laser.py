@@ -38,7 +38,8 @@ def _projected(
     count = 0
     for i in range(len(ranges)):
         if range_min <= ranges[i] < range_max:
-            points[count] = np.float64(ranges[i]) * bearings[i]
+            points[count, 0] = np.float64(ranges[i]) * bearings[i, 0]
+            points[count, 1] = np.float64(ranges[i]) * bearings[i, 1]
             count += 1
     return points[:count]
 

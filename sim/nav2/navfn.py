@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.jit import jit
-from sim.nav2.costmap import INSCRIBED, NO_INFORMATION, Costmap2D, Points
+from sim.nav2.costmap import INSCRIBED, NO_INFORMATION, Costmap2D, Costs, Points
 
 TOLERANCE = 0.5  # how far from an unreachable goal a path may end, along each axis [m]
 NEUTRAL = 50.0  # cost of a free cell
@@ -22,12 +22,12 @@ STEP = 0.5  # of the descent [cells]
 Cells = NDArray[np.float64]
 
 
-def _translation() -> Cells:
-    """Return NavFn's cost of a cell by its cost in the costmap."""
+def _translation() -> Costs:
+    """Return NavFn's cost of a cell, a whole number, by its cost in the costmap."""
     table = np.full(256, OBSTACLE)
     table[:INSCRIBED] = np.minimum(np.floor(NEUTRAL + FACTOR * np.arange(INSCRIBED)), OBSTACLE - 1)
     table[NO_INFORMATION] = OBSTACLE - 1
-    return table
+    return table.astype(np.uint8)
 
 
 _TRANSLATION = _translation()
@@ -74,9 +74,9 @@ def plan(
     return _approach(points, np.array(end_xy))
 
 
-def cell_costs(grid: Costmap2D) -> Cells:
+def cell_costs(grid: Costmap2D) -> Costs:
     """Return what entering each cell costs NavFn; the border of the grid is an obstacle."""
-    cells: Cells = _TRANSLATION[grid.costs]
+    cells: Costs = _TRANSLATION.take(grid.costs)
     cells[[0, -1], :] = OBSTACLE
     cells[:, [0, -1]] = OBSTACLE
     return cells
@@ -112,7 +112,7 @@ def _approach(points: Points, goal: Points) -> Points:
 
 @jit
 def wavefront(
-    cells: Cells, start_column: int, start_row: int, goal_column: int, goal_row: int
+    cells: Costs, start_column: int, start_row: int, goal_column: int, goal_row: int
 ) -> Cells:
     """Return the cost of travel from the start to every cell.
 

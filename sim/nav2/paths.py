@@ -6,6 +6,7 @@ array instead of building and serialising one object a pose.
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -25,14 +26,49 @@ _Path = message_class(PATH)
 
 def path_message(time_ns: int, frame: str, poses: Poses) -> Any:
     """Return the message of a path; every pose carries the path's header."""
-    stamped = [pose_stamped(time_ns, frame, *pose) for pose in poses.tolist()]
-    return _Path(header(time_ns, frame), stamped)
+    return _Path(header(time_ns, frame), _StampedPoses(time_ns, frame, poses))
 
 
 def path_poses(path: Any) -> Poses:
     """Return the poses of a path message."""
+    if isinstance(path.poses, _StampedPoses):
+        return path.poses.planar()
     poses = [(p.pose.position.x, p.pose.position.y, pose_yaw(p.pose)) for p in path.poses]
     return np.array(poses, dtype=np.float64).reshape(-1, 3)
+
+
+class _StampedPoses(Sequence[Any]):
+    """The poses of a path message, each of which becomes an object when somebody reads it.
+
+    Servers and clients of this process take paths as arrays, so most poses never do.
+    """
+
+    def __init__(self, time_ns: int, frame: str, poses: Poses) -> None:
+        self._time_ns = time_ns
+        self._frame = frame
+        self._poses = poses.copy()
+
+    def __len__(self) -> int:
+        return len(self._poses)
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        return pose_stamped(self._time_ns, self._frame, *self._poses[index].tolist())
+
+    def planar(self) -> Poses:
+        """Return what the objects hold."""
+        return _through_quaternions(self._poses)
+
+
+@jit
+def _through_quaternions(poses: Poses) -> Poses:
+    """Return poses with each yaw as it comes back from a message: `pose_yaw`."""
+    heard = poses.copy()
+    for i in range(len(poses)):
+        z, w = math.sin(poses[i, 2] / 2.0), math.cos(poses[i, 2] / 2.0)
+        heard[i, 2] = math.atan2(2.0 * (w * z + 0.0), 1.0 - 2.0 * (z * z))
+    return heard
 
 
 def path_bytes(time_ns: int, frame: str, poses: Poses) -> bytes:

@@ -1,4 +1,4 @@
-"""RViz with Nav2's default view: in the graph, silent, as while nobody clicks."""
+"""RViz with Nav2's default view: it is in the graph, but silent, as without clicks."""
 
 from sim.middleware import qos
 from sim.middleware.action import ActionClient

@@ -1,4 +1,4 @@
-"""The smoother server: it is there, and smooths when asked; the default tree never asks."""
+"""The smoother server: smooths paths on request; the default tree never requests it."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""What the voxel layer of the local costmap publishes, as CDR bytes."""
+"""The messages of the local costmap's voxel layer, as CDR bytes."""
 
 import struct
 

@@ -1,4 +1,4 @@
-"""The built-in scenarios, a YAML file each; what is done to messages in the built-in modes.
+"""The built-in scenarios, a YAML file each, which the built-in modes use.
 
 A recipe holds its scenario, so a run does not depend on this folder.
 """

@@ -1,4 +1,4 @@
-"""What is drawn for a run on the TurtleBot3 testbed, from the campaign's seed.
+"""Draws a run on the TurtleBot3 testbed from the campaign's seed.
 
 Run i of every mode belongs to block i: same arena, start, goals, fake object and session, so that a
 mode and its control differ in the mode only, and in noise where the campaign draws it for each run.

@@ -1,4 +1,4 @@
-"""What a run on the TurtleBot3 testbed is made from: all that it is a function of."""
+"""The recipe of a run on the TurtleBot3 testbed: everything that determines it."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass

@@ -117,7 +117,9 @@ class TurtleBot3Run:
         navigator.set_initial_pose(where)
         self._executor.run_until(BRING_UP_NS, stop=lambda: self._nav2.is_active)
         if not self._nav2.is_active:
-            raise BringUpError(f"Nav2 was not active after {BRING_UP_NS // SECOND} s; see /rosout.")
+            raise BringUpError(
+                f"Nav2 was not active after {BRING_UP_NS // SECOND} s; look at /rosout in the bag."
+            )
         activation = self._program.activation
         if activation.before == "forward":
             self._start_node()

@@ -247,11 +247,23 @@ class LaserPlugin(Node):
 
 def noisy_ranges(exact: Ranges, noise: LidarNoise, rng: np.random.Generator) -> NDArray[np.float32]:
     """Return what a LiDAR reports of exact ranges [m]; two draws a ray, whatever it hits."""
-    measured = exact + noise.bias_m + noise.sd_m * rng.standard_normal(len(exact))
-    measured[measured > SCAN_RANGE_MAX_M] = np.inf
-    measured[rng.random(len(exact)) < noise.dropouts] = np.inf
-    measured[measured < SCAN_RANGE_MIN_M] = -np.inf
-    return measured.astype(np.float32)
+    errors, losses = rng.standard_normal(len(exact)), rng.random(len(exact))
+    return _measured(exact, noise.bias_m, noise.sd_m, errors, losses, noise.dropouts)
+
+
+@jit
+def _measured(
+    exact: Ranges, bias: float, sd: float, errors: Ranges, losses: Ranges, dropouts: float
+) -> NDArray[np.float32]:
+    ranges = np.empty(len(exact), np.float32)
+    for i in range(len(exact)):
+        measured = exact[i] + bias + sd * errors[i]
+        if measured > SCAN_RANGE_MAX_M or losses[i] < dropouts:
+            measured = np.inf
+        elif measured < SCAN_RANGE_MIN_M:
+            measured = -np.inf
+        ranges[i] = measured
+    return ranges
 
 
 class RangePlugin(Node):

@@ -57,7 +57,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedLaborator
             servers.enter_context(postgres_server()),
         ):
             servers.enter_context(mock.patch.dict(os.environ, variables))
-        address = servers.enter_context(dask_cluster(folder / "dask", workers=2))
+        address = servers.enter_context(dask_cluster(folder / "dask", workers=1))
         shutil.copy(ROOT / "deploy" / "dagster.yaml", folder)
         instance = servers.enter_context(dg.DagsterInstance.from_config(str(folder)))
         laboratory = SharedLaboratory(folder / "data", instance)

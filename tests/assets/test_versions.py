@@ -63,8 +63,8 @@ NOTHING: set[str] = set()
         ("oracle_pipeline/bags/writer.py", '"""', '"""A line. ', RUNS),
         (
             "oracle_pipeline/windows.py",
-            "WINDOW_S = INTERVAL_S",
-            "WINDOW_S = 2 * INTERVAL_S",
+            "WINDOW_S = 5.0",
+            "WINDOW_S = 10.0",
             FEATURES | ANALYSES,
         ),
         (

@@ -46,7 +46,9 @@ def test_a_window_that_is_open_sees_what_happens(browser: Browser, live: LivePag
     expect(page.locator("#verdict")).to_have_text("no verdict yet")
     for message in messages():
         live.show(message)
-    expect(page.locator("#status")).to_have_text(re.compile(r"0:27 recorded, \d+ messages heard"))
+    expect(page.locator("#status")).to_have_text(
+        re.compile(r"0:27 recorded, \d+ messages received")
+    )
     expect(page.locator("#scans")).to_contain_text("/scan")
     assert page.locator("#above circle.ray").count() > 10
     assert page.locator("#above polyline.path").get_attribute("points")

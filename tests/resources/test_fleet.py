@@ -31,6 +31,20 @@ def test_a_fleet_without_workers_is_refused() -> None:
         Fleet(workers=0)
 
 
+def test_the_workers_of_a_dagster_run_stay_for_all_its_steps() -> None:
+    with dg.build_resources({"fleet": Fleet(workers=1)}) as there:
+        of_steps = [next(there.fleet.outcomes(process_id, [step])).result for step in (1, 2)]
+        (error,) = [outcome.error for outcome in there.fleet.outcomes(math.sqrt, [-1.0])]
+        assert "ValueError" in str(error)
+    assert of_steps[0] == of_steps[1] != os.getpid()
+    with pytest.raises(ProcessLookupError):
+        os.kill(of_steps[0], 0)
+
+
+def process_id(_: int) -> int:
+    return os.getpid()
+
+
 def test_a_cluster_is_a_matter_of_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ORACLE_DASK", "tcp://scheduler:8786")
     monkeypatch.setenv("ORACLE_HOME", "s3://bucket/campaign")

@@ -43,7 +43,7 @@ def test_a_place_that_holds_another_recipes_run_is_left_alone(finished):
 def test_a_damaged_run_is_named_and_can_be_made_again(finished):
     (file,) = finished.bag.glob("*.mcap")
     file.write_bytes(file.read_bytes()[:-1000])
-    with pytest.raises(OracleError, match="is damaged.*refresh it to make it again"):
+    with pytest.raises(OracleError, match="is damaged.*simulate it again with --refresh"):
         record_run(RECIPE, finished)
     again = record_run(RECIPE, finished, refresh=True)
     assert again.content_hash == finished.manifest().content_hash

@@ -82,7 +82,7 @@ def test_a_job_that_hangs_is_ended_and_named_and_the_others_go_on(monkeypatch):
     monkeypatch.setenv(LIMIT, "6")
     outcomes = {o.job: o for o in fan_out(hang, range(4), lambda: process_pool(2))}
     assert {job: o.result for job, o in outcomes.items() if o.error is None} == {0: 0, 2: 2, 3: 3}
-    assert outcomes[1].error.startswith("It was not over after 6 s, and its worker was ended")
+    assert outcomes[1].error.startswith("It was not finished after 6 s, so its worker was ended")
     assert LIMIT in outcomes[1].error
     assert not multiprocessing.active_children()
 

@@ -1,7 +1,7 @@
-"""The node: it hears every visible topic as bytes, and writes the graph of every interval.
+"""The node that subscribes to all visible topics as bytes, and writes each interval's graph.
 
-What is done with the graph is in ``oracle_pipeline.graphs.rclpy_graphs``. This file is a thin shell
-around it that needs rclpy; it is not covered by the tests of this repository.
+The work on graphs is done in ``oracle_pipeline.graphs.rclpy_graphs``. This file is a thin shell
+around it. It needs rclpy, so the tests of this repository do not cover it.
 """
 
 from pathlib import Path
@@ -27,7 +27,7 @@ _DEPTH = 100
 
 
 class GraphRecorder(Node):
-    """Hears all topics and writes graphs into the folder of the parameter ``folder``."""
+    """Subscribes to all topics and writes graphs into the folder of the parameter ``folder``."""
 
     def __init__(self) -> None:
         super().__init__("oracle_graph_recorder")
@@ -39,14 +39,14 @@ class GraphRecorder(Node):
         self.get_logger().info(f"Writing graphs to {folder.absolute()}")
 
     def finish(self) -> None:
-        """Write what is left."""
+        """Write the graph of the last, incomplete interval."""
         self._graphs.finish(self._now_ns())
 
     def _now_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)  # simulated time with use_sim_time
 
     def _look(self) -> None:
-        """Subscribe to topics that are new, and end the intervals that are over."""
+        """Subscribe to new topics, and end the intervals that are over."""
         for topic, types in self.get_topic_names_and_types():
             if topic not in self._heard and not is_hidden(topic):
                 self._hear(topic, min(types))

@@ -55,7 +55,7 @@ def test_what_is_no_file_is_refused(kind, tmp_path):
         import socket
 
         socket.socket(socket.AF_UNIX).bind(str(path))
-    with pytest.raises(BagError, match="no file but a device, a pipe or a socket"):
+    with pytest.raises(BagError, match="is a device, a pipe or a socket"):
         BagReader(path)
 
 

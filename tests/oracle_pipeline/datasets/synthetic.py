@@ -5,6 +5,8 @@ import json
 import numpy as np
 import pandas as pd
 
+from oracle_pipeline.windows import HOP_S, MIN_WINDOW_S, WINDOW_S
+
 MODES = {
     "lidar_passthrough": "normal",
     "lidar_passthrough_odom": "normal",
@@ -90,12 +92,12 @@ def campaign(
     lengths = rng.uniform(70.0, 110.0, len(features))
     delayed = features["mode"].str.startswith("delayed").to_numpy()
     onsets = np.where(delayed, DELAY_S, 0.0)
-    counts = np.ceil((lengths - 5.0) / 5.0).astype(int)
-    starts = np.concatenate([5.0 * np.arange(n) for n in counts])
+    counts = np.ceil((lengths - MIN_WINDOW_S) / HOP_S).astype(int)
+    starts = np.concatenate([HOP_S * np.arange(n) for n in counts])
     windows = features.loc[np.repeat(features.index, counts)].reset_index(drop=True)
     windows = windows.drop(columns="contextual.duration").assign(window_start_s=starts)
     malicious = (windows["label"] == "malicious").to_numpy()
-    attacked = malicious & (starts + 10.0 > np.repeat(onsets, counts))
+    attacked = malicious & (starts + WINDOW_S > np.repeat(onsets, counts))
     for column, deviation in ATTACKED.items():
         of_run = deviation * effect * malicious  # what the run's own value has of the attack
         noise = deviation * rng.normal(size=len(windows))

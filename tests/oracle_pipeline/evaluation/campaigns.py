@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
+from oracle_pipeline.windows import HOP_S, MIN_WINDOW_S
 from tests.oracle_pipeline.datasets.synthetic import MODES, campaign
 
 
@@ -24,7 +25,8 @@ def by_hand(*runs):
     windows = pd.concat(
         [
             features.iloc[[row]].merge(
-                pd.DataFrame({"window_start_s": np.arange(0.0, length - 5.0, 5.0)}), how="cross"
+                pd.DataFrame({"window_start_s": np.arange(0.0, length - MIN_WINDOW_S, HOP_S)}),
+                how="cross",
             )
             for row, (_, _, length, *_) in enumerate(runs)
         ]

@@ -3,6 +3,7 @@ import pytest
 
 from oracle_pipeline.evaluation.alarms import WatchedRuns, judge_alarms, times_to_detect, watched
 from oracle_pipeline.evaluation.comparisons import ComparedRuns
+from oracle_pipeline.evaluation.reference_scores import reference_of
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.judging import judge
 from oracle_pipeline.scoring.learning import Cards
@@ -10,18 +11,22 @@ from oracle_pipeline.scoring.reference import Reference
 from tests.oracle_pipeline.evaluation.campaigns import by_hand, synthetic
 
 JUDGED = by_hand(
-    ("delayed_fakeobject", 0, 40.0, 17.0, "[]"),  # windows end at 10, 15, ..., 40
+    ("delayed_fakeobject", 0, 40.0, 17.0, "[]"),  # windows end at 5, 7.5, ..., 40
     ("delayed_fakeobject", 1, 40.0, 17.0, "[]"),
     ("lidar_passthrough", 0, 40.0, 0.0, "[]"),
 )
 
 
 def alarms(*places):
-    return np.isin(np.arange(21), places)
+    return np.isin(np.arange(45), places)
+
+
+def raised_in(runs):
+    return watched(runs, reference_of(runs, ~runs.malicious))
 
 
 def test_detection_counts_from_the_onset_to_the_end_of_the_first_window_that_alarms():
-    late = times_to_detect(alarms(0, 3, 4), JUDGED, JUDGED.onset_s)  # at 10 s: too early
+    late = times_to_detect(alarms(0, 8, 9), JUDGED, JUDGED.onset_s)  # at 5 s: too early
     assert late[:2].tolist() == [8.0, np.inf]
     assert np.isnan(late[2])
 
@@ -33,17 +38,17 @@ def test_an_attack_takes_effect_when_it_first_changes_a_message():
         ("fake_object", 2, 40.0, 3.0, "[]"),
     )
     assert judged.effect_s.tolist() == [20.0, 3.0, 3.0]
-    late = times_to_detect(np.isin(judged.place, (4,)), judged, judged.effect_s)
-    assert late.tolist() == [10.0, 27.0, 27.0]  # the fifth window ends at 30 s
+    late = times_to_detect(np.isin(judged.place, (10,)), judged, judged.effect_s)
+    assert late.tolist() == [10.0, 27.0, 27.0]  # that window ends at 30 s
 
 
 def test_the_figures_of_alarms_by_hand():
     raised = WatchedRuns(
-        np.where(JUDGED.attacked_windows(), 1.0, 0.0), alarms(3, 15, 17), per_hour=0.5
+        np.where(JUDGED.attacked_windows(), 1.0, 0.0), alarms(8, 33, 35), per_hour=0.5
     )
     everything = ComparedRuns("all modes", np.ones(3, dtype=bool))
     row = judge_alarms(raised, JUDGED, everything, np.random.default_rng(0))
-    assert (row["attacked_windows"], row["normal_windows"], row["auc"]) == (10, 7, 1.0)
+    assert (row["attacked_windows"], row["normal_windows"], row["auc"]) == (20, 15, 1.0)
     assert (row["attacked_runs"], row["normal_runs"], row["missed"]) == (2, 1, 0.5)
     assert (row["time_to_detect_median_s"], row["time_to_detect_90_s"]) == (8.0, np.inf)
     assert row["after_effect_median_s"] == 8.0
@@ -54,7 +59,7 @@ def test_the_figures_of_alarms_by_hand():
 
 def test_normal_runs_raise_no_more_alarms_than_promised_and_planted_attacks_are_found():
     planted = synthetic(20, effect=15.0)
-    raised = watched(planted)
+    raised = raised_in(planted)
     assert 0.5 < raised.per_hour < 3.0  # too few hours for the usual rate
     row = judge_alarms(
         raised, planted, ComparedRuns("all", np.ones(len(planted.features), dtype=bool)),
@@ -67,7 +72,7 @@ def test_normal_runs_raise_no_more_alarms_than_promised_and_planted_attacks_are_
 
 def test_oracle_score_raises_the_alarms_of_the_evaluation():
     planted = synthetic(8, effect=15.0)
-    raised = watched(planted)
+    raised = raised_in(planted)
     cards = Cards(Reference(planted.features, planted.windows))
     for row in range(0, len(planted.features), 7):
         of_run = planted.run == row
@@ -79,7 +84,7 @@ def test_oracle_score_raises_the_alarms_of_the_evaluation():
 
 
 def test_two_blocks_teach_nothing_and_raise_nothing():
-    raised = watched(synthetic(2))
+    raised = raised_in(synthetic(2))
     assert np.isnan(raised.score).all()
     assert np.isnan(raised.per_hour)
     assert not raised.alarm.any()

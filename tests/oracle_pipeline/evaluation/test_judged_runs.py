@@ -14,23 +14,24 @@ from tests.oracle_pipeline.reporting.recordings import manifest
 def test_windows_know_their_run_and_when_they_end():
     judged = by_hand(("lidar_passthrough", 1, 18.0, 0.0, "[]"), ("fake_object", 0, 21.0, 0.0, "[]"))
     assert judged.features["mode"].tolist() == ["fake_object", "lidar_passthrough"]
-    assert judged.run.tolist() == [0, 0, 0, 0, 1, 1, 1]
-    assert judged.counts.tolist() == [4, 3]
-    assert judged.place.tolist() == [0, 1, 2, 3, 0, 1, 2]
-    assert judged.end_s.tolist() == [10.0, 15.0, 20.0, 21.0, 10.0, 15.0, 18.0]
+    assert judged.run.tolist() == 8 * [0] + 7 * [1]
+    assert judged.counts.tolist() == [8, 7]
+    assert judged.place.tolist() == [*range(8), *range(7)]
+    regular = [5.0 + 2.5 * n for n in range(7)]
+    assert judged.end_s.tolist() == [*regular, 21.0, *regular[:6], 18.0]
 
 
 def test_windows_of_an_attack_are_those_that_share_time_with_a_change():
     judged = by_hand(("fake_object", 0, 40.0, 0.0, "[[20.0, 3, 0.5]]"))
     attacked = judged.start_s[judged.attacked_windows()]
-    assert attacked.tolist() == [15.0, 20.0]  # [10, 20) ends where the change begins
+    assert attacked.tolist() == [17.5, 20.0, 22.5]  # [15, 20) ends where the change begins
 
 
 def test_a_run_that_does_not_tell_what_it_changed_is_changed_from_its_onset_on():
     judged = by_hand(
         ("delayed_fakeobject", 0, 40.0, 22.0, "[]"), ("delayed_passthrough", 0, 40.0, 22.0, "[]")
     )
-    assert judged.start_s[judged.attacked_windows()].tolist() == [15.0, 20.0, 25.0, 30.0]
+    assert judged.start_s[judged.attacked_windows()].tolist() == [17.5 + 2.5 * n for n in range(8)]
     assert (judged.run[judged.attacked_windows()] == 0).all()
 
 

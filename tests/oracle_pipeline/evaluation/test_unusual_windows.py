@@ -7,6 +7,7 @@ from oracle_pipeline.evaluation.unusual_windows import unusual_windows
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.evidence import evidence
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+from oracle_pipeline.windows import WINDOW_S
 from tests.oracle_pipeline.datasets.synthetic import DELAY_S, MODES, campaign
 
 
@@ -28,7 +29,7 @@ def of_mode(runs, mode):
 def test_windows_are_unusual_from_the_onset_of_an_attack_on(recorded, unusual):
     attacked = of_mode(recorded, "delayed_fakeobject")
     outside = unusual.distance > unusual.usual
-    after = unusual.start_s + 10.0 > DELAY_S
+    after = unusual.start_s + WINDOW_S > DELAY_S
     column = list(unusual.families).index("contextual")
     assert outside[attacked & after, column].mean() > 0.95
     assert outside[attacked & ~after, column].mean() < 0.5
@@ -38,7 +39,7 @@ def test_windows_are_unusual_from_the_onset_of_an_attack_on(recorded, unusual):
 def test_at_most_one_normal_window_in_twenty_is_outside_in_a_family(recorded, unusual):
     normal = ~recorded.malicious[recorded.run]
     share = (unusual.distance[normal] > unusual.usual).mean(axis=0)
-    assert (share <= 0.05).all()
+    assert (share <= 0.05 + 1.0 / normal.sum()).all()  # a twentieth is no whole number
     assert (share > 0.02).all()
 
 

@@ -33,9 +33,9 @@ def test_features_of_any_bag_are_json_with_reasons(foreign_bag):
     done = oracle("features", foreign_bag, "--table", "window")
     assert done.exit_code == 0, done.output
     rows = json.loads(done.stdout)["rows"]
-    assert [row["window_start_s"] for row in rows[:3]] == [0.0, 5.0, 10.0]
+    assert [row["window_start_s"] for row in rows[:3]] == [0.0, 2.5, 5.0]
     assert rows[0]["structural.density"] is None
-    assert "graphs" in rows[0]["missing"]["structural.density"]
+    assert "no graph" in rows[0]["missing"]["structural.density"]
 
 
 @pytest.mark.parametrize("table", ["run", "window"])
@@ -45,7 +45,7 @@ def test_parquet_goes_to_a_file(table, make_run, tmp_path):
     done = oracle("features", make_run().path, *options, "--output", target)
     assert done.exit_code == 0, done.output
     assert done.output == ""
-    assert len(read_table(target)) == (1 if table == "run" else 5)
+    assert len(read_table(target)) == (1 if table == "run" else 10)
     done = oracle("features", make_run().path, *options)
     assert done.exit_code == 2
     assert "--output" in done.stderr

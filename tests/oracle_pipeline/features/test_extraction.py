@@ -11,7 +11,7 @@ from oracle_pipeline import features
 from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.datasets import KEYS, feature_columns, feature_dataset, read_table
 from oracle_pipeline.opened_run import open_run
-from oracle_pipeline.windows import windows_ns
+from oracle_pipeline.windows import HOP_S, WINDOW_S, windows_ns
 
 MANAGER = features.build_manager()
 SECOND = 1_000_000_000
@@ -23,14 +23,15 @@ def extract(path: Path) -> features.FeatureTables:
 
 
 @given(st.integers(0, 700 * SECOND))
-def test_windows_cover_the_recording_each_five_seconds(duration_ns):
+def test_windows_cover_the_recording_each_half_window(duration_ns):
     times_ns = np.arange(0, duration_ns + 1, SECOND)
     windows = windows_ns(duration_ns + 1, times_ns)
-    assert [start for start, _ in windows] == [5 * SECOND * i for i in range(len(windows))]
-    assert len(windows) == duration_ns // (5 * SECOND)
+    length_ns, hop_ns = round(WINDOW_S * SECOND), round(HOP_S * SECOND)
+    assert [start for start, _ in windows] == [hop_ns * i for i in range(len(windows))]
+    assert len(windows) == duration_ns // hop_ns
     for start_ns, end_ns in windows:
-        assert end_ns == min(start_ns + 10 * SECOND, duration_ns + 1)
-        assert end_ns - start_ns > 5 * SECOND
+        assert end_ns == min(start_ns + length_ns, duration_ns + 1)
+        assert end_ns - start_ns > hop_ns
 
 
 @given(st.lists(st.integers(0, 100 * SECOND), max_size=5))
@@ -40,7 +41,7 @@ def test_a_window_without_a_message_is_none(times_ns):
     assert windows_ns(100 * SECOND, held) == [
         (start, end)
         for start, end in all_windows
-        if ((start <= held) & (held < start + 10 * SECOND)).any()
+        if ((start <= held) & (held < start + round(WINDOW_S * SECOND))).any()
     ]
 
 
@@ -55,7 +56,7 @@ def test_tables_have_keys_of_the_manifest_and_features(make_run):
         for column in feature_columns(table):
             assert table[column].dtype == np.float64
             assert table.attrs["fields"][column]["unit"]
-    assert tables.windows["window_start_s"].tolist() == [0.0, 5.0, 10.0, 15.0, 20.0]
+    assert tables.windows["window_start_s"].tolist() == [2.5 * n for n in range(10)]
     assert len(tables.run) == 1
 
 
@@ -94,13 +95,15 @@ def test_storage_does_not_matter(make_run):
         pd.testing.assert_frame_equal(mine[columns], other[columns])
 
 
-def test_a_window_has_the_graph_of_its_interval(make_run):
+def test_a_window_has_the_newest_graph_that_was_there_when_it_ended(make_run):
     windows = extract(make_run().path).windows.set_index("window_start_s")
     edges = windows["structural.average_degree"]
     # Without the recorder: 4 edges and 5 vertices, in the second interval 1 edge and 2 more.
-    assert edges.to_dict() == pytest.approx(
-        {0.0: 8 / 5, 5.0: 10 / 7, 10.0: 10 / 7, 15.0: 10 / 7, 20.0: 8 / 5}
-    )
+    first = dict.fromkeys((5.0, 7.5, 10.0, 12.5), 8 / 5)
+    second = dict.fromkeys((15.0, 17.5), 10 / 7)
+    assert edges[[0.0, 2.5]].isna().all()
+    assert edges[5.0:17.5].to_dict() == pytest.approx(first | second)
+    assert edges[22.5] == pytest.approx(8 / 5)
 
 
 def test_a_foreign_bag_gives_what_it_can(foreign_bag):
@@ -108,7 +111,7 @@ def test_a_foreign_bag_gives_what_it_can(foreign_bag):
     assert tables.run["mode"].tolist() == ["foreign"]
     assert tables.run["label"].tolist() == ["unknown"]
     missing = json.loads(tables.run["missing"].iloc[0])
-    assert missing["structural.density"] == "the bag was recorded without graphs"
+    assert missing["structural.density"] == "no graph was recorded before its end"
     assert len(tables.windows) >= 4
 
 
@@ -133,7 +136,7 @@ def test_equal_runs_make_equal_bytes(make_run):
 
 
 def test_a_recording_too_short_for_a_window_has_none(bag_of, messages):
-    tables = extract(bag_of([(t, "/scan", messages.scan(t, [1.0, 2.0])) for t in range(4)]))
+    tables = extract(bag_of([(t, "/scan", messages.scan(t, [1.0, 2.0])) for t in range(3)]))
     assert len(tables.windows) == 0
     assert tables.windows["contextual.range_variance_max"].dtype == np.float64
     assert tables.run["contextual.range_variance_max"].tolist() == [0.25]

@@ -50,6 +50,7 @@ def motion(time_s: float) -> tuple[complex, float]:
 
 def robot(
     *, odometry: float = 1.0, twist: float = 1.0, gyro: float = 1.0, wheels: float = 1.0,
+    rates: float = 1.0, command: float = 1.0, push: float = 0.0, drift: float = 0.0,
     late_s: float = 0.0, scan: float = 1.0,
 ) -> list[tuple[float, str, Any]]:  # fmt: skip
     """All messages; what is said of one stream is multiplied by a factor, or told late."""
@@ -68,20 +69,24 @@ def robot(
         )
         past = motion(max(0.0, time_s - late_s))[1], speeds(max(0.0, time_s - late_s))[1]
         inertial = message_class("sensor_msgs/msg/Imu")(
-            header(time_s, "nose"), quaternion(past[0]), np.zeros(9),
-            vector(0.0, 0.0, gyro * past[1]), np.zeros(9), vector(0.0, 0.0, 9.81), np.zeros(9),
+            header(time_s, "nose"), quaternion(past[0] + drift * time_s), np.zeros(9),
+            vector(0.0, 0.0, gyro * past[1]), np.zeros(9), vector(push, 0.0, 9.80665), np.zeros(9),
         )  # fmt: skip
         way = forward[round(time_s * 1e3)]
         angles = wheels * np.array([way - yaw * TRACK_M / 2, way + yaw * TRACK_M / 2]) / RADIUS_M
+        spins = wheels * np.array([speed - rate * TRACK_M / 2, speed + rate * TRACK_M / 2])
         joints = message_class("sensor_msgs/msg/JointState")(
-            header(time_s, ""), ["left", "right"], angles, np.zeros(2), np.zeros(0)
+            header(time_s, ""), ["left", "right"], angles, rates * spins / RADIUS_M, np.zeros(0)
         )
-        command = message_class("geometry_msgs/msg/Twist")(
-            vector(speed, 0.0, 0.0), vector(0.0, 0.0, rate)
+        wanted, obeyed = (
+            message_class("geometry_msgs/msg/Twist")(
+                vector(factor * speed, 0.0, 0.0), vector(0.0, 0.0, factor * rate)
+            )
+            for factor in (1.0, command)
         )
         recorded += [
             (time_s, "/odometry", told), (time_s, "/inertia", inertial),
-            (time_s, "/joints", joints), (time_s, "/command", command),
+            (time_s, "/joints", joints), (time_s, "/wanted", wanted), (time_s, "/obeyed", obeyed),
         ]  # fmt: skip
     return sorted(recorded, key=lambda each: each[0])
 
@@ -107,7 +112,9 @@ def test_streams_of_one_motion_agree(honest):
             assert scale == pytest.approx(0.0, abs=loose), pair
         assert values[pair.column("lag")] == pytest.approx(0.0, abs=0.02), pair
         assert values[pair.column("residual")] < 0.03, pair
-    assert values["gravity"] == pytest.approx(9.81)
+        assert values[pair.column("drift")] == pytest.approx(0.0, abs=2e-3), pair
+    assert values["gravity"] == pytest.approx(9.80665)
+    assert values["gravity_residual"] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_radius_of_the_wheels_and_their_distance_are_estimated(honest):
@@ -125,6 +132,8 @@ def test_the_radius_of_the_wheels_and_their_distance_are_estimated(honest):
         ("twist", ("turn_scale_pose_twist", "travel_scale_pose_twist"), ()),
         ("gyro", ("turn_scale_pose_gyro",), ("turn_scale_gyro_orientation",)),
         ("wheels", ("travel_scale_pose_joints", "turn_scale_gyro_joints"), ()),
+        ("rates", ("spin_scale_angles_rates",), ()),
+        ("command", (), ("travel_scale_command_pose", "turn_scale_command_pose")),
         ("scan", ("travel_scale_pose_scan", "travel_scale_joints_scan"), ()),
     ],
 )
@@ -144,6 +153,38 @@ def test_a_stream_that_is_late_lags(extracted):
     assert values["turn_lag_pose_gyro"] == pytest.approx(0.15, abs=0.02)
     assert values["turn_lag_gyro_joints"] == pytest.approx(-0.15, abs=0.02)
     assert where["turn_lag_pose_gyro"] == "/odometry against /inertia"
+
+
+def test_an_orientation_that_drifts_away_from_the_gyroscope_drifts(extracted, honest):
+    before, *_ = honest
+    values, where, _ = extracted(drift=0.01)
+    change = values["turn_drift_gyro_orientation"] - before["turn_drift_gyro_orientation"]
+    assert change == pytest.approx(0.01, rel=0.1)  # some of it counts as scale
+    assert where["turn_drift_gyro_orientation"] == "/inertia"
+
+
+def test_a_push_that_the_orientation_does_not_explain_is_measured(extracted):
+    values, where, _ = extracted(push=0.4)
+    assert values["gravity_residual"] == pytest.approx(0.4)
+    assert where["gravity_residual"] == "/inertia"
+
+
+@pytest.mark.parametrize("is_told", [True, False])
+def test_a_tilted_unit_is_pushed_only_if_it_does_not_say_how_it_is_tilted(tmp_path, is_told):
+    tilt, tilted = 0.3, robot()
+    half = message_class("geometry_msgs/msg/Quaternion")(
+        0.0, np.sin(tilt / 2), 0.0, np.cos(tilt / 2)
+    )
+    for _, topic, message in tilted:
+        if topic == "/inertia":
+            message.linear_acceleration.x = -9.80665 * np.sin(tilt)
+            message.linear_acceleration.z = 9.80665 * np.cos(tilt)
+            message.orientation = half
+            if not is_told:
+                message.orientation_covariance[0] = -1.0
+    values, *_ = extract(PLUGINS, tilted, tmp_path)
+    expected = 0.0 if is_told else 9.80665 * 2.0 * np.sin(tilt / 2)
+    assert values["gravity_residual"] == pytest.approx(expected, abs=1e-6)
 
 
 def test_without_odometry_the_others_are_still_held_against_each_other(tmp_path):

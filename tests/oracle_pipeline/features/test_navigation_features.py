@@ -14,7 +14,9 @@ from tests.oracle_pipeline.features.scenery import (
     believed_message,
     extract,
     grid_message,
+    header,
     odometry_message,
+    pose_message,
 )
 
 ROOT = "NavigateRecovery"
@@ -174,6 +176,32 @@ def test_localisation_is_held_against_odometry(extracted):
     assert values["yaw_spread"] == pytest.approx(0.1)
     assert values["yaw_correction"] == pytest.approx(0.02)
     assert values["position_correction"] == pytest.approx(0.1, abs=0.03)
+
+
+def plan_message(seconds, places):
+    poses = [
+        message_class("geometry_msgs/msg/PoseStamped")(header(0.0, "map"), pose_message(place, 0.0))
+        for place in places
+    ]
+    return message_class("nav_msgs/msg/Path")(header(seconds, "map"), poses)
+
+
+@pytest.mark.parametrize("aside_m", [0.0, 0.3])
+def test_a_plan_begins_where_the_robot_believes_to_be(extracted, aside_m):
+    # Localisation has the robot 2 m to the left of where odometry has it.
+    odometry = [(t / 10, "/odom", odometry_message(t / 10, 0.05 * t + 0j, 0.0)) for t in range(90)]
+    believed = [
+        (2.0 * t, "/amcl_pose", believed_message(2 * t, 1.0 * t + 2j, 0.0, 0.3, 0.1))
+        for t in range(4)
+    ]
+    plans = [
+        (t + 0.6, "/plan", plan_message(t + 0.5, [0.5 * t + 0.25 + 2j + 1j * aside_m, 9.0 + 2j]))
+        for t in range(7)
+    ]
+    empty = (7.6, "/plan", plan_message(7.5, []))
+    recorded = sorted([*odometry, *believed, *plans, empty], key=lambda each: each[0])
+    values, *_ = extracted(localisation, recorded)
+    assert values["plan_offset"] == pytest.approx(aside_m, abs=1e-6)
 
 
 def grid(cells, corner=0j):

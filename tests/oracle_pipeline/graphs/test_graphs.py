@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from oracle_pipeline.bags.errors import GraphError
 from oracle_pipeline.bags.graph_files import vertex_id, write_gexf
 from oracle_pipeline.graphs.differences import graph_differences
-from oracle_pipeline.graphs.intervals import Interval, compose, graph_between, read_intervals
+from oracle_pipeline.graphs.intervals import Interval, compose, known_in, read_intervals
 from oracle_pipeline.graphs.views import system_view, thesis_view
 
 NODES = ("/amcl", "/rosbag2_recorder", "/transform_listener_impl_5581ab", "/bt_navigator")
@@ -50,14 +50,25 @@ def test_composition_leaves_its_parts_alone():
     assert a.edges["node:/amcl", "topic:/tf"]["messages"] == 1
 
 
-def test_a_window_has_the_graphs_of_all_intervals_it_touches():
-    first, second = graph_of(("/amcl", "/tf")), graph_of(("/scan", "/amcl"))
-    intervals = (Interval(0.0, first), Interval(10.0, second))
-    assert content(graph_between(intervals, 0.0, 10.0)) == content(first)
-    assert content(graph_between(intervals, 10.0, 20.0)) == content(second)
-    assert content(graph_between(intervals, 5.0, 15.0)) == content(compose([first, second]))
-    assert graph_between(intervals, 20.0, 30.0) is None
-    assert graph_between((), 0.0, 10.0) is None
+def test_a_span_has_the_intervals_that_ended_in_it_or_else_the_newest_before():
+    first, second = (Interval(start_s, nx.DiGraph()) for start_s in (0.0, 10.0))
+    both, recorded_s = (first, second), 18.0
+    assert known_in(both, 0.0, 10.0, recorded_s) == (first,)
+    assert known_in(both, 5.0, 15.0, recorded_s) == (first,)
+    assert known_in(both, 10.0, 15.0, recorded_s) == (first,)
+    assert known_in(both, 13.0, 18.0, recorded_s) == (second,)
+    assert known_in(both, 0.0, 18.0, recorded_s) == both
+    assert known_in(both, 0.0, 5.0, recorded_s) == ()
+    assert known_in((), 0.0, 10.0, 10.0) == ()
+
+
+@given(st.floats(0.0, 60.0), st.floats(0.1, 20.0), st.floats(0.0, 20.0))
+def test_what_is_known_of_graphs_does_not_depend_on_what_comes_later(start_s, length_s, more_s):
+    intervals = tuple(Interval(10.0 * n, nx.DiGraph()) for n in range(10))
+    end_s = start_s + length_s
+    ended = tuple(each for each in intervals if each.start_s + 10.0 <= end_s)
+    later = known_in(intervals, start_s, end_s, end_s + 10.0 + more_s)
+    assert later == known_in(ended, start_s, end_s, end_s)
 
 
 def test_intervals_are_read_in_order_of_time(tmp_path):

@@ -14,6 +14,7 @@ from oracle_pipeline.live.watch import (
 from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.scoring.contract import Breach
 from oracle_pipeline.scoring.verdict import Evidence
+from oracle_pipeline.windows import HOP_S, WINDOW_S
 from tests.oracle_pipeline.features.conftest import START_NS, drive, ros_graph
 
 HOSTILE = '/<img src=x onerror="document.title=1">\x1b[2J'  # as a topic may be called
@@ -28,11 +29,11 @@ def messages() -> Iterator[MessageHeard]:
 
 
 def verdict(number: int, *, alarm: bool = False) -> WindowVerdict:
-    start_s = 5.0 * number
+    start_s = HOP_S * number
     evidence = (EVIDENCE,) if alarm else ()
     score, p = (9.0, 0.01) if alarm else (0.1 * number, 0.6)
     return WindowVerdict(
-        start_s=start_s, end_s=start_s + 10.0, score=score, p_value=p, is_usual=not alarm,
+        start_s=start_s, end_s=start_s + WINDOW_S, score=score, p_value=p, is_usual=not alarm,
         alarm=alarm, evidence=evidence,
     )  # fmt: skip
 

@@ -1,20 +1,25 @@
 """Windows are judged as they end, as the finished recording would be."""
 
+import json
+
 import numpy as np
+import pandas as pd
 import pytest
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.bags.writer import BagWriter
-from oracle_pipeline.datasets import feature_columns
+from oracle_pipeline.bags.protocol import INTERVAL_S
+from oracle_pipeline.datasets import WINDOW_START, feature_columns
 from oracle_pipeline.features import build_manager, extract
 from oracle_pipeline.features.extraction import extract_window
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.live.judge import Judge
-from oracle_pipeline.live.recent import RecentMessages, Stamped
-from oracle_pipeline.opened_run import OpenedRun, open_run
+from oracle_pipeline.live.recent import CONTEXT_S, RecentMessages, Stamped
+from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.learning import learn
 from oracle_pipeline.scoring.reference import read_reference
 from oracle_pipeline.windows import HOP_S, WINDOW_S
+from sim.campaigns import Campaign
 from tests.oracle_pipeline.live.robots import STRING
 
 pytestmark = pytest.mark.slow
@@ -42,9 +47,9 @@ def judged(card, run):
     for message in run.bag.messages():
         end_ns = start_ns + round((window * HOP_S + WINDOW_S) * SECOND_NS)
         if message.stamp_ns >= end_ns:
-            if window % 2 == 0:
+            if graphs and end_ns - start_ns >= (graphs[0].start_s + INTERVAL_S) * SECOND_NS:
                 judge.add_graph(graphs.pop(0))
-            judge.end_window(start_ns, end_ns - round(WINDOW_S * SECOND_NS), end_ns, None)
+            judge.end_window(start_ns, end_ns - round(WINDOW_S * SECOND_NS), end_ns)
             window += 1
             verdicts.append(next(judge.verdicts(600.0)))  # as slowly as a robot
         judge.add([Stamped(*message)])
@@ -55,7 +60,7 @@ def judged(card, run):
 def test_every_window_gets_its_verdict_and_an_attack_raises_an_alarm(card, recorded_run):
     with open_run(recorded_run("random_noise", 4).path) as run:
         attacked, windows = judged(card, run)
-    assert [verdict.end_s for verdict in attacked] == [10.0 + 5.0 * n for n in range(windows)]
+    assert [verdict.end_s for verdict in attacked] == [WINDOW_S + HOP_S * n for n in range(windows)]
     with open_run(recorded_run(NORMAL, 4).path) as run:
         normal, _ = judged(card, run)
     assert any(verdict.alarm for verdict in attacked)
@@ -63,31 +68,73 @@ def test_every_window_gets_its_verdict_and_an_attack_raises_an_alarm(card, recor
     assert np.median([v.score for v in attacked]) > 3 * np.median([v.score for v in normal])
 
 
-def test_features_of_the_newest_window_are_those_of_a_recording_that_ends_with_it(
-    recorded_run, tmp_path
-):
-    manager, start_s, end_s = build_manager(None), 10.0, 20.0
+def windows_as_they_end(run, manager, context_s):
+    """Return the windows of a run whose messages come one after the other, but for cut ones."""
+    recent, carried, rows = RecentMessages(context_s), {}, []
+    for topic in run.bag.topics.values():
+        recent.add_topic(topic.name, topic.msgtype, topic.qos)
+    graphs, fresh, end_s = list(run.intervals), [], WINDOW_S
+    for message in run.bag.messages():
+        end_ns = run.bag.start_ns + round(end_s * SECOND_NS)
+        if message.stamp_ns >= end_ns:
+            recent.add(fresh)
+            if graphs and end_s >= graphs[0].start_s + INTERVAL_S:
+                recent.add_graph(graphs.pop(0))
+            ended = recent.until(run.bag.start_ns, end_ns)
+            row, carried = extract_window(ended, manager, end_s - WINDOW_S, carried)
+            rows.append(row)
+            fresh, end_s = [], end_s + HOP_S
+        fresh.append(Stamped(*message))
+    return pd.concat(rows, ignore_index=True)
+
+
+# Interpolated to the next message, fitted to the motion so far, or on the scale of all numbers.
+LATER = ("kinematics.", "map.", "pairs.histogram_distance", "redundancy.range", "transforms.odom")
+
+
+@pytest.fixture(scope="module")
+def both(recorded_run):
+    """Return windows as they end, and those of the whole recording, of one run of two goals."""
+    manager = build_manager(None)
+    with open_run(recorded_run(NORMAL, 0, Campaign(goals_per_run=2)).path) as run:
+        live, whole = windows_as_they_end(run, manager, CONTEXT_S), extract(run, manager).windows
+    return live, whole.iloc[: len(live)], manager.features()
+
+
+def test_features_of_live_windows_are_those_of_the_whole_recording(both):
+    live, whole, _ = both
+    assert live[WINDOW_START].tolist() == whole[WINDOW_START].tolist()
+    assert live[WINDOW_START].iloc[-1] > CONTEXT_S + WINDOW_S
+    for column in feature_columns(whole):
+        if not column.startswith(LATER):
+            np.testing.assert_allclose(
+                live[column], whole[column], rtol=1e-6, atol=1e-9, err_msg=column
+            )
+
+
+def test_the_roles_that_a_card_was_learned_with_count(recorded_run):
+    manager, choices = build_manager(None), RoleChoices(topics={"odometry": ()})
+    recent = RecentMessages()
     with open_run(recorded_run(NORMAL).path) as run:
-        begin_ns = run.bag.start_ns
-        end_ns = begin_ns + round(end_s * SECOND_NS)
-        messages = [Stamped(*m) for m in run.bag.messages() if m.stamp_ns < end_ns]
-        recent = RecentMessages(end_s)
-        with BagWriter(tmp_path / "cut") as bag:
-            for topic in run.bag.topics.values():
-                recent.add_topic(topic.name, topic.msgtype, topic.qos)
-                bag.add_topic(topic.name, topic.msgtype, topic.qos)
-            for message in messages:
-                bag.write(*message)
-        intervals = run.intervals[:2]
-    recent.add(messages)
-    for interval in intervals:
-        recent.add_graph(interval)
-    with open_run(tmp_path / "cut") as cut:
-        table = extract(OpenedRun(cut.path, cut.bag, None, intervals), manager).windows
-    (expected,) = table[table["window_start_s"] == start_s].to_dict("records")
-    live = extract_window(recent.until(begin_ns, end_ns, None), manager, start_s)
-    for column in feature_columns(table):
-        np.testing.assert_allclose(live[column].iloc[0], expected[column], err_msg=column)
+        for topic in run.bag.topics.values():
+            recent.add_topic(topic.name, topic.msgtype, topic.qos)
+        recent.add([Stamped(*message) for message in run.bag.messages()])
+        end_ns = run.bag.start_ns + 20 * SECOND_NS
+        ended = recent.until(run.bag.start_ns, end_ns)
+    found, chosen = (
+        extract_window(ended, manager, 15.0, {}, roles).row for roles in (None, choices)
+    )
+    assert found["contextual.speed"].notna().all()
+    assert "role odometry" in json.loads(chosen["missing"].iloc[0])["contextual.speed"]
+
+
+def test_what_live_windows_cannot_know_yet_changes_little(both):
+    live, whole, features = both
+    for column in feature_columns(whole):
+        if column.startswith(LATER):
+            assert (live[column].isna() == whole[column].isna()).mean() > 0.9, column
+            apart = (live[column] - whole[column]).abs() / features[column].floor
+            assert apart.median() <= 3.0, column
 
 
 def test_what_was_said_once_on_a_latched_topic_is_kept_however_old_it_is(recorded_run):
@@ -98,10 +145,11 @@ def test_what_was_said_once_on_a_latched_topic_is_kept_however_old_it_is(recorde
     for topic in topics.values():
         recent.add_topic(topic.name, topic.msgtype, topic.qos)
     recent.add(messages)
-    kept = recent.until(start_ns, end_ns, None).bag
+    kept = recent.until(start_ns, end_ns).bag
     assert kept.topics["/map"].count == topics["/map"].count
     assert 0 < kept.topics["/scan"].count < topics["/scan"].count / 3
-    assert kept.end_ns - kept.start_ns <= 5 * SECOND_NS
+    (scans,) = kept.batches(["/scan"])
+    assert scans.stamps_ns.min() >= end_ns - 5 * SECOND_NS
 
 
 def test_graphs_older_than_what_is_kept_are_forgotten(recorded_run):
@@ -112,7 +160,7 @@ def test_graphs_older_than_what_is_kept_are_forgotten(recorded_run):
     for number in range(100):
         recent.add_graph(Interval(10.0 * number, graph))
     recent.add([Stamped("/words", 1000 * SECOND_NS, b"\0\1\0\0")])
-    assert len(recent.until(0, 1001 * SECOND_NS, None).intervals) == 3
+    assert len(recent.until(0, 1001 * SECOND_NS).intervals) == 3
 
 
 def test_a_card_that_is_not_there_is_told_at_once(tmp_path):
@@ -145,7 +193,7 @@ def test_windows_that_come_too_fast_are_left_out_and_the_newest_are_judged(card,
     judge.add(messages)
     for number in range(20):
         end_ns = start_ns + round((10.0 + number) * SECOND_NS)
-        judge.end_window(start_ns, end_ns - 10 * SECOND_NS, end_ns, None)
+        judge.end_window(start_ns, end_ns - round(WINDOW_S * SECOND_NS), end_ns)
     verdicts = []
     while not verdicts or verdicts[-1].end_s < 29.0:
         verdicts += judge.verdicts(1.0)

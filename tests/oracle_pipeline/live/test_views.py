@@ -51,4 +51,4 @@ def test_page_and_foxglove_hear_the_robot_while_it_is_watched(domain, eventually
             watch.terminate()
             watch.wait(30)
     assert watch.returncode == 0
-    assert "messages heard, 0 dropped." in (tmp_path / "said").read_text()
+    assert "messages received, 0 dropped." in (tmp_path / "said").read_text()

@@ -1,8 +1,12 @@
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from oracle_pipeline.evaluation.oracle_kinds import UNION, compare_kinds
 from oracle_pipeline.features.plugin import Arrivals
@@ -14,7 +18,7 @@ from oracle_pipeline.oracles.kind import KindError, Material, build_kinds
 from oracle_pipeline.oracles.metamorphic import Metamorphic
 from oracle_pipeline.oracles.requirements import NAV2, load
 from oracle_pipeline.oracles.specified import Specified
-from oracle_pipeline.oracles.traces import STEP_S, quiet_topics
+from oracle_pipeline.oracles.traces import STEP_S, _keep_scans, quiet_topics
 from tests.oracle_pipeline.oracles.made_runs import campaign, trace
 
 
@@ -170,6 +174,31 @@ def test_a_topic_is_quiet_when_it_stops_and_not_before():
     quiet = quiet_topics({"/a": goes_on, "/b": stops, "/c": rare}, clock)
     assert not quiet[clock < 11.5].any()
     assert (quiet[clock > 12.5] == 1.0).all()
+
+
+rays = hnp.arrays(np.float32, st.integers(0, 9), elements=st.floats(0.0, 4.0, width=32)) | (
+    hnp.arrays(np.float32, 6, elements=st.sampled_from([0.5, 1.0, 3.0, np.inf, np.nan]))
+)
+
+
+@given(st.lists(rays, min_size=1, max_size=6))
+def test_scans_are_read_together_as_each_is_alone(ranges):
+    many = np.empty(len(ranges), dtype=object)
+    many[:] = ranges
+    least, most = np.full(len(ranges), 0.25), np.full(len(ranges), 3.5)
+    together = _keep_scans(SimpleNamespace(ranges=many, range_min=least, range_max=most))
+    for values, scan in zip(together, ranges, strict=True):
+        valid = (scan >= 0.25) & (scan <= 3.5)
+        far = scan.astype(float)
+        bends = [
+            abs(far[i - 1] - 2 * far[i] + far[i + 1])
+            for i in range(1, len(far) - 1)
+            if valid[i - 1 : i + 2].all()
+        ]
+        nearest = far[valid].min() if valid.any() else np.nan
+        without = 1.0 - valid.mean() if len(scan) else np.nan
+        uneven = np.median(bends) if bends else np.nan
+        assert np.array_equal(values, [nearest, without, uneven], equal_nan=True)
 
 
 def test_a_bag_says_what_the_robot_did(recorded_run):

@@ -8,6 +8,7 @@ from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.reporting.explanation import counterpart, explanations
 from oracle_pipeline.scoring.evidence import evidence
 from oracle_pipeline.scoring.verdict import ScoringError
+from oracle_pipeline.windows import WINDOW_S
 from tests.oracle_pipeline.datasets.synthetic import ATTACKED, DELAY_S, campaign
 
 RUNS = 6
@@ -51,7 +52,7 @@ def test_what_gave_a_run_away_is_what_the_attack_changed(tables):
         assert {e.feature for e in each.evidence[:2]} == set(ATTACKED)
         assert not each.notes
     delayed = each.evidence[0]
-    assert delayed.window_start_s + 10.0 > DELAY_S
+    assert delayed.window_start_s + WINDOW_S > DELAY_S
 
 
 def test_the_usual_range_is_that_of_normal_runs_of_other_blocks(tables):

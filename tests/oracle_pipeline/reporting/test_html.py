@@ -174,7 +174,7 @@ def test_attacked_runs_are_explained_by_what_the_attack_changed_and_shown_beside
     section = page[page.index('id="explained"') : page.index('id="searched"')]
     runs = re.findall(r"<h3><a [^>]+>(\w+)\|run\d\d\d</a></h3>", section)
     assert runs == ["random_noise", "fake_object", "delayed_fakeobject"]
-    assert section.count("Called anomalous at a false-alarm rate of 5%") == 3
+    assert section.count("Called anomalous at a false positive rate of 5%") == 3
     first_rows = re.findall(r'<tbody>\n<tr>\n  <th scope="row">([^<]*)<', section)
     assert set(first_rows) <= {"contextual.yaw_variance", "structural.entropy"}
     drawn = section.count("<img")

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from oracle_pipeline.scoring.alarms import (
     MEMORY,
     REPEAT_S,
+    Alarm,
     AlarmError,
     AlarmRule,
     AlarmWatch,
@@ -15,12 +16,15 @@ from oracle_pipeline.scoring.alarms import (
     Statistic,
     statistics_of,
 )
+from oracle_pipeline.scoring.output import paragraph
+from oracle_pipeline.scoring.verdict import Verdict
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
+OF_RUN = round(180.0 / HOP_S)  # windows of three minutes
 RULE = AlarmRule(allowance=1.0, threshold=3.0, per_hour=1.0)
 
 
-def recordings(rng, number, windows=36, runs_of_block=1):
+def recordings(rng, number, windows=OF_RUN, runs_of_block=1):
     """Normal recordings whose windows depend on each other, and on their block."""
     block = np.repeat(np.arange(number), runs_of_block)
     run = np.repeat(np.arange(len(block)), windows)
@@ -92,7 +96,7 @@ def test_a_new_block_gives_at_most_the_promised_alarms_an_hour(runs_of_block):
         all_of = recordings(rng, 45, runs_of_block=runs_of_block)
         rule = all_of.without(0).rule(per_hour)
         raised.append(watched_one_by_one(rule, all_of, 0))
-        hours += runs_of_block * 36 * HOP_S / 3600.0
+        hours += runs_of_block * OF_RUN * HOP_S / 3600.0
     error = np.std(raised) * np.sqrt(len(raised)) / hours
     assert 0.0 < sum(raised) / hours <= per_hour + 2.0 * error
 
@@ -101,7 +105,7 @@ def test_what_is_watched_live_is_what_was_counted_in_calibration():
     windows = recordings(np.random.default_rng(1), 60)
     rule = windows.rule(2.0)
     raised = sum(len(watched(rule, windows, run)) for run in range(60))
-    hours = 60 * 36 * HOP_S / 3600.0
+    hours = 60 * OF_RUN * HOP_S / 3600.0
     assert 0 < raised <= 2.0 * hours - 1
     lower = replace(rule, threshold=0.9 * rule.threshold)
     assert sum(len(watched(lower, windows, run)) for run in range(60)) > raised
@@ -125,9 +129,9 @@ def test_a_block_counts_no_more_than_others_however_many_recordings_it_has():
     once = recordings(np.random.default_rng(3), 50)
     again = 40 * [0]
     copies = NormalWindows(
-        np.r_[once.scores, np.tile(once.scores[:36], 40)],
-        np.r_[once.start_s, np.tile(once.start_s[:36], 40)],
-        np.r_[once.run, 50 + np.repeat(np.arange(40), 36)],
+        np.r_[once.scores, np.tile(once.scores[:OF_RUN], 40)],
+        np.r_[once.start_s, np.tile(once.start_s[:OF_RUN], 40)],
+        np.r_[once.run, 50 + np.repeat(np.arange(40), OF_RUN)],
         np.r_[once.block, again],
     )
     assert copies.lowest_rate() == pytest.approx(once.lowest_rate())
@@ -144,8 +148,23 @@ def test_a_window_beyond_all_normal_ones_counts_at_once_though_some_are_long_a_l
 
 def test_normal_recordings_that_are_too_short_for_some_lengths_calibrate_the_others():
     short = recordings(np.random.default_rng(5), 200, windows=3)
-    rule = short.rule(2.0)
+    rule = short.rule(4.0)
     assert np.isinf(rule.reach[3:]).all()
     watch = AlarmWatch(rule)
     assert watch.feed(10.0, 1e3) is not None
     assert np.isfinite(statistics_of(np.ones(9), np.zeros(9, dtype=np.intp), rule)).all()
+
+
+@pytest.mark.parametrize(
+    ("per_hour", "shown"),
+    [
+        (0.5, "Alarm at 15 s (at most 0.5 false ones an hour are promised)."),
+        (5.1, "Alarm at 15 s, perhaps false: the reference is too short to promise below 5.1 "),
+    ],
+)
+def test_a_reference_that_supports_only_frequent_false_alarms_says_so(per_hour, shown):
+    verdict = Verdict(
+        "bag", "normal", p_value=0.3, suite_p_value=0.3, score=0.9,
+        alarms=(Alarm(15.0, 4.0, 3.0),), alarms_per_h=per_hour,
+    )  # fmt: skip
+    assert any(line.strip().startswith(shown) for line in paragraph(verdict))

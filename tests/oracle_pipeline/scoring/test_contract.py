@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.opened_run import open_run
-from oracle_pipeline.scoring.contract import Contract, Observation
+from oracle_pipeline.scoring.contract import FEWEST_RECORDINGS, Contract, Observation
 from oracle_pipeline.scoring.pace import Pace
 
 names = st.sampled_from(["/scan", "/odom", "/tf", "/cmd_vel", "/rosout"])
@@ -19,6 +19,9 @@ observations = st.builds(
     st.dictionaries(names, topics),
     st.none() | st.frozensets(elements),
     st.dictionaries(names, st.builds(Pace, st.floats(0.0, 1e3), st.integers(0, 9), st.just(9))),
+    st.dictionaries(
+        names, st.dictionaries(st.sampled_from(["frame", "range"]), st.sampled_from(["1", "2"]))
+    ),
 )
 
 NORMAL = [
@@ -48,6 +51,31 @@ def with_topic(name, *terms):
 def test_no_recording_breaches_the_contract_learned_from_it(normal):
     contract = Contract.learned(normal)
     assert all(contract.breaches(seen) == [] for seen in normal)
+
+
+@pytest.mark.parametrize(
+    ("constants", "texts"),
+    [
+        ({"frame": "'laser'", "range": "4"}, []),
+        (
+            {"range": "3"},
+            ["Field frame of topic /scan changes; in normal recordings it never does."],
+        ),
+        (
+            {"frame": "'spy'", "range": "3"},
+            ["Field frame of topic /scan is 'spy' instead of 'laser'."],
+        ),
+    ],
+)
+def test_a_field_that_never_changes_must_not(constants, texts):
+    normal = [
+        replace(NORMAL[1], constants={"/scan": {"frame": "'laser'", "range": str(number)}})
+        for number in range(FEWEST_RECORDINGS)
+    ]
+    seen = replace(NORMAL[1], constants={"/scan": constants})
+    contract = Contract.learned(normal)
+    assert [each.text for each in contract.breaches(seen)] == texts
+    assert Contract.learned(normal[1:]).breaches(seen) == []
 
 
 @given(st.lists(observations, min_size=1, max_size=6))

@@ -1,6 +1,7 @@
 """``oracle learn``: a reference card from recordings, and verdicts by it."""
 
 import json
+import re
 
 import pytest
 from click.testing import CliRunner
@@ -39,10 +40,20 @@ def learned(place):
 
 
 def test_learning_says_what_the_card_holds_and_what_it_lacks(learned):
-    assert "Learned from 4 normal recordings of 4 blocks" in learned.stdout
+    assert "Learned from 4 normal recordings: 4 blocks, 1 session." in learned.stdout
     assert "Contract: " in learned.stdout
-    assert "Supports no verdict at 5%: 19 blocks are needed, 15 more." in learned.stdout
+    assert "rate of 0.2 or more; 5% takes 15 more blocks; 1% takes 95" in learned.stdout
     assert "taken as normal" in learned.stdout
+    assert learned.stdout.rstrip().endswith("robot.card --far 0.2")
+
+
+def test_learning_names_the_recording_that_is_unlike_the_others(place, learned, tmp_path):
+    assert "Unlike the others" not in learned.stdout
+    told = oracle_learn(
+        place / "good", place / "spinning", "--output", tmp_path / "robot.card"
+    ).stdout
+    (odd,) = re.findall(r"Unlike the others: 1 recording\..*\n    (\S+): score", told)
+    assert odd == str(place / "spinning")
 
 
 def test_a_card_gives_the_verdicts_of_the_recordings_it_was_learned_from(place, learned):

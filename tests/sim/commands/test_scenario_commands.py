@@ -78,7 +78,9 @@ def test_mutate_copies_what_it_does_not_touch_even_of_types_that_nobody_knows(
 ):
     out = tmp_path / "out"
     done = run("mutate", foreign_bag, out, "random_noise", "-p", "level=0.5", "--at", 3.0)
-    told = "onset at 3.0 s, 9 messages of /scan_tom heard, 6 touched, 9 published on /scan_fakeo"
+    told = (
+        "attack from 3.0 s on; of 9 messages of /scan_tom, 6 affected; 9 published on /scan_fakeo"
+    )
     assert told in done.output
     untouched = ("/reading", "/nameless", "/scan_tom")
     assert messages(out, *untouched) == messages(foreign_bag)
@@ -113,7 +115,7 @@ def test_mutate_points_a_scenario_at_a_topic_and_alters_it_in_place(foreign_bag,
     noisy, twice = tmp_path / "noisy", tmp_path / "twice"
     words = ("-p", "level=0.5", "--at", 3.0)
     done = run("mutate", foreign_bag, noisy, "random_noise", *words, "--topic", "/scan_tom")
-    assert "9 messages of /scan_tom heard, 6 touched, 9 published on /scan_tom" in done.output
+    assert "of 9 messages of /scan_tom, 6 affected; 9 published on /scan_tom" in done.output
     with BagReader(foreign_bag) as before, BagReader(noisy) as after:
         assert after.topics.keys() == before.topics.keys()
         pairs = list(
@@ -129,7 +131,10 @@ def test_mutate_points_a_scenario_at_a_topic_and_alters_it_in_place(foreign_bag,
     [
         (["random_noise", "--topic", "/none"], "has no topic /none, which random_noise hears"),
         (["random_noise", "--topic", "/reading"], "random_noise needs sensor_msgs/msg/LaserScan"),
-        (["fake_object", "--topic", "gps=/fix"], "hears no gps; it hears main, odom"),
+        (
+            ["fake_object", "--topic", "gps=/fix"],
+            "does not subscribe to gps; it subscribes to main, odom",
+        ),
         (["message_mutator", "--topic", "/cmd_vel"], "would alter /cmd_vel, which may move"),
     ],
 )
@@ -263,7 +268,7 @@ def test_a_mutant_that_is_there_is_kept_and_another_is_not_put_in_its_place(cont
     again = derive_mutant(controls, False, Job(mode, tmp_path, cell))
     assert again == made  # wall time included
     other = Mutant(0, 0, "share", 0.6)
-    with pytest.raises(RunDirectoryError, match="is another mutant"):
+    with pytest.raises(RunDirectoryError, match="holds another mutant"):
         derive_mutant(controls, False, Job(mode, tmp_path, other))
     remade = derive_mutant(controls, True, Job(mode, tmp_path, other))
     assert remade.attack == {"share": 0.6}

@@ -105,7 +105,9 @@ def test_a_wrong_link_is_refused_with_its_place(more, reason):
 
 
 def test_a_node_that_does_not_hear_the_topic_is_refused_with_those_that_do():
-    with pytest.raises(ScenarioError, match=r"hears /scan \(/other, /reader\), found /planner"):
+    with pytest.raises(
+        ScenarioError, match=r"subscribes to /scan \(/other, /reader\), found /planner"
+    ):
         Bench(program(to="/planner"))
 
 

@@ -137,8 +137,8 @@ transform:
     ("rest", "expected"),
     [
         ("transform: {always: [{emit: {to: gone, fields: {}}}]}", r"emit.to: expected one of"),
-        ("outputs: {a: {type: std_msgs/msg/String, topic: /in}}", r"outputs.a.topic: .*not hear"),
-        ("outputs: {a: {type: std_msgs/msg/String, topic: /out}}", r"outputs.a.topic: .*its own"),
+        ("outputs: {a: {type: std_msgs/msg/String, topic: /in}}", r"a.topic: .*not subscribe"),
+        ("outputs: {a: {type: std_msgs/msg/String, topic: /out}}", r"outputs.a.topic: .*another"),
         ("outputs: {a: {type: geometry_msgs/msg/Twist, topic: /b}}", r"outputs.a.topic: .*moves"),
         ("outputs: {a: {type: std_msgs/msg/Strin, topic: /b}}", r"outputs.a.type: "),
         ("outputs: {a: {type: std_msgs/msg/String, topic: /_oracle/ground_truth}}", "no use of"),
@@ -238,9 +238,7 @@ def test_in_place_of_nobody_is_refused():
     domain = Domain(Executor())
     node = Node(domain, "/reader")
     node.create_subscription(SCAN, "/scan", None)
-    with pytest.raises(
-        ScenarioError, match="main.output: expected a topic that somebody publishes"
-    ):
+    with pytest.raises(ScenarioError, match="main.output: expected a topic with a publisher"):
         ScenarioNode(domain, "/mutant", execute(in_place(ODD), 1))
 
 
@@ -359,8 +357,12 @@ def test_several_topics_can_be_altered_in_place(tmp_path):
     [
         ("input: /scan_tom", "input: /scan", "also.tom.input: expected a topic of its own"),
         ("/odom_a", "/odom", "also.odom.output: expected all topics to be altered in place"),
-        ("/odom_a", "/scan", "also.odom.output: expected a topic that the scenario does not hear"),
-        ("/tom_a", "/scan_a", "also.tom.output: expected a topic of its own, /scan_a stands"),
+        (
+            "/odom_a",
+            "/scan",
+            "also.odom.output: expected a topic to which the scenario does not subscribe",
+        ),
+        ("/tom_a", "/scan_a", "also.tom.output: expected another topic: /scan_a is named"),
         ("  tom:", "  main:", "also.main: expected another name"),
         ("[main, tom]", "[main, ella]", r"actions\[0\].on\[1\]: expected one of main, tom, odom"),
         ("[main, tom]", "[main, odom]", r"actions\[0\].do\[0\].set.field: "),

@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import numpy as np
@@ -24,6 +25,13 @@ def test_path_bytes_are_those_of_the_serialised_message(time_ns, frame, poses):
 @given(paths)
 def test_poses_survive_the_message(poses):
     assert path_poses(path_message(0, "map", poses)) == pytest.approx(poses)
+
+
+@given(paths)
+def test_poses_are_those_of_the_objects_in_the_message_to_the_last_bit(poses):
+    path = path_message(0, "map", poses)
+    objects = dataclasses.replace(path, poses=list(path.poses))
+    assert path_poses(path).tobytes() == path_poses(objects).tobytes()
 
 
 def test_length_ahead_starts_at_the_closest_pose():

@@ -1,0 +1,102 @@
+"""Whether the local costmap has the obstacles that the laser scanners see.
+
+A scanner's returns are laid into the costmap that was recorded with the scan, from where odometry
+has the robot. A costmap that lost its obstacles lets the robot drive into them, and no scan shows
+it.
+"""
+
+import numpy as np
+
+from oracle_pipeline.features.map_consistency import MapGrid, keep_grids
+from oracle_pipeline.features.plugin import (
+    Feature,
+    FeaturePlugin,
+    Missing,
+    Request,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.reduction import largest, mean
+from oracle_pipeline.features.scan_geometry import SETUP_TOPICS, Bools, Points, scanner_setup
+from oracle_pipeline.robots.roles import LOCAL_COSTMAP
+
+FEATURES = (
+    Feature(
+        "unmarked", "1", 0.02,
+        "share of a scan's returns inside the local costmap that are not within a cell of a lethal "
+        "one, mean, largest of the scanners", "navigation",
+    ),
+)  # fmt: skip
+
+_LETHAL = 100
+_FEWEST = 5  # returns inside the costmap from which on there is a share
+
+
+def prepare(window: Window) -> dict[str, Series] | Missing:
+    """Lay the returns of every scanner into the costmaps, over the whole recording."""
+    ((times_s, grids),) = window.topics["grids"].values()
+    setup = scanner_setup(window)
+    if setup.motion is None:
+        return Missing("no odometry")
+    found = {}
+    for topic, mount in setup.mounts.items():
+        scans = setup.scanners[topic]
+        rows = np.searchsorted(scans.times_s, times_s, side="right") - 1
+        seen, scans = rows >= 0, scans.rows(rows[rows >= 0])
+        placed = setup.placed(mount, scans.stamps_s).columns()
+        returns = placed.apply(scans.points())
+        shares = [unmarked(*each) for each in zip(grids[seen], returns, strict=True)]
+        found[topic] = Series(times_s[seen], np.array(shares, dtype=np.float64))
+    return found
+
+
+def unmarked(grid: MapGrid, returns: Points) -> float:
+    """Return the share of the points inside a costmap that are not within a cell of a lethal one.
+
+    Parameters
+    ----------
+    grid : MapGrid
+    returns : ndarray of shape (n,)
+        In the costmap's frame [m]; NaN where there was no return.
+
+    Returns
+    -------
+    float
+        NaN if fewer than five points are inside.
+    """
+    cells = grid.pose.inverse().apply(returns[np.isfinite(returns)]) / grid.resolution
+    column, row = np.floor(cells.real).astype(np.int64), np.floor(cells.imag).astype(np.int64)
+    rows, columns = grid.cells.shape
+    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    if inside.sum() < _FEWEST:
+        return np.nan
+    return float(1.0 - _widened(grid.cells == _LETHAL)[row[inside], column[inside]].mean())
+
+
+def compute(window: Window) -> Values:
+    """Reduce to the window."""
+    shares: dict[str, Series] = window.prepared
+    means = {topic: mean(series, window) for topic, series in shares.items()}
+    return {"unmarked": largest(means, "no level scanner saw something inside the costmap")}
+
+
+def _widened(lethal: Bools) -> Bools:
+    """Return which cells are lethal or touch a lethal one."""
+    rows, columns = lethal.shape
+    padded = np.pad(lethal, 1)
+    around = [padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)]
+    touching: Bools = np.logical_or.reduce(around)
+    return touching
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of scans and costmap."""
+    topics = SETUP_TOPICS | {
+        "grids": Request(keep_grids, role=LOCAL_COSTMAP, dtype=object, many=True)
+    }
+    return [
+        FeaturePlugin("costmap_consistency", "costmap", FEATURES, compute, topics, prepare=prepare)
+    ]

@@ -1,0 +1,130 @@
+"""What all requests keep of the messages of one topic, each decoded at most once."""
+
+from typing import Any
+
+import numpy as np
+
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.limits import LARGEST_DECODED
+from oracle_pipeline.bags.reader import BagReader, Topic
+from oracle_pipeline.features.columns import Batch
+from oracle_pipeline.features.kept_rows import Budget, Integers, KeptRows
+from oracle_pipeline.features.message_layout import MessageLayout
+from oracle_pipeline.features.plugin import RawRecord, Request
+from oracle_pipeline.features.point_clouds import CutClouds, sliced
+from oracle_pipeline.robots.roles import POINT_CLOUD, SCAN
+
+
+class KeptTopic:
+    """One topic of the bag, and who keeps what of its messages."""
+
+    def __init__(self, bag: BagReader, topic: Topic) -> None:
+        self.name, self.msgtype = topic.name, topic.msgtype
+        self.layout = MessageLayout(bag, topic.name)
+        self.kept: dict[Any, KeptRows] = {}  # by what makes two requests the same
+        self.by_rate: dict[int, list[KeptRows]] = {}  # by time between messages [ns]
+        self.undecodable = ""
+        self._waiting: dict[int, list[tuple[int, bytes]]] = {}  # number and message, by rate
+        try:
+            self._decode = bag.decoder(topic.name)
+            self._store = bag.typestore(topic.msgtype)
+        except BagError as error:
+            self.undecodable = str(error)
+
+    def ask(self, request: Request, budget: Budget) -> KeptRows:
+        """Return what keeps the rows of a request, one for all equal requests."""
+        as_scan = request.role == SCAN and self.msgtype == POINT_CLOUD
+        key = (
+            request.keep, np.dtype(request.dtype), request.raw, request.every_s, request.carried,
+            as_scan,
+        )  # fmt: skip
+        if key not in self.kept:
+            self.kept[key] = kept = KeptRows(request, budget)
+            kept.as_scan = as_scan
+            self.by_rate.setdefault(round(request.every_s * 1e9), []).append(kept)
+            if self.undecodable and not request.raw:
+                kept.fail(self.undecodable)
+        return self.kept[key]
+
+    def has(self, rate_ns: int, *, many: bool) -> bool:
+        """Tell whether messages are asked for at a rate, one by one or many together."""
+        return any(
+            kept.request.many == many and not kept.error for kept in self.by_rate.get(rate_ns, ())
+        )
+
+    def keep(self, number: int, data: bytes, rates_ns: list[int]) -> None:
+        """Keep what is wanted, by itself, of a message that is due at some rates."""
+        record = RawRecord(data, self.layout)
+        content: Any = None
+        scan: Any = None
+        for rate_ns in rates_ns:
+            for kept in self.by_rate[rate_ns]:
+                if kept.error or kept.request.many:
+                    continue
+                if kept.request.raw:
+                    kept.add(number, record, len(data))
+                    continue
+                try:
+                    content = content or self._decoded(data)
+                    if kept.as_scan:
+                        scan = scan or sliced(content)
+                except BagError as error:
+                    kept.skip(str(error))
+                else:
+                    kept.add(number, scan if kept.as_scan else content, len(data))
+
+    def wait(self, rate_ns: int, number: int, data: bytes) -> int:
+        """Take a message that is kept together with others; return how many bytes it holds."""
+        if len(data) > LARGEST_DECODED:
+            for kept in self.by_rate[rate_ns]:
+                if kept.request.many:
+                    kept.skip(_too_large(data))
+            return 0
+        self._waiting.setdefault(rate_ns, []).append((number, data))
+        return len(data)
+
+    def keep_waiting(self) -> None:
+        """Keep what is wanted of the messages that were taken."""
+        for rate_ns, messages in self._waiting.items():
+            many = [kept for kept in self.by_rate[rate_ns] if kept.request.many]
+            numbers = np.array([number for number, _ in messages], dtype=np.int64)
+            batch = Batch(
+                [data for _, data in messages], self._store, self.msgtype, is_cdr=self.layout.is_cdr
+            )
+            whole = batch.whole
+            if not whole.all():
+                self._keep_odd(numbers[~whole], batch.some(np.flatnonzero(~whole)), many)
+                numbers, batch = numbers[whole], batch.some(np.flatnonzero(whole))
+            self._add(numbers, batch, many)
+        self._waiting.clear()
+
+    def _keep_odd(self, numbers: Integers, batch: Batch, many: list[KeptRows]) -> None:
+        """Keep messages that are broken, or written in another way; decoding tells which."""
+        written, good = [], []
+        for number, data in zip(numbers.tolist(), batch.data, strict=True):
+            try:
+                content = self._decoded(data)
+                written.append(bytes(self._store.serialize_cdr(content, self.msgtype)))
+                good.append(number)
+            except Exception as error:  # of a generated encoder, too
+                for kept in many:
+                    kept.skip(str(error))
+        again = Batch(written, self._store, self.msgtype, is_cdr=True)
+        self._add(np.array(good, dtype=np.int64), again, many)
+
+    def _add(self, numbers: Integers, batch: Batch, many: list[KeptRows]) -> None:
+        scans = CutClouds(batch, self._decoded)
+        for kept in many:
+            kept.add_many(numbers, scans if kept.as_scan else batch)
+
+    def _decoded(self, data: bytes) -> Any:
+        if len(data) > LARGEST_DECODED:
+            raise BagError(_too_large(data))
+        return self._decode(data)
+
+
+def _too_large(data: bytes) -> str:
+    return (
+        f"a message of {len(data)} bytes is not decoded; the limit is {LARGEST_DECODED} "
+        "(LARGEST_DECODED)"
+    )

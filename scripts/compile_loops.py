@@ -1,0 +1,34 @@
+"""Compile the hot loops, so that the first run does not wait for it, nor each worker do it again.
+
+numba keeps machine code beside the sources, for each function and each type of its arguments. What
+types there are, only calls show: so this does what a campaign does, once and small.
+"""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from assets.worker.feature_tables import require_tables
+from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.clustering.tree import grow_tree, trees_with
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for, record_run
+
+MODE = "fake_object"
+
+
+def main() -> None:
+    """Record a short run, extract its features, and cluster a few rows."""
+    with tempfile.TemporaryDirectory(prefix="oracle-") as root:
+        run = RunDirectory(Path(root), MODE, 0)
+        record_run(recipe_for(MODE, run.run, Campaign(goals_per_run=1)), run)
+        require_tables(run)
+    rows = np.random.default_rng(0).normal(size=(8, 2))
+    for linkage in ("ward", "single", "complete", "average"):
+        grow_tree(rows, linkage)
+    list(trees_with(rows, rows[:1], "average"))
+
+
+if __name__ == "__main__":
+    main()
