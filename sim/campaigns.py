@@ -72,7 +72,7 @@ class Campaign:
                 nav2=cast("Navigation", _choice("ORACLE_NAV2", Navigation, "tuned")),
             ),
             sessions=_count("ORACLE_SESSIONS"),
-            noise_per_run=_switch("ORACLE_NOISE_PER_RUN"),
+            noise_per_run=is_set("ORACLE_NOISE_PER_RUN"),
         )
 
     def session_of(self, block: int) -> int:
@@ -91,7 +91,14 @@ def _count(variable: str) -> int | None:
     return int(text)
 
 
-def _switch(variable: str) -> bool:
+def is_set(variable: str) -> bool:
+    """Return whether an environment variable is 1; it is 0 if nobody set it.
+
+    Raises
+    ------
+    RecipeError
+        It is something else.
+    """
     text = os.environ.get(variable, "0")
     if text not in ("0", "1"):
         raise RecipeError(f"{variable} is {text!r}; give 0 or 1.")

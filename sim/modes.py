@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+from sim.campaigns import is_set
 from sim.fuzzing.compilation import compile_file, compile_scenario
 from sim.fuzzing.scenario import Scenario, ScenarioError, load_scenarios
 from sim.scenarios import builtin_scenarios
@@ -19,17 +20,18 @@ from sim.testbed import Mode
 from sim.testbeds import TESTBEDS, which_testbed
 
 FOLDER = "ORACLE_SCENARIOS"  # the environment's name of the user's folder of scenario files
+ACTUATION = "ORACLE_ALLOW_ACTUATION"  # 1: they may send commands to motors
 SUFFIXES = (".yaml", ".yml")  # of scenario files
 
 
 def modes() -> Mapping[str, Mode]:
     """Return every mode by name, in the order in which they are shown."""
-    return _modes(os.environ.get(FOLDER))[0]
+    return _in_environment()[0]
 
 
 def broken_scenarios() -> tuple[str, ...]:
     """Return the errors in files of the user's folder, which do not become modes."""
-    return _modes(os.environ.get(FOLDER))[1]
+    return _in_environment()[1]
 
 
 def find_mode(name: str, *, allow_actuation: bool = False) -> Mode:
@@ -65,8 +67,14 @@ def _in_file(name: str) -> Scenario:
     return scenarios[chosen]
 
 
+def _in_environment() -> tuple[Mapping[str, Mode], tuple[str, ...]]:
+    return _modes(os.environ.get(FOLDER), allow_actuation=is_set(ACTUATION))
+
+
 @functools.cache
-def _modes(folder: str | None) -> tuple[Mapping[str, Mode], tuple[str, ...]]:
+def _modes(
+    folder: str | None, *, allow_actuation: bool
+) -> tuple[Mapping[str, Mode], tuple[str, ...]]:
     """Return the modes with those of a folder of scenario files, and the errors in it."""
     builtins = builtin_scenarios()
     found: list[Mode] = []
@@ -74,7 +82,11 @@ def _modes(folder: str | None) -> tuple[Mapping[str, Mode], tuple[str, ...]]:
         experiments = [builtins[name] for name in testbed.experiments]
         found += map(Mode, [*experiments, *_shadows(experiments)])
         found += (Mode(builtins[name], what) for name, what in testbed.hard_negatives.items())
-    own, broken = _in_folder(Path(folder), [mode.id for mode in found]) if folder else ([], [])
+    own: list[Scenario] = []
+    broken: list[str] = []
+    if folder:
+        taken = [mode.id for mode in found]
+        own, broken = _in_folder(Path(folder), taken, allow_actuation=allow_actuation)
     found += map(Mode, own)
     found.sort(key=lambda mode: list(TESTBEDS).index(which_testbed(mode.scenario)))
     return MappingProxyType({mode.id: mode for mode in found}), tuple(broken)
@@ -84,7 +96,9 @@ def _shadows(scenarios: Iterable[Scenario]) -> list[Scenario]:
     return [scenario.as_shadow() for scenario in scenarios if scenario.label == "malicious"]
 
 
-def _in_folder(folder: Path, taken: Iterable[str]) -> tuple[list[Scenario], list[str]]:
+def _in_folder(
+    folder: Path, taken: Iterable[str], *, allow_actuation: bool
+) -> tuple[list[Scenario], list[str]]:
     """Return the scenarios of a folder, and the errors of those that are left out."""
     try:
         files = sorted(file for file in folder.iterdir() if file.suffix in SUFFIXES)
@@ -94,7 +108,8 @@ def _in_folder(folder: Path, taken: Iterable[str]) -> tuple[list[Scenario], list
     broken: list[str] = []
     for file in files:
         try:
-            for scenario in (program.scenario for program in compile_file(file)):
+            programs = compile_file(file, allow_actuation=allow_actuation)
+            for scenario in (program.scenario for program in programs):
                 if scenario.id in {*taken, *scenarios}:
                     raise scenario.error(
                         ("id",), f"expected a new name, there is a mode {scenario.id} already"

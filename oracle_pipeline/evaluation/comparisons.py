@@ -4,7 +4,7 @@ The protocol is fixed before the final data are recorded: the panel, the sets of
 one scorer whose figure is the headline. The reasons: docs/explanation/evaluation.md.
 """
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -27,6 +27,7 @@ BLOCKS_NEEDED = {0.01: 250}  # two in five calibrate, so that even one mode alon
 ONE_SIDED = 0.90  # level of a two-sided interval whose lower end is the one-sided 95% bound
 
 ALL_MODES = "all modes"
+NORMAL = "normal"
 HARD_NEGATIVES = "hard negatives"
 SHADOW = "_shadow"  # ends the names of label controls
 OBSTACLE = ("benign_obstacle", "fake_object")  # the same place, there and not there
@@ -71,16 +72,23 @@ def comparisons(df: pd.DataFrame) -> list[ComparedRuns]:
     """Return the comparisons that the modes of a table allow, named ``control / attacked``.
 
     All modes; each attack against its control, and against its shadow, which does the same work and
-    publishes the original; the fake object against a real one; the hard negatives together and
-    each. Hard negatives have no attacked run, so they measure false positives only.
+    publishes the original; an attack that has neither, such as one that a search found, against
+    all normal modes, named ``normal / attacked``; the fake object against a real one; the hard
+    negatives together and each. Hard negatives have no attacked run, so they measure false
+    positives only.
     """
     modes = set(df["mode"])
     attacked = sorted(set(df.loc[df["label"] == "malicious", "mode"]))
     couples = [*PAIRS, *((f"{mode}{SHADOW}", mode) for mode in attacked), OBSTACLE]
+    couples = [couple for couple in couples if modes.issuperset(couple)]
     benign = sorted(mode for mode in modes if mode.startswith(HARD_NEGATIVE))
-    named = {
+    shadows = {f"{mode}{SHADOW}" for mode in attacked}
+    normal = sorted(modes.difference(attacked, benign, shadows))
+    alone = set(attacked).difference(*couples) if normal else set()
+    named: dict[str, Collection[str]] = {
         ALL_MODES: sorted(modes),
-        **{" / ".join(couple): couple for couple in couples if modes.issuperset(couple)},
+        **{" / ".join(couple): couple for couple in couples},
+        **{f"{NORMAL} / {mode}": [*normal, mode] for mode in sorted(alone)},
         **({HARD_NEGATIVES: benign} if benign else {}),
         **{mode: [mode] for mode in benign},
     }

@@ -9,6 +9,7 @@ from resources.search.closed_loop import Finding
 
 Direction: TypeAlias = Literal["minimize", "maximize"]
 _BEYOND_ALL = 1e9
+_ENOUGH = 3.0  # an effect beyond this counts no more: a robot that is stuck shows nothing new
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +21,7 @@ class Objective:
     directions : tuple of str
         Of each value: `maximize` or `minimize`.
     values : callable
-        Takes a finding and returns the values.
+        Takes a finding and the false positive rate of the oracle, and returns the values.
     text : str
         A description for people.
     wants_detected : bool
@@ -30,7 +31,7 @@ class Objective:
     """
 
     directions: tuple[Direction, ...]
-    values: Callable[[Finding], tuple[float, ...]]
+    values: Callable[[Finding, float], tuple[float, ...]]
     text: str
     wants_detected: bool = False
     screens: bool = False
@@ -46,22 +47,31 @@ def _symlog(value: float) -> float:
     return math.copysign(math.log1p(abs(value)), value)
 
 
+def _evasion(finding: Finding, far: float) -> tuple[float, float]:
+    """Return the effect as far as it matters, and how clearly the oracle detects the run.
+
+    Unbounded, both lead away from what is looked for: the front would consist of robots that are
+    stuck, which every oracle detects, and of attacks that do nothing.
+    """
+    effect = min(_ordered(finding.effect), _ENOUGH)
+    return effect, 0.0 if finding.p_value > far else _symlog(finding.score)
+
+
 OBJECTIVES: Mapping[str, Objective] = {
-    # By logarithm: a robot that is stuck has effects, and scores, far above all that matter.
     "evade": Objective(
         ("maximize", "minimize"),
-        lambda finding: (_symlog(finding.effect), _symlog(finding.score)),
-        "the largest effect on the task at the smallest score",
+        _evasion,
+        "an effect on the task that the oracle passes, or else at the smallest score",
         screens=True,
     ),
     "break": Objective(
         ("minimize",),
-        lambda finding: (_ordered(finding.margin),),
+        lambda finding, _: (_ordered(finding.margin),),
         "the clearest violation of a property: goals reached, clear of obstacles, in time",
     ),
     "boundary": Objective(
         ("minimize",),
-        lambda finding: (_ordered(finding.magnitude),),
+        lambda finding, _: (_ordered(finding.magnitude),),
         "the smallest change of a message that is detected",
         wants_detected=True,
     ),

@@ -2,16 +2,20 @@
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import yaml
 
 from oracle_pipeline.bags.layout import FINDINGS, FRONT
 from oracle_pipeline.reporting.figures import COLORS, INK, drawing
 from resources.search.closed_loop import Finding
+from sim.fuzzing.scenario import NO_FILE, Scenario
+from sim.scenarios import builtin_scenarios
 
 PICTURE, MISSES = FRONT, "misses"
+UNALTERED = "unaltered"  # the built-in scenario of normal runs without a node
 _HIGHEST = 8.0  # effects above this are drawn at the edge
 
 
@@ -31,7 +35,9 @@ def save(
     """Write all of it, and return the files of the misses in the corpus.
 
     The files are scenarios with the found values as defaults, each with a name of its own. If
-    ``ORACLE_SCENARIOS`` names the corpus, they are modes of the next campaign.
+    ``ORACLE_SCENARIOS`` names the corpus, they are modes of the next campaign. Attacks that alter a
+    topic in place have no node, and would stand out among normal runs that all have one. So the
+    corpus also holds a normal scenario without a node.
     """
     document = {
         "far": far,
@@ -41,13 +47,20 @@ def save(
     (folder / FINDINGS).write_text(json.dumps(document, indent=1) + "\n", "utf-8")
     (folder / PICTURE).write_bytes(picture(findings, front, far))
     corpus.mkdir(parents=True, exist_ok=True)
-    written = []
-    for miss in misses(findings, far):
+    found, written = misses(findings, far), []
+    for miss in found:
         name = f"{miss.proposal.document['id']}_miss{miss.proposal.run:03d}"
         path = corpus / f"{name}.yaml"
         path.write_text(_as_scenario(name, miss), "utf-8")
         written.append(path)
+    if any(_is_in_place(miss) for miss in found):
+        normal = _as_yaml(builtin_scenarios()[UNALTERED].document)
+        (corpus / f"{UNALTERED}.yaml").write_text(normal, "utf-8")
     return written
+
+
+def _is_in_place(finding: Finding) -> bool:
+    return Scenario("found", finding.proposal.document, NO_FILE).is_in_place
 
 
 def _as_scenario(name: str, miss: Finding) -> str:
@@ -57,9 +70,12 @@ def _as_scenario(name: str, miss: Finding) -> str:
     effects = ", ".join(f"{key} {value:+.3g}" for key, value in miss.effects.items())
     return (
         f"# Block {miss.proposal.block}: p = {miss.p_value:.3g}, effect {miss.effect:.2g}.\n"
-        f"# Compared with the run without it: {effects}.\n"
-        + yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
+        f"# Compared with the run without it: {effects}.\n" + _as_yaml(document)
     )
+
+
+def _as_yaml(document: Mapping[str, Any]) -> str:
+    return yaml.safe_dump(dict(document), sort_keys=False, allow_unicode=True)
 
 
 def picture(findings: Sequence[Finding], front: Sequence[Finding], far: float) -> bytes:
@@ -79,10 +95,12 @@ def picture(findings: Sequence[Finding], front: Sequence[Finding], far: float) -
                     marker, color=color, markersize=4, linestyle="none",
                     label=f"{label} ({len(shown)})",
                 )  # fmt: skip
-        best = sorted((each.score, min(each.effect, _HIGHEST)) for each in front)
-        if best:
-            x, y = zip(*best, strict=True)
-            axes.plot(x, y, color=INK, linewidth=0.8, label="front")
+        if front:
+            axes.plot(
+                [each.score for each in front], [min(each.effect, _HIGHEST) for each in front],
+                "o", color=INK, markersize=8, markerfacecolor="none", markeredgewidth=0.8,
+                linestyle="none", label="front",
+            )  # fmt: skip
         axes.axhline(1.0, color=INK, linewidth=0.8, linestyle=":")
         axes.set(xlabel="score of the oracle", ylabel="effect on the task")
         if findings and max(each.score for each in findings) > 100.0:

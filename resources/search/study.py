@@ -164,7 +164,7 @@ class Search:
         trial.set_user_attr(MOVED, finding.moved)
         if self._objective.wants_detected:
             trial.set_constraint("p-value over rate", finding.p_value - self._setting.far)
-        self._study.tell(trial, self._objective.values(finding))
+        self._study.tell(trial, self._objective.values(finding, self._setting.far))
         return finding
 
 

@@ -1,4 +1,5 @@
 import numpy as np
+import pandas as pd
 import pytest
 
 from oracle_pipeline.evaluation.comparisons import ComparedRuns, comparisons, judge
@@ -22,6 +23,18 @@ def test_scopes_are_pairs_shadows_the_real_obstacle_and_hard_negatives():
     assert named["hard negatives"] == {"benign_noise", "benign_obstacle"}
     six = df[~df["mode"].str.contains("shadow|benign")]
     assert len(comparisons(six)) == 4
+
+
+def test_an_attack_without_a_partner_is_compared_with_all_normal_modes():
+    df = synthetic(3).features
+    found = df[df["mode"] == "random_noise"].assign(mode="range_drift_miss017")
+    df = pd.concat([df, found], ignore_index=True)
+    named = {scope.name: set(df.loc[scope.runs, "mode"]) for scope in comparisons(df)}
+    normal = named["normal / range_drift_miss017"]
+    assert {"lidar_passthrough", "range_drift_miss017"} <= normal
+    assert not any("benign" in mode or "shadow" in mode for mode in normal)
+    assert normal.isdisjoint({"random_noise", "fake_object"})
+    assert "normal / random_noise" not in named
 
 
 def test_figures_by_hand():

@@ -7,13 +7,19 @@ import optuna
 import pytest
 from click.testing import CliRunner, Result
 
+from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.cli import main as oracle
+from oracle_pipeline.datasets import feature_dataset, window_dataset
+from oracle_pipeline.evaluation.campaign_evaluation import evaluate
+from oracle_pipeline.evaluation.truth import truth_table
+from oracle_pipeline.features import build_manager, extract
+from oracle_pipeline.opened_run import open_run
 from resources.cli import main as oracle_sim
-from resources.search.attacks import ScenarioTemplate
+from resources.search.attacks import Attack, ComposedTemplate, ScenarioTemplate
 from resources.search.closed_loop import Finding, Proposal
 from resources.search.outcome import misses, save
 from resources.search.space import search_space
-from sim.campaigns import Campaign
+from sim.campaigns import Campaign, Options
 from sim.experiments import recipe_for
 from sim.fuzzing.compilation import compile_file
 from sim.modes import find_mode, modes
@@ -87,18 +93,22 @@ def test_a_search_without_a_template_chooses_topics_and_operators(
     assert {each["proposal"]["document"]["main"]["output"] for each in found} == {"/odom"}
 
 
+def miss(attack: Attack) -> Finding:
+    """A run of an attack that had an effect and was passed."""
+    return Finding(
+        Proposal(7, 0, attack.document, attack.values), screened_out=False, effect=2.0,
+        effects={"driven_m": 1.5}, margin=0.5, violated=(), magnitude=0.3, score=1.0, p_value=0.4,
+        families=(), moved=(),
+    )  # fmt: skip
+
+
 def test_a_miss_is_a_mode_with_what_was_found_as_its_default(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     template = ScenarioTemplate(find_mode("range_drift"), search_space(find_mode("range_drift")))
     study = optuna.create_study()
     study.enqueue_trial({"rate": 0.0125})
-    attack = template.suggest(study.ask())
-    finding = Finding(
-        Proposal(7, 0, attack.document, attack.values), screened_out=False, effect=2.0,
-        effects={"driven_m": 1.5}, margin=0.5, violated=(), magnitude=0.3, score=1.0, p_value=0.4,
-        families=(), moved=(),
-    )  # fmt: skip
+    finding = miss(template.suggest(study.ask()))
     (path,) = save(tmp_path, [finding], [finding], 0.05, tmp_path / "corpus")
     (program,) = compile_file(path)
     assert program.scenario.id == "range_drift_miss007"
@@ -108,3 +118,46 @@ def test_a_miss_is_a_mode_with_what_was_found_as_its_default(
     mode = modes()["range_drift_miss007"]
     recipe = recipe_for(mode, 3, Campaign())
     assert recipe.parameters == {"rate": 0.0125}
+    assert "unaltered" not in modes()  # its runs have a node, as normal ones have
+
+
+def test_what_a_search_found_is_a_row_of_the_evaluation(
+    recorded_run: RecordedRuns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = {"/cmd_vel": "geometry_msgs/msg/Twist"}
+    template = ComposedTemplate.of(["/cmd_vel"], ["scale"], there, allow_actuation=True)
+    study = optuna.create_study()
+    field = {"field of geometry_msgs/msg/Twist": "linear.x"}
+    study.enqueue_trial({**field, "scale factor": 0.6, "onset_s": 1.0, "lasts_s": 20.0})
+    finding = miss(template.suggest(study.ask()))
+    (path,) = save(tmp_path, [finding], [finding], 0.05, tmp_path / "corpus")
+    monkeypatch.setenv("ORACLE_SCENARIOS", str(path.parent))
+    assert "composed_miss007" not in modes()  # it moves the robot
+    monkeypatch.setenv("ORACLE_ALLOW_ACTUATION", "1")
+    runs = [
+        recorded_run(modes()[name], run)
+        for name in ("unaltered", "composed_miss007")
+        for run in range(3)
+    ]
+    tables = []
+    for directory in runs:
+        with open_run(directory.path) as run:
+            tables.append(extract(run, build_manager()))
+    manifests = [run.manifest() for run in runs]
+    assert all(each.changes for each in manifests[3:])
+    found = evaluate(
+        feature_dataset(each.run for each in tables),
+        window_dataset(each.windows for each in tables),
+        truth_table(manifests),
+    )
+    assert "normal / composed_miss007" in set(found.table["scope"])
+
+
+def test_a_normal_run_in_place_is_a_run_without_a_node(recorded_run: RecordedRuns) -> None:
+    unaltered = recorded_run(find_mode("unaltered"), 0)
+    absent = Campaign(goals_per_run=1, options=Options(wiring="absent"))
+    without = recorded_run("lidar_passthrough_odom", 0, absent)
+    ours, theirs = unaltered.manifest(), without.manifest()
+    recorded = {name: of for name, of in ours.topics.items() if name != GROUND_TRUTH_TOPIC}
+    assert recorded == theirs.topics  # which features see
+    assert ours.goal_results == theirs.goal_results

@@ -1,0 +1,50 @@
+"""Objectives: nothing is preferred to an attack that has a clear effect and is passed."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from resources.search.closed_loop import Finding, Proposal
+from resources.search.objectives import OBJECTIVES
+
+FAR = 0.05
+EVADE = OBJECTIVES["evade"]
+effects = st.floats(0.0, 1e6) | st.just(float("inf"))
+
+
+def finding(effect: float, score: float, p_value: float) -> Finding:
+    return Finding(
+        Proposal(0, 0, {}, {}), screened_out=False, effect=effect, effects={}, margin=None,
+        violated=(), magnitude=None, score=score, p_value=p_value, families=(), moved=(),
+    )  # fmt: skip
+
+
+passed = st.builds(finding, effects, st.floats(-2.0, 3.0), st.floats(0.06, 1.0))
+detected = st.builds(finding, effects, st.floats(3.0, 1e6), st.floats(0.001, FAR))
+
+
+def dominates(ours: Finding, theirs: Finding) -> bool:
+    (effect, score), (other_effect, other_score) = (EVADE.values(f, FAR) for f in (ours, theirs))
+    return effect >= other_effect and score <= other_score and (effect, score) != (
+        other_effect, other_score,
+    )  # fmt: skip
+
+
+@given(detected, passed)
+def test_no_detected_run_is_preferred_to_one_that_is_passed_with_a_clear_effect(
+    caught: Finding, missed: Finding
+) -> None:
+    if missed.effect >= 3.0:
+        assert dominates(missed, caught)
+    assert not dominates(caught, missed)
+
+
+@given(passed, passed)
+def test_among_runs_that_are_passed_the_effect_alone_counts(one: Finding, two: Finding) -> None:
+    if min(one.effect, 3.0) > min(two.effect, 3.0):
+        assert dominates(one, two)
+
+
+@given(detected, st.floats(3.0, 1e6))
+def test_a_robot_that_is_stuck_longer_is_no_better_find(caught: Finding, effect: float) -> None:
+    stuck = finding(effect, caught.score, caught.p_value)
+    assert not dominates(stuck, finding(3.0, caught.score, caught.p_value))
