@@ -4,12 +4,18 @@ A definition is text of unknown origin. Its size, and the number of fields it ex
 limited before code is generated from it.
 """
 
+import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys import (
+    Stores,
+    get_types_from_idl,
+    get_types_from_msg,
+    get_typestore,
+)
 from rosbags.typesys.store import Typestore
 
 from oracle_pipeline.bags import types
@@ -25,6 +31,7 @@ from oracle_pipeline.bags.wide_strings import (
     with_wide_strings,
 )
 
+_PREPROCESSED = re.compile(r"^[ \t]*#.*$", re.MULTILINE)  # lines for a C preprocessor
 _SEPARATOR = "=" * 80 + "\n"  # between the files of a definition
 
 
@@ -60,11 +67,6 @@ class BagTypes:
         """Return the function that decodes a type's bytes."""
         if msgtype not in self._decoders:
             store, encoding = self.store(msgtype), self._channels[msgtype].encoding
-            if encoding not in ("cdr", "ros1"):
-                raise BagError(
-                    f"{self._path} has {msgtype} encoded as {encoding!r}; only CDR and ROS 1's "
-                    "encoding are decoded. Its messages can only be read raw."
-                )
             if encoding == "ros1":
                 self._decoders[msgtype] = store.deserialize_ros1
             elif store in self._wide.values():
@@ -103,6 +105,11 @@ class BagTypes:
 
     def _find(self, msgtype: str) -> Typestore:
         channel = self._channels[msgtype]
+        if channel.encoding not in ("cdr", "ros1"):
+            raise BagError(
+                f"{self._path} has {msgtype or 'messages'} encoded as {channel.encoding!r}; only "
+                "CDR and ROS 1's encoding are decoded. Its messages can only be read raw."
+            )
         known = msgtype in types.typestore().fielddefs
         # Real bags hold an empty text for action types, whose files rosbag2 does not find.
         if known and channel.definition in ("", types.definition(msgtype)):
@@ -111,13 +118,17 @@ class BagTypes:
             try:
                 return self._registered(channel, msgtype)
             except Exception as error:  # a definition is a foreign text
-                reason = str(error).rstrip(".") or type(error).__name__
+                if known:  # genpy broke comments that have a backslash
+                    return types.typestore()
+                reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
                 raise BagError(
-                    f"{self._path} has an unusable definition of {msgtype}: {reason[:500]}. "
+                    f"{self._path} has an unusable definition of {msgtype}: {reason[:200]}. "
                     "Its messages can only be read raw."
                 ) from error
         if known:
             return types.typestore()
+        if not msgtype:
+            raise BagError(f"{self._path} has messages without a type; they can only be read raw.")
         raise BagError(
             f"{self._path} has messages of type {msgtype} but not its definition, and it is not "
             "among the types we know: read them raw, add the definition to "
@@ -136,26 +147,57 @@ class BagTypes:
             self._filled(store, wide, msgtype)
         return self._wide[next(iter(ENCODINGS))]
 
+    def _with_known(self, parsed: dict[str, Any], store: Typestore) -> dict[str, Any]:
+        """Return definitions with those of ours that they use and a store lacks."""
+        used = _used(parsed) - parsed.keys() - store.fielddefs.keys()
+        ours = types.typestore().fielddefs
+        return parsed | {name: ours[name] for name in sorted(used & ours.keys())}
+
     def _filled(self, store: Typestore, parsed: dict[str, Any], msgtype: str) -> Typestore:
         """Return a store with a type, and what else it uses."""
-        for used in sorted(_used(parsed) - parsed.keys() - store.fielddefs.keys()):
-            if used in types.typestore().fielddefs:
-                parsed[used] = types.typestore().fielddefs[used]
+        parsed = self._with_known(parsed, store)
+        if any(parsed[name] != store.fielddefs.get(name, parsed[name]) for name in parsed):
+            store = get_typestore(Stores.EMPTY)  # another topic's type of the same name differs
+            parsed = self._with_known(parsed, store)
         _check_size(msgtype, {**store.fielddefs, **parsed})
         store.register(parsed)
         return store
 
 
 def _parse(channel: Channel, msgtype: str) -> dict[str, Any]:
+    definition = channel.definition.lstrip("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     if channel.definition_format != "idl":
-        return dict(get_types_from_msg(unbounded(channel.definition), msgtype))
+        # The parser knows no names of services.
+        name = msgtype.replace("/srv/", "/msg/")
+        parsed = dict(get_types_from_msg(unbounded(definition), name))
+        return {msgtype: parsed.pop(name), **parsed}
     found: dict[str, Any] = {}
-    for part in channel.definition.split(_SEPARATOR):
+    for part in definition.split(_SEPARATOR):
         # rosbag2 puts "IDL: <name>" above each file of a definition; plain IDL has no such line.
         text = part.partition("\n")[2] if part.startswith("IDL: ") else part
+        text = _PREPROCESSED.sub("", text)
         if text.strip():
             found.update(get_types_from_idl(text))
-    return found
+    return {_plain(name): _undecorated(name, fields) for name, fields in found.items()}
+
+
+def _plain(name: str) -> str:
+    """Return the name of a type without what ROS puts into it for DDS, ``p/msg/dds_/A_``."""
+    return name.replace("/dds_/", "/").removesuffix("_") if "/dds_/" in name else name
+
+
+def _undecorated(name: str, defined: Any) -> Any:
+    """Return the fields of a type with the names that they have in ROS."""
+    constants, fields = defined
+    if "/dds_/" not in name:
+        return defined
+
+    def known(kind: Nodetype, what: Any) -> tuple[Nodetype, Any]:
+        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            return kind, (known(*what[0]), what[1])
+        return kind, _plain(what) if kind == Nodetype.NAME else what
+
+    return constants, [(field.removesuffix("_"), known(*each)) for field, each in fields]
 
 
 def _kinds(fields: Any) -> Iterable[tuple[Any, int | None]]:

@@ -1,7 +1,7 @@
 """Limits far beyond real recordings, at which a broken or hostile one is refused.
 
 Every limit is named in the error that it causes. With all of them, a recording of up to 200 MB on
-disk is read in at most 1 GiB of memory. Features of laser scans take more (`soak/memory.py`).
+disk is read, and its features are computed, in at most 1 GiB of memory (`soak/memory.py`).
 """
 
 from typing import Final
@@ -9,7 +9,7 @@ from typing import Final
 _MIB = 2**20
 
 #: Bytes of one chunk or record, decompressed. rosbag2 writes chunks of 0.8 to 4 MB.
-LARGEST_CHUNK: Final = 256 * _MIB
+LARGEST_CHUNK: Final = 128 * _MIB
 #: Messages of a recording, all topics; one that is larger may have one for so many bytes on disk.
 MOST_MESSAGES, SMALLEST_MESSAGE = 8_000_000, 24
 #: Topics and publishers of one recording.
@@ -23,7 +23,7 @@ LARGEST_DEFINITION, MOST_FIELDS = _MIB // 2, 100_000
 #: Bytes that merging messages into order of time may hold.
 LARGEST_DISORDER: Final = 256 * _MIB
 #: Bytes of one message that is decoded, and of all that features keep of messages.
-LARGEST_DECODED, MOST_KEPT = 64 * _MIB, 256 * _MIB
+LARGEST_DECODED, MOST_KEPT = 64 * _MIB, 448 * _MIB
 #: Windows of one recording.
 MOST_WINDOWS: Final = 100_000
 #: Bytes and depth of the XML of a graph.

@@ -25,7 +25,15 @@ from oracle_pipeline.bags.part import (
     unpacked,
     written_size,
 )
-from oracle_pipeline.bags.records import MCAP_CHANNEL, MCAP_MESSAGE, MCAP_SCHEMA, mcap_records
+from oracle_pipeline.bags.records import (
+    MCAP_CHANNEL,
+    MCAP_MESSAGE,
+    MCAP_SCHEMA,
+    MOST_AT_ONCE,
+    SMALLEST_RECORD,
+    mcap_records,
+    whole,
+)
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -123,14 +131,16 @@ class McapPart:
     def batches(self, wanted: Collection[int] | None = None) -> Iterator[Batch]:
         """Yield all messages; chunks without any of the wanted channels are skipped."""
         for data, at, is_chunk in self._stretches(wanted):
-            records = mcap_records(data, only_messages=not is_chunk)
-            for begin in records.described.tolist():
-                opcode, length = _HEAD.unpack_from(data, begin)
-                begin += _HEAD.size
-                self._describe(opcode, data[begin : begin + length])
-            if records.end != len(data) and not self._is_cut:
+            end = 0
+            for records in mcap_records(data, only_messages=not is_chunk):
+                for begin in records.described.tolist():
+                    opcode, length = _HEAD.unpack_from(data, begin)
+                    begin += _HEAD.size
+                    self._describe(opcode, data[begin : begin + length])
+                end = records.end
+                yield from unpacked(data, records)
+            if end != len(data) and not self._is_cut:
                 raise self._corrupt(f"a record in the chunk at byte {at} ends beyond the chunk")
-            yield from unpacked(data, records)
 
     # Records of the data section.
 
@@ -183,7 +193,7 @@ class McapPart:
                 "(LARGEST_CHUNK)"
             )
         data = self._read(at, min(size, LARGEST_CHUNK))
-        return data[: mcap_records(data, only_messages=True).end]
+        return data[: whole(mcap_records(data, only_messages=True))]
 
     def _chunk(self, at: int, length: int) -> tuple[bytes, str]:
         """Return the records of a chunk; of a cut one those that are there, and the reason."""
@@ -209,7 +219,7 @@ class McapPart:
         except Exception as error:  # of any of three decompressors
             return self._broken(at, f"cannot be decompressed: {error}")
         if len(packed) < packed_size and self._is_cut:
-            return data[: mcap_records(data).end], f"the chunk at byte {at} is not whole"
+            return data[: whole(mcap_records(data))], f"the chunk at byte {at} is not whole"
         if len(data) != size:
             return self._broken(at, f"should hold {size} bytes and does not")
         if checksum and zlib.crc32(data) != checksum:
@@ -280,7 +290,7 @@ class McapPart:
         data = self._read(start, min(self._size - start, LARGEST_CHUNK))
         statistics: _Fields | None = None
         spans: list[tuple[int, int, int]] = []
-        at = 0
+        at = largest = 0
         try:
             while at + _HEAD.size <= len(data) and data[at] != _FOOTER:
                 opcode, length = _HEAD.unpack_from(data, at)
@@ -288,25 +298,35 @@ class McapPart:
                 if opcode in (MCAP_SCHEMA, MCAP_CHANNEL):
                     self._describe(opcode, record)
                 elif opcode == _CHUNK_INDEX:
-                    spans.append(self._chunk_index(_Fields(record)))
+                    span, size = self._chunk_index(_Fields(record))
+                    spans.append(span)
+                    largest = max(largest, size)
                 elif opcode == _STATISTICS:
                     statistics = _Fields(record)
                 at += _HEAD.size + length
             if statistics is None:
                 return False
             self.extent = _extent(statistics, spans)
+            # A chunk that is given in parts may have them in any order.
+            self.extent.in_order &= largest <= MOST_AT_ONCE * SMALLEST_RECORD
         except (ValueError, struct.error, BagError):
             return False
         return self.extent.counts.keys() <= self.channels.keys()
 
-    def _chunk_index(self, fields: _Fields) -> tuple[int, int, int]:
-        """Keep which channels a chunk holds; return where it is, its first and last stamp."""
+    def _chunk_index(self, fields: _Fields) -> tuple[tuple[int, int, int], int]:
+        """Keep which channels a chunk holds; return where it is, first and last stamp, and size.
+
+        The size is that of what it holds, decompressed.
+        """
         first, last, chunk = fields.number(8), fields.number(8), fields.number(8)
         fields.number(8)
         offsets = fields.block()
         channels = frozenset(number for number, _ in struct.iter_unpack("<HQ", offsets))
         self._chunk_channels[chunk] = channels
-        return chunk, first, last
+        fields.number(8)
+        fields.block()
+        fields.number(8)
+        return (chunk, first, last), fields.number(8)
 
 
 def _extent(fields: _Fields, spans: list[tuple[int, int, int]]) -> Extent:
@@ -336,6 +356,17 @@ def _metadata(fields: _Fields) -> dict[str, str]:
 
 
 def ros2_name(name: str) -> str:
-    """Return a type's name as ROS 2 writes it, sensor_msgs/msg/LaserScan, also of ROS 1's form."""
+    """Return a type's name as ROS 2 writes it, sensor_msgs/msg/LaserScan.
+
+    It may be of ROS 1's form, of IDL's, or of DDS's.
+
+    Examples
+    --------
+    >>> ros2_name("std_msgs/String"), ros2_name("std_msgs::msg::dds_::String_")
+    ('std_msgs/msg/String', 'std_msgs/msg/String')
+    """
+    if "::" in name:
+        name = name.removesuffix("_") if "::dds_::" in name else name
+        name = name.replace("::dds_::", "/").replace("::", "/").strip("/")
     package, slash, rest = name.partition("/")
     return f"{package}/msg/{rest}" if slash and "/" not in rest else name

@@ -2,9 +2,11 @@
 
 A record of an MCAP file is an opcode, a length and that many bytes. A record of a ROS 1 bag is a
 header (named fields) and data, each behind its length. Both functions stop where the bytes end or
-make no sense, and say where that was.
+make no sense, and say where that was. A chunk may hold millions of small messages, so they are
+given some after the others.
 """
 
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -16,22 +18,24 @@ Bytes: TypeAlias = NDArray[np.uint8]
 
 MCAP_SCHEMA, MCAP_CHANNEL, MCAP_MESSAGE = 0x03, 0x04, 0x05
 _MCAP_HEAD, _MCAP_MESSAGE_HEAD = 9, 22
+MOST_AT_ONCE = 2**18  # messages
+SMALLEST_RECORD = _MCAP_HEAD + _MCAP_MESSAGE_HEAD  # bytes of a message
 _ROS1_MESSAGE, _ROS1_CONNECTION = 0x02, 0x07
 
 
 class Records(NamedTuple):
-    """What a stretch of bytes holds; the first four have a row for each message."""
+    """What a part of some bytes holds; the first four have a row for each message."""
 
     channels: NDArray[np.int64]  # as numbered in the file
     stamps_ns: NDArray[np.int64]
     offsets: NDArray[np.int64]  # of the message's own bytes
     sizes: NDArray[np.int64]  # [B]
     described: NDArray[np.int64]  # where records begin that describe channels and types
-    end: int  # behind the last complete record
+    end: int  # behind the last complete record of the part
 
 
-def mcap_records(data: bytes, *, only_messages: bool = False) -> Records:
-    """Index records of an MCAP file.
+def mcap_records(data: bytes, *, only_messages: bool = False) -> Iterator[Records]:
+    """Index records of an MCAP file, at most `MOST_AT_ONCE` messages at a time.
 
     Parameters
     ----------
@@ -40,12 +44,29 @@ def mcap_records(data: bytes, *, only_messages: bool = False) -> Records:
     only_messages
         Stop at a record that neither is a message nor describes one.
     """
-    return Records(*_index_mcap(np.frombuffer(data, np.uint8), only_messages))
+    buffer = np.frombuffer(data, np.uint8)
+    return _parts(lambda at: Records(*_index_mcap(buffer, at, MOST_AT_ONCE, only_messages)))
 
 
-def ros1_records(data: bytes) -> Records:
-    """Index records of a chunk of a ROS 1 bag."""
-    return Records(*_index_ros1(np.frombuffer(data, np.uint8)))
+def ros1_records(data: bytes) -> Iterator[Records]:
+    """Index records of a chunk of a ROS 1 bag, at most `MOST_AT_ONCE` messages at a time."""
+    buffer = np.frombuffer(data, np.uint8)
+    return _parts(lambda at: Records(*_index_ros1(buffer, at, MOST_AT_ONCE)))
+
+
+def whole(parts: Iterator[Records]) -> int:
+    """Return how many bytes are complete records."""
+    return max(records.end for records in parts)
+
+
+def _parts(index: Callable[[int], Records]) -> Iterator[Records]:
+    """Yield what is found from a place on, and from where that ended; once at least."""
+    at, goes_on = 0, True
+    while goes_on:
+        records = index(at)
+        at, goes_on = records.end, records.end > at
+        if goes_on or at == 0:
+            yield records
 
 
 @jit
@@ -58,9 +79,9 @@ def _number(data: Bytes, at: int, size: int) -> Any:
 
 
 @jit
-def _count_mcap(data: Bytes, only_messages: bool) -> Any:
-    at, end, messages, described = 0, len(data), 0, 0
-    while at + _MCAP_HEAD <= end:
+def _count_mcap(data: Bytes, at: int, most: int, only_messages: bool) -> Any:
+    end, messages, described = len(data), 0, 0
+    while at + _MCAP_HEAD <= end and messages < most:
         opcode = data[at]
         length = _number(data, at + 1, 8)
         if opcode == 0 or length < 0 or length > end - at - _MCAP_HEAD:
@@ -78,12 +99,12 @@ def _count_mcap(data: Bytes, only_messages: bool) -> Any:
 
 
 @jit
-def _index_mcap(data: Bytes, only_messages: bool) -> Any:
-    messages, others, end = _count_mcap(data, only_messages)
+def _index_mcap(data: Bytes, at: int, most: int, only_messages: bool) -> Any:
+    messages, others, end = _count_mcap(data, at, most, only_messages)
     channels, stamps = np.empty(messages, np.int64), np.empty(messages, np.int64)
     offsets, sizes = np.empty(messages, np.int64), np.empty(messages, np.int64)
     described = np.empty(others, np.int64)
-    at, message, other = 0, 0, 0
+    message, other = 0, 0
     while at < end:
         opcode, length = data[at], _number(data, at + 1, 8)
         begin = at + _MCAP_HEAD
@@ -121,14 +142,14 @@ def _ros1_head(data: Bytes, at: int, end: int) -> Any:
 
 
 @jit
-def _index_ros1(data: Bytes) -> Any:
+def _index_ros1(data: Bytes, at: int, most: int) -> Any:
     end = len(data)
-    most = end // 40 + 1  # a message takes more: lengths, op, conn and time
+    most = min(most, end // 40 + 1)  # a message takes more: lengths, op, conn and time
     channels, stamps = np.empty(most, np.int64), np.empty(most, np.int64)
     offsets, sizes = np.empty(most, np.int64), np.empty(most, np.int64)
     described = np.empty(most, np.int64)
-    at, messages, others = 0, 0, 0
-    while at + 8 <= end:
+    messages, others = 0, 0
+    while at + 8 <= end and messages < most and others < most:
         head = _number(data, at, 4)
         if head > end - at - 8:
             break

@@ -20,7 +20,7 @@ from oracle_pipeline.bags.part import (
     unpacked,
     written_size,
 )
-from oracle_pipeline.bags.records import ros1_records
+from oracle_pipeline.bags.records import MOST_AT_ONCE, ros1_records, whole
 
 MAGIC = b"#ROSBAG V2.0\n"
 
@@ -82,12 +82,12 @@ class Rosbag1Part:
             opcode = _number(header, "op")
             if opcode == _CHUNK:
                 data, reason = self._chunk(header, begin, size)
-                yield from self._batches(data, at, whole=not reason)
+                yield from self._batches(data, at, is_whole=not reason)
                 if reason:
                     self._stop(at, reason)
                     return
             elif opcode in (_CONNECTION, _MESSAGE) and is_whole:  # in no chunk
-                yield from self._batches(self._read(at, begin + size - at), at, whole=True)
+                yield from self._batches(self._read(at, begin + size - at), at, is_whole=True)
             if not is_whole:
                 self._stop(at, f"the record at byte {at} is not whole")
                 return
@@ -95,14 +95,16 @@ class Rosbag1Part:
         if self._is_cut:
             self.cut = "it has no index"
 
-    def _batches(self, data: bytes, at: int, *, whole: bool) -> Iterator[Batch]:
-        records = ros1_records(data)
-        for begin in records.described.tolist():
-            if not self._describe(data, begin) and not self._is_cut:
-                raise self._corrupt(f"a connection in the chunk at byte {at} is not described")
-        if whole and records.end != len(data):
+    def _batches(self, data: bytes, at: int, *, is_whole: bool) -> Iterator[Batch]:
+        end = 0
+        for records in ros1_records(data):
+            for begin in records.described.tolist():
+                if not self._describe(data, begin) and not self._is_cut:
+                    raise self._corrupt(f"a connection in the chunk at byte {at} is not described")
+            end = records.end
+            yield from unpacked(data, records)
+        if is_whole and end != len(data):
             raise self._corrupt(f"a record in the chunk at byte {at} ends beyond the chunk")
-        yield from unpacked(data, records)
 
     def _chunk(self, header: _Header, begin: int, size: int) -> tuple[bytes, str]:
         """Return the records of a chunk; of a cut one those that are there, and the reason."""
@@ -122,7 +124,7 @@ class Rosbag1Part:
             return data, ""
         if not self._is_cut:
             raise self._corrupt(f"{where} should hold {declared} bytes and does not")
-        return data[: ros1_records(data).end], f"{where} is not whole"
+        return data[: whole(ros1_records(data))], f"{where} is not whole"
 
     def _stop(self, at: int, reason: str) -> None:
         if not self._is_cut:
@@ -189,6 +191,7 @@ class Rosbag1Part:
         self._end = at
         spans: list[tuple[int, int, int]] = []
         counts = Counter[int]()
+        largest = 0
         for _ in range(connections + chunks):
             record = self._record(at)
             if record is None or record[1] + record[2] > self._size:
@@ -199,13 +202,18 @@ class Rosbag1Part:
                 if not self._describe(self._read(at, begin + size - at), 0):
                     return False
             elif _number(header, "op") == _CHUNK_INFO:
+                held = Counter[int]()
                 for connection, count in struct.iter_unpack("<II", data[: size // 8 * 8]):
-                    counts[connection] += count
+                    held[connection] += count
+                counts += held
+                largest = max(largest, held.total())
                 if data:
                     first, last = _time_ns(header, "start_time"), _time_ns(header, "end_time")
                     spans.append((_number(header, "chunk_pos"), first, last))
             at = begin + size
         self._set_extent(counts, spans)
+        # A chunk that is given in parts may have them in any order.
+        self.extent.in_order &= largest <= MOST_AT_ONCE
         return counts.keys() <= self.channels.keys()
 
     def _set_extent(self, counts: Counter[int], spans: list[tuple[int, int, int]]) -> None:

@@ -3,12 +3,14 @@
 ``generic`` reduces them to windows and topics; ``topic_pairs`` compares topics by them.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.plugin import RawRecord, Request
 from oracle_pipeline.features.reduction import row_medians
 
@@ -17,16 +19,20 @@ Floats: TypeAlias = NDArray[np.float64]
 STATISTICS = ("non_finite", "at_limit", "distinct", "autocorrelation", "roughness")
 
 _EVERY_S = 0.1  # between the arrays that are looked at
+_BLOCK = 2**16  # numbers that are worked on at once
 _SHORTEST, _LONGEST = 16, 2048  # numbers; fewer are channels rather than a row of equals
 
 
-def array_of(record: RawRecord) -> Floats | None:
-    """Return the array of a message, of a long one the middle; None if it is no row of equals."""
+def array_of(record: RawRecord) -> NDArray[np.floating[Any]] | None:
+    """Return the array of a message, of a long one the middle; None if it is no row of equals.
+
+    It is a copy as precise as the message, as a recording may be all arrays.
+    """
     array = record.array
     if array is None or array.size < _SHORTEST:
         return None
     first = max(0, (array.size - _LONGEST) // 2)
-    return array[first : first + _LONGEST].astype(np.float64)
+    return array[first : first + _LONGEST].astype(array.dtype.newbyteorder("="))
 
 
 #: Request of plugins that look into arrays: ten messages per second of each topic with arrays.
@@ -35,23 +41,34 @@ ARRAYS = Request(
 )
 
 
-def each(arrays: NDArray[np.object_], function: Callable[[Floats], Any]) -> list[Any]:
-    """Call a function of equally long arrays, shape (n, m), and return a result for each array."""
-    lengths = np.array([array.size for array in arrays])
-    results: list[Any] = [None] * len(arrays)
+def each(function: Callable[..., Any], *arrays: NDArray[np.object_]) -> list[Any]:
+    """Call a function of arrays, shape (n, m), for some equally long ones after the others.
+
+    Parameters
+    ----------
+    function : callable
+        Returns a result for each row of its arguments.
+    *arrays : ndarray of arrays
+        For each argument, as many; those in one place are equally long.
+    """
+    lengths = np.array([array.size for array in arrays[0]])
+    results: list[Any] = [None] * len(lengths)
     for length in np.unique(lengths):
         rows = np.flatnonzero(lengths == length)
-        for row, result in zip(rows, function(np.stack(list(arrays[rows]))), strict=True):
-            results[row] = result
+        for block in np.array_split(rows, math.ceil(len(rows) * length / _BLOCK) or 1):
+            stacked = (np.stack(some[block].tolist()) for some in arrays)
+            for row, result in zip(block.tolist(), function(*stacked), strict=True):
+                results[row] = result
     return results
 
 
-def statistics(arrays: Floats) -> Floats:
+def statistics(arrays: NDArray[np.floating[Any]]) -> Floats:
     """Return the ``STATISTICS`` of each row, shape (n, 5), NaN where too few numbers are finite.
 
     They are the share of inf and NaN; of the finite numbers the share that equals the largest or
     the smallest, the share of distinct ones and the correlation with their next; the roughness.
     """
+    arrays = arrays.astype(np.float64, copy=False)
     finite = np.isfinite(arrays)
     numbers = np.where(finite, arrays, np.nan)
     count = finite.sum(axis=1)
@@ -69,44 +86,53 @@ def statistics(arrays: Floats) -> Floats:
     return np.stack(columns, axis=1)
 
 
-def roughness(arrays: Floats) -> Floats:
+def roughness(arrays: NDArray[np.floating[Any]]) -> Floats:
     """Return the median of abs(a[i-1] - 2 a[i] + a[i+1]) / abs(a[i]) of each row, shape (n,).
 
     Zeros have none, nor has what is beside something that is not finite; NaN if nothing has.
     """
+    arrays = arrays.astype(np.float64, copy=False)
     numbers = np.where(np.isfinite(arrays), arrays, np.nan)
     size = np.abs(numbers[:, 1:-1])
     bend = np.abs(numbers[:, :-2] - 2.0 * numbers[:, 1:-1] + numbers[:, 2:])
     return row_medians(_over(bend, size))
 
 
-def standard_ranks(arrays: Floats) -> Floats:
-    """Return ranks in each row, less their mean, as vectors of length one; ties share theirs.
+def doubled_ranks(arrays: NDArray[np.floating[Any]]) -> NDArray[np.uint16]:
+    """Return twice the ranks in each row, from 2 on; ties share theirs, and NaN ranks as ``inf``.
 
-    The product of two is Spearman's correlation; equal numbers are all zero. NaN ranks as ``inf``.
+    It is ``scipy.stats.rankdata``, whose import takes longer than most recordings.
     """
-    ranks = _ranks(np.where(np.isnan(arrays), np.inf, arrays))
+    numbers = np.where(np.isnan(arrays), np.inf, arrays)
+    order = np.argsort(numbers, axis=1)
+    return _shared(np.take_along_axis(numbers, order, axis=1), order)
+
+
+def standardised(doubled: NDArray[np.uint16]) -> Floats:
+    """Return ranks in each row, less their mean, as vectors of length one.
+
+    The product of two is Spearman's correlation; equal numbers are all zero.
+    """
+    ranks = doubled / 2.0
     ranks -= ranks.mean(axis=1, keepdims=True)
     length = np.linalg.norm(ranks, axis=1, keepdims=True)
     np.divide(ranks, length, out=ranks, where=length > 0.0)
     return ranks
 
 
-def _ranks(arrays: Floats) -> Floats:
-    """Return ranks in each row from 1 on, equal numbers sharing the mean of theirs.
-
-    It is ``scipy.stats.rankdata``, whose import takes longer than most recordings.
-    """
-    order = np.argsort(arrays, axis=1, kind="stable")
-    ordered = np.take_along_axis(arrays, order, axis=1)
-    begins = np.ones(arrays.shape, dtype=np.bool_)
-    begins[:, 1:] = ordered[:, 1:] != ordered[:, :-1]
-    firsts = np.flatnonzero(begins)
-    sizes = np.diff(firsts, append=arrays.size)
-    shared = firsts % arrays.shape[1] + (sizes + 1) / 2.0
-    ranks = np.empty(arrays.shape)
-    np.put_along_axis(ranks, order, np.repeat(shared, sizes).reshape(arrays.shape), axis=1)
-    return ranks
+@jit
+def _shared(ordered: NDArray[np.floating[Any]], order: NDArray[np.int64]) -> NDArray[np.uint16]:
+    """Return twice the rank of each number, given the numbers of each row in order."""
+    doubled = np.empty(order.shape, np.uint16)
+    for i in range(len(order)):
+        first = 0
+        for last in range(order.shape[1]):
+            if last + 1 < order.shape[1] and ordered[i, last + 1] == ordered[i, first]:
+                continue
+            for place in range(first, last + 1):
+                doubled[i, order[i, place]] = first + last + 2
+            first = last + 1
+    return doubled
 
 
 def _autocorrelation(numbers: Floats, count: NDArray[np.int64]) -> Floats:

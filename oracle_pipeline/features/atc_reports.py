@@ -26,7 +26,7 @@ from oracle_pipeline.features.plugin import (
     hookimpl,
 )
 from oracle_pipeline.features.reduction import largest, mean, quantile, within
-from oracle_pipeline.features.scan_geometry import Floats, Points
+from oracle_pipeline.features.scans import Floats, Points
 from oracle_pipeline.features.wgs84 import Site, cartesian
 
 RADAR_FEATURES = (

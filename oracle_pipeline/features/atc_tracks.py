@@ -22,7 +22,7 @@ from oracle_pipeline.features.plugin import (
     hookimpl,
 )
 from oracle_pipeline.features.reduction import largest, mean, quantile
-from oracle_pipeline.features.scan_geometry import Bools, Floats
+from oracle_pipeline.features.scans import Bools, Floats
 from oracle_pipeline.features.wgs84 import Site, cartesian
 
 TRACK_FEATURES = (

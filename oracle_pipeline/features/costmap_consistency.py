@@ -6,6 +6,7 @@ it.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oracle_pipeline.features.map_consistency import MapGrid, keep_grids
 from oracle_pipeline.features.plugin import (
@@ -19,7 +20,8 @@ from oracle_pipeline.features.plugin import (
     hookimpl,
 )
 from oracle_pipeline.features.reduction import largest, mean
-from oracle_pipeline.features.scan_geometry import SETUP_TOPICS, Bools, Points, scanner_setup
+from oracle_pipeline.features.scan_geometry import SETUP_TOPICS, ScannerSetup, scanner_setup
+from oracle_pipeline.features.scans import Bools, Floats, Points, in_blocks
 from oracle_pipeline.robots.roles import LOCAL_COSTMAP
 
 FEATURES = (
@@ -40,16 +42,25 @@ def prepare(window: Window) -> dict[str, Series] | Missing:
     setup = scanner_setup(window)
     if setup.motion is None:
         return Missing("no odometry")
-    found = {}
-    for topic, mount in setup.mounts.items():
-        scans = setup.scanners[topic]
-        rows = np.searchsorted(scans.times_s, times_s, side="right") - 1
-        seen, scans = rows >= 0, scans.rows(rows[rows >= 0])
-        placed = setup.placed(mount, scans.stamps_s).columns()
-        returns = placed.apply(scans.points())
-        shares = [unmarked(*each) for each in zip(grids[seen], returns, strict=True)]
-        found[topic] = Series(times_s[seen], np.array(shares, dtype=np.float64))
-    return found
+    return {topic: _unmarked(setup, topic, times_s, grids) for topic in setup.mounts}
+
+
+def _unmarked(
+    setup: ScannerSetup, topic: str, times_s: Floats, grids: NDArray[np.object_]
+) -> Series:
+    scans = setup.scanners[topic]
+    rows = np.searchsorted(scans.times_s, times_s, side="right") - 1
+    seen = np.flatnonzero(rows >= 0)
+    rows = rows[seen]
+    placed = setup.placed(setup.mounts[topic], scans.stamps_s[rows])
+
+    def compared(part: slice) -> tuple[Floats]:
+        returns = placed.at(part).columns().apply(scans.rows(rows[part]).points())
+        both = zip(grids[seen[part]], returns, strict=True)
+        return (np.array([unmarked(*each) for each in both], dtype=np.float64),)
+
+    (shares,) = in_blocks(len(rows), scans.rays, compared)
+    return Series(times_s[seen], shares)
 
 
 def unmarked(grid: MapGrid, returns: Points) -> float:

@@ -146,7 +146,7 @@ def compute_bytes(window: Window) -> Values:
 def prepare_arrays(window: Window) -> dict[str, Series]:
     """Return the statistics of each array, shape (n, 5), by topic."""
     return {
-        topic: Series(times_s, np.array(each(arrays, statistics)))
+        topic: Series(times_s, np.array(each(statistics, arrays)))
         for topic, (times_s, arrays) in window.topics["arrays"].items()
     }
 

@@ -121,7 +121,7 @@ class KeptMessages:
         bag = robot.bag
         self._roles = robot.roles
         self._shared: dict[Any, Any] = {}
-        budget = Budget()
+        self._budget = budget = Budget()
         self.notes: list[str] = []
         self._topics = {name: KeptTopic(bag, topic) for name, topic in bag.topics.items()}
         self._kept: dict[str, dict[str, dict[str, KeptRows]]] = {
@@ -162,6 +162,7 @@ class KeptMessages:
         columns: list[list[Integers]] = [[], [], [], []]
         count = waiting = 0
         for batch in bag.batches():
+            recording._budget.count(len(batch.topics))
             stamps_ns = batch.stamps_ns
             order = np.lexsort((stamps_ns, batch.topics))
             ordered, since_start_ns = batch.topics[order], stamps_ns[order] - bag.start_ns

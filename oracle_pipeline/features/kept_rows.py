@@ -1,5 +1,6 @@
 """What one request keeps of the messages of one topic, as an array."""
 
+from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self, TypeAlias
@@ -15,6 +16,9 @@ from oracle_pipeline.features.plugin import Request, Series
 Integers: TypeAlias = NDArray[np.int64]
 
 CARRIED = 20  # last rows of a request that stay known
+_MESSAGE_BYTES = 40
+_OBJECT_BYTES = 64  # of a small Python object, and of an array besides its numbers
+_SAMPLE = 16  # rows of a batch whose size is looked at
 _BROKEN_SHARE = 0.1  # of the messages of a topic; if more are broken, it is the type that is wrong
 
 
@@ -46,6 +50,10 @@ class Budget:
 
     def __init__(self) -> None:
         self._left = MOST_KEPT
+
+    def count(self, messages: int) -> None:
+        """Take what is kept of any message: when it came, its size and stamp."""
+        self._left -= messages * _MESSAGE_BYTES
 
     def take(self, size: int) -> bool:
         """Tell whether there is still room, and take it."""
@@ -86,7 +94,7 @@ class KeptRows:
         self.as_scan = False  # of a point cloud, what a planar scanner would have seen
         self.error = ""  # why there is nothing to be had from this topic
         self._budget = budget
-        self._numbers: list[int] = []  # of the messages, in the whole recording
+        self._numbers = array("q")  # of the messages, in the whole recording
         self._rows: list[Any] = []
         self._blocks: list[NDArray[Any]] = []  # the same of many messages, unless they are objects
         self._broken = 0
@@ -101,7 +109,9 @@ class KeptRows:
         except Exception as error:  # foreign code
             self.skip(f"{type(error).__name__}: {error}")
             return
-        if row is not None and self._has_room(_size(row, size)):
+        # Of an object nobody knows what it holds.
+        is_object = not isinstance(row, np.ndarray | tuple | float)
+        if row is not None and self._has_room(max(_size(row), size if is_object else 0)):
             self._rows.append(row)
             self._numbers.append(number)
 
@@ -110,7 +120,8 @@ class KeptRows:
         if self.error or not len(numbers):
             return
         try:
-            rows = self._rows_of(self.request.keep(batch.columns()), len(numbers))
+            kept = self.request.keep(batch.columns())
+            rows = self._rows_of(kept, len(numbers))
         except Exception as error:  # foreign code
             if len(numbers) == 1:
                 known = isinstance(error, BagError)
@@ -120,12 +131,12 @@ class KeptRows:
                 self.add_many(numbers[row : row + 1], batch.some(np.array([row])))
             return
         is_array = isinstance(rows, np.ndarray)
-        if self._has_room(rows.nbytes if is_array else sum(map(len, batch.data))):
+        if self._has_room(_size_of_array(rows) if is_array else _size_of_many(kept, batch)):
             if is_array:
                 self._blocks.append(rows)
             else:
                 self._rows += rows
-            self._numbers += numbers.tolist()
+            self._numbers.extend(numbers)
 
     def _rows_of(self, kept: Any, count: int) -> Any:
         """Return what was kept of many messages as an array of rows; objects as a list."""
@@ -157,7 +168,7 @@ class KeptRows:
         self.error = error
         self._rows.clear()
         self._blocks.clear()
-        self._numbers.clear()
+        del self._numbers[:]
 
     def finish(self, times_ns: Integers, earlier: Rows | None) -> str | None:
         """Make arrays of all that was kept, in time order; return what was left out, if it was.
@@ -179,9 +190,11 @@ class KeptRows:
             return None
         self._rows.clear()
         self._blocks.clear()
-        kept_ns = times_ns[np.array(self._numbers, dtype=np.int64)]
-        order = np.argsort(kept_ns, kind="stable")
-        rows = Rows(kept_ns[order], values[order])
+        kept_ns = times_ns[np.frombuffer(self._numbers, dtype=np.int64)]
+        if (np.diff(kept_ns) < 0).any():
+            order = np.argsort(kept_ns, kind="stable")
+            kept_ns, values = kept_ns[order], values[order]
+        rows = Rows(kept_ns, values)
         if earlier is not None:
             rows = earlier.followed_by(rows)
         self._times_ns = rows.times_ns
@@ -209,9 +222,31 @@ class KeptRows:
         return Series(self._series.times_s[part], self._series.values[part])
 
 
-def _size(row: Any, size: int) -> int:
-    """Return about how many bytes a row takes; one that is no array, as many as its message."""
-    return int(row.nbytes) if isinstance(row, np.ndarray) else size
+def _size(kept: Any) -> int:
+    """Return about how many bytes something takes in memory."""
+    if isinstance(kept, np.ndarray) and kept.dtype != object:
+        return int(kept.nbytes) + _OBJECT_BYTES
+    if isinstance(kept, np.ndarray | tuple | list):
+        return _OBJECT_BYTES + sum(map(_size, kept))
+    return _OBJECT_BYTES
+
+
+def _size_of_array(rows: NDArray[Any]) -> int:
+    return 2 * rows.nbytes  # while arrays are joined, they are there twice
+
+
+def _size_of_many(kept: Any, batch: Messages) -> int:
+    """Return about how many bytes rows take, given as columns or one by one."""
+    if isinstance(kept, tuple):
+        return sum(_size_of_column(column) for column in kept)
+    step = 1 + len(kept) // _SAMPLE
+    return max(sum(map(len, batch.data)), step * sum(map(_size, kept[::step])))
+
+
+def _size_of_column(column: Any) -> int:
+    if isinstance(column, np.ndarray) and column.dtype != object:
+        return len(column) * _OBJECT_BYTES
+    return sum(map(_size, column))
 
 
 def read_only(values: NDArray[Any]) -> NDArray[Any]:

@@ -14,6 +14,8 @@ from oracle_pipeline.features.plugin import RawRecord, Request
 from oracle_pipeline.features.point_clouds import CutClouds, sliced
 from oracle_pipeline.robots.roles import POINT_CLOUD, SCAN
 
+_MOST_WAITING = 2**22  # bytes of messages of a topic that are kept together with later ones
+
 
 class KeptTopic:
     """One topic of the bag, and who keeps what of its messages."""
@@ -25,6 +27,7 @@ class KeptTopic:
         self.by_rate: dict[int, list[KeptRows]] = {}  # by time between messages [ns]
         self.undecodable = ""
         self._waiting: dict[int, list[tuple[int, bytes]]] = {}  # number and message, by rate
+        self._held = 0  # bytes of them
         try:
             self._decode = bag.decoder(topic.name)
             self._store = bag.typestore(topic.msgtype)
@@ -81,6 +84,9 @@ class KeptTopic:
                     kept.skip(_too_large(data))
             return 0
         self._waiting.setdefault(rate_ns, []).append((number, data))
+        self._held += len(data)
+        if self._held > _MOST_WAITING:
+            self.keep_waiting()
         return len(data)
 
     def keep_waiting(self) -> None:
@@ -97,6 +103,7 @@ class KeptTopic:
                 numbers, batch = numbers[whole], batch.some(np.flatnonzero(whole))
             self._add(numbers, batch, many)
         self._waiting.clear()
+        self._held = 0
 
     def _keep_odd(self, numbers: Integers, batch: Batch, many: list[KeptRows]) -> None:
         """Keep messages that are broken, or written in another way; decoding tells which."""

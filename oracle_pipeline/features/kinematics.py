@@ -47,8 +47,9 @@ from oracle_pipeline.features.plugin import (
     hookimpl,
 )
 from oracle_pipeline.features.reduction import largest, quantile, within
-from oracle_pipeline.features.scan_geometry import Bools, Floats, Points, scanner_setup
+from oracle_pipeline.features.scan_geometry import scanner_setup
 from oracle_pipeline.features.scan_matching import Steps
+from oracle_pipeline.features.scans import Bools, Floats, Points
 
 
 class Pair(NamedTuple):

@@ -20,12 +20,12 @@ from oracle_pipeline.features.plugin import (
 )
 from oracle_pipeline.features.reduction import quantile
 from oracle_pipeline.features.scan_geometry import (
-    Floats,
     Frames,
     Motion,
     Planar,
     keep_odometry,
 )
+from oracle_pipeline.features.scans import Floats
 from oracle_pipeline.robots.roles import ODOMETRY, PLAN, POSE
 
 BELIEF_FEATURES = (

@@ -28,18 +28,17 @@ from oracle_pipeline.features.reduction import largest, quantile, row_medians, w
 from oracle_pipeline.features.scan_geometry import (
     CELL_M,
     CLOSER_M,
+    MOST_HITS,
     SETUP_TOPICS,
-    Bools,
-    Floats,
+    HitCounter,
     Hits,
-    Ints,
     Planar,
-    Points,
     ScannerSetup,
     agreement,
     scanner_setup,
     the_topic,
 )
+from oracle_pipeline.features.scans import Bools, Floats, Ints, Points, in_blocks
 from oracle_pipeline.robots.roles import MAP, POSE
 
 FEATURES = (
@@ -146,7 +145,7 @@ class _Consistency:
     residual: Series  # [m]
     unexpected: Series
     looked_through: Series
-    hits: Hits
+    hits: Hits | Missing
 
 
 def prepare(window: Window) -> dict[str, _Consistency] | Missing:
@@ -169,7 +168,9 @@ def compute(window: Window) -> Values:
     for topic, each in consistency.items():
         residual[topic] = quantile(each.residual, window, 0.5)
         unexpected[topic] = quantile(each.unexpected, window, 0.95)
-        persistence[topic] = each.hits.persistence(within(each.residual.times_s, window))
+        if isinstance(each.hits, Hits):
+            scans_within = within(each.residual.times_s, window)
+            persistence[topic] = each.hits.persistence(scans_within)
         through[topic] = quantile(each.looked_through, window, 0.95)
     reason = "no level scanner looked where the map knows something"
     return {
@@ -230,20 +231,32 @@ def _held_against(
     world: Map, correction: _Correction, setup: ScannerSetup, topic: str
 ) -> _Consistency:
     scans = setup.scanners[topic]
-    scans = scans.rows(_spaced(scans.stamps_s))
-    placed = correction.at(scans.stamps_s).compose(
-        setup.placed(setup.mounts[topic], scans.stamps_s)
-    )
-    columns = placed.columns()
-    rays = np.exp(1j * scans.bearings())
-    directions = columns.turn * (rays.conj() if placed.flipped else rays)
-    charted = replace(scans, range_max=np.inf, ranges=world.cast(columns.shift, directions))
-    returned = agreement(scans.points(), charted)
+    rows = _spaced(scans.stamps_s)
+    stamps_s, times_s = scans.stamps_s[rows], scans.times_s[rows]
+    placed = correction.at(stamps_s).compose(setup.placed(setup.mounts[topic], stamps_s))
+
+    counter = HitCounter(MOST_HITS // len(setup.mounts))
+
+    def compared(part: slice) -> tuple[Floats, Floats, Floats]:
+        some, columns = scans.rows(rows[part]), placed.at(part).columns()
+        rays = np.exp(1j * some.bearings())
+        directions = columns.turn * (rays.conj() if placed.flipped else rays)
+        charted = replace(some, range_max=np.inf, ranges=world.cast(columns.shift, directions))
+        points = some.points()
+        returned = agreement(points, charted)
+        counter.add(columns.apply(points), returned.contradicted, part.start)
+        return (
+            row_medians(returned.residual),
+            returned.contradicted_share(),
+            agreement(charted.points(), some).contradicted_share(),
+        )
+
+    residual, unexpected, through = in_blocks(len(rows), scans.rays, compared)
     return _Consistency(
-        Series(scans.times_s, row_medians(returned.residual)),
-        Series(scans.times_s, returned.contradicted_share()),
-        Series(scans.times_s, agreement(charted.points(), scans).contradicted_share()),
-        Hits.of(columns.apply(scans.points()), returned.contradicted),
+        Series(times_s, residual),
+        Series(times_s, unexpected),
+        Series(times_s, through),
+        counter.hits(),
     )
 
 

@@ -14,15 +14,9 @@ import numpy as np
 
 from oracle_pipeline.features.parts import frame_names, header_stamps_s, poses_of
 from oracle_pipeline.features.plugin import Request, Series
-from oracle_pipeline.features.scan_geometry import (
-    SCANS,
-    SETUP_TOPICS,
-    Floats,
-    Planar,
-    Points,
-    ScannerSetup,
-)
+from oracle_pipeline.features.scan_geometry import SETUP_TOPICS, Planar, ScannerSetup
 from oracle_pipeline.features.scan_matching import Steps, along_arc, steps
+from oracle_pipeline.features.scans import SCANS, Floats, Points
 from oracle_pipeline.robots import roles
 from oracle_pipeline.robots.roles import IMU, TRANSFORMS
 

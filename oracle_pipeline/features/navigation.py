@@ -25,7 +25,8 @@ from oracle_pipeline.features.plugin import (
     hookimpl,
 )
 from oracle_pipeline.features.reduction import mean, quantile, within
-from oracle_pipeline.features.scan_geometry import Floats, Ints, Points, the_topic
+from oracle_pipeline.features.scan_geometry import the_topic
+from oracle_pipeline.features.scans import Floats, Ints, Points
 from oracle_pipeline.robots.roles import BEHAVIOR_TREE, ODOMETRY
 
 RECOVERY_FEATURES = (

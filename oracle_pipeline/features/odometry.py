@@ -18,7 +18,7 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.scan_geometry import Floats
+from oracle_pipeline.features.scans import Floats
 from oracle_pipeline.robots.roles import ODOMETRY
 
 FEATURES = (

@@ -9,8 +9,10 @@ object.
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.plugin import (
@@ -26,16 +28,13 @@ from oracle_pipeline.features.reduction import largest, mean, quantile
 from oracle_pipeline.features.scan_geometry import (
     CLOSER_M,
     SETUP_TOPICS,
-    Bools,
-    Floats,
-    Ints,
-    Points,
+    Planar,
     ScannerSetup,
-    Scans,
     agreement,
     nearest,
     scanner_setup,
 )
+from oracle_pipeline.features.scans import Bools, Floats, Ints, Points, RecordedScans, in_blocks
 
 _EARLIER_S = 1.0  # between two scans that are compared
 _LATER_S = 1.0  # at least until the robot drives across what it saw
@@ -133,18 +132,23 @@ def register_features() -> list[FeaturePlugin]:
 def _seen(setup: ScannerSetup, topic: str, path: "_Path") -> Seen:
     scans, mount = setup.scanners[topic], setup.mounts[topic]
     placed = setup.placed(mount, scans.stamps_s)
-    world = placed.columns().apply(scans.points())
-    across = path.crossed(world, scans.stamps_s)
     now, before = _apart(scans.stamps_s, _EARLIER_S)
-    later, earlier = scans.rows(now), scans.rows(before)
     moved = placed.at(before).inverse().compose(placed.at(now))
-    appeared = agreement(moved.columns().apply(later.points()), earlier)
-    vanished = agreement(moved.inverse().columns().apply(earlier.points()), later)
+    back = moved.inverse()
+
+    def compared(part: slice) -> tuple[Floats, Floats]:
+        later, earlier = scans.rows(now[part]), scans.rows(before[part])
+        appeared = agreement(moved.at(part).columns().apply(later.points()), earlier)
+        vanished = agreement(back.at(part).columns().apply(earlier.points()), later)
+        return appeared.contradicted_share(), vanished.contradicted_share()
+
+    appeared, vanished = in_blocks(len(now), scans.rays, compared)
+    loose, across = _in_world(scans, placed, path)
     return Seen(
-        Series(later.times_s, appeared.contradicted_share()),
-        Series(later.times_s, vanished.contradicted_share()),
-        _loose(scans, world),
-        Series(scans.times_s, across.astype(np.float64)),
+        Series(scans.times_s[now], appeared),
+        Series(scans.times_s[now], vanished),
+        loose,
+        Series(scans.times_s, across),
     )
 
 
@@ -205,31 +209,55 @@ def _crossed(world: Points, stamps_s: Floats, last_s: Floats) -> Ints:
     return counts
 
 
-def _loose(scans: Scans, world: Points) -> Series:
-    """Return how far the fastest compact thing went from one scan to the next [m]."""
-    now, before = _apart(scans.stamps_s, _NEXT_S)
+def _in_world(scans: RecordedScans, placed: Planar, path: _Path) -> tuple[Series, Floats]:
+    """Return how far the fastest compact thing went from one scan to the next [m].
+
+    And which of all scans the robot drives across, 1 or 0.
+    """
     around = 2.0 * np.pi / np.abs(scans.angle_increment.ravel())
-    closed = np.abs(around - scans.ranges.shape[1]) < _GAP_RAYS
-    return Series(scans.times_s[now], _fastest(scans.ranges, world, closed, now, before))
+    closed = np.abs(around - scans.rays) < _GAP_RAYS
+
+    def seen(part: slice) -> tuple[NDArray[Any], ...]:
+        some = scans.rows(part)
+        world = placed.at(part).columns().apply(some.points())
+        return *_centres(some.ranges, world, closed[part]), path.crossed(world, some.stamps_s)
+
+    counts, centres, across = in_blocks(len(scans.times_s), scans.rays, seen)
+    now, before = _apart(scans.stamps_s, _NEXT_S)
+    ends = np.cumsum(counts)
+    gone = _fastest(centres, ends - counts, ends, now, before)
+    return Series(scans.times_s[now], gone), across.astype(np.float64)
 
 
 @jit
-def _fastest(ranges: Floats, world: Points, closed: Bools, now: Ints, before: Ints) -> Floats:
+def _centres(ranges: Floats, world: Points, closed: Bools) -> tuple[Ints, Points]:
+    """Return how many compact things each scan has, and where they are, one after the other."""
     size = ranges.shape[1]
-    centres = np.full((len(ranges), size), np.nan + 0j)
+    counts = np.zeros(len(ranges), np.int64)
+    centres = np.empty(ranges.size, np.complex128)
+    number = 0
     for n in range(len(ranges)):
-        for k, (first, after) in enumerate(_compact(ranges[n], closed[n])):
+        for first, after in _compact(ranges[n], closed[n]):
             total = 0j
             for i in range(first, after):
                 total += world[n, i % size]
-            centres[n, k] = total / (after - first)
+            centres[number] = total / (after - first)
+            counts[n] += 1
+            number += 1
+    return counts, centres[:number].copy()
+
+
+@jit
+def _fastest(centres: Points, begins: Ints, ends: Ints, now: Ints, before: Ints) -> Floats:
     fastest = np.full(len(now), np.nan)
     for k in range(len(now)):
-        for here in centres[now[k]]:
+        for i in range(begins[now[k]], ends[now[k]]):
+            here = centres[i]
             if np.isnan(here.real):
                 break
             gone = math.inf
-            for there in centres[before[k]]:
+            for j in range(begins[before[k]], ends[before[k]]):
+                there = centres[j]
                 if np.isnan(there.real):
                     break
                 gone = min(gone, abs(here - there))

@@ -28,16 +28,17 @@ from oracle_pipeline.features.reduction import largest, mean, quantile, row_medi
 from oracle_pipeline.features.scan_geometry import (
     CELL_M,
     CLOSER_M,
+    MOST_HITS,
     SETUP_TOPICS,
-    Floats,
+    HitCounter,
     Hits,
-    Ints,
     ScannerSetup,
     SensorMount,
     agreement,
     nearest,
     scanner_setup,
 )
+from oracle_pipeline.features.scans import Floats, Ints, in_blocks
 
 SCANNER_FEATURES = (
     Feature(
@@ -78,7 +79,7 @@ class _Comparison:
 
     residual: Series  # median of each scan [m]
     contradicted: Series  # share of each scan
-    hits: Hits | None  # cells of the odometry frame with contradicted returns
+    hits: Hits | Missing  # cells of the odometry frame with contradicted returns
 
 
 def prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
@@ -86,10 +87,14 @@ def prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
     setup = scanner_setup(window)
     if len(setup.scanners) < 2:
         return Missing("fewer than two laser scanners are recorded")
-    return {
-        f"{suspect} against {other}": _held_against(setup, suspect, other)
+    pairs = [
+        (suspect, other)
         for suspect, other in permutations(setup.mounts, 2)
         if setup.mounts[suspect].root == setup.mounts[other].root
+    ]
+    return {
+        f"{suspect} against {other}": _held_against(setup, suspect, other, MOST_HITS // len(pairs))
+        for suspect, other in pairs
     } or Missing("/tf_static joins no two level laser scanners")
 
 
@@ -98,16 +103,19 @@ def compute_scanners(window: Window) -> Values:
     comparisons: dict[str, _Comparison] = window.prepared
     apart = "no two scanners saw the same at the same time"
     residual, contradicted, persistence = {}, {}, {}
+    reason = apart
     for pair, comparison in comparisons.items():
         residual[pair] = quantile(comparison.residual, window, 0.5)
         contradicted[pair] = quantile(comparison.contradicted, window, 0.95)
-        if comparison.hits is not None:
+        if isinstance(comparison.hits, Missing):
+            reason = comparison.hits.reason
+        else:
             scans = within(comparison.residual.times_s, window)
             persistence[pair] = comparison.hits.persistence(scans)
     return {
         "scan_residual": largest(residual, apart),
         "scan_contradicted": largest(contradicted, apart),
-        "scan_persistence": largest(persistence, apart if persistence else "no odometry"),
+        "scan_persistence": largest(persistence, reason),
     }
 
 
@@ -165,22 +173,28 @@ def register_features() -> list[FeaturePlugin]:
     ]  # fmt: skip
 
 
-def _held_against(setup: ScannerSetup, suspect: str, other: str) -> _Comparison:
+def _held_against(setup: ScannerSetup, suspect: str, other: str, most_hits: int) -> _Comparison:
     scans, reference = setup.scanners[suspect], setup.scanners[other]
     rows, reference_rows = _simultaneous(scans.stamps_s, reference.stamps_s)
-    scans, reference = scans.rows(rows), reference.rows(reference_rows)
-    points = scans.points()
-    placed = setup.placed(setup.mounts[suspect], scans.stamps_s)
-    reference_placed = setup.placed(setup.mounts[other], reference.stamps_s)
-    in_reference = reference_placed.inverse().compose(placed).columns().apply(points)
-    agreed = agreement(in_reference, reference)
-    hits = None
-    if setup.motion is not None:
-        hits = Hits.of(placed.columns().apply(points), agreed.contradicted)
+    placed = setup.placed(setup.mounts[suspect], scans.stamps_s[rows])
+    reference_placed = setup.placed(setup.mounts[other], reference.stamps_s[reference_rows])
+    in_reference = reference_placed.inverse().compose(placed)
+
+    counter = HitCounter(most_hits)
+
+    def compared(part: slice) -> tuple[Floats, Floats]:
+        points = scans.rows(rows[part]).points()
+        seen = in_reference.at(part).columns().apply(points)
+        agreed = agreement(seen, reference.rows(reference_rows[part]))
+        counter.add(placed.at(part).columns().apply(points), agreed.contradicted, part.start)
+        return row_medians(agreed.residual), agreed.contradicted_share()
+
+    residual, contradicted = in_blocks(len(rows), scans.rays, compared)
+    times_s = scans.times_s[rows]
     return _Comparison(
-        Series(scans.times_s, row_medians(agreed.residual)),
-        Series(scans.times_s, agreed.contradicted_share()),
-        hits,
+        Series(times_s, residual),
+        Series(times_s, contradicted),
+        Missing("no odometry") if setup.motion is None else counter.hits(),
     )
 
 
@@ -188,13 +202,17 @@ def _beyond(setup: ScannerSetup, ranges: Series, mount: SensorMount, scanner: st
     stamps_s, _, *columns = (np.array(column) for column in zip(*ranges.values, strict=True))
     scans = setup.scanners[scanner]
     rows, scan_rows = _simultaneous(stamps_s, scans.stamps_s)
-    scans = scans.rows(scan_rows)
     view, low, high, measured = (column[rows] for column in columns)
     sensor = setup.placed(mount, stamps_s[rows])
-    placed = setup.placed(setup.mounts[scanner], scans.stamps_s)
-    points = sensor.inverse().compose(placed).columns().apply(scans.points())
-    in_cone = np.abs(np.angle(points)) <= view[:, np.newaxis] / 2.0
-    closest = np.where(in_cone, np.abs(points), np.inf).min(axis=1)
+    placed = setup.placed(setup.mounts[scanner], scans.stamps_s[scan_rows])
+    in_sensor = sensor.inverse().compose(placed)
+
+    def nearest_in_cone(part: slice) -> tuple[Floats]:
+        points = in_sensor.at(part).columns().apply(scans.rows(scan_rows[part]).points())
+        in_cone = np.abs(np.angle(points)) <= view[part, np.newaxis] / 2.0
+        return (np.where(in_cone, np.abs(points), np.inf).min(axis=1),)
+
+    (closest,) = in_blocks(len(rows), scans.rays, nearest_in_cone)
     closest = np.where(np.isinf(closest), np.nan, np.clip(closest, low, high))
     measured = np.where(measured < low, np.nan, np.minimum(measured, high))
     return Series(ranges.times_s[rows], measured - closest)

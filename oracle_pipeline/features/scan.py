@@ -21,12 +21,11 @@ from oracle_pipeline.features.reduction import largest, quantile, row_medians
 from oracle_pipeline.features.scan_geometry import (
     CLOSER_M,
     SETUP_TOPICS,
-    Floats,
     ScannerSetup,
-    Scans,
     agreement,
     scanner_setup,
 )
+from oracle_pipeline.features.scans import Floats, RecordedScans, in_blocks
 
 FEATURES = (
     Feature(
@@ -102,18 +101,23 @@ def register_features() -> list[FeaturePlugin]:
     return [FeaturePlugin("scan", "scan", FEATURES, compute, SETUP_TOPICS, prepare=prepare)]
 
 
-def _scanner(setup: ScannerSetup, topic: str, scans: Scans) -> _Scanner:
-    rough = Series(scans.times_s, roughness(scans.ranges))
+def _scanner(setup: ScannerSetup, topic: str, scans: RecordedScans) -> _Scanner:
+    (along,) = in_blocks(
+        len(scans.times_s), scans.rays, lambda part: (roughness(scans.rows(part).ranges),)
+    )
+    rough = Series(scans.times_s, along)
     mount = setup.mounts.get(topic)
     if setup.motion is None or mount is None:
         return _Scanner(rough, None, None)
     after = np.flatnonzero(np.abs(np.diff(scans.stamps_s)) <= _LONGEST_GAP_S) + 1
-    now, before = scans.rows(after), scans.rows(after - 1)
-    placed, placed_before = (setup.placed(mount, each.stamps_s) for each in (now, before))
-    in_scan_before = placed_before.inverse().compose(placed).columns().apply(now.points())
-    agreed = agreement(in_scan_before, before)
-    return _Scanner(
-        rough,
-        Series(now.times_s, row_medians(agreed.residual)),
-        Series(now.times_s, whiteness(agreed.signed)),
-    )
+    placed = setup.placed(mount, scans.stamps_s)
+    moved = placed.at(after - 1).inverse().compose(placed.at(after))
+
+    def compared(part: slice) -> tuple[Floats, Floats]:
+        in_scan_before = moved.at(part).columns().apply(scans.rows(after[part]).points())
+        agreed = agreement(in_scan_before, scans.rows(after[part] - 1))
+        return row_medians(agreed.residual), whiteness(agreed.signed)
+
+    innovation, white = in_blocks(len(after), scans.rays, compared)
+    times_s = scans.times_s[after]
+    return _Scanner(rough, Series(times_s, innovation), Series(times_s, white))

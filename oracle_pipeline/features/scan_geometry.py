@@ -1,32 +1,29 @@
-"""Laser scans as arrays, where their sensors were, and how well one scan agrees with another.
+"""Where laser scanners were, and how well one scan agrees with another.
 
-Points are complex numbers, x + iy [m], so that to move them is to multiply and add. A range is
-NaN where nothing is known and ``inf`` where the ray met nothing (REP 117). What the agreement is
-used for stands in ``redundancy`` (two sensors), ``scan`` (one sensor, two times) and
+Points are complex numbers, x + iy [m], so that to move them is to multiply and add. What the
+agreement is used for stands in ``redundancy`` (two sensors), ``scan`` (one sensor, two times) and
 ``map_consistency`` (a sensor and the map).
 """
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.parts import frame_names, header_stamps_s, poses_of
-from oracle_pipeline.features.plugin import Request, Series, Window
+from oracle_pipeline.features.plugin import Missing, Request, Series, Window
 from oracle_pipeline.features.polar import distances, rays
-from oracle_pipeline.robots.roles import ODOMETRY, SCAN, STATIC_TRANSFORMS
-
-Floats: TypeAlias = NDArray[np.float64]
-Bools: TypeAlias = NDArray[np.bool_]
-Ints: TypeAlias = NDArray[np.int64]
-Points: TypeAlias = NDArray[np.complex128]  # x + iy [m]
+from oracle_pipeline.features.scans import SCANS, Bools, Floats, Ints, Points, RecordedScans, Scans
+from oracle_pipeline.robots.roles import ODOMETRY, STATIC_TRANSFORMS
 
 CLOSER_M = 0.3  # by which a return must be nearer than another to contradict it
 CELL_M = 0.25  # edge of the cells in which contradictions are counted
+_FARTHEST_CELL = 2**30
+MOST_HITS = 2**23  # that one plugin keeps of a recording
 _NEIGHBOURS = 2  # bearings to each side of a point's own that may explain it
 
 _MOST_SCANNERS = 24  # of one robot; each is compared with every other one
@@ -66,73 +63,6 @@ class Planar(NamedTuple):
         """Return the poses as columns, to apply each to a row of points."""
         shift, turn = (np.asarray(part)[..., np.newaxis] for part in self[:2])
         return Planar(shift, turn, self.flipped)
-
-
-@dataclass(frozen=True, slots=True)
-class Scans:
-    """The scans of one topic, all with as many rays as the longest has.
-
-    Attributes
-    ----------
-    times_s, stamps_s : ndarray of shape (n,)
-        When recorded, since the start of the recording, and when valid, by the header [s].
-    frame : str
-        Of the sensor.
-    angle_min, angle_increment : ndarray of shape (n, 1)
-        Bearing of the first ray, and from one to the next [rad].
-    range_max : float
-        Up to which the sensor sees [m].
-    ranges : ndarray of shape (n, m)
-        [m]
-    """
-
-    times_s: Floats
-    stamps_s: Floats
-    frame: str
-    angle_min: Floats
-    angle_increment: Floats
-    range_max: float
-    ranges: Floats
-
-    @classmethod
-    def of(cls, series: Series) -> Self:
-        """Lay the kept scans of a topic out as arrays."""
-        stamps, frames, starts, steps, limits_low, limits_high, ranges = zip(
-            *series.values, strict=True
-        )
-        laid_out = np.full((len(ranges), max(map(len, ranges))), np.nan)
-        for row, measured in zip(laid_out, ranges, strict=True):
-            row[: len(measured)] = measured
-        low, high = np.array(limits_low)[:, np.newaxis], np.array(limits_high)[:, np.newaxis]
-        laid_out[laid_out < low] = np.nan
-        laid_out[laid_out > high] = np.inf
-        return cls(
-            series.times_s, np.array(stamps), frames[0], np.array(starts)[:, np.newaxis],
-            np.array(steps)[:, np.newaxis], float(high.max()), laid_out,
-        )  # fmt: skip
-
-    def rows(self, index: Ints) -> "Scans":
-        """Return some of the scans."""
-        return Scans(
-            self.times_s[index], self.stamps_s[index], self.frame, self.angle_min[index],
-            self.angle_increment[index], self.range_max, self.ranges[index],
-        )  # fmt: skip
-
-    def bearings(self) -> Floats:
-        """Return the bearing of each ray in the sensor's frame [rad], shape (n, m).
-
-        It has one row, shape (1, m), if all scans have the same.
-        """
-        start, step = self.angle_min, self.angle_increment
-        if len(start) and (start == start[0]).all() and (step == step[0]).all():
-            start, step = start[:1], step[:1]
-        return start + step * np.arange(self.ranges.shape[1])
-
-    def points(self) -> Points:
-        """Return where rays ended, in the sensor's frame, shape (n, m); NaN if nowhere."""
-        finite = np.where(np.isfinite(self.ranges), self.ranges, np.nan)
-        ended: Points = finite * np.exp(1j * self.bearings())
-        return ended
 
 
 class Agreement(NamedTuple):
@@ -205,17 +135,8 @@ def _agree(
 class Hits:
     """Which cells of a grid scans hit: each pair of scan and cell once."""
 
-    scans: Ints  # in order
-    cells: Ints  # any numbering
-
-    @classmethod
-    def of(cls, points: Points, chosen: Bools) -> Self:
-        """Return the hits of the chosen ones of points, both of shape (n, m)."""
-        scans, _ = np.nonzero(chosen)
-        x, y = (np.floor(part / CELL_M) for part in (points[chosen].real, points[chosen].imag))
-        rows = np.unique(np.column_stack([scans, x, y]).astype(np.int64), axis=0)
-        _, cells = np.unique(rows[:, 1:], axis=0, return_inverse=True)
-        return cls(rows[:, 0], cells.reshape(-1))
+    scans: NDArray[np.int32]  # in order
+    cells: NDArray[np.int32]  # any numbering
 
     def persistence(self, scans: slice) -> float:
         """Return the share of some scans that hit the cell most of them hit; NaN for no scan."""
@@ -224,6 +145,48 @@ class Hits:
         first, after = np.searchsorted(self.scans, (scans.start, scans.stop))
         counts = np.bincount(self.cells[first:after], minlength=1)
         return float(counts.max() / (scans.stop - scans.start))
+
+
+class HitCounter:
+    """Finds the hits of scans, block by block, up to a limit.
+
+    Parameters
+    ----------
+    most : int
+        Hits that are kept.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._blocks: list[NDArray[np.int32]] = []
+        self._left = most
+
+    def add(self, points: Points, chosen: Bools, first: int) -> None:
+        """Take chosen ones of points, both of shape (n, m), the first row of which is a scan's."""
+        scans, _ = np.nonzero(chosen)
+        where = np.floor(points[chosen].view(np.float64).reshape(-1, 2) / CELL_M)
+        cells = np.clip(where, -_FARTHEST_CELL, _FARTHEST_CELL)
+        rows = np.column_stack([scans + first, cells]).astype(np.int32)
+        rows = rows[np.lexsort((_joined(rows[:, 1], rows[:, 2]), rows[:, 0]))]
+        again = np.zeros(len(rows), dtype=np.bool_)
+        again[1:] = (rows[1:] == rows[:-1]).all(axis=1)
+        self._left -= len(rows) - int(again.sum())
+        if self._left >= 0:
+            self._blocks.append(rows[~again])
+        else:
+            self._blocks.clear()
+
+    def hits(self) -> Hits | Missing:
+        """Return the hits, if they are not too many."""
+        if self._left < 0:
+            return Missing("too many returns are contradicted (MOST_HITS)")
+        rows = np.concatenate([np.zeros((0, 3), np.int32), *self._blocks])
+        _, cells = np.unique(_joined(rows[:, 1], rows[:, 2]), return_inverse=True)
+        return Hits(rows[:, 0].copy(), cells.reshape(-1).astype(np.int32))
+
+
+def _joined(x: NDArray[np.int32], y: NDArray[np.int32]) -> Ints:
+    """Return two numbers as one."""
+    return x.astype(np.int64) << 32 | y.astype(np.int64) & 0xFFFFFFFF
 
 
 class SensorMount(NamedTuple):
@@ -290,7 +253,7 @@ class Motion:
 class ScannerSetup:
     """The scanners of a robot, how they are mounted on it, and how it moved."""
 
-    scanners: Mapping[str, Scans]  # by topic
+    scanners: Mapping[str, RecordedScans]  # by topic
     mounts: Mapping[
         str, SensorMount
     ]  # by topic; scanners that are tilted or turn no ray are left out
@@ -319,7 +282,7 @@ def scanner_setup(window: Window) -> ScannerSetup:
 def _setup(topics: Mapping[str, Mapping[str, Series]]) -> ScannerSetup:
     frames = Frames(topics["frames"])
     used = sorted(topics["scans"].items())[:_MOST_SCANNERS]
-    scanners = {topic: Scans.of(series) for topic, series in used}
+    scanners = {topic: RecordedScans(series) for topic, series in used}
     mounts = {topic: frames.mount(scans.frame) for topic, scans in scanners.items()}
     moved = the_topic(topics["odometry"])
     return ScannerSetup(
@@ -337,14 +300,6 @@ def _setup(topics: Mapping[str, Mapping[str, Series]]) -> ScannerSetup:
 def the_topic(topics: Mapping[str, Series]) -> Series | None:
     """Return the messages of a role that a robot has one topic of; None if it has none."""
     return next(iter(topics.values()), None)
-
-
-def keep_scans(messages: Any) -> tuple[Any, ...]:
-    """Return what `Scans` is made of from ``sensor_msgs/msg/LaserScan``s."""
-    return (
-        header_stamps_s(messages), frame_names(messages.header.frame_id), messages.angle_min,
-        messages.angle_increment, messages.range_min, messages.range_max, messages.ranges,
-    )  # fmt: skip
 
 
 def keep_odometry(messages: Any) -> tuple[Any, ...]:
@@ -376,7 +331,6 @@ def _matrix(transform: Any) -> Floats:
     ])  # fmt: skip
 
 
-SCANS = Request(keep_scans, role=SCAN, dtype=object, many=True)
 SETUP_TOPICS = {
     "scans": SCANS,
     "odometry": Request(keep_odometry, role=ODOMETRY, dtype=object, optional=True, many=True),

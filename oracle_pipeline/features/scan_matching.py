@@ -12,7 +12,8 @@ import numpy as np
 
 from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.polar import rays
-from oracle_pipeline.features.scan_geometry import Floats, Ints, Planar, Points, Scans, SensorMount
+from oracle_pipeline.features.scan_geometry import Planar, SensorMount
+from oracle_pipeline.features.scans import Floats, Ints, Points, RecordedScans, Scans, in_blocks
 
 SPACING_S = 0.35  # at least between two scans that are matched
 _LONGEST_S = 1.0  # between them at most
@@ -39,12 +40,12 @@ class Steps(NamedTuple):
     turned: Floats  # [rad]
 
 
-def steps(scans: Scans, mount: SensorMount) -> Steps:
+def steps(scans: RecordedScans | Scans, mount: SensorMount) -> Steps:
     """Match each scan with the one at least `SPACING_S` before it.
 
     Parameters
     ----------
-    scans : Scans
+    scans : RecordedScans or Scans
         Of one topic.
     mount : SensorMount
         Of the scanner on the robot; without a pose there is no plane to match in.
@@ -52,11 +53,10 @@ def steps(scans: Scans, mount: SensorMount) -> Steps:
     before, after = _pairs(scans.stamps_s)
     shift, turn = np.full(len(after), np.nan + 0j), np.full(len(after), np.nan)
     if len(after) and mount.pose is not None:
-        found = _match_all(
-            scans.ranges,
-            scans.angle_min.ravel(),
-            scans.angle_increment.ravel(),
-            np.column_stack([before, after]),
+        (found,) = in_blocks(
+            len(after),
+            scans.rays,
+            lambda part: (_matched(scans.rows(before[part]), scans.rows(after[part])),),
         )
         seen = Planar(found[:, 0] + 1j * found[:, 1], np.exp(1j * found[:, 2]))
         moved = mount.pose.compose(seen).compose(mount.pose.inverse())
@@ -88,16 +88,25 @@ def _pairs(stamps_s: Floats) -> tuple[Ints, Ints]:
     return np.array(before, dtype=np.int64), np.array(after, dtype=np.int64)
 
 
+def _matched(before: Scans, now: Scans) -> Floats:
+    """Return x, y [m] and yaw [rad] of each later scan in its earlier one."""
+    same = (before.angle_increment == now.angle_increment) & (now.angle_increment != 0.0)
+    return _match_all(
+        before.ranges, now.ranges, before.angle_min.ravel(), now.angle_min.ravel(),
+        np.where(same, now.angle_increment, np.nan).ravel(),
+    )  # fmt: skip
+
+
 @jit
-def _match_all(ranges: Floats, angle_min: Floats, increment: Floats, pairs: Ints) -> Floats:
-    moved = np.full((len(pairs), 3), np.nan)
-    for k in range(len(pairs)):
-        i, j = pairs[k]
-        if increment[i] != increment[j] or increment[i] == 0.0:
+def _match_all(
+    before: Floats, now: Floats, before_start: Floats, now_start: Floats, increment: Floats
+) -> Floats:
+    moved = np.full((len(now), 3), np.nan)
+    for k in range(len(now)):
+        if math.isnan(increment[k]):
             continue
-        before, now = ranges[i], ranges[j]
-        guess = _turn(before, now, increment[i])
-        moved[k] = _match(before, now, angle_min[i], angle_min[j], increment[i], guess)
+        guess = _turn(before[k], now[k], increment[k])
+        moved[k] = _match(before[k], now[k], before_start[k], now_start[k], increment[k], guess)
     return moved
 
 

@@ -4,6 +4,7 @@ Ranges that were inserted or processed rarely have the noise of the sensor: they
 rough, or equal to an earlier scan. One scanner is enough to see this.
 """
 
+import hashlib
 import math
 from dataclasses import dataclass
 
@@ -23,11 +24,10 @@ from oracle_pipeline.features.reduction import largest, mean, quantile, smallest
 from oracle_pipeline.features.scan_geometry import (
     CLOSER_M,
     SETUP_TOPICS,
-    Floats,
     ScannerSetup,
-    Scans,
     scanner_setup,
 )
+from oracle_pipeline.features.scans import Floats, RecordedScans, in_blocks
 
 _OF = "of the scanners"
 FEATURES = (
@@ -156,31 +156,40 @@ def register_features() -> list[FeaturePlugin]:
     return [FeaturePlugin("scan_noise", "noise", FEATURES, compute, SETUP_TOPICS, prepare=prepare)]
 
 
-def _noise(setup: ScannerSetup, topic: str, scans: Scans) -> _Noise:
-    smooth, smooth_short, rough = _uneven(scans.ranges).T
+def _noise(setup: ScannerSetup, topic: str, scans: RecordedScans) -> _Noise:
+    seen: set[bytes] = set()
+
+    def measured(part: slice) -> tuple[Floats, Floats]:
+        ranges = scans.rows(part).ranges
+        return _uneven(ranges), _repeated(ranges, seen)
+
+    shares, repeated = in_blocks(len(scans.times_s), scans.rays, measured)
+    smooth, smooth_short, rough = shares.T
     still, flicker = _standing(setup, topic, scans)
     return _Noise(
         Series(scans.times_s, smooth),
         Series(scans.times_s, smooth_short),
         Series(scans.times_s, rough),
-        Series(scans.times_s, _repeated(scans.ranges)),
+        Series(scans.times_s, repeated),
         still,
         flicker,
     )
 
 
-def _repeated(ranges: Floats) -> Floats:
-    """Return 1 for scans whose ranges came before, 0 for others; NaN if nothing returned."""
-    seen: set[bytes] = set()
+def _repeated(ranges: Floats, seen: set[bytes]) -> Floats:
+    """Return 1 for scans whose ranges were seen, 0 for others; NaN if nothing returned.
+
+    Digests of all of them are added to what was seen.
+    """
     again = np.full(len(ranges), np.nan)
     for i in np.flatnonzero(np.isfinite(ranges).any(axis=1)):
-        content = ranges[i].tobytes()
+        content = hashlib.blake2b(ranges[i].tobytes(), digest_size=16).digest()
         again[i] = content in seen
         seen.add(content)
     return again
 
 
-def _standing(setup: ScannerSetup, topic: str, scans: Scans) -> tuple[Series, Series]:
+def _standing(setup: ScannerSetup, topic: str, scans: RecordedScans) -> tuple[Series, Series]:
     """Return noise [m] and flicker of the scans between which the robot stood."""
     nothing = Series(np.empty(0), np.empty(0))
     mount = setup.mounts.get(topic)
@@ -191,14 +200,22 @@ def _standing(setup: ScannerSetup, topic: str, scans: Scans) -> tuple[Series, Se
     turned = np.abs(np.angle(placed.turn[1:] / placed.turn[:-1]))
     near = np.abs(np.diff(scans.stamps_s)) <= _NEXT_S
     after = np.flatnonzero((moved_m < _STILL_M) & (turned < _STILL_RAD) & near) + 1
-    ranges = np.where(np.isfinite(scans.ranges), scans.ranges, np.nan)
-    change = np.abs(ranges[after] - ranges[after - 1])
-    both = np.isfinite(change)
-    share = np.full(len(after), np.nan)
-    deviation = np.full(len(after), np.nan)
-    for k, (row, known) in enumerate(zip(change, both, strict=True)):
+    deviation, share = in_blocks(
+        len(after),
+        scans.rays,
+        lambda part: _changes(scans.rows(after[part] - 1).ranges, scans.rows(after[part]).ranges),
+    )
+    times_s = scans.times_s[after]
+    return Series(times_s, deviation), Series(times_s, share)
+
+
+def _changes(before: Floats, now: Floats) -> tuple[Floats, Floats]:
+    """Return how far ranges differ [m], and the share of those that differ much, of each scan."""
+    with np.errstate(invalid="ignore"):  # inf less inf
+        change = np.abs(now - before)
+    deviation, share = np.full(len(change), np.nan), np.full(len(change), np.nan)
+    for k, (row, known) in enumerate(zip(change, np.isfinite(change), strict=True)):
         if known.any():
             deviation[k] = _MAD_TO_DEVIATION * np.median(row[known]) / math.sqrt(2.0)
             share[k] = np.mean(row[known] > CLOSER_M)
-    times_s = scans.times_s[after]
-    return Series(times_s, deviation), Series(times_s, share)
+    return deviation, share

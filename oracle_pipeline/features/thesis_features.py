@@ -98,7 +98,7 @@ def wrapped_yaw(messages: Any) -> NDArray[np.float64]:
 def range_variance(messages: Any) -> NDArray[np.float64]:
     """Return the variance of all ranges of scans [m^2]; NaN if one of them is not finite."""
     with np.errstate(invalid="ignore"):
-        return np.array(each(messages.ranges, _row_variances))
+        return np.array(each(_row_variances, messages.ranges))
 
 
 def _row_variances(ranges: NDArray[np.floating[Any]]) -> NDArray[np.float64]:

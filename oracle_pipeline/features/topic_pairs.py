@@ -10,12 +10,12 @@ sensors.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations, groupby
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.features.arrays import ARRAYS, each, roughness, standard_ranks
+from oracle_pipeline.features.arrays import ARRAYS, doubled_ranks, each, roughness, standardised
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -59,7 +59,7 @@ class _Counts(NamedTuple):
     """How often numbers came, by array and bin."""
 
     times_s: NDArray[np.float64]  # shape (n,), of the arrays
-    before: NDArray[np.int64]  # shape (n + 1, _BINS): in each bin, in all arrays before the i-th
+    before: NDArray[np.int32]  # shape (n + 1, _BINS): in each bin, in all arrays before the i-th
 
     def shares_up_to(self, window: Window) -> NDArray[np.float64]:
         """Return the share of a window's numbers up to each bin, shape (_BINS,); NaN if none."""
@@ -86,24 +86,19 @@ def prepare(window: Window) -> _Prepared | Missing:
         low, high = _range(list(group.values()))
         ranks = {}
         for topic, (times_s, arrays) in group.items():
-            ranks[topic] = each(arrays, standard_ranks)
-            prepared.roughness[topic] = Series(times_s, np.array(each(arrays, roughness)))
+            ranks[topic] = np.empty(len(arrays), dtype=object)
+            ranks[topic][:] = each(doubled_ranks, arrays)
+            prepared.roughness[topic] = Series(times_s, np.array(each(roughness, arrays)))
             prepared.counts[topic] = _counts(times_s, arrays, low, high)
         for a, b in _compared(group):
             pair = f"{a} against {b}"
-            times_s, met = _met(group[a], group[b])
-            a_values, b_values = group[a].values, group[b].values
+            times_s, ours, theirs = _met(group[a], group[b])
             prepared.pairs[pair] = a, b
             prepared.rank_difference[pair] = Series(
-                times_s, np.array([max(0.0, 1.0 - ranks[a][i] @ ranks[b][j]) for i, j in met])
+                times_s, np.array(each(_rank_differences, ranks[a][ours], ranks[b][theirs]))
             )
-            prepared.identity[pair] = Series(
-                times_s,
-                np.array(
-                    [np.array_equal(a_values[i], b_values[j], equal_nan=True) for i, j in met],
-                    dtype=np.float64,
-                ),
-            )
+            met = group[a].values[ours], group[b].values[theirs]
+            prepared.identity[pair] = Series(times_s, np.array(each(_identities, *met), np.float64))
     return prepared if prepared.pairs else Missing("no two topics of one type have arrays")
 
 
@@ -165,7 +160,7 @@ def _compared(group: Mapping[str, Series]) -> Iterator[tuple[str, str]]:
 
 def _look(series: Series) -> tuple[float, ...]:
     """Return how long the arrays of a topic are, how many came, and what is in the first."""
-    first = series.values[0]
+    first = series.values[0].astype(np.float64)
     finite = first[np.isfinite(first)]
     return (
         float(np.median([array.size for array in series.values])), len(series.values),
@@ -176,7 +171,7 @@ def _look(series: Series) -> tuple[float, ...]:
 def _range(group: list[Series]) -> tuple[float, float]:
     """Return the range of the numbers on some topics, without what is far out."""
     some = [array for s in group for array in s.values[:: 1 + len(s.values) // _LOOKED_AT]]
-    numbers = np.concatenate(some)
+    numbers = np.concatenate(some, dtype=np.float64)
     numbers = numbers[np.isfinite(numbers)]
     if not numbers.size:
         return 0.0, 1.0
@@ -187,14 +182,26 @@ def _range(group: list[Series]) -> tuple[float, float]:
 def _counts(
     times_s: NDArray[np.float64], arrays: NDArray[np.object_], low: float, high: float
 ) -> _Counts:
-    before = np.zeros((len(arrays) + 1, _BINS), dtype=np.int64)
+    before = np.zeros((len(arrays) + 1, _BINS), dtype=np.int32)
     for row, array in zip(before[1:], arrays, strict=True):
-        bins = (array[np.isfinite(array)] - low) * (_BINS / (high - low))
+        bins = (array[np.isfinite(array)].astype(np.float64) - low) * (_BINS / (high - low))
         row += np.bincount(np.clip(bins, 0, _BINS - 1).astype(np.int64), minlength=_BINS)
-    return _Counts(times_s, before.cumsum(axis=0))
+    return _Counts(times_s, before.cumsum(axis=0, dtype=np.int32, out=before))
 
 
-def _met(ours: Series, theirs: Series) -> tuple[NDArray[np.float64], list[tuple[int, int]]]:
+def _rank_differences(ours: NDArray[np.uint16], theirs: NDArray[np.uint16]) -> list[float]:
+    both = zip(standardised(ours), standardised(theirs), strict=True)
+    return [max(0.0, 1.0 - float(a @ b)) for a, b in both]
+
+
+def _identities(ours: NDArray[Any], theirs: NDArray[Any]) -> NDArray[np.bool_]:
+    same: NDArray[np.bool_] = ((ours == theirs) | (np.isnan(ours) & np.isnan(theirs))).all(axis=1)
+    return same
+
+
+def _met(
+    ours: Series, theirs: Series
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Return the times of our arrays that meet one of theirs, and the numbers of both."""
     after = np.searchsorted(theirs.times_s, ours.times_s)
     either = np.stack([np.maximum(after - 1, 0), np.minimum(after, len(theirs.times_s) - 1)])
@@ -204,7 +211,7 @@ def _met(ours: Series, theirs: Series) -> tuple[NDArray[np.float64], list[tuple[
         [a.size == b.size for a, b in zip(ours.values, theirs.values[nearest], strict=True)]
     )
     met = np.flatnonzero((apart_s.min(axis=0) <= _APART_S) & equally_long)
-    return ours.times_s[met], list(zip(met.tolist(), nearest[met].tolist(), strict=True))
+    return ours.times_s[met], met, nearest[met]
 
 
 def _log_ratio(a: float, b: float) -> float:

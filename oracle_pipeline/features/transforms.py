@@ -24,11 +24,11 @@ from oracle_pipeline.features.plugin import (
 )
 from oracle_pipeline.features.reduction import largest, quantile
 from oracle_pipeline.features.scan_geometry import (
-    Floats,
     Planar,
     keep_odometry,
     nearest,
 )
+from oracle_pipeline.features.scans import Floats
 
 _TOPICS = "of the topics and transforms"
 FEATURES = (

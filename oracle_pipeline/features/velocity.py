@@ -21,7 +21,7 @@ from oracle_pipeline.features.plugin import (
     hookimpl,
 )
 from oracle_pipeline.features.reduction import mean
-from oracle_pipeline.features.scan_geometry import Floats
+from oracle_pipeline.features.scans import Floats
 from oracle_pipeline.robots.roles import COMMAND, REQUESTED_COMMAND
 
 MONITOR_FEATURES = (

@@ -71,7 +71,7 @@ class Observation:
     graph : frozenset of str or None
         Nodes, and edges as ``node:/a -> topic:/b``; None for a recording without graphs.
     paces : mapping of str to Pace
-        Of the topics that have messages.
+        Of the topics that have messages; empty unless it was asked for.
     constants : mapping of str to mapping
         Topic -> field that never changes -> its value in words.
     """
@@ -82,14 +82,18 @@ class Observation:
     constants: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, run: OpenedRun) -> Self:
-        """Observe an open recording."""
+    def of(cls, run: OpenedRun, *, paced: bool = False) -> Self:
+        """Observe an open recording.
+
+        Paces are for learning a contract. The bag is read once more for them.
+        """
         topics = {
             name: (topic.msgtype, qos_words(topic.qos), _rate(topic.count, run.duration_s))
             for name, topic in run.bag.topics.items()
         }
         graph = graph_elements(compose(each.graph for each in run.intervals))
-        return cls(topics, graph if run.intervals else None, paces(run.bag), constants(run.bag))
+        known = paces(run.bag) if paced else {}
+        return cls(topics, graph if run.intervals else None, known, constants(run.bag))
 
 
 @dataclass(frozen=True, slots=True)

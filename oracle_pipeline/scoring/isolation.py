@@ -57,6 +57,7 @@ def extract_apart(
     *,
     strict: bool = False,
     choices: RoleChoices | None = None,
+    paced: bool = False,
 ) -> list[Extracted]:
     """Compute the features of a recording in another process.
 
@@ -72,6 +73,8 @@ def extract_apart(
         Refuse an incomplete recording.
     choices : RoleChoices, optional
         What a roles file says of robots and topics.
+    paced : bool
+        Observe the paces of topics, too.
 
     Returns
     -------
@@ -83,20 +86,21 @@ def extract_apart(
     OracleError
         If the recording cannot be read, or its process died or went beyond the limits.
     """
-    work = partial(_extracted, plugins=manager.folder, strict=strict, choices=choices)
+    work = partial(extracted, plugins=manager.folder, strict=strict, choices=choices, paced=paced)
     return apart(work, path, limits)
 
 
-def _extracted(
-    path: Path, plugins: Path | None, *, strict: bool, choices: RoleChoices | None
+def extracted(
+    path: Path, plugins: Path | None, *, strict: bool, choices: RoleChoices | None, paced: bool
 ) -> list[Extracted]:
+    """Compute the features of a recording in this process; otherwise as `extract_apart`."""
     with open_run(path, strict=strict) as run:
         manager = build_manager(plugins)
         return [
             Extracted(
                 of_robot(str(path), robot.name),
                 extract(run, manager, robot),
-                Observation.of(replace(run, bag=robot.bag)),
+                Observation.of(replace(run, bag=robot.bag), paced=paced),
                 run.manifest is not None,
             )
             for robot in find_robots(run.bag, choices)

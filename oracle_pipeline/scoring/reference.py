@@ -100,7 +100,7 @@ def _extracted(
     recordings = [recording for path in paths for recording in recordings_below(path)]
     for path in progress_bar(recordings, unit="recording", desc="reference"):
         try:
-            robots = extract_apart(path, manager, choices=choices)
+            robots = extract_apart(path, manager, choices=choices, paced=True)
         except (OracleError, OSError) as error:
             notes.append(f"{path} is left out of the reference: {error}")
             continue

@@ -3,8 +3,8 @@
 import sqlite3
 import struct
 import zlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import lz4.frame
@@ -110,6 +110,45 @@ def write_mcap(path: Path, messages: Sequence[Message], options: McapOptions) ->
         out += _record(2, struct.pack("<QQI", start, 0, 0)) + MAGIC
     path.write_bytes(out)
     return complete
+
+
+@dataclass(frozen=True)
+class McapChannel:
+    """A channel of an MCAP file, with all its messages."""
+
+    topic: str
+    msgtype: str
+    definition: str | bytes
+    data: Sequence[bytes]
+    definition_format: str | None = "ros2msg"  # None: no schema
+    encoding: str = "cdr"
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+
+def write_channels(path: Path, channels: Sequence[McapChannel], more: bytes = b"") -> None:
+    """Write channels of any type and encoding, not chunked, and further records."""
+    out = bytearray(MAGIC + _record(1, _text("") + _text("a test")))
+    for number, channel in enumerate(channels, start=1):
+        text = channel.definition
+        text = text.encode() if isinstance(text, str) else text
+        if channel.definition_format is not None:
+            names = _text(channel.msgtype) + _text(channel.definition_format)
+            out += _record(3, _u(2, number) + names + _block(text))
+        schema = number if channel.definition_format is not None else 0
+        pairs = b"".join(_text(key) + _text(value) for key, value in channel.metadata.items())
+        names = _text(channel.topic) + _text(channel.encoding)
+        out += _record(4, _u(2, number) + _u(2, schema) + names + _block(pairs))
+        for stamp, data in enumerate(channel.data, start=1):
+            out += _message(number, stamp, data)
+    out += more + _record(15, _u(4, 0)) + _record(2, bytes(20)) + MAGIC
+    path.write_bytes(out)
+
+
+def attachment() -> bytes:
+    """Return an attachment and metadata, as records."""
+    names = _text("f.txt") + _text("text/plain")
+    content = struct.pack("<QQ", 1, 1) + names + _u(8, 3) + b"abc" + bytes(4)
+    return _record(9, content) + _record(12, _text("about") + _block(b""))
 
 
 def write_db3(path: Path, messages: Sequence[Message], schema: int = 3) -> None:

@@ -14,6 +14,7 @@ from rosbags.rosbag2 import Reader
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.parts import is_recording
 from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.bags.records import MOST_AT_ONCE
 from tests.oracle_pipeline.bags.conftest import text
 from tests.oracle_pipeline.bags.makers import McapOptions, write_db3, write_mcap, write_ros1
 
@@ -165,3 +166,13 @@ def test_any_order_of_stamps_is_sorted_and_equal_ones_stay(
     path = tmp_path_factory.mktemp("order") / "a.mcap"
     write_mcap(path, messages, McapOptions(chunk_bytes, summary=summary))
     assert read(path)[0] == sorted(messages, key=itemgetter(1))
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+def test_a_chunk_of_many_small_messages_is_read_whole_and_sorted(indexed, tmp_path):
+    path, count = tmp_path / "a.mcap", MOST_AT_ONCE + 10
+    messages = [("/t", count - number, b"\0\1\0\0\1\0\0\0\0") for number in range(count)]
+    write_mcap(path, messages, McapOptions(2**30, "zstd", statistics=indexed))
+    with BagReader(path) as bag:
+        assert max(len(batch.topics) for batch in bag.batches()) == MOST_AT_ONCE
+        assert [message.stamp_ns for message in bag.messages()] == list(range(1, count + 1))

@@ -10,13 +10,13 @@ from oracle_pipeline.features.plugin import Series
 from oracle_pipeline.features.reduction import row_medians
 from oracle_pipeline.features.scan_geometry import (
     Frames,
-    Hits,
+    HitCounter,
     Planar,
-    Scans,
     agreement,
     keep_frames,
     nearest,
 )
+from oracle_pipeline.features.scans import Scans
 from tests.oracle_pipeline.features.scenery import (
     ROOM_M,
     Scanner,
@@ -117,11 +117,22 @@ def test_frames_hang_together_up_to_their_root():
 
 def test_cells_are_counted_once_a_scan():
     points = np.array([[0.1 + 0.1j, 0.2 + 0.2j], [0.1 + 0.1j, 0.9 + 0.9j], [0.9 + 0.9j, 0j]])
-    hits = Hits.of(points, np.array([[True, True], [True, True], [False, False]]))
+    chosen = np.array([[True, True], [True, True], [False, False]])
+    counter = HitCounter(3)
+    for i in range(3):
+        counter.add(points[i : i + 1], chosen[i : i + 1], i)
+    hits = counter.hits()
     assert hits.persistence(slice(0, 3)) == pytest.approx(2 / 3)
     assert hits.persistence(slice(0, 1)) == 1.0
     assert hits.persistence(slice(2, 3)) == 0.0
     assert np.isnan(hits.persistence(slice(3, 3)))
+
+
+def test_cells_beyond_the_limit_are_not_counted_at_all():
+    counter = HitCounter(1)
+    counter.add(np.array([[0.1 + 0.1j, 0.9 + 0.9j]]), np.array([[True, True]]), 0)
+    counter.add(np.array([[0.1 + 0.1j]]), np.array([[True]]), 1)
+    assert "MOST_HITS" in counter.hits().reason
 
 
 @given(st.lists(st.floats(-5, 5), min_size=1, max_size=8, unique=True), st.floats(-9, 9))

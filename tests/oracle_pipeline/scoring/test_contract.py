@@ -172,7 +172,7 @@ def test_a_topic_that_a_normal_recording_has_said_little_on_has_no_pace():
 
 def test_a_recording_shows_the_pace_of_its_topics(recorded_run):
     with open_run(recorded_run("lidar_passthrough").path) as run:
-        seen = Observation.of(run).paces
+        seen = Observation.of(run, paced=True).paces
     assert seen["/scan"].longest_gap_s == pytest.approx(0.2, abs=0.1)
     assert 49 <= seen["/scan"].fewest <= seen["/scan"].most <= 51
     assert "/map" not in seen
