@@ -187,8 +187,8 @@ def _node_parameters(
             if not allow_actuation:
                 raise scenario.error(
                     key,
-                    "expected no parameter that is set; allow actuation if you must: parameters "
-                    "decide how the robot moves",
+                    "expected no parameter that is set: parameters decide how the robot moves; "
+                    "allow it with --allow-actuation",
                 )
             value = context.term(spec["value"], (*key, "value"), Number)
             yield ParameterChange(spec["node"], spec["name"], value)

@@ -144,7 +144,7 @@ def test_a_scenario_that_is_no_mode_is_found_by_name_by_file_and_by_its_place_in
 @pytest.mark.parametrize(
     ("name", "told"),
     [("nothing", "neither a scenario nor a file"), ("{file}", "choose one as"),
-     ("{file}#three", "holds one, two"), ("command_injection", "allow actuation")],
+     ("{file}#three", "holds one, two"), ("command_injection", "allow it with --allow-actuation")],
 )  # fmt: skip
 def test_what_is_no_scenario_to_record_is_refused(tmp_path, name, told):
     file = tmp_path / "own.yaml"

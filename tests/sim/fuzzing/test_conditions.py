@@ -162,7 +162,7 @@ def test_setting_a_parameter_needs_leave():
     (scenario,) = parse_scenarios(
         SETTING.format(node="/driver", name="x", value=1, more="").encode(), "setting.yaml"
     )
-    with pytest.raises(ScenarioError, match=r"^setting.yaml:10:5: .*allow actuation"):
+    with pytest.raises(ScenarioError, match=r"^setting.yaml:10:5: .*--allow-actuation"):
         compile_scenario(scenario)
 
 
@@ -207,7 +207,7 @@ def test_a_bag_cannot_show_it(tmp_path, compiled):
 
 @pytest.mark.slow
 def test_the_robot_drives_otherwise_once_its_controller_was_set(recorded_run):
-    run, control = recorded_run(find_mode("controller_parameters", allow_actuation=True), 0), None
+    run = recorded_run(find_mode("controller_parameters", allow_actuation=True), 0)
     control = recorded_run("lidar_passthrough", 0)
     ours, theirs = run.manifest(), control.manifest()
     assert ours.topics["/parameter_events"].messages == 2
