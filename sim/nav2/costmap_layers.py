@@ -72,14 +72,17 @@ class ObstacleLayer:
 
     def add_to(self, costs: Costs) -> None:
         """Raise ``costs`` to this layer's where it knows something."""
-        _raise(costs.reshape(-1), self.costs.reshape(-1))
+        _raise(costs, self.costs)
 
 
 @jit
 def _raise(costs: Costs, seen: Costs) -> None:
-    for i in range(len(costs)):
-        is_higher = (costs[i] == NO_INFORMATION) | (seen[i] > costs[i])
-        costs[i] = seen[i] if (seen[i] != NO_INFORMATION) & is_higher else costs[i]
+    height, width = costs.shape
+    for row in range(height):
+        for column in range(width):
+            cost, here = costs[row, column], seen[row, column]
+            is_higher = (cost == NO_INFORMATION) | (here > cost)
+            costs[row, column] = here if (here != NO_INFORMATION) & is_higher else cost
 
 
 def beam_ends(grid: Costmap2D, seen: Observation, margin: float) -> Points:
