@@ -29,7 +29,7 @@ from sim.experiments import remake_run
     help="Root of the run directories.  [default: $ORACLE_HOME or ./data]",
 )  # fmt: skip
 def storage(root: Path) -> None:
-    """Show the disk space of runs, what is kept of them, and how many more fit.
+    """Show how much disk space runs take, and how many more fit.
 
     \b
     Example:

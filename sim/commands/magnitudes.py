@@ -37,7 +37,8 @@ BUILT_IN: Mapping[str, str] = {
     "atc_follow_closest": "gap_m=50:10000:8:log",
 }
 # Of these there is nothing that could be more or less: it is done, or not.
-WITHOUT = ("sensor_freeze", "sensor_replay", "atc_delete_by_id", "atc_ghost_static")
+WITHOUT = ("sensor_freeze", "sensor_replay", "atc_delete_by_id", "atc_ghost_static",
+           "tf_best_effort")  # fmt: skip
 
 _VALUES = 8
 

@@ -114,7 +114,7 @@ def messages_exchanged(run: RunDirectory) -> None:
 
 def value_lost(place: Path) -> None:
     df = read_table(place)
-    df.loc[0, "structural.density"] = np.nan
+    df.loc[len(df) - 1, "structural.density"] = np.nan
     write_table(df, place)
 
 

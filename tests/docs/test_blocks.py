@@ -122,7 +122,7 @@ def check(block, shell):
         tomllib.loads(block.text)
     elif block.language == "yaml" and "schema: mutant" in block.text:
         for scenario in parse_scenarios(block.text.encode(), f"line {block.line}"):
-            execute(compile_scenario(scenario), 1)
+            execute(compile_scenario(scenario, allow_actuation=True), 1)
     elif block.language == "yaml":
         assert yaml.safe_load(block.text)
     elif block.language == "python" and block.file:

@@ -72,16 +72,16 @@ def test_folds_are_brought_to_one_scale_without_changing_their_order():
     assert conformal(scores, [fold])[4:].tolist() == [0.75, 0.25]
 
 
-def test_the_oddest_three_windows_speak_for_a_run_up_to_the_common_length():
+def test_the_oddest_windows_speak_for_a_run_up_to_the_common_length():
     judged = by_hand(
         ("delayed_passthrough", 0, 30.0, 0.0, "[]"), ("fake_object", 1, 60.0, 0.0, "[]")
     )
-    assert judged.counts.tolist() == [5, 11]
+    assert judged.counts.tolist() == [11, 23]
     fold = Fold(*(mask(*rows, n=2) for rows in [(0,), (), (1,), (0,)]))
-    scores = np.full((1, 16), np.nan)
-    scores[0, 5:] = [1.0, 5.0, 2.0, 4.0, 3.0, *[100.0] * 6]
+    scores = np.full((1, 34), np.nan)
+    scores[0, 11:] = [*np.arange(1.0, 12.0), *[100.0] * 12]
     top = top_windows(scores, judged, [fold])
-    assert top[0, 1] == 4.0
+    assert top[0, 1] == np.mean([6.0, 7.0, 8.0, 9.0, 10.0, 11.0])
     assert np.isnan(top[0, 0])
     assert common_length(np.array([3, *[20] * 10])) == 20
     assert common_length(np.arange(11, 32)) == 13

@@ -111,9 +111,9 @@ def test_a_verdict_stands_at_the_end_of_its_window(server: FoxgloveServer, clien
     server.show(next(messages()))
     data = subscribed(server, client, WINDOW_TOPIC, verdict(3, alarm=True))
     began = next(messages()).stamp_ns
-    assert _MESSAGE.unpack_from(data)[2] == began + 25_000_000_000
+    assert _MESSAGE.unpack_from(data)[2] == began + 12_500_000_000
     assert json.loads(data[_MESSAGE.size :]) == {
-        "start_s": 15.0, "end_s": 25.0, "score": 9.0, "p_value": 0.01, "usual": False,
+        "start_s": 7.5, "end_s": 12.5, "score": 9.0, "p_value": 0.01, "usual": False,
         "alarm": True,
     }  # fmt: skip
 
@@ -121,7 +121,7 @@ def test_a_verdict_stands_at_the_end_of_its_window(server: FoxgloveServer, clien
 @pytest.mark.parametrize(
     ("event", "words"),
     [
-        (Alarm(verdict(3, alarm=True)), b"Anomalous from 15 s to 25 s"),
+        (Alarm(verdict(3, alarm=True)), b"Anomalous from 7.5 s to 12.5 s"),
         (contract_alarm(), b"is new."),
         (Note("dropped"), b"dropped"),
     ],

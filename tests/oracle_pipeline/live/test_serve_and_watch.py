@@ -24,6 +24,8 @@ TIMING = (
     "stamps.",
     "traffic.",
     "kinematics.turn_residual",
+    "kinematics.spin_",  # joint messages are sampled by when they came
+    "kinematics.turn_drift_gyro",
     "navigation.command_",
     "navigation.lethal_",  # pairs each local costmap with the pose that came last
 )

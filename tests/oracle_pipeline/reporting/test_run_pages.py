@@ -15,6 +15,7 @@ from oracle_pipeline.reporting.heat_strip import heat_strip
 from oracle_pipeline.reporting.run_pages import ShownRuns, write_run_pages
 from oracle_pipeline.reporting.strip_plot import strip_plot
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+from oracle_pipeline.windows import HOP_S
 from tests.oracle_pipeline.datasets.synthetic import DELAY_S, campaign
 from tests.oracle_pipeline.reporting.pages import draw, oracle_report_of
 from tests.oracle_pipeline.reporting.recordings import manifest
@@ -135,21 +136,21 @@ def test_a_run_shows_what_two_scores_say_and_what_is_true(report):
 
 
 def test_alarms_are_marks_where_they_were_raised():
-    drawn = strip([1.0] * 5, onset_s=5.0, alarms_s=[2.5, 20.0])
+    drawn = strip([1.0] * 5, onset_s=2.5, alarms_s=[1.25, 10.0])
     assert [mark.x for mark in drawn.alarms] == [10.0, 80.0]
     assert [mark.words for mark in drawn.alarms] == [
-        "alarm at 2.5 s", "alarm at 20 s, 15 s after the attack began",
+        "alarm at 1.25 s", "alarm at 10 s, 8 s after the attack began",
     ]  # fmt: skip
-    assert drawn.words.endswith("; alarms at 2.5 s, 20 s")
+    assert drawn.words.endswith("; alarms at 1.25 s, 10 s")
     assert all(row.y > 0 for row in drawn.rows)  # the line of the alarms is above
 
 
 def strip(distance, **more):
     distance = np.atleast_2d(np.asarray(distance, dtype=np.float64)).T
     names = np.full(distance.shape, "scan.innovation", dtype=object)
-    start_s = 5.0 * np.arange(len(distance))
+    start_s = HOP_S * np.arange(len(distance))
     unusual = UnusualWindows(["scan"], np.array([2.0]), distance, names, start_s)
-    return heat_strip(unusual, **{"recording_s": 25.0, "onset_s": None, "goal_ends_s": [], **more})
+    return heat_strip(unusual, **{"recording_s": 12.5, "onset_s": None, "goal_ends_s": [], **more})
 
 
 def test_only_windows_outside_the_usual_range_are_cells_and_farther_ones_are_deeper():
@@ -158,12 +159,12 @@ def test_only_windows_outside_the_usual_range_are_cells_and_farther_ones_are_dee
     assert [cell.width for cell in row.cells] == [20.0] * 3
     faint, deep, deepest = (cell.opacity for cell in row.cells)
     assert faint < deep < deepest == 1.0
-    assert row.cells[2].words == "15 to 25 s: scan.innovation, z 50.0 or more"
+    assert row.cells[2].words == "7.5 to 12.5 s: scan.innovation, z 50.0 or more"
     assert row.usual == "≤ 2.0"
 
 
 def test_onset_and_goals_are_where_they_were_in_the_recording():
-    drawn = strip([1.0] * 5, onset_s=12.5, goal_ends_s=[5.0, 25.0])
+    drawn = strip([1.0] * 5, onset_s=6.25, goal_ends_s=[2.5, 12.5])
     assert (drawn.onset, drawn.goals) == (50.0, [20.0, 100.0])
     assert drawn.words == "No window of 5 is outside the usual range; no alarm"
 

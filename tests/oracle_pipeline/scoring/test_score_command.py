@@ -131,7 +131,7 @@ def test_json_is_one_object_with_all_that_the_verdict_rests_on(bags, reference, 
     assert [turning["usual_low"], turning["usual_high"]] == pytest.approx(
         np.percentile(normal[FIRST], [5, 95])
     )
-    assert turning["window_start_s"] == 15.0
+    assert turning["window_start_s"] == 20.0
 
 
 def test_too_few_runs_give_a_ranking_and_the_number_needed_but_no_verdict(bags, normal, tmp_path):

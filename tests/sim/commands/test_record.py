@@ -63,7 +63,7 @@ def test_the_command_records_a_scenario_that_is_no_mode(tmp_path):
         ((), "either --mode or --scenario"),
         (("-m", "fake_object", "--scenario", "sensor_drop"), "either --mode or --scenario"),
         (("--scenario", "nothing.yaml"), "neither a scenario nor a file nothing.yaml"),
-        (("--scenario", "command_injection"), "allow actuation"),
+        (("--scenario", "command_injection"), "--allow-actuation"),
     ],
 )
 def test_what_cannot_be_recorded_is_refused_before_anything_is(tmp_path, options, told):
