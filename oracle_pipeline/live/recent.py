@@ -21,7 +21,7 @@ from oracle_pipeline.bags.reader import BagReader, Topic
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.opened_run import OpenedRun
 
-CONTEXT_S = 20.0  # that are kept: features look back, and pair messages of several topics
+CONTEXT_S = 12.5  # that are kept: features look back, and pair messages of several topics
 _LATCHED = 20  # last messages of a latched topic that are kept
 _SECOND_NS = 1_000_000_000
 
