@@ -53,13 +53,13 @@ def test_a_window_that_is_open_sees_what_happens(browser: Browser, live: LivePag
     assert page.locator("#above circle.ray").count() > 10
     assert page.locator("#above polyline.path").get_attribute("points")
     live.show(verdict(1))
-    expect(page.locator("#verdict")).to_have_text(re.compile("^normal at 0:15, p = 0.60"))
+    expect(page.locator("#verdict")).to_have_text(re.compile("^normal at 0:07, p = 0.60"))
     last = verdict(2, alarm=True)
     live.show(last)
     live.show(Alarm(last))
     expect(page.locator("#verdict")).to_have_class("anomalous")
     expect(page.locator("#score circle.hit")).to_have_count(1)
-    expect(page.locator("#alarms summary")).to_have_text(re.compile("Window 0:10 to 0:20"))
+    expect(page.locator("#alarms summary")).to_have_text(re.compile("Window 0:05 to 0:10"))
     expect(page.locator("#alarms td").first).to_have_text("redundancy.<b>scan</b>")
     assert visit.said == []
 
