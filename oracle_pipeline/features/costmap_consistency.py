@@ -8,12 +8,12 @@ it.
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.features.map_consistency import MapGrid, keep_grids
+from oracle_pipeline.features.local_costmap import GRIDS, LETHAL
+from oracle_pipeline.features.map_consistency import MapGrid
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
     Missing,
-    Request,
     Series,
     Values,
     Window,
@@ -22,7 +22,6 @@ from oracle_pipeline.features.plugin import (
 from oracle_pipeline.features.reduction import largest, mean
 from oracle_pipeline.features.scan_geometry import SETUP_TOPICS, ScannerSetup, scanner_setup
 from oracle_pipeline.features.scans import Bools, Floats, Points, in_blocks
-from oracle_pipeline.robots.roles import LOCAL_COSTMAP
 
 FEATURES = (
     Feature(
@@ -32,7 +31,6 @@ FEATURES = (
     ),
 )  # fmt: skip
 
-_LETHAL = 100
 _FEWEST = 5  # returns inside the costmap from which on there is a share
 
 
@@ -83,7 +81,7 @@ def unmarked(grid: MapGrid, returns: Points) -> float:
     inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     if inside.sum() < _FEWEST:
         return np.nan
-    return float(1.0 - _widened(grid.cells == _LETHAL)[row[inside], column[inside]].mean())
+    return float(1.0 - _widened(grid.cells == LETHAL)[row[inside], column[inside]].mean())
 
 
 def compute(window: Window) -> Values:
@@ -105,9 +103,7 @@ def _widened(lethal: Bools) -> Bools:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of scans and costmap."""
-    topics = SETUP_TOPICS | {
-        "grids": Request(keep_grids, role=LOCAL_COSTMAP, dtype=object, many=True)
-    }
+    topics = SETUP_TOPICS | {"grids": GRIDS}
     return [
         FeaturePlugin("costmap_consistency", "costmap", FEATURES, compute, topics, prepare=prepare)
     ]

@@ -31,7 +31,8 @@ FEATURES = (
     ),
 )  # fmt: skip
 
-_LETHAL = 100
+LETHAL = 100  # value of a cell
+GRIDS = Request(keep_grids, role=LOCAL_COSTMAP, dtype=object, many=True)
 
 
 def changes(before: MapGrid, now: MapGrid) -> tuple[int, int]:
@@ -40,7 +41,7 @@ def changes(before: MapGrid, now: MapGrid) -> tuple[int, int]:
     rows = _shared(round(offset.imag), len(before.cells), len(now.cells))
     columns = _shared(round(offset.real), before.cells.shape[1], now.cells.shape[1])
     was, became = (
-        grid.cells[row, column] == _LETHAL
+        grid.cells[row, column] == LETHAL
         for grid, row, column in zip((before, now), rows, columns, strict=True)
     )
     return int((became & ~was).sum()), int((was & ~became).sum())
@@ -70,10 +71,9 @@ def compute(window: Window) -> Values | Missing:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of the local costmap."""
-    grids = Request(keep_grids, role=LOCAL_COSTMAP, dtype=object, many=True)
     return [
         FeaturePlugin(
-            "local_costmap", "navigation", FEATURES, compute, {"grids": grids}, prepare=prepare
+            "local_costmap", "navigation", FEATURES, compute, {"grids": GRIDS}, prepare=prepare
         )
     ]
 

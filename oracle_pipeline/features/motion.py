@@ -33,6 +33,7 @@ _HELD_S = 0.5  # that a command holds if none follows
 _EXPLAINED = 0.9  # share of the motion that joints have to tell to count as wheels
 _SAMPLED_S = 0.05  # between the messages of an inertial unit that are read
 _GRAVITY = 9.80665  # [m/s^2]
+_POSITIONS, _VELOCITIES = 2, 3  # columns of what `keep_joints` keeps
 
 
 class Track(NamedTuple):
@@ -82,6 +83,14 @@ def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> 
     }
     units = [(t, s, m) for t, s in _long(inertial) if (m := mounts[t].pose) is not None]
     gyros = [_gyro(*unit) for unit in units]
+    by_position, by_velocity = (
+        {
+            topic: joints
+            for topic, series in _long(topics["joints"])
+            if (joints := _joints(series, column)) is not None
+        }
+        for column in (_POSITIONS, _VELOCITIES)
+    )
     tracks: dict[str, list[Track]] = {
         POSE: poses,
         TWIST: [_twisted(topic, series) for topic, series in _long(driven)],
@@ -89,11 +98,11 @@ def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> 
         ORIENTATION: [_oriented(*unit) for unit in units if _has_orientation(unit[1])],
         JOINTS: [
             track
-            for topic, series in _long(topics["joints"])
-            if (track := wheels(topic, series, [*poses, *gyros])) is not None
+            for topic, joints in (by_velocity | by_position).items()
+            if (track := wheels(topic, joints, [*poses, *gyros])) is not None
         ],
-        ANGLES: list(_spun(topics["joints"], _POSITIONS)),
-        RATES: list(_spun(topics["joints"], _VELOCITIES)),
+        ANGLES: [_spun(*each) for each in by_position.items()],
+        RATES: [_spun(*each) for each in by_velocity.items()],
         COMMAND: [
             _commanded(topic, series, poses[0]) for topic, series in _long(topics["commands"])
         ]
@@ -208,17 +217,22 @@ def yaw_of(x: Floats, y: Floats, z: Floats, w: Floats) -> Floats:
     return np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
-def wheels(topic: str, series: Series, references: Sequence[Track]) -> Track | None:
+class Joints(NamedTuple):
+    """What the joints of one topic turned; stamps ascending."""
+
+    times_s: Floats  # when recorded, since the start of the recording [s]; shape (n,)
+    stamps_s: Floats  # when measured [s]; shape (n,)
+    angles: Floats  # [rad]; shape (n, joints)
+
+
+def wheels(topic: str, joints: Joints, references: Sequence[Track]) -> Track | None:
     """Return the motion that joints tell, in radians of a wheel; None if they tell none.
 
     Which joints are wheels, and which way they turn, is what explains best the motion that
     another source tells; how large they are is left to the comparison. A joint that holds a
     motion's whole scale is that of all of them, should all have turned alike.
     """
-    measured = _measured(series, _POSITIONS) or _measured(series, _VELOCITIES)
-    if measured is None:
-        return None
-    times_s, at_s, angles = measured
+    times_s, at_s, angles = joints
     ends_s = np.arange(at_s[0], at_s[-1], SPAN_S)
     turned = np.diff(np.column_stack([np.interp(ends_s, at_s, a) for a in angles.T]), axis=0)
     gained: dict[str, Points] = {}
@@ -231,13 +245,10 @@ def wheels(topic: str, series: Series, references: Sequence[Track]) -> Track | N
     return Track(topic, times_s, at_s, gained) if gained else None
 
 
-_POSITIONS, _VELOCITIES = 2, 3  # columns of what `keep_joints` keeps
+def _joints(series: Series, column: int) -> Joints | None:
+    """Return what joints turned by their positions, or by their summed velocities.
 
-
-def _measured(series: Series, column: int) -> tuple[Floats, Floats, Floats] | None:
-    """Return when recorded, stamps and angles of joints by positions, or by summed velocities.
-
-    Shapes are (n,), (n,) and (n, joints). None if the messages do not tell them for all joints.
+    None if the messages do not tell them for all joints.
     """
     names, told = series.values[0][1], [each[column] for each in series.values]
     whole = np.array(
@@ -250,21 +261,16 @@ def _measured(series: Series, column: int) -> tuple[Floats, Floats, Floats] | No
     values = np.stack([np.asarray(told[i], dtype=np.float64) for i in order])
     at_s = stamps_s[order]
     angles = np.unwrap(values, axis=0) if column == _POSITIONS else _summed(at_s, values)
-    return series.times_s[order], at_s, angles
+    return Joints(series.times_s[order], at_s, angles)
 
 
-def _spun(topics: Mapping[str, Series], column: int) -> Iterator[Track]:
-    """Yield what the joints of each topic turned.
+def _spun(topic: str, joints: Joints) -> Track:
+    """Return what all joints together turned, as two sums, the second with alternating signs.
 
-    All joints together are two sums, the second with alternating signs: no change of one or more
-    joints cancels in both.
+    No change of one or more joints cancels in both.
     """
-    for topic, series in _long(topics):
-        measured = _measured(series, column)
-        if measured is not None:
-            times_s, at_s, angles = measured
-            signs = 1.0 + 1j * (-1.0) ** np.arange(angles.shape[1])
-            yield Track(topic, times_s, at_s, {SPIN: angles @ signs})
+    signs = 1.0 + 1j * (-1.0) ** np.arange(joints.angles.shape[1])
+    return Track(topic, joints.times_s, joints.stamps_s, {SPIN: joints.angles @ signs})
 
 
 def _explaining(turned: Floats, gains: Floats) -> Floats | None:
