@@ -113,13 +113,13 @@ def snapshot(
         for publisher, (messages, size) in zip(publishers, shares, strict=True):
             add_traffic(graph, _vertex(graph, publisher), vertex, messages, size)
         for subscription in subscriptions:
-            heard = [
+            got = [
                 share
                 for publisher, share in zip(publishers, shares, strict=True)
                 if compatible(publisher.qos_profile, subscription.qos_profile)
             ]
             node = _vertex(graph, subscription)
-            add_traffic(graph, vertex, node, sum(m for m, _ in heard), sum(b for _, b in heard))
+            add_traffic(graph, vertex, node, sum(m for m, _ in got), sum(b for _, b in got))
     return graph
 
 

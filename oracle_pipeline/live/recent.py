@@ -21,8 +21,8 @@ from oracle_pipeline.bags.reader import BagReader, Topic
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.opened_run import OpenedRun
 
-CONTEXT_S = 12.5  # that are kept: features look back, and pair messages of several topics
-_LATCHED = 20  # last messages of a latched topic that are kept
+CONTEXT_S = 12.5  # of messages in memory: features use messages from before their window
+_LATCHED = 20  # latest messages of a latched topic in memory
 _SECOND_NS = 1_000_000_000
 
 
@@ -35,7 +35,7 @@ class Stamped(NamedTuple):
 
 
 class _MemoryBag(BagReader):
-    """Messages in memory, with all that features ask of a bag; in order of time."""
+    """Messages in memory with the interface of a bag, in order of time."""
 
     def __init__(
         self,
@@ -85,7 +85,7 @@ class RecentMessages:
     Parameters
     ----------
     context_s : float
-        How long messages are kept [s of the recording].
+        How long messages stay in memory [s of the recording].
     """
 
     def __init__(self, context_s: float = CONTEXT_S) -> None:
@@ -105,27 +105,27 @@ class RecentMessages:
             self._latched.pop(name, None)
 
     def add(self, messages: list[Stamped]) -> None:
-        """Add messages in order of time; old ones are forgotten."""
+        """Add messages in order of time; old ones are dropped."""
         self._messages.extend(messages)
         for message in messages:
             if message.topic in self._latched:
                 self._latched[message.topic].append(message)
         if messages:
-            self._forget(messages[-1].stamp_ns - self._context_ns)
+            self._drop(messages[-1].stamp_ns - self._context_ns)
 
     def add_graph(self, interval: Interval) -> None:
         """Add the graph of an interval; its start is in seconds of the recording."""
         self._graphs.append(interval)
 
     def until(self, start_ns: int, end_ns: int) -> OpenedRun:
-        """Return what is kept until a time, as a recording that has its own start.
+        """Return the messages before a time, as a recording.
 
         Parameters
         ----------
         start_ns : int
             Stamp at which the whole recording began.
         end_ns : int
-            Stamp at which what is returned ends.
+            Stamp at which the returned recording ends.
         """
         begin_ns = max(start_ns, end_ns - self._context_ns)
         recent = [m for m in self._messages if begin_ns <= m.stamp_ns < end_ns]
@@ -138,7 +138,7 @@ class RecentMessages:
         bag = _MemoryBag(self._topics, latched + recent, start_ns, end_ns - 1)
         return OpenedRun(Path("live"), bag, None, tuple(self._graphs))
 
-    def _forget(self, before_ns: int) -> None:
+    def _drop(self, before_ns: int) -> None:
         messages = self._messages
         while messages and messages[0].stamp_ns < before_ns:
             messages.popleft()
