@@ -19,11 +19,12 @@ from typing import TypeAlias
 from rosbags.interfaces import Qos
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.reader import RawMessage
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.features.extraction import extract_window
 from oracle_pipeline.features.kept_rows import Carried
 from oracle_pipeline.graphs.intervals import Interval
-from oracle_pipeline.live.recent import RecentMessages, Stamped
+from oracle_pipeline.live.recent import RecentMessages
 from oracle_pipeline.live.window_scorer import WindowScorer, WindowVerdict
 from oracle_pipeline.scoring.card import ReferenceCard
 
@@ -57,7 +58,7 @@ class _LeftOut:
     """A window that was not judged, because newer ones were waiting."""
 
 
-_Request: TypeAlias = _Topic | _Window | Interval | list[Stamped] | None
+_Request: TypeAlias = _Topic | _Window | Interval | list[RawMessage] | None
 _Answer: TypeAlias = WindowVerdict | _LeftOut | OracleError
 
 
@@ -98,7 +99,7 @@ class Judge:
         """Announce a topic, or more publishers of it."""
         self._send(_Topic(name, msgtype, qos))
 
-    def add(self, messages: list[Stamped]) -> None:
+    def add(self, messages: list[RawMessage]) -> None:
         """Send messages, in order of time."""
         self._send(messages)
 

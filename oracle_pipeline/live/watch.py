@@ -16,12 +16,12 @@ from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.limits import MOST_CHANNELS
 from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S, is_hidden
 from oracle_pipeline.bags.qos_profiles import is_latched, is_reliable
+from oracle_pipeline.bags.reader import RawMessage
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.live.contract_watch import ContractWatch
 from oracle_pipeline.live.discovery import Discovery, Endpoint
 from oracle_pipeline.live.intake import QUEUE_BYTES, Intake, Received
 from oracle_pipeline.live.judge import Judge
-from oracle_pipeline.live.recent import Stamped
 from oracle_pipeline.live.recording import LiveRecording
 from oracle_pipeline.live.time_base import CLOCK_TOPIC, SimulatedTime, WallTime
 from oracle_pipeline.live.traffic import Traffic, snapshot
@@ -260,7 +260,7 @@ class Watch:
 
     def _process(self, came: list[Received]) -> Iterator[Event]:
         """Record messages, count them, and forward them to the judge, window by window."""
-        fresh: list[Stamped] = []
+        fresh: list[RawMessage] = []
         for received in came:
             stamp_ns = self._time.stamp_ns(received)
             if self._start_ns is None:
@@ -277,7 +277,7 @@ class Watch:
             self._traffic.count(received.writer, len(received.data))
             if self.recording is not None:
                 self.recording.write(received.topic, stamp_ns, received.data)
-            fresh.append(Stamped(received.topic, stamp_ns, received.data))
+            fresh.append(RawMessage(received.topic, stamp_ns, received.data))
             msgtype = self._intake.topics[received.topic]
             latched = self._intake.is_latched(received.topic)
             yield MessageReceived(received.topic, msgtype, stamp_ns, received.data, latched)
@@ -292,7 +292,7 @@ class Watch:
         if breaches := self._contract.check(now_s, self.discovery, self._intake.topics):
             self._pending.append(ContractAlarm(now_s, breaches))
 
-    def _forward(self, fresh: list[Stamped]) -> None:
+    def _forward(self, fresh: list[RawMessage]) -> None:
         if self._judge is not None and fresh:
             self._judge.add(fresh)
 
