@@ -178,9 +178,10 @@ def without_small_things(message: Any) -> Any:
             best, nearest = (first, last), float(here.min())
     if best is not None:
         first, last = best
-        ends = np.array([ranges[first], ranges[last + 1]])
-        behind = np.linspace(*ends, last - first + 2)[1:-1] if np.isfinite(ends).all() else np.inf
-        ranges[first + 1 : last + 1] = behind
+        left, right = ranges[first], ranges[last + 1]
+        is_finite = math.isfinite(left) and math.isfinite(right)
+        background = np.linspace(left, right, last - first + 2)[1:-1] if is_finite else math.inf
+        ranges[first + 1 : last + 1] = background
     return ranges
 
 
