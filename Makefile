@@ -78,7 +78,7 @@ test-browser: setup-dev ## Look at the report in a headless Chromium, which has 
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
 	pytest tests/browser
 
-test-compiled: setup-dev ## Build a feature plugin in C++ and use it; cmake and a compiler have to be installed
+test-compiled: setup-dev ## Build feature plugins in C++ and Rust and use them; needs cmake and a compiler, Rust is optional
 	pytest tests/compiled
 
 lint: setup-dev ## Check style and the direction of imports

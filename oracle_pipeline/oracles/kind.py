@@ -23,6 +23,9 @@ from oracle_pipeline.features.manager import plugin_folder, register_others
 from oracle_pipeline.features.plugin import PROJECT
 from oracle_pipeline.oracles.requirements import Requirement
 
+RELATION = "relation"  # column: what a run is to the runs of its block, as its recipe says
+SAME = "same"  # the relation of all runs that are judged
+
 _log = logging.getLogger(__name__)
 
 hookspec = pluggy.HookspecMarker(PROJECT)
@@ -129,11 +132,15 @@ class Material:
         What people require of a run.
     answers : mapping of str to bool
         Whether a run is bad, by run, as people answered.
+    follow_ups : TracedRuns or None
+        Runs of the same blocks in another relation than `SAME`, with a column `RELATION`. They are
+        not judged.
     """
 
     runs: TracedRuns
     requirements: Sequence[Requirement]
     answers: Mapping[str, bool] = field(default_factory=dict)
+    follow_ups: TracedRuns | None = None
 
 
 Maker = Callable[[Material], OracleKind | None]

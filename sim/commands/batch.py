@@ -21,6 +21,7 @@ from sim.campaigns import (
     OdometrySource,
     Options,
     RecipeError,
+    Relation,
     Wiring,
 )
 from sim.commands.progress import RunProgress
@@ -104,6 +105,12 @@ _CAMPAIGN_OPTIONS = (
         "--nav2-param", "nav2_params", multiple=True, metavar="NAME=VALUE", callback=_nav2_params,
         help="A parameter of Nav2, as inflation_radius=0.7 (of both costmaps) or "
         "FollowPath.PathDist.scale=20; may be given more than once.",
+    ),
+    click.option(
+        "--relation", default="same", show_default=True, type=click.Choice(get_args(Relation)),
+        help="The task of the runs, compared with that of their blocks: the same; in a mirrored "
+        "world; with start and goals in reverse order; or from a start up to 0.3 m away. `oracle "
+        "kinds` knows that all of these should be done alike.",
     ),
     click.option("--cameras", is_flag=True, help="Switch the depth camera on: 15 MB a second."),
     click.option(
