@@ -24,9 +24,7 @@ from oracle_pipeline.replay.command import replay
 from oracle_pipeline.reporting.kinds_command import invariants, kinds, review
 
 if TYPE_CHECKING:
-    import pandas as pd
-
-    from oracle_pipeline.features import FeatureTables
+    from oracle_pipeline.features import Measured, Table
     from oracle_pipeline.robots.roles_file import RoleChoices
     from oracle_pipeline.scoring.verdict import Verdict
 
@@ -144,7 +142,7 @@ def features(
     with open_run(run_or_bag, strict=strict) as run:
         tables = feature_extraction.together(
             [
-                feature_extraction.extract(run, manager, robot)
+                feature_extraction.measure(run, manager, robot)
                 for robot in find_robots(run.bag, choices)
             ]
         )
@@ -152,7 +150,7 @@ def features(
     if output is None:
         click.echo(_json(wanted, tables))
     elif file_format == "parquet":
-        write_table(wanted, output)
+        write_table(wanted.frame(), output)
         for note in tables.notes:
             click.echo(note, err=True)
     else:
@@ -172,9 +170,9 @@ def _is_nan(value: object) -> bool:
     return isinstance(value, float) and math.isnan(value)
 
 
-def _json(table: "pd.DataFrame", tables: "FeatureTables") -> str:
+def _json(table: "Table", tables: "Measured") -> str:
     """Return the rows of a feature table, with NaN as null, and the notes on them."""
-    from oracle_pipeline.datasets import MISSING, WHERE, field_metadata
+    from oracle_pipeline.datasets import MISSING, WHERE
     from oracle_pipeline.features import families
 
     rows = [
@@ -182,13 +180,13 @@ def _json(table: "pd.DataFrame", tables: "FeatureTables") -> str:
             **{column: None if _is_nan(value) else value for column, value in row.items()},
             **{column: json.loads(row[column]) for column in (WHERE, MISSING)},
         }
-        for row in table.to_dict("records")
+        for row in table.rows()
     ]
     document = {
         "rows": rows,
         "notes": tables.notes,
         "families": families(tables),
-        "fields": field_metadata(table),
+        "fields": table.fields,
     }
     return json.dumps(document, indent=2, allow_nan=False)
 

@@ -51,6 +51,29 @@ def test_parquet_goes_to_a_file(table, make_run, tmp_path):
     assert "--output" in done.stderr
 
 
+def test_features_of_a_bag_need_no_library_that_takes_long_to_import(foreign_bag):
+    heavy = {
+        "pandas",
+        "pyarrow",
+        "networkx",
+        "scipy.linalg",
+        "scipy.ndimage",
+        "scipy.sparse",
+        "tqdm",
+    }
+    code = f"""
+import sys
+from oracle_pipeline.cli import main
+main(["features", sys.argv[1]], standalone_mode=False)
+sys.exit(", ".join({heavy} & sys.modules.keys()))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code, foreign_bag], capture_output=True, text=True, check=False
+    )
+    assert done.stderr.strip() == ""
+    assert json.loads(done.stdout)["rows"]
+
+
 def test_json_can_go_to_a_file(make_run, tmp_path):
     assert oracle("features", make_run().path, "--output", tmp_path / "f.json").exit_code == 0
     assert json.loads((tmp_path / "f.json").read_text())["rows"]
