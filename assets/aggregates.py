@@ -102,8 +102,8 @@ def keep(result: "Report", store: RunStore, name: str) -> dg.MaterializeResult[N
     with published(place, last=SUMMARY) as folder:
         result.save(folder)
     dg.get_dagster_logger().info(
-        f"Saved {name} in {place}: a table of {len(result.table)} rows, {len(result.tables)} more "
-        f"tables, {len(result.figures)} pictures. `oracle_report` shows them."
+        f"Saved {name} in {place}: its table has {len(result.table)} rows; further tables: "
+        f"{len(result.tables)}, pictures: {len(result.figures)}. `oracle_report` shows them."
     )
     return dg.MaterializeResult(
         data_version=dg.DataVersion(content_hash(result.table)),

@@ -24,7 +24,7 @@ from sim.campaigns import (
     Relation,
     Wiring,
 )
-from sim.commands.progress import RunProgress
+from sim.commands.progress import RunProgress, pace
 from sim.fan_out import fan_out, process_pool
 
 J = TypeVar("J")
@@ -203,9 +203,9 @@ def _summary(manifest: Manifest) -> str:
     if manifest.goals:
         reached = sum(result.outcome == "succeeded" for result in manifest.goal_results)
         told += f", {reached} of {len(manifest.goals)} goals"
-    factor = manifest.recording_s / manifest.measured.wall_s
+    speed = pace(manifest.recording_s, manifest.measured.wall_s)
     megabytes = sum(manifest.measured.bytes.values()) / 1e6
     return (
-        f"{told}, {manifest.recording_s:.0f} s at {factor:.0f}x real time, "
+        f"{told}, {manifest.recording_s:.0f} s at {speed}, "
         f"{megabytes:.1f} MB ({megabytes / manifest.recording_s * 60:.1f} MB a minute)"
     )
