@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.mcap import MAGIC
 from oracle_pipeline.bags.types import definition, message_class, serialize
-from oracle_pipeline.scoring.isolation import Limits, apart, extracted
+from oracle_pipeline.scoring.isolation import Limits, extracted, run_isolated
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -45,7 +45,7 @@ def main() -> None:
     for name in arguments.names:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"{name}.mcap"
-            # A process apart: the peak of a process begins with that of its parent.
+            # A process run_isolated: the peak of a process begins with that of its parent.
             maker = multiprocessing.get_context("spawn").Process(
                 target=RECORDINGS[name], args=(path, int(arguments.megabytes * 1e6))
             )
@@ -78,7 +78,7 @@ def measured(path: Path) -> tuple[float, int]:
 def scored(path: Path) -> tuple[float, str]:
     """Return the peak memory of the process that reads a recording for a score [MiB]."""
     try:
-        return apart(_peak_mib, path, Limits(seconds=3600.0, gibibytes=16.0)), "read"
+        return run_isolated(_peak_mib, path, Limits(seconds=3600.0, gibibytes=16.0)), "read"
     except OracleError as error:
         return 0.0, str(error)
 

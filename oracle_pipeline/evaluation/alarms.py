@@ -1,8 +1,8 @@
 """Alarms during a run, as ``oracle score`` and the live monitor raise them.
 
-Each run is watched window by window, by the headline's scorer that did not see its block and with a
-threshold in which its block has no vote (``oracle_pipeline.scoring.alarms``). This module measures
-the false alarms an hour, beside the promised rate, and the delay of detection.
+Each run is processed window by window, with the headline's scorer and a threshold, neither of which
+was learned from the run's block (``oracle_pipeline.scoring.alarms``). This module compares the
+false alarms per hour with the promised rate, and measures the delay of detection.
 """
 
 from dataclasses import dataclass
@@ -20,16 +20,16 @@ from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 
 @dataclass(frozen=True, eq=False, slots=True)
 class WatchedRuns:
-    """Scores and alarms of the watched runs of a campaign; arrays of shape (n_windows,).
+    """Scores and alarms of the runs of a campaign; arrays of shape (n_windows,).
 
     Attributes
     ----------
     score : ndarray
-        Of each window; NaN where there are too few blocks to learn from.
+        Score of each window; NaN if there are too few blocks to learn from.
     alarm : ndarray of bool
         Whether the window raised an alarm.
     per_hour : float
-        False alarms an hour that were promised at most; NaN without scores.
+        Promised upper bound on false alarms per hour; NaN without scores.
     """
 
     score: NDArray[np.float64]
@@ -38,13 +38,13 @@ class WatchedRuns:
 
 
 def watched(campaign: JudgedRuns, scorer: CrossConformalScorer | None) -> WatchedRuns:
-    """Watch all runs of a campaign, at `RATE_PER_H` or the lowest rate that it supports.
+    """Return the alarms of a campaign, at `RATE_PER_H` or the lowest rate that it supports.
 
     Parameters
     ----------
     campaign : JudgedRuns
     scorer : CrossConformalScorer or None
-        Learned from its normal runs; None if they are too few or have no feature.
+        Learned from the normal runs; None if there are too few or they have no feature.
     """
     score, alarm = np.full(len(campaign.run), np.nan), np.zeros(len(campaign.run), dtype=np.bool_)
     if scorer is None or scorer.windows_ is None:
@@ -70,8 +70,8 @@ def times_to_detect(
 ) -> NDArray[np.float64]:
     """Return seconds from an event to the end of the first window with an alarm, (n_runs,).
 
-    Windows that ended before it do not count. Infinite for an attack that is missed; NaN for a run
-    without one.
+    Windows that ended before the event do not count. Infinite for a missed attack; NaN for a normal
+    run.
 
     Parameters
     ----------
@@ -93,11 +93,10 @@ def judge_alarms(
     scope: ComparedRuns,
     rng: np.random.Generator,
 ) -> dict[str, float | int | str]:
-    """Return the figures of windows and alarms in one scope as table columns, an estimate as three.
+    """Return the metrics of windows and alarms in one scope as table columns, an estimate as three.
 
-    The AUC compares windows in which something was changed with windows of normal runs. Windows of
-    attacked runs in which nothing was changed are left out, because an earlier change may still
-    have an effect there.
+    The AUC compares windows with altered messages with windows of normal runs. Other windows of
+    attacked runs are left out, because an earlier change may still have an effect there.
 
     Parameters
     ----------
@@ -105,7 +104,7 @@ def judge_alarms(
     campaign : JudgedRuns
     scope : ComparedRuns
     rng : Generator
-        Draws the resamples behind the intervals.
+        Draws the resamples for the intervals.
     """
     score, alarm = watched_runs.score, watched_runs.alarm
     scored = np.isfinite(score)

@@ -1,8 +1,8 @@
-"""Tampering and misbehaviour: two truths about a run, each compared with its own score.
+"""Tampering and misbehaviour: two ground truths of a run, each compared with its own score.
 
-A run is *tampered* if an attack altered messages, and *misbehaved* if the robot did something else
-than in unaltered runs of its block (``oracle_pipeline.evaluation.task_effects``). Each truth is
-measured against the score of the same name on the reference card.
+A run is *tampered* if an attack altered messages, and *misbehaved* if the robot acted differently
+from unaltered runs of its block (``oracle_pipeline.evaluation.task_effects``). Each ground truth is
+compared with the score of the same name on the reference card.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ def aspects_table(
     compared: Sequence[ComparedRuns],
     rng: np.random.Generator,
 ) -> pd.DataFrame:
-    """Return a row for each aspect and comparison, with the figures of `judge`.
+    """Return a row for each aspect and comparison, with the metrics of `judge`.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def aspects_table(
     effects : TaskEffects
     compared : sequence of ComparedRuns
     rng : Generator
-        Draws the resamples behind the intervals.
+        Draws the resamples for the intervals.
     """
     truth = {
         "tampering": (campaign.malicious, np.ones_like(campaign.malicious)),
@@ -58,24 +58,25 @@ def aspects_table(
 
 def by_mode(
     scores: Mapping[str, HeldOutScores],
-    untaught: Mapping[str, HeldOutScores],
+    unexposed: Mapping[str, HeldOutScores],
     campaign: JudgedRuns,
     effects: TaskEffects,
     rng: np.random.Generator,
 ) -> pd.DataFrame:
-    """Return a row for each mode: how many of its runs misbehaved, and what they were called.
+    """Return a row for each mode: the share of runs that misbehaved, and the verdicts on them.
 
     Further columns use scores that were learned without hard negatives. The last row is for all
     hard negatives, if there are any.
 
     Parameters
     ----------
-    scores, untaught : mapping of str to HeldOutScores
-        By aspect; `untaught` is empty without hard negatives.
+    scores, unexposed : mapping of str to HeldOutScores
+        By aspect; `unexposed` scores were learned without hard negatives, and are empty if there
+        are none.
     campaign : JudgedRuns
     effects : TaskEffects
     rng : Generator
-        Draws the resamples behind the intervals.
+        Draws the resamples for the intervals.
     """
     mode, harmless = campaign.features["mode"].to_numpy(), is_hard_negative(campaign.features)
     named = {name: mode == name for name in dict.fromkeys(campaign.features["mode"])}
@@ -94,7 +95,7 @@ def by_mode(
                 ),
                 "effect_median": float(np.median(sizes)) if len(sizes) else np.nan,
                 **_called(scores, campaign, members, rng),
-                **_called(untaught, campaign, members, rng, "untaught"),
+                **_called(unexposed, campaign, members, rng, "untaught"),
             }
         )
     return pd.DataFrame(rows)
@@ -106,9 +107,9 @@ def quadrants(
     effects: TaskEffects,
     rng: np.random.Generator,
 ) -> pd.DataFrame:
-    """Return a row for each combination of tampered and misbehaved, and what its runs were called.
+    """Return a row for each combination of tampered and misbehaved, with the verdicts on its runs.
 
-    Runs of which it is not known whether they misbehaved are left out.
+    Runs whose behaviour could not be compared are left out.
     """
     rows = []
     for tampered in (False, True):
@@ -136,10 +137,7 @@ def _called(
     rng: np.random.Generator,
     prefix: str = "called",
 ) -> dict[str, float]:
-    """Return the share of some runs that each score, and both, call anomalous, at the usual rate.
-
-    The shares that only one of the scores, or neither, calls anomalous follow from these three.
-    """
+    """Return the share of runs that each score, and both together, call anomalous."""
     of_aspects = {aspect: of_aspect.p for aspect, of_aspect in scores.items()}
     if len(of_aspects) > 1:
         of_aspects["both"] = np.max(list(of_aspects.values()), axis=0)

@@ -1,9 +1,9 @@
 """Finds features that distinguish unaltered runs, on which a verdict must not depend.
 
-A shadow control computes everything that an attack would change, but forwards the original. Its
-block, graph and randomness are those of the passthrough beside it. A feature that distinguishes the
-two describes the experiment and not the robot. So does a feature that distinguishes two unaltered
-modes (by which node subscribes to what) or sessions.
+A shadow control computes the attack, but forwards the original messages. It has the same block,
+graph and random numbers as its passthrough. A feature that distinguishes the two describes the
+experiment and not the robot. The same holds for a feature that distinguishes two unaltered modes
+(by their subscriptions) or sessions.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,34 +19,34 @@ from scipy.stats import binomtest, false_discovery_control, kruskal
 from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.datasets import feature_columns, feature_floors
 
-Told: TypeAlias = Literal["control", "mode", "session"]
+Distinguished: TypeAlias = Literal["control", "mode", "session"]
 
 BLOCKS_OF_SESSION = 3  # fewer show no difference between sessions
-LEVEL = 0.05  # false discovery rate of what is listed, among the features of one comparison
+LEVEL = 0.05  # false discovery rate among the features of one comparison
 
 
 @dataclass(frozen=True, slots=True)
-class Tell:
+class DistinguishingFeature:
     """One feature that distinguishes unaltered runs."""
 
     feature: str
-    tells: Told
+    tells: Distinguished
     between: str  # two modes, or the sessions
     differing: float  # share of the blocks in which it differs by more than its floor
-    p: float  # adjusted for the features that were looked at
+    p: float  # adjusted for the number of compared features
 
 
 def exact_pairs(df: pd.DataFrame) -> list[tuple[str, str]]:
-    """Return the pairs of a passthrough and its shadow that a table has, graphs equal."""
+    """Return the pairs of a passthrough and its shadow in a table; their graphs are equal."""
     modes = set(df["mode"])
     pairs = [(control, f"{attacked}_shadow") for control, attacked in PAIRS]
     return [pair for pair in pairs if modes.issuperset(pair)]
 
 
 def unmatched(df: pd.DataFrame) -> list[str]:
-    """Return the attacked modes that have no unaltered counterpart, control or shadow.
+    """Return the attacked modes without an unaltered counterpart (control or shadow).
 
-    A feature that distinguishes modes can identify runs of such a mode without seeing the attack.
+    A feature that distinguishes modes can identify runs of such a mode without the attack.
     """
     modes, control_of = set(df["mode"]), {attacked: control for control, attacked in PAIRS}
     attacked = dict.fromkeys(df.loc[df["label"] == "malicious", "mode"])
@@ -54,36 +54,40 @@ def unmatched(df: pd.DataFrame) -> list[str]:
 
 
 def blocks_needed(features: int) -> int:
-    """Return the number of blocks that listing one of so many features takes."""
+    """Return the number of blocks needed to find one of that many features significant."""
     return int(np.ceil(np.log2(2.0 * max(1, features) / LEVEL)))
 
 
 def audit(df: pd.DataFrame, columns: Sequence[str] | None = None) -> pd.DataFrame:
     """List every feature that distinguishes controls, modes or sessions of unaltered runs.
 
-    Runs of two modes are compared block by block by a sign test, sessions by the ranks of their
-    blocks (Kruskal and Wallis), or the earlier with the later ones if each has few blocks; features
-    that differ by less than their floor do not differ.
+    A sign test over blocks compares two modes, and a Kruskal-Wallis test over blocks compares
+    sessions, or earlier with later sessions if each has few blocks. Differences below the floor of
+    a feature count as zero.
 
     Parameters
     ----------
     df : DataFrame
         A row for each run. Attacked runs and modes that change something are ignored.
     columns : sequence of str, optional
-        By default all features.
+        All features by default.
 
     Returns
     -------
     DataFrame
-        A row for each `Tell`, the most certain first.
+        A row for each `DistinguishingFeature`, the most certain first.
     """
     chosen = feature_columns(df) if columns is None else list(columns)
-    tells = [*_between_modes(df, chosen), *_between_sessions(df, chosen)]
-    tells.sort(key=lambda tell: (tell.p, tell.feature))
-    return pd.DataFrame(map(asdict, tells), columns=list(Tell.__dataclass_fields__))
+    found = [*_between_modes(df, chosen), *_between_sessions(df, chosen)]
+    found.sort(key=lambda each: (each.p, each.feature))
+    return pd.DataFrame(
+        map(asdict, found), columns=list(DistinguishingFeature.__dataclass_fields__)
+    )
 
 
-def told_in_pair(df: pd.DataFrame, columns: Sequence[str], pair: tuple[str, str]) -> list[Tell]:
+def features_differing_in_pair(
+    df: pd.DataFrame, columns: Sequence[str], pair: tuple[str, str]
+) -> list[DistinguishingFeature]:
     """Return the features that distinguish two unaltered modes."""
     one, other = (
         df[df["mode"] == mode].set_index("block")[list(columns)].sort_index() for mode in pair
@@ -99,16 +103,16 @@ def told_in_pair(df: pd.DataFrame, columns: Sequence[str], pair: tuple[str, str]
     ]
     share = (more + less) / max(1, len(blocks))
     exact = pair[1].endswith("_shadow")
-    return _listed(columns, "control" if exact else "mode", " and ".join(pair), share, p)
+    return _significant(columns, "control" if exact else "mode", " and ".join(pair), share, p)
 
 
-def _between_modes(df: pd.DataFrame, columns: Sequence[str]) -> Iterator[Tell]:
+def _between_modes(df: pd.DataFrame, columns: Sequence[str]) -> Iterator[DistinguishingFeature]:
     passthrough = [control for control, _ in PAIRS if control in set(df["mode"])]
     for pair in (*exact_pairs(df), *combinations(dict.fromkeys(passthrough), 2)):
-        yield from told_in_pair(df, columns, pair)
+        yield from features_differing_in_pair(df, columns, pair)
 
 
-def _between_sessions(df: pd.DataFrame, columns: Sequence[str]) -> list[Tell]:
+def _between_sessions(df: pd.DataFrame, columns: Sequence[str]) -> list[DistinguishingFeature]:
     unaltered = df[df["mode"].isin([control for control, _ in PAIRS])]
     by_block = unaltered.groupby(["session", "block"])[list(columns)].mean()
     groups, between = [group for _, group in by_block.groupby("session")], "sessions"
@@ -118,24 +122,28 @@ def _between_sessions(df: pd.DataFrame, columns: Sequence[str]) -> list[Tell]:
     groups = [group for group in groups if len(group) >= BLOCKS_OF_SESSION]
     if len(groups) < 2:
         return []
-    p = [_ranked([group[column].dropna().to_numpy() for group in groups]) for column in columns]
-    return _listed(columns, "session", between, np.full(len(columns), np.nan), p)
+    p = [_p_equal([group[column].dropna().to_numpy() for group in groups]) for column in columns]
+    return _significant(columns, "session", between, np.full(len(columns), np.nan), p)
 
 
-def _ranked(samples: list[NDArray[np.float64]]) -> float:
-    """Return the p-value that samples are alike; 1 where nothing varies."""
+def _p_equal(samples: list[NDArray[np.float64]]) -> float:
+    """Return the p-value of the test for equal distributions; 1 where nothing varies."""
     samples = [sample for sample in samples if len(sample)]
     if len(samples) < 2 or np.ptp(np.concatenate(samples)) == 0.0:
         return 1.0
     return float(kruskal(*samples).pvalue)
 
 
-def _listed(
-    columns: Sequence[str], tells: Told, between: str, share: NDArray[np.float64], p: list[float]
-) -> list[Tell]:
+def _significant(
+    columns: Sequence[str],
+    tells: Distinguished,
+    between: str,
+    share: NDArray[np.float64],
+    p: list[float],
+) -> list[DistinguishingFeature]:
     adjusted: list[float] = false_discovery_control(p).tolist() if p else []
     return [
-        Tell(column, tells, between, float(differing), float(p_adjusted))
+        DistinguishingFeature(column, tells, between, float(differing), float(p_adjusted))
         for column, differing, p_adjusted in zip(columns, share, adjusted, strict=True)
         if p_adjusted <= LEVEL
     ]

@@ -1,7 +1,7 @@
 """The whole evaluation of a campaign: each run once, all scores held out, with integrity checks.
 
-The steps are in the other modules of this package; this one runs them for every scorer.
-The protocol and what each figure means: docs/explanation/evaluation.md.
+The steps are in the other modules of this package; this module runs them for every scorer.
+docs/explanation/evaluation.md explains the protocol and each metric.
 """
 
 import os
@@ -55,7 +55,7 @@ from oracle_pipeline.evaluation.splits import (
     block_folds,
     group_folds,
     tested_in,
-    untaught,
+    without_hard_negatives,
 )
 from oracle_pipeline.evaluation.task_effects import TaskEffects, task_effects
 from oracle_pipeline.scoring.conformal import runs_needed
@@ -64,8 +64,8 @@ from oracle_pipeline.scoring.feature_sets import feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 SEED = 50
-BLOCKS_OF_SESSION = (2, 4, 8)  # blocks of the tested session that may train
-UPPER_BOUND = "random_forest"  # boosted trees take minutes, so they are an option
+BLOCKS_OF_SESSION = (2, 4, 8)  # blocks of the tested session used for training
+UPPER_BOUND = "random_forest"  # boosted trees take minutes, so they are optional
 
 Progress = Callable[[str], None]
 Row = dict[str, float | int | str]
@@ -83,12 +83,12 @@ class CampaignEvaluation:
     checks: list[integrity.IntegrityCheck]
     open_claims: list[OpenClaim]  # what cannot be claimed yet
     watched: WatchedRuns  # by the headline's scorer, window by window
-    alarms: pd.DataFrame  # how good those alarms are
+    alarms: pd.DataFrame  # metrics of those alarms
     aspect_scores: Mapping[str, HeldOutScores]  # tampering and misbehaviour, run by run
-    effects: TaskEffects  # what misbehaviour is judged by
-    aspects: dict[str, pd.DataFrame]  # how good those scores are, by table
+    effects: TaskEffects  # the ground truth of misbehaviour
+    aspects: dict[str, pd.DataFrame]  # metrics of those scores, by table
     small_clusters: pd.DataFrame
-    audit: pd.DataFrame  # features of the headline that tell unaltered runs apart
+    audit: pd.DataFrame  # features of the headline that distinguish unaltered runs
     curves: HeadlineCurves | None  # None while only one class of runs has scores
     kills: pd.DataFrame | None  # None without a grid
 
@@ -115,11 +115,11 @@ def evaluate(
     truth : DataFrame
         Ground truth of each run (`truth.truth_table`).
     graph_differences : sequence of str, optional
-        Between graphs of pairs that should be equal; None if they were not compared.
+        Differences between the graphs of pairs; None if they were not compared.
     grid : MeasuredRuns, optional
         Attacked runs at several magnitudes (`kill_rates.kill_matrix`).
     bounds : sequence of str
-        Classifiers that see labels (`upper_bounds`), as upper bounds for these features.
+        Classifiers trained with labels (`upper_bounds`), as upper bounds for these features.
     seed : int
         Of splits, detectors and resamples.
     progress : callable
@@ -130,14 +130,14 @@ def evaluate(
     DatasetError
         The tables do not fit together.
     DetectorError
-        There is no such bound.
+        An unknown name in `bounds`.
     """
     if unknown := sorted(set(bounds) - set(upper_bounds(seed))):
         raise DetectorError(
             f"There is no upper bound {unknown[0]!r}; there are {', '.join(upper_bounds(seed))}."
         )
     steps = _Steps(JudgedRuns.of(features, windows, truth), seed, progress)
-    with threadpool_limits(1, user_api="blas"):  # on so small matrices, more threads only wait
+    with threadpool_limits(1, user_api="blas"):  # threads are slower on matrices this small
         return _evaluated(steps, len(features), graph_differences, grid, bounds)
 
 
@@ -148,7 +148,7 @@ def _evaluated(
     grid: MeasuredRuns | None,
     bounds: Sequence[str],
 ) -> CampaignEvaluation:
-    """Take the steps; `runs` counts those that ended before their attack, too."""
+    """Run all steps; `runs` includes those that ended before their attack."""
     steps.progress(", ".join(HEADLINE))
     headline = _supported(steps.score(HEADLINE, steps.folds))
     table = steps.table(headline, bounds)
@@ -158,7 +158,7 @@ def _evaluated(
     aspect_scores, aspects = steps.aspects(effects)
     small_clusters = steps.small_clusters()
     steps.progress("audit")
-    told = audit(steps.campaign.features, steps.sets.get(HEADLINE.features, []))
+    distinguishing = audit(steps.campaign.features, steps.sets.get(HEADLINE.features, []))
     steps.progress("curves")
     curves = headline_curves(headline, steps.campaign, steps.compared, steps.rng)
     kills = None
@@ -179,21 +179,21 @@ def _evaluated(
         effects=effects,
         aspects=aspects,
         small_clusters=small_clusters,
-        audit=told,
+        audit=distinguishing,
         curves=curves,
         kills=kills,
     )
 
 
 def _supported(scores: HeldOutScores) -> HeldOutScores:
-    """Return scores without p-values if these can never give a verdict at the usual rate."""
+    """Return scores, without p-values if there are too few runs for the usual rate."""
     if scores.calibration >= runs_needed(RATES[0]):
         return scores
     return replace(scores, p=np.full_like(scores.p, np.nan))
 
 
 class _Round(NamedTuple):
-    """A scorer, and in which folds it is judged."""
+    """A scorer, and the folds in which it is judged."""
 
     scorer: Scorer
     split: str
@@ -213,10 +213,10 @@ class _Steps:
         self.compared = comparisons(campaign.features)
         self.folds = block_folds(campaign.features, seed)
         self._references: dict[str, CrossConformalScorer | None] = {}
-        self._known: dict[Scorer, HeldOutScores] = {}  # of references
+        self._reference_scores: dict[Scorer, HeldOutScores] = {}
 
     def reference(self, features: str) -> CrossConformalScorer | None:
-        """Return what is learned from all normal runs, once for each set of features."""
+        """Return the scorer learned from all normal runs, cached by set of features."""
         if features not in self._references:
             normal = ~self.campaign.malicious
             self._references[features] = reference_of(self.campaign, normal, features)
@@ -228,20 +228,20 @@ class _Steps:
             return held_out(self.campaign, columns, detector, folds, scorer.level)
         if folds is not self.folds:
             return reference_scores(self.campaign, folds, scorer.features)
-        if scorer not in self._known:
-            self._known[scorer] = scored(self.campaign, self.reference(scorer.features))
-        return self._known[scorer]
+        if scorer not in self._reference_scores:
+            self._reference_scores[scorer] = scored(self.campaign, self.reference(scorer.features))
+        return self._reference_scores[scorer]
 
     def table(self, headline: HeldOutScores, bounds: Sequence[str]) -> pd.DataFrame:
         """Judge every scorer in every comparison, the headline first."""
         rows = self._rows(HEADLINE, BLOCK, headline)
         rounds = list(self._rounds())
-        threads = ThreadPoolExecutor(os.cpu_count())  # most of it is NumPy's, without a lock
+        threads = ThreadPoolExecutor(os.cpu_count())  # NumPy releases the GIL
         try:
             for each, scores in zip(rounds, threads.map(self._attempt, rounds), strict=True):
                 self.progress(f"{', '.join(each.scorer)}; held out: {each.split}")
                 rows += self._judged(each, scores)
-        finally:  # who is told to stop does not wait for what has not begun
+        finally:  # on an interrupt, do not wait for pending tasks
             threads.shutdown(cancel_futures=True)
         for name in bounds:
             self.progress(f"{name}, with labels")
@@ -252,7 +252,7 @@ class _Steps:
         return pd.DataFrame(rows)
 
     def _rounds(self) -> Iterator[_Round]:
-        """Yield all scorers with the folds that they are judged in, but for the headline."""
+        """Yield all scorers with their folds, except the headline's scorer on block folds."""
         for scorer in scorers(self.detectors, self.sets):
             if scorer != HEADLINE:
                 yield _Round(scorer, BLOCK, self.folds)
@@ -264,7 +264,7 @@ class _Steps:
         if folds := group_folds(df, WORLD, self.seed):
             yield _Round(HEADLINE, WORLD, folds)
         if is_hard_negative(df).any():
-            yield _Round(HEADLINE, HARMLESS, untaught(df, self.folds))
+            yield _Round(HEADLINE, HARMLESS, without_hard_negatives(df, self.folds))
 
     def _attempt(self, each: _Round) -> HeldOutScores | DetectorError:
         try:
@@ -286,7 +286,7 @@ class _Steps:
         scores: HeldOutScores,
         tested: NDArray[np.bool_] | None = None,
     ) -> list[Row]:
-        """Judge a scorer in every comparison; if a split tests only some runs, on those."""
+        """Judge a scorer in every comparison, on the tested runs only."""
         compared = self.compared
         if tested is not None:
             compared = [ComparedRuns(each.name, each.runs & tested) for each in compared]
@@ -297,7 +297,7 @@ class _Steps:
         ]
 
     def alarms(self) -> tuple[WatchedRuns, pd.DataFrame]:
-        """Return the alarms that the headline's scorer raises window by window, and judge them."""
+        """Return the alarms of the headline's scorer and their metrics."""
         self.progress("alarms")
         watched_runs = watched(self.campaign, self.reference(HEADLINE.features))
         return watched_runs, pd.DataFrame(
@@ -308,16 +308,16 @@ class _Steps:
     def aspects(
         self, effects: TaskEffects
     ) -> tuple[dict[str, HeldOutScores], dict[str, pd.DataFrame]]:
-        """Return the scores of tampering and of misbehaviour, and judge each by its own truth."""
+        """Return the scores of tampering and of misbehaviour, and their metrics."""
         self.progress("tampering and misbehaviour")
         df = self.campaign.features
         scores = self._aspect_scores(self.folds)
-        taught_nothing = untaught(df, self.folds) if is_hard_negative(df).any() else []
-        of_untaught = self._aspect_scores(taught_nothing) if taught_nothing else {}
+        plain = without_hard_negatives(df, self.folds) if is_hard_negative(df).any() else []
+        unexposed = self._aspect_scores(plain) if plain else {}
         of_all = (self.campaign, effects)
         return scores, {
             "aspects": aspects_table(scores, *of_all, self.compared, self.rng),
-            "aspects_by_mode": by_mode(scores, of_untaught, *of_all, self.rng),
+            "aspects_by_mode": by_mode(scores, unexposed, *of_all, self.rng),
             "quadrants": quadrants(scores, *of_all, self.rng),
             "task_uncertainty": effects.table(),
         }
@@ -330,7 +330,7 @@ class _Steps:
         }
 
     def small_clusters(self) -> pd.DataFrame:
-        """Judge the small-cluster protocol, all runs at once."""
+        """Evaluate the small-cluster protocol on all runs at once."""
         self.progress("small clusters")
         columns = self.sets.get(HEADLINE.features, [])
         try:
@@ -345,7 +345,7 @@ class _Steps:
         self.progress("integrity checks")
         campaign, columns = self.campaign, self.sets.get(HEADLINE.features, [])
         detector = self.detectors[HEADLINE.detector]
-        rng = np.random.default_rng([self.seed, 1])  # a further scorer above changes no check
+        rng = np.random.default_rng([self.seed, 1])  # independent of the number of scorers
         of_shortcuts = table[(table["features"] == "shortcuts") & (table["scope"] == ALL_MODES)]
         area = Estimate.of_row(of_shortcuts.iloc[0], "auc") if len(of_shortcuts) else NOTHING
         return [

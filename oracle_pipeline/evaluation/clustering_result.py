@@ -1,4 +1,4 @@
-"""Measures how well a clustering separates attacked from normal runs, in two readings."""
+"""Measures how well a clustering separates attacked from normal runs, in two ways."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -26,11 +26,11 @@ from oracle_pipeline.evaluation.variants import CORRECTED, Variant
 
 @dataclass(frozen=True, slots=True)
 class ClusteringResult:
-    """The result of one clustering; where it failed, estimates are empty and `note` has the reason.
+    """The result of one clustering; if it failed, estimates are empty and `note` has the reason.
 
-    The verdict without labels: every run outside the largest cluster is anomalous. The thesis's
-    reading: the cluster that holds most of the malicious rows, chosen with the labels, is the
-    malicious one; its recall is what the thesis calls accuracy, its balanced accuracy the AUC.
+    The verdict without labels calls every run outside the largest cluster anomalous. The thesis
+    instead takes the cluster with most of the malicious rows as the malicious one, which uses the
+    labels. It calls the recall of that cluster accuracy, and its balanced accuracy AUC.
     """
 
     rows: int = 0  # clustered, copies included
@@ -44,14 +44,14 @@ class ClusteringResult:
     fpr: Estimate = NOTHING
     balanced_accuracy: Estimate = NOTHING
     mcc: float = np.nan
-    accuracy: float = np.nan  # of rows, so a rare class hardly counts
+    accuracy: float = np.nan  # by rows, so a rare class hardly counts
     f1: float = np.nan  # of the malicious rows
-    auc: Estimate = NOTHING  # of the HAC height, all rows being the reference
+    auc: Estimate = NOTHING  # of the HAC height, with all rows as reference
     recall_best_cluster: Estimate = NOTHING
     fpr_best_cluster: Estimate = NOTHING
     balanced_accuracy_best_cluster: Estimate = NOTHING
-    mcc_best_cluster: float = np.nan  # of distinct runs, as decoded from the thesis
-    runs_best_cluster: str = ""  # distinct ones in it, in words
+    mcc_best_cluster: float = np.nan  # by distinct runs, as decoded from the thesis
+    runs_best_cluster: str = ""  # its number of distinct runs of each class, as text
     note: str = ""
 
     def columns(self) -> dict[str, float | int | str]:
@@ -64,7 +64,7 @@ class ClusteringResult:
 
 
 def in_words(counts: Confusion) -> str:
-    """Return in words how many runs of each class are called anomalous.
+    """Return as text how many runs of each class are called anomalous.
 
     Examples
     --------
@@ -78,10 +78,10 @@ def in_words(counts: Confusion) -> str:
 def in_best_cluster(
     clusters: NDArray[np.int32], runs: DistinctRuns, inspected: int | None = None
 ) -> NDArray[np.bool_]:
-    """Return which runs are in the cluster with most of the malicious rows (the first, if tied).
+    """Return a mask of the runs in the cluster with most malicious rows (the first, if tied).
 
-    This uses the labels with which it is then compared. It reads a result as the thesis does, and
-    is not a verdict.
+    This is how the thesis interprets a result. It is not a verdict, because the cluster is chosen
+    with the labels that it is then compared with.
 
     Parameters
     ----------
@@ -89,8 +89,8 @@ def in_best_cluster(
         Numbered from 1.
     runs : DistinctRuns
     inspected : int, optional
-        Consider clusters up to this number only. If none of them holds a malicious row, no run is
-        in the best cluster.
+        Consider clusters up to this number only. If none of them has a malicious row, no run is in
+        the best cluster.
     """
     held = np.bincount(clusters, weights=runs.copies * runs.malicious)
     considered = held if inspected is None else held[: inspected + 1]
@@ -119,8 +119,8 @@ def grow_over_runs(
 def _numbered_by_rows(X: NDArray[np.float64], method: Linkage, t: float) -> NDArray[np.int32]:
     """Cut the tree of all rows, copies included, at a distance, and return the cluster of each row.
 
-    The clusters are those of the distinct runs, but which of them are the first depends on the
-    order of the rows, and on how SciPy arranges a tree of them.
+    The clusters are those of the distinct runs, but their numbers depend on the order of the rows
+    and on the layout of SciPy's tree.
     """
     return fcluster(linkage(pdist(X), method), t, criterion="distance").astype(np.int32)
 
@@ -135,22 +135,22 @@ def cluster_and_judge(
     variant: Variant = CORRECTED,
     metric: Metric = "euclidean",
 ) -> ClusteringResult:
-    """Cluster and measure; rows that cannot be clustered give a result with the reason.
+    """Cluster rows and compute the metrics; a failure gives a result with the reason.
 
     Parameters
     ----------
     rows : DataFrame
-        Copies of runs allowed.
+        May have copies of runs.
     columns : sequence of str
         Features to use.
     rng : Generator
-        Draws the resamples behind the intervals.
+        Draws the resamples for the intervals.
     method, criterion, t
         How the tree is grown and cut.
     variant : Variant
-        Which columns are clustered, and how the best cluster is found.
+        Selects the columns and how the best cluster is found.
     metric : {"euclidean", "cosine", "correlation"}
-        What distances are. The thesis's way to number clusters knows the first only.
+        Distance metric. The thesis's numbering of clusters is always euclidean.
     """
     runs = distinct_runs(rows)
     try:

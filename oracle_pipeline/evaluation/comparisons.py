@@ -1,7 +1,7 @@
-"""The comparisons of an evaluation: which runs, which scorer, and which figures.
+"""The comparisons of an evaluation: which runs, which scorer, and which metrics.
 
 The protocol is fixed before the final data are recorded: the panel, the sets of features and the
-one scorer whose figure is the headline. The reasons: docs/explanation/evaluation.md.
+scorer of the headline. docs/explanation/evaluation.md gives the reasons.
 """
 
 from collections.abc import Collection, Iterable
@@ -18,23 +18,23 @@ from oracle_pipeline.datasets import HARD_NEGATIVE
 from oracle_pipeline.detectors import DEFAULT_DETECTOR
 from oracle_pipeline.evaluation.held_out import HeldOutScores, Level
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
-from oracle_pipeline.evaluation.metrics import auc, average_precision, matthews, only, share
+from oracle_pipeline.evaluation.metrics import auc, average_precision, matthews, select, share
 from oracle_pipeline.scoring.conformal import runs_needed
 from oracle_pipeline.scoring.feature_sets import ASPECTS
 
-RATES = (0.05, 0.01)  # false positive rates a verdict is asked to keep; the first is the usual one
-BLOCKS_NEEDED = {0.01: 250}  # two in five calibrate, so that even one mode alone gives 99 runs
+RATES = (0.05, 0.01)  # nominal false positive rates; the first is the usual one
+BLOCKS_NEEDED = {0.01: 250}  # two in five calibrate, so even a single mode gives 99 runs
 ONE_SIDED = 0.90  # level of a two-sided interval whose lower end is the one-sided 95% bound
 
 ALL_MODES = "all modes"
 NORMAL = "normal"
 HARD_NEGATIVES = "hard negatives"
-SHADOW = "_shadow"  # ends the names of label controls
-OBSTACLE = ("benign_obstacle", "fake_object")  # the same place, there and not there
+SHADOW = "_shadow"  # suffix of the names of shadow controls
+OBSTACLE = ("benign_obstacle", "fake_object")  # a real and a fake object at the same place
 
 
 class Scorer(NamedTuple):
-    """A detector on a set of features of the run, of its windows, or of both."""
+    """A detector with a set of features of the run, of its windows, or of both."""
 
     detector: str
     features: str
@@ -42,14 +42,14 @@ class Scorer(NamedTuple):
 
 
 HEADLINE = Scorer(DEFAULT_DETECTOR, "all", "both")
-# What a reference card holds, in the order in which `oracle score` prints it.
+# The scorers of a reference card, in the order of the output of `oracle score`.
 OF_CARD = (HEADLINE, *(Scorer(DEFAULT_DETECTOR, aspect, "both") for aspect in ASPECTS))
 
 
 def scorers(detectors: Iterable[str], sets: Iterable[str]) -> list[Scorer]:
-    """Return all that are judged, the headline first.
+    """Return all scorers that are judged, the headline's first.
 
-    Its detector at every level and on every set of features, and every other detector.
+    These are its detector at every level and on every set of features, and all other detectors.
     """
     named = [
         HEADLINE,
@@ -71,11 +71,11 @@ class ComparedRuns:
 def comparisons(df: pd.DataFrame) -> list[ComparedRuns]:
     """Return the comparisons that the modes of a table allow, named ``control / attacked``.
 
-    All modes; each attack against its control, and against its shadow, which does the same work and
-    publishes the original; an attack that has neither, such as one that a search found, against
-    all normal modes, named ``normal / attacked``; the fake object against a real one; the hard
-    negatives together and each. Hard negatives have no attacked run, so they measure false
-    positives only.
+    These are all modes; each attack against its control, and against its shadow, which computes the
+    attack and publishes the original; an attack without either, such as a searched one, against all
+    normal modes, named ``normal / attacked``; the fake object against a real one; and the hard
+    negatives, together and each. Hard negatives have no attacked run, so they measure only false
+    positives.
     """
     modes = set(df["mode"])
     attacked = sorted(set(df.loc[df["label"] == "malicious", "mode"]))
@@ -98,7 +98,7 @@ def comparisons(df: pd.DataFrame) -> list[ComparedRuns]:
 def runs_of(
     campaign: JudgedRuns, members: NDArray[np.bool_], positive: NDArray[np.bool_] | None = None
 ) -> DistinctRuns:
-    """Return the runs of a scope as metrics take them; those to be found are the attacked ones."""
+    """Return the runs of a scope as input of metrics; by default the attacked ones are positive."""
     first = np.flatnonzero(members)
     found = campaign.malicious if positive is None else positive
     return DistinctRuns(
@@ -113,12 +113,12 @@ def judge(
     rng: np.random.Generator,
     positive: NDArray[np.bool_] | None = None,
 ) -> dict[str, float | int | str]:
-    """Return the figures of one comparison as table columns, an estimate as three.
+    """Return the metrics of one comparison as table columns, an estimate as three.
 
-    Besides areas: at each nominal false positive rate the detection rate, the realised rate and the
-    one-sided 95% lower bound of that, Matthews' correlation and balanced accuracy; nothing at a
-    rate that the campaign is too small for. `positive` runs, of shape (n_runs,), are to be found;
-    by default the attacked ones.
+    These are the AUC and average precision, and at each nominal false positive rate the detection
+    rate, the realised rate and its one-sided 95% lower bound, Matthews' correlation and balanced
+    accuracy, as far as the campaign is large enough. `positive`, of shape (n_runs,), marks the runs
+    to be detected, by default the attacked ones.
     """
     runs = runs_of(campaign, scope.runs, positive)
     score, p = scores.score[runs.first], scores.p[runs.first]
@@ -143,9 +143,9 @@ def judge(
 def _at_rate(
     p: NDArray[np.float64], runs: DistinctRuns, rate: float, rng: np.random.Generator
 ) -> dict[str, float | int | str]:
-    """Return the figures of the verdict ``p <= rate``; nothing where `p` is NaN."""
+    """Return the metrics of the verdict ``p <= rate``; runs with a NaN in `p` are left out."""
     with_p = np.isfinite(p)
-    judged, flagged = only(runs, with_p), p[with_p] <= rate
+    judged, flagged = select(runs, with_p), p[with_p] <= rate
     normal, flag = ~judged.malicious, flagged.astype(np.float64)
     block = judged.block
     name = f"{100 * rate:g}"
@@ -159,10 +159,11 @@ def _at_rate(
 
 
 def _note(scored: NDArray[np.bool_], calibration: int, runs: DistinctRuns) -> str:
-    """Return a note on what is missing in a row, and why."""
+    """Return a note on missing values of a row, and the reason."""
     if not scored.any():
         return (
-            "no run could be scored: it needs features with values and normal runs of three blocks"
+            "no run could be scored: scores need features with values and normal runs of three "
+            "blocks"
         )
     remarks = [
         f"no {name} runs"
@@ -171,7 +172,7 @@ def _note(scored: NDArray[np.bool_], calibration: int, runs: DistinctRuns) -> st
     ]
     needed = runs_needed(RATES[0])
     if calibration < needed:
-        remarks.append(f"{calibration} runs to calibrate with, {RATES[0]:.0%} takes {needed}")
+        remarks.append(f"{calibration} calibration runs, {RATES[0]:.0%} needs {needed}")
     return "; ".join(remarks)
 
 

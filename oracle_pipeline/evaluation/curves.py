@@ -1,4 +1,4 @@
-"""The curves of the headline's scorer: ROC, detection over nominal rate, and effort."""
+"""The curves of the headline's scorer: ROC, detection rate over nominal rate, and effort."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -39,7 +39,7 @@ def headline_curves(
     compared: Sequence[ComparedRuns],
     rng: np.random.Generator,
 ) -> HeadlineCurves | None:
-    """Return the curves of a scorer; None while only one class of runs has scores.
+    """Return the curves of a scorer; None if only one class of runs has scores.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def headline_curves(
 
 
 def _shown(compared: Sequence[ComparedRuns]) -> list[ComparedRuns]:
-    """Return all modes, and each attack against its shadow or, without one, its control."""
+    """Return the comparison of all modes, and of each attack with its shadow or else control."""
     all_modes, *others = compared
     pairs = [each for each in others if "/" in each.name]
     against_normal = [each for each in pairs if each.name != " / ".join(OBSTACLE)]

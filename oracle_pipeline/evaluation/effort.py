@@ -23,7 +23,7 @@ from oracle_pipeline.evaluation.metrics import share
 from oracle_pipeline.evaluation.variants import scale_rows
 
 KAPPAS = (0.05, 0.1, 0.15, 0.2, 0.25)  # clusters over runs
-BUDGET = 0.25  # share of the runs that a person is ready to inspect
+BUDGET = 0.25  # share of the runs that a person inspects
 METHODS: tuple[Linkage, ...] = ("average", "ward")
 
 
@@ -39,14 +39,14 @@ class EffortCurve(NamedTuple):
 
 
 def effort_curve(suspicion: NDArray[np.float64], malicious: NDArray[np.bool_]) -> EffortCurve:
-    """Inspect the most suspicious runs first; those of equal suspicion are inspected together.
+    """Return the effort of inspecting runs by falling suspicion, equal ones together.
 
     Parameters
     ----------
     suspicion : ndarray of shape (n_runs,)
-        Runs that have none (NaN) are left out.
+        Runs with NaN are left out.
     malicious : ndarray of bool, shape (n_runs,)
-        At least one of those with a suspicion.
+        At least one run with a suspicion must be malicious.
 
     Returns
     -------
@@ -61,12 +61,12 @@ def effort_curve(suspicion: NDArray[np.float64], malicious: NDArray[np.bool_]) -
 
 
 def smallness(clusters: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Return minus the size of each row's cluster, shape (n_rows,)."""
+    """Return the negative size of each row's cluster, shape (n_rows,)."""
     return -np.bincount(clusters)[clusters].astype(np.float64)
 
 
 def in_small_cluster(clusters: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Return which rows are in a cluster smaller than the mean one."""
+    """Return a mask of the rows in clusters smaller than the mean size."""
     mean = len(clusters) / len(np.unique(clusters))
     return np.asarray(-smallness(clusters) < mean, dtype=np.bool_)
 
@@ -74,13 +74,13 @@ def in_small_cluster(clusters: NDArray[np.int32]) -> NDArray[np.bool_]:
 def small_clusters_table(
     df: pd.DataFrame, columns: Sequence[str], rng: np.random.Generator
 ) -> pd.DataFrame:
-    """Judge the small-cluster protocol for each linkage and number of clusters.
+    """Evaluate the small-cluster protocol for each linkage and number of clusters.
 
-    Columns: ``failure_share`` (of the runs in small clusters, those that were attacked), ``found``
-    (of the attacked runs, those in small clusters), ``inspected`` (share of runs in small
-    clusters), ``found_in_budget`` (found by inspecting clusters from the smallest up, a quarter of
-    the runs at most), ``ari`` (agreement of the clusters with the kinds of behaviour: normal, and
-    each attack).
+    Columns: ``failure_share`` (share of attacked runs among those in small clusters), ``found``
+    (share of the attacked runs that are in small clusters), ``inspected`` (share of all runs that
+    are in small clusters), ``found_in_budget`` (share of the attacked runs found by inspecting at
+    most a quarter of the runs, smallest clusters first), ``ari`` (adjusted Rand index of clusters
+    and kinds of behaviour: normal, and each attack).
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def small_clusters_table(
     columns : sequence of str
         Features to cluster by.
     rng : Generator
-        Draws the resamples behind the intervals.
+        Draws the resamples for the intervals.
 
     Raises
     ------

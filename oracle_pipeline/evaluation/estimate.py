@@ -13,7 +13,7 @@ LEVEL = 0.95  # of every interval in this package unless stated otherwise
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A figure and its interval; NaN throughout where nothing could be measured.
+    """A value and its interval; all three are NaN if nothing could be measured.
 
     Examples
     --------
@@ -35,7 +35,7 @@ class Estimate:
 
     @classmethod
     def of_row(cls, row: pd.Series, name: str) -> Self:
-        """Return the estimate whose three numbers `columns` put into a table row."""
+        """Return the estimate from the three columns that `columns` wrote to a table row."""
         return cls(*(float(row[f"{name}{end}"]) for end in ("", "_low", "_high")))
 
     def columns(self, name: str) -> dict[str, float]:
@@ -52,7 +52,7 @@ class Estimate:
         return format(self)
 
 
-NOTHING = Estimate(np.nan, np.nan, np.nan)  # what could not be measured
+NOTHING = Estimate(np.nan, np.nan, np.nan)  # could not be measured
 
 
 def clopper_pearson(rate: float, n: float, level: float = LEVEL) -> Estimate:
@@ -63,8 +63,8 @@ def clopper_pearson(rate: float, n: float, level: float = LEVEL) -> Estimate:
     rate : float
         Share of successes, in [0, 1]; NaN gives no estimate.
     n : float
-        Independent trials behind it. With weighted rows this is the number of distinct runs, and
-        ``rate * n`` need not be whole [1]_.
+        Number of independent trials. With weighted rows this is the number of distinct runs, and
+        ``rate * n`` need not be an integer [1]_.
     level : float
         Of confidence, two-sided.
 
@@ -85,8 +85,8 @@ def clopper_pearson(rate: float, n: float, level: float = LEVEL) -> Estimate:
 def newcombe_auc(value: float, n_positive: int, n_negative: int, level: float = LEVEL) -> Estimate:
     """Return an AUC with Newcombe's score interval (method 5), which is valid at 0 and 1, too.
 
-    The interval holds every AUC from which `value` is less than 1.96 Hanley-McNeil standard errors
-    away [1]_ (at a level of 95%), found on a grid of 1e-4.
+    At a level of 95%, the interval contains every AUC that is within 1.96 Hanley-McNeil standard
+    errors of `value` [1]_. It is computed on a grid of 1e-4.
 
     References
     ----------

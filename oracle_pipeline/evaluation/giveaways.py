@@ -1,4 +1,4 @@
-"""Features that show an attack: those outside the usual range of other blocks' normal runs."""
+"""Features that show an attack: outside the usual range of the normal runs of other blocks."""
 
 from collections.abc import Mapping, Sequence
 
@@ -24,9 +24,9 @@ def deviations_of_runs(df: pd.DataFrame) -> dict[str, list[Deviation]]:
     Returns
     -------
     dict of str to list of Deviation
-        By run. Empty without a normal run of another block.
+        By run. A run is left out if no other block has normal runs.
     """
-    df = df.copy()  # in one piece, which pandas cuts rows from in half the time
+    df = df.copy()  # defragmented: pandas then selects rows twice as fast
     columns = feature_sets(df).get("all", [])
     normal = df[~is_malicious(df)]
     found: dict[str, list[Deviation]] = {}
@@ -51,15 +51,15 @@ def giveaways(df: pd.DataFrame, deviations: Mapping[str, Sequence[Deviation]]) -
     df : DataFrame
         The runs.
     deviations : mapping of str to sequence of Deviation
-        As of `deviations_of_runs`.
+        From `deviations_of_runs`.
 
     Returns
     -------
     DataFrame
         At most five rows for each mode: ``mode``, ``feature``, ``runs`` of the mode, ``outside``
-        (of them, outside the usual range), ``normal``, ``outside_normal`` (the same of normal
-        runs) and ``median_z`` of the runs that are outside. First come features with the largest
-        difference between the two shares.
+        (how many of them are outside the usual range), ``normal``, ``outside_normal`` (the same for
+        normal runs) and ``median_z`` of the runs that are outside. Features with the largest
+        difference between the two shares come first.
     """
     known = df[df["run_id"].isin(deviations)]
     normal = set(known.loc[~is_malicious(known), "run_id"])
@@ -79,8 +79,8 @@ def giveaways(df: pd.DataFrame, deviations: Mapping[str, Sequence[Deviation]]) -
                 "median_z": [float(np.median(each)) for each in z.values()],
             }
         )
-        tells = table["outside"] / len(runs) - table["outside_normal"] / max(1, len(normal))
-        order = np.lexsort((-table["median_z"].abs(), -tells))
+        difference = table["outside"] / len(runs) - table["outside_normal"] / max(1, len(normal))
+        order = np.lexsort((-table["median_z"].abs(), -difference))
         tables.append(table.iloc[order[:SHOWN]])
     if not tables:
         return pd.DataFrame(columns=COLUMNS)

@@ -1,8 +1,8 @@
-"""Scores of runs by detectors that never saw their block, made comparable by calibration.
+"""Scores of runs by detectors that were not fitted on their block, calibrated to one scale.
 
-A detector is fitted anew in every fold (`splits`) and scores that fold's calibration and test rows.
-Higher scores are more anomalous everywhere here. Scores of one fold are an array row, NaN for runs
-that neither calibrate nor are tested in it.
+In every fold (`splits`) a new detector is fitted, and scores the calibration and test rows. Higher
+scores are more anomalous. Arrays of scores have one row per fold, with NaN for runs that are
+neither calibration nor test rows of the fold.
 """
 
 from collections.abc import Sequence
@@ -28,11 +28,11 @@ Level = Literal["run", "windows", "both"]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HeldOutScores:
-    """Scores of runs by detectors that never saw their block; arrays of shape (n_runs,)."""
+    """Scores of runs by detectors that were not fitted on their block; of shape (n_runs,)."""
 
-    score: NDArray[np.float64]  # deviations of the calibration scores from their median
-    p: NDArray[np.float64]  # conformal; NaN where there is none
-    calibration: int  # runs behind the least of the p-values
+    score: NDArray[np.float64]  # standardised by the calibration scores
+    p: NDArray[np.float64]  # conformal p-values; NaN where unsupported
+    calibration: int  # fewest calibration runs of any p-value
 
 
 def held_out(
@@ -48,19 +48,19 @@ def held_out(
     ----------
     runs : Runs
     columns : sequence of str
-        Features to use; for windows, those of them that windows have.
+        Features to use; windows may lack some of them.
     detector : Detector
         Unfitted; it is cloned.
     folds : sequence of Fold
         Over the runs.
     level : {"run", "windows", "both"}
         Score by the features of the run, by those of its most unusual windows (`top_windows`), or
-        by whichever of the two is farther from its calibration runs.
+        by the larger of the two standardised scores.
 
     Raises
     ------
     DetectorError
-        The detector cannot be fitted on so many runs or features.
+        The detector cannot be fitted on this number of runs or features.
     """
     scores = []
     if level in ("run", "both"):
@@ -74,7 +74,7 @@ def held_out(
 
 
 def calibration_runs(folds: Sequence[Fold]) -> int:
-    """Return how many runs calibrate the fold that has the fewest."""
+    """Return the smallest number of calibration runs of any fold."""
     return min((int(fold.calibrate.sum()) for fold in folds), default=0)
 
 
@@ -83,7 +83,7 @@ def fold_scores(
 ) -> NDArray[np.float64]:
     """Fit and score in every fold; shape (n_folds, n_rows).
 
-    A fold with less than two rows to fit on, or without a finite value in them, is left NaN.
+    A fold with fewer than two rows to fit on, or without a finite value in them, is NaN.
     """
     X, floors = table[list(columns)], feature_floors(table)
     scores = np.full((len(folds), len(table)), np.nan)
@@ -122,9 +122,9 @@ def top_windows(
 
 
 def standardised(scores: NDArray[np.float64], folds: Sequence[Fold]) -> NDArray[np.float64]:
-    """Bring the folds to one scale: median and MAD of their calibration scores.
+    """Standardise the scores of each fold by median and MAD of its calibration scores.
 
-    Within a fold this keeps the order; where the MAD is 0, only the median is taken off.
+    This keeps the order within a fold. If the MAD is 0, only the median is subtracted.
     """
     scaled = np.empty_like(scores)
     for number, fold in enumerate(folds):
@@ -139,7 +139,7 @@ def standardised(scores: NDArray[np.float64], folds: Sequence[Fold]) -> NDArray[
 
 
 def of_tested(scores: NDArray[np.float64], folds: Sequence[Fold]) -> NDArray[np.float64]:
-    """Return each row's score in the fold that tests it; NaN if none does."""
+    """Return the score of each row in the fold that tests it; NaN if no fold does."""
     tested = np.full(scores.shape[1:], np.nan)
     for number, fold in enumerate(folds):
         tested[fold.test] = scores[number, fold.test]
@@ -169,7 +169,7 @@ def supervised_scores(
 ) -> NDArray[np.float64]:
     """Return the scores of a classifier that was trained with the labels of other blocks.
 
-    It is not an oracle but an upper bound of what these features can achieve.
+    It is not an oracle but an upper bound for these features.
 
     Parameters
     ----------
@@ -180,12 +180,12 @@ def supervised_scores(
         Unfitted.
     folds : sequence of Fold
     target : ndarray of bool, shape (n_runs,), optional
-        What to predict; by default that a run was attacked.
+        What to predict; by default whether a run was attacked.
 
     Returns
     -------
     ndarray of shape (n_runs,)
-        Probability; NaN where the training rows are of one kind.
+        Probability; NaN where the training rows have one class only.
     """
     target = is_malicious(features) if target is None else target
     X, floors = features[list(columns)], feature_floors(features)

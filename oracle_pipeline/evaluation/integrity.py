@@ -1,7 +1,7 @@
-"""Integrity checks of the evaluation itself: each with its figure and a sentence.
+"""Integrity checks of the evaluation itself: each with a value and a sentence.
 
-A check is green, red, or unsupported: the campaign lacks the runs for it, or has too few for the
-check to fail. The report claims an AUC once all are green.
+A check is green, red, or unsupported if the campaign has no runs for it, or too few for it to be
+able to fail. The report claims an AUC once all are green.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,11 +34,11 @@ from oracle_pipeline.scoring.feature_sets import LEFT_OUT, feature_sets
 
 CheckStatus = Literal["green", "red", "unsupported"]
 
-SAME = 0.999  # level at which equal things may not look different
-MARGIN = 0.1  # by which the label has to be more predictable than the session
+SAME = 0.999  # confidence level at which equal groups must not differ
+MARGIN = 0.1  # required lead of the AUC of the label over that of the session
 TREES = 100  # of the forest that predicts both
-SHUFFLES, SHUFFLED = 200, (0.45, 0.55)  # label permutations, and where their mean AUC belongs
-FALSE_ALARMS = 0.10  # at most, on hard negatives
+SHUFFLES, SHUFFLED = 200, (0.45, 0.55)  # label permutations, and the range of their mean AUC
+FALSE_ALARMS = 0.10  # highest false positive rate on hard negatives
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class IntegrityCheck:
     sentence: str
 
     def columns(self) -> dict[str, float | str]:
-        """Return the check as table columns, the figure as three."""
+        """Return the check as table columns, its value as three."""
         named = asdict(self)
         return {k: named[k] for k in ("name", "status", "sentence")} | self.figure.columns("figure")
 
@@ -69,8 +69,8 @@ def same_between_sessions(
 ) -> IntegrityCheck:
     """A/A: runs of one control mode in two sessions, on disjoint blocks, score alike.
 
-    Where each session has few blocks, the earlier half of the sessions is compared with the later.
-    The figure is the AUC that is furthest from 0.5, with its 99.9% interval.
+    If sessions have few blocks, the earlier half of the sessions is compared with the later.
+    The value is the AUC that is furthest from 0.5, with its 99.9% interval.
     """
     name, areas = "sessions_score_alike", []
     for mode, _ in PAIRS:
@@ -90,24 +90,24 @@ def same_between_sessions(
         name,
         passed=passed,
         figure=area,
-        sentence=f"{where}: AUC {area} (99.9%) {'holds' if passed else 'does not hold'} 0.5; the "
-        f"furthest from it of {len(areas)}.",
+        sentence=f"{where}: AUC {area} (99.9%) {'contains' if passed else 'does not contain'} "
+        f"0.5; it is the furthest from 0.5 of {len(areas)}.",
     )
 
 
 def blocks_to_separate() -> int:
-    """Return how many blocks each of two sessions needs before they can be distinguished at all.
+    """Return how many blocks each of two sessions needs before they can be distinguished.
 
-    Fewer could be separated perfectly, and the interval of `same_between_sessions` would still
-    hold 0.5.
+    With fewer blocks, the interval of `same_between_sessions` contains 0.5 even for perfectly
+    separated sessions.
     """
     return next(n for n in count(2) if not newcombe_auc(1.0, n, n, SAME).covers(0.5))
 
 
 _TOO_FEW_IN_SESSIONS = (
     f"Fewer than {blocks_to_separate()} blocks on either side cannot be distinguished, however "
-    f"they differ: it takes {blocks_to_separate()} blocks in each of two sessions, or "
-    f"{2 * blocks_to_separate()} in sessions of their own."
+    f"they differ: the check needs {blocks_to_separate()} blocks in each of two sessions, or "
+    f"{2 * blocks_to_separate()} blocks in separate sessions."
 )
 
 
@@ -121,13 +121,13 @@ def session_groups(
     features : DataFrame
         A row for each run.
     members : ndarray of bool, shape (n_runs,)
-        The runs that count.
+        The runs to consider.
 
     Returns
     -------
     dict
-        Each session of enough blocks; if there are not two, the earlier and the later half of the
-        sessions; if those have too few blocks, nothing.
+        Each session with enough blocks; if there are fewer than two, the earlier and the later half
+        of the sessions; empty if those have too few blocks.
     """
     session, block = (features[key].to_numpy() for key in ("session", "block"))
     numbers, half = np.unique(session[members]), len(np.unique(session[members])) // 2
@@ -145,7 +145,7 @@ def session_groups(
 
 
 def equal_graphs(differences: Sequence[str] | None) -> IntegrityCheck:
-    """Pairs that are declared to have equal graphs do.
+    """Pairs that should have equal graphs have them.
 
     Parameters
     ----------
@@ -163,9 +163,9 @@ def equal_graphs(differences: Sequence[str] | None) -> IntegrityCheck:
 def label_above_session(
     campaign: JudgedRuns, columns: Sequence[str], folds: Sequence[Fold], seed: int
 ) -> IntegrityCheck:
-    """One classifier on the same features finds the attack more easily than the session.
+    """One classifier on the same features predicts the attack better than the session.
 
-    The figure is the AUC of predicting the session, macro-averaged, on blocks it was not shown.
+    The value is the macro-averaged AUC of predicting the session on held-out blocks.
     """
     name, df = "label_is_predicted_better_than_session", campaign.features
     classifier = upper_bounds(seed)["random_forest"].set_params(n_estimators=TREES)
@@ -179,16 +179,16 @@ def label_above_session(
     ]
     of_label = _area(label, campaign.malicious)
     if np.isnan([*areas, of_label]).any():
-        return _unsupported(name, "It takes both classes in three blocks of each session.")
+        return _unsupported(name, "The check needs both classes in three blocks of each session.")
     of_session = float(np.mean(areas))
     passed = of_session <= of_label - MARGIN
-    meaning = "" if passed else " Verdicts need not hold in a session without normal runs."
+    meaning = "" if passed else " Verdicts may not hold in a session without normal runs."
     return _found(
         name,
         passed=passed,
         figure=Estimate(of_session, min(areas), max(areas)),
         sentence=f"AUC of the session {of_session:.2f} ({min(areas):.2f} to {max(areas):.2f} by "
-        f"session), of the label {of_label:.2f}; it should be {MARGIN} below.{meaning}",
+        f"session), of the label {of_label:.2f}; the first should be {MARGIN} lower.{meaning}",
     )
 
 
@@ -208,12 +208,12 @@ def shuffled_labels(
 ) -> IntegrityCheck:
     """Labels that are permuted within blocks are not predicted, so no label leaks into a score.
 
-    Everything is fitted anew for each permutation, on one fold in turn.
+    Each permutation fits a new model, on one fold in turn.
 
     Parameters
     ----------
     make_folds : callable
-        From run table and seed to folds: the split of the evaluation itself.
+        Takes run table and seed, and returns folds: the split of the evaluation.
     """
     name, areas = "shuffled_labels_are_chance", []
     blocks = campaign.features.groupby("block").indices
@@ -229,7 +229,7 @@ def shuffled_labels(
             areas.append(_area(score, (shuffled["label"] == "malicious").to_numpy()))
     finite = np.array(areas)[np.isfinite(areas)]
     if len(finite) < SHUFFLES // 2:
-        return _unsupported(name, "It takes both classes in at least three blocks.")
+        return _unsupported(name, "The check needs both classes in at least three blocks.")
     error = 1.96 * float(finite.std(ddof=1)) / np.sqrt(len(finite))
     mean = float(finite.mean())
     low, high = SHUFFLED
@@ -237,7 +237,7 @@ def shuffled_labels(
         name,
         passed=low <= mean <= high,
         figure=Estimate(mean, mean - error, mean + error),
-        sentence=f"Mean AUC of {len(finite)} permutations {mean:.3f}; it belongs in "
+        sentence=f"Mean AUC of {len(finite)} permutations {mean:.3f}; it should be in "
         f"[{low}, {high}].",
     )
 
@@ -256,8 +256,8 @@ def hard_negatives(
     if not len(scores.p[judged]) or (passed and blocks < needed):
         return _unsupported(
             name,
-            f"{blocks} blocks of hard negatives have a verdict; even without a false alarm, it "
-            f"takes {needed} to exclude a rate above {FALSE_ALARMS:.0%}.",
+            f"{blocks} blocks of hard negatives have a verdict; even without a false alarm, "
+            f"{needed} are needed to exclude a rate above {FALSE_ALARMS:.0%}.",
         )
     return _found(
         name,
@@ -269,7 +269,7 @@ def hard_negatives(
 
 
 def blocks_to_exclude(rate: float, confidence: float = 0.95) -> int:
-    """Return how many blocks without a false positive exclude a higher false positive rate.
+    """Return how many blocks without a false positive exclude a rate above `rate`.
 
     Examples
     --------
@@ -280,12 +280,11 @@ def blocks_to_exclude(rate: float, confidence: float = 0.95) -> int:
 
 
 def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> IntegrityCheck:
-    """No feature behind the headline distinguishes unaltered runs.
+    """No feature of the headline distinguishes unaltered runs.
 
-    No feature may distinguish a shadow control from the passthrough beside it, or one session from
-    another. A feature may distinguish unaltered modes, by which node subscribes to what, if each
-    attacked mode has an unaltered counterpart. The figure is the number of features that break this
-    rule.
+    No feature may distinguish a shadow control from its passthrough, or one session from another.
+    A feature may distinguish unaltered modes (by their subscriptions) if each attacked mode has an
+    unaltered counterpart. The value is the number of features that violate this rule.
     """
     name, df = "unaltered_runs_are_alike", campaign.features
     pairs, needed = exact_pairs(df), blocks_needed(len(columns))
@@ -296,7 +295,8 @@ def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> Integr
     if min(blocks, default=0) < needed:
         return _unsupported(
             name,
-            f"It takes a passthrough and its shadow in {needed} blocks; record *_shadow modes.",
+            f"The check needs a passthrough and its shadow in {needed} blocks; record *_shadow "
+            "modes.",
         )
     found, alone = audit(df, columns), unmatched(df)
     wrong = found if alone else found[found["tells"] != "mode"]
@@ -309,8 +309,8 @@ def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> Integr
         passed=wrong.empty,
         figure=Estimate(*[float(len(features))] * 3),
         sentence=f"{len(features)} of {len(columns)} features distinguish unaltered runs"
-        f"{f': {named}' if named else ''}. {of_modes} distinguish unaltered modes by which node "
-        f"subscribes to what, {matched} an unaltered counterpart.",
+        f"{f': {named}' if named else ''}. {of_modes} distinguish unaltered modes by their "
+        f"subscriptions, {matched} an unaltered counterpart.",
     )
 
 
@@ -323,19 +323,21 @@ def shortcuts_apart(
     ----------
     features : DataFrame
     columns : sequence of str
-        Those behind the headline.
+        Features of the headline.
     of_shortcuts : Estimate
-        AUC of the shortcut features alone, which is the check's figure.
+        AUC of the shortcut features alone, which is the value of the check.
     """
     name, fields = "shortcuts_are_apart", field_metadata(features)
     undeclared = [column for column in columns if "shortcut" not in fields.get(column, {})]
     if undeclared:
         return _unsupported(
-            name, f"{undeclared[0]} and {len(undeclared) - 1} more do not declare what they are."
+            name,
+            f"{undeclared[0]} and {len(undeclared) - 1} more do not declare whether they are "
+            "shortcuts.",
         )
     shortcuts = feature_sets(features).get("shortcuts", [])
     mixed = [c for c in columns if c in shortcuts or c.split(".", 1)[0] in LEFT_OUT]
-    summary = f"{len(shortcuts)} shortcut features are reported apart (AUC {of_shortcuts})"
+    summary = f"{len(shortcuts)} shortcut features are reported separately (AUC {of_shortcuts})"
     return _found(
         name,
         passed=not mixed,
@@ -345,7 +347,7 @@ def shortcuts_apart(
 
 
 def banner(checks: Sequence[IntegrityCheck]) -> str:
-    """Return the remark beside a figure that is not supported yet; empty if it is."""
+    """Return the sentences of all checks that are not green; empty if all are."""
     return " ".join(
         f"{check.name} is {check.status}: {check.sentence}"
         for check in checks

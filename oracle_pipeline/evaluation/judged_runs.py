@@ -1,7 +1,7 @@
-"""The runs that are judged: their features, windows and ground truth, in one order.
+"""The runs that are judged: features, windows and ground truth, sorted consistently.
 
-``oracle_pipeline.evaluation.held_out`` computes scores from features and windows; they are measured
-against the ground truth.
+``oracle_pipeline.evaluation.held_out`` computes scores from features and windows, which are then
+compared with the ground truth.
 """
 
 import json
@@ -31,12 +31,12 @@ class JudgedRuns(MeasuredRuns):
 
     @classmethod
     def of(cls, features: pd.DataFrame, windows: pd.DataFrame, truth: pd.DataFrame) -> "JudgedRuns":
-        """Put the tables in order; attacked runs that ended before their attack are left out.
+        """Sort the tables; attacked runs that ended before their attack are dropped.
 
         Raises
         ------
         DatasetError
-            A run without windows or without a truth.
+            A run without windows or without ground truth.
         """
         require_runs(features, truth, "truth")
         truth_of_all = truth.set_index("run_id").loc[features["run_id"]]
@@ -47,7 +47,7 @@ class JudgedRuns(MeasuredRuns):
 
     @property
     def end_s(self) -> NDArray[np.float64]:
-        """End of each window [s of the recording], before which it cannot be judged."""
+        """End of each window [s of the recording], shape (n_windows,)."""
         recorded = self.truth["recording_s"].to_numpy(dtype=np.float64)[self.run]
         return np.asarray(np.minimum(self.start_s + WINDOW_S, recorded), dtype=np.float64)
 
@@ -60,7 +60,8 @@ class JudgedRuns(MeasuredRuns):
     def effect_s(self) -> NDArray[np.float64]:
         """When each run's attack first changed a message [s of the recording], shape (n_runs,).
 
-        Changes are recorded in bins of 5 s, whose start counts. The onset where none is recorded.
+        Changes are recorded in bins of 5 s; this is the start of the first. Without any, it is the
+        onset.
         """
         first = [
             min((start for start, *_ in json.loads(text)), default=0.0)
@@ -69,9 +70,9 @@ class JudgedRuns(MeasuredRuns):
         return np.asarray(np.maximum(self.onset_s, first), dtype=np.float64)
 
     def attacked_windows(self) -> NDArray[np.bool_]:
-        """Return the windows of attacked runs in which something was changed, (n_windows,).
+        """Return a mask of the windows of attacked runs with altered messages, (n_windows,).
 
-        A run without a record of changes counts as changed from its onset on.
+        Without recorded changes, all windows after the onset count.
         """
         attacked = self.malicious[self.run] & (self.end_s > self.onset_s[self.run])
         for row in np.flatnonzero(self.malicious):

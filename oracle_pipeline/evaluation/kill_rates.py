@@ -1,9 +1,9 @@
 """The weakest attack that the oracle detects: kill matrix, mutation score, detectable magnitude.
 
 A grid of attacked runs, one operator of the scenario language at several magnitudes, is scored by
-an oracle that was fitted on the campaign. A run that is called anomalous is a killed mutant; one in
-which no message was changed is equivalent to the original and is left out. ``oracle-sim grid``
-records the grid.
+an oracle that was fitted on the campaign. A run that is called anomalous is a killed mutant. A run
+without an altered message is an equivalent mutant and is left out. ``oracle-sim grid`` records the
+grid.
 """
 
 import numpy as np
@@ -16,14 +16,20 @@ from oracle_pipeline.evaluation.comparisons import HEADLINE, OF_CARD, RATES, Sco
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate, clopper_pearson
 from oracle_pipeline.evaluation.held_out import calibration_runs, held_out
 from oracle_pipeline.evaluation.reference_scores import reference_scores
-from oracle_pipeline.evaluation.splits import BLOCK, HARMLESS, Fold, fit_and_calibrate, untaught
+from oracle_pipeline.evaluation.splits import (
+    BLOCK,
+    HARMLESS,
+    Fold,
+    fit_and_calibrate,
+    without_hard_negatives,
+)
 from oracle_pipeline.scoring.conformal import check_support, runs_needed
 from oracle_pipeline.scoring.feature_sets import feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 ORACLE, OPERATOR = [*Scorer._fields, "split"], ["scenario", "parameter"]
 REQUIRED = ("scenario", "parameter", "value", "changed_messages")
-DETECTABLE = 0.9  # detection rate that a detectable magnitude reaches
+DETECTABLE = 0.9  # detection rate from which a magnitude counts as detectable
 
 
 def kill_matrix(
@@ -31,10 +37,10 @@ def kill_matrix(
 ) -> pd.DataFrame:
     """Return how many runs of each magnitude each oracle kills.
 
-    Oracles are the scorers of the evaluation, and the headline's once more without hard negatives
-    in its training (``split``): an attack that is weaker than a harmless change is normal for an
-    oracle that was fitted on such changes. They are fitted and calibrated with normal runs of the
-    campaign's blocks that the grid does not use: a grid made offline mutates the campaign's runs.
+    Oracles are the scorers of the evaluation, and the headline's scorer once more without hard
+    negatives in its training (``split``), since an oracle fitted on harmless changes accepts weaker
+    attacks. They are fitted and calibrated on normal runs of blocks that the grid does not use: a
+    grid made offline mutates runs of the campaign.
 
     Parameters
     ----------
@@ -43,7 +49,7 @@ def kill_matrix(
         The grid's runs with the same features and the columns ``scenario``, ``parameter``,
         ``value`` (magnitude, growing with strength) and ``changed_messages``.
     seed : int
-        Of the split and of detectors that draw.
+        Of the split and of randomised detectors.
     rate : float
         False positive rate of the verdicts.
 
@@ -66,15 +72,15 @@ def kill_matrix(
     absent = [c for c in (*REQUIRED, *sets["all"]) if c not in grid.features.columns]
     if absent:
         raise DatasetError(
-            f"The grid lacks the columns {', '.join(absent[:5])}; take it from the index that "
-            "`oracle-sim grid` writes and extract its features with the campaign's plugins."
+            f"The grid lacks the columns {', '.join(absent[:5])}; use the index that "
+            "`oracle-sim grid` writes, and extract its features with the campaign's plugins."
         )
-    runs, detectors = campaign.followed_by(grid), panel(seed)
+    runs, detectors = campaign.concat(grid), panel(seed)
     mutants = np.arange(len(runs.features)) >= len(campaign.features)
     fold = _fold(runs, mutants, seed)
     oracles = [(scorer, BLOCK, [fold]) for scorer in scorers(detectors, sets)]
     check_support(calibration_runs([fold]), rate)
-    plain = untaught(runs.features, [fold])
+    plain = without_hard_negatives(runs.features, [fold])
     if is_hard_negative(campaign.features).any() and calibration_runs(plain) >= runs_needed(rate):
         oracles.append((HEADLINE, HARMLESS, plain))
     tables = []
@@ -142,9 +148,9 @@ def mutation_scores(kills: pd.DataFrame) -> pd.DataFrame:
 def minimum_detectable(kills: pd.DataFrame) -> pd.DataFrame:
     """Return for each oracle and operator the smallest magnitude that is detected reliably.
 
-    It is the smallest magnitude of the grid at which, as at every larger one, at least 0.9 of the
-    mutants are killed. NaN if there is none. Between it and the next smaller one of the grid
-    (``magnitude_low``; 0 below the first) lies the true one.
+    This is the smallest magnitude of the grid from which on at least 0.9 of the mutants are killed;
+    NaN if there is none. The true value lies between it and the next smaller magnitude of the grid
+    (``magnitude_low``; 0 below the first).
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Confusion matrix, rates, AUC, average precision and ROC curve over distinct runs.
 
-Rows may be copies (a bootstrap draws them): every metric here takes one value for each *run* and
-weights it by the run's copies. So the figure is that of the rows, while its interval is that of the
-runs. Runs of one block share start, goals and nuisance seed, so resampling draws blocks. Where runs
-are not copied (our own evaluation), `share` gives a rate with an interval that knows of blocks too.
+Rows may be copies drawn by a bootstrap: every metric here takes one value for each *run* and
+weights it by the number of copies. So the value is that of the rows, and the interval that of the
+runs. Runs of one block share start, goals and nuisance seed, so resampling draws blocks. For runs
+without copies (our own evaluation), `share` gives a rate with an interval that respects blocks.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ BAND = [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)]  # percentiles
 
 
 class MetricError(OracleError):
-    """A figure cannot be computed from these numbers."""
+    """A metric cannot be computed from these numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +59,9 @@ class Confusion:
         return (self.tp * self.tn - self.fp * self.fn) / np.sqrt(product) if product else 0.0
 
 
-def only(runs: DistinctRuns, these: NDArray[np.bool_]) -> DistinctRuns:
-    """Return some of the runs."""
-    return DistinctRuns(
-        runs.first[these], runs.copies[these], runs.malicious[these], runs.block[these]
-    )
+def select(runs: DistinctRuns, mask: NDArray[np.bool_]) -> DistinctRuns:
+    """Return the runs of a mask."""
+    return DistinctRuns(runs.first[mask], runs.copies[mask], runs.malicious[mask], runs.block[mask])
 
 
 def _ratio(part: int, whole: int) -> float:
@@ -79,8 +77,8 @@ def confusion(flagged: NDArray[np.bool_], runs: DistinctRuns) -> Confusion:
         The verdict on each distinct run.
     """
 
-    def rows(these: NDArray[np.bool_]) -> int:
-        return int(runs.copies[these].sum())
+    def rows(mask: NDArray[np.bool_]) -> int:
+        return int(runs.copies[mask].sum())
 
     return Confusion(
         tp=rows(flagged & runs.malicious),
@@ -106,12 +104,12 @@ def share(
     rng: np.random.Generator,
     level: float = LEVEL,
 ) -> Estimate:
-    """Return the share of runs that are hit, for example the detected ones of the attacked.
+    """Return the share of runs that are hit, for example the share of attacks detected.
 
     Parameters
     ----------
     hit : ndarray of bool, shape (n,)
-        One value for each run that counts.
+        One value per run.
     block : ndarray of shape (n,)
     rng : Generator
         Draws the blocks.
@@ -121,8 +119,8 @@ def share(
     Returns
     -------
     Estimate
-        The wider, on each side, of Clopper-Pearson's interval on runs and of the percentiles over
-        resampled blocks. Nothing without runs.
+        The interval is, on each side, the wider of the Clopper-Pearson interval on runs and the
+        percentiles over resampled blocks. `NOTHING` without runs.
     """
     if len(hit) == 0:
         return NOTHING
@@ -139,7 +137,7 @@ def quantile(
 ) -> Estimate:
     """Return a quantile of values that may be infinite (censored); percentiles over blocks.
 
-    Parameters are those of `share`; the quantile is a value that occurs, the lower of two.
+    Parameters are those of `share`. The quantile is one of the values, the lower of two.
     """
     if len(values) == 0:
         return NOTHING
@@ -162,7 +160,7 @@ def events_per_hour(
 ) -> Estimate:
     """Return a rate of events over runs of given lengths.
 
-    The interval is the wider, on each side, of Garwood's for Poisson counts and of the percentiles
+    The interval is, on each side, the wider of Garwood's for Poisson counts and the percentiles
     over resampled blocks.
     """
     hours = float(np.sum(seconds)) / 3600.0
@@ -173,14 +171,14 @@ def events_per_hour(
     exact = Estimate(n / hours, float(low) / hours, float(gamma.ppf(1.0 - tail, n + 1)) / hours)
     member = np.unique(block, return_inverse=True)[1]
     draws = _resampled(int(member.max()) + 1, rng)
-    happened = draws @ np.bincount(member, weights=events)
-    return _wider(exact, 3600.0 * happened / (draws @ np.bincount(member, weights=seconds)), LEVEL)
+    counts = draws @ np.bincount(member, weights=events)
+    return _wider(exact, 3600.0 * counts / (draws @ np.bincount(member, weights=seconds)), LEVEL)
 
 
 def matthews(flagged: NDArray[np.bool_], runs: DistinctRuns, rng: np.random.Generator) -> Estimate:
     """Return Matthews' correlation of verdict and truth, by rows.
 
-    The interval is of percentiles over resampled blocks: for a perfect verdict it has no width.
+    The interval has the percentiles over resampled blocks; its width is 0 for a perfect verdict.
     """
     value = confusion(flagged, runs).mcc
     if np.isnan(value):
@@ -204,7 +202,7 @@ def auc(
 ) -> Estimate:
     """Return the probability that a malicious row scores above another row; ties count half.
 
-    Of a hard verdict (0 or 1) this is the balanced accuracy.
+    For a hard verdict (0 or 1) this is the balanced accuracy.
 
     Parameters
     ----------
@@ -219,17 +217,17 @@ def auc(
     Returns
     -------
     Estimate
-        The wider, on each side, of the percentiles over resampled blocks and Newcombe's interval
-        for that many distinct runs: resampling a few perfectly separated blocks gives an interval
-        without width. Nothing if a class is missing.
+        The interval is, on each side, the wider of the percentiles over resampled blocks and
+        Newcombe's interval for the number of distinct runs, since resampling perfectly separated
+        blocks gives no width. `NOTHING` if a class is missing.
     """
     scored, score = _scored(score, runs)
     n_malicious = int(scored.malicious.sum())
     if n_malicious in (0, len(scored)):
         return NOTHING
     positive, negative = _by_score(score, scored)
-    # Wins of the malicious rows of one block over the other rows of another: an AUC of any
-    # weighting of blocks is a ratio of quadratic forms.
+    # Number of pairs, by block of the malicious and of the other row, that the malicious row wins.
+    # The AUC for any weights of blocks is then a ratio of quadratic forms.
     wins = positive @ (np.cumsum(negative, axis=1) - negative / 2.0).T
     draws = np.vstack([np.ones(len(wins)), _resampled(len(wins), rng)])
     pairs = (draws @ positive.sum(axis=1)) * (draws @ negative.sum(axis=1))
@@ -242,10 +240,10 @@ def auc(
 def average_precision(
     score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Generator
 ) -> Estimate:
-    """Return the mean precision over the malicious rows, read from the highest score down.
+    """Return the average precision, with scores sorted from the highest down.
 
-    A random score reaches the prevalence, which therefore has to be shown beside it.
-    Parameters are those of `auc`; the interval is of percentiles over resampled blocks alone.
+    A random score reaches the prevalence, so show the prevalence beside it. Parameters are those of
+    `auc`; the interval has the percentiles over resampled blocks alone.
     """
     scored, score = _scored(score, runs)
     if scored.malicious.all() or not scored.malicious.any():
@@ -275,8 +273,7 @@ class RocCurve:
 def roc_curve(score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Generator) -> RocCurve:
     """Return the ROC curve of a score on a regular grid of false-positive rates.
 
-    Parameters are those of `auc`. The band comes from resampled blocks and does not cover blocks
-    that were not recorded.
+    Parameters are those of `auc`. The band comes from resampled blocks.
 
     Raises
     ------
@@ -286,7 +283,7 @@ def roc_curve(score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Gen
     scored, score = _scored(score, runs)
     if scored.malicious.all() or not scored.malicious.any():
         raise MetricError("A ROC curve needs runs of both classes; record both.")
-    # From the highest score down; the curve joins the points of distinct scores.
+    # Scores descend; the curve interpolates between distinct scores.
     positive, negative = (part[:, ::-1] for part in _by_score(score, scored))
     draws = np.vstack([np.ones(len(positive)), _resampled(len(positive), rng)])
     grid = np.linspace(0.0, 1.0, 101)
@@ -303,11 +300,11 @@ def _scored(
     score: NDArray[np.float64], runs: DistinctRuns
 ) -> tuple[DistinctRuns, NDArray[np.float64]]:
     finite = ~np.isnan(score)
-    return only(runs, finite), score[finite]
+    return select(runs, finite), score[finite]
 
 
 def _resampled(blocks: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return how often each block is drawn, shape (RESAMPLES, blocks)."""
+    """Return the number of draws of each block, shape (RESAMPLES, blocks)."""
     shares = np.full(blocks, 1.0 / blocks)
     return rng.multinomial(blocks, shares, size=RESAMPLES).astype(np.float64)
 
@@ -333,12 +330,12 @@ def decode_thesis_row(tpr: float, auc: float) -> float:
     """Return the false-positive rate behind an "accuracy" and an AUC of the thesis.
 
     Its "accuracy" is a true-positive rate and its AUC is that of a hard verdict,
-    ``(TPR + 1 - FPR) / 2``, so the rate it does not print follows.
+    ``(TPR + 1 - FPR) / 2``, so the unpublished rate follows.
 
     Raises
     ------
     MetricError
-        No rate in [0, 1] fits both figures, rounding aside.
+        No rate in [0, 1] is consistent with both figures.
 
     Examples
     --------
@@ -349,6 +346,6 @@ def decode_thesis_row(tpr: float, auc: float) -> float:
     if not -0.005 <= fpr <= 1.005:
         raise MetricError(
             f"A recall of {tpr} and an AUC of {auc} give a false-positive rate of {fpr:.3f}; "
-            "one of the two is not of a hard verdict."
+            "they are not from the same hard verdict."
         )
     return min(max(fpr, 0.0), 1.0)

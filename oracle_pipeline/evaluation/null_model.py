@@ -1,8 +1,8 @@
 """The thesis's method on runs whose labels are meaningless.
 
 The durations of the thesis's runs are not published. Here they are as in navigation: most runs are
-alike and a few many times longer, as after recoveries or at a timeout. No number of a run depends
-on its label, so any "accuracy" here is due to chance.
+similar, and a few are many times longer, as after recoveries or at a timeout. No feature of a run
+depends on its label, so any "accuracy" is due to chance.
 """
 
 import numpy as np
@@ -32,7 +32,7 @@ def label_free_runs(p_long: float, rng: np.random.Generator) -> pd.DataFrame:
     Returns
     -------
     DataFrame of 90 rows
-        Half malicious. Nine of the ten features are noise, of no weight beside the nanoseconds.
+        Half malicious. Nine of the ten features are noise, and negligible beside the nanoseconds.
     """
     n = 2 * len(PAIRS) * RUNS_OF_MODE
     duration_s = MEDIAN_S * np.exp(SPREAD * rng.normal(size=n))
@@ -47,16 +47,16 @@ def label_free_runs(p_long: float, rng: np.random.Generator) -> pd.DataFrame:
 def best_cluster_rates(
     p_long: float, repetitions: int, seed: int, n: int = 1000, malicious_rate: float = 0.3
 ) -> pd.DataFrame:
-    """Apply the thesis's variant, Ward and two clusters, to label-free runs again and again.
+    """Apply the thesis's variant, Ward and two clusters, repeatedly to label-free runs.
 
     Parameters
     ----------
     p_long : float
         Share of runs that take very long.
     repetitions : int
-        Of the whole experiment, each with other runs.
+        Number of experiments, each with new runs.
     seed : int
-        Of the generator that makes the runs; rows are drawn as in the thesis each time.
+        Of the generator of the runs; rows are always drawn as in the thesis.
     n : int
         Rows of each bootstrap.
     malicious_rate : float

@@ -28,8 +28,8 @@ class OpenClaim:
 
     claim: str
     reason: str
-    modes: tuple[str, ...] = ()  # to record; ending in ``*``: all that begin so
-    blocks: int = 0  # in which to record them, counted from the first; 0: more runs do not help
+    modes: tuple[str, ...] = ()  # to record; a trailing ``*`` is a wildcard
+    blocks: int = 0  # number of blocks to record them in; 0: more runs do not help
 
 
 def open_claims(df: pd.DataFrame, checks: Sequence[IntegrityCheck]) -> list[OpenClaim]:
@@ -40,7 +40,7 @@ def open_claims(df: pd.DataFrame, checks: Sequence[IntegrityCheck]) -> list[Open
     df : DataFrame
         Distinct runs, a row each.
     checks : sequence of IntegrityCheck
-        Of their evaluation; an AUC is claimed when all of them are green.
+        Of their evaluation; an AUC is claimed if all are green.
     """
     if missing := lacking(df):
         side = 0 if is_malicious(df).any() else 1
@@ -55,18 +55,18 @@ def open_claims(df: pd.DataFrame, checks: Sequence[IntegrityCheck]) -> list[Open
 
 
 def as_table(claims: Iterable[OpenClaim]) -> pd.DataFrame:
-    """Return claims as a table, modes joined by blanks."""
+    """Return claims as a table, modes joined by spaces."""
     rows = [{**asdict(claim), "modes": " ".join(claim.modes)} for claim in claims]
     return pd.DataFrame(rows, columns=list(OpenClaim.__dataclass_fields__))
 
 
 def _verdicts(df: pd.DataFrame) -> list[OpenClaim]:
-    """Return the next false positive rate that is out of reach."""
+    """Return the highest false positive rate that is not yet supported."""
     normal = df[~is_malicious(df)]
     modes = tuple(dict.fromkeys(df["mode"]))
     runs, blocks = len(normal), normal["block"].nunique()
     usual, strict = RATES
-    needed = runs_needed(usual) + 1  # a run's own block has no vote on it
+    needed = runs_needed(usual) + 1  # the block of the judged run has no vote
     if blocks < needed:
         reason = (
             f"It needs normal recordings of {needed} blocks; you have {runs} recordings of "
@@ -90,7 +90,7 @@ def _verdicts(df: pd.DataFrame) -> list[OpenClaim]:
 
 
 def _area(df: pd.DataFrame, doubts: Sequence[IntegrityCheck]) -> list[OpenClaim]:
-    """Return what prevents claiming an AUC, beginning with what more runs would settle."""
+    """Return why an AUC cannot be claimed, starting with checks that need more runs."""
     claims = []
     lacks = [check for check in doubts if check.status == "unsupported"]
     if lacks:
@@ -111,7 +111,7 @@ def _named(check: IntegrityCheck) -> str:
 
 
 def _need(check: str, df: pd.DataFrame) -> tuple[tuple[str, ...], int]:
-    """Return the modes that a check lacks, and in how many blocks it takes them."""
+    """Return the modes that a check needs, and the number of blocks."""
     if check == "hard_negatives_pass":
         return (f"{HARD_NEGATIVE}*",), blocks_to_exclude(FALSE_ALARMS)
     if check == "unaltered_runs_are_alike":

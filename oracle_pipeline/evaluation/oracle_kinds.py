@@ -1,4 +1,4 @@
-"""Compares kinds of oracle: the attacks that each finds, its false positives, and its cost."""
+"""Compares kinds of oracle: detected attacks, false positives and cost of each."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -23,7 +23,7 @@ from oracle_pipeline.scoring.conformal import runs_needed
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 UNION = "union"
-CARD = "reference card"  # the scorer that users call, for comparison
+CARD = "reference card"  # the scorer of `oracle score`, for comparison
 SEED = 50
 
 Row = dict[str, float | int | str]
@@ -36,7 +36,7 @@ class KindsComparison:
     Attributes
     ----------
     oracles : DataFrame
-        A row for each oracle: what it asks of people, its cost, and its rates.
+        A row for each oracle: the input it needs from people, its cost, and its rates.
     by_mode : DataFrame
         A row for each oracle and mode: the share of runs that it calls anomalous.
     p : DataFrame
@@ -60,13 +60,13 @@ def compare_kinds(
     Parameters
     ----------
     kinds : sequence of OracleKind
-        Unfitted. One that cannot be used on these runs gets a row with the reason.
+        Unfitted. A kind that cannot be used on members runs gets a row with the reason.
     runs : TracedRuns
-        Normal and attacked ones.
+        Normal and attacked runs.
     others : mapping of str to Judged, optional
-        Results of other oracles on these runs, for comparison; they are not in the union.
+        Results of other oracles on members runs, for comparison; they are not in the union.
     rate : float
-        False positive rate of every verdict, that of the union included.
+        False positive rate of every verdict, including that of the union.
     progress : callable
         Called with one line before each step.
     """
@@ -76,7 +76,7 @@ def compare_kinds(
     for kind in kinds:
         progress(kind.name)
         cost: Row = {"oracle": kind.name, "asks": kind.asks, "written": kind.written()}
-        alone = TracedRuns(runs.table, runs.traces)  # knows nothing yet, so the cost is the kind's
+        alone = TracedRuns(runs.table, runs.traces)  # without caches, to measure the full cost
         began_s = time.process_time()
         try:
             verdicts[kind.name] = judged(kind, alone)
@@ -88,7 +88,7 @@ def compare_kinds(
     if len(verdicts) > 1:
         progress(UNION)
         verdicts[UNION] = union(list(verdicts.values()), runs)
-        rows.append({"oracle": UNION, "asks": "all of these"})
+        rows.append({"oracle": UNION, "asks": "all of members"})
     for name, other in (others or {}).items():
         verdicts[name] = other
         rows.append({"oracle": name, "asks": "normal recordings"})
@@ -111,9 +111,9 @@ def by_cards(roots: Sequence[Path], runs: TracedRuns) -> dict[str, Judged]:
     Parameters
     ----------
     roots : sequence of Path
-        The first with ``datasets/`` counts.
+        The first root that has ``datasets/`` with all runs is used.
     runs : TracedRuns
-        All have to stand in its table of features.
+        All must be in its table of features.
     """
     for root in roots:
         features, windows = layout.dataset(root, "features"), layout.dataset(root, "windows")
@@ -121,25 +121,25 @@ def by_cards(roots: Sequence[Path], runs: TracedRuns) -> dict[str, Judged]:
             continue
         table = read_table(features)
         if set(runs.table["run_id"]) <= set(table["run_id"]):
-            here = table[table["run_id"].isin(runs.table["run_id"])]
-            scores = reference_scores(MeasuredRuns.ordered(here, read_table(windows)))
-            order = np.searchsorted(np.sort(here["run_id"]), runs.table["run_id"])
+            rows = table[table["run_id"].isin(runs.table["run_id"])]
+            scores = reference_scores(MeasuredRuns.ordered(rows, read_table(windows)))
+            order = np.searchsorted(np.sort(rows["run_id"]), runs.table["run_id"])
             return {CARD: Judged(scores.score[order], scores.p[order])}
     return {}
 
 
 def _rates(verdict: Judged, runs: TracedRuns, rate: float, rng: np.random.Generator) -> Row:
-    """Return area, detection rate and realised false positive rates, each with its interval."""
+    """Return AUC, detection rate and realised false positive rates, each with its interval."""
     called, block = verdict.p <= rate, runs.block
     supported = _supported(runs, rate)
     harmless = is_hard_negative(runs.table)
     row: Row = {"rate": rate, **_area(verdict.score, runs, rng)}
-    for name, these in (
+    for name, group in (
         ("detection_rate", runs.malicious),
         ("false_alarm_rate", runs.normal),
         ("false_alarm_rate_harmless", harmless),
     ):
-        row |= share(called[these], block[these], rng).columns(name) if supported else {}
+        row |= share(called[group], block[group], rng).columns(name) if supported else {}
     if not supported:
         row["note"] = (
             f"{_blocks(runs)} blocks of normal runs cannot support a false positive rate of "
@@ -153,7 +153,7 @@ def _blocks(runs: TracedRuns) -> int:
 
 
 def _supported(runs: TracedRuns, rate: float) -> bool:
-    """Return whether some run can be called anomalous; its own block has no vote."""
+    """Return whether a run can be called anomalous at all; its own block has no vote."""
     return _blocks(runs) > runs_needed(rate)
 
 
@@ -175,10 +175,12 @@ def _by_mode(verdict: Judged, runs: TracedRuns, rate: float, rng: np.random.Gene
     order = sorted(set(mode[known]), key=lambda name: (not attacked[mode == name].any(), name))
     rows: list[Row] = []
     for name in order:
-        these = known & (mode == name)
-        called = share(verdict.p[these] <= rate, runs.block[these], rng) if supported else NOTHING
-        label = str(runs.table["label"].to_numpy()[these][0])
+        members = known & (mode == name)
+        called = (
+            share(verdict.p[members] <= rate, runs.block[members], rng) if supported else NOTHING
+        )
+        label = str(runs.table["label"].to_numpy()[members][0])
         rows.append(
-            {"mode": name, "label": label, "runs": int(these.sum()), **called.columns("called")}
+            {"mode": name, "label": label, "runs": int(members.sum()), **called.columns("called")}
         )
     return rows

@@ -1,4 +1,4 @@
-"""The rank of attacked runs among all runs, which needs no threshold and few runs."""
+"""The rank of attacked runs among all runs: needs no threshold, and few runs suffice."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -12,14 +12,14 @@ from oracle_pipeline.evaluation.comparisons import RATES
 
 @dataclass(frozen=True, slots=True)
 class Ranking:
-    """Of n attacked runs, how many are among the n highest scores (R-precision).
+    """The number of the n attacked runs that are among the n highest scores (R-precision).
 
     Attributes
     ----------
     attacked, normal : int
         Runs with a score.
     on_top : int
-        Attacked runs among as many of the highest scores; of equal scores normal runs come first.
+        Attacked runs among that many highest scores; normal runs come first in ties.
     by_chance : float
         The number expected from a score without information.
     """
@@ -31,7 +31,7 @@ class Ranking:
 
     @classmethod
     def of(cls, runs: pd.DataFrame) -> Self:
-        """Rank runs by ``score``; those without one take no part."""
+        """Rank runs by ``score``; those without one are left out."""
         scored = runs[np.isfinite(runs["score"])]
         malicious = is_malicious(scored)
         attacked = int(malicious.sum())
@@ -55,8 +55,8 @@ def standing(runs: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        ``mode``, ``label``, ``runs``, ``judged`` (runs with a p-value), ``called`` (of those, how
-        many are anomalous at the usual rate) and ``median_score``.
+        ``mode``, ``label``, ``runs``, ``judged`` (runs with a p-value), ``called`` (how many of
+        those are anomalous at the usual rate) and ``median_score``.
     """
     called = runs["p"] <= RATES[0]
     by_mode = runs.assign(called=called).groupby("mode", sort=False)

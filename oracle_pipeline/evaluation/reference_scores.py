@@ -1,8 +1,8 @@
-"""Scores by the same scorer that users call: that of a reference card.
+"""Scores by the scorer of a reference card, as in ``oracle score``.
 
-Learned once from all normal runs, it judges each run by the model that did not see the run's block
-(``oracle_pipeline.scoring.cross_conformal``), as ``oracle score`` does for a run of a campaign. For
-splits that hold more out than a block, it is learned anew from what each fold may see.
+It is learned once from all normal runs, and judges each run by the model that was not fitted on the
+run's block (``oracle_pipeline.scoring.cross_conformal``). For splits that hold out more than a
+block, a new scorer is learned from the training runs of each fold.
 """
 
 from collections.abc import Sequence
@@ -28,15 +28,15 @@ def reference_scores(
     ----------
     runs : MeasuredRuns
     folds : sequence of Fold, optional
-        In each, the tested runs are scored by a reference learned from the normal runs that fit and
-        calibrate. By default there is one reference, learned from all normal runs.
+        In each fold, a scorer learned from its fitting and calibration runs scores the tested runs.
+        By default one scorer is learned from all normal runs.
     features : str
         Name of the scorer's set of features: ``all``, or an aspect of the card.
 
     Returns
     -------
     HeldOutScores
-        NaN where there are too few blocks to learn from; ``calibration`` counts blocks.
+        NaN if there are too few blocks to learn from; ``calibration`` counts blocks.
 
     Raises
     ------
@@ -59,24 +59,24 @@ def reference_scores(
 def reference_of(
     runs: MeasuredRuns, normal: NDArray[np.bool_], features: str = "all"
 ) -> CrossConformalScorer | None:
-    """Return the scorer learned from some runs; None if they are too few or have no feature.
+    """Return the scorer learned from some runs; None if there are too few or they have no feature.
 
     Parameters
     ----------
     runs : MeasuredRuns
     normal : ndarray of bool, shape (n_runs,)
-        Which of them are normal, and teach.
+        The runs to learn from.
     features : str
         As for `reference_scores`.
     """
     try:
         return learned_scorer(runs.where(normal), features)
-    except (ConformalError, ScoringError):  # the row of the table says so
+    except (ConformalError, ScoringError):  # the row of the table has a note on it
         return None
 
 
 def scored(runs: MeasuredRuns, scorer: CrossConformalScorer | None) -> HeldOutScores:
-    """Return what a scorer says of runs, each by the model that did not see the run's block."""
+    """Return the scores of runs, each by the model that was not fitted on the run's block."""
     if scorer is None:
         unknown = np.full(len(runs.features), np.nan)
         return HeldOutScores(unknown, unknown, 0)
@@ -89,6 +89,6 @@ def scored(runs: MeasuredRuns, scorer: CrossConformalScorer | None) -> HeldOutSc
 
 
 def _votes(learned: NDArray[np.int64], tested: NDArray[np.int64]) -> int:
-    """Return how many blocks vote on a tested run, at least."""
+    """Return the smallest number of blocks that vote on a tested run."""
     blocks = len(np.unique(learned))
     return blocks - 1 if np.isin(tested, learned).any() else blocks

@@ -1,8 +1,8 @@
 """Splits of runs into different blocks for fitting, calibrating and testing.
 
-Runs of a block share start, goals and nuisance seed, so whole blocks go to one side. Only normal
-runs train: those of half the training blocks fit the detector, those of the other half calibrate
-it. Hard negatives are normal runs like any other.
+Runs of a block share start, goals and nuisance seed, so blocks are never split. Only normal runs
+are used for training: those of half the training blocks to fit the detector, the others to
+calibrate it. Hard negatives are normal runs like any other.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from oracle_pipeline.datasets import is_hard_negative, is_malicious
 
 FOLDS = 5
 MIN_BLOCKS = 3  # one to fit, one to calibrate, one to test
-# What a detector has not seen of the runs that it is tested on.
+# What is held out.
 BLOCK, HARMLESS = "block", "block and hard negatives"
 SESSION: Final = "session"
 WORLD: Final = "world"
@@ -30,7 +30,7 @@ class Fold:
     fit: NDArray[np.bool_]  # normal runs
     calibrate: NDArray[np.bool_]  # normal runs of other blocks
     test: NDArray[np.bool_]  # all runs of yet other blocks
-    train: NDArray[np.bool_]  # all runs of no tested block: for classifiers, which need attacks too
+    train: NDArray[np.bool_]  # all runs of untested blocks, attacked too: for classifiers
 
     def of(self, rows: NDArray[np.intp]) -> "Fold":
         """Return the fold over rows that belong to runs, for example windows, by run number."""
@@ -38,30 +38,30 @@ class Fold:
 
 
 def block_folds(df: pd.DataFrame, seed: int, n_folds: int = FOLDS) -> list[Fold]:
-    """Return folds that hold out a share of the blocks each, sessions spread evenly.
+    """Return folds that each hold out a share of the blocks, with sessions spread evenly.
 
     Parameters
     ----------
     df : DataFrame
         One row for each run.
     seed : int
-        Of the order in which blocks are dealt.
+        Of the assignment of blocks to folds.
     n_folds : int
         Largest number of folds. With fewer blocks, each block is a fold; with fewer than three
         blocks, there are no folds.
     """
     rng = np.random.default_rng(seed)
-    hand = _dealt(df, np.ones(len(df), dtype=np.bool_), n_folds, rng)
-    return _folds(df, [hand == n for n in range(n_folds)], rng)
+    group = _assign_blocks(df, np.ones(len(df), dtype=np.bool_), n_folds, rng)
+    return _folds(df, [group == n for n in range(n_folds)], rng)
 
 
 def group_folds(
     df: pd.DataFrame, column: Literal["session", "world"], seed: int, blocks_that_train: int = 0
 ) -> list[Fold]:
-    """Return folds that hold out whole sessions or worlds, except some blocks that train.
+    """Return folds that hold out whole sessions or worlds, except some blocks for training.
 
-    One group at a time is held out, or a fifth of them if there are more than five. With only one
-    group, or where a group has no further block, there are no folds.
+    One group at a time is held out, or a fifth of them if there are more than five. There are no
+    folds with only one group, or if a group has no block left to test.
 
     Parameters
     ----------
@@ -70,9 +70,9 @@ def group_folds(
     column : {"session", "world"}
         What is held out.
     seed : int
-        Of who trains, and of the order in which groups are dealt.
+        Of the choice of blocks that train, and of the assignment of groups to folds.
     blocks_that_train : int
-        Blocks of a tested group that train like any other, such as runs taken on its day.
+        Number of blocks of a tested group that are used for training.
     """
     block, group = _column(df, "block"), df[column].to_numpy()
     rng = np.random.default_rng([seed, blocks_that_train])
@@ -84,17 +84,17 @@ def group_folds(
     if len(tested) < 2 or not all(test.any() for test in tested):
         return []
     if len(tested) > FOLDS:
-        hand = rng.permutation(len(tested)) % FOLDS
-        tested = [np.any(np.array(tested)[hand == n], axis=0) for n in range(FOLDS)]
+        fold = rng.permutation(len(tested)) % FOLDS
+        tested = [np.any(np.array(tested)[fold == n], axis=0) for n in range(FOLDS)]
     return _folds(df, tested, np.random.default_rng(seed))
 
 
 def tested_in(folds: Sequence[Fold]) -> NDArray[np.bool_] | None:
-    """Return which rows some fold tests; None if there are no folds."""
+    """Return a mask of the rows that any fold tests; None if there are no folds."""
     return np.any([fold.test for fold in folds], axis=0) if folds else None
 
 
-def untaught(df: pd.DataFrame, folds: Sequence[Fold]) -> list[Fold]:
+def without_hard_negatives(df: pd.DataFrame, folds: Sequence[Fold]) -> list[Fold]:
     """Return folds in which hard negatives are only tested, never trained on."""
     plain = ~is_hard_negative(df)
     held_out = [replace(f, fit=f.fit & plain, calibrate=f.calibrate & plain) for f in folds]
@@ -104,9 +104,9 @@ def untaught(df: pd.DataFrame, folds: Sequence[Fold]) -> list[Fold]:
 def fit_and_calibrate(
     df: pd.DataFrame, train: NDArray[np.bool_], rng: np.random.Generator
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Split the normal runs among the training rows, half of the blocks to either mask."""
-    hand, normal = _dealt(df, train, 2, rng), ~is_malicious(df)
-    return normal & (hand == 0), normal & (hand == 1)
+    """Split the normal runs among the training rows by block into two halves."""
+    half, normal = _assign_blocks(df, train, 2, rng), ~is_malicious(df)
+    return normal & (half == 0), normal & (half == 1)
 
 
 def _folds(
@@ -120,22 +120,22 @@ def _folds(
     return folds
 
 
-def _dealt(
-    df: pd.DataFrame, rows: NDArray[np.bool_], hands: int, rng: np.random.Generator
+def _assign_blocks(
+    df: pd.DataFrame, rows: NDArray[np.bool_], groups: int, rng: np.random.Generator
 ) -> NDArray[np.intp]:
-    """Deal the blocks of some rows like cards, session by session; -1 for all other rows.
+    """Assign the blocks of some rows round-robin to groups; -1 for all other rows.
 
-    Sessions come in a random order: those of a single block are not dealt in turns.
+    Blocks are ordered by session, and sessions at random.
     """
     blocks, first, member = np.unique(
         _column(df, "block")[rows], return_index=True, return_inverse=True
     )
     names, session = np.unique(_column(df, "session")[rows][first], return_inverse=True)
     order = rng.permutation(len(blocks))
-    cards = np.lexsort((order, rng.permutation(len(names))[session]))
-    hand = np.full(len(df), -1)
-    hand[rows] = (np.argsort(cards) % hands)[member]
-    return hand
+    sequence = np.lexsort((order, rng.permutation(len(names))[session]))
+    group = np.full(len(df), -1)
+    group[rows] = (np.argsort(sequence) % groups)[member]
+    return group
 
 
 def _column(df: pd.DataFrame, name: str) -> NDArray[np.int64]:

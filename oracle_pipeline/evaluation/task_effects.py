@@ -1,10 +1,9 @@
-"""The effect of an attack on the robot's task, and whether it is more than chance.
+"""The effect of an attack on the robot's task, and whether it exceeds chance.
 
 The runs of a block have the same start and goals. Each is compared with the unaltered runs of its
-block, the passthroughs and the shadow controls, if these were made under the same conditions: a
-robot that has to drive slowly does not misbehave. How far unaltered runs are from each other is the
-uncertainty. A run *misbehaved* if it is farther from them than that in any quantity. All of this is
-ground truth, which no feature sees.
+block (passthroughs and shadow controls) under the same conditions: a robot that has to drive slowly
+does not misbehave. The uncertainty is the distance between unaltered runs. A run *misbehaved* if it
+is farther from them than that in any quantity. All of this is ground truth, which no feature uses.
 """
 
 import json
@@ -19,9 +18,9 @@ from oracle_pipeline.bags.behaviour import UNITS
 from oracle_pipeline.datasets import is_hard_negative
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 
-LEVEL = 0.99  # share of the unaltered runs that are called so by a quantity, and by all together
-REPEATS = 20  # unaltered runs that are needed to say how far they are from each other
-# Smaller differences do not matter to a task, however alike its runs are.
+LEVEL = 0.99  # share of unaltered runs within the uncertainty, for each quantity and for all
+REPEATS = 20  # unaltered runs needed to estimate the uncertainty
+# Smaller differences do not matter to a task, even if its runs hardly vary.
 LEAST: Mapping[str, float] = {
     "driven_m": 0.1,
     "under_way_s": 1.0,
@@ -34,7 +33,7 @@ LEAST: Mapping[str, float] = {
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TaskEffects:
-    """How each run differs from the unaltered runs of its block.
+    """The difference of each run from the unaltered runs of its block.
 
     Attributes
     ----------
@@ -49,7 +48,7 @@ class TaskEffects:
 
     @property
     def size(self) -> NDArray[np.float64]:
-        """Largest difference of each run over its uncertainty; NaN if unknown, shape (n_runs,)."""
+        """Largest difference of each run in units of its uncertainty; NaN if unknown, (n_runs,)."""
         scale = np.array([self.uncertainty[name] for name in UNITS])
         sizes = np.abs(self.differences.to_numpy(dtype=np.float64)) / scale
         known = np.isfinite(sizes).any(axis=1)
@@ -57,12 +56,12 @@ class TaskEffects:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Which runs could be compared, shape (n_runs,)."""
+        """Mask of the runs that could be compared, shape (n_runs,)."""
         return np.isfinite(self.size)
 
     @property
     def misbehaved(self) -> NDArray[np.bool_]:
-        """Which runs differ by more than their uncertainty, shape (n_runs,)."""
+        """Mask of the runs that differ by more than the uncertainty, shape (n_runs,)."""
         return self.size > 1.0
 
     def table(self) -> pd.DataFrame:
@@ -91,36 +90,35 @@ def task_effects(campaign: JudgedRuns) -> TaskEffects:
     )
 
 
-def _uncertainty(apart: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how far unaltered runs are from each other by chance, shape (n_quantities,).
+def _uncertainty(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the distance between unaltered runs by chance, shape (n_quantities,).
 
     Any single quantity can make a run count as misbehaved. So the uncertainties are widened until
     `LEVEL` of the unaltered runs are within all of them.
 
     Parameters
     ----------
-    apart : ndarray of shape (n_unaltered, n_quantities)
+    distance : ndarray of shape (n_unaltered, n_quantities)
     """
     least = np.array([LEAST[name] for name in UNITS])
-    alone = np.array([_within(column[np.isfinite(column)]) for column in apart.T])
-    sizes = np.nan_to_num(apart / np.maximum(alone, least), nan=0.0)
-    known = np.isfinite(apart[:, np.isfinite(alone)]).any(axis=1)
+    alone = np.array([_within(column[np.isfinite(column)]) for column in distance.T])
+    sizes = np.nan_to_num(distance / np.maximum(alone, least), nan=0.0)
+    known = np.isfinite(distance[:, np.isfinite(alone)]).any(axis=1)
     wider = max(1.0, _within(sizes[known].max(axis=1))) if known.any() else 1.0
     return np.asarray(np.maximum(wider * alone, least), dtype=np.float64)
 
 
-def _within(apart: NDArray[np.float64]) -> float:
-    """Return the distance within which `LEVEL` of some runs are; NaN if they are too few."""
-    if len(apart) < REPEATS:
+def _within(distance: NDArray[np.float64]) -> float:
+    """Return the distance within which `LEVEL` of the runs are; NaN if there are too few."""
+    if len(distance) < REPEATS:
         return np.nan
-    return float(np.quantile(apart, LEVEL, method="higher"))
+    return float(np.quantile(distance, LEVEL, method="higher"))
 
 
 def _differences(values: NDArray[np.float64], unaltered: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return how far each run of a block is from the unaltered ones, shape (n_runs, n_quantities).
+    """Return the distance of each run of a block from the unaltered ones, (n_runs, n_quantities).
 
-    An exact repetition of a run says nothing about chance, so each is counted once and none stands
-    for itself.
+    Exact repetitions carry no information on chance, so they count once, and never for themselves.
     """
     repeats = np.unique(values[unaltered], axis=0)
     differences = np.full(values.shape, np.nan)
@@ -134,7 +132,7 @@ def _differences(values: NDArray[np.float64], unaltered: NDArray[np.bool_]) -> N
 
 
 def _median(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the median of each column, NaN where there is no value."""
+    """Return the median of each column, NaN without a value."""
     medians = np.full(values.shape[1], np.nan)
     given = np.isfinite(values).any(axis=0)
     medians[given] = np.nanmedian(values[:, given], axis=0)

@@ -1,6 +1,6 @@
-"""The ground truth of each run, as a table: from manifests, never seen by any feature.
+"""The ground truth of each run as a table, from manifests; no feature uses it.
 
-The evaluation measures against it. Labels of runs are in the feature tables.
+Labels of runs are in the feature tables.
 """
 
 import json
@@ -21,10 +21,10 @@ def truth_table(manifests: Iterable[Manifest]) -> pd.DataFrame:
     """Return one row for each run, sorted by ``run_id``.
 
     Columns are ``run_id``, ``onset_s`` (NaN: never), ``recording_s`` [s of the recording],
-    ``behaviour`` (what the robot did, by quantity), ``conditions`` (what was otherwise in the
-    testbed, such as an obstacle), ``outcome``, ``attack`` (its parameters) and ``changes`` (the
-    bins of 5 s in which messages were changed, as start, number of messages and largest change).
-    All but ``outcome`` of these are JSON.
+    ``behaviour`` (what the robot did, by quantity), ``conditions`` (changes to the testbed, such as
+    an obstacle), ``outcome``, ``attack`` (its parameters) and ``changes`` (the bins of 5 s in which
+    messages were changed, as start, number of messages and largest change). The last five are JSON,
+    except ``outcome``.
     """
     rows = [
         (

@@ -1,8 +1,8 @@
 """Measures when a run is unusual, by family of features, for every window of every run.
 
-A window's distance in one family is the largest robust distance of the family's features from
+A window's distance in one family is the largest robust z of the family's features, relative to
 normal windows of other blocks. A distance is usual if it is at most that of 95 % of normal windows,
-each measured by a scale that did not see its block.
+which are held out by block too.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.clustering.scaling import CLIP, FlooredRobustScaler
 from oracle_pipeline.datasets import feature_columns, feature_floors
-from oracle_pipeline.scoring.cross_conformal import FOLDS, MIN_BLOCKS, dealt
+from oracle_pipeline.scoring.cross_conformal import FOLDS, MIN_BLOCKS, assign_folds
 from oracle_pipeline.scoring.feature_sets import feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
@@ -29,11 +29,11 @@ class UnusualWindows:
     ----------
     families : sequence of str, length n_families
     usual : ndarray of shape (n_families,)
-        Distance up to which a normal window usually is.
+        Upper limit of the usual distance.
     distance : ndarray of shape (n_windows, n_families)
         NaN where the window has no value in the family.
     farthest : ndarray of str, shape (n_windows, n_families)
-        The feature that is at that distance.
+        The feature with that distance.
     start_s : ndarray of shape (n_windows,)
         Start of each window [s of the recording].
     """
@@ -56,7 +56,7 @@ class UnusualWindows:
 
 
 def unusual_windows(runs: MeasuredRuns) -> UnusualWindows | None:
-    """Measure every window of some runs; None if normal ones come from fewer than three blocks."""
+    """Measure every window of some runs; None with fewer than three blocks of normal runs."""
     if len(np.unique(runs.block[~runs.malicious])) < MIN_BLOCKS:
         return None
     columns = _windowed(runs)
@@ -78,16 +78,16 @@ def unusual_windows(runs: MeasuredRuns) -> UnusualWindows | None:
 
 
 def _windowed(runs: MeasuredRuns) -> list[str]:
-    """Return the features that the oracle uses and that windows have."""
+    """Return the features of the oracle that windows have."""
     of_windows = set(feature_columns(runs.windows))
     return [name for name in feature_sets(runs.features).get("all", []) if name in of_windows]
 
 
 def _held_out_z(runs: MeasuredRuns, columns: Sequence[str]) -> NDArray[np.float64]:
-    """Return robust distances by scales of other blocks, shape (n_windows, n_columns)."""
+    """Return robust z relative to other blocks, shape (n_windows, n_columns)."""
     normal = ~runs.malicious
     names = np.unique(runs.block[normal])
-    folds = dealt(names, FOLDS, np.random.default_rng(SEED))
+    folds = assign_folds(names, FOLDS, np.random.default_rng(SEED))
     fold_of = dict(zip(names.tolist(), folds.tolist(), strict=True))
     fold = np.array([fold_of.get(block, 0) for block in runs.block.tolist()])[runs.run]
     table = runs.windows[list(columns)].astype(np.float64)

@@ -1,9 +1,8 @@
 """The thesis's method in two variants: as its code computes it, and corrected.
 
-Both draw runs with replacement and cluster their rows. They differ in the features, in how rows
-are drawn, and in scaling.
-docs/explanation/thesis.md lists the differences. ``oracle_pipeline.evaluation.clustering_result``
-measures how good a clustering is.
+Both draw runs with replacement and cluster their rows. They differ in features, sampling and
+scaling; docs/explanation/thesis.md lists the differences.
+``oracle_pipeline.evaluation.clustering_result`` measures how good a clustering is.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +24,7 @@ VariantName = Literal["corrected", "thesis"]
 #: Feature families that the thesis calls "all".
 ALL_FAMILIES = ("structural", "contextual")
 
-# Slices of the thesis's vector. Its contextual one begins at 8 and so leaves out yaw variance, 7.
+# Slices of the thesis's vector. Its contextual slice begins at 8 and so omits yaw variance, 7.
 _SLICES: dict[FeatureSet, tuple[str, ...]] = {
     "all": VECTOR,
     "structural": VECTOR[:7],
@@ -41,13 +40,13 @@ class Variant:
     ----------
     name : {"corrected", "thesis"}
     whole_runs : callable
-        Takes a feature table and returns its runs that can be used.
+        Takes a feature table and returns its usable runs.
     columns : callable
         Takes a feature table and a set of features, and returns the columns.
     draw : callable
         Takes usable runs, a number of rows, a malicious rate and a seed, and returns the rows.
     matrix : callable
-        Takes rows and columns, and returns what is clustered, shape (n_rows, n_columns).
+        Takes rows and columns, and returns the matrix to cluster, shape (n_rows, n_columns).
     first_clusters_only : bool
         Look for the best cluster among those numbered 1 to t, even where t is a distance.
     """
@@ -61,7 +60,7 @@ class Variant:
 
 
 def scale_rows(rows: pd.DataFrame, columns: Sequence[str]) -> NDArray[np.float64]:
-    """Scale the named features of the rows, floors as declared; shape (n_rows, n_scaled)."""
+    """Scale the named features with their declared floors; shape (n_rows, n_scaled)."""
     scaler = FlooredRobustScaler(feature_floors(rows))
     return np.asarray(scaler.fit_transform(rows[list(columns)]), dtype=np.float64)
 
@@ -71,7 +70,7 @@ def _families(df: pd.DataFrame, features: FeatureSet) -> list[str]:
 
 
 def _of_whole_vectors(df: pd.DataFrame) -> pd.DataFrame:
-    """Leave out runs whose vector is short, which the thesis's code cannot put into an array.
+    """Drop runs with an incomplete vector, which the thesis's code cannot put into an array.
 
     Raises
     ------
@@ -90,7 +89,7 @@ def _of_whole_vectors(df: pd.DataFrame) -> pd.DataFrame:
 
 
 def _sample(df: pd.DataFrame, n: int, malicious_rate: float, seed: int) -> pd.DataFrame:
-    """Draw rows as the thesis's code does: normal ones by `seed`, then malicious by the next.
+    """Draw rows as the thesis's code does: normal ones with `seed`, malicious ones with `seed + 1`.
 
     Raises
     ------

@@ -53,7 +53,7 @@ def grid_search_table(
     rows : DataFrame
         Drawn as the variant draws them.
     rng : Generator
-        Draws the resamples behind the intervals.
+        Draws the resamples for the intervals.
     variant : Variant
     grid : Grid
         Its distances are in scales if the variant scales.
@@ -90,7 +90,7 @@ def malicious_rate_table(
     n, seed : int
         Of each bootstrap.
     rng : Generator
-        Draws the resamples behind the intervals.
+        Draws the resamples for the intervals.
     variant : Variant
     rates : sequence of float
         Shares of malicious rows.

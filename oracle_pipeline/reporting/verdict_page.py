@@ -14,7 +14,7 @@ from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.features import FeatureManager
 from oracle_pipeline.reporting.page import template
-from oracle_pipeline.scoring.isolation import Limits, apart
+from oracle_pipeline.scoring.isolation import Limits, run_isolated
 from oracle_pipeline.scoring.output import HEADINGS, cells, family_as_text
 from oracle_pipeline.scoring.verdict import Judgement, Verdict
 
@@ -93,7 +93,7 @@ def _judged(
     remarks, uri = [*verdict.contract, *verdict.notes], ""
     if verdict.outcome != "error":
         try:
-            png = apart(draw, Path(verdict.recording), limits)
+            png = run_isolated(draw, Path(verdict.recording), limits)
             uri = f"data:image/png;base64,{base64.b64encode(png).decode()}"
         except OracleError as error:
             remarks.append(f"It is not drawn: {error}")

@@ -1,14 +1,14 @@
-"""Alarms while a robot runs: window by window, with a promised number of false alarms an hour.
+"""Alarms while a robot runs, raised window by window at a promised rate of false alarms per hour.
 
-The statistic scans the last minute [1]_. For the latest 1, 2, ... windows, it sums how far their
-scores are above the usual score, and divides by the largest such sum in normal recordings. So one
-window beyond all normal ones raises an alarm at once. Many slightly unusual windows raise it
+The statistic scans the last minute [1]_. For the latest 1, 2, ... windows, it sums the excess of
+their scores over the usual score, and divides by the largest such sum in normal recordings. So one
+window beyond all normal ones raises an alarm at once, and many slightly unusual windows raise one
 slowly. A minute after the last unusual window, the statistic is low again.
 
 The threshold comes from normal recordings, each scored by a model that did not see its block. It is
-the lowest for which a new block of the same kind keeps the promised rate on average (conformal risk
-control [2]_). The recordings of a block are watched one after another, like those of one day. A
-block is one unit, so its recordings and windows may depend on each other.
+the lowest at which a new block of the same kind keeps the promised rate on average (conformal risk
+control [2]_). The recordings of a block are processed in sequence, like those of one day. Blocks
+are the exchangeable units, so recordings and windows within a block may be dependent.
 
 References
 ----------
@@ -29,18 +29,18 @@ from numpy.typing import NDArray
 from oracle_pipeline.scoring.conformal import ConformalError
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
-MEMORY = round(60.0 / HOP_S)  # windows that the statistic looks back: a minute
+MEMORY = round(60.0 / HOP_S)  # length of the scan in windows: one minute
 USUAL = 0.95  # share of normal windows whose scores add nothing to the statistic
-REPEAT_S = 600.0  # after an alarm no other is raised for so long [s]
-_LEAST_REACH = 1e-9  # of a number of windows with which normal recordings reach nothing
-_ROUNDING = 1e-9  # of sums of weights
-RATE_PER_H = 0.5  # false alarms an hour that are promised unless another rate is asked for
+REPEAT_S = 600.0  # shortest time between two alarms [s]
+_MIN_REACH = 1e-9  # avoids division by zero where normal windows never exceed the allowance
+_ROUNDING = 1e-9  # tolerance for sums of weights
+RATE_PER_H = 0.5  # promised false alarms per hour, by default
 
 Floats = NDArray[np.float64]
 
 
 class AlarmError(ConformalError):
-    """The normal recordings are too few hours for the promised rate of alarms."""
+    """The normal recordings are too short to support the promised rate of alarms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,16 +54,16 @@ class Alarm:
 
 @dataclass(frozen=True, slots=True)
 class AlarmRule:
-    """When an alarm is raised; learned from normal recordings.
+    """The condition for an alarm, learned from normal recordings.
 
     Attributes
     ----------
     allowance : float
         Score up to which a window adds nothing.
     threshold : float
-        An alarm is raised above it.
+        A statistic above it raises an alarm.
     per_hour : float
-        False alarms an hour that are promised at most.
+        Promised upper bound on false alarms per hour.
     reach : tuple of float, length MEMORY
         Largest sum of 1, 2, ... windows above the allowance in normal recordings.
     """
@@ -80,7 +80,7 @@ class Statistic:
     Parameters
     ----------
     rule : AlarmRule
-        Its allowance and reach.
+        Provides allowance and reach.
     """
 
     def __init__(self, rule: AlarmRule) -> None:
@@ -88,14 +88,14 @@ class Statistic:
         self._last: deque[float] = deque(maxlen=MEMORY)
 
     def feed(self, score: float) -> float:
-        """Take the score of the next window, and return the statistic."""
+        """Add the score of the next window, and return the statistic."""
         self._last.appendleft(score - self._rule.allowance)
-        together = accumulate(self._last)
-        return max(total / reach for total, reach in zip(together, self._rule.reach, strict=False))
+        totals = accumulate(self._last)
+        return max(total / reach for total, reach in zip(totals, self._rule.reach, strict=False))
 
 
 class AlarmWatch:
-    """Watches one recording or robot: takes the score of each window, and returns an alarm or None.
+    """Monitors one recording or robot: returns an alarm or None for the score of each window.
 
     Parameters
     ----------
@@ -115,14 +115,14 @@ class AlarmWatch:
         self._silent_until_s = -math.inf
 
     def feed(self, end_s: float, score: float) -> Alarm | None:
-        """Take the next window; windows come in the order of their ends.
+        """Process the next window; windows must be fed in the order of their ends.
 
         Parameters
         ----------
         end_s : float
             End of the window [s of the recording].
         score : float
-            As of `CrossConformalScorer.window_scores`.
+            From `CrossConformalScorer.window_scores`.
         """
         statistic = self._statistic.feed(score)
         if statistic <= self.rule.threshold or end_s < self._silent_until_s:
@@ -133,16 +133,16 @@ class AlarmWatch:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class NormalWindows:
-    """Held-out scores of the windows of normal recordings, in the order of time.
+    """Held-out scores of the windows of normal recordings, in order of time.
 
     Attributes
     ----------
     scores, start_s : ndarray of shape (n_windows,)
         Start in seconds of the recording.
     run : ndarray of int, shape (n_windows,)
-        Which recording each belongs to, ascending.
+        Index of the recording of each window, ascending.
     block : ndarray of int, shape (n_runs,)
-        Of each recording.
+        Block of each recording.
     """
 
     scores: Floats
@@ -156,7 +156,7 @@ class NormalWindows:
         Parameters
         ----------
         per_hour : float
-            False alarms an hour, on average over recordings.
+            False alarms per hour, on average over recordings.
 
         Raises
         ------
@@ -168,13 +168,13 @@ class NormalWindows:
         if allowed < -_ROUNDING:
             raise AlarmError(
                 f"{len(np.unique(self.block))} blocks of normal recordings ({clock.hours:.2g} h) "
-                f"support no rate below {self.lowest_rate():.2g} false alarms an hour; "
-                f"{per_hour:g} takes {-allowed / per_hour:.2g} h more, of other starts or days."
+                f"support no rate below {self.lowest_rate():.2g} false alarms per hour; a rate of "
+                f"{per_hour:g} needs {-allowed / per_hour:.2g} h more, with other starts or days."
             )
         allowance = float(np.quantile(self.scores, USUAL))
         excess = self.scores - allowance
         reach = tuple(
-            max(clock.lowest_threshold(total, allowed), _LEAST_REACH)
+            max(clock.lowest_threshold(total, allowed), _MIN_REACH)
             for total in totals_of(excess, self.run)
         )
         statistic = statistics_of(self.scores, self.run, AlarmRule(allowance, 0.0, per_hour, reach))
@@ -182,7 +182,7 @@ class NormalWindows:
         return AlarmRule(allowance, threshold, per_hour, reach)
 
     def lowest_rate(self) -> float:
-        """Return the lowest rate of false alarms that these recordings support [1/h]."""
+        """Return the lowest false alarm rate that these recordings support [1/h]."""
         clock = self._clock()
         return clock.most / clock.hours if clock.hours else math.inf
 
@@ -196,20 +196,20 @@ class NormalWindows:
         )
 
     def _clock(self) -> "_Clock":
-        """Return the time of each window in its block, whose recordings follow one another."""
-        lasts = np.zeros(len(self.block))  # each recording, from its start to its last window
-        np.maximum.at(lasts, self.run, self.start_s + HOP_S)
+        """Return the time of each window in its block, with the block's recordings in sequence."""
+        duration_s = np.zeros(len(self.block))  # of each recording, up to its last window
+        np.maximum.at(duration_s, self.run, self.start_s + HOP_S)
         number = np.unique(self.block, return_inverse=True)[1]
-        length_s = np.bincount(number, lasts)
-        begins = np.empty(len(self.block))
+        length_s = np.bincount(number, duration_s)
+        begin_s = np.empty(len(self.block))
         for block in range(len(length_s)):
-            of_block = np.flatnonzero(number == block)
-            begins[of_block] = np.cumsum(lasts[of_block]) - lasts[of_block]
+            in_block = np.flatnonzero(number == block)
+            begin_s[in_block] = np.cumsum(duration_s[in_block]) - duration_s[in_block]
         typical_s = float(np.median(length_s)) if len(length_s) else 0.0
         weight = np.minimum(1.0, typical_s / np.maximum(length_s, HOP_S))
         most = np.maximum(1.0, weight * np.ceil(length_s / REPEAT_S)).max(initial=1.0)
         return _Clock(
-            begins[self.run] + self.start_s + WINDOW_S,
+            begin_s[self.run] + self.start_s + WINDOW_S,
             number[self.run],
             weight,
             float(weight @ length_s) / 3600.0,
@@ -219,19 +219,19 @@ class NormalWindows:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Clock:
-    """The end times of normal windows, if the recordings of a block are watched in turn.
+    """The end times of normal windows, with the recordings of each block in sequence.
 
-    A block that is longer than most counts as if it were as long as the median one.
+    A block that is longer than the median block is weighted down to the median length.
     """
 
     end_s: Floats  # of each window, since the start of its block
     block: NDArray[np.intp]  # of each window, from 0
     weight: Floats  # of each block
-    hours: float  # of all blocks, by their weights
-    most: float  # alarms, by its weight, that a block as long as one of these could have
+    hours: float  # weighted sum over all blocks
+    most: float  # largest possible weighted number of alarms in one block
 
     def alarms(self, statistic: Floats, threshold: float) -> float:
-        """Return how many alarms there are above a threshold, by the weights of their blocks."""
+        """Return the number of alarms above a threshold, weighted by block."""
         above = np.flatnonzero(statistic > threshold)
         block, end_s = self.block[above], self.end_s[above]
         count, until_s = 0.0, np.full(len(self.weight), -math.inf)
@@ -246,7 +246,7 @@ class _Clock:
     def lowest_threshold(self, statistic: Floats, allowed: float) -> float:
         """Return the lowest threshold that at most the allowed number of alarms exceed."""
         candidates = np.unique(statistic[np.isfinite(statistic)])
-        low, high = 0, len(candidates) - 1  # above the highest there is no alarm at all
+        low, high = 0, len(candidates) - 1  # the highest candidate raises no alarm
         if high < 0:
             return math.inf
         while low < high:
@@ -266,7 +266,7 @@ def totals_of(excess: Floats, run: NDArray[np.intp]) -> Iterator[Floats]:
     excess : ndarray of shape (n_windows,)
         Scores above the allowance.
     run : ndarray of int, shape (n_windows,)
-        Ascending; a recording's windows in the order of time.
+        Ascending; the windows of a recording are in order of time.
     """
     total = excess
     yield total
@@ -287,10 +287,10 @@ def statistics_of(scores: Floats, run: NDArray[np.intp], rule: AlarmRule) -> Flo
     run : ndarray of int, shape (n_windows,)
         As for `totals_of`.
     rule : AlarmRule
-        Its allowance and reach.
+        Provides allowance and reach.
     """
     highest = np.full(len(scores), -math.inf)
     for total, reach in zip(totals_of(scores - rule.allowance, run), rule.reach, strict=True):
-        if math.isfinite(reach):  # else no normal recording had so many windows
+        if math.isfinite(reach):  # infinite: no normal recording had that many windows
             highest = np.maximum(highest, total / reach)
     return highest

@@ -32,7 +32,7 @@ from oracle_pipeline.scoring.contract import Contract
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.run_scorer import Design, RunScorer
 
-VERSION = 3  # of the card, and of the windows that it was learned from
+VERSION = 3  # of the card format and of the windowing it was learned with
 SUFFIX = ".card"
 _FACTS, _RUNS, _MODELS = "card.json", "runs.parquet", "models.parquet"
 _WINDOWS = "windows.parquet"
@@ -45,13 +45,13 @@ _OF_WINDOWS = pa.schema(
         ("start_s", pa.list_(pa.float64())),
     ]
 )
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # the same card gives the same bytes
-_DAMAGE = (zipfile.BadZipFile, zlib.error, RuntimeError)  # what a damaged ZIP raises
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # fixed, so that the same card gives the same bytes
+_DAMAGE = (zipfile.BadZipFile, zlib.error, RuntimeError)  # raised for a damaged ZIP
 _LARGEST = 1 << 30  # bytes of one member; a card of 840 runs has 40 MB
 
 
 class CardError(OracleError):
-    """A file is not a reference card, or is one of another release."""
+    """A file is not a reference card, or was written by another release."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -62,13 +62,13 @@ class ReferenceCard:
     ----------
     scorer : CrossConformalScorer
     runs : DataFrame
-        Features of the normal recordings, a row each.
+        Features of the normal recordings, one row each.
     contract : Contract or None
-        Of the recordings' topics and graphs; None if the card was learned from tables.
+        Topics and graphs of the recordings; None if the card was learned from tables.
     notes : tuple of str
-        What a reader of a verdict should know, such as recordings that were left out.
+        Remarks for readers of a verdict, such as which recordings were left out.
     aspects : mapping of str to CrossConformalScorer
-        Scorers of ``tampering`` and ``misbehaviour``, as far as the recordings have such features.
+        Scorers of ``tampering`` and ``misbehaviour``, if the recordings have such features.
     roles : RoleChoices or None
         Robots and topics that a roles file named; None without one.
     """
@@ -81,7 +81,7 @@ class ReferenceCard:
     roles: RoleChoices | None = None
 
     def save(self, path: Path) -> None:
-        """Write the card; a reader sees all of it or the old one."""
+        """Write the card atomically."""
         scorers = {_HEADLINE: self.scorer, **self.aspects}
         members = {
             _RUNS: table_bytes(self.runs),
@@ -108,15 +108,15 @@ class ReferenceCard:
         Raises
         ------
         CardError
-            There is none, it is damaged, or it is of another release.
+            The file is missing, damaged, or from another release.
         """
         try:
             facts, runs, models, windows = _read(path)
-            contract, roles = facts["contract"], facts.get("roles")  # earlier cards have no roles
+            contract, roles = facts["contract"], facts.get("roles")  # older cards have no roles
             choices = None if roles is None else RoleChoices.of(roles)
         except FileNotFoundError as error:
             raise CardError(
-                f"There is no reference card {path}; make one with `oracle learn`."
+                f"There is no reference card {path}; create one with `oracle learn`."
             ) from error
         except (
             zipfile.BadZipFile,
@@ -127,7 +127,7 @@ class ReferenceCard:
             OSError,
         ) as error:
             raise CardError(
-                f"{path} is no reference card, or is damaged ({error}); learn it again with "
+                f"{path} is not a reference card, or is damaged ({error}); create it again with "
                 "`oracle learn`."
             ) from error
         scorers = {
@@ -144,12 +144,12 @@ class ReferenceCard:
         )
 
     def card_for(self, _row: pd.DataFrame) -> "ReferenceCard":
-        """Return this card, which is for one kind of system."""
+        """Return this card: it covers one kind of system only."""
         return self
 
 
 def is_card(path: Path) -> bool:
-    """Tell whether a path names a reference card, by its suffix."""
+    """Return whether the suffix of a path is that of a reference card."""
     return path.suffix == SUFFIX
 
 
@@ -160,8 +160,8 @@ def _read(
         facts = json.loads(_member(archive, _FACTS))
         if facts["version"] != VERSION:
             raise CardError(
-                f"{path} is a card of version {facts['version']}, this release reads {VERSION}; "
-                "learn it again with `oracle learn`."
+                f"{path} is a card of version {facts['version']}, but this release reads version "
+                f"{VERSION}; create it again with `oracle learn`."
             )
         runs = parse_table(_member(archive, _RUNS), f"{path}/{_RUNS}")
         models, windows = (_rows(_member(archive, name)) for name in (_MODELS, _WINDOWS))
@@ -183,7 +183,7 @@ def _parquet(rows: list[dict[str, Any]], schema: pa.Schema | None = None) -> byt
 
 
 def _rows(content: bytes) -> _OfScorers:
-    """Return the rows of a Parquet table by the scorer that they belong to."""
+    """Return the rows of a Parquet table, grouped by scorer."""
     rows: _OfScorers = defaultdict(list)
     for row in pq.read_table(io.BytesIO(content)).to_pylist():
         rows[row.pop("scorer")].append(row)
@@ -205,7 +205,7 @@ def _described(scorer: CrossConformalScorer) -> dict[str, Any]:
 
 
 def _models(scorers: Mapping[str, CrossConformalScorer]) -> list[dict[str, Any]]:
-    """Return the fitted scalers and detectors, a row for each scorer, fold and level."""
+    """Return the fitted scalers and detectors, one row per scorer, fold and level."""
     return [
         {"scorer": name, "fold": fold, "level": level, **_state(model)}
         for name, scorer in scorers.items()
@@ -215,12 +215,12 @@ def _models(scorers: Mapping[str, CrossConformalScorer]) -> list[dict[str, Any]]
 
 
 def _windows(scorers: Mapping[str, CrossConformalScorer]) -> list[dict[str, Any]]:
-    """Return the held-out scores of the normal windows, a row for each scorer and recording."""
+    """Return the held-out scores of the normal windows, one row per scorer and recording."""
     return [
-        {"scorer": name, "scores": known.scores[mine], "start_s": known.start_s[mine]}
+        {"scorer": name, "scores": windows.scores[rows], "start_s": windows.start_s[rows]}
         for name, scorer in scorers.items()
-        if (known := scorer.windows_) is not None
-        for mine in (known.run == run for run in range(len(known.block)))
+        if (windows := scorer.windows_) is not None
+        for rows in (windows.run == run for run in range(len(windows.block)))
     ]
 
 
@@ -233,13 +233,13 @@ def _state(model: Pipeline) -> dict[str, Any]:
         "center": scaler.center_,
         "scale": scaler.scale_,
         "location": detector.location_,
-        # Symmetric, and of so many digits.
+        # The matrix is symmetric, and single precision is enough.
         "precision": precision[np.triu_indices(len(precision))].astype(np.float32),
     }
 
 
 def _restored(state: Mapping[str, Any], floors: Mapping[str, float]) -> Pipeline:
-    """Return the fitted scaler and detector that `_state` described."""
+    """Return the fitted scaler and detector from the values of `_state`."""
     model = pipeline(Mahalanobis(), floors)
     scaler, detector = model[0], model[1]
     scaler.kept_, scaler.indicated_ = list(state["kept"]), list(state["indicated"])

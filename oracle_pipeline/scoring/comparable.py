@@ -12,15 +12,15 @@ from oracle_pipeline.datasets import MISSING, feature_columns, field_metadata, i
 from oracle_pipeline.scoring.feature_sets import feature_sets
 from oracle_pipeline.scoring.verdict import ScoringError
 
-LISTED = 5  # features or reasons that a note names
+LISTED = 5  # most features or reasons named in a note
 
 
 class Comparable(NamedTuple):
     """The part of a reference that one recording is compared with."""
 
-    columns: list[str]  # features that both have
+    columns: list[str]  # features present in both
     normal_runs: pd.DataFrame  # of the same kind of system and of other blocks
-    notes: list[str]  # on what is left out, and why
+    notes: list[str]  # which features and runs are left out, and why
 
 
 def comparable(row: pd.DataFrame, reference: pd.DataFrame) -> Comparable:
@@ -31,12 +31,12 @@ def comparable(row: pd.DataFrame, reference: pd.DataFrame) -> Comparable:
     row : DataFrame of one row
         The features of the recording. If it is one of the reference runs, its block is left out.
     reference : DataFrame
-        A row for each run.
+        One row per run.
 
     Raises
     ------
     ScoringError
-        The reference shares no feature with the recording, or has it in another unit.
+        The reference and the recording share no feature, or a feature has different units.
     """
     candidates = feature_sets(reference).get("all", [])
     columns, notes = shared_features(row, reference, candidates)
@@ -47,12 +47,12 @@ def comparable(row: pd.DataFrame, reference: pd.DataFrame) -> Comparable:
 def shared_features(
     row: pd.DataFrame, reference: pd.DataFrame, candidates: Sequence[str]
 ) -> tuple[list[str], list[str]]:
-    """Return the candidates that a recording and the reference have, and a note on the others.
+    """Return the features that a recording and the reference share, and a note on the others.
 
     Raises
     ------
     ScoringError
-        There is no such feature, or the two have it in different units.
+        They share no feature, or a feature has different units.
     """
     fields, own = field_metadata(reference), field_metadata(row)
     columns = [c for c in candidates if c in row.columns and np.isfinite(row[c]).all()]
@@ -68,7 +68,7 @@ def shared_features(
             "The recording has none of the features of the reference; extract both with the same "
             "plugins, and compare recordings of the same kind of system."
         )
-    # What some normal runs lack too is nothing to speak of.
+    # Features that some normal runs lack as well are not reported.
     usual = reference[list(candidates)].notna().all()
     absent = [column for column in candidates if column not in columns and usual[column]]
     if not absent:
@@ -77,19 +77,19 @@ def shared_features(
     why = list(dict.fromkeys(reasons.get(column, "not extracted") for column in absent))
     return columns, [
         f"{len(absent)} features of the reference count as usual, because this recording lacks "
-        f"them: {listed(absent)} ({listed(why)})."
+        f"them: {join_first(absent)} ({join_first(why)})."
     ]
 
 
-def listed(words: Sequence[str]) -> str:
-    """Return the first few words as a list in a sentence."""
+def join_first(words: Sequence[str]) -> str:
+    """Return the first `LISTED` words as a comma-separated list."""
     return ", ".join([*words[:LISTED], *(["..."] if len(words) > LISTED else [])])
 
 
 def _normal_runs(
     row: pd.DataFrame, reference: pd.DataFrame, columns: list[str], notes: list[str]
 ) -> pd.DataFrame:
-    """Return the runs to compare with; `notes` gets the reasons why normal runs are left out."""
+    """Return the runs to compare with; append to `notes` why normal runs are left out."""
     normal = reference[~is_malicious(reference)]
     alike = same_kind(normal, columns)
     if not alike.all():
@@ -99,19 +99,19 @@ def _normal_runs(
         )
     own_block = normal["block"].isin(reference.loc[same_recording(reference, row), "block"])
     if own_block.any():
-        notes.append("It is one of the reference runs: all runs of its block are left out.")
+        notes.append("It is one of the reference runs, so all runs of its block are left out.")
     return normal[alike & ~own_block.to_numpy()]
 
 
 def same_kind(table: pd.DataFrame, columns: Sequence[str]) -> NDArray[np.bool_]:
-    """Return True for the runs with a value in each family of the features compared."""
+    """Return a mask of the runs that have a value in each family of the compared features."""
     given = table[list(columns)].notna()
     families = [column.split(".", 1)[0] for column in columns]
     return np.asarray(given.T.groupby(families).any().all(), dtype=np.bool_)
 
 
 def same_recording(reference: pd.DataFrame, row: pd.DataFrame) -> NDArray[np.bool_]:
-    """Return True for the reference runs with exactly the features of this recording."""
+    """Return a mask of the reference runs with exactly the features of this recording."""
     columns = [column for column in feature_columns(reference) if column in row.columns]
     theirs, own = reference[columns].to_numpy(), row[columns].to_numpy()
     same = (theirs == own) | (np.isnan(theirs) & np.isnan(own))

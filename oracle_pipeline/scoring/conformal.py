@@ -1,8 +1,8 @@
 """Split-conformal p-values: from scores to verdicts with a known false positive rate.
 
-A run is compared with calibration runs: normal ones that the detector was not fitted on. If it is
+A run is compared with calibration runs: normal runs that the detector was not fitted on. If it is
 exchangeable with them, its p-value is at most ``alpha`` with a probability of at most ``alpha``,
-whatever the detector and however scores are distributed [1]_. Higher scores are more anomalous.
+for any detector and any distribution of scores [1]_. Higher scores are more anomalous.
 
 References
 ----------
@@ -34,7 +34,7 @@ def p_values(
         Scores of runs that the detector was not fitted on.
     scores : ndarray of shape (m,)
     blocks : ndarray of shape (n,), optional
-        Block of each calibration run. With it, each block counts once, by the share of its runs,
+        Block of each calibration run. If given, each block counts once, as the share of its runs,
         and ``n`` is the number of blocks. Runs of one block resemble each other, so only blocks are
         exchangeable [1]_.
 
@@ -63,7 +63,7 @@ def p_values(
     if not (np.isfinite(calibration).all() and np.isfinite(scores).all()):
         raise ConformalError(
             "A score is not a finite number, so it cannot be ranked; look for a feature that has "
-            "no finite value in the runs the detector was fitted on."
+            "no finite value in the runs that the detector was fitted on."
         )
     _, block, runs = np.unique(
         np.arange(len(calibration)) if blocks is None else blocks,
@@ -73,7 +73,7 @@ def p_values(
     order = np.argsort(calibration)
     from_top = np.append(0.0, np.cumsum((1.0 / runs)[block][order[::-1]]))
     below = np.searchsorted(calibration[order], scores, side="left")
-    at_least = np.minimum(from_top[len(calibration) - below], len(runs))  # rounding aside
+    at_least = np.minimum(from_top[len(calibration) - below], len(runs))  # against rounding errors
     return np.asarray((1.0 + at_least) / (len(runs) + 1.0), dtype=np.float64)
 
 
@@ -113,8 +113,8 @@ def check_support(n_calibration: int, rate: float) -> None:
 def adjusted_for_suite(p: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return Benjamini-Hochberg p-values of runs that are judged together.
 
-    If runs with a p-value up to `rate` are called anomalous, at most that share of them is normal,
-    on average. The procedure allows the dependence between p-values that share calibration runs.
+    If runs with a p-value up to `rate` are called anomalous, on average at most that share of them
+    is normal. The procedure remains valid for p-values that share calibration runs.
 
     Examples
     --------

@@ -1,7 +1,7 @@
-"""Which fields of a topic's messages never change within a recording.
+"""Finds the fields of a topic's messages that never change within a recording.
 
-The frame of a scanner, its angles and limits, the names of joints: what a driver says once and for
-all. A change is no matter of statistics, and few features would notice it.
+Examples are the frame, angles and limits of a scanner, or the names of joints. Few features would
+notice a change in such a field, and it needs no statistics to report one.
 """
 
 from collections.abc import Iterator
@@ -16,16 +16,16 @@ from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.features.columns import Batch, Columns
 from oracle_pipeline.scoring.pace import FEWEST
 
-MOST_MESSAGES = 50  # of a topic that are looked at, spread over the recording
-MOST_BYTES = 4_000_000  # of them
+MOST_MESSAGES = 50  # sampled per topic, spread over the recording
+MOST_BYTES = 4_000_000  # sampled per topic
 _TIME = "builtin_interfaces/msg/Time"
 
 
 def constants(bag: BagReader) -> dict[str, dict[str, str]]:
-    """Return the fields that are equal in all messages looked at, by topic, and their values.
+    """Return the fields that are equal in all sampled messages, by topic, and their values.
 
     Numbers, strings and arrays of fixed length count; sequences and stamps do not. Topics with
-    fewer than `FEWEST` messages, or of a type that nobody knows, are left out.
+    fewer than `FEWEST` messages, or of an unknown type, are left out.
     """
     found = {}
     for topic, data in _sampled(bag).items():
@@ -76,7 +76,7 @@ def _equal(
 
 
 def _text(value: Any) -> str:
-    """Return a string, a number or an array of numbers in words."""
+    """Return a string, a number or an array of numbers as text."""
     if isinstance(value, str):
         return repr(value)
     if np.ndim(value):

@@ -1,8 +1,8 @@
 """The contract of a system: topics, types, QoS, rates, nodes and edges of its normal recordings.
 
-A departure from it needs no statistics, so it is reported in words, before any p-value. Only topics
+A breach of it needs no statistics, so it is reported as a sentence, before any p-value. Only topics
 with a steady rate have a rate in the contract. A running robot is also compared with the pace of
-its topics: how long they are silent, and how many messages they have in ten seconds.
+its topics: the longest silence, and the number of messages in ten seconds.
 """
 
 import math
@@ -18,15 +18,15 @@ from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.graphs.intervals import compose
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.scoring.constants import constants
-from oracle_pipeline.scoring.pace import FEWEST, SPAN_S, Pace, paces, widest
+from oracle_pipeline.scoring.pace import FEWEST, SPAN_S, Pace, merged_paces, paces
 
-STEADY = 1.5  # a rate that varies by at most this factor between normal recordings is steady
-MARGIN = 0.05  # of a rate, added to what normal recordings showed
+STEADY = 1.5  # largest ratio between the rates of normal recordings at which a rate is steady
+MARGIN = 0.05  # relative margin on the rates of normal recordings
 SILENCE_S = 1.0  # added to twice the longest silence of normal recordings, on a running robot [s]
-FEWEST_RECORDINGS = 5  # with a topic that tell which of its fields never change
-COUNT_MARGIN = 0.1  # of the messages in `SPAN_S`, added to what normal recordings showed, and 2
+FEWEST_RECORDINGS = 5  # with a topic, before any of its fields counts as constant
+COUNT_MARGIN = 0.1  # relative margin on message counts per `SPAN_S`, in addition to 2 messages
 
-# ROS 2 tools give some nodes a suffix of their own for each process.
+# ROS 2 tools append a suffix to some node names that differs between processes.
 _PROCESS_SUFFIX = re.compile(r"(?<=_)(?:0x)?[0-9a-f]*\d[0-9a-f]*$")
 
 
@@ -39,7 +39,7 @@ class TopicTerms:
     types : tuple of str
         Message types.
     qos : tuple of str
-        Offered profiles, in words; empty if the recordings do not state them.
+        Offered profiles as text; empty if the recordings do not contain them.
     lowest_hz, highest_hz : float or None
         Range of its rate; None if the rate is not steady.
     always : bool
@@ -62,18 +62,18 @@ class Breach(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What one recording shows that needs no statistics.
+    """The interfaces of one recording, as far as a contract covers them.
 
     Attributes
     ----------
     topics : mapping of str to tuple
-        Name -> message type, offered profiles in words, rate [Hz] or None.
+        Name -> message type, offered profiles as text, rate [Hz] or None.
     graph : frozenset of str or None
         Nodes, and edges as ``node:/a -> topic:/b``; None for a recording without graphs.
     paces : mapping of str to Pace
-        Of the topics that have messages; empty unless it was asked for.
+        Of the topics that have messages; empty unless requested.
     constants : mapping of str to mapping
-        Topic -> field that never changes -> its value in words.
+        Topic -> field that never changes -> its value as text.
     """
 
     topics: Mapping[str, tuple[str, tuple[str, ...], float | None]]
@@ -85,15 +85,15 @@ class Observation:
     def of(cls, run: OpenedRun, *, paced: bool = False) -> Self:
         """Observe an open recording.
 
-        Paces are for learning a contract. The bag is read once more for them.
+        Paces are needed to learn a contract only, and take another pass over the bag.
         """
         topics = {
             name: (topic.msgtype, qos_words(topic.qos), _rate(topic.count, run.duration_s))
             for name, topic in run.bag.topics.items()
         }
         graph = graph_elements(compose(each.graph for each in run.intervals))
-        known = paces(run.bag) if paced else {}
-        return cls(topics, graph if run.intervals else None, known, constants(run.bag))
+        pace_of = paces(run.bag) if paced else {}
+        return cls(topics, graph if run.intervals else None, pace_of, constants(run.bag))
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,12 +104,12 @@ class Contract:
     ----------
     topics : dict of str to TopicTerms
     always, ever : frozenset of str
-        Nodes and edges of every normal recording with graphs, and of any.
+        Nodes and edges present in every normal recording with graphs, and in any of them.
     paces : dict of str to Pace
         Longest silence, fewest and most messages of a topic in any recording; only for topics that
         have a pace in each recording with that topic.
     constants : dict of str to dict
-        Topic -> field that never changes within any recording -> its value in words; None if the
+        Topic -> field that never changes within any recording -> its value as text; None if the
         recordings differ.
     """
 
@@ -121,7 +121,7 @@ class Contract:
 
     @classmethod
     def learned(cls, observations: Sequence[Observation]) -> Self:
-        """Return the contract of normal recordings, of which at least one is needed."""
+        """Return the contract of one or more normal recordings."""
         names = sorted({name for seen in observations for name in seen.topics})
         graphs = [seen.graph for seen in observations if seen.graph is not None]
         irregular = {name for seen in observations for name in seen.topics.keys() - seen.paces}
@@ -131,20 +131,20 @@ class Contract:
             frozenset().union(*graphs),
             {
                 name: pace
-                for name, pace in widest(seen.paces for seen in observations).items()
+                for name, pace in merged_paces(seen.paces for seen in observations).items()
                 if name not in irregular
             },
             {name: _constants(name, observations) for name in names},
         )
 
     def breaches(self, seen: Observation, *, rates: bool = True) -> list[Breach]:
-        """Return how a recording departs from the contract: topics first, by name.
+        """Return the breaches of the contract by a recording: topics first, by name.
 
         Parameters
         ----------
         seen : Observation
         rates : bool
-            Compare the rates of whole recordings too.
+            Whether to compare rates too; these are of whole recordings.
         """
         found = [
             Breach(name, f"Topic {name} is gone: every normal recording has it.")
@@ -163,7 +163,7 @@ class Contract:
         return found + self._of_graph(seen.graph)
 
     def breach_of_silence(self, name: str, silent_s: float) -> Breach | None:
-        """Tell whether a topic of a running robot has been silent for too long [s]."""
+        """Return a breach if a topic of a running robot has been silent for too long [s]."""
         pace = self.paces.get(name)
         if pace is None or silent_s <= 2.0 * pace.longest_gap_s + SILENCE_S:
             return None
@@ -174,7 +174,7 @@ class Contract:
         )
 
     def breach_of_count(self, name: str, count: int) -> Breach | None:
-        """Tell whether the last `SPAN_S` of a running robot had too many or too few messages."""
+        """Return a breach if a topic had too many or too few messages in the last `SPAN_S`."""
         pace = self.paces.get(name)
         if pace is None or pace.fewest is None or pace.most is None:
             return None
@@ -193,7 +193,7 @@ class Contract:
             if path not in seen:
                 yield Breach(
                     name,
-                    f"Field {path} of topic {name} changes; in normal recordings it never does.",
+                    f"Field {path} of topic {name} changes; in normal recordings it is constant.",
                 )
             elif usual is not None and seen[path] != usual:
                 now, usual = (textwrap.shorten(text, 40) for text in (seen[path], usual))
@@ -202,9 +202,12 @@ class Contract:
     def _of_graph(self, graph: frozenset[str] | None) -> list[Breach]:
         if graph is None or not self.ever:
             return []
-        gone = [Breach(each, f"{_shown(each)} is gone.") for each in sorted(self.always - graph)]
-        new = [Breach(each, f"{_shown(each)} is new.") for each in sorted(graph - self.ever)]
-        return gone + new
+        missing = sorted(self.always - graph)
+        new = sorted(graph - self.ever)
+        return [
+            *(Breach(each, f"{_as_text(each)} is gone.") for each in missing),
+            *(Breach(each, f"{_as_text(each)} is new.") for each in new),
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract as JSON-compatible values."""
@@ -225,12 +228,12 @@ class Contract:
             )
             for name, terms in document["topics"].items()
         }
-        known = {name: Pace(*pace) for name, pace in document.get("paces", {}).items()}
+        pace_of = {name: Pace(*pace) for name, pace in document.get("paces", {}).items()}
         return cls(
             topics,
             frozenset(document["always"]),
             frozenset(document["ever"]),
-            known,
+            pace_of,
             document.get("constants", {}),
         )
 
@@ -299,7 +302,7 @@ def _rate(count: int, duration_s: float) -> float | None:
 
 
 def graph_elements(graph: RosGraph) -> frozenset[str]:
-    """Return nodes and edges; process suffixes count as the same name."""
+    """Return nodes and edges, with process suffixes replaced by ``*``."""
     name = {vertex: _PROCESS_SUFFIX.sub("*", vertex) for vertex in graph}
     nodes = {name[vertex] for vertex, data in graph.nodes(data=True) if data["kind"] == "node"}
     return frozenset(
@@ -307,16 +310,16 @@ def graph_elements(graph: RosGraph) -> frozenset[str]:
     )
 
 
-def _shown(element: str) -> str:
-    """Return an element of the graph in words.
+def _as_text(element: str) -> str:
+    """Return an element of the graph as text.
 
     Examples
     --------
-    >>> _shown("node:/amcl")
+    >>> _as_text("node:/amcl")
     'Node /amcl'
-    >>> _shown("node:/amcl -> topic:/tf")
+    >>> _as_text("node:/amcl -> topic:/tf")
     'The publisher of /tf in node /amcl'
-    >>> _shown("topic:/scan -> node:/amcl")
+    >>> _as_text("topic:/scan -> node:/amcl")
     'The subscription to /scan in node /amcl'
     """
     source, _, target = element.partition(" -> ")
@@ -329,7 +332,7 @@ def _shown(element: str) -> str:
 
 
 def qos_words(profiles: Iterable[Qos]) -> tuple[str, ...]:
-    """Return profiles in words, such as ``reliable, transient local``."""
+    """Return profiles as text, such as ``reliable, transient local``."""
     words = {
         f"{profile.reliability.name}, {profile.durability.name}".lower().replace("_", " ")
         for profile in profiles

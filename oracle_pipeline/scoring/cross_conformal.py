@@ -1,18 +1,18 @@
 """Cross-conformal p-values: each normal run calibrates a model that did not see it.
 
-The normal runs are dealt into folds, whole sessions to one side. For each fold a scorer is fitted
-on the other folds and scores this one. A new run is scored by every scorer, and is compared with
-each normal run under the scorer that was not fitted on it (cross-conformal prediction [1]_; CV+ in
-regression [2]_). A split into a fitting and a calibrating half needs twice the recordings for the
-same smallest p-value.
+The normal runs are split into folds by session. For each fold a scorer is fitted on the other folds
+and scores this one. A new run is scored by every scorer, and is compared with each normal run under
+the scorer that was not fitted on it (cross-conformal prediction [1]_; CV+ in regression [2]_).
+Splitting into a fitting and a calibrating half instead would need twice the recordings for the same
+smallest p-value.
 
 If the new run is exchangeable with the normal ones, ``p <= alpha`` has a probability of at most ``2
-alpha``, whatever the scorer, and of about ``alpha`` for scorers that hardly change when one fold is
-left out [2]_. The evaluation measures the realised rate.
+alpha`` for any scorer, and of about ``alpha`` for scorers that hardly change when one fold is left
+out [2]_. The evaluation measures the realised rate.
 
-Runs of one session share a day's nuisance, so no scorer calibrates on a session that it was fitted
-on; with fewer than three sessions, whole blocks are dealt instead. Runs of one block share start
-and goals too: they have one vote.
+Runs of one session share nuisance parameters, so no scorer calibrates on a session that it was
+fitted on. With fewer than three sessions, the split is by block. Runs of one block share start and
+goals too, so a block has one vote.
 
 References
 ----------
@@ -46,22 +46,22 @@ class CrossConformalScorer:
     design : Design
         The features and the detector.
     folds : int
-        Largest number of folds; there are never more than sessions (or blocks, if those are dealt).
+        Largest number of folds; never more than there are sessions (or blocks, if split by block).
 
     Attributes
     ----------
     scorers_ : list of RunScorer
         One for each fold, fitted on all other folds.
     fold_ : ndarray of int, shape (n_runs,)
-        In which fold each normal run was held out.
+        Fold in which each normal run was held out.
     block_ : ndarray of int, shape (n_runs,)
-        Of each normal run.
+        Block of each normal run.
     centre_, spread_ : ndarray of shape (n_levels,)
         Median and scaled MAD of the held-out scores, which bring the levels to one scale.
     held_out_ : ndarray of shape (n_runs,)
-        Score of each normal run by the scorer that did not see it.
+        Score of each normal run by the scorer that was not fitted on it.
     windows_ : NormalWindows or None
-        The same of their windows; None if windows have no features.
+        Held-out scores of their windows; None if windows have no features.
     """
 
     def __init__(self, design: Design, folds: int = FOLDS) -> None:
@@ -74,9 +74,9 @@ class CrossConformalScorer:
         Parameters
         ----------
         runs : MeasuredRuns
-            Normal ones only.
+            Normal runs only.
         rng : Generator
-            Deals the sessions into folds.
+            Assigns the sessions to folds.
 
         Raises
         ------
@@ -85,9 +85,9 @@ class CrossConformalScorer:
         DetectorError
             The detector cannot be fitted on so few runs.
         """
-        seen = runs.having(self.design.run_features, self.design.window_features)
+        seen = runs.with_columns(self.design.run_features, self.design.window_features)
         self.block_ = runs.block
-        self.fold_ = dealt(_held_out_together(runs), self.folds, rng)
+        self.fold_ = assign_folds(_split_unit(runs), self.folds, rng)
         self.scorers_ = []
         by_level: NDArray[np.float64] | None = None
         of_windows = np.empty(len(runs.run))
@@ -101,7 +101,7 @@ class CrossConformalScorer:
             if self.design.window_features:
                 of_windows[out[runs.run]] = scorer.score_windows(held_out.windows)
             self.scorers_.append(scorer)
-        assert by_level is not None  # noqa: S101 -- `dealt` gives three folds at least
+        assert by_level is not None  # noqa: S101 -- there are at least three folds
         self.centre_ = np.median(by_level, axis=0)
         deviation = MAD_TO_DEVIATION * np.median(np.abs(by_level - self.centre_), axis=0)
         self.spread_ = np.where(deviation > 0.0, deviation, 1.0)
@@ -116,21 +116,21 @@ class CrossConformalScorer:
 
         The unit is the spread of held-out normal runs; 0 is their median. Higher is more anomalous.
         """
-        seen = runs.having(self.design.run_features, self.design.window_features)
+        seen = runs.with_columns(self.design.run_features, self.design.window_features)
         return np.stack([self._combined(scorer.score(seen)) for scorer in self.scorers_])
 
     def p_values(
         self, scores: NDArray[np.float64], block: NDArray[np.int64] | None = None
     ) -> NDArray[np.float64]:
-        """Return the share of normal blocks that score at least as high, the new run included.
+        """Return the share of blocks that score at least as high, counting the new run as one.
 
         Parameters
         ----------
         scores : ndarray of shape (n_folds, n_runs)
-            As of `scores`.
+            From `scores`.
         block : ndarray of int, shape (n_runs,), optional
-            Block of each run, if it is one of the blocks learned from. Then only the scorer that
-            did not see the block is used, and the block has no vote.
+            Block of each run. For a block that was learned from, only the scorer that was not
+            fitted on it is used, and the block has no vote.
 
         Returns
         -------
@@ -166,8 +166,8 @@ class CrossConformalScorer:
         Returns
         -------
         ndarray of shape (n_runs,)
-            The median over the folds; for a run of a known block, the score of the scorer that did
-            not see it.
+            The median over the folds; for a run of a known block, the score of the scorer that was
+            not fitted on it.
         """
         own = np.asarray(np.median(scores, axis=0), dtype=np.float64)
         if block is not None:
@@ -182,14 +182,14 @@ class CrossConformalScorer:
     ) -> NDArray[np.float64]:
         """Return one score for each window, shape (n_windows,), as input of `AlarmWatch`.
 
-        A window is scored by itself, so those of a running robot can be scored one by one.
+        Windows are scored independently, so those of a running robot can be scored one by one.
 
         Parameters
         ----------
         windows : DataFrame
-            A row for each window; features that it lacks are missing.
+            One row per window; absent columns count as missing values.
         block : ndarray of int, shape (n_windows,), optional
-            As for `p_values`, of each window.
+            As for `p_values`, but of each window.
         """
         known = windows.reindex(columns=list(self.design.window_features))
         of_folds = np.stack([scorer.score_windows(known) for scorer in self.scorers_])
@@ -201,25 +201,25 @@ class CrossConformalScorer:
         return 1.0 / (len(np.unique(self.block_)) + 1.0)
 
     def _combined(self, by_level: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the larger of the standardised levels, shape (n_runs,)."""
+        """Return the largest standardised level of each run, shape (n_runs,)."""
         return np.asarray(((by_level - self.centre_) / self.spread_).max(axis=1), dtype=np.float64)
 
 
-def _held_out_together(runs: MeasuredRuns) -> NDArray[np.int64]:
-    """Return the session of each run, or its block where there are too few sessions."""
+def _split_unit(runs: MeasuredRuns) -> NDArray[np.int64]:
+    """Return the session of each run, or its block if there are too few sessions."""
     sessions, of_block = np.unique(runs.session), np.unique(runs.block)
     pairs = np.unique(np.column_stack([runs.block, runs.session]), axis=0)
-    is_nested = len(pairs) == len(of_block)  # not if tables of two campaigns were joined
+    is_nested = len(pairs) == len(of_block)  # false if tables of two campaigns were joined
     return runs.session if len(sessions) >= MIN_BLOCKS and is_nested else runs.block
 
 
-def dealt(unit: NDArray[np.int64], folds: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Deal whole sessions or blocks into folds of nearly equal numbers of them, shape (n_runs,)."""
+def assign_folds(unit: NDArray[np.int64], folds: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Assign whole sessions or blocks to folds of nearly equal size, shape (n_runs,)."""
     names, number = np.unique(unit, return_inverse=True)
     if len(names) < MIN_BLOCKS:
         raise ConformalError(
-            f"The normal recordings come from {len(names)} blocks or sessions; learning takes "
-            f"{MIN_BLOCKS} at least. Record normal runs with other starts, goals or days."
+            f"The normal recordings come from {len(names)} blocks or sessions; learning needs "
+            f"at least {MIN_BLOCKS}. Record normal runs with other starts, goals or days."
         )
     fold = rng.permutation(len(names)) % min(folds, len(names))
     return np.asarray(fold[number], dtype=np.intp)

@@ -12,13 +12,13 @@ from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.comparable import comparable
 from oracle_pipeline.scoring.verdict import Evidence, ScoringError
 
-SHOWN = 5  # features beside a verdict
+SHOWN = 5  # features listed with a verdict
 
 
 def evidence(tables: FeatureTables, reference: pd.DataFrame) -> tuple[Evidence, ...]:
     """Return the features of one recording that are farthest from normal runs, without a verdict.
 
-    If the recording is one of the reference, its block takes no part.
+    If the recording is part of the reference, its block is left out.
 
     Raises
     ------
@@ -53,9 +53,9 @@ def farthest_features(
 
 
 def _farthest_window(deviation: Deviation, windows: pd.DataFrame) -> float | None:
-    """Return the start of the window that is farthest out in the direction of the whole run [s].
+    """Return the start of the window that deviates most in the direction of the whole run [s].
 
-    None if the feature has no values by window, or they are all the same.
+    None if the feature has no values by window, or all are equal.
     """
     if deviation.feature not in windows.columns or windows[deviation.feature].nunique() < 2:
         return None

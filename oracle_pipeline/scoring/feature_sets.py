@@ -5,20 +5,20 @@ import pandas as pd
 
 from oracle_pipeline.datasets import feature_columns, field_metadata
 
-LEFT_OUT = ("thesis",)  # families that are no part of our oracle
-ASPECTS = ("tampering", "misbehaviour")  # what a recording is scored by besides all features
-# Families that compare sensors, a topic and its relay, or a sensor and what all sensors marked.
+LEFT_OUT = ("thesis",)  # families that our oracle does not use
+ASPECTS = ("tampering", "misbehaviour")  # sets that get a score beside that of all features
+# Families that compare sensors, a topic and its relay, or a sensor and the costmap.
 REDUNDANT = ("redundancy", "pairs", "costmap")
 
 
 def feature_sets(df: pd.DataFrame) -> dict[str, list[str]]:
     """Return the sets of columns that are judged, by name.
 
-    ``all`` is the oracle's own: every family but the thesis's, without shortcuts. It has two parts:
-    ``misbehaviour``, features that declare to tell what the robot did, and ``tampering``, all
-    others. Then each family alone; ``generic``, what any bag gives; ``without redundancy``, what is
-    left if no second topic tells the same; and ``shortcuts``, which identify a run by its nodes.
-    Features without any finite value are in none.
+    ``all`` has every family but the thesis's, without shortcuts. It has two parts:
+    ``misbehaviour``, features declared to describe what the robot did, and ``tampering``, all
+    others. Further sets are each family alone; ``generic``, features of any bag; ``without
+    redundancy``, without comparisons of redundant topics; and ``shortcuts``, which identify a run
+    by its nodes. Features without a finite value are in no set.
     """
     fields = field_metadata(df)
     has_value = np.isfinite(df[feature_columns(df)].to_numpy(dtype=np.float64)).any(axis=0)

@@ -1,7 +1,7 @@
-"""Work on one recording in a separate process, within limits of time and memory.
+"""Runs the work on one recording in a separate process, with limits on time and memory.
 
-If a recording kills its process, the others of a suite still get their verdicts. Processes are
-forked from a server that has imported everything once.
+If a recording crashes its process, the other recordings of a suite still get their verdicts.
+Processes are forked from a server that has all modules imported.
 """
 
 import multiprocessing
@@ -42,15 +42,15 @@ DEFAULT_LIMITS = Limits()
 
 
 class Extracted(NamedTuple):
-    """The result of the other process for one robot."""
+    """The features of one robot, as sent by the other process."""
 
-    recording: str  # its path, and which robot if there are several
+    recording: str  # path, and name of the robot if there are several
     tables: FeatureTables
     observation: Observation
     has_manifest: bool
 
 
-def extract_apart(
+def extract_isolated(
     path: Path,
     manager: FeatureManager,
     limits: Limits = DEFAULT_LIMITS,
@@ -72,28 +72,28 @@ def extract_apart(
     strict : bool
         Refuse an incomplete recording.
     choices : RoleChoices, optional
-        What a roles file says of robots and topics.
+        Robots and topics from a roles file.
     paced : bool
-        Observe the paces of topics, too.
+        Whether to measure the paces of topics too.
 
     Returns
     -------
     list of Extracted
-        Of each robot the features, what the recording shows, and whether it has a manifest.
+        One for each robot.
 
     Raises
     ------
     OracleError
-        If the recording cannot be read, or its process died or went beyond the limits.
+        If the recording cannot be read, or its process died or exceeded the limits.
     """
     work = partial(extracted, plugins=manager.folder, strict=strict, choices=choices, paced=paced)
-    return apart(work, path, limits)
+    return run_isolated(work, path, limits)
 
 
 def extracted(
     path: Path, plugins: Path | None, *, strict: bool, choices: RoleChoices | None, paced: bool
 ) -> list[Extracted]:
-    """Compute the features of a recording in this process; otherwise as `extract_apart`."""
+    """Compute the features of a recording in this process; otherwise as `extract_isolated`."""
     with open_run(path, strict=strict) as run:
         manager = build_manager(plugins)
         return [
@@ -107,7 +107,7 @@ def extracted(
         ]
 
 
-def apart(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT_LIMITS) -> T:
+def run_isolated(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT_LIMITS) -> T:
     """Return the result of a function on a recording, computed in another process.
 
     Parameters
@@ -122,12 +122,12 @@ def apart(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT_LIMITS
     Raises
     ------
     OracleError
-        If the function raised anything, or the process died or went beyond the limits.
+        If the function raised anything, or the process died or exceeded the limits.
     """
     receiver, sender = _context().Pipe(duplex=False)
     process = _context().Process(target=_work, args=(sender, work, path, limits), daemon=True)
     process.start()
-    sender.close()  # so that the end of the process is the end of the pipe
+    sender.close()  # so that the pipe closes when the process ends
     try:
         answer: T | OracleError = _received(receiver, process, path, limits)
     finally:
@@ -142,16 +142,16 @@ def apart(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT_LIMITS
 def _received(receiver: Connection, process: BaseProcess, path: Path, limits: Limits) -> Any:
     if not receiver.poll(limits.seconds):
         raise BagError(
-            f"{path} took longer than {limits.seconds:g} s, the limit (--time-limit); raise it, "
-            "or cut the recording into shorter ones."
+            f"{path} took longer than the limit of {limits.seconds:g} s; raise it (--time-limit), "
+            "or split the recording."
         )
     try:
         return receiver.recv()
     except EOFError:
         process.join()
         raise BagError(
-            f"The process that read {path} died ({_death(process.exitcode)}); perhaps there was "
-            "not enough memory for it. Please report the recording."
+            f"The process that read {path} died ({_exit_reason(process.exitcode)}); perhaps it ran "
+            "out of memory. Please report the recording."
         ) from None
 
 
@@ -159,18 +159,18 @@ def _work(sender: Connection, work: Callable[[Path], object], path: Path, limits
     """Work in the other process, and send the result."""
     size = int(limits.gibibytes * _GIB)
     resource.setrlimit(resource.RLIMIT_DATA, (size, size))
-    os.environ.pop(FOLDER_VARIABLE, None)  # the server may have an older one
+    os.environ.pop(FOLDER_VARIABLE, None)  # the server may have an outdated value
     answer: object
     try:
         answer = work(path)
     except MemoryError:
         answer = BagError(
-            f"{path} needs more than {limits.gibibytes:g} GiB of memory, the limit "
-            "(--memory-limit); raise it, or cut the recording into shorter ones."
+            f"{path} needs more memory than the limit of {limits.gibibytes:g} GiB; raise it "
+            "(--memory-limit), or split the recording."
         )
     except (OracleError, OSError) as error:
         answer = BagError(str(error))
-    except Exception as error:  # a defect of ours is one of this recording
+    except Exception as error:  # a bug of ours must not end the suite
         answer = BagError(f"{path} cannot be read: {type(error).__name__}: {error}")
     sender.send(answer)
     sender.close()
@@ -183,7 +183,7 @@ def _context() -> ForkServerContext:
     return context
 
 
-def _death(code: int | None) -> str:
+def _exit_reason(code: int | None) -> str:
     if code is not None and code < 0:
         return signal.Signals(-code).name
     return f"exit code {code}"

@@ -1,6 +1,6 @@
 """Verdicts on recordings, by the scorer of a reference card.
 
-A verdict has the departures from the contract of the system, which need no statistics, the p-value
+A verdict has the breaches of the contract of the system, which need no statistics, the p-value
 among the normal runs, and the features outside their usual range.
 """
 
@@ -25,14 +25,14 @@ from oracle_pipeline.scoring.conformal import adjusted_for_suite, runs_needed
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.evidence import farthest_features
-from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS, Extracted, Limits, extract_apart
+from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS, Extracted, Limits, extract_isolated
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.verdict import AspectScore, ScoringError, Verdict
 from oracle_pipeline.windows import WINDOW_S
 
 OTHER_ROLES = (
-    "The roles file is not the one that the reference was learned with, so features may be of "
-    "other topics; leave --roles out to use that of the reference."
+    "The reference was learned with a different roles file, so its features may come from other "
+    "topics; omit --roles to use the file of the reference."
 )
 
 
@@ -41,11 +41,11 @@ class CardSource(Protocol):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader of the verdicts should know of the reference."""
+        """Remarks on the reference, for readers of the verdicts."""
 
     @property
     def roles(self) -> RoleChoices | None:
-        """What a roles file said of the normal runs; None without one."""
+        """Robots and topics from the roles file of the normal runs; None without one."""
 
     def card_for(self, row: pd.DataFrame) -> ReferenceCard:
         """Return the card to judge a recording by, given its run features."""
@@ -65,7 +65,7 @@ def score(
 
     Several recordings are a suite: `far` is then the share of normal runs among those called
     anomalous (Benjamini-Hochberg). A recording that cannot be judged gets a verdict with the
-    reason, and the others are still judged. Each robot of a recording gets a verdict of its own.
+    reason, and the others are still judged. Each robot of a recording gets its own verdict.
 
     Parameters
     ----------
@@ -77,11 +77,11 @@ def score(
     far : float
         False positive rate, in (0, 1).
     limits : Limits
-        Of the process that computes the features of one recording.
+        Limits of the process that computes the features of one recording.
     strict : bool
-        Do not judge an incomplete recording.
+        Whether an incomplete recording is an error.
     choices : RoleChoices, optional
-        Content of a roles file; by default, the one that the reference was learned with.
+        Content of a roles file; by default, that of the reference.
     """
     notes: tuple[str, ...] = ()
     if choices is None:
@@ -91,16 +91,18 @@ def score(
     verdicts = [
         verdict
         for path in progress_bar(recordings, unit="recording")
-        for verdict in _of_robots(path, reference, manager, limits, strict=strict, choices=choices)
+        for verdict in _judge_robots(
+            path, reference, manager, limits, strict=strict, choices=choices
+        )
     ]
-    return settled([replace(each, notes=(*notes, *each.notes)) for each in verdicts], far)
+    return decide_suite([replace(each, notes=(*notes, *each.notes)) for each in verdicts], far)
 
 
-def settled(verdicts: Sequence[Verdict], far: float) -> list[Verdict]:
-    """Adjust verdicts that are judged together.
+def decide_suite(verdicts: Sequence[Verdict], far: float) -> list[Verdict]:
+    """Adjust the p-values of verdicts that are judged together, and set the outcomes.
 
-    With few normal runs the correction can make an alarm on one recording impossible, however
-    unusual it is. Then a recording that is not anomalous is unsupported, not normal.
+    With few normal runs, the correction can make it impossible for a single recording to be
+    anomalous. Then a recording that is not anomalous is unsupported, not normal.
     """
     verdicts = _aspects_in_suite(verdicts)
     scored = [verdict for verdict in verdicts if verdict.p_value is not None]
@@ -113,7 +115,7 @@ def settled(verdicts: Sequence[Verdict], far: float) -> list[Verdict]:
 
 
 def _aspects_in_suite(verdicts: Sequence[Verdict]) -> list[Verdict]:
-    """Correct the p-values of each aspect for the recordings that are judged together."""
+    """Adjust the p-values of each aspect for the recordings that are judged together."""
     corrected = list(verdicts)
     for name in dict.fromkeys(name for verdict in verdicts for name in verdict.aspects):
         places = [n for n, verdict in enumerate(verdicts) if name in verdict.aspects]
@@ -125,7 +127,7 @@ def _aspects_in_suite(verdicts: Sequence[Verdict]) -> list[Verdict]:
 
 
 def _in_suite(verdict: Verdict, p: float, size: int, far: float) -> Verdict:
-    lowest = size / (verdict.normal_blocks + 1.0)  # a lone alarm's adjusted p-value
+    lowest = size / (verdict.normal_blocks + 1.0)  # adjusted p-value if only one is anomalous
     if p <= far:
         return replace(verdict, suite_p_value=p, outcome="anomalous")
     if lowest <= far:
@@ -149,7 +151,7 @@ def _unsupported(blocks: int, size: int, far: float) -> str:
     return alone + (" Or judge one recording at a time." if size > 1 else "")
 
 
-def _of_robots(
+def _judge_robots(
     path: Path,
     reference: CardSource,
     manager: FeatureManager,
@@ -160,13 +162,13 @@ def _of_robots(
 ) -> list[Verdict]:
     """Return a verdict for each robot of a recording, or one verdict with the error."""
     try:
-        robots = extract_apart(path, manager, limits, strict=strict, choices=choices)
+        robots = extract_isolated(path, manager, limits, strict=strict, choices=choices)
     except (OracleError, OSError) as error:
         return [Verdict(str(path), "error", error=str(error))]
-    return [_of_robot(each, reference) for each in robots]
+    return [_judge_robot(each, reference) for each in robots]
 
 
-def _of_robot(extracted: Extracted, reference: CardSource) -> Verdict:
+def _judge_robot(extracted: Extracted, reference: CardSource) -> Verdict:
     recording, tables, seen, _ = extracted
     try:
         verdict = _scored(recording, tables, reference.card_for(tables.run), seen)
@@ -189,36 +191,38 @@ def judge(
     OracleError
         The recording shares no feature with the card, has one in another unit, or is too short.
     """
-    return settled([_scored(recording, tables, card, seen)], far)[0]
+    return decide_suite([_scored(recording, tables, card, seen)], far)[0]
 
 
 def _scored(
     recording: str, tables: FeatureTables, card: ReferenceCard, seen: Observation | None
 ) -> Verdict:
-    """Return score, p-value and evidence of one recording, without a judgement.
+    """Return score, p-value and evidence of one recording, without an outcome.
 
-    A recording whose block is one of the card's (same start, goals and nuisance) is scored by the
-    scorer that did not see the block, and the block has no vote. So the verdict on a run of a
-    campaign is the one that the evaluation measured.
+    A recording of one of the card's blocks (same start, goals and nuisance) is scored by the scorer
+    that was not fitted on the block, and the block has no vote. So a run of a campaign gets the
+    same verdict as in the evaluation.
     """
     columns, notes = shared_features(tables.run, card.runs, card.scorer.design.run_features)
     block = _known_block(tables.run, card)
     measured = _measured(tables, card)
-    headline = _by(card.scorer, measured, block)
+    headline = _aspect_score(card.scorer, measured, block)
     votes = len(np.unique(card.scorer.block_)) - (block is not None)
     alarms, per_hour = _alarms(card.scorer, measured, block)
     if block is not None:
-        notes.append("It is of a block of the reference: all runs of that block are left out.")
+        notes.append("Its block is part of the reference: all runs of that block are left out.")
     others = card.runs if block is None else card.runs[card.runs["block"] != block]
     deviations = explain(others, tables.run, columns)
     return Verdict(
         recording,
-        "unsupported",  # until it is settled at a rate, alone or in a suite
+        "unsupported",  # until `decide_suite` sets the outcome
         contract=_breaches(card, seen),
         p_value=headline.p_value,
         suite_p_value=headline.p_value,
         score=headline.score,
-        aspects={name: _by(scorer, measured, block) for name, scorer in card.aspects.items()},
+        aspects={
+            name: _aspect_score(scorer, measured, block) for name, scorer in card.aspects.items()
+        },
         alarms=alarms,
         alarms_per_h=per_hour,
         features=len(columns),
@@ -230,7 +234,9 @@ def _scored(
     )
 
 
-def _by(scorer: CrossConformalScorer, measured: MeasuredRuns, block: int | None) -> AspectScore:
+def _aspect_score(
+    scorer: CrossConformalScorer, measured: MeasuredRuns, block: int | None
+) -> AspectScore:
     """Return p-value and score of one recording."""
     scores, known = scorer.scores(measured), None if block is None else np.array([block])
     p = float(scorer.p_values(scores, known)[0])
@@ -240,7 +246,7 @@ def _by(scorer: CrossConformalScorer, measured: MeasuredRuns, block: int | None)
 def _alarms(
     scorer: CrossConformalScorer, measured: MeasuredRuns, block: int | None
 ) -> tuple[tuple[Alarm, ...], float | None]:
-    """Return the alarms of one recording, and how many false ones an hour are promised at most."""
+    """Return the alarms of one recording, and the promised rate of false alarms per hour."""
     if scorer.windows_ is None:
         return (), None
     normal = scorer.windows_ if block is None else scorer.windows_.without(block)
@@ -262,7 +268,7 @@ def _breaches(card: ReferenceCard, seen: Observation | None) -> tuple[str, ...]:
 
 
 def _measured(tables: FeatureTables, card: ReferenceCard) -> MeasuredRuns:
-    """Return the recording with the card's columns; what it lacks is missing."""
+    """Return the recording with the card's columns; absent ones are missing values."""
     design = card.scorer.design
     if design.window_features and tables.windows.empty:
         raise ScoringError("The recording is too short to judge: it has no window of 5 s.")
@@ -274,7 +280,7 @@ def _measured(tables: FeatureTables, card: ReferenceCard) -> MeasuredRuns:
 
 
 def _known_block(row: pd.DataFrame, card: ReferenceCard) -> int | None:
-    """Return the block of the card that the recording belongs to, if it is one of them."""
+    """Return the block of the recording if the card was learned from that block."""
     (identical,) = np.nonzero(same_recording(card.runs, row))
     if len(identical):
         return int(card.runs["block"].iloc[identical[0]])

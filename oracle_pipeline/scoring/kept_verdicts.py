@@ -18,14 +18,14 @@ VERSION = 1
 
 
 class KeptVerdictError(OracleError):
-    """A file is not a verdict, or is one of another release."""
+    """A file is not a verdict, or was written by another release."""
 
 
 @dataclass(frozen=True, slots=True)
 class KeptVerdict:
-    """A verdict, with the card and the rate that led to it."""
+    """A verdict, with the card and the false positive rate that it is based on."""
 
-    key: str  # of the recording, as `oracle_pipeline.bags.arrivals` makes it
+    key: str  # of the recording, from `oracle_pipeline.bags.arrivals`
     fingerprint: str  # of its files when it was judged
     verdict: Verdict
     far: float  # false positive rate
@@ -33,7 +33,7 @@ class KeptVerdict:
     judged_at: str  # ISO 8601, UTC
 
     def save(self, path: Path) -> None:
-        """Write the verdict; a reader sees all of it or the old one."""
+        """Write the verdict atomically."""
         document = {"version": VERSION, **dataclasses.asdict(self)}
         with replacing(path) as sink:
             sink.write(json.dumps(document, indent=2, allow_nan=False).encode("ascii"))
@@ -45,7 +45,7 @@ class KeptVerdict:
         Raises
         ------
         KeptVerdictError
-            It is damaged, or of another release.
+            The file is damaged, or from another release.
         """
         try:
             document = json.loads(path.read_bytes())
@@ -55,14 +55,14 @@ class KeptVerdict:
             return cls(**document | {"verdict": _verdict(document["verdict"])})
         except (ValueError, KeyError, TypeError) as error:
             raise KeptVerdictError(
-                f"{path} holds no verdict ({error}); judge the recording again."
+                f"{path} is not a verdict ({error}); judge the recording again."
             ) from error
 
 
 def kept_verdicts(root: Path) -> list[KeptVerdict]:
     """Return all verdicts on foreign recordings below a root, the newest first.
 
-    A file that holds no verdict counts as a recording that could not be judged, and hides no other.
+    An unreadable file counts as a recording that could not be judged.
     """
     verdicts = [_or_error(path) for path in layout.foreign_verdicts(root)]
     return sorted(verdicts, key=lambda kept: kept.judged_at, reverse=True)

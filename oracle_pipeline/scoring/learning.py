@@ -1,4 +1,4 @@
-"""Learning a reference card from normal runs, one for each kind of system in a reference."""
+"""Learns reference cards from normal runs, one for each kind of system in a reference."""
 
 from collections.abc import Sequence
 
@@ -22,7 +22,7 @@ from oracle_pipeline.scoring.verdict import ScoringError
 SEED = 0  # of the folds
 WINDOWS_UNKNOWN = (
     "The reference has no features of windows, so only whole recordings are compared: a short "
-    "attack in a long recording may be missed. Name a table with windows.parquet beside it."
+    "attack in a long recording may be missed. Use a table with windows.parquet beside it."
 )
 
 
@@ -58,16 +58,16 @@ def learned_scorer(normal: MeasuredRuns, features: str = "all") -> CrossConforma
     ----------
     normal : MeasuredRuns
     features : str
-        Name of its set of features (`feature_sets`).
+        Name of the set of features (`feature_sets`).
 
     Raises
     ------
     OracleError
-        They are too few, or have no feature.
+        There are too few runs, or they have no feature.
     """
-    looked_at = design(normal, features)
-    with threadpool_limits(1, user_api="blas"):  # on so small matrices, more threads only wait
-        return CrossConformalScorer(looked_at).fit(normal, np.random.default_rng(SEED))
+    scorer_design = design(normal, features)
+    with threadpool_limits(1, user_api="blas"):  # threads are slower on matrices this small
+        return CrossConformalScorer(scorer_design).fit(normal, np.random.default_rng(SEED))
 
 
 def design(runs: MeasuredRuns, features: str = "all") -> Design:
@@ -85,10 +85,10 @@ def design(runs: MeasuredRuns, features: str = "all") -> Design:
 
 
 class Cards:
-    """A card for each kind of system that a reference holds, learned when it is first needed.
+    """A card for each kind of system in a reference, learned when it is first needed.
 
-    A robot and an air traffic system may be in one table. Runs are of one kind if they have values
-    in the same families of features as the recording.
+    One table may have runs of a robot and of an air traffic system. Runs are of the same kind as a
+    recording if they have values in the same families of features.
 
     Parameters
     ----------
@@ -101,12 +101,12 @@ class Cards:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader of the verdicts should know of the cards used so far."""
+        """Remarks on the cards used so far, for readers of the verdicts."""
         return tuple(dict.fromkeys(note for card in self._cards.values() for note in card.notes))
 
     @property
     def roles(self) -> RoleChoices | None:
-        """What a roles file said of the recordings."""
+        """Robots and topics from the roles file of the recordings; None without one."""
         return self._reference.roles
 
     def card_for(self, row: pd.DataFrame) -> ReferenceCard:

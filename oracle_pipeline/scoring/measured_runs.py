@@ -1,4 +1,4 @@
-"""The features of runs and of their windows, in one order."""
+"""The features of runs and of their windows, sorted consistently."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,8 +25,8 @@ class MeasuredRuns:
     features : DataFrame
         One row for each run.
     windows : DataFrame
-        One row for each window, by start; without the texts on where features were attained and
-        why they are missing, which nobody who measures reads.
+        One row per window, sorted by start; without the text columns on where features were
+        attained and why they are missing.
     run : ndarray of shape (n_windows,)
         Row of `features` that each window belongs to.
     """
@@ -37,7 +37,7 @@ class MeasuredRuns:
 
     @classmethod
     def ordered(cls, features: pd.DataFrame, windows: pd.DataFrame) -> "MeasuredRuns":
-        """Put the tables in order; windows of other runs are left out.
+        """Sort the tables; windows of other runs are dropped.
 
         Raises
         ------
@@ -52,10 +52,10 @@ class MeasuredRuns:
         of_runs = of_runs.sort_values(["run_id", "window_start_s"], ignore_index=True)
         return cls(runs, of_runs, number.loc[of_runs["run_id"]].to_numpy(dtype=np.intp))
 
-    def having(self, of_runs: Sequence[str], of_windows: Sequence[str]) -> "MeasuredRuns":
-        """Return the runs with some features alone, and their windows without keys, too.
+    def with_columns(self, of_runs: Sequence[str], of_windows: Sequence[str]) -> "MeasuredRuns":
+        """Return the runs with only the named features, and their windows without keys.
 
-        There is less to copy for each choice of runs.
+        Selecting runs then copies less.
         """
         keys = [c for c in self.features.columns if c not in feature_columns(self.features)]
         return MeasuredRuns(
@@ -73,11 +73,11 @@ class MeasuredRuns:
             number[self.run[kept]].astype(np.intp),
         )
 
-    def followed_by(self, others: "MeasuredRuns") -> "MeasuredRuns":
-        """Return these runs and then others, with the columns of these."""
+    def concat(self, others: "MeasuredRuns") -> "MeasuredRuns":
+        """Return these runs followed by others, which get the columns of these."""
         return MeasuredRuns(
-            _below(self.features, others.features),
-            _below(self.windows, others.windows),
+            _concat(self.features, others.features),
+            _concat(self.windows, others.windows),
             np.concatenate([self.run, len(self.features) + others.run]),
         )
 
@@ -93,19 +93,19 @@ class MeasuredRuns:
 
     @property
     def session(self) -> NDArray[np.int64]:
-        """Session of each run, shape (n_runs,); where none is known, its block is one."""
+        """Session of each run, shape (n_runs,); its block if the table has no sessions."""
         if "session" not in self.features:
             return self.block
         return self.features["session"].to_numpy(dtype=np.int64)
 
     @property
     def counts(self) -> NDArray[np.intp]:
-        """How many windows each run has, shape (n_runs,)."""
+        """Number of windows of each run, shape (n_runs,)."""
         return np.bincount(self.run, minlength=len(self.features))
 
     @property
     def place(self) -> NDArray[np.intp]:
-        """Which window of its run each is, from 0, shape (n_windows,)."""
+        """Index of each window within its run, from 0, shape (n_windows,)."""
         return np.arange(len(self.run)) - np.repeat(
             np.cumsum(self.counts) - self.counts, self.counts
         )
@@ -117,7 +117,7 @@ class MeasuredRuns:
 
 
 def require_runs(features: pd.DataFrame, table: pd.DataFrame, name: str) -> None:
-    """Raise an error if a table lacks some of the runs; `name` is that of the table."""
+    """Raise an error if a table lacks some of the runs; `name` is used in the message."""
     absent = sorted(set(features["run_id"]) - set(table["run_id"]))
     if absent:
         raise DatasetError(
@@ -126,7 +126,7 @@ def require_runs(features: pd.DataFrame, table: pd.DataFrame, name: str) -> None
         )
 
 
-def _below(table: pd.DataFrame, others: pd.DataFrame) -> pd.DataFrame:
+def _concat(table: pd.DataFrame, others: pd.DataFrame) -> pd.DataFrame:
     joined = pd.concat([table, others.reindex(columns=table.columns)], ignore_index=True)
     joined.attrs = table.attrs
     return joined

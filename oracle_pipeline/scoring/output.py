@@ -1,4 +1,4 @@
-"""Verdicts on recordings as text for people and JSON for programs, and the exit code."""
+"""Formats verdicts as text and JSON, and gives the exit code."""
 
 import dataclasses
 import json
@@ -10,10 +10,10 @@ from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.alarms import RATE_PER_H
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.conformal import runs_needed
-from oracle_pipeline.scoring.odd_recordings import odd_recordings
+from oracle_pipeline.scoring.outliers import outliers
 from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
 
-# The worst of a suite counts.
+# The highest code of a suite counts.
 EXIT_CODES: dict[Judgement, int] = {"normal": 0, "anomalous": 1, "unsupported": 2, "error": 2}
 _SHOWN: dict[Judgement, str] = {
     "normal": "normal",
@@ -23,9 +23,9 @@ _SHOWN: dict[Judgement, str] = {
 }
 _WIDTH = len("NO VERDICT")
 
-RATES = (0.05, 0.01)  # false positive rates for which the output names what a card lacks
+RATES = (0.05, 0.01)  # false positive rates for which missing blocks are reported
 
-_MOST_ODD = 5  # recordings of a card that are named
+_MOST_OUTLIERS = 5  # recordings of a card that are listed
 
 HEADINGS = ("feature", "value", "usual (5-95 %)", "z", "window", "where")
 
@@ -48,7 +48,7 @@ def as_json(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> st
 
 
 def as_text(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> str:
-    """Return a paragraph for each verdict, then once the remarks that all of them share."""
+    """Return a paragraph for each verdict, then the remarks that all of them share."""
     judged = [_remarks(verdict) for verdict in verdicts if verdict.outcome != "error"]
     shared = [remark for remark in judged[0] if all(remark in j for j in judged)] if judged else []
     lines = [line for verdict in verdicts for line in paragraph(verdict, shared)]
@@ -57,14 +57,14 @@ def as_text(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> st
         lines += ["", f"Anomalous: p <= {far:g}{over if len(judged) > 1 else ''}."]
         if any(verdict.aspects for verdict in verdicts):
             lines.append(
-                "The p-values of tampering (what messages say) and of misbehaviour (what the robot "
+                "The p-values of tampering (altered messages) and of misbehaviour (what the robot "
                 f"did) are each {far:g} or less in at most {far:.0%} of normal recordings."
             )
     return "\n".join([*lines, *shared, *notes])
 
 
 def card_as_text(card: ReferenceCard) -> str:
-    """Return what a card holds, which rates it supports, and what it lacks."""
+    """Describe the content of a card and the false positive rates that it supports."""
     runs, scorer = card.runs, card.scorer
     blocks, sessions = runs["block"].nunique(), runs["session"].nunique()
     lines = [
@@ -77,7 +77,7 @@ def card_as_text(card: ReferenceCard) -> str:
         _alarms_as_text(card),
         _contract_as_text(card),
         *_roles_as_text(card),
-        *_odd_as_text(card),
+        *_outliers_as_text(card),
         *card.notes,
     ]
     return "\n".join(lines)
@@ -101,9 +101,9 @@ def _roles_as_text(card: ReferenceCard) -> list[str]:
 
 
 def _support(blocks: int) -> str:
-    """Return which false positive rates so many blocks support, and what lower ones take."""
+    """Describe which false positive rates the blocks support, and how many more others need."""
     lacking = [
-        f"{rate:.0%} takes {_count(runs_needed(rate) - blocks, 'more block')}"
+        f"{rate:.0%} needs {_count(runs_needed(rate) - blocks, 'more block')}"
         for rate in RATES
         if blocks < runs_needed(rate)
     ]
@@ -112,16 +112,16 @@ def _support(blocks: int) -> str:
 
 
 def _alarms_as_text(card: ReferenceCard) -> str:
-    """Return which rate of false alarms the hours of the recordings support."""
+    """Describe the false alarm rate that the hours of the recordings support."""
     windows = card.scorer.windows_
     if windows is None:
         return "No alarms within a recording: the recordings have no features of windows."
     lowest = windows.lowest_rate()
     if lowest <= RATE_PER_H:
-        return f"Alarms within a recording: at most {RATE_PER_H:g} false alarms an hour."
+        return f"Alarms within a recording: at most {RATE_PER_H:g} false alarms per hour."
     return (
-        f"Alarms within a recording: at most {lowest:.2g} false alarms an hour; {RATE_PER_H:g} an "
-        f"hour takes {lowest / RATE_PER_H:.0f} times as many hours of normal recordings."
+        f"Alarms within a recording: at most {lowest:.2g} false alarms per hour; {RATE_PER_H:g} "
+        f"per hour needs {lowest / RATE_PER_H:.0f} times as many hours of normal recordings."
     )
 
 
@@ -133,19 +133,19 @@ def _contract_as_text(card: ReferenceCard) -> str:
     return f"Contract: {len(terms)} topics, {steady} of them with a steady rate."
 
 
-def _odd_as_text(card: ReferenceCard) -> list[str]:
-    """Return which recordings may not be normal."""
-    odd = list(odd_recordings(card))
-    if not odd:
+def _outliers_as_text(card: ReferenceCard) -> list[str]:
+    """List the recordings that may not be normal."""
+    found = list(outliers(card))
+    if not found:
         return []
     shown = [
         f"    {each.name}: score {each.score:.3g}"
         + (f", {each.farthest.feature} = {each.farthest.value:.3g}" if each.farthest else "")
-        for each in odd[:_MOST_ODD]
+        for each in found[:_MOST_OUTLIERS]
     ]
     return [
-        f"Unlike the others: {_count(len(odd), 'recording')}. Each raises the score that an attack "
-        "must exceed. Leave out those that went wrong, and learn again.",
+        f"Unlike the others: {_count(len(found), 'recording')}. Each raises the score that an "
+        "attack must exceed. Remove failed recordings, and learn again.",
         *shown,
     ]
 
@@ -160,7 +160,7 @@ def _remarks(verdict: Verdict) -> list[str]:
 
 
 def paragraph(verdict: Verdict, shared: Sequence[str] = ()) -> Iterator[str]:
-    """Yield the lines on one verdict, without the remarks that are shared by all."""
+    """Yield the lines on one verdict, without the shared remarks."""
     if verdict.outcome == "error":
         yield f"{_SHOWN[verdict.outcome]}  {verdict.recording}: {verdict.error}"
         return
@@ -178,7 +178,7 @@ def paragraph(verdict: Verdict, shared: Sequence[str] = ()) -> Iterator[str]:
 
 
 def _aspects(verdict: Verdict) -> Iterator[str]:
-    """Yield a line on what was altered and what the robot did, each with a p-value of its own."""
+    """Yield a line with the p-values of tampering and misbehaviour."""
     scored = [
         f"{name} p = {aspect.suite_p_value:.3g} (score {aspect.score:.3g})"
         for name, aspect in verdict.aspects.items()
@@ -192,10 +192,11 @@ def _alarms(verdict: Verdict) -> Iterator[str]:
     if not verdict.alarms or verdict.alarms_per_h is None:
         return
     times = ", ".join(f"{alarm.time_s:g} s" for alarm in verdict.alarms)
-    rate = f"{verdict.alarms_per_h:.2g} false ones an hour"
+    rate = f"{verdict.alarms_per_h:.2g} false alarms per hour"
     if verdict.alarms_per_h > RATE_PER_H:
         yield (
-            f"Alarm at {times}, perhaps false: the reference is too short to promise below {rate}."
+            f"Alarm at {times}, perhaps false: the reference is too short to promise less than "
+            f"{rate}."
         )
     else:
         yield f"Alarm at {times} (at most {rate} are promised)."

@@ -1,7 +1,7 @@
-"""How regularly the messages of a topic come, from their stamps alone.
+"""Measures how regularly the messages of a topic arrive, from their stamps alone.
 
-`oracle watch` compares a running robot with it within seconds: it notices a silence longer than any
-in normal recordings, and more or fewer messages in ten seconds.
+`oracle watch` compares a running robot with it: it reports a silence longer than any in normal
+recordings, and an unusual number of messages in ten seconds.
 """
 
 from collections.abc import Iterable, Mapping
@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.reader import BagReader
 
 SPAN_S = 10  # over which messages are counted [s]
-FEWEST = 10  # messages of a recording that give a pace: what is said once may stay so for hours
+FEWEST = 10  # messages of a topic; with fewer (for example latched topics) it has no pace
 _SECOND_NS = 1_000_000_000
 
 
 class Pace(NamedTuple):
-    """The pace of a topic, from its first message on."""
+    """The pace of a topic, measured from its first message."""
 
     longest_gap_s: float  # without a message, up to the end of the recording [s]
     fewest: int | None  # messages in any span of `SPAN_S`; None if no recording is so long
@@ -31,7 +31,7 @@ class Pace(NamedTuple):
         Parameters
         ----------
         stamps_ns : ndarray of shape (n_messages,)
-            Ascending; one at least.
+            Ascending; at least one.
         end_ns : int
             When the recording ended.
 
@@ -42,7 +42,7 @@ class Pace(NamedTuple):
         """
         gaps_ns = np.diff(stamps_ns, append=end_ns)
         first_end = int(stamps_ns[0]) + SPAN_S * _SECOND_NS
-        ends = np.arange(first_end, end_ns + 1, _SECOND_NS)  # as a watch looks, once a second
+        ends = np.arange(first_end, end_ns + 1, _SECOND_NS)  # once a second, as live
         counts = np.subtract(
             *(np.searchsorted(stamps_ns, each) for each in (ends, ends - SPAN_S * _SECOND_NS))
         )
@@ -54,7 +54,7 @@ class Pace(NamedTuple):
 
 
 def paces(bag: BagReader) -> dict[str, Pace]:
-    """Return the pace of each topic of a recording that has `FEWEST` messages."""
+    """Return the pace of each topic with at least `FEWEST` messages."""
     batches = [(batch.topics, batch.stamps_ns) for batch in bag.batches()]
     if not batches:
         return {}
@@ -70,17 +70,17 @@ def paces(bag: BagReader) -> dict[str, Pace]:
     }
 
 
-def widest(seen: Iterable[Mapping[str, Pace]]) -> dict[str, Pace]:
-    """Return the pace of each topic over all recordings."""
-    together: dict[str, Pace] = {}
+def merged_paces(seen: Iterable[Mapping[str, Pace]]) -> dict[str, Pace]:
+    """Return the widest pace of each topic over all recordings."""
+    merged: dict[str, Pace] = {}
     for pace_of in seen:
         for name, pace in pace_of.items():
-            known = together.get(name, pace)
+            known = merged.get(name, pace)
             fewest = [each.fewest for each in (known, pace) if each.fewest is not None]
             most = [each.most for each in (known, pace) if each.most is not None]
-            together[name] = Pace(
+            merged[name] = Pace(
                 max(known.longest_gap_s, pace.longest_gap_s),
                 min(fewest, default=None),
                 max(most, default=None),
             )
-    return together
+    return merged

@@ -1,4 +1,4 @@
-"""The runs that recordings are compared with: read from a table, a root or a folder of bags."""
+"""Reads the runs that recordings are compared with, from a table, a root or a folder of bags."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ from oracle_pipeline.bags.terminal import printable, progress_bar
 from oracle_pipeline.datasets import KEYS, feature_dataset, read_table, window_dataset
 from oracle_pipeline.features import FeatureManager, FeatureTables
 from oracle_pipeline.robots.roles_file import RoleChoices
-from oracle_pipeline.scoring.comparable import listed
+from oracle_pipeline.scoring.comparable import join_first
 from oracle_pipeline.scoring.contract import Observation
-from oracle_pipeline.scoring.isolation import extract_apart
+from oracle_pipeline.scoring.isolation import extract_isolated
 from oracle_pipeline.scoring.verdict import ScoringError
 
 WINDOWS_FILE = "windows.parquet"  # beside the table of the runs, as feature_dataset writes both
@@ -30,9 +30,9 @@ class Reference:
     Attributes
     ----------
     table : DataFrame
-        Their features, a row each.
+        Features of the runs, one row each.
     windows : DataFrame or None
-        The features of their windows, if these are known.
+        Features of their windows, if known.
     observations : tuple of Observation
         Interfaces of the recordings, in the order of `table`; empty if only tables were read.
     notes : tuple of str
@@ -59,7 +59,7 @@ def read_reference(
         directories, bags and folders of these, whose features are computed. Recordings without a
         label count as normal runs, each as a block of its own.
     manager : FeatureManager
-        The plugins to compute with.
+        The plugins that compute the features.
     choices : RoleChoices, optional
         Robots and topics that a roles file names.
 
@@ -86,8 +86,8 @@ def read_reference(
     absent = [key for key in KEYS if key not in reference.table.columns]
     if absent or reference.table["run_id"].duplicated().any():
         raise ScoringError(
-            f"{path} is no table with one row for each run (columns {', '.join(KEYS)} and "
-            "features); name datasets/features.parquet, which the asset feature_dataset makes."
+            f"{path} is not a table with one row per run (columns {', '.join(KEYS)} and "
+            "features); use datasets/features.parquet, which the asset feature_dataset writes."
         )
     return reference
 
@@ -100,7 +100,7 @@ def _extracted(
     recordings = [recording for path in paths for recording in recordings_below(path)]
     for path in progress_bar(recordings, unit="recording", desc="reference"):
         try:
-            robots = extract_apart(path, manager, choices=choices, paced=True)
+            robots = extract_isolated(path, manager, choices=choices, paced=True)
         except (OracleError, OSError) as error:
             notes.append(f"{path} is left out of the reference: {error}")
             continue
@@ -119,8 +119,8 @@ def _extracted(
             observations.append(observation)
     if not tables:
         raise ScoringError(
-            f"{listed([str(path) for path in paths])} holds no recording to compare with; check "
-            f"the path, or name another. {' '.join(notes)}".rstrip()
+            f"{join_first([str(path) for path in paths])} has no recording to compare with; check "
+            f"the path. {' '.join(notes)}".rstrip()
         )
     if unlabelled:
         notes.append(f"{unlabelled} reference recordings have no label; they are taken as normal.")

@@ -18,8 +18,8 @@ from oracle_pipeline.detectors import Detector, pipeline
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 LEVELS = ("run", "windows")
-TOP_WINDOWS = 6  # the mean score of so many windows stands for the run
-COMMON = 0.9  # windows count up to the length that this share of the fitted runs has
+TOP_WINDOWS = 6  # number of highest window scores that are averaged for a run
+COMMON = 0.9  # windows count up to the length that this share of the fitted runs reaches
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Design:
 
 
 class RunScorer:
-    """Scores runs after it was fitted on normal ones; higher is more anomalous.
+    """Scores runs by a model of normal runs; higher is more anomalous.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class RunScorer:
     models_ : dict of str to Pipeline
         A fitted scaler and detector for each level that has features.
     windows_counted_ : int
-        Number of windows of a run that count, from its start. A longer run has more extreme windows
+        Number of windows that count, from the start of a run. A longer run has more extreme windows
         by chance, so all runs are compared over the same length.
     """
 
@@ -78,7 +78,7 @@ class RunScorer:
         ):
             if columns:
                 model = pipeline(clone(design.detector), design.floors)
-                self.models_[level] = model.fit(_these(table, columns))
+                self.models_[level] = model.fit(_select(table, columns))
         return self
 
     def score(self, runs: MeasuredRuns) -> NDArray[np.float64]:
@@ -86,7 +86,7 @@ class RunScorer:
         scores = []
         for level, model in self.models_.items():
             if level == "run":
-                seen = _these(runs.features, self.design.run_features)
+                seen = _select(runs.features, self.design.run_features)
                 scores.append(-model.score_samples(seen))
             else:
                 scores.append(
@@ -96,12 +96,12 @@ class RunScorer:
 
     def score_windows(self, windows: pd.DataFrame) -> NDArray[np.float64]:
         """Return the score of each row of a window table, shape (n_windows,)."""
-        seen = _these(windows, self.design.window_features)
+        seen = _select(windows, self.design.window_features)
         return np.asarray(-self.models_["windows"].score_samples(seen), dtype=np.float64)
 
 
-def _these(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
-    """Return some columns of a table, which is not copied if it has no others."""
+def _select(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
+    """Return some columns of a table; it is not copied if it has no others."""
     return table if list(table.columns) == list(columns) else table[list(columns)]
 
 
@@ -114,9 +114,9 @@ def top_windows(
     ----------
     scores : ndarray of shape (n_windows,)
     runs : MeasuredRuns
-        Whose windows these are.
+        The runs of these windows.
     windows_counted : int
-        Later windows of a run are left out.
+        Number of windows of a run that count, from its start.
     """
     counts = runs.counts
     by_run = np.full((len(counts), int(counts.max(initial=1))), -np.inf)
@@ -130,7 +130,7 @@ def top_windows(
 
 
 def common_length(windows: NDArray[np.intp]) -> int:
-    """Return how many windows nine tenths of the runs have at least.
+    """Return the number of windows that nine tenths of the runs reach.
 
     Examples
     --------

@@ -8,7 +8,7 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.alarms import Alarm
 
-# Unsupported: there is a score, but too few normal runs for a verdict at the rate asked for.
+# Unsupported: there is a score, but too few normal runs for a verdict at the requested rate.
 Judgement: TypeAlias = Literal["normal", "anomalous", "unsupported", "error"]
 
 
@@ -18,41 +18,41 @@ class ScoringError(OracleError):
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """One feature outside its usual range; where and when it was attained, if that is known."""
+    """One feature outside its usual range; where and when it was attained, if known."""
 
     feature: str
-    z: float  # robust, in the scales of the same normal runs
-    capped: bool  # z would be larger
+    z: float  # robust, relative to the same normal runs
+    capped: bool  # whether the true |z| is larger
     value: float
     unit: str
     usual_low: float  # 5th and 95th percentile of the normal runs
     usual_high: float
     where: str | None = None  # a topic, a pair of topics or an edge
-    window_start_s: float | None = None  # of the window that is farthest out in the same direction
+    window_start_s: float | None = None  # of the window that deviates most in the same direction
 
 
 @dataclass(frozen=True, slots=True)
 class AspectScore:
     """Score of a recording in one aspect: tampering or misbehaviour."""
 
-    p_value: float  # among the normal blocks, by the features of the aspect alone
+    p_value: float  # among the normal blocks, from the features of the aspect alone
     suite_p_value: float  # adjusted for the recordings judged together
     score: float
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The judgement of one recording with its basis; an error has no numbers."""
+    """The outcome for one recording with its basis; an error has no numbers."""
 
     recording: str
     outcome: Judgement
-    contract: tuple[str, ...] = ()  # how topics, types, QoS, rates and graph differ, in words
+    contract: tuple[str, ...] = ()  # breaches by topics, types, QoS, rates and graph, as sentences
     p_value: float | None = None  # share of normal blocks that score at least as high
     suite_p_value: float | None = None  # adjusted for the recordings judged together
-    score: float | None = None  # 0 is the median of normal runs, 1 their spread; higher is odder
-    aspects: Mapping[str, AspectScore] = field(default_factory=dict)  # of these it has features
-    alarms: tuple[Alarm, ...] = ()  # in the order of time
-    alarms_per_h: float | None = None  # false ones that are promised at most; None: not watched
+    score: float | None = None  # 0 is the median of normal runs, 1 their spread
+    aspects: Mapping[str, AspectScore] = field(default_factory=dict)  # those with features
+    alarms: tuple[Alarm, ...] = ()  # in order of time
+    alarms_per_h: float | None = None  # promised false alarms per hour; None: no windows
     features: int = 0
     normal_runs: int = 0
     normal_blocks: int = 0  # that vote

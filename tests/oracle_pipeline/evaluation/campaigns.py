@@ -1,4 +1,4 @@
-"""Campaigns of a few runs whose windows and truth are written out by hand."""
+"""Campaigns of a few runs with windows and ground truth defined by hand."""
 
 import numpy as np
 import pandas as pd

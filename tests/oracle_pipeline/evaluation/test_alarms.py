@@ -25,7 +25,7 @@ def raised_in(runs):
     return watched(runs, reference_of(runs, ~runs.malicious))
 
 
-def test_detection_counts_from_the_onset_to_the_end_of_the_first_window_that_alarms():
+def test_time_to_detect_is_from_onset_to_the_end_of_the_first_window_with_an_alarm():
     late = times_to_detect(alarms(0, 8, 9), JUDGED, JUDGED.onset_s)  # at 5 s: too early
     assert late[:2].tolist() == [8.0, np.inf]
     assert np.isnan(late[2])
@@ -42,7 +42,7 @@ def test_an_attack_takes_effect_when_it_first_changes_a_message():
     assert late.tolist() == [10.0, 27.0, 27.0]  # that window ends at 30 s
 
 
-def test_the_figures_of_alarms_by_hand():
+def test_alarm_metrics_equal_a_hand_calculation():
     raised = WatchedRuns(
         np.where(JUDGED.attacked_windows(), 1.0, 0.0), alarms(8, 33, 35), per_hour=0.5
     )
@@ -57,7 +57,7 @@ def test_the_figures_of_alarms_by_hand():
     assert row["false_alarms_per_h_low"] < 60 < 500 < row["false_alarms_per_h_high"]
 
 
-def test_normal_runs_raise_no_more_alarms_than_promised_and_planted_attacks_are_found():
+def test_false_alarms_keep_the_promised_rate_and_planted_attacks_are_detected():
     planted = synthetic(20, effect=15.0)
     raised = raised_in(planted)
     assert 0.5 < raised.per_hour < 3.0  # too few hours for the usual rate
@@ -83,7 +83,7 @@ def test_oracle_score_raises_the_alarms_of_the_evaluation():
         assert [alarm.time_s for alarm in verdict.alarms] == pytest.approx(expected, abs=5.0)
 
 
-def test_two_blocks_teach_nothing_and_raise_nothing():
+def test_two_blocks_are_too_few_for_alarms():
     raised = raised_in(synthetic(2))
     assert np.isnan(raised.score).all()
     assert np.isnan(raised.per_hour)

@@ -27,7 +27,7 @@ def marked(features, mode, by):
     return features.assign(**{FEATURE: features[FEATURE] + by * (features["mode"] == mode)})
 
 
-def test_nothing_is_told_where_nothing_was_altered(tables):
+def test_equal_unaltered_runs_have_no_distinguishing_feature(tables):
     features, *_ = tables
     assert len(exact_pairs(features)) == 3
     assert audit(features).empty
@@ -40,21 +40,21 @@ def test_nothing_is_told_where_nothing_was_altered(tables):
         ("lidar_passthrough_odom", "mode", "lidar_passthrough and lidar_passthrough_odom"),
     ],
 )
-def test_a_feature_that_tells_control_or_mode_is_listed(tables, mode, tells, between):
+def test_a_feature_that_distinguishes_control_or_mode_is_listed(tables, mode, tells, between):
     found = audit(marked(tables[0], mode, 1e3))
     row = found[(found["tells"] == tells) & (found["between"] == between)].iloc[0]
     assert (row["feature"], row["differing"]) == (FEATURE, 1.0)
     assert set(found["feature"]) == {FEATURE}
 
 
-def test_a_feature_that_tells_the_session_is_listed(tables):
+def test_a_feature_that_distinguishes_sessions_is_listed(tables):
     features, *_ = tables
     day = features.assign(**{FEATURE: features[FEATURE] + 1e3 * features["session"]})
     found = audit(day)
     assert found[["feature", "tells"]].to_numpy().tolist() == [[FEATURE, "session"]]
 
 
-def test_where_each_block_has_a_session_the_earlier_ones_are_compared_with_the_later(tables):
+def test_with_one_block_per_session_earlier_sessions_are_compared_with_later(tables):
     features = tables[0].assign(session=tables[0]["block"])
     assert audit(features).empty
     drifting = features.assign(**{FEATURE: features[FEATURE] + 1e3 * (features["session"] > 7)})
@@ -64,24 +64,24 @@ def test_where_each_block_has_a_session_the_earlier_ones_are_compared_with_the_l
     ]
 
 
-def test_less_than_the_floor_is_no_difference(tables):
+def test_differences_below_the_floor_do_not_count(tables):
     features, *_ = tables
     features.attrs["fields"] = {FEATURE: {"floor": "0.5", "unit": "m^2"}}
     assert audit(marked(features, "random_noise_shadow", 0.4)).empty
     assert not audit(marked(features, "random_noise_shadow", 0.6)).empty
 
 
-def test_attacked_runs_are_not_looked_at(tables):
+def test_attacked_runs_are_ignored(tables):
     assert audit(marked(tables[0], "random_noise", 1e3)).empty
 
 
 @pytest.mark.parametrize("features", [1, 5, 200, 1000])
-def test_the_blocks_that_it_takes_are_enough_and_not_too_many(features):
+def test_blocks_needed_is_the_smallest_sufficient_number(features):
     blocks = blocks_needed(features)
     assert 2.0 * 0.5**blocks * features <= 0.05 < 4.0 * 0.5**blocks * features
 
 
-def test_the_check_is_red_for_a_tell_and_unsupported_with_few_blocks(tables):
+def test_the_check_is_red_for_a_distinguishing_feature_and_unsupported_with_few_blocks(tables):
     features, windows, truth = tables
     columns = feature_columns(features)
 
@@ -96,11 +96,11 @@ def test_the_check_is_red_for_a_tell_and_unsupported_with_few_blocks(tables):
     assert session.status == "red"
     mode = marked(features, "lidar_passthrough_odom", 1e3)
     mode = marked(mode, "fake_object_shadow", 1e3)
-    assert check(mode).status == "green"  # its counterpart tells the same
+    assert check(mode).status == "green"  # its counterpart is marked too
     alone = mode.replace({"mode": {"fake_object": "an_attack"}})
-    alone["run_id"], told = mode["run_id"], check(alone)
-    assert told.status == "red"
-    assert "an_attack without" in told.sentence
+    alone["run_id"], result = mode["run_id"], check(alone)
+    assert result.status == "red"
+    assert "an_attack without" in result.sentence
     few = check(features[features["block"] < 3])
     assert few.status == "unsupported"
     assert np.isnan(few.figure.value)

@@ -21,19 +21,19 @@ def without_meaning():
 
 
 @pytest.mark.slow
-def test_labels_that_mean_nothing_give_an_auc_that_cannot_be_told_from_chance(without_meaning):
+def test_meaningless_labels_give_an_auc_of_chance(without_meaning):
     assert np.mean([result.auc.covers(0.5) for result in without_meaning]) >= 0.9
     assert np.mean([result.auc.value for result in without_meaning]) == pytest.approx(0.5, abs=0.03)
 
 
-def test_labels_that_mean_nothing_still_give_the_recall_that_is_called_accuracy(without_meaning):
+def test_meaningless_labels_still_give_the_recall_that_the_thesis_calls_accuracy(without_meaning):
     recall = np.median([result.recall_best_cluster.value for result in without_meaning])
     false_alarms = np.median([result.fpr_best_cluster.value for result in without_meaning])
     assert recall > 0.85
     assert false_alarms == pytest.approx(recall, abs=0.1)
 
 
-def test_attacks_that_lie_apart_are_all_outside_the_largest_cluster():
+def test_separate_attacks_are_all_outside_the_largest_cluster():
     result = judged(run_features(effect=40.0))
     assert (result.tp, result.fn, result.fp) == (90, 0, 0)
     assert result.mcc == result.auc.value == result.recall_best_cluster.value == 1.0
@@ -41,13 +41,13 @@ def test_attacks_that_lie_apart_are_all_outside_the_largest_cluster():
     assert result.fpr_best_cluster.value == 0.0
 
 
-def test_the_best_cluster_is_told_in_distinct_runs():
+def test_the_best_cluster_is_described_by_distinct_runs():
     result = judged(run_features(runs=5, effect=40.0))
     assert result.runs_best_cluster == "15/15 malicious, 0/15 others"
     assert result.mcc_best_cluster == 1.0
 
 
-def test_the_best_cluster_is_looked_for_among_those_inspected():
+def test_the_best_cluster_is_one_of_the_inspected_clusters():
     runs = distinct_runs(run_features(runs=1))  # malicious are the second, fourth and sixth
     runs.malicious[:] = [False, True, False, True, False, True]
     clusters = np.array([1, 1, 2, 3, 3, 3], dtype=np.int32)
@@ -63,7 +63,7 @@ def test_a_result_has_three_columns_for_each_estimate():
     assert all(isinstance(value, float | int | str) for value in columns.values())
 
 
-def test_rows_that_cannot_be_clustered_say_why():
+def test_the_result_for_rows_that_cannot_be_clustered_has_the_reason():
     empty = run_features(runs=3).assign(**{"structural.density": np.nan})
     result = judged(empty, columns=["structural.density"])
     assert "rows of 0 features" in result.note
@@ -78,7 +78,7 @@ def test_a_missing_class_is_noted():
     assert result.fpr.value == pytest.approx(result.fp / 300)
 
 
-def test_indicators_of_missing_values_take_part():
+def test_indicators_of_missing_values_are_clustered():
     df = run_features(runs=6)
     malicious = df["label"] == "malicious"
     df["structural.density"] = np.where(malicious, np.nan, 0.02)

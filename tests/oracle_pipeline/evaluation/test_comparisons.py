@@ -13,7 +13,7 @@ def judged(campaign, score, p, calibration=100, scope="all modes"):
     return judge(scores, campaign, chosen, np.random.default_rng(0))
 
 
-def test_scopes_are_pairs_shadows_the_real_obstacle_and_hard_negatives():
+def test_comparisons_are_pairs_shadows_the_real_obstacle_and_hard_negatives():
     df = synthetic(3).features
     named = {scope.name: set(df.loc[scope.runs, "mode"]) for scope in comparisons(df)}
     assert next(iter(named)) == "all modes"
@@ -37,7 +37,7 @@ def test_an_attack_without_a_partner_is_compared_with_all_normal_modes():
     assert "normal / random_noise" not in named
 
 
-def test_figures_by_hand():
+def test_metrics_equal_a_hand_calculation():
     campaign = synthetic(3)
     n = len(campaign.features)
     score = np.where(campaign.malicious, 2.0, 1.0)
@@ -54,7 +54,7 @@ def test_figures_by_hand():
     assert row["note"] == ""
 
 
-def test_a_rate_that_the_campaign_cannot_support_is_not_given():
+def test_an_unsupported_rate_has_no_values():
     campaign = synthetic(3)
     score, p = np.zeros((2, len(campaign.features)))
     row = judged(campaign, score, p)
@@ -62,7 +62,7 @@ def test_a_rate_that_the_campaign_cannot_support_is_not_given():
     assert np.isnan(row["detection_rate_1"])
     few = judged(campaign, score, p, calibration=18)
     assert np.isnan(few["detection_rate_5"])
-    assert "18 runs to calibrate with, 5% takes 19" in few["note"]
+    assert "18 calibration runs, 5% needs 19" in few["note"]
 
 
 def test_a_scope_without_attacks_gives_false_alarms_alone():
@@ -74,7 +74,7 @@ def test_a_scope_without_attacks_gives_false_alarms_alone():
     assert row["note"] == "no malicious runs"
 
 
-def test_a_row_without_scores_says_so():
+def test_a_row_without_scores_has_a_note():
     campaign = synthetic(3)
     nowhere = np.full(len(campaign.features), np.nan)
     row = judged(campaign, nowhere, nowhere)

@@ -33,7 +33,7 @@ def test_runs_of_equal_suspicion_are_inspected_together():
         lambda runs: any(attacked for _, attacked in runs)
     )
 )
-def test_an_effort_curve_rises_from_nothing_to_everything(runs):
+def test_an_effort_curve_rises_from_0_to_1(runs):
     suspicion, malicious = (np.array(part) for part in zip(*runs, strict=True))
     curve = effort_curve(suspicion.astype(float), malicious)
     assert (curve.inspected[0], curve.found[0]) == (0.0, 0.0)
@@ -42,7 +42,7 @@ def test_an_effort_curve_rises_from_nothing_to_everything(runs):
     assert (np.diff(curve.found) >= 0).all()
 
 
-def test_a_few_odd_runs_are_in_small_clusters():
+def test_a_few_anomalous_runs_are_in_small_clusters():
     df = run_features(6, effect=30.0, modes=MODES | CONTROLS)
     rare = df[(df["label"] != "malicious") | (df["block"] == 0)].reset_index(drop=True)
     columns = ["structural.entropy", "contextual.yaw_variance"]

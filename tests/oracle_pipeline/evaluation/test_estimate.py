@@ -8,7 +8,7 @@ from oracle_pipeline.evaluation.estimate import NOTHING, Estimate, clopper_pears
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
-def test_no_way_of_printing_leaves_the_interval_out(value, low, high):
+def test_every_format_prints_the_interval(value, low, high):
     area = Estimate(value, low, high)
     for text in (str(area), f"{area}", f"{area:.3f}", "{}".format(area), repr(area)):  # noqa: UP032
         digits = "3f" if text == f"{area:.3f}" else "2f"
@@ -18,7 +18,7 @@ def test_no_way_of_printing_leaves_the_interval_out(value, low, high):
         assert all(str(part) in text for part in shown)
 
 
-def test_what_could_not_be_measured_says_so_and_covers_nothing():
+def test_an_empty_estimate_prints_as_such_and_covers_nothing():
     assert str(NOTHING) == "n/a"
     assert not NOTHING.covers(0.5)
 
@@ -38,12 +38,12 @@ def test_clopper_pearson_widens_with_fewer_runs_and_needs_at_least_one():
 
 
 @given(st.floats(0.0, 1.0), st.integers(1, 60), st.integers(1, 60))
-def test_newcombe_holds_the_value_and_is_the_same_from_the_other_side(value, m, n):
+def test_newcombe_contains_the_value_and_is_symmetric(value, m, n):
     area, mirrored = newcombe_auc(value, m, n), newcombe_auc(1.0 - value, m, n)
     assert 0.0 <= area.low <= value <= area.high <= 1.0
     assert (area.low, area.high) == pytest.approx((1 - mirrored.high, 1 - mirrored.low), abs=2e-4)
 
 
-def test_newcombe_shows_doubt_about_a_perfect_separation_of_few_runs():
+def test_newcombe_has_a_wide_interval_for_few_perfectly_separated_runs():
     assert newcombe_auc(1.0, 3, 3).low < 0.6
     assert newcombe_auc(1.0, 15, 15).low > 0.7

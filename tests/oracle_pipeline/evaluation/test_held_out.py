@@ -50,12 +50,12 @@ def test_values_of_tested_runs_do_not_reach_other_scores():
     assert np.array_equal(before.score[test][1:], after.score[test][1:])
 
 
-def test_a_planted_attack_is_found():
+def test_a_planted_attack_is_detected():
     planted = synthetic(9, effect=15.0)
     assert (scored(planted).p[planted.malicious] <= 0.05).mean() > 0.95
 
 
-def test_no_attack_gives_the_nominal_false_alarms_or_fewer():
+def test_without_attacks_the_false_positive_rate_is_at_most_nominal():
     campaigns = [(synthetic(15, seed=seed), seed) for seed in range(6)]
     rates = [(scored(nothing, "run", seed).p <= 0.05).mean() for nothing, seed in campaigns]
     assert 0.01 < np.mean(rates) < 0.06  # 2 of 49 ranks
@@ -72,7 +72,7 @@ def test_folds_are_brought_to_one_scale_without_changing_their_order():
     assert conformal(scores, [fold])[4:].tolist() == [0.75, 0.25]
 
 
-def test_the_oddest_windows_speak_for_a_run_up_to_the_common_length():
+def test_a_run_is_scored_by_its_most_unusual_windows_up_to_the_common_length():
     judged = by_hand(
         ("delayed_passthrough", 0, 30.0, 0.0, "[]"), ("fake_object", 1, 60.0, 0.0, "[]")
     )
@@ -96,7 +96,7 @@ def test_no_finite_value_and_no_folds_give_no_score():
     assert np.isnan(held_out(judged, COLUMNS, DETECTOR, []).p).all()
 
 
-def test_a_classifier_that_was_shown_other_attacks_finds_them_and_not_what_is_not_there():
+def test_a_supervised_classifier_detects_known_attacks_and_is_at_chance_without_an_effect():
     from sklearn.linear_model import LogisticRegression
 
     judged = synthetic(9, effect=8.0)

@@ -26,17 +26,19 @@ def scores_of(campaign, score):
     return HeldOutScores(np.asarray(score, dtype=float), np.asarray(score, dtype=float), 100)
 
 
-def test_sessions_that_score_apart_are_red_and_one_session_is_unsupported():
+def test_sessions_with_different_scores_are_red_and_one_session_is_unsupported():
     judged = synthetic(30)
     noise, session = rng().normal(size=len(judged.features)), judged.features["session"]
     alike = integrity.same_between_sessions(scores_of(judged, noise), judged, rng())
     assert (alike.status, alike.figure.covers(0.5)) == ("green", True)
-    apart = integrity.same_between_sessions(scores_of(judged, noise + 9 * session), judged, rng())
-    assert (apart.status, apart.figure.value) == ("red", 1.0)
+    different = integrity.same_between_sessions(
+        scores_of(judged, noise + 9 * session), judged, rng()
+    )
+    assert (different.status, different.figure.value) == ("red", 1.0)
 
 
 def in_sessions(blocks, session_of):
-    """Return a campaign whose blocks are in other sessions, without attacks in its features."""
+    """Return a campaign with other sessions, and without attacks in its features."""
     features, windows, truth = campaign(blocks)
     days = [table.assign(session=session_of(table["block"])) for table in (features, windows)]
     for table, original in zip(days, (features, windows), strict=True):
@@ -45,7 +47,7 @@ def in_sessions(blocks, session_of):
 
 
 @pytest.mark.parametrize("session_of", [lambda block: block % 2, lambda block: block])
-def test_sessions_are_compared_only_where_a_difference_could_show(session_of):
+def test_sessions_are_compared_only_with_enough_blocks(session_of):
     needed = integrity.blocks_to_separate()
     for blocks, status in ((2 * needed - 1, "unsupported"), (2 * needed, "red")):
         judged = in_sessions(blocks, session_of)
@@ -54,12 +56,12 @@ def test_sessions_are_compared_only_where_a_difference_could_show(session_of):
         scores = scores_of(judged, rng().normal(size=len(later)) + 99.0 * later)
         check = integrity.same_between_sessions(scores, judged, rng())
         assert check.status == status
-        assert status == "red" or f"takes {needed} blocks in each" in check.sentence
+        assert status == "red" or f"needs {needed} blocks in each" in check.sentence
         label = integrity.label_above_session(judged, COLUMNS, block_folds(judged.features, 0), 0)
         assert (label.status == "unsupported") == (status == "unsupported")
 
 
-def test_sessions_of_a_block_each_that_score_alike_are_green():
+def test_sessions_of_one_block_with_similar_scores_are_green():
     judged = in_sessions(30, lambda block: block)
     noise = rng().normal(size=len(judged.features))
     check = integrity.same_between_sessions(scores_of(judged, noise), judged, rng())
@@ -73,13 +75,13 @@ def test_sessions_of_a_block_each_that_score_alike_are_green():
     ("differences", "status"),
     [(None, "unsupported"), ([], "green"), (["random_noise|run000: node:/intruder"], "red")],
 )
-def test_graphs_are_equal_or_say_where_they_differ(differences, status):
+def test_the_graph_check_states_the_differences(differences, status):
     check = integrity.equal_graphs(differences)
     assert check.status == status
     assert status != "red" or "/intruder" in check.sentence
 
 
-def test_a_session_that_is_told_as_easily_as_the_label_is_red(monkeypatch):
+def test_a_session_that_is_as_predictable_as_the_label_is_red(monkeypatch):
     monkeypatch.setattr(integrity, "TREES", 15)
     features, windows, truth = campaign(24, effect=12.0)
     judged = JudgedRuns.of(features, windows, truth)
@@ -112,7 +114,7 @@ def test_shuffled_labels_are_chance_unless_a_label_leaks(monkeypatch):
     assert (leaked.status, leaked.figure.value > 0.9) == ("red", True)
 
 
-def test_hard_negatives_may_be_called_anomalous_one_time_in_ten():
+def test_one_hard_negative_in_ten_may_be_called_anomalous():
     judged = synthetic(30)
     benign = judged.features["mode"].str.startswith("benign_").to_numpy()
     p = np.full(len(benign), 0.5)
@@ -134,7 +136,7 @@ def test_hard_negatives_of_too_few_blocks_are_not_green_but_can_be_red():
     assert integrity.hard_negatives(wrong, few, rng()).status == "red"
 
 
-def test_a_shortcut_behind_the_headline_is_red_and_an_undeclared_feature_unsupported():
+def test_a_shortcut_in_the_headline_is_red_and_an_undeclared_feature_unsupported():
     features, _, _ = campaign(3)
     assert integrity.shortcuts_apart(features, COLUMNS, NOTHING).status == "green"
     fields = features.attrs["fields"]
@@ -145,7 +147,7 @@ def test_a_shortcut_behind_the_headline_is_red_and_an_undeclared_feature_unsuppo
     assert integrity.shortcuts_apart(features, COLUMNS, NOTHING).status == "unsupported"
 
 
-def test_the_banner_says_all_that_is_not_green_and_nothing_else():
+def test_the_banner_has_all_checks_that_are_not_green():
     green = integrity.equal_graphs([])
     unknown = integrity.equal_graphs(None)
     assert integrity.banner([green, green]) == ""

@@ -11,7 +11,7 @@ from tests.oracle_pipeline.evaluation.campaigns import by_hand
 from tests.oracle_pipeline.reporting.recordings import manifest
 
 
-def test_windows_know_their_run_and_when_they_end():
+def test_windows_have_their_run_and_end_time():
     judged = by_hand(("lidar_passthrough", 1, 18.0, 0.0, "[]"), ("fake_object", 0, 21.0, 0.0, "[]"))
     assert judged.features["mode"].tolist() == ["fake_object", "lidar_passthrough"]
     assert judged.run.tolist() == 8 * [0] + 7 * [1]
@@ -21,13 +21,13 @@ def test_windows_know_their_run_and_when_they_end():
     assert judged.end_s.tolist() == [*regular, 21.0, *regular[:6], 18.0]
 
 
-def test_windows_of_an_attack_are_those_that_share_time_with_a_change():
+def test_attacked_windows_are_those_that_overlap_a_change():
     judged = by_hand(("fake_object", 0, 40.0, 0.0, "[[20.0, 3, 0.5]]"))
     attacked = judged.start_s[judged.attacked_windows()]
     assert attacked.tolist() == [17.5, 20.0, 22.5]  # [15, 20) ends where the change begins
 
 
-def test_a_run_that_does_not_tell_what_it_changed_is_changed_from_its_onset_on():
+def test_without_recorded_changes_all_windows_after_the_onset_are_attacked():
     judged = by_hand(
         ("delayed_fakeobject", 0, 40.0, 22.0, "[]"), ("delayed_passthrough", 0, 40.0, 22.0, "[]")
     )
@@ -35,7 +35,7 @@ def test_a_run_that_does_not_tell_what_it_changed_is_changed_from_its_onset_on()
     assert (judged.run[judged.attacked_windows()] == 0).all()
 
 
-def test_an_attack_that_never_began_is_left_out_and_a_run_without_truth_is_refused():
+def test_an_attack_that_never_began_is_left_out_and_a_run_without_truth_is_an_error():
     judged = by_hand(
         ("delayed_fakeobject", 0, 20.0, np.nan, "[]"), ("lidar_passthrough", 0, 20.0, 0.0, "[]")
     )
@@ -45,7 +45,7 @@ def test_an_attack_that_never_began_is_left_out_and_a_run_without_truth_is_refus
         JudgedRuns.of(features, windows, truth[truth["run_id"] != "fake_object|run001"])
 
 
-def test_sets_of_features_keep_shortcuts_and_the_thesis_apart():
+def test_shortcuts_and_thesis_features_are_in_separate_sets():
     features, _, _ = campaign(3)
     features = features.assign(
         **{
@@ -72,11 +72,11 @@ def test_sets_of_features_keep_shortcuts_and_the_thesis_apart():
     ]  # fmt: skip
 
 
-def test_truth_is_what_manifests_say():
-    told = manifest(changes=(Change(5.0, 2, 0.25), Change(10.0, 1, None)))
-    table = truth_table([told])
+def test_the_truth_table_has_the_values_of_the_manifests():
+    record = manifest(changes=(Change(5.0, 2, 0.25), Change(10.0, 1, None)))
+    table = truth_table([record])
     assert tuple(table.columns) == COLUMNS
     row = table.iloc[0]
-    assert row["run_id"] == f"{told.mode}|run{told.run:03d}"
+    assert row["run_id"] == f"{record.mode}|run{record.run:03d}"
     assert row["changes"] == "[[5.0, 2, 0.25], [10.0, 1, null]]"
-    assert row["recording_s"] == told.recording_s
+    assert row["recording_s"] == record.recording_s

@@ -44,13 +44,13 @@ def test_the_mutation_score_leaves_equivalent_mutants_out():
 
 
 def grid_of(magnitudes, blocks=4, used=0):
-    """Runs of an attack that shifts two features by so many deviations; 0 changes nothing."""
+    """Runs of an attack that shifts two features by a number of deviations; 0 changes nothing."""
     runs, windows = [], []
     for shift in magnitudes:
         tables = campaign(blocks, shift, seed=7, modes={"random_noise": "malicious"})[:2]
         features, of_windows = (t.assign(run_id=f"{shift}/" + t["run_id"]) for t in tables)
-        told = {"value": shift, "changed_messages": 100 * (shift > 0)}
-        runs.append(features.assign(scenario="noise", parameter="level", **told))
+        mutant = {"value": shift, "changed_messages": 100 * (shift > 0)}
+        runs.append(features.assign(scenario="noise", parameter="level", **mutant))
         windows.append(of_windows)
     grid = pd.concat(runs, ignore_index=True)
     return MeasuredRuns.ordered(
@@ -62,7 +62,7 @@ def runs_of_campaign(**more):
     return MeasuredRuns.ordered(*campaign(12, **more)[:2])
 
 
-def test_stronger_attacks_are_killed_and_what_changes_nothing_counts_for_nothing():
+def test_stronger_attacks_are_killed_and_equivalent_mutants_do_not_count():
     kills = kill_matrix(runs_of_campaign(), grid_of([0.0, 40.0]), seed=0)
     unchanged, strong = (kills[kills["value"] == value] for value in (0.0, 40.0))
     assert (unchanged["equivalent"] == 4).all()
@@ -73,7 +73,7 @@ def test_stronger_attacks_are_killed_and_what_changes_nothing_counts_for_nothing
     assert "max_z" in set(kills["detector"])
 
 
-def test_an_attack_as_weak_as_a_declared_harmless_change_is_seen_where_nobody_declared_it():
+def test_an_attack_as_weak_as_a_hard_negative_is_detected_only_without_hard_negatives():
     features, windows, _ = campaign(24)
     for table in features, windows:
         harmless = table["mode"] == "benign_noise"
@@ -85,7 +85,7 @@ def test_an_attack_as_weak_as_a_declared_harmless_change_is_seen_where_nobody_de
     assert rates["block"] < 0.5 < rates["block and hard negatives"]
 
 
-def test_runs_of_blocks_that_the_grid_uses_do_not_train():
+def test_blocks_of_the_grid_are_not_used_for_training():
     runs, grid = runs_of_campaign(), grid_of([40.0], used=3)
     features = runs.features.copy()
     features.loc[features["block"].isin(grid.block), list(ATTACKED)] = 1e6
@@ -93,6 +93,6 @@ def test_runs_of_blocks_that_the_grid_uses_do_not_train():
     pd.testing.assert_frame_equal(kill_matrix(odd, grid, 0), kill_matrix(runs, grid, 0))
 
 
-def test_a_grid_without_its_index_is_refused():
+def test_a_grid_without_its_index_is_an_error():
     with pytest.raises(DatasetError, match="lacks the columns scenario"):
         kill_matrix(runs_of_campaign(), runs_of_campaign(modes=MODES), 0)

@@ -59,7 +59,7 @@ def samples(draw):
 
 @settings(max_examples=25)
 @given(samples())
-def test_auc_is_that_of_the_rows_and_lies_in_its_interval(sample):
+def test_the_auc_is_that_of_the_rows_and_within_its_interval(sample):
     score, runs = sample
     area = auc(score, runs, rng())
     assert area.value == pytest.approx(
@@ -70,7 +70,7 @@ def test_auc_is_that_of_the_rows_and_lies_in_its_interval(sample):
 
 @settings(max_examples=25)
 @given(samples(), st.integers(2, 50))
-def test_copying_every_run_is_no_evidence(sample, times):
+def test_copying_every_run_does_not_narrow_the_interval(sample, times):
     score, runs = sample
     copied = replace(runs, copies=runs.copies * times)
     once, often = auc(score, runs, rng()), auc(score, copied, rng())
@@ -95,7 +95,7 @@ def test_verdicts_are_counted_by_rows(sample):
     assert (tpr.value + 1 - fpr.value) / 2 == pytest.approx(balanced)
 
 
-def test_a_missing_class_gives_nothing_instead_of_a_number():
+def test_a_missing_class_gives_an_empty_estimate():
     runs = runs_of([True, True])
     assert auc(np.array([1.0, 2.0]), runs, rng()) == NOTHING
     assert false_positive_rate(np.array([True, False]), runs) == NOTHING
@@ -110,7 +110,7 @@ def test_runs_without_a_score_are_left_out():
     assert whole.value == auc(score[[0, 2, 3]], runs_of([True, False, False]), rng()).value == 1.0
 
 
-def test_runs_of_one_block_count_as_one_when_the_interval_is_made():
+def test_the_interval_counts_runs_of_one_block_as_one():
     generator = np.random.default_rng(3)
     malicious = np.tile([True, False], 30)
     score = generator.normal(size=60) + np.repeat(generator.normal(size=6), 10) * ~malicious
@@ -133,7 +133,7 @@ def test_a_roc_curve_rises_within_its_band_and_encloses_the_auc(sample):
     assert area == pytest.approx(auc(score, runs, rng()).value, abs=0.01 * len(np.unique(score)))
 
 
-def test_two_figures_that_no_hard_verdict_gives_are_refused():
+def test_figures_that_no_hard_verdict_gives_are_an_error():
     with pytest.raises(MetricError, match=r"recall of 0\.9 and an AUC of 0\.3"):
         decode_thesis_row(tpr=0.9, auc=0.3)
 
@@ -154,14 +154,14 @@ def test_average_precision_and_matthews_are_those_of_the_rows(sample):
 
 @settings(max_examples=25)
 @given(samples())
-def test_an_order_is_all_that_an_auc_sees(sample):
+def test_the_auc_depends_only_on_the_order_of_scores(sample):
     score, runs = sample
     assert auc(score, runs, rng()) == auc(np.exp(3.0 * score) - 7.0, runs, rng())
     mirrored = auc(-score, runs, rng())
     assert mirrored.value == pytest.approx(1.0 - auc(score, runs, rng()).value)
 
 
-def test_a_share_knows_of_blocks_and_is_never_surer_than_the_exact_interval():
+def test_the_interval_of_a_share_respects_blocks_and_contains_the_exact_interval():
     hit = np.repeat([True, False, False, False], 10)
     exact = clopper_pearson(0.25, 40)
     loose, blocked = (
@@ -175,7 +175,7 @@ def test_a_share_knows_of_blocks_and_is_never_surer_than_the_exact_interval():
     assert share(hit[:0], np.arange(0), rng()) == NOTHING
 
 
-def test_a_quantile_may_lie_among_the_missed():
+def test_a_quantile_may_be_infinite():
     values, block = np.array([1.0, 2.0, 3.0, np.inf, np.inf]), np.arange(5)
     assert quantile(values, block, 0.5, rng()).value == 3.0
     assert quantile(values, block, 0.9, rng()).value == np.inf
@@ -183,7 +183,7 @@ def test_a_quantile_may_lie_among_the_missed():
     assert quantile(values[:0], block[:0], 0.5, rng()) == NOTHING
 
 
-def test_events_are_counted_by_the_hour_and_none_may_still_be_some():
+def test_events_are_counted_per_hour_and_zero_events_have_an_upper_bound():
     seconds, block = np.full(10, 360.0), np.arange(10)
     none = events_per_hour(np.zeros(10, dtype=int), seconds, block, rng())
     assert (none.value, none.low) == (0.0, 0.0)

@@ -10,7 +10,7 @@ def rates():
     return best_cluster_rates(0.05, repetitions=50, seed=0)
 
 
-def test_without_any_signal_the_thesis_s_method_reaches_its_headline(rates):
+def test_without_a_signal_the_thesis_s_method_reaches_its_headline(rates):
     medians = rates.median()
     assert 0.90 <= medians["recall"] <= 1.0
     assert 0.47 <= medians["auc"] <= 0.53
@@ -28,7 +28,7 @@ def test_an_experiment_is_a_function_of_its_seed(rates):
     assert not best_cluster_rates(0.05, 3, seed=1).equals(rates.head(3))
 
 
-def test_runs_are_as_many_as_in_the_thesis_and_their_duration_outweighs_all_else():
+def test_there_are_as_many_runs_as_in_the_thesis_and_their_duration_dominates():
     df = label_free_runs(0.05, np.random.default_rng(0))
     assert df["label"].value_counts().to_dict() == {"normal": 45, "malicious": 45}
     assert df["run_id"].is_unique

@@ -15,7 +15,7 @@ def first(df, *checks):
     return open_claims(df, checks)[0]
 
 
-def test_a_campaign_that_supports_every_claim_has_none_left():
+def test_a_campaign_that_supports_every_claim_has_no_open_claims():
     assert open_claims(run_features(runs=250), [check("hard_negatives_pass", "green")]) == []
 
 
@@ -27,14 +27,14 @@ def test_a_campaign_that_supports_every_claim_has_none_left():
         (20, "A false positive rate of 1%", "you have 20. Record 230 more", 250),
     ],
 )
-def test_the_next_rate_out_of_reach_is_named_with_the_blocks_it_takes(runs, claim, reason, blocks):
+def test_the_next_unsupported_rate_is_named_with_the_blocks_it_needs(runs, claim, reason, blocks):
     said = first(run_features(runs=runs))
     assert said.claim == claim
     assert reason in said.reason
     assert (said.modes, said.blocks) == (tuple(MODES), blocks)
 
 
-def test_one_normal_run_a_block_gives_a_verdict_before_it_shows_the_rate():
+def test_a_rate_is_supported_before_it_is_proven():
     df = run_features(runs=20).query("mode in ('lidar_passthrough', 'random_noise')")
     said = first(df)
     assert said.claim == "Proof that the rate is at most 5%"
@@ -46,14 +46,14 @@ def test_one_normal_run_a_block_gives_a_verdict_before_it_shows_the_rate():
     ("label", "missing", "mode"),
     [("normal", "no malicious runs", "fake_object"), ("malicious", "no normal runs", "lidar_pa")],
 )
-def test_with_one_kind_of_run_the_other_is_to_be_recorded(label, missing, mode):
+def test_a_missing_class_is_to_be_recorded(label, missing, mode):
     (said,) = open_claims(run_features().query(f"label == '{label}'"), [])
     assert missing in said.reason
     assert any(name.startswith(mode) for name in said.modes)
     assert said.blocks == 15
 
 
-def test_checks_that_lack_runs_name_the_modes_they_take_and_failed_ones_ask_for_nothing():
+def test_unsupported_checks_name_the_modes_to_record_and_failed_ones_name_none():
     df = run_features(runs=250)
     lacks = [check("hard_negatives_pass", "unsupported"),
              check("unaltered_runs_are_alike", "unsupported")]  # fmt: skip
@@ -70,7 +70,7 @@ def test_a_feature_without_a_value_is_named():
     assert "structural.entropy" in first(df).reason
 
 
-def test_the_table_holds_every_claim():
+def test_the_table_has_every_claim():
     table = as_table(open_claims(run_features(3, modes=MODES | CONTROLS), []))
     assert table["modes"].iloc[0].split() == [*MODES, *CONTROLS]
     assert len(as_table([])) == 0

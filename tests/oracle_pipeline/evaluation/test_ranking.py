@@ -22,7 +22,7 @@ def table(rows):
 
 
 @given(scores)
-def test_attacked_runs_on_top_are_those_that_beat_all_but_as_many_as_are_left(rows):
+def test_attacked_runs_on_top_are_among_the_n_highest_scores(rows):
     ranking = Ranking.of(table(rows))
     attacked = sorted((s for a, s in rows if a and not np.isnan(s)), reverse=True)
     normal = sorted((s for a, s in rows if not a and not np.isnan(s)), reverse=True)
@@ -32,7 +32,7 @@ def test_attacked_runs_on_top_are_those_that_beat_all_but_as_many_as_are_left(ro
 
 
 @given(scores)
-def test_every_mode_stands_once_attacked_ones_first(rows):
+def test_every_mode_has_one_row_attacked_modes_first(rows):
     found = standing(table(rows))
     assert found["runs"].sum() == len(rows)
     assert list(found["label"]) == sorted(found["label"])

@@ -1,4 +1,4 @@
-"""The evaluation's headline is the verdict that a user gets."""
+"""The evaluation's headline scores are those of `oracle score`."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def test_oracle_score_gives_the_p_values_of_the_evaluation(tables):
             assert verdict.aspects[name].score == pytest.approx(scores.score[row])
 
 
-def test_a_held_out_session_is_judged_by_what_others_taught(tables):
+def test_a_held_out_session_is_judged_by_a_scorer_of_the_other_sessions(tables):
     features, windows = tables
     runs = MeasuredRuns.ordered(features, windows)
     folds = group_folds(runs.features, "session", seed=0)
@@ -50,7 +50,7 @@ def test_a_held_out_session_is_judged_by_what_others_taught(tables):
     assert scores.calibration == min(blocks)
 
 
-def test_two_blocks_teach_nothing_and_give_no_score(tables):
+def test_two_blocks_are_too_few_for_a_score(tables):
     features, windows = tables
     runs = MeasuredRuns.ordered(features[features["block"] < 2], windows)
     scores = reference_scores(runs)

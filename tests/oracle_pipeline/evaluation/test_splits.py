@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oracle_pipeline.datasets import is_malicious
-from oracle_pipeline.evaluation.splits import block_folds, group_folds, untaught
+from oracle_pipeline.evaluation.splits import block_folds, group_folds, without_hard_negatives
 from tests.oracle_pipeline.datasets.synthetic import CONTROLS, MODES, run_features
 
 
@@ -18,7 +18,7 @@ def runs(blocks=12, **more):
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(3, 25), st.integers(0, 9), st.sampled_from([block_folds, session_folds]))
-def test_no_block_is_on_two_sides_and_every_run_is_tested_once(blocks, seed, split):
+def test_no_block_is_split_and_every_run_is_tested_once(blocks, seed, split):
     df = runs(blocks)
     block = df["block"].to_numpy()
     folds = split(df, seed)
@@ -33,7 +33,7 @@ def test_no_block_is_on_two_sides_and_every_run_is_tested_once(blocks, seed, spl
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(4, 25), st.integers(0, 9))
-def test_no_world_is_on_two_sides_and_every_run_is_tested_once(blocks, seed):
+def test_no_world_is_split_and_every_run_is_tested_once(blocks, seed):
     df = runs(blocks)
     world = df["world"].to_numpy()
     folds = group_folds(df, "world", seed)
@@ -68,9 +68,7 @@ def test_whole_sessions_are_held_out_in_five_folds_at_most(blocks, sessions, see
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(6, 25), st.integers(0, 9), st.integers(1, 4))
-def test_of_a_session_that_is_known_in_part_so_many_blocks_train_and_the_rest_is_tested(
-    blocks, seed, known
-):
+def test_the_given_number_of_blocks_of_a_tested_session_train(blocks, seed, known):
     df = runs(blocks)
     block, session = df["block"].to_numpy(), df["session"].to_numpy()
     folds = group_folds(df, "session", seed, known)
@@ -81,16 +79,18 @@ def test_of_a_session_that_is_known_in_part_so_many_blocks_train_and_the_rest_is
         assert set(block[fold.train]).isdisjoint(block[fold.test])
 
 
-def test_harmless_changes_are_tested_where_nobody_was_shown_them():
+def test_without_hard_negatives_they_are_tested_but_not_trained_on():
     df = runs(9)
     harmless = df["mode"].str.startswith("benign_").to_numpy()
-    for fold, shown in zip(untaught(df, block_folds(df, 0)), block_folds(df, 0), strict=True):
+    for fold, shown in zip(
+        without_hard_negatives(df, block_folds(df, 0)), block_folds(df, 0), strict=True
+    ):
         assert not harmless[fold.fit | fold.calibrate].any()
         assert (fold.fit == shown.fit & ~harmless).all()
         assert (fold.test == shown.test).all()
 
 
-def test_hard_negatives_and_shadows_train():
+def test_hard_negatives_and_shadows_are_used_for_training():
     df = runs(9)
     for fold in block_folds(df, 0):
         assert {"benign_noise", "fake_object_shadow"} <= set(df.loc[fold.fit, "mode"])

@@ -13,7 +13,7 @@ from tests.oracle_pipeline.evaluation.campaigns import synthetic
 
 
 def campaign(blocks=30, seed=0, metres=0.0, spread=0.2, conditions=None):
-    """Runs that drive ten metres, more or less; attacked ones so much more."""
+    """Runs that drive about ten metres; attacked runs drive `metres` more."""
     judged = synthetic(blocks)
     rng = np.random.default_rng(seed)
     driven = 10.0 + judged.block + rng.normal(0.0, spread, len(judged.features))
@@ -25,7 +25,7 @@ def campaign(blocks=30, seed=0, metres=0.0, spread=0.2, conditions=None):
     return judged
 
 
-def test_unaltered_runs_are_seldom_called_misbehaved_whatever_their_spread():
+def test_unaltered_runs_are_rarely_called_misbehaved_for_any_spread():
     for seed, spread in enumerate((0.01, 0.2, 3.0)):
         effects = task_effects(campaign(seed=seed, spread=spread))
         assert effects.known.all()
@@ -33,7 +33,7 @@ def test_unaltered_runs_are_seldom_called_misbehaved_whatever_their_spread():
         assert effects.uncertainty["driven_m"] >= LEAST["driven_m"]
 
 
-def test_many_quantities_call_no_more_unaltered_runs_misbehaved_than_one():
+def test_many_quantities_do_not_increase_false_misbehaviour():
     judged = campaign(blocks=60)
     rng = np.random.default_rng(1)
     judged.truth["behaviour"] = [
@@ -55,7 +55,7 @@ def test_an_effect_beyond_the_spread_of_repeats_is_misbehaviour(metres, found):
     assert difference == pytest.approx(metres, abs=0.1)
 
 
-def test_an_exact_repetition_says_nothing_about_chance():
+def test_an_exact_repetition_does_not_count_as_a_repeat():
     judged = campaign(spread=0.0)
     effects = task_effects(judged)
     assert np.isnan(effects.uncertainty["driven_m"])
@@ -77,7 +77,7 @@ def test_few_repeats_give_no_uncertainty_and_no_verdict():
     assert not effects.misbehaved.any()
 
 
-def test_each_truth_is_measured_against_its_own_score():
+def test_each_ground_truth_is_compared_with_its_own_score():
     judged = campaign(metres=3.0)
     effects = task_effects(judged)
     right = HeldOutScores(effects.size, np.where(effects.misbehaved, 0.01, 0.5), 29)

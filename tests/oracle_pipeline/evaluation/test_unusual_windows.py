@@ -43,11 +43,11 @@ def test_at_most_one_normal_window_in_twenty_is_outside_in_a_family(recorded, un
     assert (share > 0.01).all()
 
 
-def test_no_distance_is_beyond_what_a_scaled_feature_may_be(unusual):
+def test_no_distance_exceeds_the_clip_of_scaled_features(unusual):
     assert np.nanmax(unusual.distance) <= CLIP
 
 
-def test_a_run_does_not_change_what_is_usual_for_itself(recorded, unusual):
+def test_a_run_does_not_affect_its_own_usual_range(recorded, unusual):
     block = recorded.block == 3
     rows = block[recorded.run]
     windows = recorded.windows.copy()
@@ -57,7 +57,7 @@ def test_a_run_does_not_change_what_is_usual_for_itself(recorded, unusual):
     assert (shifted.distance[rows, column] > 10.0).all()
 
 
-def test_two_blocks_of_normal_runs_tell_nothing_of_windows():
+def test_two_blocks_of_normal_runs_are_too_few_for_windows():
     features, windows, _ = campaign(2)
     assert unusual_windows(MeasuredRuns.ordered(features, windows)) is None
 
@@ -73,7 +73,7 @@ def test_a_run_is_compared_with_normal_runs_of_other_blocks_as_its_evidence_is(r
     ]
 
 
-def test_what_an_attack_shifts_gives_its_mode_away(recorded):
+def test_features_that_an_attack_shifts_are_its_giveaways(recorded):
     table = giveaways(recorded.features, deviations_of_runs(recorded.features))
     assert set(table["mode"]) == {"fake_object", "random_noise", "delayed_fakeobject"}
     first = table.groupby("mode").head(2)

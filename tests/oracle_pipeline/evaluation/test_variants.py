@@ -16,7 +16,7 @@ RUNS = thesis_runs()
 THRESHOLDS = {"ward": 2, "single": 4, "complete": 4, "average": 4}
 
 
-def test_slices_of_the_vector_are_the_thesis_s_so_yaw_is_in_all_alone():
+def test_slices_of_the_vector_equal_the_thesis_s():
     slices = {name: THESIS.columns(RUNS, name) for name in ("all", "structural", "contextual")}
     assert [len(columns) for columns in slices.values()] == [10, 7, 2]
     assert slices["contextual"] == ["thesis.range_variance", "thesis.duration_ns"]
@@ -25,13 +25,13 @@ def test_slices_of_the_vector_are_the_thesis_s_so_yaw_is_in_all_alone():
 
 
 @pytest.mark.parametrize("features", ["all", "structural", "contextual"])
-def test_the_corrected_variant_takes_none_of_the_thesis_s_numbers(features):
+def test_the_corrected_variant_uses_no_thesis_features(features):
     columns = CORRECTED.columns(RUNS, features)
     assert columns
     assert not set(columns) & set(THESIS.columns(RUNS, "all"))
 
 
-def test_rows_are_those_that_the_thesis_s_seeds_draw():
+def test_rows_are_drawn_with_the_thesis_s_seeds():
     normal, malicious = (RUNS[(RUNS["label"] == label)] for label in ("normal", "malicious"))
     expected = [
         *normal.sample(n=700, random_state=50, replace=True)["run_id"],
@@ -40,7 +40,7 @@ def test_rows_are_those_that_the_thesis_s_seeds_draw():
     assert THESIS.draw(RUNS, 1000, 0.3, 50)["run_id"].tolist() == expected
 
 
-def test_nothing_is_scaled():
+def test_the_thesis_variant_does_not_scale():
     matrix = THESIS.matrix(RUNS, THESIS.columns(RUNS, "all"))
     assert matrix[:, -1] == pytest.approx(1e9 * RUNS["contextual.duration"])
     shares = matrix.var(axis=0) / matrix.var(axis=0).sum()
@@ -57,7 +57,7 @@ def test_runs_with_a_short_vector_are_left_out():
 @pytest.mark.parametrize(
     "without", [run_features(), RUNS.assign(**{"thesis.density": np.nan})], ids=["column", "value"]
 )
-def test_runs_without_the_thesis_s_features_are_refused(without):
+def test_runs_without_the_thesis_s_features_are_an_error(without):
     with pytest.raises(DatasetError, match="extract the runs' features again"):
         THESIS.whole_runs(without)
 
@@ -67,8 +67,10 @@ def test_a_missing_class_cannot_be_drawn():
         THESIS.draw(RUNS[RUNS["label"] == "normal"], 100, 0.3, 50)
 
 
-def as_the_thesis_says(rows: pd.DataFrame, method: str, criterion: str) -> tuple[float, float]:
-    """The method told in full: repeated rows, SciPy, the best of clusters 1 to t by label."""
+def reimplemented_thesis_method(
+    rows: pd.DataFrame, method: str, criterion: str
+) -> tuple[float, float]:
+    """The whole method: repeated rows, SciPy, the best of clusters 1 to t by label."""
     X = rows[feature_columns(rows, ["thesis"])].to_numpy()
     t = THRESHOLDS[method]
     clusters = fcluster(linkage(pdist(X), method), t=t, criterion=criterion)
@@ -82,13 +84,13 @@ def as_the_thesis_says(rows: pd.DataFrame, method: str, criterion: str) -> tuple
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("method", LINKAGES)
 @pytest.mark.parametrize("criterion", CRITERIA)
-def test_recall_and_auc_are_those_of_the_method_told_in_full(method, criterion, seed):
+def test_recall_and_auc_equal_a_reimplementation_of_the_method(method, criterion, seed):
     rows = THESIS.draw(thesis_runs(effect=0.5, seed=seed), 400, 0.3, 50)
     result = cluster_and_judge(
         rows, THESIS.columns(rows, "all"), np.random.default_rng(0), method, criterion,
         THRESHOLDS[method], THESIS,
     )  # fmt: skip
-    recall, area = as_the_thesis_says(rows, method, criterion)
+    recall, area = reimplemented_thesis_method(rows, method, criterion)
     assert result.recall_best_cluster.value == pytest.approx(recall)
     assert result.balanced_accuracy_best_cluster.value == pytest.approx(area)
     # The rate that the thesis does not print follows from the two.

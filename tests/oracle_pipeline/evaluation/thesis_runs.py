@@ -9,7 +9,7 @@ from tests.oracle_pipeline.datasets.synthetic import run_features
 
 
 def thesis_runs(runs: int = 15, effect: float = 0.0, seed: int = 0) -> pd.DataFrame:
-    """Return runs of six modes; attacks shift degree variance and, far less, all else by `effect`.
+    """Return runs of six modes; attacks shift degree variance by `effect`, others less.
 
     Durations are far apart in nanoseconds, as in a real campaign, and do not depend on the attack.
     """

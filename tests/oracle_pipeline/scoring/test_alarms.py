@@ -25,7 +25,7 @@ RULE = AlarmRule(allowance=1.0, threshold=3.0, per_hour=1.0)
 
 
 def recordings(rng, number, windows=OF_RUN, runs_of_block=1):
-    """Normal recordings whose windows depend on each other, and on their block."""
+    """Normal recordings with windows that depend on each other and on their block."""
     block = np.repeat(np.arange(number), runs_of_block)
     run = np.repeat(np.arange(len(block)), windows)
     noise = rng.standard_t(3, size=(len(block), windows + 1))
@@ -41,8 +41,8 @@ def watched(rule, windows, run):
     return [alarm for alarm in (watch.feed(*each) for each in fed) if alarm]
 
 
-def watched_one_by_one(rule, windows, block):
-    """Count the alarms of a block whose recordings follow one another."""
+def alarms_in_sequence(rule, windows, block):
+    """Count the alarms of a block with its recordings in sequence."""
     begins_s, raised_s = 0.0, []
     for run in np.flatnonzero(windows.block == block):
         of_run = windows.run == run
@@ -55,19 +55,19 @@ def watched_one_by_one(rule, windows, block):
 
 
 @given(st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=40))
-def test_window_by_window_the_statistic_is_that_of_all_windows_at_once(scores):
+def test_incremental_statistic_equals_the_batch_statistic(scores):
     statistic = Statistic(RULE)
     fed = [statistic.feed(score) for score in scores]
     run = np.zeros(len(scores), dtype=np.intp)
     np.testing.assert_allclose(statistics_of(np.array(scores), run, RULE), fed, atol=1e-9)
 
 
-def test_a_recording_does_not_begin_with_what_the_one_before_left():
+def test_the_statistic_does_not_carry_over_between_recordings():
     scores, run = np.array([9.0, 9.0, 2.0, 2.0]), np.array([0, 0, 1, 1])
     np.testing.assert_allclose(statistics_of(scores, run, RULE), [8.0, 16.0, 1.0, 2.0])
 
 
-def test_one_window_far_out_raises_an_alarm_at_once_and_small_ones_raise_it_slowly():
+def test_an_extreme_window_raises_an_alarm_at_once_and_small_deviations_raise_it_slowly():
     watch = AlarmWatch(RULE)
     alarm = watch.feed(10.0, 9.0)
     assert (alarm.time_s, alarm.statistic, alarm.threshold) == (10.0, 8.0, 3.0)
@@ -75,7 +75,7 @@ def test_one_window_far_out_raises_an_alarm_at_once_and_small_ones_raise_it_slow
     assert [slowly.feed(5.0 * n, 2.0) is not None for n in range(5)].index(True) == 3
 
 
-def test_a_minute_after_the_last_unusual_window_all_is_forgotten():
+def test_the_statistic_is_low_again_a_minute_after_the_last_unusual_window():
     statistic = Statistic(RULE)
     assert statistic.feed(1e6) > 1e5
     assert max([statistic.feed(0.5) for _ in range(MEMORY)][-1:]) < 0.0
@@ -89,19 +89,19 @@ def test_after_an_alarm_there_is_none_for_ten_minutes():
 
 
 @pytest.mark.parametrize("runs_of_block", [1, 4])
-def test_a_new_block_gives_at_most_the_promised_alarms_an_hour(runs_of_block):
+def test_a_new_block_raises_at_most_the_promised_alarms_per_hour(runs_of_block):
     rng, per_hour = np.random.default_rng(0), 1.0
     raised, hours = [], 0.0
     for _ in range(150):
         all_of = recordings(rng, 45, runs_of_block=runs_of_block)
         rule = all_of.without(0).rule(per_hour)
-        raised.append(watched_one_by_one(rule, all_of, 0))
+        raised.append(alarms_in_sequence(rule, all_of, 0))
         hours += runs_of_block * OF_RUN * HOP_S / 3600.0
     error = np.std(raised) * np.sqrt(len(raised)) / hours
     assert 0.0 < sum(raised) / hours <= per_hour + 2.0 * error
 
 
-def test_what_is_watched_live_is_what_was_counted_in_calibration():
+def test_live_alarms_equal_the_alarms_counted_in_calibration():
     windows = recordings(np.random.default_rng(1), 60)
     rule = windows.rule(2.0)
     raised = sum(len(watched(rule, windows, run)) for run in range(60))
@@ -111,21 +111,21 @@ def test_what_is_watched_live_is_what_was_counted_in_calibration():
     assert sum(len(watched(lower, windows, run)) for run in range(60)) > raised
 
 
-def test_too_few_hours_support_no_such_rate_and_it_is_said_how_many_are_missing():
+def test_the_error_for_too_few_hours_states_how_many_are_missing():
     few = recordings(np.random.default_rng(2), 20)
     assert few.lowest_rate() == pytest.approx(1.0)
     few.rule(1.01)
-    with pytest.raises(AlarmError, match=r"20 blocks.*1 h.*below 1 false.*0\.5 takes 1 h more"):
+    with pytest.raises(AlarmError, match=r"20 blocks.*1 h.*below 1 false.*0\.5 needs 1 h more"):
         few.rule(0.5)
 
 
-def test_the_recordings_of_a_block_are_hours_of_one_day():
+def test_the_recordings_of_a_block_are_processed_in_sequence():
     assert recordings(np.random.default_rng(3), 20, runs_of_block=3).lowest_rate() == pytest.approx(
         1.0 / 3.0  # nine minutes a block, in which one alarm can be raised
     )
 
 
-def test_a_block_counts_no_more_than_others_however_many_recordings_it_has():
+def test_a_block_with_many_recordings_has_no_more_weight_than_others():
     once = recordings(np.random.default_rng(3), 50)
     again = 40 * [0]
     copies = NormalWindows(
@@ -137,7 +137,7 @@ def test_a_block_counts_no_more_than_others_however_many_recordings_it_has():
     assert copies.lowest_rate() == pytest.approx(once.lowest_rate())
 
 
-def test_a_window_beyond_all_normal_ones_counts_at_once_though_some_are_long_a_little_unusual():
+def test_an_extreme_window_raises_an_alarm_at_once_even_if_some_normal_recordings_drift():
     rng = np.random.default_rng(4)
     windows = recordings(rng, 60)
     scores = rng.normal(size=windows.scores.shape)
@@ -158,11 +158,11 @@ def test_normal_recordings_that_are_too_short_for_some_lengths_calibrate_the_oth
 @pytest.mark.parametrize(
     ("per_hour", "shown"),
     [
-        (0.5, "Alarm at 15 s (at most 0.5 false ones an hour are promised)."),
-        (5.1, "Alarm at 15 s, perhaps false: the reference is too short to promise below 5.1 "),
+        (0.5, "Alarm at 15 s (at most 0.5 false alarms per hour are promised)."),
+        (5.1, "Alarm at 15 s, perhaps false: the reference is too short to promise less than "),
     ],
 )
-def test_a_reference_that_supports_only_frequent_false_alarms_says_so(per_hour, shown):
+def test_alarms_are_marked_if_the_reference_supports_only_a_high_false_alarm_rate(per_hour, shown):
     verdict = Verdict(
         "bag", "normal", p_value=0.3, suite_p_value=0.3, score=0.9,
         alarms=(Alarm(15.0, 4.0, 3.0),), alarms_per_h=per_hour,

@@ -28,7 +28,7 @@ def file(card, tmp_path):
     return tmp_path / "robot.card"
 
 
-def test_a_card_that_was_read_scores_as_the_one_that_was_written(card, file):
+def test_a_saved_and_loaded_card_gives_equal_scores(card, file):
     read, new = ReferenceCard.load(file), runs(6, seed=1, modes=ATTACKED, effect=2.0)
     scores = card.scorer.scores(new)
     np.testing.assert_array_equal(read.scorer.scores(new), scores)
@@ -51,14 +51,14 @@ def test_the_same_card_gives_the_same_bytes(card, file, tmp_path):
     assert (tmp_path / "again.card").read_bytes() == file.read_bytes()
 
 
-def test_a_card_holds_json_and_parquet_alone(file):
+def test_a_card_contains_only_json_and_parquet(file):
     with zipfile.ZipFile(file) as archive:
         kinds = {name: archive.read(name)[:4] for name in archive.namelist()}
     assert kinds.pop("card.json").startswith(b"{")
     assert set(kinds.values()) == {b"PAR1"}
 
 
-def test_no_flipped_bit_gives_another_verdict_without_an_error(card, file):
+def test_a_flipped_bit_is_an_error_or_changes_no_verdict(card, file):
     rng, whole = np.random.default_rng(0), file.read_bytes()
     new = runs(6, seed=1, modes=ATTACKED, effect=2.0)
     expected, noticed = card.scorer.scores(new), 0
@@ -75,7 +75,7 @@ def test_no_flipped_bit_gives_another_verdict_without_an_error(card, file):
     assert noticed > 100
 
 
-def test_what_is_no_card_is_refused_with_what_to_do(tmp_path):
+def test_the_error_for_an_invalid_card_states_the_remedy(tmp_path):
     (tmp_path / "text.card").write_text("no card")
     for name in ("text.card", "absent.card"):
         with pytest.raises(CardError, match="oracle learn"):

@@ -19,13 +19,13 @@ scores = st.integers(1, 30).flatmap(
 
 
 @given(scores, scores)
-def test_a_p_value_counts_the_calibration_runs_at_least_as_odd_ties_included(calibration, new):
+def test_a_p_value_counts_the_calibration_runs_with_at_least_the_score(calibration, new):
     counted = [(1 + (calibration >= s).sum()) / (len(calibration) + 1) for s in new]
     assert p_values(calibration, new).tolist() == counted
 
 
 @given(scores, scores)
-def test_odder_runs_have_no_larger_p_values(calibration, new):
+def test_p_values_do_not_increase_with_the_score(calibration, new):
     p = p_values(calibration, np.sort(new))
     assert (np.diff(p) <= 0).all()
     assert (p >= 1 / (len(calibration) + 1)).all()
@@ -53,7 +53,7 @@ def test_exchangeable_runs_have_super_uniform_p_values(n):
         assert excess < 3.3 * np.sqrt(alpha * (1 - alpha) / len(p))
 
 
-def test_runs_alike_within_blocks_break_the_count_by_run_and_not_that_by_block():
+def test_similar_runs_in_blocks_invalidate_counts_by_run_but_not_by_block():
     rng = np.random.default_rng(0)
     by_run, by_block = [], []
     blocks = np.repeat(np.arange(10), 6)
@@ -84,12 +84,12 @@ def test_runs_needed_for_usual_rates(rate, runs):
 
 
 @pytest.mark.parametrize("rate", [0.0, 1.0, -0.1, np.nan])
-def test_a_rate_that_is_none_is_refused(rate):
+def test_an_invalid_rate_is_an_error(rate):
     with pytest.raises(ConformalError, match="between 0 and 1"):
         runs_needed(rate)
 
 
-def test_no_verdict_beyond_what_the_calibration_supports():
+def test_a_rate_that_the_calibration_cannot_support_is_an_error():
     new = np.array([9.0, 0.0])
     check_support(19, 0.05)
     assert (p_values(np.arange(19.0) / 19, new) <= 0.05).tolist() == [True, False]
@@ -98,14 +98,14 @@ def test_no_verdict_beyond_what_the_calibration_supports():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_score_that_is_no_number_is_never_a_verdict(bad):
+def test_a_score_that_is_not_finite_is_an_error(bad):
     with pytest.raises(ConformalError, match="not a finite number"):
         p_values(np.array([0.0, bad]), np.array([1.0]))
     with pytest.raises(ConformalError, match="not a finite number"):
         p_values(np.zeros(3), np.array([bad]))
 
 
-def test_a_suite_of_normal_runs_is_seldom_accused():
+def test_a_suite_of_normal_runs_is_rarely_called_anomalous():
     rng = np.random.default_rng(0)
     accused = 0
     for _ in range(1000):
@@ -114,7 +114,7 @@ def test_a_suite_of_normal_runs_is_seldom_accused():
     assert accused / 1000 < 0.1 + 3.3 * np.sqrt(0.09 / 1000)
 
 
-def test_adjustment_by_hand_and_not_at_all_for_a_single_run():
+def test_adjustment_equals_a_hand_calculation_and_leaves_single_runs_unchanged():
     assert adjusted_for_suite(np.array([0.03])).tolist() == [0.03]
     adjusted = adjusted_for_suite(np.array([0.01, 0.5, 0.02, 0.04]))
     assert adjusted == pytest.approx([0.04, 0.5, 0.04, 0.04 * 4 / 3])

@@ -28,7 +28,7 @@ def constants_of(tmp_path):
     return read
 
 
-def test_what_a_driver_says_once_and_for_all_is_constant_and_what_it_measures_is_not(constants_of):
+def test_fixed_parameters_of_a_sensor_are_constants_and_measurements_are_not(constants_of):
     driven = [(float(i), "/odom", odometry_message(i, 0.1j * i, 0.0)) for i in range(FEWEST)]
     found = constants_of(scans(FEWEST) + driven)
     assert found["/scan"]["header.frame_id"] == "'laser'"
@@ -38,12 +38,12 @@ def test_what_a_driver_says_once_and_for_all_is_constant_and_what_it_measures_is
     assert "pose.pose.position.y" not in found["/odom"]
 
 
-def test_a_topic_that_says_little_has_no_constants(constants_of):
+def test_a_topic_with_few_messages_has_no_constants(constants_of):
     assert constants_of(scans(FEWEST - 1)) == {}
 
 
 @pytest.mark.parametrize("value", [3.0, np.nan, np.inf])
-def test_a_change_that_lasts_is_seen_in_a_long_recording(constants_of, value):
+def test_a_lasting_change_is_detected_in_a_long_recording(constants_of, value):
     def alter(message, number):
         if number >= 4 * MOST_MESSAGES:
             message.range_max = value
@@ -53,7 +53,7 @@ def test_a_change_that_lasts_is_seen_in_a_long_recording(constants_of, value):
     assert "range_min" in found
 
 
-def test_not_a_number_is_constant_if_it_stays_so(constants_of):
+def test_a_field_that_is_always_nan_is_constant(constants_of):
     def alter(message, _number):
         message.range_max = np.nan
 

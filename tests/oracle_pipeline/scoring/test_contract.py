@@ -38,7 +38,7 @@ NORMAL = [
 CONTRACT = Contract.learned(NORMAL)
 
 
-def told(**changed):
+def breaches(**changed):
     seen = replace(NORMAL[1], **changed)
     return [breach.text for breach in CONTRACT.breaches(seen)]
 
@@ -59,7 +59,7 @@ def test_no_recording_breaches_the_contract_learned_from_it(normal):
         ({"frame": "'laser'", "range": "4"}, []),
         (
             {"range": "3"},
-            ["Field frame of topic /scan changes; in normal recordings it never does."],
+            ["Field frame of topic /scan changes; in normal recordings it is constant."],
         ),
         (
             {"frame": "'spy'", "range": "3"},
@@ -67,7 +67,7 @@ def test_no_recording_breaches_the_contract_learned_from_it(normal):
         ),
     ],
 )
-def test_a_field_that_never_changes_must_not(constants, texts):
+def test_a_change_of_a_constant_field_is_a_breach(constants, texts):
     normal = [
         replace(NORMAL[1], constants={"/scan": {"frame": "'laser'", "range": str(number)}})
         for number in range(FEWEST_RECORDINGS)
@@ -84,60 +84,60 @@ def test_a_contract_survives_json(normal):
     assert Contract.from_dict(contract.to_dict()) == contract
 
 
-def test_a_topic_that_is_gone_is_told():
+def test_a_missing_topic_is_a_breach():
     rest = {name: of for name, of in NORMAL[1].topics.items() if name != "/scan"}
-    assert told(topics=rest) == ["Topic /scan is gone: every normal recording has it."]
+    assert breaches(topics=rest) == ["Topic /scan is gone: every normal recording has it."]
 
 
 def test_a_topic_that_only_some_normal_recordings_have_may_be_absent():
     assert "/bt" not in NORMAL[1].topics
-    assert told() == []
+    assert breaches() == []
 
 
-def test_a_new_topic_is_told():
-    assert told(**with_topic("/spy", "std_msgs/msg/String", (), None)) == [
+def test_a_new_topic_is_a_breach():
+    assert breaches(**with_topic("/spy", "std_msgs/msg/String", (), None)) == [
         "Topic /spy (std_msgs/msg/String) is new."
     ]
 
 
-def test_another_type_and_other_qos_are_told():
-    assert told(**with_topic("/scan", "std_msgs/msg/String", ("reliable, volatile",), 5.0)) == [
+def test_a_changed_type_or_qos_is_a_breach():
+    assert breaches(**with_topic("/scan", "std_msgs/msg/String", ("reliable, volatile",), 5.0)) == [
         "Topic /scan has type std_msgs/msg/String instead of sensor_msgs/msg/LaserScan.",
         "Topic /scan is offered with QoS reliable, volatile instead of best effort, volatile.",
     ]
 
 
-def test_a_rate_out_of_range_is_told_and_a_silent_topic_has_none():
+def test_a_rate_out_of_range_is_a_breach_and_a_silent_topic_counts_as_0_hz():
     scan = NORMAL[1].topics["/scan"][:2]
-    assert told(**with_topic("/scan", *scan, 5.3)) == []
-    assert told(**with_topic("/scan", *scan, 9.0)) == [
+    assert breaches(**with_topic("/scan", *scan, 5.3)) == []
+    assert breaches(**with_topic("/scan", *scan, 9.0)) == [
         "Topic /scan has 9 Hz instead of 4.9 to 5.1 Hz."
     ]
-    assert told(**with_topic("/scan", *scan, None)) == [
+    assert breaches(**with_topic("/scan", *scan, None)) == [
         "Topic /scan has 0 Hz instead of 4.9 to 5.1 Hz."
     ]
 
 
 def test_a_topic_without_a_steady_rate_may_have_any():
     goal = NORMAL[1].topics["/goal"][:2]
-    assert told(**with_topic("/goal", *goal, 50.0)) == []
+    assert breaches(**with_topic("/goal", *goal, 50.0)) == []
 
 
-def test_nodes_and_edges_that_changed_are_told_in_words():
+def test_missing_and_new_nodes_and_edges_are_reported_as_sentences():
     seen = frozenset({"node:/amcl", "node:/spy", "topic:/scan -> node:/spy"})
-    assert told(graph=seen) == [
+    assert breaches(graph=seen) == [
         "The subscription to /scan in node /amcl is gone.",
         "Node /spy is new.",
         "The subscription to /scan in node /spy is new.",
     ]
 
 
-def test_a_recording_without_graphs_says_nothing_about_nodes():
-    assert told(graph=None) == []
+def test_a_recording_without_graphs_has_no_breaches_by_nodes():
+    assert breaches(graph=None) == []
 
 
 @given(st.lists(st.integers(0, 100 * 10**9), min_size=1, max_size=200))
-def test_a_recording_keeps_its_own_pace(stamps_ns):
+def test_a_recording_does_not_breach_its_own_pace(stamps_ns):
     stamps = np.array(sorted(stamps_ns), dtype=np.int64)
     end_ns = int(stamps[-1]) + 5 * 10**9
     contract = Contract({}, frozenset(), frozenset(), {"/scan": Pace.of(stamps, end_ns)})
@@ -148,7 +148,7 @@ def test_a_recording_keeps_its_own_pace(stamps_ns):
         assert contract.breach_of_count("/scan", count) is None
 
 
-def test_a_pace_that_normal_recordings_do_not_show_is_told():
+def test_an_unusual_pace_is_a_breach():
     contract = Contract({}, frozenset(), frozenset(), {"/scan": Pace(0.25, 49, 51)})
     (silence, few, many) = (
         contract.breach_of_silence("/scan", 2.0),
@@ -162,7 +162,7 @@ def test_a_pace_that_normal_recordings_do_not_show_is_told():
     assert contract.breach_of_count("/odom", 0) is None
 
 
-def test_a_topic_that_a_normal_recording_has_said_little_on_has_no_pace():
+def test_a_topic_with_few_messages_in_a_normal_recording_has_no_pace():
     paces = {"/scan": Pace(0.25, 49, 51), "/goal": Pace(9.0, 0, 1)}
     contract = Contract.learned([replace(NORMAL[0], paces=paces), *NORMAL[1:]])
     assert contract.paces == {}

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from oracle_pipeline.datasets import feature_columns, feature_floors
 from oracle_pipeline.detectors import panel
 from oracle_pipeline.scoring.conformal import ConformalError
-from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer, dealt
+from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer, assign_folds
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.run_scorer import Design
 from tests.oracle_pipeline.datasets.synthetic import campaign
@@ -66,9 +66,9 @@ def test_new_normal_runs_are_called_anomalous_as_rarely_as_promised():
         assert np.mean(p <= rate) >= 0.4 * rate
 
 
-def test_every_run_calibrates_a_model_that_did_not_see_its_block(normal):
-    doubled = normal.followed_by(normal)
-    fold = dealt(doubled.block, 7, np.random.default_rng(0))
+def test_every_run_calibrates_a_model_that_was_not_fitted_on_its_block(normal):
+    doubled = normal.concat(normal)
+    fold = assign_folds(doubled.block, 7, np.random.default_rng(0))
     assert fold.max() == 6
     for block in np.unique(doubled.block):
         assert len(set(fold[doubled.block == block])) == 1
@@ -76,7 +76,7 @@ def test_every_run_calibrates_a_model_that_did_not_see_its_block(normal):
 
 @settings(max_examples=10, deadline=None)
 @given(st.integers(9, 20), st.integers(1, 25))
-def test_no_session_is_on_two_sides_where_there_are_three(blocks, sessions):
+def test_with_three_sessions_no_session_is_split(blocks, sessions):
     of = runs(blocks, 0, {**NORMAL, "lidar_passthrough_odom": "normal"})
     session = of.block % sessions
     of = replace(of, features=of.features.assign(session=session))
@@ -117,7 +117,7 @@ def test_the_order_of_the_recordings_does_not_matter(normal, scorer):
     np.testing.assert_array_equal(other.scores(attacked), scorer.scores(attacked))
 
 
-def test_runs_alone_can_be_scored_where_windows_have_no_features(normal):
+def test_runs_can_be_scored_without_features_of_windows(normal):
     of = Design(panel(0)["max_z"], feature_columns(normal.features), [], {})
     scorer = CrossConformalScorer(of).fit(normal, np.random.default_rng(0))
     assert scorer.scores(normal).shape == (3, 20)  # the runs are of three sessions
@@ -132,6 +132,6 @@ def test_a_window_has_the_same_score_alone_and_among_others(normal, scorer):
     np.testing.assert_array_equal(held_out, scorer.windows_.scores)
 
 
-def test_two_blocks_are_refused_with_what_is_missing(normal):
+def test_too_few_blocks_are_an_error_with_the_number(normal):
     with pytest.raises(ConformalError, match="come from 2 blocks"):
         learned(normal.where(normal.block < 2))

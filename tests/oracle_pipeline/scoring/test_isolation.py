@@ -1,4 +1,4 @@
-"""One bad recording of a suite costs its own verdict only, whatever it does to its process."""
+"""A recording that crashes its process costs only its own verdict."""
 
 import signal
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.features import build_manager
-from oracle_pipeline.scoring.isolation import Limits, extract_apart
+from oracle_pipeline.scoring.isolation import Limits, extract_isolated
 from tests.oracle_pipeline.bags.conftest import STRING, text
 
 PLUGIN = """
@@ -40,8 +40,8 @@ def manager_that(what, folder):
     return build_manager(folder)
 
 
-def test_features_are_those_of_the_other_process(bag, tmp_path):
-    (found,) = extract_apart(bag, manager_that("pass", tmp_path / "plugins"))
+def test_features_are_computed_in_the_other_process(bag, tmp_path):
+    (found,) = extract_isolated(bag, manager_that("pass", tmp_path / "plugins"))
     recording, tables, seen, has_manifest = found
     assert recording == str(bag)
     assert tables.run["odd.value"].tolist() == [1.0]
@@ -54,15 +54,15 @@ def test_features_are_those_of_the_other_process(bag, tmp_path):
     [
         ("os._exit(3)", Limits(), "died .exit code 3."),
         ("os.kill(os.getpid(), signal.SIGSEGV)", Limits(), f"died .{signal.SIGSEGV.name}."),
-        ("time.sleep(60)", Limits(seconds=3.0), "longer than 3 s, the limit .--time-limit"),
+        ("time.sleep(60)", Limits(seconds=3.0), "limit of 3 s; raise it .--time-limit"),
     ],
 )
 def test_a_process_that_dies_is_an_error_with_its_reason(what, limits, reason, bag, tmp_path):
     with pytest.raises(BagError, match=reason):
-        extract_apart(bag, manager_that(what, tmp_path / "plugins"), limits)
+        extract_isolated(bag, manager_that(what, tmp_path / "plugins"), limits)
 
 
 def test_memory_is_limited(bag, tmp_path):
     manager = manager_that("held = bytearray(8 * 2**30)", tmp_path / "plugins")
-    ((_, tables, *_),) = extract_apart(bag, manager, Limits(gibibytes=2.0))
+    ((_, tables, *_),) = extract_isolated(bag, manager, Limits(gibibytes=2.0))
     assert "MemoryError" in tables.run["missing"].iloc[0]  # the plugin's own; the rest is computed

@@ -24,7 +24,7 @@ def oracle_learn(*arguments: object, expect: int = 0):
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """Four good bags and an odd one, which also has a topic that no good bag has."""
+    """Four good bags and an anomalous one, which also has a topic that no good bag has."""
     root = tmp_path_factory.mktemp("recordings")
     for name in "abcd":
         write_bag(root / "good" / name, drive())
@@ -39,20 +39,20 @@ def learned(place):
     return oracle_learn(place / "good", "--output", place / "robot.card")
 
 
-def test_learning_says_what_the_card_holds_and_what_it_lacks(learned):
+def test_learning_describes_the_card_and_the_missing_blocks(learned):
     assert "Learned from 4 normal recordings: 4 blocks, 1 session." in learned.stdout
     assert "Contract: " in learned.stdout
-    assert "rate of 0.2 or more; 5% takes 15 more blocks; 1% takes 95" in learned.stdout
+    assert "rate of 0.2 or more; 5% needs 15 more blocks; 1% needs 95" in learned.stdout
     assert "taken as normal" in learned.stdout
     assert learned.stdout.rstrip().endswith("robot.card --far 0.2")
 
 
 def test_learning_names_the_recording_that_is_unlike_the_others(place, learned, tmp_path):
     assert "Unlike the others" not in learned.stdout
-    told = oracle_learn(
+    output = oracle_learn(
         place / "good", place / "spinning", "--output", tmp_path / "robot.card"
     ).stdout
-    (odd,) = re.findall(r"Unlike the others: 1 recording\..*\n    (\S+): score", told)
+    (odd,) = re.findall(r"Unlike the others: 1 recording\..*\n    (\S+): score", output)
     assert odd == str(place / "spinning")
 
 
@@ -73,8 +73,8 @@ def test_recordings_are_scored_with_the_roles_that_the_card_was_learned_with(pla
     roles.write_text("roles: {odometry: []}")
     others.write_text("roles: {scan: [/scan]}")
     card = tmp_path / "robot.card"
-    told = oracle_learn(place / "good", "--output", card, "--roles", roles).stdout
-    assert "Roles file, used for scoring too: odometry none." in told
+    output = oracle_learn(place / "good", "--output", card, "--roles", roles).stdout
+    assert "Roles file, used for scoring too: odometry none." in output
 
     def scored(*more: object) -> dict:
         done = CliRunner().invoke(
@@ -92,7 +92,7 @@ def test_recordings_are_scored_with_the_roles_that_the_card_was_learned_with(pla
     assert OTHER_ROLES in scored("--roles", others)["notes"]
 
 
-def test_a_departure_from_the_contract_is_told_before_the_statistics(place, learned):
+def test_a_breach_of_the_contract_is_printed_before_the_statistics(place, learned):
     done = CliRunner().invoke(
         main,
         ["score", str(place / "renamed"), "--reference", str(place / "robot.card"), "--far", "0.2"],
@@ -112,10 +112,10 @@ def test_recordings_can_be_named_one_by_one(place, learned):
 
 def test_too_few_recordings_are_refused_with_the_number_needed(place):
     done = oracle_learn(place / "good" / "a", "--output", place / "one.card", expect=2)
-    assert "learning takes 3 at least" in done.stderr
+    assert "learning needs at least 3" in done.stderr
     assert not (place / "one.card").exists()
 
 
-def test_a_card_has_a_name_of_its_own_kind(place):
+def test_a_card_needs_the_suffix_of_cards(place):
     done = oracle_learn(place / "good", "--output", place / "robot.zip", expect=2)
     assert "robot.zip.card" in done.stderr

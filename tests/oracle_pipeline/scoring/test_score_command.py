@@ -97,7 +97,7 @@ def test_a_recording_like_the_reference_passes(bags, reference):
     assert "with 80 normal runs of 40 blocks." in done.stdout
 
 
-def test_an_odd_recording_is_told_with_what_gave_it_away_and_when(bags, reference, extracted):
+def test_an_anomalous_recording_is_reported_with_evidence_and_time(bags, reference, extracted):
     done = oracle_score(bags["spinning"], "--reference", reference, expect=1)
     verdict, aspects, *lines = done.stdout.splitlines()
     assert verdict.startswith("ANOMALOUS")
@@ -111,7 +111,7 @@ def test_an_odd_recording_is_told_with_what_gave_it_away_and_when(bags, referenc
     assert "features outside their usual range" in done.stdout
 
 
-def test_json_is_one_object_with_all_that_the_verdict_rests_on(bags, reference, normal, extracted):
+def test_json_is_one_object_with_the_basis_of_the_verdict(bags, reference, normal, extracted):
     done = oracle_score(bags["spinning"], "--reference", reference, "--format", "json", expect=1)
     document = json.loads(done.stdout)
     (found,) = document["recordings"]
@@ -161,7 +161,7 @@ def test_a_suite_in_which_no_single_alarm_is_possible_has_no_verdict(bags, norma
     assert "39 are needed, 19 more" in done.stdout
 
 
-def test_attacked_runs_of_the_reference_teach_nothing(normal, extracted):
+def test_attacked_runs_of_the_reference_are_ignored(normal, extracted):
     attacked = around(extracted["spinning"].run, seed=1).assign(label="malicious")
     attacked["run_id"] = "attack|" + attacked["run_id"]
     mixed = pd.concat([normal, attacked], ignore_index=True)
@@ -170,7 +170,7 @@ def test_attacked_runs_of_the_reference_teach_nothing(normal, extracted):
     assert judged(tables, mixed) == judged(tables, normal)
 
 
-def test_the_order_of_the_reference_means_nothing(normal, extracted):
+def test_the_order_of_the_reference_does_not_matter(normal, extracted):
     shuffled = normal.sample(frac=1.0, random_state=1)
     tables = extracted["usual"]
     one, other = (judged(tables, each) for each in (normal, shuffled))
@@ -185,7 +185,7 @@ def test_a_run_of_the_reference_is_not_compared_with_its_own_block(normal, extra
     verdict = judged(extracted["usual"], mixed)
     assert verdict.normal_runs == len(normal) - 2
     assert verdict.normal_blocks == 39
-    assert any("of a block of the reference" in note for note in verdict.notes)
+    assert any("block is part of the reference" in note for note in verdict.notes)
 
 
 def test_normal_runs_are_called_anomalous_as_rarely_as_promised():
@@ -200,47 +200,47 @@ def test_normal_runs_are_called_anomalous_as_rarely_as_promised():
     assert sum(verdict.outcome == "anomalous" for verdict in found) / len(found) <= 0.2
 
 
-def test_neither_the_thesis_features_nor_shortcuts_judge(normal, extracted):
+def test_thesis_features_and_shortcuts_do_not_affect_the_verdict(normal, extracted):
     fields = {**normal.attrs["fields"], "other.who": {"unit": "1", "shortcut": "true"}}
-    told = normal.assign(**{"thesis.size_0": 1.0, "other.who": 1.0})
+    wider = normal.assign(**{"thesis.size_0": 1.0, "other.who": 1.0})
     run = extracted["usual"].run.assign(**{"thesis.size_0": 9e9, "other.who": 9e9})
-    told.attrs["fields"] = run.attrs["fields"] = fields
-    verdict = judged(FeatureTables(run, extracted["usual"].windows), told)
+    wider.attrs["fields"] = run.attrs["fields"] = fields
+    verdict = judged(FeatureTables(run, extracted["usual"].windows), wider)
     assert verdict.outcome == "normal"
     assert all(e.feature not in ("thesis.size_0", "other.who") for e in verdict.evidence)
 
 
-def test_what_the_recording_does_not_give_is_left_out_and_said(normal, extracted):
-    told = normal.assign(**{"structural.size": 5.0})
+def test_missing_features_are_left_out_with_a_note(normal, extracted):
+    wider = normal.assign(**{"structural.size": 5.0})
     tables = extracted["usual"]
     run = tables.run.assign(
         **{"structural.size": np.nan, "missing": json.dumps({"structural.size": "no graphs"})}
     )
-    verdict = judged(FeatureTables(run, tables.windows), told)
+    verdict = judged(FeatureTables(run, tables.windows), wider)
     assert verdict.features == judged(tables, normal).features
     assert any("structural.size (no graphs)" in note for note in verdict.notes)
 
 
-def test_where_a_feature_was_attained_is_told(normal, extracted):
+def test_evidence_states_where_a_feature_was_attained(normal, extracted):
     run = extracted["spinning"].run.assign(where=json.dumps({FIRST: "/odom"}))
     verdict = judged(FeatureTables(run, extracted["spinning"].windows), normal)
     assert {e.feature: e.where for e in verdict.evidence}[FIRST] == "/odom"
 
 
 def test_units_that_differ_are_refused(normal, extracted):
-    told = normal.copy()
-    told.attrs = {"fields": {**normal.attrs["fields"], FIRST: {"unit": "deg"}}}
+    wider = normal.copy()
+    wider.attrs = {"fields": {**normal.attrs["fields"], FIRST: {"unit": "deg"}}}
     with pytest.raises(ScoringError, match="is in deg in the reference and in rad"):
-        judged(extracted["usual"], told)
+        judged(extracted["usual"], wider)
 
 
 def test_a_system_without_a_common_feature_is_not_judged(normal, extracted):
-    told = normal[[*KEYS]].assign(**{"atc.tracks": 1.0})
+    wider = normal[[*KEYS]].assign(**{"atc.tracks": 1.0})
     with pytest.raises(ScoringError, match="none of the features"):
-        judged(extracted["usual"], told)
+        judged(extracted["usual"], wider)
 
 
-def test_a_suite_is_judged_together_and_one_bad_bag_costs_only_itself(bags, reference, tmp_path):
+def test_a_suite_is_judged_together_and_a_bad_bag_affects_no_other(bags, reference, tmp_path):
     report = tmp_path / "verdicts.xml"
     suite = (bags["usual"], bags["spinning"], tmp_path / "ab\x01sent")
     done = oracle_score(*suite, "--reference", reference, "--junit", report, expect=2)
@@ -270,7 +270,7 @@ def test_an_unfinished_recording_is_judged_with_a_note_unless_strict(bags, refer
     assert "is incomplete" in done.stdout
 
 
-def test_recordings_that_end_their_process_are_errors_in_junit(bags, reference, tmp_path):
+def test_recordings_that_crash_their_process_are_errors_in_junit(bags, reference, tmp_path):
     (tmp_path / "odd.py").write_text(
         "import os\n"
         "from oracle_pipeline.features import Feature, FeaturePlugin, hookimpl\n"
@@ -350,7 +350,7 @@ def test_a_root_is_read_by_its_feature_tables(normal, bags, tmp_path):
     assert read.table["run_id"].tolist() == normal["run_id"].tolist()[:6]
 
 
-def test_runs_of_another_kind_of_system_are_not_compared_with(normal, extracted):
+def test_runs_of_another_kind_of_system_are_left_out(normal, extracted):
     traffic = normal.assign(run_id="atc|" + normal["run_id"], **{"atc.tracks": 3.0})
     driving = [c for c in feature_columns(normal) if c.startswith("contextual.")]
     traffic[driving] = np.nan
@@ -362,17 +362,17 @@ def test_runs_of_another_kind_of_system_are_not_compared_with(normal, extracted)
     assert any("80 normal runs of the reference are left out" in note for note in card.notes)
 
 
-def test_what_is_no_reference_is_refused_in_one_line(bags, normal, extracted, tmp_path):
+def test_an_invalid_reference_is_an_error_of_one_line(bags, normal, extracted, tmp_path):
     write_table(extracted["usual"].windows, tmp_path / "windows.parquet")
     write_table(normal[["run_id", FIRST]], tmp_path / "keyless.parquet")
     (tmp_path / "text.parquet").write_text("no table")
     (tmp_path / "empty").mkdir()
     for name, text in (
-        ("windows.parquet", "no table with one row for each run"),
-        ("keyless.parquet", "no table with one row for each run"),
+        ("windows.parquet", "not a table with one row per run"),
+        ("keyless.parquet", "not a table with one row per run"),
         ("text.parquet", "is not a Parquet table"),
-        ("empty", "holds no recording to compare with"),
-        ("absent", "holds no recording to compare with"),
+        ("empty", "has no recording to compare with"),
+        ("absent", "has no recording to compare with"),
     ):
         done = oracle_score(bags["usual"], "--reference", tmp_path / name, expect=2)
         assert text in done.stderr
