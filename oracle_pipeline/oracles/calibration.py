@@ -17,7 +17,7 @@ from oracle_pipeline.scoring.cross_conformal import (
     FOLDS,
     MIN_BLOCKS,
     CrossConformalScorer,
-    dealt,
+    assign_folds,
 )
 from oracle_pipeline.scoring.run_scorer import Design
 
@@ -92,7 +92,7 @@ def _folds(normal: TracedRuns) -> NDArray[np.intp]:
     """Deal whole sessions, or blocks if there are too few, as a reference card does."""
     few = len(np.unique(normal.session)) < MIN_BLOCKS
     unit = normal.block if few else normal.session
-    return dealt(unit, FOLDS, np.random.default_rng(SEED))
+    return assign_folds(unit, FOLDS, np.random.default_rng(SEED))
 
 
 def _voted(scores: NDArray[np.float64], runs: TracedRuns, normal: NDArray[np.bool_]) -> Judged:
