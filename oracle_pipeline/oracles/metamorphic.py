@@ -1,8 +1,8 @@
 """Metamorphic and differential oracle: compares a run with other runs of the same task.
 
-The correct path is unknown, but the same task in the same world should give about the same outcome,
-whichever build drives. The runs of a block have equal start, goals and world: each is compared with
-the unaltered runs of its block. How far these are from each other is the unit.
+The correct path is unknown, but the same task in the same world should give about the same outcome
+with any build. The runs of a block have equal start, goals and world: each is compared with the
+unaltered runs of its block, in units of their spread.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from oracle_pipeline.oracles.kind import KindError, Maker, Material, TracedRuns
 from oracle_pipeline.oracles.traces import SIGNALS, STEP_S, values_of
 
 PERCENTILES = (5.0, 50.0, 95.0)
-FEWEST = 20  # comparisons of normal runs that tell a spread
+FEWEST = 20  # comparisons of normal runs needed to estimate the spread
 
 _NAMES = tuple(SIGNALS)
 
@@ -29,18 +29,18 @@ def outcomes(trace: pd.DataFrame) -> NDArray[np.float64]:
     Returns
     -------
     ndarray of shape (3 * n_signals + 3,)
-        NaN where the trace lacks a signal. The way by odometry [m], how far it turned [rad], and
-        how long a goal was under way [s].
+        NaN where the trace lacks a signal. The last three are path length by odometry [m], total
+        turning [rad], and time with an active goal [s].
     """
     values = values_of(trace, _NAMES)
     levels = np.full((len(PERCENTILES), len(_NAMES)), np.nan)
     known = np.isfinite(values).any(axis=0)
     if known.any():
         levels[:, known] = np.nanpercentile(values[:, known], PERCENTILES, axis=0)
-    way = trace["travelled"].max()
+    path_m = trace["travelled"].max()
     turned = np.nansum(np.abs(trace["turn"])) * STEP_S
-    under_way_s = float((trace["goal_time"] > 0.0).sum()) * STEP_S
-    return np.array([*levels.ravel(), way, turned, under_way_s], dtype=np.float64)
+    active_s = float((trace["goal_time"] > 0.0).sum()) * STEP_S
+    return np.array([*levels.ravel(), path_m, turned, active_s], dtype=np.float64)
 
 
 _FLOORS = np.array([*[SIGNALS[name].floor for name in _NAMES] * len(PERCENTILES), 0.1, 0.2, 0.5])
@@ -53,8 +53,8 @@ class _Judge:
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
         """Return each run's largest difference from the runs of its task, in spreads."""
-        apart = np.abs(self.kind.differences(runs)) / self.spread
-        return np.asarray(np.nan_to_num(apart).max(axis=1), dtype=np.float64)
+        difference = np.abs(self.kind.differences(runs)) / self.spread
+        return np.asarray(np.nan_to_num(difference).max(axis=1), dtype=np.float64)
 
 
 class Metamorphic:
@@ -63,8 +63,7 @@ class Metamorphic:
     Parameters
     ----------
     partners : TracedRuns
-        All runs that may serve as the other side of a comparison; only normal ones in which nothing
-        was changed do.
+        Candidates to compare with; only unaltered normal runs are used.
     """
 
     name = "metamorphic"
@@ -76,28 +75,28 @@ class Metamorphic:
         self._differences: dict[int, tuple[pd.DataFrame, NDArray[np.float64]]] = {}  # by trace
 
     def learn(self, normal: TracedRuns) -> _Judge:
-        """Learn how far normal runs of one task are from each other."""
-        apart = self.differences(normal)
-        compared = int(np.isfinite(apart).any(axis=1).sum())
+        """Learn the spread of normal runs of the same task."""
+        differences = self.differences(normal)
+        compared = int(np.isfinite(differences).any(axis=1).sum())
         if compared < FEWEST:
             raise KindError(
-                f"{compared} normal runs have another run of the same task, {FEWEST} are needed; "
-                "record several runs of each block."
+                f"{compared} normal runs have another run of the same task, but {FEWEST} are "
+                "needed; record several runs of each block."
             )
-        known = np.isfinite(apart).any(axis=0)
-        spread = np.zeros(apart.shape[1])
-        spread[known] = MAD_TO_DEVIATION * np.nanmedian(np.abs(apart[:, known]), axis=0)
+        known = np.isfinite(differences).any(axis=0)
+        spread = np.zeros(differences.shape[1])
+        spread[known] = MAD_TO_DEVIATION * np.nanmedian(np.abs(differences[:, known]), axis=0)
         return _Judge(self, np.maximum(spread, _FLOORS))
 
     def differences(self, runs: TracedRuns) -> NDArray[np.float64]:
-        """Return each run less the median of its partners, shape (n_runs, n_outcomes).
+        """Return each run minus the median of its partners, shape (n_runs, n_outcomes).
 
-        An exact repetition says nothing, so equal partners count once, and a run is no partner of
-        itself. NaN where there is no partner.
+        Exact repetitions carry no information, so equal partners count once, and a run is never its
+        own partner. NaN without partners.
         """
         known = self._differences
         for trace, own, block in zip(runs.traces, runs.each(outcomes), runs.block, strict=True):
-            if id(trace) not in known:  # the trace is kept, so its identity stays its own
+            if id(trace) not in known:  # the cache keeps the trace alive, so its id stays unique
                 known[id(trace)] = trace, self._difference(own, int(block))
         return np.stack([known[id(trace)][1] for trace in runs.traces])
 
@@ -112,17 +111,17 @@ class Metamorphic:
         return difference
 
     def written(self) -> int:
-        """Return how many recordings serve as partners."""
+        """Return the number of recordings that serve as partners."""
         return len(self._partners.traces)
 
 
 def _made(material: Material) -> Metamorphic | None:
-    """Return the kind if some task was run twice."""
+    """Return the kind if any task was run twice."""
     plain = material.runs.block[material.runs.normal]
     return Metamorphic(material.runs) if len(np.unique(plain)) < len(plain) else None
 
 
 @hookimpl
 def register_oracles() -> list[Maker]:
-    """Offer the oracle that compares runs of one task."""
+    """Register the oracle that compares runs of the same task."""
     return [_made]
