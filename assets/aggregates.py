@@ -46,9 +46,9 @@ def aggregate(
     Parameters
     ----------
     group, kinds, deps, freshness_policy
-        As of Dagster's ``asset``.
+        As for Dagster's ``asset``.
     place
-        Where its content is, below the root of the store; by default, where `keep` saves it.
+        Path of its content below the root of the store; by default, where `keep` saves it.
     """
 
     def decorate(function: Callable[..., Any]) -> dg.AssetsDefinition:
@@ -66,12 +66,12 @@ def aggregate(
 
 
 def run_table(store: RunStore, testbed: str) -> "pd.DataFrame":
-    """Return the run features of one testbed, without families that have no value there.
+    """Return the run features of one testbed, without families that have no value.
 
     Raises
     ------
     OracleError
-        If there is no such testbed.
+        If the testbed does not exist.
     """
     from oracle_pipeline.datasets import read_table, without_empty_families
 
@@ -94,7 +94,7 @@ def windows_of(store: RunStore, df: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def keep(result: "Report", store: RunStore, name: str) -> dg.MaterializeResult[None]:
-    """Save a report where `oracle_report` finds it, show it in the UI, and log where it is."""
+    """Save a report for `oracle_report`, show it in the UI, and log its path."""
     from oracle_pipeline.datasets import content_hash
     from oracle_pipeline.reporting.report import SUMMARY
 
@@ -102,8 +102,8 @@ def keep(result: "Report", store: RunStore, name: str) -> dg.MaterializeResult[N
     with published(place, last=SUMMARY) as folder:
         result.save(folder)
     dg.get_dagster_logger().info(
-        f"Saved {name} in {place}: its table has {len(result.table)} rows; further tables: "
-        f"{len(result.tables)}, pictures: {len(result.figures)}. `oracle_report` shows them."
+        f"Saved {name} in {place}: a table of {len(result.table)} rows, {len(result.tables)} more "
+        f"tables, {len(result.figures)} pictures. `oracle_report` includes them."
     )
     return dg.MaterializeResult(
         data_version=dg.DataVersion(content_hash(result.table)),

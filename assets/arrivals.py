@@ -1,6 +1,6 @@
 """The sensor that judges recordings as they arrive in a folder.
 
-A tick only looks at names and sizes. The job that it requests is in ``assets.foreign``.
+A tick only compares names and sizes. The job that it requests is in ``assets.foreign``.
 """
 
 import json
@@ -18,8 +18,8 @@ from resources.inbox import Inbox
 if TYPE_CHECKING:
     from oracle_pipeline.bags.arrivals import Arrival
 
-AT_ONCE = 100  # runs that one tick requests; the others follow with the next ticks
-QUIET_S = 600.0  # after which a recording without an end is one that was cut off
+AT_ONCE = 100  # most runs that one tick requests; the others follow with the next ticks
+QUIET_S = 600.0  # without a change, after which an unfinished recording counts as cut off
 
 
 @dataclass(slots=True)
@@ -46,41 +46,43 @@ def arrived_recordings(context: dg.SensorEvaluationContext, inbox: Inbox) -> dg.
     """Request the recordings that are new or have changed, and report those that were removed."""
     from oracle_pipeline.bags.arrivals import arrivals
 
-    former = _Cursor.of(context.cursor)
+    previous = _Cursor.of(context.cursor)
     try:
         folder, _ = inbox.path, inbox.card_path
         now = arrivals(folder)
     except (OracleError, OSError) as error:
         return dg.SensorResult(skip_reason=str(error), cursor=context.cursor)
-    there = {arrival.key: arrival for arrival in now.found}
-    ready = [arrival for arrival in now.found if _is_ready(arrival, former)][:AT_ONCE]
-    removed = {key: name for key, name in former.names.items() if key not in there}
+    present = {arrival.key: arrival for arrival in now.found}
+    ready = [arrival for arrival in now.found if _is_ready(arrival, previous)][:AT_ONCE]
+    removed = {key: name for key, name in previous.names.items() if key not in present}
     for fault in now.faults:
         context.log.warning(fault)
     for name in removed.values():
         context.log.warning(f"{name} was removed from the inbox; its verdict is kept.")
-    asked = [key for key in former.names if key in there] + [arrival.key for arrival in ready]
+    requested = [key for key in previous.names if key in present] + [
+        arrival.key for arrival in ready
+    ]
     fresh = {arrival.key: arrival.fingerprint for arrival in ready}
     cursor = _Cursor(
-        seen={key: arrival.fingerprint for key, arrival in there.items()},
-        requested={key: fresh.get(key) or former.requested[key] for key in asked},
-        names={key: there[key].name for key in asked},
+        seen={key: arrival.fingerprint for key, arrival in present.items()},
+        requested={key: fresh.get(key) or previous.requested[key] for key in requested},
+        names={key: present[key].name for key in requested},
     )
     return dg.SensorResult(
         run_requests=[_request(arrival) for arrival in ready],
-        skip_reason=None if ready else _nothing(now.found, former, removed.values()),
+        skip_reason=None if ready else _nothing(now.found, previous, removed.values()),
         cursor=json.dumps(asdict(cursor)),
         dynamic_partitions_requests=[ARRIVALS.build_add_request(list(fresh))] if fresh else [],
         asset_events=[_removal(key, name) for key, name in removed.items()],
     )
 
 
-def _is_ready(arrival: "Arrival", former: _Cursor) -> bool:
-    """Tell whether a recording is finished, and was not requested in its present state."""
-    at_rest = former.seen.get(arrival.key) == arrival.fingerprint
+def _is_ready(arrival: "Arrival", previous: _Cursor) -> bool:
+    """Return whether a recording is finished, and was not requested in its present state."""
+    unchanged = previous.seen.get(arrival.key) == arrival.fingerprint
     cut_off = time.time() - arrival.changed_s > QUIET_S
-    is_new = former.requested.get(arrival.key) != arrival.fingerprint
-    return is_new and at_rest and (arrival.finished or cut_off)
+    is_new = previous.requested.get(arrival.key) != arrival.fingerprint
+    return is_new and unchanged and (arrival.finished or cut_off)
 
 
 def _request(arrival: "Arrival") -> dg.RunRequest:
@@ -96,14 +98,14 @@ def _removal(key: str, name: str) -> dg.AssetObservation:
     )
 
 
-def _nothing(found: Iterable["Arrival"], former: _Cursor, removed: Collection[str]) -> str:
+def _nothing(found: Iterable["Arrival"], previous: _Cursor, removed: Collection[str]) -> str:
     """Return the reason why nothing is requested."""
     waiting = [
         arrival.name
         for arrival in found
-        if former.requested.get(arrival.key) != arrival.fingerprint
+        if previous.requested.get(arrival.key) != arrival.fingerprint
     ]
     reasons = [f"Removed: {', '.join(sorted(removed))}."] if removed else []
     if waiting:
-        reasons.append(f"Waiting until these are no longer being written: {', '.join(waiting)}.")
-    return " ".join(reasons) or "No recording is new."
+        reasons.append(f"Still being written: {', '.join(waiting)}.")
+    return " ".join(reasons) or "There are no new recordings."

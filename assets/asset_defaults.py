@@ -1,10 +1,10 @@
-"""What all assets declare: owner, scope, and the place of their content."""
+"""Common arguments of all assets: owner, scope, and the path of their content."""
 
 from typing import Any, Literal, TypedDict
 
 import dagster as dg
 
-# A partition, all of them, a recording that arrived, or a scenario that is searched.
+# A run, all runs, a recording from the inbox, or a searched scenario.
 Scope = Literal["run", "campaign", "recording", "scenario"]
 
 SINGLE_RUN = dg.BackfillPolicy.single_run()  # one Dagster run for any range of partitions
@@ -24,9 +24,9 @@ def declared(scope: Scope, place: str) -> Declared:
     Parameters
     ----------
     scope
-        What one item of the asset describes; ``--select tag:scope=campaign`` selects by it.
+        Unit of one partition; ``--select tag:scope=campaign`` selects by it.
     place
-        Where its content is, below the root of the store.
+        Path of the content below the root of the store.
     """
     return {
         "owners": ["team:behaviour-oracle"],

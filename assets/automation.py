@@ -1,7 +1,7 @@
 """A job for each purpose, and the nightly schedule that re-simulates one block.
 
 All automation is off by default. The sensor is in ``assets.scenario_changes``, the job that deletes
-old Dagster runs in ``assets.run_retention``. How to use them: docs/how-to/automation.md.
+old Dagster runs in ``assets.run_retention``. docs/how-to/automation.md explains how to use them.
 """
 
 import dagster as dg
@@ -32,8 +32,8 @@ simulate = dg.define_asset_job(
 features = dg.define_asset_job(
     "features",
     selection=[WINDOW_FEATURES.key, RUN_FEATURES.key],
-    description="Extract the features of the chosen partitions again, such as after a change of a "
-    "plugin. A run that was not recorded is recorded first.",
+    description="Extract the features of the chosen partitions again, for example after a plugin "
+    "has changed. A missing run is recorded first.",
 )
 report = dg.define_asset_job(
     "report",
@@ -70,10 +70,10 @@ def refreshed_runs(first: str, last: str, run_key: str | None = None) -> dg.RunR
     cron_schedule="0 2 * * *",
     default_status=dg.DefaultScheduleStatus.STOPPED,
     description="Every night: re-simulate one block (one run of every mode), compare it with "
-    "the former runs, and update the report. Blocks take turns.",
+    "the previous runs, and update the report. The block changes every night.",
 )
 def nightly(context: dg.ScheduleEvaluationContext) -> dg.RunRequest:
-    """Request the block whose turn it is, in all modes."""
+    """Request the block of the day, in all modes."""
     modes, runs = (
         RUNS.get_partitions_def_for_dimension(name).get_partition_keys() for name in ("mode", "run")
     )

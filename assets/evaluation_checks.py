@@ -1,6 +1,6 @@
 """The integrity checks of the evaluation, as asset checks.
 
-They are computed with `oracle_evaluation`; this module shows the stored results.
+`oracle_evaluation` computes them; this module reports the stored results.
 """
 
 from collections.abc import Iterator

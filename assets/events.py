@@ -1,8 +1,8 @@
 """One event for each run, from steps that process many runs.
 
-Dagster 1.13 has no public way to give each partition of a range its own data version, or its own
-check result. Steps yield the events of every partition themselves and then return an output without
-one (``resources.dagster_internals``).
+Dagster 1.13 has no public way to give each partition of a range its own data version or check
+result. Steps therefore yield the events of every partition themselves, and then return an output
+without an event (``resources.dagster_internals``).
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -31,9 +31,9 @@ def materializations(
 ) -> Iterator[dg.AssetMaterialization]:
     """Yield the materializations of one partition of some assets, upstream before downstream.
 
-    Their tags are those that Dagster itself would set. From them the UI derives which partitions
-    are stale because code or upstream data have changed. A tag names the upstream event, so the
-    caller must store each event before it takes the next.
+    Their tags are those that Dagster would set. The UI derives from them which partitions are stale
+    because code or upstream data have changed. A tag refers to the upstream event, so the caller
+    must store each event before requesting the next.
     """
     upstream: dict[dg.AssetKey, dg.EventLogRecord | None] = {}
     for spec, data_version, code_version, metadata in assets:
@@ -92,7 +92,7 @@ def check_evaluation(
     metadata: Figures,
     severity: dg.AssetCheckSeverity = dg.AssetCheckSeverity.ERROR,
 ) -> dg.AssetCheckEvaluation:
-    """Return a check's result for one partition, linked to the materialization it checked."""
+    """Return a check's result for one partition, linked to the checked materialization."""
     return dg.AssetCheckEvaluation(
         asset_key=spec.asset_key,
         check_name=spec.name,

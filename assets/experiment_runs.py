@@ -1,8 +1,8 @@
 """The five assets of every run, from recipe to features, as one step.
 
-A worker processes one run completely before it takes the next: the bag is read right after it was
-recorded and can be dropped then, and any range of partitions is one Dagster run. Reasons and
-costs: docs/explanation/dagster.md.
+A worker processes one run completely before the next: features are extracted right after recording,
+so that the bag can be dropped, and any range of partitions is one Dagster run.
+docs/explanation/dagster.md explains the reasons and costs.
 """
 
 import contextlib
@@ -108,10 +108,10 @@ _DESCRIPTIONS: Mapping["Comparison", str] = {
     "other software": "Replaced: the code, a library or the CPU has changed.",
     "other recipe": "Replaced: the recipe has changed.",
     "unexplained": "Re-simulation gave different messages although code, libraries, CPU and "
-    "recipe are the same. Both runs are kept; the former one stays in use.",
+    "recipe are the same. Both runs are kept; the previous one stays in use.",
 }
 RUNS_DONE = "runs done"
-SHOWN = 20  # failed runs named in a failure's text; its metadata name all
+SHOWN = 20  # most failed runs named in a failure's text; the metadata has all
 SPECS = (EXPERIMENT_RUNS, BAGS, INTERVAL_GRAPHS, WINDOW_FEATURES, RUN_FEATURES)
 REPRODUCIBLE = dg.AssetCheckSpec(
     "run_is_reproducible",
@@ -127,7 +127,7 @@ class RunConfig(dg.Config):
 
     refresh: bool = Field(
         default=False,
-        description="Re-simulate complete runs and compare them with the former ones; by "
+        description="Re-simulate complete runs and compare them with the previous ones; by "
         "default, a complete run is only verified.",
     )
 
@@ -171,7 +171,7 @@ def recorded_runs(
             if outcome.result is None:
                 failed[key] = outcome.error or "no reason was given"
                 continue
-            if not outcome.job.wanted:  # a finished run that had to make room
+            if not outcome.job.wanted:  # a finished run that only gave up storage
                 context.log_event(_shrunk(key, outcome.result))
                 continue
             assets_of_run = _materialized(specs, store, outcome.result, last=over == len(jobs))
@@ -185,7 +185,7 @@ def recorded_runs(
         f"{simulated} runs simulated ({in_words(simulated_s)} of the robot's time in "
         f"{in_words(time.monotonic() - started)}), {len(jobs) - simulated - len(failed)} verified, "
         f"{len(failed)} failed. They are in {store.path / layout.RUNS}. The job `report` analyses "
-        "all runs that are there."
+        "all runs in that folder."
     )
     if failed:
         raise _failure(failed, len(jobs))
@@ -200,7 +200,7 @@ def _outcomes(
 ) -> Iterator["Outcome[RunJob, RunReport]"]:
     """Process the jobs block by block; the storage plan is updated as sizes become known.
 
-    Finished runs that have to give up storage for others are processed first.
+    Finished runs that must free storage for others are processed first.
     """
     from assets.worker.run import RunJob, process_run
 
@@ -218,14 +218,14 @@ def _outcomes(
             return
         log.info(f"Storage: {plan}.")
         blocks = sorted({job.directory.run for job in waiting})[: plan.blocks_ahead]
-        now = [job for job in waiting if job.directory.run in blocks]
-        waiting = waiting[len(now) :]
-        making_room = [
+        batch = [job for job in waiting if job.directory.run in blocks]
+        waiting = waiting[len(batch) :]
+        to_shrink = [
             RunJob(run, jobs[0].campaign, frozenset(), refresh=False, keep=plan.kept[run.run])
             for run in plan.shrink
         ]
-        planned = [replace(job, keep=plan.kept[job.directory.run]) for job in now]
-        yield from fleet.outcomes(process_run, [*making_room, *planned], RUNS_DONE)
+        planned = [replace(job, keep=plan.kept[job.directory.run]) for job in batch]
+        yield from fleet.outcomes(process_run, [*to_shrink, *planned], RUNS_DONE)
 
 
 def _materialized(
@@ -233,8 +233,8 @@ def _materialized(
 ) -> Iterator[Materialized]:
     """Yield the materializations of the assets of a run.
 
-    Only the tables of the step's last run describe their columns. The UI shows the newest event,
-    and 60 kB for each table of each run would make the event log slow.
+    Only the tables of the step's last run have a column schema. The UI shows the newest event, and
+    60 kB for each table of each run would make the event log slow.
     """
     for spec in specs:
         made = report.assets[spec.key.to_user_string()]
@@ -256,7 +256,7 @@ def _shrunk(key: str, report: "RunReport") -> dg.AssetObservation:
 def _reproducible(
     context: dg.AssetExecutionContext, store: RunStore, key: str, reproduction: "Reproduction"
 ) -> dg.AssetCheckEvaluation:
-    from assets.worker.reproduction import place_aside
+    from assets.worker.reproduction import refreshed_directory
 
     facts: dict[str, dg.MetadataValue] = {
         "former_hash": dg.MetadataValue.text(reproduction.former_hash),
@@ -266,7 +266,7 @@ def _reproducible(
         run = store.run(key)
         facts |= {
             "former_path": dg.MetadataValue.path(str(run.path)),
-            "new_path": dg.MetadataValue.path(str(place_aside(run).path)),
+            "new_path": dg.MetadataValue.path(str(refreshed_directory(run).path)),
             "first_difference": dg.MetadataValue.text(reproduction.first_difference),
         }
     return check_evaluation(
@@ -302,7 +302,7 @@ def _failure(failed: dict[str, str], runs: int) -> dg.Failure:
     reasons = [f"{key}: {error.strip().splitlines()[-1]}" for key, error in sorted(failed.items())]
     kept = "; the finished ones are kept" if len(failed) < runs else ""
     return dg.Failure(
-        f"{len(failed)} of {runs} runs failed{kept}. Remove the cause and materialize the same "
+        f"{len(failed)} of {runs} runs failed{kept}. Fix the cause and materialize the same "
         "partitions again: finished runs are only verified. To re-simulate a damaged run, "
         "materialize it with `refresh: true` in the config of `runs`.\n"
         + "\n".join(reasons[:SHOWN]),

@@ -1,4 +1,4 @@
-"""The tables over all runs that are on disk, of the modes and runs that are partitions."""
+"""The tables over all recorded runs that are partitions."""
 
 import dagster as dg
 

@@ -1,7 +1,7 @@
 """Assets for recordings that arrive in a folder: features and verdicts, and a page on all of them.
 
-They are external assets: the job ``judge_arrivals`` reports their events. Dagster refuses a command
-or job over assets with different partitions. External assets are not part of any selection, so
+They are external assets: the job ``judge_arrivals`` reports their events. Dagster rejects commands
+and jobs over assets with different partitions. External assets are not part of any selection, so
 ``--select '*'`` still means the whole campaign.
 """
 
@@ -39,7 +39,7 @@ FOREIGN_FEATURES = dg.AssetSpec(
     description="""The features of a recording that arrived in the inbox, and of its windows.
 
 `<root>/foreign/<key>/run.parquet` and `window.parquet`, with the columns of `run_features` and
-`window_features`. The job `judge_arrivals` makes them, and the sensor `arrived_recordings` starts
+`window_features`. The job `judge_arrivals` writes them, and the sensor `arrived_recordings` starts
 the job.""",
 )
 FOREIGN_VERDICTS = dg.AssetSpec(
@@ -52,8 +52,8 @@ FOREIGN_VERDICTS = dg.AssetSpec(
     partitions_def=ARRIVALS,
     description="""The verdict on a recording by the reference card, with its evidence.
 
-`<root>/foreign/<key>/verdict.json`: outcome, p-value, departures from the contract, features
-outside their usual range. The same as `oracle score RECORDING --reference CARD`.""",
+`<root>/foreign/<key>/verdict.json`: outcome, p-value, breaches of the contract, features outside
+their usual range. The same as `oracle score RECORDING --reference CARD`.""",
 )
 FOREIGN_REPORT = dg.AssetSpec(
     "foreign_report",
@@ -71,8 +71,8 @@ IS_NORMAL = dg.AssetCheckSpec(
     "recording_is_normal",
     asset=FOREIGN_VERDICTS.key,
     partitions_def=ARRIVALS,
-    description="The recording is not anomalous. One that could not be judged does not pass "
-    "either; with too few normal recordings for a verdict this is a warning.",
+    description="The recording is not anomalous. A recording that could not be judged does not "
+    "pass; with too few normal recordings for a verdict this is a warning.",
 )
 
 
@@ -87,10 +87,10 @@ class JudgeConfig(dg.Config):
         "anomalous.",
     )
     time_limit: float = Field(
-        default=900.0, gt=0.0, description="Seconds that the features of a recording may take."
+        default=900.0, gt=0.0, description="Time that the features of a recording may take [s]."
     )
     memory_limit: float = Field(
-        default=4.0, gt=0.0, description="GiB of memory that they may take."
+        default=4.0, gt=0.0, description="Memory that the features of a recording may take [GiB]."
     )
 
 
@@ -98,7 +98,7 @@ class JudgeConfig(dg.Config):
 def judge_recording(
     context: dg.OpExecutionContext, config: JudgeConfig, store: RunStore, inbox: Inbox
 ) -> Iterator[dg.AssetMaterialization | dg.AssetCheckEvaluation | dg.Output[None]]:
-    """Judge the recording of the partition, and renew the page on all recordings."""
+    """Judge the recording of the partition, and update the page on all recordings."""
     from assets.worker.foreign import judge_arrival
     from oracle_pipeline.scoring.isolation import Limits
 
@@ -145,8 +145,8 @@ def judge_recording(
 @dg.job(
     partitions_def=ARRIVALS,
     description="Judge one recording in the inbox by the reference card: features, verdict, "
-    "check, page. The sensor `arrived_recordings` starts it; start it by hand to judge again, such "
-    "as by another card.",
+    "check, page. The sensor `arrived_recordings` starts it; start it by hand to judge again, for "
+    "example with another card.",
 )
 def judge_arrivals() -> None:
     """Judge one recording."""
@@ -216,7 +216,7 @@ def _facts(kept: "KeptVerdict", store: RunStore) -> Figures:
 
 
 def _evaluation(kept: "KeptVerdict", target: dg.EventLogRecord | None) -> dg.AssetCheckEvaluation:
-    """Return the check's result; too few normal recordings for a verdict are only a warning."""
+    """Return the check's result; too few normal recordings give only a warning."""
     from oracle_pipeline.scoring.output import paragraph
 
     verdict = kept.verdict
@@ -233,13 +233,13 @@ def _evaluation(kept: "KeptVerdict", target: dg.EventLogRecord | None) -> dg.Ass
 
 
 def _write_page(store: RunStore) -> int:
-    """Write the page on all verdicts; return how many there are."""
+    """Write the page on all verdicts, and return their number."""
     from oracle_pipeline.reporting.foreign import foreign_page
     from oracle_pipeline.reporting.html import write_page
     from oracle_pipeline.scoring.kept_verdicts import kept_verdicts
 
     shown = None
-    while shown != (now := kept_verdicts(store.path)):  # another run may have written beside us
+    while shown != (now := kept_verdicts(store.path)):  # another run may have written meanwhile
         write_page(foreign_page(now), layout.foreign_page(store.path))
         shown = now
     return len(shown)

@@ -20,7 +20,7 @@ from assets.feature_dataset import feature_dataset
 from assets.run_checks import PAIR_CHECK, complete_pairs
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.failures import clear_failures
-from resources.fleet import NEWS_S, Fleet
+from resources.fleet import PROGRESS_S, Fleet
 from resources.store import RunStore
 
 if TYPE_CHECKING:
@@ -28,16 +28,16 @@ if TYPE_CHECKING:
     from oracle_pipeline.evaluation.oracle_kinds import KindsComparison
     from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
-QUESTIONS = 20  # that labels answer, in place of a person
+QUESTIONS = 20  # answered by labels in place of a person
 
 
 class EvaluationConfig(TestbedConfig):
-    """Which runs are evaluated, and which classifiers bound the result."""
+    """The runs to evaluate, and the classifiers for upper bounds."""
 
     upper_bounds: list[str] = Field(
         default=["random_forest"],
-        description="Classifiers that see the labels of other blocks: no oracles, but what these "
-        "features hold at most. random_forest, or boosted_trees (gradient boosting; minutes).",
+        description="Classifiers trained with the labels of other blocks: upper bounds for these "
+        "features, not oracles. random_forest, or boosted_trees (gradient boosting; minutes).",
     )
 
 
@@ -50,7 +50,7 @@ def oracle_evaluation(
     The detector panel on every set of features, with intervals: AUC, detection rate at a calibrated
     false positive rate, the realised false positive rate, time to detect. An AUC is
     claimed once all integrity checks are green. Grids below `<root>/grids`, recorded with
-    `oracle-sim grid`, add the kill matrix. Simpler kinds of oracle judge the same runs, beside it.
+    `oracle-sim grid`, add the kill matrix. Simpler kinds of oracle are compared on the same runs.
     """
     from oracle_pipeline.datasets import read_table
     from oracle_pipeline.evaluation.campaign_evaluation import evaluate
@@ -84,7 +84,7 @@ def _told_at_intervals(say: Callable[[str], None]) -> Callable[[str], None]:
 
     def tell(step: str) -> None:
         nonlocal told
-        if (now := time.monotonic()) - told >= NEWS_S:
+        if (now := time.monotonic()) - told >= PROGRESS_S:
             told = now
             say(f"Evaluating: {step}.")
 
@@ -94,9 +94,9 @@ def _told_at_intervals(say: Callable[[str], None]) -> Callable[[str], None]:
 def _kinds(
     store: RunStore, fleet: Fleet, evaluation: "CampaignEvaluation"
 ) -> "KindsComparison | None":
-    """Compare several kinds of oracle on the runs that have a bag; None if none has.
+    """Compare several kinds of oracle on the runs that have signals; None without any.
 
-    A run whose bag was dropped before its signals were kept is left out; the log says so.
+    A run whose bag was dropped before its signals were extracted is left out, with a log message.
     """
     import numpy as np
 
@@ -129,7 +129,7 @@ def _kinds(
 
 
 def _graph_differences(store: RunStore, fleet: Fleet, runs: set[str]) -> list[str] | None:
-    """Return how the graphs of complete pairs differ; None if there is no complete pair."""
+    """Return the differences between graphs of complete pairs; None without a complete pair."""
     from assets.worker.inspections import Inspection, inspect
 
     inspections = [Inspection(PAIR_CHECK, pair) for pair in complete_pairs(map(store.run, runs))]
@@ -143,7 +143,7 @@ def _graph_differences(store: RunStore, fleet: Fleet, runs: set[str]) -> list[st
 
 
 def _mutants(store: RunStore, fleet: Fleet) -> "MeasuredRuns | None":
-    """Return features and windows of the runs of all grids, with what was changed in each run."""
+    """Return features and windows of the runs of all grids, with the changes of each run."""
     import pandas as pd
 
     from oracle_pipeline.datasets import feature_dataset as joined
@@ -160,7 +160,7 @@ def _mutants(store: RunStore, fleet: Fleet) -> "MeasuredRuns | None":
         changes = mutants[["run_id", "scenario", "parameter", "value", "changed_messages"]]
         df = df.merge(changes, on="run_id", validate="one_to_one")
         windows = window_dataset(read_table(run.feature_table("window")) for run in runs)
-        grid = f"{index.parent.name}/"  # two grids may have runs of one name
+        grid = f"{index.parent.name}/"  # two grids may have runs of the same name
         runs_of_grids.append(df.assign(run_id=grid + df["run_id"]))
         windows_of_grids.append(windows.assign(run_id=grid + windows["run_id"]))
     if not runs_of_grids:

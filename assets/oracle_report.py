@@ -16,8 +16,8 @@ from assets.oracle_evaluation import oracle_evaluation
 from assets.partitions import testbed_of
 from assets.record_command import record_command
 from assets.thesis_method import (
+    bootstrap_settings,
     clustering_grid_search,
-    how_rows_were_drawn,
     malicious_rate_report,
     pairwise_report,
     runs_drawn_from,
@@ -29,10 +29,10 @@ from resources.ui.report import REPORT_PATH
 if TYPE_CHECKING:
     import pandas as pd
 
-FRESH = dg.FreshnessPolicy.time_window(  # one night may fail; not evaluated unless switched on
+FRESH = dg.FreshnessPolicy.time_window(  # tolerates one failed night; evaluated only if enabled
     warn_window=timedelta(hours=36), fail_window=timedelta(hours=60)
 )
-GHOST = "atc_ghost_static"  # the mode of which the report shows the radar display
+GHOST = "atc_ghost_static"  # the mode of the radar display in the report
 
 
 @aggregate(
@@ -50,12 +50,12 @@ GHOST = "atc_ghost_static"  # the mode of which the report shows the radar displ
     freshness_policy=FRESH,
 )
 def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.MaterializeResult[None]:
-    """Show what was found in `<root>/report/index.html`, and each run on a page of its own.
+    """Write the report, `<root>/report/index.html`, with a page for each run.
 
-    The first screen says what was recorded, what was found, and what these runs do not support yet.
-    Below it are detection, what gives each attack away, one run of each attack beside its control;
-    behind folds are integrity checks, detectors, and the thesis's method. A run's page shows its
-    map, when it was unusual, evidence, goals and outcome. Links are relative: the folder may move.
+    The first screen has the recorded runs, the results, and claims that are not supported yet.
+    Below it are detection, the features that show each attack, and one run of each attack beside
+    its control; folded sections have integrity checks, detectors and the thesis's method. The page
+    of a run has its map, unusual windows, evidence, goals and outcome. All links are relative.
     """
     from oracle_pipeline.bags.remote import published
     from oracle_pipeline.datasets import KEYS, read_table
@@ -85,7 +85,7 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
         deviations = deviations_of_runs(df)
         keys = read_table(store.dataset(DATASET), columns=KEYS)
         radar, _ = drawn(_ghost_and_control(keys), draw)
-        rows, rate, seed, _ = how_rows_were_drawn(store)
+        rows, rate, seed, _ = bootstrap_settings(store)
         page = html.render(
             evaluation=evaluation,
             explained=explained,

@@ -1,11 +1,11 @@
 """The one partitions definition: every run of every experiment mode.
 
-A key reads ``fake_object|run003``. Run numbers are static, so that a new one appears in every mode
-at once. Their count, the choice of modes, and the scenario files of the user's folder are read when
-the code location loads. A broken scenario file is named in the log and left out.
+A key looks like ``fake_object|run003``. Run numbers are static, so that a new number appears in
+every mode at once. Their count, the selected modes, and the user's scenario files are read when the
+code location loads. An invalid scenario file is logged and left out.
 
-There is one definition for all testbeds, because Dagster refuses a command over assets of different
-ones, and ``--select '*'`` means the whole campaign.
+There is one definition for all testbeds, because Dagster rejects commands over assets with
+different partitions, and ``--select '*'`` should mean the whole campaign.
 """
 
 import os
@@ -26,12 +26,12 @@ class ConfigurationError(OracleError):
 
 
 def run_count(environment: Mapping[str, str]) -> int:
-    """Return how many runs each mode has: ``ORACLE_RUNS``, or the thesis's 15.
+    """Return the number of runs of each mode: ``ORACLE_RUNS``, or the thesis's 15.
 
     Raises
     ------
     ConfigurationError
-        If it is not a whole number of 1 or more.
+        If it is not a positive integer.
     """
     text = environment.get("ORACLE_RUNS") or "15"
     if not text.isdecimal() or int(text) < 1:
@@ -47,21 +47,21 @@ def testbed_of(mode: str) -> str:
 
 
 def chosen_modes(environment: Mapping[str, str]) -> list[str]:
-    """Return the modes that are partitions, in their own order: ``ORACLE_MODES``, or all.
+    """Return the modes that are partitions: ``ORACLE_MODES``, or all.
 
-    It lists testbeds and modes, separated by commas; ``*`` stands for any text.
+    The variable lists testbeds and modes, separated by commas; ``*`` is a wildcard.
 
     Raises
     ------
     ConfigurationError
-        If a part of it stands for no mode.
+        If a part of it matches no mode.
     """
     text = environment.get("ORACLE_MODES") or ALL
     wanted = [part.strip() for part in text.split(",")]
     named = {part: [mode for mode in modes() if _is_named(mode, part)] for part in wanted}
     if empty := [part for part, found in named.items() if not found]:
         raise ConfigurationError(
-            f"ORACLE_MODES names no mode with {empty[0]!r}; give modes, with * for any text, or "
+            f"ORACLE_MODES: {empty[0]!r} matches no mode; give modes, with * as wildcard, or "
             f"testbeds ({', '.join(TESTBEDS)}), separated by commas."
         )
     return [mode for mode in modes() if any(mode in found for found in named.values())]

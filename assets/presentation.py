@@ -1,6 +1,6 @@
-"""Dagster metadata for tables, pictures and reports, as the UI shows them.
+"""Dagster metadata for tables, pictures and reports.
 
-Metadata take plain Python values only: no NumPy scalars, no NaN.
+Metadata accept plain Python values only: no NumPy scalars, no NaN.
 """
 
 import base64
@@ -36,7 +36,7 @@ _KEYS = {
 
 
 def png(picture: bytes) -> dg.MetadataValue:
-    """Return a picture that shows inline."""
+    """Return a picture that is shown inline."""
     return dg.MetadataValue.md(
         f"![](data:image/png;base64,{base64.b64encode(picture).decode('ascii')})"
     )
@@ -84,7 +84,7 @@ def columns(df: "pd.DataFrame") -> dg.TableSchema:
 
 
 def columns_of(place: Path) -> dg.TableSchema:
-    """Return the columns of a feature table that is a file."""
+    """Return the columns of a feature table, by its path."""
     from oracle_pipeline.datasets import read_table
 
     return columns(read_table(place))

@@ -1,4 +1,4 @@
-"""The command that records further runs, ready to be pasted into a terminal."""
+"""The shell command that records further runs."""
 
 import os
 import shlex
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from assets.partitions import ALL, chosen_modes, run_count
 from sim.modes import modes
 
-# Settings that decide which runs are recorded and where; the command repeats those that are set.
+# Settings that affect which runs are recorded and where; the command includes those that are set.
 REPEATED = (
     "ORACLE_HOME",
     "ORACLE_GOALS_PER_RUN",
@@ -28,7 +28,7 @@ def record_command(wanted: Sequence[str], blocks: int) -> str:
     Parameters
     ----------
     wanted : sequence of str
-        Modes; ``benign_*`` stands for all with this prefix.
+        Modes; ``benign_*`` matches all with this prefix.
     blocks : int
         Number of blocks, from the first one.
     """

@@ -1,7 +1,7 @@
-"""Checks of every run, made whenever the run is materialized.
+"""Checks of every run, performed whenever the run is materialized.
 
-One step performs all selected checks on the fleet, and gives each run a result of its own. A failed
-check is an error to investigate, but it blocks no asset.
+One step performs all selected checks on the fleet, with a separate result for each run. A failed
+check is an error to investigate, but does not block any asset.
 """
 
 from collections.abc import Iterable, Iterator
@@ -30,8 +30,8 @@ CHECKS = (
         "every_interval_has_a_graph",
         asset="interval_graphs",
         partitions_def=RUNS,
-        description="Every 10 s of the recording, and a rest of 5 s or more, has a graph, and "
-        "every graph is as it was recorded.",
+        description="Every interval of 10 s of the recording, and a last one of at least 5 s, has "
+        "a graph, and no graph file has changed.",
     ),
     dg.AssetCheckSpec(
         PAIR_CHECK,
@@ -94,14 +94,14 @@ def checks_of_runs(
                     metadata={**finding.figures, "wrong": len(finding.wrong)},
                 )
     for name, keys in wrong.items():
-        said = f"failed for {', '.join(keys[:SHOWN])}" if keys else "passed"
-        context.log.info(f"Check {name} of {len(runs)} runs: {said}.")
+        result = f"failed for {', '.join(keys[:SHOWN])}" if keys else "passed"
+        context.log.info(f"Check {name} of {len(runs)} runs: {result}.")
     for spec in specs.values():
         yield dg.Output(None, output_name=spec.get_python_identifier())
 
 
 def complete_pairs(runs: Iterable[RunDirectory]) -> list[tuple[RunDirectory, RunDirectory]]:
-    """Return control and attacked run of each complete pair of which at least one run is given."""
+    """Return control and attacked run of each complete pair with at least one of the runs."""
     ours = set(runs)
     pairs = [
         (RunDirectory(root, control, number), RunDirectory(root, attacked, number))

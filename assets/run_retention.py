@@ -1,8 +1,8 @@
 """Deletes Dagster's records of old runs that no partition needs any more.
 
 Dagster deletes old ticks by itself (``retention`` in dagster.yaml), but never runs. Deleting a run
-deletes its materializations, too, so a run is kept while it holds the newest materialization or
-check of any partition. Recordings and reports below the root of the store are never touched.
+deletes its materializations too, so a run is kept while it has the newest materialization or check
+of any partition. Recordings and reports below the root of the store are never deleted.
 """
 
 from collections.abc import Collection
@@ -18,7 +18,7 @@ _BATCH = 500  # events read at a time
 
 
 class RetentionConfig(dg.Config):
-    """How old a run must be to be deleted."""
+    """The age from which runs are deleted."""
 
     days: int = Field(default=30, ge=0, description="Delete runs that ended longer ago [days].")
 
@@ -33,15 +33,15 @@ def forget_runs(context: dg.OpExecutionContext, config: RetentionConfig) -> None
         for run in instance.get_runs(dg.RunsFilter(statuses=_ENDED, updated_before=before))
     ]
     in_use = _runs_in_use(instance, _checks_of(instance, ended))
-    forgotten = [run for run in ended if run not in in_use]
-    for run in forgotten:
-        _forget(instance, run)
+    unused = [run for run in ended if run not in in_use]
+    for run in unused:
+        _delete(instance, run)
     context.log.info(
-        f"Deleted the records of {len(forgotten)} Dagster runs that ended more than {config.days} "
-        f"days ago; {len(ended) - len(forgotten)} hold the newest state of a partition and stay."
+        f"Deleted the records of {len(unused)} Dagster runs that ended more than {config.days} "
+        f"days ago; kept {len(ended) - len(unused)} with the newest state of a partition."
     )
     context.add_output_metadata(
-        {"forgotten": len(forgotten), "old_and_in_use": len(ended) - len(forgotten)}
+        {"forgotten": len(unused), "old_and_in_use": len(ended) - len(unused)}
     )
 
 
@@ -71,7 +71,7 @@ def _checks_of(instance: dg.DagsterInstance, runs: Collection[str]) -> set[dg.As
 
 
 def _runs_in_use(instance: dg.DagsterInstance, checks: Collection[dg.AssetCheckKey]) -> set[str]:
-    """Return the runs that made the newest materialization or check result of any partition."""
+    """Return the runs with the newest materialization or check result of any partition."""
     in_use = set()
     for asset in instance.all_asset_keys():
         if latest := instance.get_latest_materialization_event(asset):
@@ -88,10 +88,10 @@ def _runs_in_use(instance: dg.DagsterInstance, checks: Collection[dg.AssetCheckK
     return in_use | {result.latest_planned_run_id for result in results}
 
 
-def _forget(instance: dg.DagsterInstance, run: str) -> None:
+def _delete(instance: dg.DagsterInstance, run: str) -> None:
     instance.delete_run(run)
     instance.compute_log_manager.delete_logs(prefix=[run])
-    # On SQLite each run has a database file of its own. Dagster empties it but leaves the file.
+    # With SQLite, each run has its own database file. Dagster empties it but leaves the file.
     path_of_run = getattr(instance.event_log_storage, "path_for_shard", None)
     if path_of_run is not None:
         file = Path(path_of_run(run))

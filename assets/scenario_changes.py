@@ -1,6 +1,6 @@
 """The sensor that re-simulates the runs of modes whose scenario file has changed.
 
-It reads the files at every tick, whereas the modes are read once, when the code location loads.
+It reads the files at every tick, unlike the modes, which are read when the code location loads.
 """
 
 import itertools
@@ -29,25 +29,25 @@ NO_CHANGE = (
     job=everything,
     minimum_interval_seconds=60,
     default_status=dg.DefaultSensorStatus.STOPPED,
-    description="When the scenario file of a mode changes: re-simulate those of its runs that are "
-    "materialized, and update the report.",
+    description="When the scenario file of a mode changes: re-simulate its materialized runs, and "
+    "update the report.",
 )
 def changed_scenarios(context: dg.SensorEvaluationContext) -> dg.SensorResult:
-    """Compare each mode's scenario with the last tick, and request the runs that are stale."""
-    former: dict[str, str] = json.loads(context.cursor or "{}")
+    """Compare each mode's scenario with the last tick, and request stale runs."""
+    previous: dict[str, str] = json.loads(context.cursor or "{}")
     now, broken = _digests()
-    changed = {mode: now[mode] for mode in now if former.get(mode, now[mode]) != now[mode]}
-    cursor = json.dumps(former | now)
+    changed = {mode: now[mode] for mode in now if previous.get(mode, now[mode]) != now[mode]}
+    cursor = json.dumps(previous | now)
     requests = list(_requests(context.instance, changed))
     if requests:
         return dg.SensorResult(run_requests=requests, cursor=cursor)
-    reasons = [f"{mode} has changed, and no run of it is materialized." for mode in changed]
+    reasons = [f"{mode} has changed, but has no materialized run." for mode in changed]
     reasons += [f"Left out: {wrong}" for wrong in broken]
     return dg.SensorResult(skip_reason=" ".join(reasons) or NO_CHANGE, cursor=cursor)
 
 
 def _digests() -> tuple[dict[str, str], list[str]]:
-    """Return the digest of each mode's scenario as its file is now, and the faults in files."""
+    """Return the current digest of each mode's scenario, and the faults in files."""
     names: defaultdict[str, list[str]] = defaultdict(list)
     for mode in chosen_modes(os.environ):
         names[modes()[mode].scenario.file].append(mode)
@@ -60,7 +60,7 @@ def _digests() -> tuple[dict[str, str], list[str]]:
             faults.append(str(error))
             continue
         digests |= {name: scenarios[name].digest for name in of_file if name in scenarios}
-        faults += [f"{file} holds no {name} any more." for name in of_file if name not in scenarios]
+        faults += [f"{file} has no {name} any more." for name in of_file if name not in scenarios]
     return digests, faults
 
 
@@ -81,7 +81,7 @@ def _requests(instance: dg.DagsterInstance, changed: Mapping[str, str]) -> Itera
     latest = instance.get_latest_materialization_event(EXPERIMENT_RUNS.key)
     after = (
         latest.timestamp if latest else 0.0
-    )  # so that a change back and forth is requested each time
+    )  # in the run key, so that changing back requests the runs again
     for mode, digest in changed.items():
         for first, last in _ranges(mode, materialized):
             yield refreshed_runs(first, last, run_key=f"{first}...{last} {digest} {after}")
@@ -91,7 +91,7 @@ def _ranges(mode: str, keys: Collection[str]) -> Iterator[tuple[str, str]]:
     """Yield the first and last key of each contiguous range of a mode's runs among the keys."""
     runs = RUNS.get_partitions_def_for_dimension("run").get_partition_keys()
     of_mode = [f"{mode}|{run}" for run in runs]
-    for is_there, group in itertools.groupby(of_mode, lambda key: key in keys):
-        if is_there:
-            unbroken = list(group)
-            yield unbroken[0], unbroken[-1]
+    for is_included, group in itertools.groupby(of_mode, lambda key: key in keys):
+        if is_included:
+            consecutive = list(group)
+            yield consecutive[0], consecutive[-1]

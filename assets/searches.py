@@ -1,4 +1,4 @@
-"""Searches for attacks that the oracle misses: a partition for each scenario that can be varied.
+"""Searches for attacks that the oracle misses, with a partition for each variable scenario.
 
 This is an external asset, as in ``assets.foreign``: the job ``search_attacks`` reports its events.
 So ``--select '*'`` still means the whole campaign, and no search delays it.
@@ -25,7 +25,7 @@ from sim.testbeds import TESTBEDS, which_testbed
 
 
 def can_be_varied(scenario: Scenario) -> bool:
-    """Tell whether a scenario is an attack on the robot that has bounded numbers to vary."""
+    """Return whether a scenario is an attack on the robot with bounded numbers to vary."""
     parameters = scenario.document.get("parameters", {}).values()
     return (
         scenario.label == "malicious"
@@ -52,29 +52,29 @@ ATTACK_SEARCH = dg.AssetSpec(
     kinds={"optuna", "mujoco"},
     code_version=analysis_code("resources.search.study"),
     partitions_def=TEMPLATES,
-    description="""What a search found that varied the parameters of a scenario.
+    description="""The results of a search over the parameters of a scenario.
 
-`<root>/searches/<scenario>/findings.json` and `front.png`; each run with an effect that the oracle
-passes becomes a scenario in `<root>/searches/corpus`. Set `ORACLE_SCENARIOS` to that folder, and
-they are modes of the next campaign. The job `search_attacks` makes it, by the card `ORACLE_CARD`.
-The same as `oracle-sim search SCENARIO --reference CARD`.""",
+`<root>/searches/<scenario>/findings.json` and `front.png`. Each run with an effect that the oracle
+misses becomes a scenario in `<root>/searches/corpus`; set `ORACLE_SCENARIOS` to that folder to use
+these as modes. The job `search_attacks` runs the search with the card `ORACLE_CARD`, as
+`oracle-sim search SCENARIO --reference CARD` does.""",
 )
 
 
 class SearchConfig(dg.Config):
-    """The budget of a search, and what it looks for."""
+    """The budget and the objective of a search."""
 
     budget: str = Field(
         default="100",
         description="When to end: a number of trials in total, or a time such as 30m.",
     )
     objective: str = Field(
-        default="evade", description="What is looked for: evade, break or boundary."
+        default="evade", description="Objective of the search: evade, break or boundary."
     )
     sampler: str = Field(
         default="tpe", description="How trials are proposed: tpe, nsga2, guided or random."
     )
-    blocks: int = Field(default=3, ge=1, description="Number of blocks in which trials take turns.")
+    blocks: int = Field(default=3, ge=1, description="Number of blocks that trials alternate over.")
     goals: int = Field(default=1, ge=1, description="Goals of each run.")
     time_limit: float = Field(
         default=120.0, gt=0.0, description="Simulated seconds that a goal may take, on average."
@@ -134,8 +134,8 @@ def search_scenario(
 
 @dg.job(
     partitions_def=TEMPLATES,
-    description="Search one scenario's parameters for attacks that the oracle misses, by the "
-    "reference card that `ORACLE_CARD` names. Start it again with a larger budget to go on.",
+    description="Search one scenario's parameters for attacks that the oracle misses, with the "
+    "reference card `ORACLE_CARD`. Start it again with a larger budget to continue.",
 )
 def search_attacks() -> None:
     """Search one scenario."""

@@ -1,6 +1,6 @@
 """The thesis's method over all runs: draw rows with replacement, cluster them, measure.
 
-Thin shells: ``oracle_pipeline.reporting.thesis_reports`` does the work. It is imported inside the
+Thin wrappers of ``oracle_pipeline.reporting.thesis_reports``, which is imported inside the
 functions, so that the code location loads without pandas and scikit-learn.
 """
 
@@ -36,11 +36,11 @@ class BootstrapConfig(TestbedConfig):
     malicious_rate: float = Field(
         default=0.3, ge=0.0, le=1.0, description="Share of the rows drawn from attacked runs."
     )
-    seed: int = Field(default=50, ge=0, description="Of the generator that draws.")
+    seed: int = Field(default=50, ge=0, description="Seed of the random generator.")
     variant: Literal["corrected", "thesis"] = Field(
         default="corrected",
         description="`corrected`: cluster scaled features, computed as their names say. `thesis`: "
-        "cluster the thesis's ten numbers, computed and unscaled as in its code.",
+        "cluster the thesis's ten features, unscaled and computed as in its code.",
     )
 
 
@@ -59,7 +59,7 @@ class GridConfig(dg.Config):
     )
     select_by: Literal["balanced_accuracy", "accuracy", "auc", "f1", "mcc"] = Field(
         default="balanced_accuracy",
-        description="The measure by which the best setting is named. It needs labels.",
+        description="The measure that selects the best setting. It needs labels.",
     )
 
 
@@ -67,8 +67,7 @@ class GridConfig(dg.Config):
 def bootstrapped_dataset(config: BootstrapConfig, store: RunStore) -> dg.MaterializeResult[None]:
     """Rows drawn from the runs with replacement, a fixed share of them attacked.
 
-    The thesis's dataset. Copies add no information: every figure computed from it counts distinct
-    runs.
+    This is the thesis's dataset. Copies add no information, so all intervals count distinct runs.
     """
     from oracle_pipeline.reporting import thesis_reports
 
@@ -87,9 +86,9 @@ def bootstrapped_dataset(config: BootstrapConfig, store: RunStore) -> dg.Materia
 def clustering_grid_search(config: GridConfig, store: RunStore) -> dg.MaterializeResult[None]:
     """Linkages, metrics, criteria and thresholds, side by side with the thesis's table 5.1.
 
-    `pdist`, `linkage`, `fcluster` on scaled features; in the thesis's variant on its unscaled ones,
-    at its own threshold. For each: confusion matrix, TPR, FPR, balanced accuracy, MCC and the AUC
-    of the continuous HAC height, with intervals.
+    `pdist`, `linkage` and `fcluster` on scaled features, or in the thesis's variant on unscaled
+    ones with its threshold. Each setting has confusion matrix, TPR, FPR, balanced accuracy, MCC and
+    the AUC of the continuous HAC height, with intervals.
     """
     from oracle_pipeline.clustering.grid import Grid, Metric
     from oracle_pipeline.clustering.tree import Linkage
@@ -114,13 +113,12 @@ def clustering_grid_search(config: GridConfig, store: RunStore) -> dg.Materializ
 def malicious_rate_report(store: RunStore) -> dg.MaterializeResult[None]:
     """Clustering at five shares of attacked rows, beside the thesis's table 6.1.
 
-    Each share is drawn from the runs as `bootstrapped_dataset` was: as many rows, same seed, same
-    variant of the method.
+    Rows are drawn as in `bootstrapped_dataset`: the same number, seed and variant of the method.
     """
     from oracle_pipeline.reporting import thesis_reports
 
     with clear_failures():
-        rows, _, seed, variant = how_rows_were_drawn(store)
+        rows, _, seed, variant = bootstrap_settings(store)
         result = thesis_reports.malicious_rate_report(runs_drawn_from(store), rows, seed, variant)
         return keep(result, store, "malicious_rate_report")
 
@@ -129,13 +127,12 @@ def malicious_rate_report(store: RunStore) -> dg.MaterializeResult[None]:
 def pairwise_report(store: RunStore) -> dg.MaterializeResult[None]:
     """Each attacked mode against its control, by feature family, beside the thesis's table 6.2.
 
-    Each pair is drawn as `bootstrapped_dataset` was: as many rows, same share, same seed, same
-    variant of the method.
+    Rows are drawn as in `bootstrapped_dataset`: the same number, share, seed and variant.
     """
     from oracle_pipeline.reporting import thesis_reports
 
     with clear_failures():
-        result = thesis_reports.pairwise_report(runs_drawn_from(store), *how_rows_were_drawn(store))
+        result = thesis_reports.pairwise_report(runs_drawn_from(store), *bootstrap_settings(store))
         return keep(result, store, "pairwise_report")
 
 
@@ -148,13 +145,13 @@ def runs_drawn_from(store: RunStore) -> "pd.DataFrame":
 
 
 def _experiments(df: "pd.DataFrame") -> "pd.DataFrame":
-    """Leave out shadow controls and hard negatives, which the thesis does not have."""
+    """Drop shadow controls and hard negatives, which the thesis does not have."""
     from oracle_pipeline.datasets import is_hard_negative
 
     return df[(df["label"] != "control") & ~is_hard_negative(df)]
 
 
-def how_rows_were_drawn(store: RunStore) -> "tuple[int, float, int, VariantName]":
+def bootstrap_settings(store: RunStore) -> "tuple[int, float, int, VariantName]":
     """Return rows, malicious rate, seed and variant of `bootstrapped_dataset`."""
     from oracle_pipeline.reporting.report import Report
 

@@ -1,4 +1,4 @@
-"""Rows drawn from a table of runs with replacement, and the distinct runs among them."""
+"""Draws rows from a table of runs with replacement, and finds the distinct runs among them."""
 
 from dataclasses import dataclass
 
@@ -29,12 +29,12 @@ def bootstrap(df: pd.DataFrame, n: int, malicious_rate: float, seed: int) -> pd.
     Returns
     -------
     DataFrame of n rows
-        Sorted as `df`, copies side by side.
+        In the order of `df`.
 
     Raises
     ------
     DatasetError
-        The sizes make no sense, or a class to draw from has no run.
+        The sizes are invalid, or a class to draw from has no run.
     """
     if n < 1 or not 0.0 <= malicious_rate <= 1.0:
         raise DatasetError(
@@ -61,10 +61,10 @@ def bootstrap(df: pd.DataFrame, n: int, malicious_rate: float, seed: int) -> pd.
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DistinctRuns:
-    """The runs behind rows that may be copies; arrays of shape (n_runs,), by ``run_id``."""
+    """The distinct runs among rows; arrays of shape (n_runs,), sorted by ``run_id``."""
 
     first: NDArray[np.intp]  # row of the run's first copy
-    copies: NDArray[np.int64]  # rows the run takes up
+    copies: NDArray[np.int64]  # number of rows of the run
     malicious: NDArray[np.bool_]
     block: NDArray[np.int64]
 
@@ -73,7 +73,7 @@ class DistinctRuns:
 
 
 def distinct_runs(df: pd.DataFrame) -> DistinctRuns:
-    """Return the distinct runs of a table and how many rows each takes up."""
+    """Return the distinct runs of a table and their numbers of rows."""
     _, first, copies = np.unique(
         df["run_id"].to_numpy(dtype=object), return_index=True, return_counts=True
     )
@@ -86,7 +86,7 @@ def distinct_runs(df: pd.DataFrame) -> DistinctRuns:
 
 
 def lacking(df: pd.DataFrame) -> str:
-    """Return a sentence that names the class of runs a table lacks; empty if it has both."""
+    """Return a text on the class of runs that a table lacks; empty if it has both."""
     malicious = is_malicious(df)
     absent = [
         name for name, rows in (("malicious", malicious), ("normal", ~malicious)) if not rows.any()

@@ -1,6 +1,6 @@
 """``oracle``: the analysis from the command line, without Dagster.
 
-A command imports what it needs when it runs, so that `--help` is fast.
+Heavy imports are inside the commands, so that ``--help`` is fast.
 
 Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomalous;
 ``oracle compare`` adds 1: different.
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from oracle_pipeline.robots.roles_file import RoleChoices
     from oracle_pipeline.scoring.verdict import Verdict
 
-_SHOWN = "shown"  # of an option that may stand without its value
+_SHOWN = "shown"  # value of an option given without a value
 
 
 class _Failure(click.ClickException):
@@ -69,13 +69,13 @@ main.add_command(invariants)
 
 _strict = click.option(
     "--strict", is_flag=True,
-    help="Refuse a recording that was not finished, or of which a part is missing.",
+    help="Reject recordings that are unfinished or have missing parts.",
 )  # fmt: skip
 
 
 _roles = click.option(
     "--roles", type=click.Path(path_type=Path, dir_okay=False, exists=True), metavar="FILE",
-    help="YAML that names robots and what topics are for, where that cannot be found.",
+    help="YAML that names robots and roles of topics that cannot be detected.",
 )  # fmt: skip
 
 
@@ -102,8 +102,8 @@ def _choices(roles: Path | None) -> "RoleChoices | None":
 @output_option("--output", "File to write; Parquet needs one.  [default: standard output]")
 @click.option(
     "--roles", is_flag=False, flag_value=_SHOWN, metavar="[FILE]",
-    help="Without FILE, after RUN_OR_BAG: print which topic is what, and what is ambiguous. With "
-    "FILE: YAML that names robots and what topics are for, where that cannot be found.",
+    help="Without FILE, after RUN_OR_BAG: print the roles of topics, and ambiguities. With FILE: "
+    "YAML that names robots and roles of topics that cannot be detected.",
 )  # fmt: skip
 @plugins_option
 @_strict
@@ -120,10 +120,9 @@ def features(
 
     RUN_OR_BAG is a run directory, the folder of a rosbag2 (SQLite or MCAP, split or compressed), a
     single .mcap or .db3 file, or a ROS 1 .bag file. No ROS is needed. A feature that cannot be
-    computed from this recording is null, and "missing" holds the reason. A recording that was not
-    finished is read as far as it goes; "notes" says how far, and what else was not used. Topics are
-    found by message type, whatever their names. Several robots, each in a namespace, give a row
-    each.
+    computed from this recording is null, and "missing" has the reason. An unfinished recording is
+    read as far as possible; "notes" states how far, and which data were not used. Topics are found
+    by message type, not by name. Several robots, each in a namespace, give one row each.
 
     \b
     Examples:
@@ -134,7 +133,7 @@ def features(
         oracle features my_robot_bag/ --roles
     """  # noqa: D301 -- click reads the control character
     if file_format == "parquet" and output is None:
-        raise click.UsageError("Parquet is not text: name a file with --output.")
+        raise click.UsageError("Parquet is a binary format: give a file with --output.")
     if roles == _SHOWN:
         _print_roles(run_or_bag, strict=strict)
         return
@@ -223,11 +222,11 @@ def _json(table: "Table", tables: "Measured") -> str:
 @output_option("--page", "File for a page (HTML) with the verdicts, their evidence and pictures.")
 @click.option(
     "--time-limit", default=900.0, show_default=True, type=click.FloatRange(0.0, min_open=True),
-    help="Seconds that the features of one recording may take.",
+    help="Time limit for the features of one recording [s].",
 )  # fmt: skip
 @click.option(
     "--memory-limit", default=4.0, show_default=True, type=click.FloatRange(0.0, min_open=True),
-    help="GiB of memory that they may take.",
+    help="Memory limit for the features of one recording [GiB].",
 )  # fmt: skip
 @_roles
 @plugins_option
@@ -252,11 +251,11 @@ def score(
     Exit code 0: all are normal; 1: at least one is anomalous; 2: at least one could not be judged.
 
     RUN_OR_BAG is as for `oracle features`; several recordings are judged as one suite, and each
-    robot of a recording gets a verdict, such as bag#robot1. The p-value
-    is the share of normal runs that score at least as high, where each normal run is scored by a
-    model that did not see it. A recording is anomalous if its p-value is at most --far. A rate of
-    5% needs 19 normal runs of different days or starts, 1% needs 99. With fewer there is no
-    verdict, only the score and the features outside their usual range.
+    robot of a recording gets a verdict, such as bag#robot1. The p-value is the share of normal runs
+    that score at least as high, where each normal run is scored by a model that was not fitted on
+    it. A recording is anomalous if its p-value is at most --far. A rate of 5% needs 19 normal runs
+    of different days or starts, 1% needs 99. With fewer there is no verdict, only the score and the
+    features outside their usual range.
 
     \b
     Examples:

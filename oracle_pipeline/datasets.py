@@ -1,7 +1,7 @@
-"""Tables of run features: joined, checked, kept with their units, and drawn from with replacement.
+"""Tables of run features: join, check, read and write them, with their units.
 
 One row is one run. Features are computed in ``oracle_pipeline.features``; scaling and clustering
-live in ``oracle_pipeline.clustering``. What a column means (unit, resolution floor) travels in the
+are in ``oracle_pipeline.clustering``. Declarations of a column (unit, resolution floor) are in the
 field metadata of the Parquet schema and, in memory, in ``DataFrame.attrs["fields"]``.
 """
 
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     import pandas as pd
 
 KEYS = ("run_id", "mode", "label", "block", "session", "world")
-WINDOW_START = "window_start_s"  # one more key where a row is a window [s of the recording]
+WINDOW_START = "window_start_s"  # further key of window tables [s of the recording]
 WHERE = "where"  # the column with the topic, pair or edge at which a feature was attained
 _SEAL = "oracle.seal"  # key in the metadata of a Parquet schema
 MISSING = "missing"  # the column with the reason why a feature is NaN
 
-HARD_NEGATIVE = "benign_"  # begins the names of modes that change something and harm nobody
+HARD_NEGATIVE = "benign_"  # prefix of the names of modes with a harmless change
 
 
 class DatasetError(OracleError):
@@ -42,10 +42,10 @@ class DatasetError(OracleError):
 
 
 class Fields(dict[str, dict[str, str]]):
-    """What is declared of each column; shared by all tables that are made from one.
+    """The declarations of each column, shared by all tables that derive from one.
 
-    pandas makes a deep copy of ``attrs`` whenever a column is selected, which is slow for hundreds
-    of declared columns.
+    pandas deep-copies ``attrs`` whenever a column is selected, which is slow for hundreds of
+    declared columns; here that returns the same object.
     """
 
     def __deepcopy__(self, _memo: dict[int, object]) -> Self:
@@ -60,7 +60,7 @@ def feature_columns(df: pd.DataFrame, families: Collection[str] | None = None) -
     df : DataFrame
         A ``run_features`` table; features are named ``<family>.<name>``.
     families : collection of str, optional
-        Keep these families only; by default every family.
+        Only these families; by default all.
     """
     columns = [str(column) for column in df.columns if "." in str(column)]
     if families is None:
@@ -74,28 +74,28 @@ def feature_families(df: pd.DataFrame) -> list[str]:
 
 
 def field_metadata(df: pd.DataFrame) -> dict[str, dict[str, str]]:
-    """Return what is declared of each column (``unit``, ``floor``, ...); empty if nothing is."""
+    """Return the declarations of each column (``unit``, ``floor``, ...); may be empty."""
     return dict(df.attrs.get("fields", {}))
 
 
 def feature_floors(df: pd.DataFrame) -> dict[str, float]:
-    """Return the resolution of each feature that declares one, in the feature's unit."""
+    """Return the declared resolution of features, in the feature's unit."""
     fields = field_metadata(df)
     return {name: float(field["floor"]) for name, field in fields.items() if field.get("floor")}
 
 
 def is_malicious(df: pd.DataFrame) -> NDArray[np.bool_]:
-    """Return True for the rows of attacked runs; every other label is the negative class."""
+    """Return a mask of the rows of attacked runs; all other labels are the negative class."""
     return np.asarray(df["label"] == "malicious", dtype=np.bool_)
 
 
 def is_hard_negative(df: pd.DataFrame) -> NDArray[np.bool_]:
-    """Return True for the rows of normal runs in which something harmless was changed."""
+    """Return a mask of the rows of normal runs with a harmless change."""
     return np.asarray(df["mode"].str.startswith(HARD_NEGATIVE), dtype=np.bool_)
 
 
 def without_empty_families(df: pd.DataFrame) -> pd.DataFrame:
-    """Return a table without families that have no value in any row, such as another system's."""
+    """Return a table without families that have no value, such as those of another system."""
     columns = feature_columns(df)
     families = {column.split(".", 1)[0] for column in columns if df[column].notna().any()}
     empty = [column for column in columns if column.split(".", 1)[0] not in families]
@@ -107,13 +107,13 @@ def without_empty_families(df: pd.DataFrame) -> pd.DataFrame:
 def feature_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
     """Join the feature tables of many runs into one with a row for each run, by ``run_id``.
 
-    A feature that a table lacks becomes NaN if the table's ``missing`` column holds a reason.
+    A feature that a table lacks becomes NaN if the table's ``missing`` column has a reason.
 
     Raises
     ------
     DatasetError
-        Nothing to join, a key column missing or empty, a run given twice, an unknown label, or
-        tables whose columns, types or units differ.
+        There are no tables, a key column is missing or empty, a run occurs twice, a label is
+        unknown, or tables have different columns, types or units.
     """
     return _joined(tables, KEYS, "run", ["run_id"])
 
@@ -121,7 +121,7 @@ def feature_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
 def window_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
     """Join the window tables of many runs into one, sorted by ``run_id`` and window start.
 
-    As `feature_dataset`, errors included.
+    As `feature_dataset`, including errors.
     """
     return _joined(tables, (*KEYS, WINDOW_START), "window", ["run_id", WINDOW_START])
 
@@ -146,7 +146,7 @@ def _joined(
     repeated = joined.loc[joined.duplicated(order), "run_id"].unique()
     if len(repeated):
         raise DatasetError(
-            f"Runs {', '.join(sorted(repeated))} stand in more than one feature table; "
+            f"Runs {', '.join(sorted(repeated))} are in more than one feature table; "
             f"remove the stale files under features/{kind} and join again."
         )
     joined = joined[[*keys, *columns, WHERE, MISSING]]
@@ -169,7 +169,7 @@ def _check_keys(table: pd.DataFrame, keys: tuple[str, ...]) -> None:
     if unknown:
         raise DatasetError(
             f"Label {unknown[0]!r} of {_runs(table)} is not one of {', '.join(LABELS)}; "
-            "leave out runs whose label is not known."
+            "leave out runs with an unknown label."
         )
 
 
@@ -211,14 +211,14 @@ def _runs(table: pd.DataFrame) -> str:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Yield a file to write that replaces `path` once it is complete and on disk.
+    """Yield a file to write; it replaces `path` once it is complete and on disk.
 
     Raises
     ------
     OSError
         The file cannot be written; the old one stays.
     """
-    if not is_local(path):  # an object is there when all of it is
+    if not is_local(path):  # object stores write atomically
         whole = io.BytesIO()
         yield whole
         path.write_bytes(whole.getvalue())
@@ -237,10 +237,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 
 def write_table(df: pd.DataFrame, path: Path) -> None:
-    """Write a table as Parquet, sealed, with units in the schema.
-
-    A reader sees all of it or the old one.
-    """
+    """Write a table atomically as Parquet, sealed, with units in the schema."""
     content = table_bytes(df)
     with replacing(path) as sink:
         sink.write(content)
@@ -275,15 +272,15 @@ def read_table(
     path : Path
         Of the file.
     columns : collection of str, optional
-        Read these only; by default all.
+        Only these; by default all.
     rows : (str, iterable of str), optional
         A column, and the values of the rows to keep; by default all.
 
     Raises
     ------
     DatasetError
-        The file is absent, is not Parquet, or was changed after `write_table` wrote it. A table
-        that another program wrote has no seal, and is read without this check.
+        The file is missing, is not Parquet, or was changed after `write_table` wrote it. A table
+        from another program has no seal, and is not checked.
     """
     try:
         content = path.read_bytes()
@@ -303,7 +300,7 @@ def parse_table(
 ) -> pd.DataFrame:
     """Return the table from the bytes that `table_bytes` returned; errors mention `name`.
 
-    As `read_table`, errors included.
+    As `read_table`, including errors.
     """
     import pyarrow as pa
     import pyarrow.compute as pc
@@ -315,8 +312,8 @@ def parse_table(
         kept = pc.field(column).isin(pa.array(sorted(values), pa.large_string()))
     if seals.check(content) == "wrong":
         raise DatasetError(
-            f"{name} is damaged: it is not what was written. Materialize it again. If you rewrote "
-            f"it on purpose, write it without {_SEAL!r} in the metadata of its schema."
+            f"{name} is damaged: it has changed since it was written. Materialize it again. If you "
+            f"changed it on purpose, write it without {_SEAL!r} in the metadata of its schema."
         )
     try:
         source = pa.BufferReader(content)
@@ -337,7 +334,7 @@ def parse_table(
 
 
 def content_hash(df: pd.DataFrame) -> str:
-    """Return the SHA-256 of a table's column names and values; the file does not matter."""
+    """Return the SHA-256 of a table's column names and values, independent of the file."""
     import pandas as pd
 
     digest = hashlib.sha256()

@@ -1,7 +1,7 @@
 """All assets, checks, resources, jobs, schedules and sensors in one ``Definitions``.
 
-Only Dagster and tests import this module. ``build_defs`` accepts resources in place of the default
-ones, so a test or a script can replace one without patching.
+Only Dagster and tests import this module. ``build_defs`` accepts replacements of default resources,
+so tests and scripts need no patching.
 """
 
 import os
@@ -9,15 +9,15 @@ import warnings
 
 import dagster as dg
 
-# This pipeline needs backfill policies, partition mappings and partitioned checks. Dagster calls
-# them beta or preview and would warn at each load. This must stand before our own assets.
+# Backfill policies, partition mappings and partitioned checks are beta or preview in Dagster, which
+# would warn at each load. The filters must precede the import of our assets.
 warnings.filterwarnings("ignore", category=dg.BetaWarning)
 warnings.filterwarnings("ignore", category=dg.PreviewWarning)
 
 from oracle_pipeline.bags.terminal import escape_logs  # noqa: E402
-from oracle_pipeline.programs import clashes_explained  # noqa: E402
+from oracle_pipeline.programs import explain_clashes  # noqa: E402
 
-with clashes_explained():
+with explain_clashes():
     from assets import (
         arrivals,
         automation,
@@ -54,7 +54,7 @@ def build_defs(**overrides: object) -> dg.Definitions:
     Raises
     ------
     TypeError
-        If there is no such resource.
+        If a resource does not exist.
     """
     resources: dict[str, object] = {
         "store": RunStore(root=os.environ.get("ORACLE_HOME") or "data"),
@@ -67,7 +67,7 @@ def build_defs(**overrides: object) -> dg.Definitions:
         "io_manager": NoValues(),
     }
     if unknown := overrides.keys() - resources.keys():
-        raise TypeError(f"No resource is called {sorted(unknown)}; there are {sorted(resources)}.")
+        raise TypeError(f"There is no resource {sorted(unknown)}; there are {sorted(resources)}.")
     return dg.Definitions(
         assets=[
             *dg.load_assets_from_modules(

@@ -1,7 +1,7 @@
 """A run directory, a live recording or a foreign bag, opened and checked.
 
-A run directory has a manifest, a bag and graphs; a recording that ``oracle watch`` made has a bag
-and graphs; a foreign bag has neither, and methods that need them raise an error.
+A run directory has a manifest, a bag and graphs. A live recording of ``oracle watch`` has a bag and
+graphs. A foreign bag has neither manifest nor graphs.
 """
 
 import logging
@@ -31,12 +31,12 @@ class OpenedRun:
 
     path: Path
     bag: BagReader
-    manifest: Manifest | None  # None: a live recording or a foreign bag
-    intervals: tuple[Interval, ...]  # empty: a foreign bag
+    manifest: Manifest | None  # None for a live recording or a foreign bag
+    intervals: tuple[Interval, ...]  # empty for a foreign bag
 
     @property
     def duration_s(self) -> float:
-        """From the first message to the last [s]."""
+        """Time from the first message to the last [s]."""
         return (self.bag.end_ns - self.bag.start_ns) * 1e-9
 
     def __enter__(self) -> Self:
@@ -52,16 +52,16 @@ def open_run(path: Path, *, strict: bool = False) -> OpenedRun:
     Parameters
     ----------
     path : Path
-        ``<root>/runs/<mode>/run003``, what ``oracle watch`` recorded, the folder of a rosbag2, a
+        ``<root>/runs/<mode>/run003``, a recording of ``oracle watch``, the folder of a rosbag2, a
         single ``.mcap`` or ``.db3`` file, or a ROS 1 ``.bag``.
 
-    The files of a run directory are compared with the hashes in its manifest first. A run that an
-    older release recorded has none; it is opened with a warning.
+    The files of a run directory are first compared with the hashes in its manifest. Runs of older
+    releases have no hashes; they are opened with a warning.
 
     Raises
     ------
     OracleError
-        If it is none of these, is incomplete or damaged, or if its bag does not match its manifest.
+        If it is none of these, incomplete or damaged, or if its bag does not match its manifest.
     """
     if (path / MANIFEST_FILE).is_file():
         return _open_run_directory(path)
@@ -70,8 +70,8 @@ def open_run(path: Path, *, strict: bool = False) -> OpenedRun:
         return OpenedRun(path, BagReader(path / BAG_FOLDER, strict=strict), None, intervals)
     if any((path / part).exists() for part in (BAG_FOLDER, GRAPHS_FOLDER)):
         raise RunDirectoryError(
-            f"{path} looks like a run directory but has no {MANIFEST_FILE}, so the run is not "
-            f"complete; record it again, or name {path / BAG_FOLDER} to read its bag alone."
+            f"{path} looks like a run directory but has no {MANIFEST_FILE}, so the run is "
+            f"incomplete; record it again, or use {path / BAG_FOLDER} to read only its bag."
         )
     return OpenedRun(path, BagReader(path, strict=strict), None, ())
 
@@ -100,8 +100,8 @@ def _open_run_directory(path: Path) -> OpenedRun:
         bag.close()
         differing = sorted(n for n in held | claimed if held.get(n) != claimed.get(n))
         raise BagError(
-            f"{bag.path} is not the whole bag that {path / MANIFEST_FILE} is about: the numbers of "
+            f"{bag.path} is not the complete bag of {path / MANIFEST_FILE}: the numbers of "
             f"messages on {', '.join(differing)} differ. If it was trimmed to save space, "
-            f"`oracle-sim remake {path}` makes it whole."
+            f"`oracle-sim remake {path}` restores it."
         )
     return OpenedRun(path, bag, manifest, intervals)

@@ -15,7 +15,7 @@ plugins_option = click.option(
 
 
 def format_option(*formats: str, text: str) -> Callable[[Command], Command]:
-    """Return the option that chooses among output formats, the first by default."""
+    """Return the option for the output format; the first is the default."""
     return click.option(
         "--format", "file_format", type=click.Choice(formats), default=formats[0],
         show_default=True, help=text,
@@ -23,14 +23,14 @@ def format_option(*formats: str, text: str) -> Callable[[Command], Command]:
 
 
 def output_option(name: str, text: str, *, required: bool = False) -> Callable[[Command], Command]:
-    """Return an option that names a file to write."""
+    """Return an option for a file to write."""
     return click.option(
         name, type=click.Path(path_type=Path, dir_okay=False), help=text, required=required
     )
 
 
 def rate_option(name: str, text: str) -> Callable[[Command], Command]:
-    """Return an option that takes a rate between 0 and 1, by default 0.05."""
+    """Return an option for a rate between 0 and 1, by default 0.05."""
     return click.option(
         name, default=0.05, show_default=True, help=text,
         type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),

@@ -1,7 +1,7 @@
-"""Entry points of the programs whose code lives in the packages above this one.
+"""Entry points of the programs in the packages ``assets``, ``resources`` and ``sim``.
 
-``assets``, ``resources`` and ``sim`` are common names. If another distribution or folder has a
-package of the same name, Python may import that one. The error message here explains such a clash.
+These are common names. If another distribution or folder has a package of the same name, Python may
+import that one. This module explains such a clash in an error message.
 """
 
 import pkgutil
@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 _OURS = ("assets", "resources", "sim")
-_ROOT = Path(__file__).parents[1]  # the folder that all our packages are in
+_ROOT = Path(__file__).parents[1]  # the folder of all our packages
 
 
 def oracle_sim() -> None:
@@ -26,8 +26,8 @@ def oracle_ui() -> None:
 
 
 @contextmanager
-def clashes_explained() -> Iterator[None]:
-    """Explain an import error that a clash of names has caused.
+def explain_clashes() -> Iterator[None]:
+    """Explain import errors caused by a clash of package names.
 
     Raises
     ------
@@ -37,15 +37,15 @@ def clashes_explained() -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        if told := _clash():
-            raise ImportError(told) from error
+        if explanation := _clash():
+            raise ImportError(explanation) from error
         raise
 
 
 def _run(place: str) -> None:
     """Run the program at a place, ``module:attribute``."""
     try:
-        with clashes_explained():
+        with explain_clashes():
             program = pkgutil.resolve_name(place)
     except ImportError as error:
         sys.exit(f"Error: {error}")
@@ -53,7 +53,7 @@ def _run(place: str) -> None:
 
 
 def _clash() -> str:
-    """Return a sentence on what hides one of our packages; empty if nothing does."""
+    """Return a sentence on the package that hides one of ours; empty without one."""
     for name in _OURS:
         found = find_spec(name)
         places = [] if found is None else [*(found.submodule_search_locations or ())]
@@ -62,6 +62,6 @@ def _clash() -> str:
             return (
                 f"Python finds the package {name!r} of ros2-behaviour-oracle in {where} instead of "
                 f"{_ROOT / name}. Another package has the same name: install this one into a "
-                "virtual environment of its own, or start the command in another folder."
+                "separate virtual environment, or start the command in another folder."
             )
     return ""

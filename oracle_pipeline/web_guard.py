@@ -1,10 +1,9 @@
 """A guard for the web server: pages of other origins cannot use it.
 
 Dagster's web server has no login, and accepts GraphQL by GET and as plain text. A browser sends
-both for any page that its user visits, and a name that is rebound to 127.0.0.1 makes such a page
-look like ours. So a request must name a known host, must come from our own page or from no page,
-and may change things only as a JSON POST. A browser asks before it sends a JSON POST to another
-origin.
+both for any page that its user visits, and DNS rebinding makes such a page appear to be ours. So a
+request must have a known host, must come from our own page or from no page, and may change state
+only as a JSON POST, which browsers send to another origin only after a CORS preflight.
 
 References: Fetch Standard (CORS-safelisted requests, ``Sec-Fetch-*``), RFC 6454 (origins).
 """
@@ -20,7 +19,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 VARIABLE = "ORACLE_UI_ORIGINS"
 BEHIND_A_PROXY = (
-    f"Behind a proxy, {VARIABLE} names where people open the UI (docs/how-to/security.md)."
+    f"Behind a proxy, set {VARIABLE} to the public address of the UI (docs/how-to/security.md)."
 )
 _LOOPBACK = {"127.0.0.1", "localhost", "[::1]"}
 _HOST = re.compile(r"([a-z0-9._-]+|\[[0-9a-f:.]+\])(?::[0-9]{1,5})?")
@@ -38,12 +37,12 @@ def parse_origins(text: str) -> list[str]:
     Parameters
     ----------
     text
-        Origins that a comma or a space divides, such as ``https://oracle.example.org:8443``.
+        Origins separated by commas or spaces, such as ``https://oracle.example.org:8443``.
 
     Raises
     ------
     OriginError
-        One of them has another form.
+        An entry is not an origin.
     """
     return [_normal(entry) for entry in re.split(r"[\s,]+", text) if entry]
 
@@ -54,24 +53,24 @@ def _normal(origin: str) -> str:
     if parts.scheme not in {"http", "https"} or not _HOST.fullmatch(parts.netloc) \
             or origin.lower().rstrip("/") != bare:  # fmt: skip
         raise OriginError(
-            f"{origin!r} in {VARIABLE} is no origin. Write scheme, name and port as the browser "
-            "shows them, such as https://oracle.example.org or http://10.0.0.5:3000."
+            f"{origin!r} in {VARIABLE} is not an origin. Write scheme, name and port as the "
+            "browser shows them, such as https://oracle.example.org or http://10.0.0.5:3000."
         )
     default = {"http": ":80", "https": ":443"}[parts.scheme]
     return bare.removesuffix(default)
 
 
 class Guard:
-    """Forward requests of our own pages and of programs, and refuse all others.
+    """Forwards requests of our own pages and of programs, and rejects all others.
 
     Parameters
     ----------
     app
         The web server's application.
     origins
-        Where people open the UI, besides loopback addresses: see `parse_origins`.
+        Allowed origins, besides loopback addresses: see `parse_origins`.
     advice
-        Advice for a user whose request is refused.
+        Advice in the response to rejected requests.
     """
 
     def __init__(
@@ -83,7 +82,7 @@ class Guard:
         self._hosts = frozenset(urlsplit(origin).netloc for origin in origins)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request, or refuse it with the reason."""
+        """Answer one request, or reject it with the reason."""
         if scope["type"] == "lifespan":
             return await self._app(scope, receive, send)
         refusal = self._refusal(scope, Headers(scope=scope))
@@ -97,30 +96,30 @@ class Guard:
         return await PlainTextResponse(reason + "\n", status)(scope, receive, send)
 
     def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, str] | None:
-        """Return status and reason of a refusal, None if there is none."""
+        """Return status and reason if a request is to be rejected, else None."""
         for name in ("host", "origin", "content-type"):
             if len(headers.getlist(name)) > 1:
                 return 400, f"There is more than one header {name!r}."
         host, origin = headers.get("host", "").lower(), headers.get("origin")
         if not (is_loopback(host) or host in self._hosts):
-            return 403, f"The host {host!r} is not one of this server. {self._advice}"
+            return 403, f"The host {host!r} does not belong to this server. {self._advice}"
         if origin is not None and not self._is_ours(origin.lower(), host):
-            return 403, f"The origin {origin!r} is not one of this server. {self._advice}"
+            return 403, f"The origin {origin!r} does not belong to this server. {self._advice}"
         if scope["type"] == "websocket":
             return None
         method = scope["method"]
         if origin is None and _is_sent_by_another_site(method, headers):
-            return 403, f"The page of another site asks. {self._advice}"
+            return 403, f"The request comes from a page of another site. {self._advice}"
         if method in {"GET", "HEAD"}:
             asks_graphql = scope["path"].rstrip("/").endswith("/graphql")
             if asks_graphql and "text/html" not in headers.get("accept", ""):
-                return 405, "GraphQL is taken as a POST of JSON only."
+                return 405, "GraphQL is accepted only as a POST of JSON."
             return None
         if method != "POST":
-            return 405, f"The method {method} is not taken."
+            return 405, f"The method {method} is not allowed."
         media_type = headers.get("content-type", "").partition(";")[0].strip().lower()
         if media_type != "application/json":
-            return 415, "A POST is taken as application/json only."
+            return 415, "A POST is accepted only as application/json."
         return None
 
     def _is_ours(self, origin: str, host: str) -> bool:
@@ -128,12 +127,12 @@ class Guard:
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether a header names this machine, at any port (as through a tunnel)."""
+    """Return whether a host header is a loopback address, at any port (as through a tunnel)."""
     return bool(_HOST.fullmatch(host)) and re.sub(r":[0-9]+$", "", host) in _LOOPBACK
 
 
 def _is_sent_by_another_site(method: str, headers: Headers) -> bool:
-    """Tell whether a page of another site sent the request, other than by following a link."""
+    """Return whether a page of another site sent the request, other than by a link."""
     if headers.get("sec-fetch-site", "none") in {"none", "same-origin"}:
         return False
     follows = headers.get("sec-fetch-mode"), headers.get("sec-fetch-dest")
@@ -141,7 +140,7 @@ def _is_sent_by_another_site(method: str, headers: Headers) -> bool:
 
 
 def _not_in_foreign_frames(send: Send) -> Send:
-    """Forbid pages of other origins to show ours in a frame, which could steal clicks."""
+    """Forbid pages of other origins to embed ours in a frame, against clickjacking."""
 
     async def framed(message: Message) -> None:
         if message["type"] == "http.response.start":

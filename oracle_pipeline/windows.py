@@ -1,16 +1,15 @@
 """The windows of a recording: spans of time, each with a row of features.
 
-Windows are short, so an alarm comes early: the first window that can raise one ends its length
-after the start of the recording. A window is shorter than the interval between graphs, so it has
-the newest graph that existed when it ended.
+Windows are short, so that alarms come early. A window is shorter than the interval between graphs,
+so it uses the newest graph that was complete when it ended.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-WINDOW_S = 5.0  # length of a window; the end of the recording may cut the last one off [s]
-HOP_S = WINDOW_S / 2  # from the start of one window to that of the next [s]
-MIN_WINDOW_S = HOP_S  # a shorter rest at the end of a recording has no window [s]
+WINDOW_S = 5.0  # length of a window; the last one may be shorter [s]
+HOP_S = WINDOW_S / 2  # between the starts of two windows [s]
+MIN_WINDOW_S = HOP_S  # shortest last window [s]
 
 _SECOND_NS = 1_000_000_000
 
@@ -34,8 +33,8 @@ def windows_ns(duration_ns: int, times_ns: NDArray[np.int64]) -> list[tuple[int,
     length_ns, hop_ns, shortest_ns = (
         round(seconds * _SECOND_NS) for seconds in (WINDOW_S, HOP_S, MIN_WINDOW_S)
     )
-    newest = times_ns // hop_ns  # window that a message is in
-    back = np.arange(length_ns // hop_ns)  # those before it reach so far too
+    newest = times_ns // hop_ns  # last window with each message
+    back = np.arange(length_ns // hop_ns)  # earlier overlapping windows have it too
     numbers = np.unique((np.unique(newest)[:, np.newaxis] - back).ravel())
     starts = numbers[numbers >= 0] * hop_ns
     return [

@@ -14,7 +14,7 @@ from resources.store import RunStore
 
 
 class StorageBudget(dg.ConfigurableResource[None]):
-    """Plan storage before runs start, so that a lack of disk space is an error at the start."""
+    """Plans storage before runs start, so that a lack of disk space is reported at once."""
 
     limit: str = Field(
         default="",
@@ -33,7 +33,7 @@ class StorageBudget(dg.ConfigurableResource[None]):
         Raises
         ------
         dagster.Failure
-            If not even graphs and features fit; it names the number of blocks that would.
+            If graphs and features alone do not fit; it states the number of blocks that would.
         """
         with clear_failures():
             budget = parse_budget(self.limit)
@@ -50,7 +50,7 @@ class StorageBudget(dg.ConfigurableResource[None]):
 
     @contextlib.contextmanager
     def alone(self, store: RunStore) -> Iterator[None]:
-        """Hold the root, so that only one materialization writes runs below it at a time.
+        """Lock the root, so that only one materialization writes runs below it at a time.
 
         A plan is valid only while no other process fills the disk. A second materialization waits.
         """
@@ -62,8 +62,8 @@ class StorageBudget(dg.ConfigurableResource[None]):
                 held.enter_context(lock(store.path, wait=False))
             except BlockingIOError:
                 dg.get_dagster_logger("oracle").info(
-                    f"Another materialization writes runs below {store.path}; this one waits until "
-                    "it has ended."
+                    f"Another materialization writes runs below {store.path}; waiting until it has "
+                    "ended."
                 )
                 held.enter_context(lock(store.path))
             yield

@@ -1,4 +1,4 @@
-"""What all runs of the campaign have in common."""
+"""Settings that all runs of the campaign share."""
 
 from typing import Literal, Self
 
@@ -9,7 +9,7 @@ from sim.campaigns import DEFAULT_SEED, ArenaChoice, Campaign, Navigation, Optio
 
 
 class CampaignSettings(dg.ConfigurableResource[None]):
-    """Settings of the experiment runs; other values give other runs."""
+    """Settings of the experiment runs."""
 
     seed: int = Field(
         default=DEFAULT_SEED,
@@ -24,7 +24,7 @@ class CampaignSettings(dg.ConfigurableResource[None]):
     )
     arena: ArenaChoice = Field(
         default="drawn",
-        description="World of the runs; drawn: hexagon, house and random arenas take turns.",
+        description="World of the runs; drawn: alternate hexagon, house and random arenas.",
     )
     nav2: Navigation = Field(
         default="tuned",
@@ -34,7 +34,7 @@ class CampaignSettings(dg.ConfigurableResource[None]):
     sessions: int | None = Field(
         default=None,
         ge=1,
-        description="Sessions in which blocks take turns; by default, each block has its own.",
+        description="Number of sessions to distribute blocks over; by default one per block.",
     )
     noise_per_run: bool = Field(
         default=False,
@@ -44,7 +44,7 @@ class CampaignSettings(dg.ConfigurableResource[None]):
 
     @classmethod
     def from_environment(cls) -> Self:
-        """Return the settings in the environment variables."""
+        """Return the settings from environment variables."""
         wanted = Campaign.from_environment()
         return cls(
             goals_per_run=wanted.goals_per_run,

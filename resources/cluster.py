@@ -18,7 +18,7 @@ from oracle_pipeline.bags.errors import OracleError
 
 R = TypeVar("R")
 
-PATIENCE_S = 60  # for the scheduler to answer, and for the first worker to come
+PATIENCE_S = 60  # timeout for the scheduler, and for the first worker
 
 
 class ClusterError(OracleError):
@@ -26,7 +26,7 @@ class ClusterError(OracleError):
 
 
 class WorkerLost(BrokenExecutor):
-    """A worker died, or the scheduler went away, before the result was here."""
+    """A worker died, or the scheduler became unreachable, before the result arrived."""
 
 
 class DaskExecutor(Executor):
@@ -57,37 +57,36 @@ class DaskExecutor(Executor):
                 f"The Dask scheduler at {address} has no workers; start some with "
                 f"`dask worker {address} --nthreads 1`."
             ) from error
-        # A key of its own, for equal calls are each done; and keys of one group: the scheduler then
-        # keeps what no worker is free for instead of dealing all out, so that a worker that dies
-        # takes few jobs with it.
+        # Unique keys, so that equal calls are all executed, of one group, so that the scheduler
+        # queues jobs until a worker is free. A worker that dies then takes few jobs with it.
         self._group, self._numbers = secrets.token_hex(8), itertools.count()
-        # The cluster forgets what nobody holds.
-        self._there: dict[Future[Any], distributed.Future[Any]] = {}
+        # Keep references: the cluster drops results without any.
+        self._remote: dict[Future[Any], distributed.Future[Any]] = {}
 
     def submit(self, fn: Callable[..., R], /, *args: Any, **kwargs: Any) -> Future[R]:
         """Submit a call to the cluster."""
         key = (f"{getattr(fn, '__name__', 'job')}-{self._group}", next(self._numbers))
-        here: Future[R] = Future()
-        there = self._client.submit(fn, *args, key=key, **kwargs)
-        self._there[here] = there
-        here.set_running_or_notify_cancel()
-        there.add_done_callback(partial(self._pass_on, here))
-        return here
+        local: Future[R] = Future()
+        remote = self._client.submit(fn, *args, key=key, **kwargs)
+        self._remote[local] = remote
+        local.set_running_or_notify_cancel()
+        remote.add_done_callback(partial(self._resolve, local))
+        return local
 
-    def _pass_on(self, here: Future[R], there: "distributed.Future[R]") -> None:
-        """End our future with the outcome of the cluster's future."""
+    def _resolve(self, local: Future[R], remote: "distributed.Future[R]") -> None:
+        """Resolve our future with the outcome of the cluster's future."""
         try:
-            here.set_result(there.result(timeout=PATIENCE_S))
+            local.set_result(remote.result(timeout=PATIENCE_S))
         except (distributed.KilledWorker, CancelledError, OSError) as error:
-            raised_there = there.status == "error" and isinstance(error, OSError)
-            here.set_exception(error if raised_there else WorkerLost(str(error)))
+            raised_remotely = remote.status == "error" and isinstance(error, OSError)
+            local.set_exception(error if raised_remotely else WorkerLost(str(error)))
         except BaseException as error:
-            here.set_exception(error)
+            local.set_exception(error)
         finally:
-            del self._there[here]
+            del self._remote[local]
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Disconnect from the cluster; by option, cancel jobs that have not started."""
         if wait and not cancel_futures:
-            concurrent.futures.wait(list(self._there))
+            concurrent.futures.wait(list(self._remote))
         self._client.close()

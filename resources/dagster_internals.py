@@ -1,7 +1,7 @@
 """The private names of Dagster that we use; only modules of this name import from ``dagster._``.
 
-One step handles many partitions, for which Dagster 1.13 has no public way. The others are types of
-the executor and the run launcher. Tests fail if a Dagster release changes what they do.
+Some let one step handle many partitions, for which Dagster 1.13 has no public way. The others are
+types of the executor and the run launcher. Tests fail if a Dagster release changes their behaviour.
 """
 
 import dagster as dg
@@ -30,8 +30,8 @@ def checked_materialization(
 ) -> AssetCheckEvaluationTargetMaterializationData:
     """Return the reference from a check's result to the materialization that was checked.
 
-    Dagster sets it by itself only for a step of one partition. Without it, the UI cannot tell
-    whether the newest materialization of a partition has been checked.
+    Dagster sets it only for a step of one partition. Without it, the UI cannot show whether the
+    newest materialization of a partition has been checked.
     """
     return AssetCheckEvaluationTargetMaterializationData(
         storage_id=record.storage_id, run_id=record.run_id, timestamp=record.timestamp
@@ -41,8 +41,8 @@ def checked_materialization(
 def output_without_event(output_name: str) -> dg.Output[None]:
     """Return an output that lets downstream steps start but records no materialization.
 
-    The step has recorded one for each partition already. An output that is simply left out
-    (``skippable=True``) would make Dagster skip the downstream steps.
+    The step has recorded one for each partition already. Omitting the output (``skippable=True``)
+    would make Dagster skip the downstream steps.
     """
     return dg.Output(
         None,

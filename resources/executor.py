@@ -1,4 +1,4 @@
-"""The executor of all jobs: Dagster's in-process executor, with a record of its process."""
+"""The executor of all jobs: Dagster's in-process executor, which registers its process."""
 
 from collections.abc import Iterator
 
@@ -8,8 +8,8 @@ from resources.dagster_internals import ExecutionPlan, PlanOrchestrationContext,
 from resources.run_processes import fail_lost_runs, hold
 
 
-class _KnownProcess(dg.Executor):
-    """Execute all steps in this process, so that a run whose process was killed is noticed."""
+class _RegisteredProcessExecutor(dg.Executor):
+    """Executes all steps in this process, and registers it so that a killed run is detected."""
 
     def __init__(self, steps: dg.Executor) -> None:
         self._steps = steps
@@ -37,4 +37,4 @@ def in_process_executor(context: dg.InitExecutorContext) -> dg.Executor:
     )
     create = dg.in_process_executor.executor_creation_fn
     assert create is not None  # noqa: S101 -- an executor that Dagster ships
-    return _KnownProcess(create(settings))
+    return _RegisteredProcessExecutor(create(settings))

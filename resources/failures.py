@@ -1,4 +1,4 @@
-"""Turns errors that a user can fix into a failure that Dagster shows with its remedy."""
+"""Turns errors that users can fix into Dagster failures with a remedy."""
 
 import contextlib
 import errno
@@ -10,11 +10,11 @@ from oracle_pipeline.bags.errors import OracleError
 
 _ADVICE = {
     errno.ENOSPC: "the disk is full; free some space, or point ORACLE_HOME to another disk",
-    errno.EFBIG: "a file may not grow so large; raise `ulimit -f`, or point ORACLE_HOME elsewhere",
+    errno.EFBIG: "the file is too large; raise `ulimit -f`, or point ORACLE_HOME elsewhere",
     errno.EDQUOT: "the disk quota is used up; free some space, or point ORACLE_HOME elsewhere",
-    errno.EACCES: "it may not be written; point ORACLE_HOME to a folder that is yours",
-    errno.EPERM: "it may not be written; point ORACLE_HOME to a folder that is yours",
-    errno.EROFS: "it is on a read-only disk; point ORACLE_HOME to a folder that can be written",
+    errno.EACCES: "permission denied; point ORACLE_HOME to a folder that you can write to",
+    errno.EPERM: "permission denied; point ORACLE_HOME to a folder that you can write to",
+    errno.EROFS: "it is on a read-only disk; point ORACLE_HOME to a folder that you can write to",
 }
 
 
@@ -22,7 +22,7 @@ _ADVICE = {
 def clear_failures() -> Iterator[None]:
     """Turn our own errors and disk errors into a ``dagster.Failure`` with the remedy.
 
-    Anything else passes: it is a bug, and its traceback helps more.
+    Other exceptions are bugs; they propagate with their traceback.
     """
     try:
         yield

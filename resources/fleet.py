@@ -16,32 +16,32 @@ from sim.worker_pool import LentPool, WorkerPool
 J = TypeVar("J")
 R = TypeVar("R")
 
-NEWS_S = 10.0  # between two lines on the progress of a step
+PROGRESS_S = 10.0  # between two log lines on the progress of a step
 
 
 class Fleet(dg.ConfigurableResource[None]):
     """Worker processes, each a fresh interpreter. Their code imports no Dagster.
 
-    In a Dagster run they stay until its end: all steps share them, and none waits for imports.
+    All steps of a Dagster run share them, so that imports happen once.
     """
 
     workers: int = Field(
         default=os.cpu_count() or 1,
         ge=1,
-        description="Runs that are worked on at a time on this machine; a cluster has its own.",
+        description="Number of parallel worker processes on this machine; unused with a cluster.",
     )
-    # No part of a run's config: whoever starts a run must not choose whom this process connects to.
+    # Not part of the run config: a run request must not choose what this process connects to.
     address: dg.ResourceDependency[str] = Field(
         default="",  # type: ignore[arg-type]  # Dagster makes a dependency of it
         description="Scheduler of a Dask cluster to work on, such as `tcp://host:8786`; "
         "empty: this machine.",
     )
-    _pool: WorkerPool | None = PrivateAttr(default=None)  # of a Dagster run, once it has a job
-    _stays: bool = PrivateAttr(default=False)
+    _pool: WorkerPool | None = PrivateAttr(default=None)  # of a Dagster run, created on first use
+    _shares_pool: bool = PrivateAttr(default=False)
 
     def setup_for_execution(self, context: dg.InitResourceContext) -> None:  # noqa: ARG002
-        """Let the workers stay until the run ends."""
-        self._stays = True
+        """Share the workers until the run ends."""
+        self._shares_pool = True
 
     def teardown_after_execution(self, context: dg.InitResourceContext) -> None:  # noqa: ARG002
         """End the workers."""
@@ -53,7 +53,7 @@ class Fleet(dg.ConfigurableResource[None]):
     ) -> Iterator[Outcome[J, R]]:
         """Yield the outcome of each job when it finishes; a failure does not affect other jobs.
 
-        Progress and failures go to the log of the Dagster run.
+        Progress and failures are logged to the Dagster run.
 
         Parameters
         ----------
@@ -62,24 +62,24 @@ class Fleet(dg.ConfigurableResource[None]):
         jobs
             In the order in which they start.
         done
-            What to call jobs that are over, in the log.
+            Name of finished jobs in the log.
 
         Raises
         ------
         dagster.Failure
-            No scheduler answers at the address, or it has no workers.
+            The scheduler does not answer, or has no workers.
         """
         log = dg.get_dagster_logger()
-        failed, started, told = 0, time.monotonic(), time.monotonic()
+        failed, started, logged = 0, time.monotonic(), time.monotonic()
         with clear_failures():
             for over, outcome in enumerate(self._fan_out(function, jobs), start=1):
                 if outcome.error is not None:
                     failed += 1
                     log.warning(f"{outcome.job} failed: {outcome.error}")
                 now = time.monotonic()
-                if over == len(jobs) or now - told >= NEWS_S:
-                    told = now
-                    log.info(_news(over, len(jobs), done, failed, now - started))
+                if over == len(jobs) or now - logged >= PROGRESS_S:
+                    logged = now
+                    log.info(_progress(over, len(jobs), done, failed, now - started))
                 yield outcome
 
     def _fan_out(self, function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[Outcome[J, R]]:
@@ -90,22 +90,22 @@ class Fleet(dg.ConfigurableResource[None]):
         return fan_out(function, jobs, lambda: DaskExecutor(self.address))
 
     def _workers(self) -> Executor:
-        """Return the workers of this machine, as many as there are jobs at a time."""
-        if not self._stays:
+        """Return the local worker processes."""
+        if not self._shares_pool:
             return process_pool(self.workers)
         if self._pool is None:
             self._pool = process_pool(self.workers)
         return LentPool(self._pool)
 
 
-def _news(over: int, jobs: int, done: str, failed: int, seconds: float) -> str:
-    """Return a sentence on the progress of a step, and how long the rest will take.
+def _progress(over: int, jobs: int, done: str, failed: int, seconds: float) -> str:
+    """Return a sentence on the progress of a step, with the remaining time.
 
     Examples
     --------
-    >>> _news(6, 18, "runs done", 1, 60.4)
+    >>> _progress(6, 18, "runs done", 1, 60.4)
     '6 of 18 runs done in 60 s, 1 failed; about 2 min to go.'
-    >>> _news(18, 18, "runs done", 0, 181.0)
+    >>> _progress(18, 18, "runs done", 0, 181.0)
     '18 of 18 runs done in 3 min, none failed.'
     """
     rest = f"; about {in_words(seconds / over * (jobs - over))} to go" if over < jobs else ""

@@ -1,4 +1,4 @@
-"""The folder where recordings arrive from elsewhere, and the reference card to judge them by."""
+"""The folder for recordings from other sources, and the reference card to judge them with."""
 
 import os
 from pathlib import Path
@@ -12,13 +12,13 @@ INBOX, CARD = "ORACLE_INBOX", "ORACLE_CARD"
 
 
 class InboxError(OracleError):
-    """The folder or the card is not configured, or not there."""
+    """The folder or the card is not configured, or does not exist."""
 
 
 class Inbox(dg.ConfigurableResource[None]):
-    """Where recordings arrive. With empty settings, nothing is judged."""
+    """The inbox folder and the card. With empty settings, nothing is judged."""
 
-    # No part of a run's config: whoever starts a run must not choose what this process reads.
+    # Not part of the run config: a run request must not choose what this process reads.
     folder: dg.ResourceDependency[str] = Field(
         default="",  # type: ignore[arg-type]  # Dagster makes a dependency of it
         description="Folder that recordings are dropped into.",
@@ -40,13 +40,13 @@ class Inbox(dg.ConfigurableResource[None]):
         Raises
         ------
         InboxError
-            It is not configured, or there is none.
+            It is not configured, or does not exist.
         """
         if not self.folder:
             raise InboxError(f"No inbox is configured: set {INBOX} to a folder, and reload.")
         folder = Path(self.folder).expanduser().resolve()
         if not folder.is_dir():
-            raise InboxError(f"There is no folder {folder}; make it, or correct {INBOX}.")
+            raise InboxError(f"There is no folder {folder}; create it, or correct {INBOX}.")
         return folder
 
     @property
@@ -56,7 +56,7 @@ class Inbox(dg.ConfigurableResource[None]):
         Raises
         ------
         InboxError
-            It is not configured, or there is none.
+            It is not configured, or does not exist.
         """
         if not self.card:
             raise InboxError(
@@ -65,5 +65,5 @@ class Inbox(dg.ConfigurableResource[None]):
             )
         card = Path(self.card).expanduser().resolve()
         if not card.is_file():
-            raise InboxError(f"There is no reference card {card}; write it with `oracle learn`.")
+            raise InboxError(f"There is no reference card {card}; create it with `oracle learn`.")
         return card

@@ -1,7 +1,6 @@
 """The run launcher of our Dagster instances: the default one, with a health check.
 
-Dagster's monitoring daemon asks it whether the process of a run still exists. The default launcher
-cannot tell.
+Dagster's monitoring daemon uses it to detect runs whose process has died.
 """
 
 import dagster as dg
@@ -11,15 +10,15 @@ from resources.run_processes import reason_of_loss
 
 
 class WatchedRunLauncher(dg.DefaultRunLauncher):
-    """Start runs at the code server, and detect runs on this machine whose process has died."""
+    """Starts runs at the code server, and detects runs on this machine whose process has died."""
 
     @property
     def supports_check_run_worker_health(self) -> bool:
-        """Whether the monitoring daemon is to ask."""
+        """Whether the monitoring daemon should check the health of runs."""
         return True
 
     def check_run_worker_health(self, run: dg.DagsterRun) -> CheckRunHealthResult:
-        """Tell whether the process of a run has died, whichever program started it."""
+        """Return whether the process of a run is alive, whichever program started it."""
         if reason := reason_of_loss(self._instance, run.run_id):
             return CheckRunHealthResult(WorkerStatus.FAILED, reason)
         return CheckRunHealthResult(WorkerStatus.RUNNING)

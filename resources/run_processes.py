@@ -1,10 +1,10 @@
-"""Keeps account of the processes that execute Dagster runs, and finds runs whose process died.
+"""Registers the processes that execute Dagster runs, and finds runs whose process has died.
 
 A killed process cannot report its end: Dagster would show its run as started indefinitely, and the
-queue would count it. So each process locks a file of its own (``flock``) while it executes a run.
-The kernel releases the lock when the process ends, however it ends. Therefore neither a reused
-process number nor a changed clock matters. The files are below the folder of the Dagster instance
-on this machine. Runs of other machines have no file here, and are left alone.
+queue would count it. So each process locks a file (``flock``) while it executes a run. The kernel
+releases the lock when the process ends for any reason, so neither a reused process id nor a changed
+clock matters. The files are below the local folder of the Dagster instance. Runs of other machines
+have no file here, and are ignored.
 """
 
 import fcntl
@@ -17,18 +17,18 @@ import dagster as dg
 
 from oracle_pipeline.bags.scratch import lock
 
-# Held until this process ends, or its run has ended and another one starts in it.
+# Open files by run, closed when this process ends or starts another run.
 _held: dict[str, int] = {}
 
 
 def hold(instance: dg.DagsterInstance, run_id: str) -> None:
-    """Record that this process executes a run, until the process ends."""
-    for former in [known for known in _held if _has_ended(instance, known)]:
-        os.close(_held.pop(former))
+    """Register this process as the executor of a run, until the process ends."""
+    for ended in [held for held in _held if _has_ended(instance, held)]:
+        os.close(_held.pop(ended))
     folder = _folder(instance)
     folder.mkdir(parents=True, exist_ok=True)
     since = datetime.now(UTC).isoformat(timespec="seconds")
-    with lock(folder):  # nobody may look at the file before it is held
+    with lock(folder):  # no process may check the file before it is locked
         descriptor = os.open(folder / run_id, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o600)
         fcntl.flock(descriptor, fcntl.LOCK_EX)
     os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}, since {since}".encode())
@@ -41,7 +41,7 @@ def fail_lost_runs(instance: dg.DagsterInstance) -> list[str]:
     if not folder.is_dir():
         return []
     lost = []
-    with lock(folder):  # two commands may look at a time
+    with lock(folder):  # two commands may check at the same time
         for run_id in sorted(file.name for file in folder.iterdir()):
             run, reason = instance.get_run_by_id(run_id), reason_of_loss(instance, run_id)
             if reason and run is not None and run.status == dg.DagsterRunStatus.STARTED:
@@ -53,7 +53,7 @@ def fail_lost_runs(instance: dg.DagsterInstance) -> list[str]:
 
 
 def reason_of_loss(instance: dg.DagsterInstance, run_id: str) -> str | None:
-    """Return why the process of a run is gone; None if it lives, or is not of this machine."""
+    """Return why the process of a run is gone; None if it is alive, or on another machine."""
     file = _folder(instance) / run_id
     try:
         with lock(file, wait=False):
@@ -61,8 +61,8 @@ def reason_of_loss(instance: dg.DagsterInstance, run_id: str) -> str | None:
     except (BlockingIOError, FileNotFoundError):
         return None
     return (
-        f"The process of this run is gone ({process}): it was killed, memory was short, or the "
-        "machine was restarted. What is finished is kept; ask for the same again to complete it."
+        f"The process of this run is gone ({process}): it was killed, ran out of memory, or the "
+        "machine was restarted. Finished work is kept; start the same run again to complete it."
     )
 
 

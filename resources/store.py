@@ -1,4 +1,4 @@
-"""The layout of the folder that holds runs, features, datasets and reports, here or on S3."""
+"""The folder of runs, features, datasets and reports, on the local disk or on S3."""
 
 import secrets
 from pathlib import Path
@@ -12,32 +12,32 @@ from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
 
 
 class RunStore(dg.ConfigurableResource[None]):
-    """The folder below which everything is kept."""
+    """The root folder of all content."""
 
-    # No part of a run's config: whoever starts a run must not choose where this process writes.
+    # Not part of the run config: a run request must not choose where this process writes.
     root: dg.ResourceDependency[str] = Field(
         default="data",  # type: ignore[arg-type]  # Dagster makes a dependency of it
-        description="Folder for runs, features, datasets and the report, made if it is not there; "
-        "or one in an object store, such as `s3://bucket/prefix`.",
+        description="Folder for runs, features, datasets and the report, created if necessary; or "
+        "a folder in an object store, such as `s3://bucket/prefix`.",
     )
 
     @property
     def is_local(self) -> bool:
-        """Whether the root is on this machine, or mounted on it."""
+        """Whether the root is on a local or mounted disk."""
         return "://" not in self.root
 
     @property
     def path(self) -> Path:
-        """The root, absolute; of an object store a ``UPath``, which acts like a ``Path``."""
+        """The absolute root; for an object store a ``UPath``, which acts like a ``Path``."""
         if self.is_local:
             return Path(self.root).expanduser().resolve()
         from upath import UPath
 
-        # Other processes write there: what was listed once need not be what is there now.
+        # Other processes write to the store, so listings must not be cached.
         return cast(Path, UPath(self.root, use_listings_cache=False))
 
     def require_writable(self) -> None:
-        """Create the root; raise an error with advice now if nothing can be written there later."""
+        """Create the root, and raise an error with advice if it is not writable."""
         try:
             if self.is_local:
                 self.path.mkdir(parents=True, exist_ok=True)
@@ -47,14 +47,14 @@ class RunStore(dg.ConfigurableResource[None]):
         except ImportError as error:
             raise dg.Failure(
                 f"{self.root} needs a library that is not installed: {error}. Install it with "
-                "pip install 'ros2-behaviour-oracle[s3]', here and where the workers are.",
+                "pip install 'ros2-behaviour-oracle[s3]', here and on the workers.",
                 allow_retries=False,
             ) from error
-        except Exception as error:  # each object store's client has errors of its own
+        except Exception as error:  # clients of object stores raise various exceptions
             place, advice = (
-                (self.path, "a folder that can be written to")
+                (self.path, "a writable folder")
                 if self.is_local
-                else (self.root, "a bucket that can be written to, and check keys and endpoint")
+                else (self.root, "a writable bucket, and check keys and endpoint")
             )
             raise dg.Failure(
                 f"Nothing can be written below {place}: {error}. Point ORACLE_HOME to {advice}.",
@@ -62,15 +62,15 @@ class RunStore(dg.ConfigurableResource[None]):
             ) from error
 
     def run(self, key: str) -> RunDirectory:
-        """Return the place of a run, by its partition key."""
+        """Return the directory of a run, by its partition key."""
         return RunDirectory.of_key(self.path, key)
 
     def complete_runs(self) -> list[RunDirectory]:
-        """Return the runs that are there, sorted by mode and number."""
+        """Return the existing runs, sorted by mode and number."""
         return find_runs(self.path)
 
     def dataset(self, name: str) -> Path:
-        """Return the place of a table over many runs."""
+        """Return the path of a table over many runs."""
         return layout.dataset(self.path, name)
 
     def results(self, name: str) -> Path:
@@ -78,7 +78,7 @@ class RunStore(dg.ConfigurableResource[None]):
         return layout.report_part(self.path, name)
 
     def grid_indices(self) -> list[Path]:
-        """Return the index of each grid that was recorded below the root."""
+        """Return the path of the index of each grid below the root."""
         return layout.grid_indices(self.path)
 
     @property

@@ -1,7 +1,7 @@
 """The terminal that this process was started from, for progress bars.
 
-Inside a step, Dagster redirects standard error to a log file. So the terminal is remembered when
-this module is imported.
+Inside a step, Dagster redirects standard error to a log file. So this module keeps a reference to
+the terminal from when it was imported.
 """
 
 import os
@@ -12,5 +12,5 @@ _TERMINAL = os.fdopen(os.dup(sys.stderr.fileno()), "w") if sys.stderr.isatty() e
 
 
 def stderr() -> TextIO:
-    """Return the terminal, or the present standard error if there is no terminal."""
+    """Return the terminal, or the current standard error without a terminal."""
     return _TERMINAL or sys.stderr

@@ -1,9 +1,9 @@
 """The feature tables of one run: extracted again only if run, code or tables have changed.
 
-The same reading of the bag gives the signals that rules judge (``oracle_pipeline.oracles.traces``).
+The same pass over the bag gives the signals for the kinds of oracle
 
-A small JSON file beside the tables holds hashes of their inputs and of their content. Heavy imports
-are inside the functions, so that verifying a run is quick.
+(``oracle_pipeline.oracles.traces``). A small JSON file beside the tables has hashes of their inputs
+and content. Heavy imports are inside the functions, so that verifying a run is fast.
 """
 
 import hashlib
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 
 def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bool:
-    """Extract the features of a complete run unless its tables are current; return whether it did.
+    """Extract the features of a run unless its tables are current; return whether it extracted.
 
     Parameters
     ----------
     run, manifest
-        The run and its manifest.
+        A complete run and its manifest.
     refresh
-        Extract in any case.
+        Always extract.
     """
     from oracle_pipeline.datasets import replacing
     from oracle_pipeline.features import build_manager, extract, write
@@ -43,7 +43,7 @@ def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bo
 
     if not refresh and tables_are_current(run, manifest):
         return False
-    _tidy(run)
+    _remove_leftovers(run)
     with fetched(run.path) as folder, open_run(folder) as opened:
         manager, robot = build_manager(), only_robot(opened)
         recording = KeptMessages.read(robot, (*manager.plugins, TRACE))
@@ -66,14 +66,14 @@ def tables_are_current(run: RunDirectory, manifest: Manifest) -> bool:
 
 
 def topics_of_features(bag: "BagReader") -> frozenset[str]:
-    """Return the topics of a bag whose messages a plugin wants decoded."""
+    """Return the topics of a bag that plugins request decoded."""
     from oracle_pipeline.features import build_manager
     from oracle_pipeline.features.kept_messages import decoded_topics
 
     return decoded_topics(bag, build_manager().plugins)
 
 
-def _tidy(run: RunDirectory) -> None:
+def _remove_leftovers(run: RunDirectory) -> None:
     """Remove half-written tables of a killed worker; the caller holds the lock of the run."""
     if is_local(run.root):
         for table in TABLES:
@@ -86,7 +86,7 @@ def _record(run: RunDirectory) -> Path:
 
 
 def _inputs(manifest: Manifest) -> str:
-    """Return a hash of what features depend on: the code, and the run without what was measured."""
+    """Return a hash of the inputs of features: the code, and the run without its measurements."""
     not_inputs = {"measured": None, "task_effect": None}
     sources = {**asdict(manifest), **not_inputs, "code": feature_code()}
     return hashlib.sha256(json.dumps(sources, sort_keys=True).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""The work on one recording that arrived: extract features, then judge it."""
+"""The work on one recording from the inbox: extract features, then judge it."""
 
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -21,20 +21,20 @@ class Judged(NamedTuple):
     """The result for one recording."""
 
     kept: "KeptVerdict"
-    tables: "FeatureTables | None"  # None: it could not be read
+    tables: "FeatureTables | None"  # None if it could not be read
 
 
 def judge_arrival(
     arrival: Arrival, root: Path, card_path: Path, far: float, limits: "Limits"
 ) -> Judged:
-    """Judge a recording in a process of its own, and keep features and verdict below the root.
+    """Judge a recording in a separate process, and store features and verdict below the root.
 
     A recording that cannot be read or judged gets a verdict with the reason.
 
     Raises
     ------
     OracleError
-        If there is no such card.
+        If the card does not exist.
     """
     from oracle_pipeline.scoring.card import ReferenceCard
     from oracle_pipeline.scoring.kept_verdicts import KeptVerdict
@@ -63,8 +63,8 @@ def _judged(
         robots = extract_isolated(arrival.path, build_manager(), limits)
         if len(robots) > 1:
             raise BagError(
-                f"{arrival.name} has {len(robots)} robots, and an arrival has one verdict. Judge "
-                f"each of them with: oracle score {arrival.path} --reference CARD"
+                f"{arrival.name} has {len(robots)} robots, but an arrival has one verdict. Judge "
+                f"each robot with: oracle score {arrival.path} --reference CARD"
             )
         tables = robots[0].tables
         verdict = judge(arrival.name, tables, card, far, robots[0].observation)
@@ -74,7 +74,7 @@ def _judged(
 
 
 def _keep(tables: "FeatureTables | None", folder: Path) -> None:
-    """Write the feature tables, or remove those of a former recording of this name."""
+    """Write the feature tables, or remove those of a previous recording of this name."""
     from oracle_pipeline.datasets import write_table
 
     files = {name: folder / f"{name}.parquet" for name in layout.TABLES}

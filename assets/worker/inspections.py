@@ -1,4 +1,4 @@
-"""Inspections of run directories and their findings; ``assets.run_checks`` makes checks of them."""
+"""Inspections of run directories and their findings; ``assets.run_checks`` makes them checks."""
 
 import json
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ class Finding:
 
 
 def inspect(inspection: Inspection) -> Finding:
-    """Perform an inspection; a file that cannot be read is a fault."""
+    """Perform an inspection; an unreadable file is a fault."""
     try:
         return _INSPECTIONS[inspection.name](*inspection.runs)
     except (OracleError, OSError) as error:
@@ -62,7 +62,7 @@ def bag_is_complete(run: RunDirectory) -> Finding:
         damaged = damaged_files(folder, manifest, BAG_FOLDER)
         with BagReader(folder / BAG_FOLDER) as bag:
             held = {name: topic.count for name, topic in bag.topics.items()}
-        hash_read = content_hash(folder / BAG_FOLDER)  # fails unless all that is held can be read
+        hash_read = content_hash(folder / BAG_FOLDER)  # fails if a message cannot be read
     if kept == "trimmed":
         recorded = {name: count for name, count in recorded.items() if name in held}
     wrong = [
@@ -70,7 +70,7 @@ def bag_is_complete(run: RunDirectory) -> Finding:
         for topic in sorted(held | recorded)
         if held.get(topic) != recorded.get(topic)
     ]
-    wrong += [f"{file} is not what was recorded" for file in damaged]
+    wrong += [f"{file} has changed since it was recorded" for file in damaged]
     if kept == "full" and hash_read != manifest.content_hash:
         wrong.append(f"the messages' hash is {hash_read}, recorded was {manifest.content_hash}")
     figures: dict[str, int | float] = {
@@ -89,7 +89,7 @@ def every_interval_has_a_graph(run: RunDirectory) -> Finding:
     wrong = [f"{start} s: no graph" for start in sorted(expected - recorded)]
     wrong += [f"{start} s: no such interval" for start in sorted(recorded - expected)]
     damaged = damaged_files(run.path, run.manifest(), GRAPHS_FOLDER)
-    wrong += [f"{file} is not what was recorded" for file in damaged]
+    wrong += [f"{file} has changed since it was recorded" for file in damaged]
     return Finding(wrong, {"graphs": len(recorded), "intervals": intervals})
 
 
@@ -103,12 +103,12 @@ def graphs_of_a_pair_are_equal(control: RunDirectory, attacked: RunDirectory) ->
 
 
 def run_features_are_finite(run: RunDirectory) -> Finding:
-    """Find features of the run that are neither finite nor explained."""
+    """Find features of the run that are neither finite nor have a reason."""
     return _finite(run.feature_table("run"))
 
 
 def window_features_are_finite(run: RunDirectory) -> Finding:
-    """Find features of its windows that are neither finite nor explained."""
+    """Find features of its windows that are neither finite nor have a reason."""
     return _finite(run.feature_table("window"))
 
 

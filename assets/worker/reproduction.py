@@ -1,6 +1,6 @@
 """Compares a complete run with its re-simulation and finds the first message that differs.
 
-Which of the two stays in use is decided in ``assets.worker.run``.
+``assets.worker.run`` decides which of the two stays in use.
 """
 
 import contextlib
@@ -30,16 +30,16 @@ class Reproduction:
     first_difference: str = ""  # where it is unexplained
 
 
-def place_aside(run: RunDirectory) -> RunDirectory:
-    """Return the place of a re-simulated run that may not replace the former one."""
+def refreshed_directory(run: RunDirectory) -> RunDirectory:
+    """Return the directory of a re-simulated run that must not replace the previous one."""
     return replace(run, root=run.root / REFRESHED)
 
 
 @contextlib.contextmanager
-def made_aside(run: RunDirectory) -> Iterator[RunDirectory]:
-    """Yield a place on this machine for a re-simulated run, separate from the former one."""
+def separate_directory(run: RunDirectory) -> Iterator[RunDirectory]:
+    """Yield a local directory for a re-simulated run, separate from the previous one."""
     if is_local(run.root):
-        yield place_aside(run)
+        yield refreshed_directory(run)
         return
     with tempfile.TemporaryDirectory(prefix="oracle-") as root:
         yield replace(run, root=Path(root))
@@ -54,9 +54,9 @@ def judge(run: RunDirectory, former: Manifest, again: RunDirectory) -> Reproduct
 
 
 def _first_difference(run: RunDirectory, former: Manifest, again: RunDirectory) -> str:
-    """Return the first message that differs, or why it is not known."""
+    """Return the first message that differs, or why it is unknown."""
     if former.measured.kept != "full":
-        return "not known: the former bag is not whole any more"
+        return "unknown: the previous bag is no longer complete"
     try:
         with fetched(run.bag) as bag, BagReader(bag) as one, BagReader(again.bag) as other:
             for pair in zip_longest(one.messages(), other.messages()):
@@ -65,9 +65,9 @@ def _first_difference(run: RunDirectory, former: Manifest, again: RunDirectory) 
                         min(filter(None, pair), key=lambda m: m.stamp_ns), one.start_ns
                     )
             if content_hash(bag) == content_hash(again.bag):
-                return "none: the bags hold the same, and the former manifest is of another bag"
+                return "none: the bags are equal, but the previous manifest belongs to another bag"
     except BagError as error:
-        return f"not known: {error}"
+        return f"unknown: {error}"
     return GROUND_TRUTH_TOPIC
 
 

@@ -1,10 +1,10 @@
 """One run, from its recipe to its features, in a worker process.
 
 A run that exists and matches its recipe is left alone and reported as ``verified``. With
-``refresh`` it is simulated again in a separate directory and replaces the former run, unless the
-messages differ although code, libraries, CPU and recipe are the same. What the storage plan does
-not keep is dropped once features are extracted, and re-simulated when features need it. A run for
-an object store is made on the local disk and published from there: features first, manifest last.
+``refresh`` it is simulated again in a separate directory and replaces the previous run, unless the
+messages differ although code, libraries, CPU and recipe are the same. Bags that the storage plan
+does not keep are dropped once features are extracted, and re-simulated when features need them. A
+run for an object store is written to the local disk and then published: manifest last.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Literal
 
 from assets.worker.feature_tables import ensure_tables, tables_are_current, topics_of_features
-from assets.worker.reproduction import Reproduction, judge, made_aside, place_aside
+from assets.worker.reproduction import Reproduction, judge, refreshed_directory, separate_directory
 from assets.worker.versions import feature_code
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import ManifestError
@@ -34,8 +34,8 @@ from sim.campaigns import Campaign
 from sim.experiments import can_be_made_again, recipe_for, record_run, remake_run
 from sim.pairs import judge_pair
 
-RECORDED = ("experiment_runs", "bags", "interval_graphs")  # by the simulation, in one step
-# From the recording, in one step.
+RECORDED = ("experiment_runs", "bags", "interval_graphs")  # written by the simulation in one step
+# Extracted from the recording in one step.
 TABLES: dict[str, Table] = {"window_features": "window", "run_features": "run"}
 OF_A_RUN = frozenset({*RECORDED, *TABLES})  # every asset of a run
 
@@ -51,7 +51,7 @@ class RunJob:
     campaign: Campaign
     wanted: frozenset[str]  # assets
     refresh: bool  # re-simulate a complete run
-    keep: Kept = "full"  # how much of the bag is kept in the end
+    keep: Kept = "full"  # how much of the bag to keep at the end
 
     def __str__(self) -> str:
         """Return the run's partition key."""
@@ -63,7 +63,7 @@ class AssetOfRun:
     """The current state of one asset of one run."""
 
     path: str  # below the root
-    code: str  # version of the code that made it
+    code: str  # version of the code that produced it
     version: str  # hash of the content
     figures: Figures
 
@@ -89,19 +89,19 @@ def process_run(job: RunJob) -> RunReport:
     """
     with job.directory.held():
         to_be_recorded = not job.wanted.isdisjoint(RECORDED)
-        if to_be_recorded and job.refresh and (former := _readable_manifest(job.directory)):
-            return _make_again(job, former)
+        if to_be_recorded and job.refresh and (previous := _readable_manifest(job.directory)):
+            return _resimulate(job, previous)
         if not job.directory.is_complete() or (to_be_recorded and job.refresh):
-            with _made_here(job.directory) as local:
+            with _local_directory(job.directory) as local:
                 local_job = replace(job, directory=local)
                 _record(local_job)
                 return _finish(local_job, "made")
         if to_be_recorded:
             _record(job)
-        former = job.directory.manifest()
-        if _lacks_its_bag(job, former):
-            with _made_here(job.directory) as local:
-                remake_run(former, local)
+        previous = job.directory.manifest()
+        if _needs_bag(job, previous):
+            with _local_directory(job.directory) as local:
+                remake_run(previous, local)
                 return _finish(replace(job, directory=local), "remade")
         return _finish(job, "verified")
 
@@ -113,15 +113,15 @@ def _readable_manifest(run: RunDirectory) -> Manifest | None:
         return None
 
 
-def _make_again(job: RunJob, former: Manifest) -> RunReport:
-    """Re-simulate a complete run, and replace it unless the messages differ without a reason."""
+def _resimulate(job: RunJob, previous: Manifest) -> RunReport:
+    """Re-simulate a complete run, and replace it unless messages differ for an unknown reason."""
     run = job.directory
-    with made_aside(run) as aside:
+    with separate_directory(run) as aside:
         _record(replace(job, directory=aside))
-        reproduction = judge(run, former, aside)
+        reproduction = judge(run, previous, aside)
         if reproduction.comparison == "unexplained":
             if not is_local(run.root):
-                publish(aside.path, place_aside(run).path, MANIFEST_FILE)
+                publish(aside.path, refreshed_directory(run).path, MANIFEST_FILE)
             report = _finish(replace(job, refresh=False), "verified")
         elif is_local(run.root):
             run.replace_with(aside)
@@ -129,7 +129,7 @@ def _make_again(job: RunJob, former: Manifest) -> RunReport:
             report = _finish(job, "made")
         else:
             report = _finish(replace(job, directory=aside), "made")
-            _put_in_place(aside, run)
+            _publish(aside, run)
     return replace(report, reproduction=reproduction)
 
 
@@ -139,7 +139,7 @@ def _record(job: RunJob) -> None:
     record_run(recipe, job.directory, refresh=job.refresh)
 
 
-def _lacks_its_bag(job: RunJob, manifest: Manifest) -> bool:
+def _needs_bag(job: RunJob, manifest: Manifest) -> bool:
     """Return whether features must be extracted but the bag was trimmed or dropped."""
     if manifest.measured.kept == "full" or job.wanted.isdisjoint(TABLES):
         return False
@@ -147,8 +147,8 @@ def _lacks_its_bag(job: RunJob, manifest: Manifest) -> bool:
 
 
 @contextlib.contextmanager
-def _made_here(run: RunDirectory) -> Iterator[RunDirectory]:
-    """Yield a place on this machine for a run: its own, or one to publish afterwards."""
+def _local_directory(run: RunDirectory) -> Iterator[RunDirectory]:
+    """Yield a local directory for a run: its own, or a temporary one that is then published."""
     if is_local(run.root):
         yield run
         return
@@ -158,11 +158,11 @@ def _made_here(run: RunDirectory) -> Iterator[RunDirectory]:
             yield local
         finally:  # a complete run is kept even if its features failed
             if local.is_complete():
-                _put_in_place(local, run)
+                _publish(local, run)
 
 
-def _put_in_place(local: RunDirectory, run: RunDirectory) -> None:
-    """Publish a run that was made on this machine, and compare it with its pair."""
+def _publish(local: RunDirectory, run: RunDirectory) -> None:
+    """Publish a run from a local directory, and compare it with its pair."""
     for folder in (local.root / FEATURES, layout.traces(local.root)):
         for file in folder.rglob("*"):
             if file.is_file():
@@ -172,7 +172,7 @@ def _put_in_place(local: RunDirectory, run: RunDirectory) -> None:
 
 
 def _finish(job: RunJob, status: Status) -> RunReport:
-    """Extract the features of a complete run, drop what is not kept, and describe the result."""
+    """Extract the features of a complete run, trim its bag, and describe the result."""
     made: dict[str, AssetOfRun] = {}
     manifest = job.directory.manifest()
     picture = _picture(job.directory) if "experiment_runs" in job.wanted else ""
@@ -193,7 +193,7 @@ def _finish(job: RunJob, status: Status) -> RunReport:
 
 
 def _retain(job: RunJob, manifest: Manifest) -> Manifest:
-    """Drop what the storage plan does not keep, after everything that needs the whole bag."""
+    """Trim or drop the bag as planned, after everything that needs all of it."""
     run = job.directory
     if manifest.measured.kept == "full":
         ensure_tables(run, manifest, refresh=False)
@@ -257,7 +257,7 @@ def _recording(
 
 
 def _picture(directory: RunDirectory) -> bytes | str:
-    """Return a picture of the run from above, or why there is none; no picture must fail a run."""
+    """Return a map of the run, or why there is none; a failure must not fail the run."""
     from oracle_pipeline.replay.picture import kept_picture
 
     try:

@@ -1,4 +1,4 @@
-"""The signals of one run, kept beside its features, for the kinds of oracle that need signals."""
+"""The signals of one run, stored beside its features, for the kinds of oracle that need them."""
 
 from typing import TYPE_CHECKING
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def require_trace(run: RunDirectory) -> "pd.DataFrame":
-    """Return the signals of a complete run; its bag is read if they are not kept."""
+    """Return the signals of a complete run; its bag is read if they are not stored."""
     from oracle_pipeline.oracles.kept_traces import kept_trace
 
     return kept_trace(run, layout.traces(run.root))

@@ -13,7 +13,7 @@ from oracle_pipeline.bags.sources import ROOT, code_hash
 _PLUGIN_FOLDER, _PLUGIN_GROUP = "ORACLE_PLUGINS", "oracle_pipeline"
 _ANALYSIS = "oracle_pipeline"
 _EXTRACTED_BY = ("oracle_pipeline.opened_run", "oracle_pipeline.features")
-_READ_BY = "assets.aggregates"  # what all assets over all runs share
+_READ_BY = "assets.aggregates"  # shared by all assets over all runs
 
 
 @functools.cache

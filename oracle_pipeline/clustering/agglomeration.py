@@ -3,10 +3,10 @@
 The algorithms are those that Müllner recommends [1]_: the nearest-neighbour chain for Ward,
 complete and average linkage, a minimum spanning tree for single linkage. All are exact. A row with
 w copies starts as a cluster of size w, because copies have distance zero and join first. Ward needs
-only the means of clusters, and single linkage only points, so their memory is proportional to the
-rows. The other two need the matrix of all distances.
+only the means of clusters, and single linkage only points, so their memory is linear in the number
+of rows. The other two need the matrix of all distances.
 
-The dendrogram made of these joins is in ``oracle_pipeline.clustering.tree``.
+``oracle_pipeline.clustering.tree`` builds the dendrogram from these joins.
 
 References
 ----------
@@ -27,31 +27,31 @@ Counts = NDArray[np.int64]
 Indices = NDArray[np.intp]
 
 _WARD, _COMPLETE, _AVERAGE = range(3)
-_BLOCK = 256  # points whose distances stay in the first-level cache
-_NOBODY = -1
+_BLOCK = 256  # points per block; their distances fit into the first-level cache
+_NONE = -1
 
 
 class Joins(NamedTuple):
-    """The n - 1 joins of n rows; each names one row of either cluster, in no particular order."""
+    """The n - 1 joins of n rows, unordered; each has one row of either cluster."""
 
     rows: Indices  # (n - 1, 2)
     height: Floats  # (n - 1,)
 
 
 def ward(X: Floats, copies: Counts) -> Joins:
-    """Join rows by Ward's linkage, in memory for the rows alone and time in their square."""
-    order = _neighbours_together(X)
+    """Join rows by Ward's linkage, in linear memory and quadratic time."""
+    order = _spatial_order(X)
     rows, squares = _chain(_features_first(X[order]), 0.5 / copies[order], _WARD)
     return Joins(order[rows], np.sqrt(squares))
 
 
 def single(X: Floats) -> Joins:
-    """Join rows by single linkage, in memory for the rows alone and time in their square.
+    """Join rows by single linkage, in linear memory and quadratic time.
 
     The joins are the edges of the minimum spanning tree, by Prim's algorithm. The number of copies
     of a row does not matter.
     """
-    order = _neighbours_together(X)
+    order = _spatial_order(X)
     rows, squares = _prim(_features_first(X[order]))
     return Joins(order[rows], np.sqrt(squares))
 
@@ -70,41 +70,41 @@ def average(distances: Floats, copies: Counts) -> Joins:
 
 
 def distances_of(X: Floats) -> Floats:
-    """Return the distances (n, n) of all rows, none being near itself."""
+    """Return the distances (n, n) of all rows, infinite on the diagonal."""
     distances = cdist(X, X)
     np.fill_diagonal(distances, np.inf)
     return distances
 
 
-def _neighbours_together(X: Floats) -> Indices:
-    """Return an order that keeps near rows together, so that a search leaves far blocks early."""
+def _spatial_order(X: Floats) -> Indices:
+    """Return an order that keeps near rows together, so that searches can skip far blocks."""
     return np.asarray(KDTree(X, leafsize=_BLOCK).indices, dtype=np.intp)
 
 
 def _features_first(X: Floats) -> Floats:
-    """Return the features by rows, largest variance first, padded with zeros to four."""
+    """Return one row per feature, largest variance first, zero-padded to a multiple of four."""
     order = np.argsort(-X.var(axis=0), kind="stable")
     return np.ascontiguousarray(np.pad(X.T[order], ((0, -X.shape[1] % 4), (0, 0))))
 
 
 @jit
 def _chain(clusters: Floats, inverse: Floats, linkage: int) -> tuple[Indices, Floats]:
-    """Join clusters in slots 0 to n - 1: follow nearest neighbours until two are each other's.
+    """Join clusters in slots 0 to n - 1, by following nearest neighbours until two are mutual.
 
-    Of equally near clusters the one before in the chain is taken, else the one in the first slot.
+    Among equally near clusters the previous one in the chain wins, else the one in the first slot.
 
     Parameters
     ----------
     clusters : ndarray
         Ward's means, shape (n_features, n), or the distances, shape (n, n). Overwritten.
     inverse : ndarray of shape (n,)
-        Half of one over the clusters' sizes. Overwritten.
+        0.5 / size of each cluster. Overwritten.
     linkage : int
 
     Returns
     -------
     tuple of ndarray
-        A row of either cluster, shape (n - 1, 2), and heights, of Ward's linkage their squares.
+        A row of either cluster, shape (n - 1, 2), and heights (squared for Ward's linkage).
     """
     n = len(inverse)
     rows, heights = np.empty((n - 1, 2), np.intp), np.empty(n - 1)
@@ -114,7 +114,7 @@ def _chain(clusters: Floats, inverse: Floats, linkage: int) -> tuple[Indices, Fl
         if not chain:
             chain.append(0)
         while True:
-            slot, rival = chain[-1], chain[-2] if len(chain) > 1 else _NOBODY
+            slot, rival = chain[-1], chain[-2] if len(chain) > 1 else _NONE
             if linkage == _WARD:
                 nearest, height = _nearest_mean(clusters, inverse[: last + 1], slot, rival)
             else:
@@ -124,14 +124,14 @@ def _chain(clusters: Floats, inverse: Floats, linkage: int) -> tuple[Indices, Fl
             chain.append(nearest)
         kept, gone = min(slot, rival), max(slot, rival)
         rows[n - 1 - last], heights[n - 1 - last] = (row[kept], row[gone]), height
-        share = inverse[kept] / (inverse[kept] + inverse[gone])  # of the cluster that is gone
+        share = inverse[kept] / (inverse[kept] + inverse[gone])  # weight of the removed cluster
         if linkage == _WARD:
             _join_means(clusters, share, kept, gone, last)
         else:
             _join_rows(clusters, share, kept, gone, last, linkage)
         inverse[kept] *= 1.0 - share
         inverse[gone], row[gone] = inverse[last], row[last]
-        # Rounding may have led the chain back to one of the two: what followed it is void.
+        # Rounding may have led the chain back to one of the two, so drop everything after it.
         for _ in range(len(chain) - min(chain.index(kept), chain.index(gone))):
             chain.pop()
         for link in range(len(chain)):
@@ -143,7 +143,7 @@ def _chain(clusters: Floats, inverse: Floats, linkage: int) -> tuple[Indices, Fl
 @jit
 def _nearest_in_row(distances: Floats, rival: int) -> tuple[int, float]:
     """Return the slot of the nearest neighbour and its distance, from a row of the matrix."""
-    nearest, lowest = rival, distances[rival] if rival != _NOBODY else np.inf
+    nearest, lowest = rival, distances[rival] if rival != _NONE else np.inf
     for slot in range(len(distances)):
         if distances[slot] < lowest:
             nearest, lowest = slot, distances[slot]
@@ -154,7 +154,7 @@ def _nearest_in_row(distances: Floats, rival: int) -> tuple[int, float]:
 def _join_rows(
     distances: Floats, share: float, kept: int, gone: int, last: int, linkage: int
 ) -> None:
-    """Let slot `kept` have the joined cluster and slot `gone` the one in slot `last`."""
+    """Store the joined cluster in slot `kept`, and move that of slot `last` to slot `gone`."""
     for slot in range(last + 1):
         a, b = distances[kept, slot], distances[gone, slot]
         joined = (1.0 - share) * a + share * b if linkage == _AVERAGE else max(a, b)
@@ -166,24 +166,24 @@ def _join_rows(
 
 @jit
 def _join_means(means: Floats, share: float, kept: int, gone: int, last: int) -> None:
-    """Let slot `kept` have the joined cluster and slot `gone` the one in slot `last`."""
+    """Store the joined cluster in slot `kept`, and move that of slot `last` to slot `gone`."""
     for mean in means:
-        # In this form the mean of equal means is that mean, and copies stay at no distance.
+        # In this form equal means stay exactly equal, so copies stay at distance zero.
         mean[kept] += share * (mean[gone] - mean[kept])
         mean[gone] = mean[last]
 
 
 @jit
 def _nearest_mean(means: Floats, inverse: Floats, slot: int, rival: int) -> tuple[int, float]:
-    """Return the slot of Ward's nearest neighbour and the square of the height of that join.
+    """Return the slot of Ward's nearest neighbour and the squared height of that join.
 
-    Means a and b of v and w rows join at the square ``2 |a - b|**2 / (1 / v + 1 / w)``, which is
-    what the update formula of Lance and Williams gives without a matrix.
+    Means a and b of v and w rows join at the squared height ``2 |a - b|**2 / (1 / v + 1 / w)``,
+    which equals the update formula of Lance and Williams, but needs no matrix.
     """
-    nearest, lowest = _NOBODY, np.inf
+    nearest, lowest = _NONE, np.inf
     x, own = means[:, slot].copy(), inverse[slot]
     reach, squares = np.full(_BLOCK, np.inf), np.empty(_BLOCK)
-    if rival != _NOBODY:
+    if rival != _NONE:
         _squares_within(means, x, rival, reach[:1], squares[:1])
         nearest, lowest = rival, squares[0] / (own + inverse[rival])
     for start in range(0, len(inverse), _BLOCK):
@@ -202,7 +202,7 @@ def _nearest_mean(means: Floats, inverse: Floats, slot: int, rival: int) -> tupl
 
 @jit
 def _squares_within(points: Floats, x: Floats, start: int, reach: Floats, squares: Floats) -> bool:
-    """Fill `squares` with those of the distances from `x` to the block of points at `start`.
+    """Fill `squares` with the squared distances from `x` to the block of points at `start`.
 
     Returns False, unfinished, as soon as no point of the block is within its `reach`.
     """
@@ -227,7 +227,7 @@ def _squares_within(points: Floats, x: Floats, start: int, reach: Floats, square
 
 @jit
 def _prim(points: Floats) -> tuple[Indices, Floats]:
-    """Return the edges (n - 1, 2) of the minimum spanning tree and the squares of their lengths."""
+    """Return the edges (n - 1, 2) of the minimum spanning tree and their squared lengths."""
     n = points.shape[1]
     rows, lengths = np.empty((n - 1, 2), np.intp), np.empty(n - 1)
     outside, neighbour = np.arange(n), np.zeros(n, np.intp)

@@ -1,4 +1,4 @@
-"""The settings of a grid search over clusterings, and the measures it can select by."""
+"""The settings of a grid search over clusterings, and the measures for selection."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -16,22 +16,21 @@ MEASURES: tuple[Measure, ...] = get_args(Measure)
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """What a grid search tries; the defaults are the thesis's.
+    """The settings of a grid search; the defaults are the thesis's.
 
     Attributes
     ----------
     linkages : tuple of str
     metrics : tuple of str
     thresholds : tuple of float
-        Clusters (``maxclust``) or distance (``distance``).
+        Number of clusters (``maxclust``) or distance (``distance``).
     select_by : str
-        The setting with the highest value of this measure is selected. Selecting uses labels, so
-        the result is a bound and not a verdict.
+        Measure to maximise. Selection uses labels, so the result is an upper bound, not a verdict.
 
     Raises
     ------
     ClusteringError
-        One of them does not exist.
+        A name does not exist.
     """
 
     linkages: tuple[Linkage, ...] = LINKAGES
@@ -54,10 +53,10 @@ class Grid:
 
 
 def in_metric(X: NDArray[np.float64], metric: Metric) -> NDArray[np.float64]:
-    """Return rows whose Euclidean distances are monotonic in their distances in a metric.
+    """Transform rows so that Euclidean distances are monotonic in distances of a metric.
 
-    On rows of length 1, the squared Euclidean distance is twice the cosine distance. If each row is
-    centred first, it is twice the correlation distance. A row of length 0 is not changed.
+    For rows of length 1, the squared Euclidean distance is twice the cosine distance. If each row
+    is centred first, it is twice the correlation distance. A row of length 0 is not changed.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Bring features of different units to one scale, without labels.
+"""Scales features of different units, without labels.
 
 A scikit-learn transformer, so that it can be fitted on one set of runs and applied to another.
 """
@@ -12,24 +12,24 @@ from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, TransformerMixin
 
 MAD_TO_DEVIATION = 1.4826  # of a normal distribution
-SPREAD_FLOOR = 0.1  # floor where no resolution is declared, in standard deviations of the column
-ROUNDING_FLOOR = 1e-9  # floor for every column, as a share of its largest magnitude
+SPREAD_FLOOR = 0.1  # floor without a declared resolution, in standard deviations of the column
+ROUNDING_FLOOR = 1e-9  # floor for every column, relative to its largest magnitude
 CLIP = 50.0  # limit of a single feature's influence [scales]
 
 
 class FlooredRobustScaler(TransformerMixin, BaseEstimator):  # type: ignore[misc]  # untyped base
     """Scale each column to ``(x - median) / max(1.4826 MAD, floor)``, clipped to +-50.
 
-    MAD is the median distance from the median: unlike the interquartile range it ignores the
-    attacked runs as long as they are fewer than half, not only as long as they are a quarter.
+    MAD is the median distance from the median. It tolerates attacked runs up to one half, the
+    interquartile range only up to a quarter.
 
-    The floor keeps a column that is constant but for rounding or for a run or two from swamping all
-    others: it is the declared measurement resolution, else a tenth of the column's standard
-    deviation, and never below rounding error. A column that does not vary at all becomes 0.
+    The floor prevents a column that is constant except for rounding or a few runs from dominating
+    all others. It is the declared measurement resolution, else a tenth of the column's standard
+    deviation, and never below rounding error. A constant column becomes 0.
 
-    Values that are not finite count as missing: they become the median, and every column with some
-    missing in the fitted data gets an indicator column (1 missing, 0 not) after the features. A
-    column with nothing but missing values is dropped and named in ``dropped_``.
+    Values that are not finite count as missing and become the median. Every column with missing
+    values in the fitted data gets an indicator column (1 missing, 0 not) after the features. A
+    column without any value is dropped and listed in ``dropped_``.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class FlooredRobustScaler(TransformerMixin, BaseEstimator):  # type: ignore[misc
     kept_ : list of str
         Columns that are scaled.
     dropped_ : list of str
-        Columns without one finite value.
+        Columns without a finite value.
     indicated_ : list of str
         Columns that get an indicator.
     center_, scale_ : ndarray of shape (len(kept_),)
@@ -73,7 +73,7 @@ class FlooredRobustScaler(TransformerMixin, BaseEstimator):  # type: ignore[misc
         return self
 
     def transform(self, X: pd.DataFrame) -> NDArray[np.float64]:
-        """Return shape (n_runs, len(kept_) + len(indicated_)), without unit and without NaN."""
+        """Return the scaled features, shape (n_runs, len(kept_) + len(indicated_)), without NaN."""
         values = _finite(X if list(X.columns) == self.kept_ else X[self.kept_])
         indicated = np.isin(self.kept_, self.indicated_)
         kept = len(self.kept_)
@@ -85,13 +85,13 @@ class FlooredRobustScaler(TransformerMixin, BaseEstimator):  # type: ignore[misc
 
 
 def _finite(X: pd.DataFrame) -> NDArray[np.float64]:
-    """Return the values, a row for each column of `X`, NaN where they are not finite."""
+    """Return the values, one row per column of `X`, with NaN where they are not finite."""
     values = X.to_numpy(dtype=np.float64).T
     return np.ascontiguousarray(np.where(np.isfinite(values), values, np.nan))
 
 
 def _medians(values: NDArray[np.float64], counts: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return the median of the numbers in each row, of which there are so many; the rest is NaN."""
+    """Return the median of the numbers in each row; `counts` is their number, without NaN."""
     ordered, row = np.sort(values, axis=1), np.arange(len(values))  # NaN comes last
     middle = (ordered[row, (counts - 1) // 2] + ordered[row, counts // 2]) / 2.0
     return np.asarray(middle, dtype=np.float64)
@@ -99,5 +99,5 @@ def _medians(values: NDArray[np.float64], counts: NDArray[np.intp]) -> NDArray[n
 
 def _deviations(values: NDArray[np.float64], counts: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return the standard deviation of the numbers in each row."""
-    away = values - (np.nansum(values, axis=1) / counts)[:, None]
-    return np.asarray(np.sqrt(np.nansum(away * away, axis=1) / counts), dtype=np.float64)
+    centred = values - (np.nansum(values, axis=1) / counts)[:, None]
+    return np.asarray(np.sqrt(np.nansum(centred * centred, axis=1) / counts), dtype=np.float64)

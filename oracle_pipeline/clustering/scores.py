@@ -1,4 +1,4 @@
-"""Unsupervised results for each run from a tree: a verdict by flat clusters, or a score.
+"""Unsupervised verdicts from flat clusters, and scores from a tree.
 
 Higher scores are more anomalous. ``oracle_pipeline.evaluation`` measures how good they are.
 """
@@ -12,10 +12,10 @@ from oracle_pipeline.clustering.tree import ClusteringError, Tree
 def outside_largest(
     clusters: NDArray[np.int32], copies: NDArray[np.int64] | None = None
 ) -> NDArray[np.bool_]:
-    """Call every row outside the largest cluster anomalous, a row counting `copies` times.
+    """Call every row outside the largest cluster anomalous; rows are weighted by `copies`.
 
-    The rule assumes that normal behaviour is the most common [1]_. Between clusters of equal size,
-    the first counts as the largest.
+    The rule assumes that normal behaviour is the most common [1]_. The first of equally large
+    clusters counts as the largest.
 
     References
     ----------
@@ -33,14 +33,14 @@ def outside_largest(
 def hac_height(tree: Tree, reference: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
     """Return the height at which each row joins the majority.
 
-    ``h(x) = min {t : the component of x at height t holds at least half of the reference rows}``,
-    which makes a dendrogram comparable with any detector: an unusual row joins late. With single
+    ``h(x) = min {t : the component of x at height t has at least half of the reference rows}``.
+    This makes a dendrogram comparable with any detector: an unusual row joins late. With single
     linkage it is the minimax path distance to the majority.
 
     Parameters
     ----------
     tree : Tree
-        Over n distinct rows; each counts as often as it has copies.
+        Over n distinct rows, weighted by their copies.
     reference : ndarray of bool, shape (n,), optional
         The rows that represent normal behaviour; by default all rows, which assumes that most are
         normal.
@@ -61,7 +61,7 @@ def hac_height(tree: Tree, reference: NDArray[np.bool_] | None = None) -> NDArra
 
     half = held[-1] / 2
     height = [0.0] * n + tree.merges[:, 2].tolist()
-    for node in range(2 * n - 2, n - 1, -1):  # from the root, which holds all, down
+    for node in range(2 * n - 2, n - 1, -1):  # from the root down
         for child in children[node - n]:
             if held[child] < half:
                 height[child] = height[node]

@@ -1,7 +1,7 @@
 """The dendrogram: grown from scaled rows, cut into flat clusters.
 
-The joins are computed in ``oracle_pipeline.clustering.agglomeration``; verdicts and scores of runs
-in ``oracle_pipeline.clustering.scores``.
+``oracle_pipeline.clustering.agglomeration`` computes the joins, and
+``oracle_pipeline.clustering.scores`` verdicts and scores of runs.
 """
 
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ Linkage = Literal["ward", "single", "complete", "average"]
 Criterion = Literal["distance", "maxclust"]
 LINKAGES: tuple[Linkage, ...] = ("ward", "single", "complete", "average")
 CRITERIA: tuple[Criterion, ...] = ("distance", "maxclust")
-MATRIX_ROWS = 15_000  # whose distances take 1.8 GB
+MATRIX_ROWS = 15_000  # limit for a distance matrix, which then takes 1.8 GB
 
 
 class ClusteringError(OracleError):
@@ -33,7 +33,7 @@ class Tree:
 
     method: Linkage
     merges: NDArray[np.float64]  # (n - 1, 4), SciPy's linkage matrix: two children, height, leaves
-    copies: NDArray[np.int64]  # (n,), how many rows each leaf stands for
+    copies: NDArray[np.int64]  # (n,), number of rows of each leaf
 
     def __len__(self) -> int:
         return len(self.copies)
@@ -41,8 +41,8 @@ class Tree:
     def cut(self, criterion: Criterion, t: float) -> NDArray[np.int32]:
         """Return the cluster of each distinct row, numbered from 1.
 
-        Rows at distance zero are never separated, whatever `t` is. If `t` is at least the number of
-        distinct rows, each distinct row is a cluster.
+        Rows at distance zero are never separated. With ``maxclust``, if `t` is at least the number
+        of distinct rows, each distinct row is a cluster.
 
         Parameters
         ----------
@@ -65,8 +65,8 @@ def grow_tree(
     """Agglomerate rows by their Euclidean distance, exactly.
 
     The tree equals that of the rows repeated `copies` times, at the cost of the distinct rows. Ward
-    and single linkage need memory for the rows only, so 100,000 rows take minutes. Complete and
-    average linkage need a matrix of all distances, and refuse more than `MATRIX_ROWS` rows.
+    and single linkage need linear memory, so 100,000 rows take minutes. Complete and average
+    linkage need a distance matrix, so they are limited to `MATRIX_ROWS` rows.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def grow_tree(
     Raises
     ------
     ClusteringError
-        Fewer than two rows, no column, or too many rows for a matrix.
+        Fewer than two rows, no column, or too many rows for a distance matrix.
     """
     n, columns = X.shape
     if n < 2 or columns < 1:
@@ -110,7 +110,7 @@ def trees_with(
 ) -> Iterator[Tree]:
     """Yield the tree of the reference rows and one more row, for each row of `X`.
 
-    As `grow_tree`, errors included; the distances of the reference rows are computed once.
+    As `grow_tree`, including errors; the distances of the reference rows are computed once.
     """
     n = len(reference)
     if method in ("ward", "single") or n >= MATRIX_ROWS or not reference.size:

@@ -1,1 +1,1 @@
-"""How two sets of recordings differ: two builds, two days, two robots."""
+"""Compares two sets of recordings: two builds, two days, two robots."""

@@ -1,6 +1,6 @@
-"""``oracle compare``: how two sets of recordings differ.
+"""``oracle compare``: compares two sets of recordings.
 
-It imports what it needs when it runs, so that the help of all commands stays fast.
+Heavy imports are inside the command, so that ``--help`` stays fast.
 """
 
 from pathlib import Path
@@ -16,7 +16,7 @@ from oracle_pipeline.options import format_option, output_option, plugins_option
 @rate_option("--level", "Probability of reporting a difference between sets that do not differ.")
 @format_option("text", "json", text="Text for reading; one JSON object for programs.")
 @output_option(
-    "--junit", "File for the outcome as JUnit XML, a test case for each family of features."
+    "--junit", "File for the outcome as JUnit XML, with a test case for each family of features."
 )
 @output_option("--picture", "PNG file for a picture of the features that differ.")
 @plugins_option
@@ -31,14 +31,14 @@ def compare(
     picture: Path | None,
     plugins: Path | None,
 ) -> None:
-    """Tell how two sets of recordings differ, such as two builds.
+    """Compare two sets of recordings, such as those of two builds.
 
     Exit code 0: no difference; 1: they differ; 2: they could not be compared.
 
     A and B are folders of run directories or bags, or tables of run features. Features, topics,
-    QoS, nodes and edges are compared. If both sets hold the same blocks of simulated runs (equal
+    QoS, nodes and edges are compared. If both sets have the same blocks of simulated runs (equal
     start and goals), each run is compared with its partner: 6 pairs can show a difference.
-    Otherwise each set needs 4 recordings or more.
+    Otherwise each set needs at least 4 recordings.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""Comparing two sets of recordings: which behaviours differ, by how much, and how surely."""
+"""Compares two sets of recordings: which features differ, by how much, and how certainly."""
 
 import math
 from collections import Counter
@@ -71,24 +71,24 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """How two sets of recordings differ.
+    """The result of comparing two sets of recordings.
 
     Attributes
     ----------
     outcome : str
-        ``unsupported``: the sets are too small for any difference to be certain.
+        ``unsupported``: the sets are too small for any significant difference.
     recordings : (int, int)
-        How many there are in each set.
+        Number of recordings in each set.
     pairs : int
-        How many pairs of equal mode and block were compared; 0 if recordings have no partner.
+        Number of compared pairs of equal mode and block; 0 if recordings have no partner.
     level : float
         Probability of at least one false difference, if the sets do not differ.
     compared : dict of str to int
-        By family, how many features vary at all.
+        Number of varying features, by family.
     differences : tuple of Difference
-        The largest statistic first, so the smallest p-value too.
+        Sorted by statistic, the largest first.
     values : tuple of DataFrame
-        What was compared, a row for each recording (paired: in the same order).
+        The compared values, one row per recording; pairs are in the same order.
     """
 
     outcome: Outcome
@@ -105,13 +105,13 @@ class Comparison:
 def compare(first: Reference, second: Reference, level: float = 0.05) -> Comparison:
     """Compare two sets of recordings.
 
-    If both hold the same blocks of the same modes (same start, goals and arena), each recording is
-    compared with its partner; otherwise set is compared with set.
+    If both have the same blocks of the same modes (same start, goals and arena), each recording is
+    compared with its partner; otherwise the sets are compared as a whole.
 
     Parameters
     ----------
     first, second : Reference
-        As `oracle_pipeline.scoring.reference.read_reference` reads them.
+        From `oracle_pipeline.scoring.reference.read_reference`.
     level : float
         Probability of reporting a difference between sets that do not differ.
 
@@ -122,7 +122,7 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> Compari
     """
     sizes = (len(first.table), len(second.table))
     if min(sizes) < 2:
-        raise ComparisonError(f"A set has {min(sizes)} recording; each needs two or more.")
+        raise ComparisonError(f"A set has {min(sizes)} recording; each needs at least two.")
     values = aligned(measurements(first), measurements(second))
     partners = _partners(first.table, second.table)
     if partners is not None:
@@ -130,7 +130,7 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> Compari
     resolved = [resolved_values(table, first.table) for table in values]
     varying = varying_columns(*resolved)
     if not varying.any():
-        raise ComparisonError("No feature varies between these recordings; name more of them.")
+        raise ComparisonError("No feature varies between these recordings; use more of them.")
     left, right = (table[:, varying] for table in resolved)
     design: Design = TwoSamples(left, right) if partners is None else MatchedPairs(left, right)
     rng = np.random.default_rng(SEED)
@@ -163,7 +163,7 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> Compari
 
 
 def fewest(level: float, *, paired: bool) -> int:
-    """Return how many pairs, or recordings in each set, can show a difference at a level."""
+    """Return the number of pairs, or recordings per set, that can show a difference at a level."""
     n = 2
     while 2.0 / (2**n if paired else math.comb(2 * n, n)) > level:
         n += 1
@@ -173,9 +173,9 @@ def fewest(level: float, *, paired: bool) -> int:
 def _partners(
     first: pd.DataFrame, second: pd.DataFrame
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
-    """Return the rows of each set in the order of their blocks; None if these are not the same.
+    """Return the rows of each set sorted by block; None if the sets have different blocks.
 
-    Modes have to be the same too, unless each block is in each set once.
+    Modes must be the same too, unless each block occurs once in each set.
     """
     if min(first["block"].min(), second["block"].min()) < 0:  # of recordings without a manifest
         return None
@@ -228,11 +228,11 @@ def _notes(first: Reference, second: Reference) -> Iterator[str]:
     if not (first.observations and second.observations):
         yield (
             "A set was read from tables, so topics, nodes and edges were not compared. "
-            "Name folders of recordings."
+            "Use folders of recordings."
         )
     sessions = [set(each.table["session"]) for each in (first, second)]
     if min(map(len, sessions)) == 1 and not sessions[0] & sessions[1]:
         yield (
-            "One set comes from a single session that the other does not have: a difference can "
-            "come from the day. Record both sets in the same sessions."
+            "One set comes from a single session that the other does not have, so a difference may "
+            "be due to the session. Record both sets in the same sessions."
         )

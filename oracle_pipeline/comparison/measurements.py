@@ -1,7 +1,6 @@
 """The quantities that are compared: features, and the presence of topics, nodes and edges.
 
-The presence of a topic is a feature like any other, 0 or 1. So one test covers behaviour and
-interface.
+The presence of a topic is a feature with value 0 or 1, so one test covers behaviour and interface.
 """
 
 from collections.abc import Sequence
@@ -32,7 +31,7 @@ def unit_of(column: str, table: pd.DataFrame) -> str:
 
 
 def measurements(reference: Reference) -> pd.DataFrame:
-    """Return what is compared, a row for each recording in the order of its table."""
+    """Return the values to compare, one row per recording in the order of its table."""
     columns = [c for c in feature_columns(reference.table) if family_of(c) not in LEFT_OUT]
     features = reference.table[columns].reset_index(drop=True)
     if not reference.observations:
@@ -41,9 +40,9 @@ def measurements(reference: Reference) -> pd.DataFrame:
 
 
 def aligned(first: pd.DataFrame, second: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return both with the same columns.
+    """Return both tables with the same columns.
 
-    What one set lacks is absent (0) for the interface, and unknown (NaN) for features.
+    Missing columns are filled with 0 (absent) for the interface, and NaN for features.
     """
     columns = list(dict.fromkeys([*first.columns, *second.columns]))
     return _with(first, columns), _with(second, columns)
@@ -62,7 +61,7 @@ def resolved_values(table: pd.DataFrame, declared: pd.DataFrame) -> NDArray[np.f
 
 
 def varying_columns(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which columns have a value in both sets, and more than one value altogether."""
+    """Return a mask of the columns with values in both sets that are not all equal."""
     lowest, highest = (
         function([function(rows, axis=0) for rows in (first, second)], axis=0)
         for function in (np.fmin.reduce, np.fmax.reduce)

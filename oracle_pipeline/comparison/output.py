@@ -1,4 +1,4 @@
-"""A comparison as text for people, JSON for programs and JUnit XML for a CI system."""
+"""Formats a comparison as text, JSON and JUnit XML."""
 
 import dataclasses
 import json
@@ -16,7 +16,7 @@ _HEADINGS = ("feature", "A", "B", "B - A", "95 % interval", "effect", "p")
 
 
 def as_json(comparison: Comparison) -> str:
-    """Return one JSON object: the outcome, what was compared, and every difference."""
+    """Return one JSON object: outcome, numbers of compared features, and all differences."""
     document = {
         field.name: getattr(comparison, field.name)
         for field in dataclasses.fields(comparison)
@@ -27,7 +27,7 @@ def as_json(comparison: Comparison) -> str:
 
 
 def as_text(comparison: Comparison) -> str:
-    """Return the outcome in a sentence, the differences as a table, and how they were found."""
+    """Return the outcome as a sentence, the differences as a table, and the method."""
     lines = [in_words(comparison)]
     if comparison.differences:
         shown = comparison.differences[:SHOWN]
@@ -45,7 +45,7 @@ def in_words(comparison: Comparison) -> str:
         paired = bool(comparison.pairs)
         needed = fewest(comparison.level, paired=paired)
         return (
-            f"NO VERDICT: so few recordings cannot show a difference at {comparison.level:.3g} "
+            f"NO VERDICT: too few recordings to show a difference at {comparison.level:.3g} "
             f"(smallest p-value {comparison.lowest_p:.2g}). Record {needed} "
             f"{'pairs' if paired else 'for each set'}, or raise --level."
         )
@@ -55,7 +55,7 @@ def in_words(comparison: Comparison) -> str:
 
 
 def as_junit(comparison: Comparison) -> bytes:
-    """Return JUnit XML: a test case for each family of features, failed if one of it differs."""
+    """Return JUnit XML with a test case per family of features; it fails if a feature differs."""
     cases = []
     for family in comparison.compared:
         rows = [_cells(each) for each in comparison.differences if each.family == family]
@@ -74,12 +74,12 @@ def _basis(comparison: Comparison) -> Iterator[str]:
     yield f"A: {first} recordings, B: {second}. " + (
         f"Compared in {comparison.pairs} pairs of equal blocks."
         if comparison.pairs
-        else "Compared set with set."
+        else "Compared as two sets."
     )
     yield (
-        f"If the sets do not differ, the chance of any difference here is at most "
+        f"If the sets do not differ, the probability of any difference here is at most "
         f"{comparison.level:.3g} (permutation test). Effect, from -1 to 1: how often the value is "
-        "larger in B, less how often it is smaller."
+        "larger in B, minus how often it is smaller."
     )
 
 

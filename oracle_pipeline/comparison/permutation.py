@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 Numbers = NDArray[np.float64]
 
-DRAWN = 9_999  # assignments that are drawn where there are too many to list
-_AT_ONCE = 1_000  # assignments whose statistics are in memory together
-# Added to each standard error, in standard deviations of the feature: a feature with two values
-# only has no error at all where they happen to lie apart.
+DRAWN = 9_999  # number of random assignments if there are too many to enumerate
+_AT_ONCE = 1_000  # assignments processed at once, to limit memory
+# Added to each standard error, in standard deviations of the feature: a feature with only two
+# values has a standard error of 0 if they separate the sets by chance.
 _LEAST_ERROR = 0.05
 
 
@@ -32,7 +32,7 @@ class Design(ABC):
     @property
     @abstractmethod
     def size(self) -> int:
-        """How many assignments there are, the real one included."""
+        """Number of assignments, including the real one."""
 
     @property
     @abstractmethod
@@ -51,8 +51,7 @@ class Design(ABC):
     def t(self, assignments: Numbers) -> Numbers:
         """Return the statistic, shape (n_assignments, n_features).
 
-        It is positive where the second set has the larger values, and 0 for a feature that does not
-        differ.
+        It is positive if the second set has larger values, and 0 if a feature does not differ.
         """
 
     @abstractmethod
@@ -61,7 +60,7 @@ class Design(ABC):
 
     @property
     def lowest_p(self) -> float:
-        """The smallest p-value that a difference can have: both directions count."""
+        """The smallest possible two-sided p-value."""
         return max(2.0 / self.size, 1.0 / (DRAWN + 1))
 
 
@@ -71,7 +70,7 @@ class TwoSamples(Design):
     Parameters
     ----------
     first, second : ndarray of shape (n_first, n_features), (n_second, n_features)
-        NaN where a recording does not have a feature.
+        NaN where a recording lacks a feature.
     """
 
     def __init__(self, first: Numbers, second: Numbers) -> None:
@@ -86,7 +85,7 @@ class TwoSamples(Design):
 
     @property
     def size(self) -> int:
-        """How many ways there are to choose the second set."""
+        """Number of ways to choose the second set."""
         return math.comb(len(self._values), len(self._second))
 
     @property
@@ -113,7 +112,7 @@ class TwoSamples(Design):
         return (mean - others_mean) / (np.sqrt(variance + others_variance) + _LEAST_ERROR)
 
     def _moments(self, chosen: Numbers) -> tuple[Numbers, Numbers]:
-        """Return the mean of the chosen recordings and its variance; 0 where there is none."""
+        """Return the mean of the chosen recordings and its variance; 0 without values."""
         n = chosen @ self._observed
         mean = _ratio(chosen @ self._values, n)
         squares = _ratio(chosen @ np.square(self._values), n) - np.square(mean)
@@ -131,7 +130,7 @@ class MatchedPairs(Design):
     Parameters
     ----------
     first, second : ndarray of shape (n_pairs, n_features)
-        NaN where a recording does not have a feature.
+        NaN where a recording lacks a feature.
     """
 
     def __init__(self, first: Numbers, second: Numbers) -> None:
@@ -142,12 +141,12 @@ class MatchedPairs(Design):
 
     @property
     def size(self) -> int:
-        """How many ways there are to swap the partners of pairs."""
+        """Number of ways to swap the partners of pairs."""
         return int(2**self._pairs)
 
     @property
     def real(self) -> Numbers:
-        """1 for a pair as it is, -1 for a swapped one, shape (n_pairs,)."""
+        """1 for an unswapped pair, -1 for a swapped one, shape (n_pairs,)."""
         return np.ones(self._pairs)
 
     def every_assignment(self) -> Numbers:
@@ -165,22 +164,22 @@ class MatchedPairs(Design):
         return mean / (np.sqrt(variance) + _LEAST_ERROR)
 
     def effect(self) -> Numbers:
-        """Return the share of pairs with a larger second value less that with a smaller one."""
+        """Return the share of pairs with a larger second value minus that with a smaller one."""
         return np.asarray(np.sign(self._differences).mean(axis=0), dtype=np.float64)
 
 
 def adjusted_p_values(design: Design, rng: np.random.Generator) -> Numbers:
     """Return a p-value for each feature, adjusted for all of them, shape (n_features,).
 
-    The chance of even one p-value at or below a level, if the sets do not differ, is at most that
+    If the sets do not differ, the probability of any p-value at or below a level is at most that
     level.
 
     Parameters
     ----------
     design : Design
-        Its assignments are listed if they are few, else drawn.
+        Its assignments are enumerated if there are few, or else drawn.
     rng : Generator
-        Draws them.
+        Draws assignments.
     """
     if design.size <= DRAWN + 1:
         assignments = design.every_assignment()
@@ -192,14 +191,14 @@ def adjusted_p_values(design: Design, rng: np.random.Generator) -> Numbers:
     for start in range(0, len(assignments), _AT_ONCE):
         t = np.abs(design.t(assignments[start : start + _AT_ONCE]))[:, order]
         largest = np.maximum.accumulate(t, axis=1)
-        reached += np.sum(largest >= observed[order] - 1e-9, axis=0)  # but for rounding
+        reached += np.sum(largest >= observed[order] - 1e-9, axis=0)  # tolerates rounding
     p = reached / len(assignments)
-    stepped = np.maximum.accumulate(p[::-1])[::-1]  # never below that of a larger statistic
+    stepped = np.maximum.accumulate(p[::-1])[::-1]  # p-values decrease with the statistic
     return stepped[np.argsort(order, kind="stable")]
 
 
 def _ratio(numerator: Numbers, denominator: Numbers) -> Numbers:
-    """Divide; 0 where there is nothing to divide by."""
+    """Divide; 0 where the denominator is not positive."""
     shape = np.broadcast_shapes(numerator.shape, denominator.shape)
     denominator = np.broadcast_to(denominator, shape)
     return np.divide(numerator, denominator, out=np.zeros(shape), where=denominator > 0.0)

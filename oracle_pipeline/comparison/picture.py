@@ -1,4 +1,4 @@
-"""A picture of a comparison: each differing feature as a strip of recordings, set above set."""
+"""A picture of a comparison: a strip plot of both sets for each differing feature."""
 
 import numpy as np
 import pandas as pd
@@ -12,9 +12,9 @@ _MARKERS = ("o", "^")
 
 
 def strips(comparison: Comparison) -> bytes:
-    """Draw the recordings of both sets, a strip for each differing feature, as PNG bytes.
+    """Draw the recordings of both sets, one strip per differing feature, as PNG bytes.
 
-    Each strip is scaled to the range of its values; the medians are written at its ends.
+    Each strip is scaled to the range of its values; the medians are printed beside it.
     """
     shown = comparison.differences[:SHOWN]
     with drawing(7.0, 1.1 + 0.34 * max(len(shown), 3)) as (axes, png):
@@ -47,7 +47,7 @@ def _scaled(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the values of one feature in both sets, from 0 to 1."""
     both = [table[difference.feature].to_numpy(dtype=np.float64) for table in values]
-    together = np.concatenate(both)
-    low, high = np.nanmin(together), np.nanmax(together)
+    values_of_both = np.concatenate(both)
+    low, high = np.nanmin(values_of_both), np.nanmax(values_of_both)
     first, second = ((each - low) / (high - low) for each in both)
     return first, second

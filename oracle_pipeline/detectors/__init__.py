@@ -1,4 +1,4 @@
-"""The detector panel: detectors learn from scaled features of normal runs, and score any run.
+"""The detector panel: detectors are fitted on scaled features of normal runs, and score any run.
 
 Detectors are scikit-learn estimators. ``oracle_pipeline.scoring.conformal`` turns their scores
 into verdicts with a known false positive rate.

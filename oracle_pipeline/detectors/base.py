@@ -1,4 +1,4 @@
-"""The contract of all detectors: fit on normal runs only, and score each run by itself."""
+"""The interface of all detectors: fit on normal runs only, and score each run independently."""
 
 from typing import Any, Protocol, Self
 
@@ -21,16 +21,16 @@ class Detector(Protocol):
         """Learn what normal runs look like, shape (n_runs, n_features), scaled and finite."""
 
     def score_samples(self, X: ArrayLike) -> NDArray[np.float64]:
-        """Return one score a row, higher is more normal; no row changes that of another."""
+        """Return one score per row, independent of other rows; higher is more normal."""
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Return the parameters of the constructor."""
 
 
 class OwnDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped bases
-    """Base of detectors that scikit-learn lacks: it checks the input, a subclass does the rest.
+    """Base of detectors that scikit-learn lacks; it validates the input for subclasses.
 
-    There is no ``predict``: a threshold comes from runs that the detector was not fitted on.
+    There is no ``predict``: thresholds come from runs that the detector was not fitted on.
     """
 
     def fit(self, X: ArrayLike, y: None = None) -> Self:  # noqa: ARG002  # scikit-learn passes it
@@ -42,7 +42,7 @@ class OwnDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped
         return self
 
     def score_samples(self, X: ArrayLike) -> NDArray[np.float64]:
-        """Return one score a row, higher is more normal; no row changes that of another."""
+        """Return one score per row, independent of other rows; higher is more normal."""
         check_is_fitted(self)
         return -self._distance(validate_data(self, X, dtype=np.float64, reset=False))
 

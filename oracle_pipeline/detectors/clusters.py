@@ -1,6 +1,6 @@
-"""Detectors that read clusters of normal runs.
+"""Detectors based on clusters of normal runs.
 
-Heights and sizes in a tree depend on all of its rows. So each row is scored in a separate tree of
+Heights and sizes in a tree depend on all of its rows, so each row is scored in a separate tree of
 the normal runs and that row.
 """
 
@@ -17,11 +17,11 @@ from oracle_pipeline.clustering.scores import hac_height, small_cluster_score
 from oracle_pipeline.clustering.tree import Linkage, Tree, grow_tree, trees_with
 from oracle_pipeline.detectors.base import DetectorError, OwnDetector
 
-LARGE = 0.1  # share of the normal runs that a cluster must hold to stand for a behaviour
+LARGE = 0.1  # smallest share of the normal runs in a large cluster
 
 
 class _InTree(OwnDetector):
-    """Keeps the normal runs and grows a tree of them and one row, for each row."""
+    """Stores the normal runs, and grows a tree of them and one row for each row."""
 
     linkage: Linkage
 
@@ -41,7 +41,7 @@ class HacHeight(_InTree):
     Parameters
     ----------
     linkage : {"ward", "single", "complete", "average"}
-        Average linkage is measured best (docs/explanation/clustering.md).
+        Average linkage performs best (docs/explanation/clustering.md).
     """
 
     def __init__(self, linkage: Linkage = "average") -> None:
@@ -53,19 +53,19 @@ class HacHeight(_InTree):
 
 
 class SmallCluster(_InTree):
-    """Size of the cluster that a run falls into [1]_; smaller is more unusual.
+    """Size of the cluster of a run [1]_; smaller is more unusual.
 
-    The rule is transductive: it describes the clusters of all runs at hand. Here these are the
-    normal runs and the run that is scored.
+    The rule is transductive: it depends on all clustered runs. Here these are the normal runs and
+    the scored run.
 
     Parameters
     ----------
     kappa : float
-        0.15 to 0.20 in the literature, which leaves two readings open.
+        0.15 to 0.20 in the literature, which can be interpreted in two ways.
     reading : {"count", "size"}
         ``count``: the tree is cut into ``round(kappa n)`` clusters, and the score is the share of
-        rows outside the own one. ``size``: a cluster is small up to ``kappa n`` rows, and the score
-        is the height at which the own one outgrows that.
+        rows outside the run's cluster. ``size``: a cluster is small up to ``kappa n`` rows, and the
+        score is the height at which the run's cluster exceeds that.
     linkage : {"ward", "single", "complete", "average"}
 
     References
@@ -86,31 +86,31 @@ class SmallCluster(_InTree):
     def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
         if self.reading == "count":
             return self._in_trees(X, lambda tree: float(small_cluster_score(tree, self.kappa)[-1]))
-        return self._in_trees(X, lambda tree: _outgrown(tree, self.kappa * len(tree)))
+        return self._in_trees(X, lambda tree: _height_of_growth(tree, self.kappa * len(tree)))
 
 
-def _outgrown(tree: Tree, rows: float) -> float:
-    """Return the height at which the cluster of the last row holds more than so many rows."""
+def _height_of_growth(tree: Tree, rows: float) -> float:
+    """Return the height at which the cluster of the last row has more than `rows` rows."""
     own = len(tree) - 1
-    outgrown = 0.0
+    reached = 0.0
     for merged, (left, right, height, size) in enumerate(tree.merges.tolist(), start=len(tree)):
         if own in (left, right):
-            own, outgrown = merged, height
+            own, reached = merged, height
             if size > rows:
                 break
-    return float(outgrown)
+    return float(reached)
 
 
 class ReferenceDistance(OwnDetector):
     """Distance to the nearest large cluster of normal runs, in units of its spread.
 
-    After LDCOF [1]_: the clusters are those of Ward's method, large ones hold at least a tenth of
-    the runs, spread is the mean distance of their runs from the centroid, at least 1.
+    After LDCOF [1]_: the clusters are those of Ward's method, large clusters have at least a tenth
+    of the runs, and the spread is the mean distance of their runs from the centroid, at least 1.
 
     Parameters
     ----------
     n_clusters : int
-        Largest number of kinds of normal behaviour.
+        Largest number of clusters of normal behaviour.
 
     References
     ----------
@@ -126,8 +126,8 @@ class ReferenceDistance(OwnDetector):
         members = [cluster == name for name in np.unique(cluster)]
         large = [rows for rows in members if rows.mean() >= LARGE]
         self.centroids_ = np.array([X[rows].mean(axis=0) for rows in large])
-        away = cdist(X, self.centroids_)
-        spread = [column[rows].mean() for column, rows in zip(away.T, large, strict=True)]
+        distance = cdist(X, self.centroids_)
+        spread = [column[rows].mean() for column, rows in zip(distance.T, large, strict=True)]
         self.spread_ = np.maximum(spread, 1.0)  # rows are z-scores
 
     def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -135,12 +135,12 @@ class ReferenceDistance(OwnDetector):
 
 
 class DenseRegions(OwnDetector):
-    """Distance to the nearest normal run that HDBSCAN puts into a cluster.
+    """Distance to the nearest normal run that HDBSCAN assigns to a cluster.
 
     Parameters
     ----------
     min_cluster_size : int
-        Smallest number of runs that count as a kind of behaviour.
+        Smallest number of runs in a cluster.
     """
 
     def __init__(self, min_cluster_size: int = 5) -> None:
@@ -149,7 +149,7 @@ class DenseRegions(OwnDetector):
     def _learn(self, X: NDArray[np.float64]) -> None:
         if len(X) < self.min_cluster_size:
             raise DetectorError(
-                f"{len(X)} runs cannot make a cluster of {self.min_cluster_size}; "
+                f"{len(X)} runs cannot form a cluster of {self.min_cluster_size}; "
                 "fit on more runs or lower min_cluster_size."
             )
         clustering = HDBSCAN(
@@ -158,7 +158,7 @@ class DenseRegions(OwnDetector):
         clustered = clustering.fit(X).labels_ >= 0
         if not clustered.any():
             raise DetectorError(
-                "HDBSCAN finds no cluster among these runs; use a detector that needs none."
+                "HDBSCAN finds no cluster among these runs; use a detector without clusters."
             )
         self.neighbors_ = NearestNeighbors(n_neighbors=1).fit(X[clustered])
 

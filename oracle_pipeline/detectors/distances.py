@@ -1,4 +1,4 @@
-"""Detectors that measure how far a run is from the normal ones, feature by feature or together."""
+"""Detectors based on the distance of a run from the normal ones."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,9 +9,9 @@ from oracle_pipeline.detectors.base import DetectorError, OwnDetector
 
 
 class MaxZ(OwnDetector):
-    """The largest absolute z-score: how far out the most unusual single feature is.
+    """The largest absolute z-score of any single feature.
 
-    The rows are z-scores already (`FlooredRobustScaler`), so nothing is left to learn.
+    The rows are z-scores already (`FlooredRobustScaler`), so nothing is learned.
     """
 
     def _learn(self, X: NDArray[np.float64]) -> None:
@@ -24,9 +24,8 @@ class MaxZ(OwnDetector):
 class Mahalanobis(OwnDetector):
     """Distance from the mean in the covariance of normal runs, shrunk after Ledoit and Wolf [1]_.
 
-    Rows are z-scores whose unit is at least the feature's resolution. No feature counts as known
-    better than that: a variance below 1 is raised to 1. So a feature that never varied in training
-    neither vanishes nor swamps all others.
+    Rows are z-scores in units of at least the feature's resolution. Variances below 1 are raised to
+    1, so a feature that never varied in training is neither ignored nor dominates all others.
 
     Attributes
     ----------
@@ -44,12 +43,12 @@ class Mahalanobis(OwnDetector):
         raised = np.maximum(0.0, 1.0 - np.diag(shrunk.covariance_))
         self.location_ = shrunk.location_
         inverse = np.linalg.inv(shrunk.covariance_ + np.diag(raised)).astype(np.float32)
-        # Symmetric to the last bit and of seven digits: a reference card keeps half of it.
+        # Exactly symmetric and in single precision, because a reference card stores one half.
         self.precision_ = ((inverse + inverse.T) / 2).astype(np.float64)
 
     def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
-        away = X - self.location_
-        squared = np.einsum("ij,ij->i", away @ self.precision_, away)
+        deviation = X - self.location_
+        squared = np.einsum("ij,ij->i", deviation @ self.precision_, deviation)
         return np.asarray(np.sqrt(squared), dtype=np.float64)
 
 
@@ -67,7 +66,7 @@ class NearestRuns(OwnDetector):
     def _learn(self, X: NDArray[np.float64]) -> None:
         if len(X) < self.n_neighbors:
             raise DetectorError(
-                f"{len(X)} runs have no {self.n_neighbors} nearest ones; "
+                f"{len(X)} runs are too few for {self.n_neighbors} neighbours; "
                 "fit on more runs or lower n_neighbors."
             )
         self.neighbors_ = NearestNeighbors(n_neighbors=self.n_neighbors).fit(X)

@@ -1,4 +1,4 @@
-"""Find the features of a run that differ from those of normal runs, and by how much."""
+"""Finds the features of a run that differ from those of normal runs."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,16 +9,16 @@ import pandas as pd
 from oracle_pipeline.clustering.scaling import CLIP, FlooredRobustScaler
 from oracle_pipeline.datasets import feature_floors, field_metadata
 
-USUAL = (5.0, 95.0)  # percentiles of the normal runs between which a value is usual
-LEAST_Z = 1.0  # below which a value differs by less than its scale
+USUAL = (5.0, 95.0)  # percentiles of the normal runs that bound the usual range
+LEAST_Z = 1.0  # smallest |z| of a deviation
 
 
 class Deviation(NamedTuple):
-    """One feature of a run beside the normal runs; all but `z` in `unit`."""
+    """One feature of a run compared with the normal runs; all but `z` in `unit`."""
 
     feature: str
-    z: float  # robust, in the scaler's scales, at most `CLIP` of them
-    capped: bool  # it would be larger
+    z: float  # robust, in the scaler's scales, clipped to `CLIP`
+    capped: bool  # whether it is clipped
     value: float
     median: float  # of the normal runs, as are the percentiles
     usual_low: float
@@ -32,7 +32,7 @@ class FamilyDeviation(NamedTuple):
     family: str
     unusual: int
     compared: int
-    feature: str  # the one that is farthest out
+    feature: str  # the one with the largest |z|
     z: float
     capped: bool
 
@@ -45,7 +45,7 @@ class UsualRanges:
     normal : DataFrame
         Features of the runs to compare with.
     columns : sequence of str
-        The features to look at.
+        The features to compare.
     """
 
     def __init__(self, normal: pd.DataFrame, columns: Sequence[str]) -> None:
@@ -56,8 +56,8 @@ class UsualRanges:
     def deviations(self, row: pd.DataFrame) -> list[Deviation]:
         """Rank the features of one run that are outside their usual range, the farthest first.
 
-        Each feature is compared alone, whatever the detector. A run can be unusual through a
-        combination of features none of which is unusual alone.
+        Features are compared one by one, independent of the detector. A run can also be unusual
+        through a combination of features that are all usual.
 
         Parameters
         ----------
@@ -67,7 +67,7 @@ class UsualRanges:
         Returns
         -------
         list of Deviation
-            Largest distance first, whether it is capped or not.
+            Sorted by unclipped distance, the largest first.
         """
         scaler = self.scaler
         units = {feature: field.get("unit", "") for feature, field in field_metadata(row).items()}

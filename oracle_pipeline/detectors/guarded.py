@@ -1,4 +1,4 @@
-"""scikit-learn's detectors with guards against their pitfalls."""
+"""scikit-learn's detectors with checks against their pitfalls."""
 
 from typing import Self
 
@@ -11,7 +11,7 @@ from sklearn.utils.validation import validate_data
 
 from oracle_pipeline.detectors.base import DetectorError, OwnDetector
 
-ROWS_PER_FEATURE = 5  # below, a minimum covariance determinant is mostly noise
+ROWS_PER_FEATURE = 5  # with fewer, a minimum covariance determinant is mostly noise
 
 
 class DistinctLocalOutlierFactor(LocalOutlierFactor):  # type: ignore[misc]  # untyped base
@@ -34,7 +34,7 @@ class DistinctLocalOutlierFactor(LocalOutlierFactor):  # type: ignore[misc]  # u
 
 
 class AmpleEllipticEnvelope(EllipticEnvelope):  # type: ignore[misc]  # untyped base
-    """Minimum covariance determinant; refuses data with too few runs for it."""
+    """Minimum covariance determinant; raises an error for too few runs."""
 
     def fit(self, X: ArrayLike, y: None = None) -> Self:  # noqa: ARG002  # scikit-learn passes it
         """Learn the envelope; `DetectorError` unless there are five rows for each feature."""
@@ -55,9 +55,9 @@ class BestGaussianMixture(OwnDetector):
     Parameters
     ----------
     max_components : int
-        Behaviours that normal runs may have, at most.
+        Largest number of components.
     reg_covar : float
-        Least variance; rows are z-scores, so this is in squares of their unit.
+        Smallest variance, in squared units of the rows (z-scores).
     random_state : int, optional
     """
 

@@ -1,7 +1,7 @@
-"""The detectors that are compared, in a fixed order, and the pipeline of scaler and detector.
+"""The compared detectors, in a fixed order, and the pipeline of scaler and detector.
 
 The panel is fixed in advance, because choosing among many by result overfits a small campaign.
-Strengths and pitfalls of each member: docs/explanation/detectors.md.
+docs/explanation/detectors.md describes strengths and pitfalls of each.
 """
 
 from collections.abc import Mapping
@@ -26,11 +26,11 @@ from oracle_pipeline.detectors.guarded import (
     DistinctLocalOutlierFactor,
 )
 
-DEFAULT_DETECTOR = "mahalanobis"  # why: docs/explanation/detectors.md
+DEFAULT_DETECTOR = "mahalanobis"  # docs/explanation/detectors.md gives the reasons
 
 
 def panel(seed: int) -> dict[str, Detector]:
-    """Return the detectors by name, unfitted; `seed` is for those that draw random numbers."""
+    """Return the detectors by name, unfitted; `seed` is for randomised ones."""
     return {
         "hac_height": HacHeight(),
         "small_cluster_count": SmallCluster(reading="count"),
@@ -49,9 +49,9 @@ def panel(seed: int) -> dict[str, Detector]:
 
 
 def upper_bounds(seed: int) -> dict[str, ClassifierMixin]:
-    """Return classifiers by name, unfitted: upper bounds for what the features contain.
+    """Return classifiers by name, unfitted, as upper bounds for these features.
 
-    They are trained on attacked runs, too. So they are not oracles, but bounds for one.
+    They are trained on attacked runs too, so they are not oracles.
     """
     return {
         "random_forest": RandomForestClassifier(
@@ -62,7 +62,7 @@ def upper_bounds(seed: int) -> dict[str, ClassifierMixin]:
 
 
 def pipeline(detector: Detector, floors: Mapping[str, float] | None = None) -> Pipeline:
-    """Put a detector behind the scaler; fits on, and scores, a DataFrame of features.
+    """Return the pipeline of scaler and detector, for a DataFrame of features.
 
     Parameters
     ----------

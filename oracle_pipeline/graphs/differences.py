@@ -1,4 +1,4 @@
-"""How the graphs of two runs differ: vertices, types and edges, never traffic."""
+"""Compares the graphs of two runs: vertices, types and edges, but not traffic."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class GraphDifference:
 
 
 def graph_differences(a: Sequence[Interval], b: Sequence[Interval]) -> list[GraphDifference]:
-    """Compare two runs over every interval that both have; an empty list means equal.
+    """Compare two runs over every interval that both have; the list is empty if they are equal.
 
     A vertex whose type differs counts as two vertices.
     """

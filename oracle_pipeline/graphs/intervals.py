@@ -27,27 +27,27 @@ def read_intervals(folder: Path) -> tuple[Interval, ...]:
     Raises
     ------
     GraphError
-        If the folder is missing, a graph is missing in between, or one cannot be read.
+        If the folder or a graph is missing, or a graph cannot be read.
     """
     files = folder.glob("*.gexf")
     starts = {int(match[1]): path for path in files if (match := _FILE.fullmatch(path.name))}
     expected = [number * INTERVAL_S for number in range(len(starts))]
     if not folder.is_dir() or sorted(starts) != expected:
         raise GraphError(
-            f"{folder} should hold one graph each {INTERVAL_S} s from 000000.gexf on, but has "
+            f"{folder} should have one graph every {INTERVAL_S} s from 000000.gexf on, but has "
             f"those at {sorted(starts)} s; record the run again."
         )
     return tuple(Interval(float(start), read_gexf(starts[start])) for start in expected)
 
 
 def interval_count(recording_s: float) -> int:
-    """Return how many intervals a recording has: whole ones, and a last one of 5 s or more."""
+    """Return the number of intervals of a recording, with a partial last one of 5 s or more."""
     whole, rest_s = divmod(recording_s, INTERVAL_S)
     return int(whole) + (rest_s >= MIN_INTERVAL_S)
 
 
 def compose(graphs: Iterable[RosGraph]) -> RosGraph:
-    """Return the union of graphs; the traffic of common edges is added up."""
+    """Return the union of graphs; the traffic of common edges is summed."""
     import networkx as nx
 
     union: RosGraph = nx.DiGraph()
@@ -66,10 +66,10 @@ def compose(graphs: Iterable[RosGraph]) -> RosGraph:
 def known_in(
     intervals: Sequence[Interval], start_s: float, end_s: float, recorded_s: float
 ) -> tuple[Interval, ...]:
-    """Return the intervals of a span of time, as far as their graphs were there when it ended.
+    """Return the intervals that overlap a span and whose graphs were complete when it ended.
 
-    A graph is there when its interval has ended. If none of those that the span touches has, it is
-    the newest one before them; in the first interval of a recording there is none.
+    A graph is complete at the end of its interval. If no overlapping interval has ended, the result
+    is the newest earlier one; in the first interval of a recording it is empty.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def known_in(
     start_s, end_s : float
         Of the span, since the start of the recording [s].
     recorded_s : float
-        Length of the recording, which may cut its last interval off [s].
+        Length of the recording, which may end its last interval early [s].
     """
     ended = tuple(each for each in intervals if min(each.start_s + INTERVAL_S, recorded_s) <= end_s)
     return tuple(each for each in ended if start_s < each.start_s + INTERVAL_S) or ended[-1:]

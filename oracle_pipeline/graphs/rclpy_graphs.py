@@ -1,7 +1,7 @@
-"""Graphs of intervals from inside ROS: what rclpy's graph API tells, in the recorder's form.
+"""Interval graphs from rclpy's graph API, in the format of the recorder.
 
-The ROS package below ``ros2/`` hands its node to this module, which does not import rclpy. Where no
-ROS is at hand, ``oracle watch`` does the same from DDS.
+The ROS package below ``ros2/`` passes its node to this module, which does not import rclpy. Without
+ROS, ``oracle watch`` does the same from DDS.
 """
 
 from collections import Counter
@@ -21,12 +21,12 @@ from oracle_pipeline.bags.graph_files import (
 from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S, is_hidden
 from oracle_pipeline.graphs.intervals import compose
 
-UNKNOWN = "_NODE_NAME_UNKNOWN_"  # ROS 2's name for an endpoint that no node claims
+UNKNOWN = "_NODE_NAME_UNKNOWN_"  # ROS 2's name for an endpoint without a known node
 _SECOND_NS = 1_000_000_000
 
 
 class EndpointInfo(Protocol):
-    """What is read of an ``rclpy.topic_endpoint_info.TopicEndpointInfo``."""
+    """The used part of ``rclpy.topic_endpoint_info.TopicEndpointInfo``."""
 
     @property
     def node_name(self) -> str:
@@ -38,17 +38,17 @@ class EndpointInfo(Protocol):
 
     @property
     def qos_profile(self) -> Any:
-        """Quality of service that is offered or requested."""
+        """Offered or requested quality of service."""
 
 
 class GraphApi(Protocol):
-    """What is called of an ``rclpy.node.Node``."""
+    """The used part of ``rclpy.node.Node``."""
 
     def get_node_names_and_namespaces(self) -> Sequence[tuple[str, str]]:
         """Return name and namespace of each node."""
 
     def get_topic_names_and_types(self) -> Sequence[tuple[str, Sequence[str]]]:
-        """Return each topic and the types it is used with."""
+        """Return each topic and its types."""
 
     def get_publishers_info_by_topic(self, topic_name: str) -> Sequence[EndpointInfo]:
         """Return the publishers of a topic."""
@@ -76,19 +76,19 @@ def snapshot(
     compatible: Callable[[Any, Any], bool],
     leave_out: Collection[str] = (),
 ) -> RosGraph:
-    """Return who is there now, and what went over each edge; hidden topics are left out.
+    """Return the current graph with the traffic of each edge; hidden topics are left out.
 
-    rclpy does not tell who sent a message. So the messages of a topic are shared out evenly among
-    its publishers; their sum is exact, and so is each part if there is only one publisher.
+    rclpy does not provide the sender of a message. So the messages of a topic are divided evenly
+    among its publishers; their sum is exact, and with a single publisher each part is.
 
     Parameters
     ----------
     api : GraphApi
     traffic : Traffic
     compatible : callable
-        Whether an offered profile of QoS fits a requested one.
+        Takes an offered and a requested QoS profile, and returns whether they are compatible.
     leave_out : collection of str
-        Full names of nodes that are not part of the system, such as the recorder's own.
+        Full names of nodes that are not part of the system, such as the recorder.
     """
     graph: RosGraph = nx.DiGraph()
     for name, namespace in api.get_node_names_and_namespaces():
@@ -105,21 +105,23 @@ def snapshot(
         graph.add_node(vertex, kind="topic", type=min(types), label=topic)
         shares = list(
             zip(
-                _shared_out(traffic.messages[topic], len(publishers)),
-                _shared_out(traffic.bytes[topic], len(publishers)),
+                _divided(traffic.messages[topic], len(publishers)),
+                _divided(traffic.bytes[topic], len(publishers)),
                 strict=True,
             )
         )
         for publisher, (messages, size) in zip(publishers, shares, strict=True):
             add_traffic(graph, _vertex(graph, publisher), vertex, messages, size)
         for subscription in subscriptions:
-            got = [
+            received = [
                 share
                 for publisher, share in zip(publishers, shares, strict=True)
                 if compatible(publisher.qos_profile, subscription.qos_profile)
             ]
             node = _vertex(graph, subscription)
-            add_traffic(graph, vertex, node, sum(m for m, _ in got), sum(b for _, b in got))
+            add_traffic(
+                graph, vertex, node, sum(m for m, _ in received), sum(b for _, b in received)
+            )
     return graph
 
 
@@ -144,9 +146,9 @@ class IntervalGraphs:
     take : callable
         Returns the graph of an interval that ends now, given its traffic.
     folder : Path
-        Where ``000000.gexf``, ``000010.gexf``, ... and ``run.gexf`` go; it is made.
+        Folder for ``000000.gexf``, ``000010.gexf``, ... and ``run.gexf``; it is created.
     start_ns : int
-        When the recording begins.
+        Start of the recording.
     """
 
     def __init__(self, take: Callable[[Traffic], RosGraph], folder: Path, start_ns: int) -> None:
@@ -159,7 +161,7 @@ class IntervalGraphs:
         folder.mkdir(parents=True, exist_ok=True)
 
     def pass_to(self, now_ns: int) -> None:
-        """Let time pass: end the intervals that are over."""
+        """Advance time, and write the intervals that have ended."""
         while now_ns - self._start_ns >= (self._ended + 1) * INTERVAL_S * _SECOND_NS:
             self._end_interval()
 
@@ -185,19 +187,19 @@ def _outside(endpoints: Sequence[EndpointInfo], leave_out: Collection[str]) -> l
 
 
 def _vertex(graph: RosGraph, endpoint: EndpointInfo) -> str:
-    """Return the vertex of an endpoint's node, which may be one that no list of nodes has."""
+    """Return the vertex of an endpoint's node; it is added if missing."""
     name = full_name(endpoint.node_name, endpoint.node_namespace)
     vertex = vertex_id("node", name)
     graph.add_node(vertex, kind="node", type="", label=name)
     return vertex
 
 
-def _shared_out(total: int, parts: int) -> list[int]:
-    """Return a whole number as a sum of nearly equal ones.
+def _divided(total: int, parts: int) -> list[int]:
+    """Divide an integer into nearly equal parts.
 
     Examples
     --------
-    >>> _shared_out(7, 3)
+    >>> _divided(7, 3)
     [3, 2, 2]
     """
     if not parts:

@@ -1,8 +1,8 @@
-"""Ways to look at a graph: everything (raw), the system without its observers, the thesis's.
+"""Views of a graph: raw, the system without its observers, and the thesis's.
 
 Observers are the recorder, command line tools and launch processes: their presence shows how the
-system was observed, not how it behaves. Names generated at start-up carry no meaning at
-all, so they are numbered instead.
+system was observed, not how it behaves. Names generated at start-up have no meaning, so they are
+replaced by numbers.
 """
 
 import re
@@ -10,14 +10,14 @@ import re
 from oracle_pipeline.bags.graph_files import RosGraph, vertex_id
 
 _OBSERVERS = re.compile(r"/(rosbag2_recorder|rosbag2_player|_ros2cli_\w+|launch_ros_\d+)")
-_MADE_UP_SUFFIX = re.compile(r"(/transform_listener_impl)_[0-9a-f]+")
+_GENERATED_SUFFIX = re.compile(r"(/transform_listener_impl)_[0-9a-f]+")
 
 
 def system_view(graph: RosGraph) -> RosGraph:
-    """Return the graph without observers and without what only they use.
+    """Return the graph without observers and without topics and services that only they use.
 
     ``/transform_listener_impl_<address>`` become ``/transform_listener_impl_0``, ``_1``, ..., in
-    the order of what they are connected to, so that equal systems have equal views.
+    the order of their neighbours, so that equal systems have equal views.
     """
     observers = [
         vertex
@@ -39,7 +39,7 @@ def system_view(graph: RosGraph) -> RosGraph:
 def thesis_view(graph: RosGraph) -> RosGraph:
     """Return the graph as the thesis's plugins expect it: plain names, ROS nodes and topics only.
 
-    A ROS node and a topic of the same name become one vertex, as they did there.
+    A ROS node and a topic of the same name become one vertex, as in the thesis.
     """
     import networkx as nx
 
@@ -51,16 +51,16 @@ def thesis_view(graph: RosGraph) -> RosGraph:
 
 
 def _numbered(graph: RosGraph) -> RosGraph:
-    """Give numbers to made-up names; every other vertex keeps its own."""
+    """Replace generated names by numbers."""
 
     def neighbours(vertex: str) -> tuple[list[str], list[str], str]:
         return sorted(graph.predecessors(vertex)), sorted(graph.successors(vertex)), vertex
 
     count: dict[str, int] = {}
     names: dict[str, str] = {}
-    made_up = [v for v in graph if _MADE_UP_SUFFIX.fullmatch(graph.nodes[v]["label"])]
-    for vertex in sorted(made_up, key=neighbours):
-        stem = _MADE_UP_SUFFIX.sub(r"\1", graph.nodes[vertex]["label"])
+    generated = [v for v in graph if _GENERATED_SUFFIX.fullmatch(graph.nodes[v]["label"])]
+    for vertex in sorted(generated, key=neighbours):
+        stem = _GENERATED_SUFFIX.sub(r"\1", graph.nodes[vertex]["label"])
         names[vertex] = f"{stem}_{count.get(stem, 0)}"
         count[stem] = count.get(stem, 0) + 1
     kinds = {vertex: graph.nodes[vertex]["kind"] for vertex in names}

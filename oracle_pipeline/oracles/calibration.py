@@ -1,8 +1,8 @@
-"""P-values for any kind of oracle, by the folds and votes of a reference card's scorer.
+"""P-values for any kind of oracle, with the folds and votes of a reference card's scorer.
 
 For each fold a kind learns from the normal runs of the other sessions and scores all runs. A run is
-compared with each normal run by the model that saw neither that run's fold nor, if the run is of a
-known block, its own (``oracle_pipeline.scoring.cross_conformal``).
+compared with each normal run by the model that was not fitted on the normal run's fold nor, for a
+run of a known block, on its own fold (``oracle_pipeline.scoring.cross_conformal``).
 """
 
 from collections.abc import Sequence
@@ -17,13 +17,13 @@ from oracle_pipeline.scoring.cross_conformal import (
     FOLDS,
     MIN_BLOCKS,
     CrossConformalScorer,
-    dealt,
+    assign_folds,
 )
 from oracle_pipeline.scoring.run_scorer import Design
 
 SEED = 0
-TAIL = 0.95  # quantile of normal scores that gives kinds a common unit
-FAR = 1e6  # of them; limit of a score
+TAIL = 0.95  # quantile of normal scores that defines the unit
+FAR = 1e6  # limit of a score, in these units
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -35,7 +35,7 @@ class Judged:
 
 
 def judged(kind: OracleKind, runs: TracedRuns) -> Judged:
-    """Judge all runs by a kind that learns from the normal ones.
+    """Judge all runs by a kind that is fitted on the normal ones.
 
     Raises
     ------
@@ -49,9 +49,9 @@ def judged(kind: OracleKind, runs: TracedRuns) -> Judged:
 def union(verdicts: Sequence[Judged], runs: TracedRuns) -> Judged:
     """Judge runs by several oracles at once, at the false positive rate of one.
 
-    The smallest of a run's p-values is not a p-value itself: with more oracles it gets smaller by
-    chance. So each run's most unusual score, in units of the spread of normal runs, is compared
-    with that of normal runs (maxT of Westfall and Young). P-values themselves would tie, because
+    The minimum of several p-values is not a p-value: it decreases with the number of oracles by
+    chance. So each run's largest score, in units of the spread of normal runs, is compared with
+    that of normal runs (maxT of Westfall and Young). Combining p-values would give ties, because
     with few blocks most runs share the smallest one.
     """
     normal = runs.normal
@@ -61,9 +61,9 @@ def union(verdicts: Sequence[Judged], runs: TracedRuns) -> Judged:
 
 
 def _in_tails(score: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return scores above the median of normal runs, divided by the length of their upper tail.
+    """Return scores relative to the median of normal runs, in units of their upper tail.
 
-    If all normal runs have the same score, any higher score is far out.
+    If all normal runs have the same score, any higher score is extreme.
     """
     median, tail, highest = np.quantile(normal, [0.5, TAIL, 1.0])
     reach = max(tail - median, 0.1 * (highest - median))
@@ -81,7 +81,7 @@ def _fold_scores(
         seen = np.zeros(len(normal), dtype=np.bool_)
         seen[rows[fold != number]] = True
         judge = kind.learn(runs.where(seen))
-        if id(judge) == id(kind) and scores:  # it learns nothing, so its scores are the same
+        if id(judge) == id(kind) and scores:  # nothing to fit, so the scores are the same
             scores.append(scores[0])
         else:
             scores.append(judge.score(runs))
@@ -89,14 +89,14 @@ def _fold_scores(
 
 
 def _folds(normal: TracedRuns) -> NDArray[np.intp]:
-    """Deal whole sessions, or blocks if there are too few, as a reference card does."""
+    """Assign whole sessions to folds, or blocks if there are too few, as a reference card does."""
     few = len(np.unique(normal.session)) < MIN_BLOCKS
     unit = normal.block if few else normal.session
-    return dealt(unit, FOLDS, np.random.default_rng(SEED))
+    return assign_folds(unit, FOLDS, np.random.default_rng(SEED))
 
 
 def _voted(scores: NDArray[np.float64], runs: TracedRuns, normal: NDArray[np.bool_]) -> Judged:
-    """Let the normal blocks vote on each run; `scores` are of shape (n_folds, n_runs)."""
+    """Compute p-values from the votes of normal blocks; `scores` has shape (n_folds, n_runs)."""
     votes = CrossConformalScorer(Design(MaxZ(), (), (), {}))  # only its folds and votes are used
     votes.fold_, votes.block_ = _folds(runs.where(normal)), runs.block[normal]
     held_out = scores[votes.fold_, np.flatnonzero(normal)]

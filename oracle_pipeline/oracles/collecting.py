@@ -1,4 +1,4 @@
-"""Recordings below some folders, as traced runs: labels from manifests, signals from bags."""
+"""Collects the recordings below some folders: labels from manifests, signals from bags."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ from oracle_pipeline.oracles.traces import read_trace
 from oracle_pipeline.robots.robot import find_robots, of_robot
 from oracle_pipeline.scoring.reference import recordings_below
 
-_NO_BLOCK = -1  # of a bag without a manifest: it becomes a block and a session of its own
+_NO_BLOCK = -1  # for a bag without a manifest, which becomes its own block and session
 
 
 def traced_runs(
@@ -30,9 +30,9 @@ def traced_runs(
     recordings : sequence of Path
         Run directories, bags, and folders of these. A bag without a manifest has no label.
     normal : sequence of Path
-        The same; a bag without a manifest is normal, and a block of its own.
+        The same; a bag without a manifest counts as normal, and as its own block.
     folder : Path, optional
-        Where the traces of run directories are kept.
+        Cache folder for the traces of run directories.
 
     An attacked run that ended before its attack is left out.
 
@@ -44,12 +44,12 @@ def traced_runs(
     Raises
     ------
     OracleError
-        There is no recording, or one cannot be read; the error names it.
+        There is no recording, or one cannot be read.
     """
     found = {path: "normal" for top in normal for path in recordings_below(top)}
     found |= {path: "unknown" for top in recordings for path in recordings_below(top)}
     if not found:
-        raise KindError("There is no recording; name run directories, bags or folders of these.")
+        raise KindError("There is no recording; give run directories, bags or folders of these.")
     rows: list[dict[str, object]] = []
     traces: list[pd.DataFrame] = []
     for path, label in progress_bar(found.items(), unit="recording", desc="signals"):

@@ -1,7 +1,7 @@
 """Human oracle: learns from a person's answers whether a few runs are good or bad.
 
-The scores of the other kinds are a run's coordinates. It asks about the runs of which a model of
-the answers is least sure, and that are far from earlier questions (uncertainty and diversity [1]_).
+The scores of the other kinds are a run's coordinates. It asks about runs for which a model of the
+answers is uncertain, and that are far from earlier questions (uncertainty and diversity [1]_).
 Answers are stored in a small JSON file::
 
     {"answers": {"fake_object/run003": "bad", "lidar_passthrough/run001": "good"}}
@@ -36,7 +36,7 @@ from oracle_pipeline.oracles.kind import (
 from oracle_pipeline.oracles.specified import Specified
 
 BAD, GOOD = "bad", "good"
-RESAMPLES = 200  # of the answers, for the interval of the threshold
+RESAMPLES = 200  # of the answers, to compute the interval of the threshold
 
 
 class AnswerError(KindError):
@@ -44,29 +44,29 @@ class AnswerError(KindError):
 
 
 def load_answers(path: Path) -> dict[str, bool]:
-    """Return whether each run that was asked about is bad, by run.
+    """Return the answers by run; True means bad.
 
     Raises
     ------
     AnswerError
-        It is no file of answers.
+        The file is invalid.
     """
     try:
         answers = json.loads(path.read_text(encoding="utf-8"))["answers"]
         wrong = [run for run, answer in answers.items() if answer not in (BAD, GOOD)]
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise AnswerError(
-            f"{path} is no file of answers ({error}); see `oracle review`."
+            f"{path} is not a file of answers ({error}); see `oracle review`."
         ) from error
     if wrong:
         raise AnswerError(
-            f"{path}: the answer on {wrong[0]} is {answers[wrong[0]]!r}; write {BAD} or {GOOD}."
+            f"{path}: the answer for {wrong[0]} is {answers[wrong[0]]!r}; write {BAD} or {GOOD}."
         )
     return {str(run): answer == BAD for run, answer in answers.items()}
 
 
 def save_answers(answers: Mapping[str, bool], path: Path) -> None:
-    """Write answers so that a reader sees all of them or the old ones."""
+    """Write answers atomically."""
     document = {"answers": {run: BAD if bad else GOOD for run, bad in answers.items()}}
     with replacing(path) as sink:
         sink.write(json.dumps(document, indent=2).encode())
@@ -89,7 +89,7 @@ class Coordinates:
 
     @classmethod
     def learned(cls, normal: TracedRuns, kinds: Sequence[OracleKind]) -> "Coordinates":
-        """Learn all kinds, and what they say of normal runs."""
+        """Fit all kinds, and the scale of their scores on normal runs."""
         judges = [kind.learn(normal) for kind in kinds]
         scores = np.column_stack([judge.score(normal) for judge in judges])
         centre = np.median(scores, axis=0)
@@ -97,7 +97,7 @@ class Coordinates:
         return cls(judges, centre, np.where(spread > 0.0, spread, 1.0))
 
     def of(self, runs: TracedRuns) -> NDArray[np.float64]:
-        """Return shape (n_runs, n_judges); far out, the logarithm counts."""
+        """Return the coordinates, shape (n_runs, n_judges): linear near 0, logarithmic far out."""
         scores = np.column_stack([judge.score(runs) for judge in self.judges])
         z = (scores - self.centre) / self.spread
         return np.asarray(np.sign(z) * np.log1p(np.abs(z)), dtype=np.float64)
@@ -112,9 +112,9 @@ class Opinion:
     coordinates : Coordinates
     weights : ndarray of shape (n_judges,)
     threshold : float
-        Where bad begins: runs above it are more likely bad than good.
+        Runs above it are more likely bad than good.
     low, high : float
-        95 % of the resampled answers put the threshold between these.
+        95 % interval of the threshold, from resampled answers.
     answers : int
     """
 
@@ -131,16 +131,16 @@ class Opinion:
 
 
 class Human:
-    """Learns from answers which runs a person would call bad.
+    """Learns from answers which runs a person considers bad.
 
     Parameters
     ----------
     answers : mapping of str to bool
         Whether a run is bad, by run.
     runs : TracedRuns
-        That the answers are about, among others.
+        All runs, including those with answers.
     kinds : sequence of kinds
-        Whose scores a model of the answers looks at.
+        The kinds whose scores are the inputs of the model.
     """
 
     name = "human"
@@ -153,43 +153,43 @@ class Human:
         kinds: Sequence[OracleKind],
     ) -> None:
         self._answers = dict(answers)
-        self._asked = runs.where(runs.table["run_id"].isin(self._answers).to_numpy())
+        self._answered = runs.where(runs.table["run_id"].isin(self._answers).to_numpy())
         self._kinds = kinds
 
     def learn(self, normal: TracedRuns) -> Opinion:
-        """Learn from the answers on runs of the blocks of some normal runs, and of no others.
+        """Learn from the answers on runs of the blocks of some normal runs only.
 
         Raises
         ------
         AnswerError
-            These answers are all alike.
+            These answers are all equal.
         """
-        here = np.isin(self._asked.block, np.unique(normal.block))
-        asked = self._asked.where(here)
-        bad = np.array([self._answers[run] for run in asked.table["run_id"]], dtype=np.bool_)
+        in_blocks = np.isin(self._answered.block, np.unique(normal.block))
+        answered = self._answered.where(in_blocks)
+        bad = np.array([self._answers[run] for run in answered.table["run_id"]], dtype=np.bool_)
         if len(set(bad.tolist())) < 2:
             raise AnswerError(
-                "The answers on these runs are all alike; answer for more runs with "
-                "`oracle review`, among them good and bad ones."
+                "The answers on these runs are all equal; answer for more runs with "
+                "`oracle review`, both good and bad ones."
             )
         coordinates = Coordinates.learned(normal, self._kinds)
-        of_asked = coordinates.of(asked)
-        weights, threshold = _line(of_asked, bad)
-        low, high = _interval(of_asked @ weights, bad)
+        inputs = coordinates.of(answered)
+        weights, threshold = _line(inputs, bad)
+        low, high = _interval(inputs @ weights, bad)
         return Opinion(coordinates, weights, threshold, low, high, len(bad))
 
     def written(self) -> int:
-        """Return how many answers there are."""
+        """Return the number of answers."""
         return len(self._answers)
 
 
 def questions(
     coordinates: NDArray[np.float64], answers: Mapping[int, bool], passed: Set[int] = frozenset()
 ) -> int | None:
-    """Return the most informative run to ask about next; None if all were asked about.
+    """Return the most informative run to ask about next; None if there are no more.
 
-    It is the one for which doubt times distance is largest: how unsure a model of the answers is
-    (of all runs alike, before there is a model), and how far it is from all that were asked about.
+    This is the run with the largest product of the uncertainty of a model of the answers (constant
+    before there is a model) and the distance from all earlier questions.
 
     Parameters
     ----------
@@ -197,17 +197,17 @@ def questions(
     answers : mapping of int to bool
         Whether a run is bad, by row.
     passed : set of int
-        Rows to which there was no answer.
+        Rows that the person could not answer.
     """
-    doubt = np.ones(len(coordinates))
+    uncertainty = np.ones(len(coordinates))
     bad = np.array(list(answers.values()), dtype=np.bool_)
     if bad.any() and not bad.all():
         weights, threshold = _line(coordinates[list(answers)], bad)
-        doubt = 1.0 / np.cosh((coordinates @ weights - threshold) / 2.0)
+        uncertainty = 1.0 / np.cosh((coordinates @ weights - threshold) / 2.0)
     taken = [*answers, *passed]
     known = coordinates[taken] if taken else np.median(coordinates, axis=0, keepdims=True)
     distance = np.linalg.norm(coordinates[:, None] - known, axis=2).min(axis=1)
-    gain = (doubt + 1e-9) * (distance + 1e-9)
+    gain = (uncertainty + 1e-9) * (distance + 1e-9)
     gain[taken] = -1.0
     return int(np.argmax(gain)) if len(taken) < len(coordinates) else None
 
@@ -220,11 +220,11 @@ def interview(
     Parameters
     ----------
     material : Material
-        Whose answers are not asked for again.
+        Runs with an answer in it are skipped.
     ask : callable
-        Takes a run and returns whether it is bad; None: the person does not know.
+        Takes a run and returns whether it is bad; None if the person does not know.
     count : int
-        Of questions.
+        Number of questions.
 
     Yields
     ------
@@ -232,7 +232,7 @@ def interview(
         A run, and whether it is bad.
     """
     runs = material.runs
-    coordinates = Coordinates.learned(runs.where(runs.normal), looked_at(material)).of(runs)
+    coordinates = Coordinates.learned(runs.where(runs.normal), input_kinds(material)).of(runs)
     names = runs.table["run_id"].tolist()
     answers = {row: material.answers[n] for row, n in enumerate(names) if n in material.answers}
     passed: set[int] = set()
@@ -254,30 +254,30 @@ def with_answers(material: Material, answers: Mapping[str, bool]) -> Material:
 
 
 def answered_by_labels(material: Material, count: int) -> Material:
-    """Return the material with so many more answers, given by labels instead of a person.
+    """Return the material with `count` more answers, taken from labels instead of a person.
 
-    Of too few runs, nothing can be asked: there are no more answers.
+    With too few runs to ask about, no answers are added.
     """
     runs = material.runs
     bad = dict(zip(runs.table["run_id"], runs.malicious.tolist(), strict=True))
     known = set(runs.table["run_id"][runs.malicious | runs.normal])
     try:
-        told = dict(interview(material, lambda run: bad[run] if run in known else None, count))
+        answers = dict(interview(material, lambda run: bad[run] if run in known else None, count))
     except KindError:
         return material
-    return with_answers(material, {**material.answers, **told})
+    return with_answers(material, {**material.answers, **answers})
 
 
 def evidence(material: Material, run: str) -> list[str]:
-    """Return the score of each kind for a run, a line each, for the person who is asked."""
+    """Return one line per kind with its score for a run, as help for the person."""
     runs = material.runs
-    asked = runs.where((runs.table["run_id"] == run).to_numpy())
+    chosen = runs.where((runs.table["run_id"] == run).to_numpy())
     lines = []
-    for kind in looked_at(material):
+    for kind in input_kinds(material):
         judge = kind.learn(runs.where(runs.normal))
         usual = np.quantile(judge.score(runs.where(runs.normal)), 0.95)
         lines.append(
-            f"{kind.name}: {judge.score(asked)[0]:.3g}; 95 % of normal runs are below {usual:.3g}"
+            f"{kind.name}: {judge.score(chosen)[0]:.3g}; 95 % of normal runs are below {usual:.3g}"
         )
     return lines
 
@@ -286,50 +286,52 @@ def learned_line(material: Material) -> str:
     """Return a sentence on the threshold between good and bad runs."""
     runs = material.runs
     try:
-        opinion = Human(material.answers, runs, looked_at(material)).learn(runs.where(runs.normal))
+        opinion = Human(material.answers, runs, input_kinds(material)).learn(
+            runs.where(runs.normal)
+        )
     except AnswerError as error:
         return f"{len(material.answers)} answers. {error}"
     above = opinion.score(runs) > opinion.threshold
     return (
-        f"{opinion.answers} answers put the line at {opinion.threshold:.2f} "
+        f"{opinion.answers} answers give a threshold of {opinion.threshold:.2f} "
         f"[{opinion.low:.2f}, {opinion.high:.2f}]; {int(above.sum())} of {len(above)} runs are "
         "above it."
     )
 
 
-def looked_at(material: Material) -> list[OracleKind]:
-    """Return the kinds whose scores a person's answers are explained by."""
+def input_kinds(material: Material) -> list[OracleKind]:
+    """Return the kinds whose scores are the inputs of the model of answers."""
     kinds: list[OracleKind] = [Implicit(), Invariants()]
     return [*kinds, Specified(material.requirements)] if material.requirements else kinds
 
 
 @hookimpl
 def register_oracles() -> list[Maker]:
-    """Offer the oracle that learns from answers, if there are answers."""
+    """Register the oracle that learns from answers, if there are answers."""
     return [_made]
 
 
 def _made(material: Material) -> Human | None:
     if not material.answers:
         return None
-    return Human(material.answers, material.runs, looked_at(material))
+    return Human(material.answers, material.runs, input_kinds(material))
 
 
 def _line(
     coordinates: NDArray[np.float64], bad: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], float]:
-    """Return weights, none below 0, and the threshold that tell bad from good answers."""
+    """Return non-negative weights and the threshold that separate bad from good answers."""
     model = LogisticRegression(class_weight="balanced").fit(coordinates, bad)
-    weights = np.maximum(model.coef_[0], 0.0)  # a higher score of any kind is worse, never better
+    weights = np.maximum(model.coef_[0], 0.0)  # a higher score of any kind is never better
     if not weights.any():
         weights = np.ones(coordinates.shape[1])
     return weights, _threshold(coordinates @ weights, bad)
 
 
 def _threshold(scores: NDArray[np.float64], bad: NDArray[np.bool_]) -> float:
-    """Return the threshold that separates good from bad answers best, both weighted equally.
+    """Return the threshold with the best balanced accuracy on the answers.
 
-    Between the neighbouring scores of answers; of several places the middle one.
+    Candidates lie midway between neighbouring scores; the middle one of equally good ones wins.
     """
     known = np.unique(scores)
     places = np.concatenate([[known[0] - 1.0], (known[1:] + known[:-1]) / 2.0, [known[-1] + 1.0]])

@@ -1,7 +1,7 @@
-"""Implicit oracle: finds what is wrong for any robot and task, without written rules.
+"""Implicit oracle: finds failures that are wrong for any robot and task, without written rules.
 
-A goal that failed or never ended, an error in the log, numbers that are not finite, and periodic
-topics that fell silent.
+These are a goal that failed or never ended, an error in the log, numbers that are not finite, and
+periodic topics that fell silent.
 """
 
 from typing import Self
@@ -14,11 +14,11 @@ from oracle_pipeline.features.plugin import hookimpl
 from oracle_pipeline.oracles.kind import Maker, TracedRuns
 from oracle_pipeline.oracles.traces import STEP_S
 
-_COUNTS = ("goals_failed", "errors", "non_finite")  # so far: the last value is the total
+_COUNTS = ("goals_failed", "errors", "non_finite")  # cumulative: the last value is the total
 
 
 class Implicit:
-    """The sum of ``ln(1 + n)`` over what went wrong n times; seconds of silence count too."""
+    """The sum of ``ln(1 + n)`` over the number of each failure, and the seconds of silence."""
 
     name = "implicit"
     asks = "nothing"
@@ -28,7 +28,7 @@ class Implicit:
         return self
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
-        """Return how much went wrong in each run, 0 if nothing did."""
+        """Return the score of each run; 0 without failures."""
         return np.asarray(np.log1p(runs.each(failures)).sum(axis=1), dtype=np.float64)
 
     def written(self) -> int:
@@ -37,9 +37,9 @@ class Implicit:
 
 
 def failures(trace: pd.DataFrame) -> NDArray[np.float64]:
-    """Return how many goals failed, errors were logged, numbers were not finite; [s] of silence.
+    """Return the numbers of failed goals, logged errors, non-finite numbers, and silence [s].
 
-    The last is how many goals were still under way at the end.
+    The last value is the number of goals that were still active at the end.
     """
     totals = [float(trace[name].fillna(0.0).iloc[-1]) if len(trace) else 0.0 for name in _COUNTS]
     silent_s = float(trace["quiet_topics"].fillna(0.0).sum()) * STEP_S
@@ -49,5 +49,5 @@ def failures(trace: pd.DataFrame) -> NDArray[np.float64]:
 
 @hookimpl
 def register_oracles() -> list[Maker]:
-    """Offer the implicit oracle."""
+    """Register the implicit oracle."""
     return [lambda _: Implicit()]

@@ -1,9 +1,9 @@
 """Derived oracle: learns invariants of normal runs, after Daikon [1]_.
 
-Every normal run votes on simple candidates: the lower and the upper bound of a signal, of how fast
-it changes, and of the difference of two signals in one unit. A candidate with the bound that all
-runs kept is an invariant. Each is one line of a file of requirements, so people can read it, change
-it, or delete it, and ``specified`` can use what is left.
+Candidates are the lower and upper bounds of a signal, of its rate of change, and of the difference
+of two signals in the same unit. A bound that all normal runs kept is an invariant. Each is one line
+of a file of requirements, so people can review, change or delete it, and ``specified`` can use the
+remaining lines.
 
 References
 ----------
@@ -25,14 +25,14 @@ from oracle_pipeline.oracles.kind import KindError, Maker, TracedRuns
 from oracle_pipeline.oracles.requirements import FARTHEST, Requirement
 from oracle_pipeline.oracles.traces import RATE, SIGNALS, values_of
 
-HEAD = """What always held in normal runs, in the manner of Daikon: bounds of signals, of what they
-change by in a second (_rate), and of the difference of two signals of one unit. Bounds are what
-these runs reached, so a line may say no more than how they happened to be. Delete or change lines.
-"""  # above the lines of a file
+HEAD = """Invariants of normal runs, in the manner of Daikon: bounds of signals, of their change in
+one second (_rate), and of the difference of two signals with the same unit. These runs reached the
+bounds, so a bound may hold only by chance. Delete or change lines as needed.
+"""  # comment at the top of a file
 
-FEWEST = 3  # normal runs that have the signal
+FEWEST = 3  # normal runs with the signal
 
-_GROWING = {"travelled"}  # the longer the run, the larger: no bound of one says much
+_GROWING = {"travelled"}  # grows with the length of the run, so bounds are meaningless
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,17 +43,17 @@ class Expression:
     second: str = ""
 
     def __str__(self) -> str:
-        """Return it as a part of a formula."""
+        """Return the expression as text of a formula."""
         return f"{self.first} - {self.second}" if self.second else self.first
 
     @property
     def floor(self) -> float:
-        """The smallest difference that means something, in its unit."""
+        """The smallest significant difference, in its unit."""
         return SIGNALS[self.first.removesuffix(RATE)].floor
 
 
 def expressions() -> tuple[Expression, ...]:
-    """Return all that candidates are about."""
+    """Return the expressions of all candidates."""
     bounded = [name for name in SIGNALS if name not in _GROWING]
     return (
         *map(Expression, bounded),
@@ -81,15 +81,15 @@ def extremes(trace: pd.DataFrame) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LearnedInvariants:
-    """Bounds that all normal runs kept; arrays of shape (n_expressions,), NaN: none.
+    """Bounds that all normal runs kept; arrays of shape (n_expressions,), NaN without a bound.
 
     Attributes
     ----------
     low, high : ndarray
     low_scale, high_scale : ndarray
-        How far apart the normal runs are in what they reach: the unit of a violation.
+        Spread of the extremes of normal runs: the unit of a violation.
     runs : int
-        They were learned from.
+        Number of runs learned from.
     """
 
     low: NDArray[np.float64]
@@ -115,7 +115,7 @@ class LearnedInvariants:
         says = f"Held in {self.runs} normal runs."
         for n, about in enumerate(_EXPRESSIONS):
             name = str(about).replace(" - ", ".minus.")
-            if about.second and 0.0 <= self.low[n] < about.floor:  # an order of two signals
+            if about.second and 0.0 <= self.low[n] < about.floor:  # one signal is never smaller
                 formula = f"always ({about.first} >= {about.second})"
                 yield Requirement(f"{name}.low", formula, float(self.low_scale[n]), says)
             elif np.isfinite(self.low[n]):
@@ -142,8 +142,8 @@ class Invariants:
         """
         if len(normal.traces) < FEWEST:
             raise KindError(
-                f"Invariants take {FEWEST} normal runs at least, there are {len(normal.traces)}; "
-                "record more."
+                f"Invariants need at least {FEWEST} normal runs, but there are "
+                f"{len(normal.traces)}; record more."
             )
         least, largest = normal.each(extremes).transpose(1, 0, 2)
         enough = np.isfinite(least).sum(axis=0) >= FEWEST
@@ -161,7 +161,7 @@ class Invariants:
 
 @hookimpl
 def register_oracles() -> list[Maker]:
-    """Offer the oracle of learned invariants."""
+    """Register the oracle of learned invariants."""
     return [lambda _: Invariants()]
 
 
@@ -169,17 +169,17 @@ def _spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the scaled MAD of each column; 0 for one without values."""
     known = np.isfinite(values).any(axis=0)
     spread = np.zeros(values.shape[1])
-    apart = np.abs(values[:, known] - np.nanmedian(values[:, known], axis=0))
-    spread[known] = MAD_TO_DEVIATION * np.nanmedian(apart, axis=0)
+    deviation = np.abs(values[:, known] - np.nanmedian(values[:, known], axis=0))
+    spread[known] = MAD_TO_DEVIATION * np.nanmedian(deviation, axis=0)
     return spread
 
 
 def _text(rounded: np.ufunc, bound: float) -> str:
-    """Return a bound with four decimals, rounded to the side on which it is weaker."""
+    """Return a bound with four decimals, rounded outwards."""
     return f"{rounded(bound * 1e4) / 1e4:.4f}"
 
 
-_EXPRESSIONS = expressions()  # those of two signals last
+_EXPRESSIONS = expressions()  # differences of two signals come last
 _SINGLES = [str(each) for each in _EXPRESSIONS if not each.second]
 _FIRST = [_SINGLES.index(each.first) for each in _EXPRESSIONS if each.second]
 _SECOND = [_SINGLES.index(each.second) for each in _EXPRESSIONS if each.second]

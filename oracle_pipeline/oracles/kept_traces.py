@@ -1,4 +1,4 @@
-"""Traces of runs, kept in files: a bag is read again only if the run or this code has changed."""
+"""A cache of traces in files: a bag is read again only if the run or this code has changed."""
 
 import functools
 import hashlib
@@ -19,14 +19,14 @@ _INPUTS = "inputs"  # of a trace, in the metadata of its first column
 
 
 def kept_trace(run: RunDirectory, folder: Path | None) -> pd.DataFrame:
-    """Return the trace of a run, from its file if that is current.
+    """Return the trace of a run, from its file if it is current.
 
     Parameters
     ----------
     run : RunDirectory
-        Of a complete run.
+        A complete run.
     folder : Path or None
-        Where traces are kept, by mode; None: the bag is read in any case.
+        Cache folder; None always reads the bag.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def kept_trace(run: RunDirectory, folder: Path | None) -> pd.DataFrame:
         if field_metadata(trace).get(TIME, {}).get(_INPUTS) == _inputs(run):
             return trace
     except DatasetError:
-        pass  # none, or a damaged one: it is read again
+        pass  # missing or damaged: read the bag
     trace = _read(run)
     keep_trace(trace, run, folder)
     return trace
@@ -58,7 +58,7 @@ def _place(run: RunDirectory, folder: Path) -> Path:
 
 
 def _inputs(run: RunDirectory) -> str:
-    """Return a hash of what a trace depends on: the messages and the code."""
+    """Return a hash of the inputs of a trace: the messages and the code."""
     return hashlib.sha256(f"{run.manifest().content_hash} {_code()}".encode()).hexdigest()
 
 

@@ -1,7 +1,7 @@
 """The interface of a kind of oracle: it maps a run to one number; higher is worse.
 
-How the number becomes a p-value is the same for all kinds (``calibration``). A kind is a plugin:
-the built-in ones, those of other distributions, and those in the plugin folder offer themselves
+``calibration`` turns the number into a p-value in the same way for all kinds. A kind is a plugin:
+the built-in kinds, those of other distributions, and those in the plugin folder are registered
 through the hook ``register_oracles``.
 """
 
@@ -31,8 +31,8 @@ _log = logging.getLogger(__name__)
 hookspec = pluggy.HookspecMarker(PROJECT)
 
 
-# By function and by the identity of a trace: the trace, and what the function returns for it.
-_Known: TypeAlias = dict[Hashable, dict[int, tuple[pd.DataFrame, NDArray[np.float64]]]]
+# Cache by function and identity of a trace: the trace, and the result of the function for it.
+_Cache: TypeAlias = dict[Hashable, dict[int, tuple[pd.DataFrame, NDArray[np.float64]]]]
 
 
 class KindError(OracleError):
@@ -41,35 +41,35 @@ class KindError(OracleError):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TracedRuns:
-    """Runs and their traces, in one order.
+    """Runs and their traces, in the same order.
 
     Attributes
     ----------
     table : DataFrame
         One row for each run: the keys and perhaps features.
     traces : tuple of DataFrame
-        As of `traces.read_trace`, one for each run.
+        From `traces.read_trace`, one for each run.
     """
 
     table: pd.DataFrame
     traces: tuple[pd.DataFrame, ...]
-    _known: _Known = field(default_factory=dict, repr=False)  # shared with those that `where` gives
+    _cache: _Cache = field(default_factory=dict, repr=False)  # shared with results of `where`
 
     def where(self, chosen: NDArray[np.bool_]) -> "TracedRuns":
         """Return the runs of a mask of shape (n_runs,)."""
         kept = tuple(self.traces[row] for row in np.flatnonzero(chosen))
-        return TracedRuns(self.table[chosen].reset_index(drop=True), kept, self._known)
+        return TracedRuns(self.table[chosen].reset_index(drop=True), kept, self._cache)
 
     def each(self, compute: Callable[[pd.DataFrame], NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return what a function returns for each trace, stacked.
+        """Return the stacked results of a function for each trace.
 
-        It is called once for each, however many kinds and folds ask; equal functions are one.
+        Results are cached for all kinds and folds; equal functions share a cache.
         """
-        known = self._known.setdefault(compute, {})
+        cache = self._cache.setdefault(compute, {})
         for trace in self.traces:
-            if id(trace) not in known:  # the trace is kept, so its identity stays its own
-                known[id(trace)] = trace, compute(trace)
-        return np.stack([known[id(trace)][1] for trace in self.traces])
+            if id(trace) not in cache:  # the cache keeps the trace alive, so its id stays unique
+                cache[id(trace)] = trace, compute(trace)
+        return np.stack([cache[id(trace)][1] for trace in self.traces])
 
     @property
     def block(self) -> NDArray[np.int64]:
@@ -88,7 +88,7 @@ class TracedRuns:
 
     @property
     def normal(self) -> NDArray[np.bool_]:
-        """Which runs are known to be normal, shape (n_runs,); neither: it is not known."""
+        """Mask of the runs that are known to be normal, shape (n_runs,)."""
         return np.asarray(self.table["label"].isin(LABELS), dtype=np.bool_) & ~self.malicious
 
 
@@ -96,7 +96,7 @@ class Judge(Protocol):
     """A fitted oracle, which maps runs to numbers."""
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
-        """Return how wrong each run is, shape (n_runs,); finite, higher is worse."""
+        """Return the score of each run, shape (n_runs,); finite, higher is worse."""
 
 
 class OracleKind(Protocol):
@@ -114,24 +114,24 @@ class OracleKind(Protocol):
     asks: str
 
     def learn(self, normal: TracedRuns) -> Judge:
-        """Return what judges runs, learned from normal ones; a kind may be its own judge."""
+        """Return a judge that is fitted on normal runs; a kind may be its own judge."""
 
     def written(self) -> int:
-        """Return how many requirements, answers or recordings people gave."""
+        """Return the number of requirements, answers or recordings that people provided."""
 
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """The material from which a kind is built.
+    """The inputs from which a kind is built.
 
     Attributes
     ----------
     runs : TracedRuns
         All runs that are compared.
     requirements : sequence of Requirement
-        What people require of a run.
+        Formulas that runs should satisfy.
     answers : mapping of str to bool
-        Whether a run is bad, by run, as people answered.
+        Answers of people, by run; True means bad.
     follow_ups : TracedRuns or None
         Runs of the same blocks in another relation than `SAME`, with a column `RELATION`. They are
         not judged.
@@ -165,12 +165,12 @@ def build_kinds(material: Material, folder: Path | None = None) -> list[OracleKi
     ----------
     material : Material
     folder : Path, optional
-        Of plugin files, as for features.
+        Folder of plugin files, as for features.
 
     Raises
     ------
     KindError
-        Two kinds have one name.
+        Two kinds have the same name.
     """
     from oracle_pipeline.oracles import human, implicit, invariants, metamorphic, specified
 

@@ -1,11 +1,11 @@
 """Metamorphic and differential oracle: compares a run with other runs of the same task.
 
-The correct path is unknown, but the same task in the same world should give about the same outcome,
-whichever build drives. The runs of a block have equal start, goals and world: each is compared with
-the unaltered runs of its block. How far these are from each other is the unit.
+The correct path is unknown, but the same task in the same world should give about the same outcome
+with any build. The runs of a block have equal start, goals and world: each is compared with the
+unaltered runs of its block, in units of their spread.
 
-The same holds for a task in a known relation to it, such as the mirrored one: where the robot
-turned left, it should turn right. Where there are such follow-up runs, a run is compared with them.
+Runs of a related task are compared, too. In the mirrored world, for example, the robot should turn
+right where it turned left.
 """
 
 from dataclasses import dataclass
@@ -21,8 +21,8 @@ from oracle_pipeline.oracles.kind import RELATION, SAME, KindError, Maker, Mater
 from oracle_pipeline.oracles.traces import SIGNALS, STEP_S, values_of
 
 PERCENTILES = (5.0, 50.0, 95.0)
-FEWEST = 20  # comparisons of normal runs that tell a spread
-OTHER_WAY = ("mirrored", "reordered")  # relations in which left is right
+FEWEST = 20  # comparisons of normal runs needed to estimate the spread
+SWAPPED = ("mirrored", "reordered")  # relations in which left and right turns are swapped
 TURNS = ("command_turn", "turn", "gyro_turn")  # signals that are positive to the left
 
 _NAMES = tuple(SIGNALS)
@@ -35,23 +35,23 @@ def outcomes(trace: pd.DataFrame) -> NDArray[np.float64]:
     Returns
     -------
     ndarray of shape (3 * n_signals + 3,)
-        NaN where the trace lacks a signal. The way by odometry [m], how far it turned [rad], and
-        how long a goal was under way [s].
+        NaN where the trace lacks a signal. The last three are path length by odometry [m], total
+        turning [rad], and time with an active goal [s].
     """
     values = values_of(trace, _NAMES)
     levels = np.full((len(PERCENTILES), len(_NAMES)), np.nan)
     known = np.isfinite(values).any(axis=0)
     if known.any():
         levels[:, known] = np.nanpercentile(values[:, known], PERCENTILES, axis=0)
-    way = trace["travelled"].max()
+    path_m = trace["travelled"].max()
     turned = np.nansum(np.abs(trace["turn"])) * STEP_S
-    under_way_s = float((trace["goal_time"] > 0.0).sum()) * STEP_S
-    return np.array([*levels.ravel(), way, turned, under_way_s], dtype=np.float64)
+    active_s = float((trace["goal_time"] > 0.0).sum()) * STEP_S
+    return np.array([*levels.ravel(), path_m, turned, active_s], dtype=np.float64)
 
 
-def in_its_place(outcome: NDArray[np.float64], relation: str) -> NDArray[np.float64]:
-    """Return what the outcome of a follow-up run says of the task that it was derived from."""
-    if relation not in OTHER_WAY:
+def as_original(outcome: NDArray[np.float64], relation: str) -> NDArray[np.float64]:
+    """Return the outcome that a follow-up run predicts for the original task."""
+    if relation not in SWAPPED:
         return outcome
     seen = outcome.copy()
     levels = seen[: len(PERCENTILES) * len(_NAMES)].reshape(len(PERCENTILES), -1)  # a view
@@ -69,8 +69,8 @@ class _Judge:
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
         """Return each run's largest difference from the runs of its task, in spreads."""
-        apart = np.abs(self.kind.differences(runs)) / self.spread
-        return np.asarray(np.nan_to_num(apart).max(axis=1), dtype=np.float64)
+        difference = np.abs(self.kind.differences(runs)) / self.spread
+        return np.asarray(np.nan_to_num(difference).max(axis=1), dtype=np.float64)
 
 
 class Metamorphic:
@@ -79,8 +79,7 @@ class Metamorphic:
     Parameters
     ----------
     partners : TracedRuns
-        All runs that may serve as the other side of a comparison; only normal ones in which nothing
-        was changed do.
+        Candidates to compare with; only unaltered normal runs are used.
     follow_ups : TracedRuns, optional
         Runs of the same blocks in another relation, by the column ``relation``; as for partners.
     """
@@ -97,9 +96,9 @@ class Metamorphic:
         self._differences: dict[int, tuple[pd.DataFrame, NDArray[np.float64]]] = {}  # by trace
 
     def learn(self, normal: TracedRuns) -> _Judge:
-        """Learn how far normal runs of one task are from each other, in each relation.
+        """Learn the spread of normal runs of the same task, for each relation.
 
-        A relation in which too few of them can be compared has no say.
+        A relation with fewer than `FEWEST` comparisons is ignored.
         """
         apart = self.differences(normal).reshape(len(normal.traces), len(self._partners), -1)
         compared = np.isfinite(apart).any(axis=2).sum(axis=0)
@@ -117,19 +116,19 @@ class Metamorphic:
         return _Judge(self, spread.ravel())
 
     def differences(self, runs: TracedRuns) -> NDArray[np.float64]:
-        """Return each run less the median of its partners in each relation.
+        """Return each run minus the median of its partners in each relation.
 
-        An exact repetition says nothing, so equal partners count once, and a run is no partner of
-        itself.
+        Exact repetitions carry no information, so equal partners count once, and a run is never its
+        own partner.
 
         Returns
         -------
         ndarray of shape (n_runs, n_relations * n_outcomes)
-            NaN where there is no partner.
+            NaN without partners.
         """
         known = self._differences
         for trace, own, block in zip(runs.traces, runs.each(outcomes), runs.block, strict=True):
-            if id(trace) not in known:  # the trace is kept, so its identity stays its own
+            if id(trace) not in known:  # the cache keeps the trace alive, so its id stays unique
                 known[id(trace)] = trace, self._difference(own, int(block))
         return np.stack([known[id(trace)][1] for trace in runs.traces])
 
@@ -140,7 +139,7 @@ class Metamorphic:
             if not here.traces:
                 continue
             others = np.unique(here.each(outcomes), axis=0)
-            others = np.array([in_its_place(other, relation) for other in others])
+            others = np.array([as_original(other, relation) for other in others])
             others = others[~np.isclose(others, own, equal_nan=True).all(axis=1)]
             if len(others):
                 known = np.isfinite(others).any(axis=0)
@@ -148,7 +147,7 @@ class Metamorphic:
         return differences.ravel()
 
     def written(self) -> int:
-        """Return how many recordings serve as partners."""
+        """Return the number of recordings that serve as partners."""
         return sum(len(partners.traces) for partners in self._partners.values())
 
 
@@ -157,7 +156,7 @@ def _unaltered(runs: TracedRuns) -> TracedRuns:
 
 
 def _made(material: Material) -> Metamorphic | None:
-    """Return the kind if some task was run twice, or in another relation."""
+    """Return the kind if any task was run twice, or in another relation."""
     plain = material.runs.block[material.runs.normal]
     if material.follow_ups is None and len(np.unique(plain)) == len(plain):
         return None
@@ -166,5 +165,5 @@ def _made(material: Material) -> Metamorphic | None:
 
 @hookimpl
 def register_oracles() -> list[Maker]:
-    """Offer the oracle that compares runs of one task."""
+    """Register the oracle that compares runs of the same task."""
     return [_made]

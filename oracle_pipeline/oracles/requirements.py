@@ -1,4 +1,4 @@
-"""Requirements in signal temporal logic: reading them from YAML, and their robustness on a trace.
+"""Requirements in signal temporal logic: read from YAML, and evaluated on a trace.
 
 ::
 
@@ -8,9 +8,9 @@
         formula: always (nearest_min >= 0.22)
         scale: 0.05     # a difference that matters, in the unit of the formula
 
-A formula is text for the parser of SENTIL [1]_, never code. Its names are those of signals
-(``traces.SIGNALS``), which are found by role, so a file fits every robot. The robustness of a
-formula is the margin by which it holds, below 0 if it is violated [2]_.
+A formula is text for the parser of SENTIL [1]_, never code. Its names are signals
+(``traces.SIGNALS``), which are found by role, so a file works for every robot. The robustness of a
+formula is the margin by which it holds; it is negative if the formula is violated [2]_.
 
 References
 ----------
@@ -36,7 +36,7 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.oracles.traces import RATE, SIGNALS, TIME, known_names, values_of
 
 NAV2 = Path(__file__).with_name("nav2.yaml")
-FARTHEST = 1e6  # scales; limit of a robustness
+FARTHEST = 1e6  # limit of a robustness [scales]
 
 _KEYS = ("name", "formula", "scale", "says")
 _LARGEST = 1024 * 1024  # bytes
@@ -62,7 +62,7 @@ def load(path: Path) -> list[Requirement]:
     Raises
     ------
     RequirementError
-        The file is invalid; the message names file, line and fault.
+        The file is invalid; the message has file, line and fault.
     """
     try:
         with path.open("rb") as source:
@@ -72,17 +72,17 @@ def load(path: Path) -> list[Requirement]:
         text = content.decode()
         document = bounded_yaml.load(text)
         if not isinstance(document, dict) or list(document) != ["requirements"]:
-            raise ValueError("it has to be a mapping with the one key 'requirements'")
+            raise ValueError("it must be a mapping with the single key 'requirements'")
         if not isinstance(document["requirements"], list):
-            raise ValueError("'requirements' has to be a list")
+            raise ValueError("'requirements' must be a list")
     except (ValueError, OSError) as error:
-        raise RequirementError(f"{path} is no file of requirements: {error}.") from error
+        raise RequirementError(f"{path} is not a file of requirements: {error}.") from error
     read: list[Requirement] = []
     for line, given in zip(_lines(text), document["requirements"], strict=True):
         try:
             requirement = _requirement(given)
             if any(requirement.name == other.name for other in read):
-                raise ValueError(f"the name {requirement.name!r} stands twice")
+                raise ValueError(f"the name {requirement.name!r} is used twice")
         except ValueError as error:
             raise RequirementError(f"{path}, line {line}: {error}.") from error
         read.append(requirement)
@@ -90,7 +90,7 @@ def load(path: Path) -> list[Requirement]:
 
 
 def dump(requirements: Iterable[Requirement], head: str) -> str:
-    """Return requirements as YAML, each on a line of its own below some lines of comment."""
+    """Return requirements as YAML, one per line, below a comment."""
     lines = [*(f"# {line}" for line in head.splitlines()), "requirements:"]
     for each in requirements:
         given = {"name": each.name, "formula": each.formula, "scale": each.scale}
@@ -103,7 +103,7 @@ def dump(requirements: Iterable[Requirement], head: str) -> str:
 def violations(
     requirements: Sequence[Requirement], traces: Iterable[pd.DataFrame]
 ) -> NDArray[np.float64]:
-    """Return how far each trace violates each requirement, in scales; below 0, it holds.
+    """Return the violation of each requirement by each trace, in scales; negative if it holds.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def violations(
 
 
 def _robustness(formula: Any, trace: pd.DataFrame) -> float:
-    """Return the robustness at the first sample; samples that lack a signal are left out."""
+    """Return the robustness at the first sample; samples that lack a signal are skipped."""
     names = formula.variables
     values = values_of(trace, names)
     known = np.isfinite(values).all(axis=1)
@@ -137,36 +137,36 @@ def _requirement(given: Any) -> Requirement:
     texts = {key: given.get(key, "") for key in ("name", "formula", "says")}
     for key, text in texts.items():
         if not isinstance(text, str) or (key != "says" and not text.strip()):
-            raise ValueError(f"{key!r} has to be a text")
+            raise ValueError(f"{key!r} must be a string")
     scale = given.get("scale", 1.0)
     if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0.0 < scale < np.inf:
-        raise ValueError(f"'scale' has to be a number above 0, found {scale!r}")
+        raise ValueError(f"'scale' must be a number above 0, found {scale!r}")
     _check(texts["formula"])
     return Requirement(texts["name"], texts["formula"], float(scale), texts["says"])
 
 
 def _check(formula: str) -> None:
-    """Refuse a formula that cannot be parsed, names no signal, or cannot be evaluated."""
+    """Raise an error for a formula that cannot be parsed or evaluated, or has no signal."""
     try:
         parsed = sentil.Formula.parse(formula)
     except sentil.SentilError as error:
-        raise ValueError(f"{formula!r} is no formula: {error}") from error
+        raise ValueError(f"{formula!r} is not a formula: {error}") from error
     if not parsed.variables:
-        raise ValueError(f"{formula!r} names no signal")
+        raise ValueError(f"{formula!r} has no signal")
     for name in parsed.variables:
         if name.removesuffix(RATE) not in SIGNALS:
             close = difflib.get_close_matches(name, known_names(), 1)
-            hint = f"; do you mean {close[0]}?" if close else f"; known are {', '.join(SIGNALS)}"
+            hint = f"; did you mean {close[0]}?" if close else f"; known are {', '.join(SIGNALS)}"
             raise ValueError(f"there is no signal {name!r}{hint}")
     try:
         still: dict[str, object] = {name: np.zeros(2) for name in parsed.variables}
         parsed.robustness(sentil.Trace([0.0, 1.0], still))
     except sentil.SentilError as error:
-        raise ValueError(f"{formula!r} has no robustness: {error}") from error
+        raise ValueError(f"{formula!r} cannot be evaluated: {error}") from error
 
 
 def _lines(text: str) -> list[int]:
     """Return the line on which each requirement begins; the text has been checked."""
     root = yaml.compose(text, Loader=yaml.SafeLoader)
-    assert isinstance(root, yaml.MappingNode)  # noqa: S101 -- checked by who calls
+    assert isinstance(root, yaml.MappingNode)  # noqa: S101 -- checked by the caller
     return [node.start_mark.line + 1 for node in root.value[0][1].value]

@@ -15,7 +15,7 @@ from oracle_pipeline.oracles.requirements import FARTHEST, Requirement, violatio
 
 @dataclass(frozen=True, slots=True)
 class _Violations:
-    """How far a trace is beyond each of some requirements."""
+    """Computes the violation of requirements by a trace; hashable, to be cached."""
 
     requirements: tuple[Requirement, ...]
 
@@ -25,7 +25,7 @@ class _Violations:
 
 
 class Specified:
-    """The largest violation of a run; below 0 if all requirements hold.
+    """The largest violation of a run; negative if all requirements hold.
 
     Parameters
     ----------
@@ -48,11 +48,11 @@ class Specified:
         return np.asarray(np.nanmax(np.nan_to_num(beyond, nan=-FARTHEST), axis=1))
 
     def written(self) -> int:
-        """Return how many requirements there are."""
+        """Return the number of requirements."""
         return len(self.requirements)
 
 
 @hookimpl
 def register_oracles() -> list[Maker]:
-    """Offer the oracle for the requirements, if there are any."""
+    """Register the oracle for the requirements, if there are any."""
     return [lambda material: Specified(material.requirements) if material.requirements else None]

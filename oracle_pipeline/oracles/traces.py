@@ -1,8 +1,8 @@
-"""A trace: a few signals of a recording over time, on one clock.
+"""A trace: a few signals of a recording over time, sampled on one clock.
 
-Oracles that judge by rules need signals, not features: the commanded speed, the nearest return of a
-scanner, how many topics are quiet. Signals are found by the roles of topics, so they have the same
-names on every robot. What a robot does not record is NaN throughout.
+Rule-based oracles need signals, not features: the commanded speed, the nearest return of a scanner,
+the number of quiet topics. Signals are found by the roles of topics, so they have the same names on
+every robot. Signals that a robot does not record are NaN.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -32,12 +32,12 @@ STEP_S = 0.05  # between two samples: Nav2 commands at 20 Hz
 TIME = "time_s"
 
 _ERROR = 40  # level of rcl_interfaces/msg/Log
-_SAMPLED_S = 0.05  # of each such span the first message of an inertial unit is read
-_PERIODIC_S = 1.0  # median time between the messages of a topic that should go on
-_FEWEST = 20  # messages that show it
+_SAMPLED_S = 0.05  # one message of an inertial unit is read per such span
+_PERIODIC_S = 1.0  # largest median time between messages of a periodic topic
+_FEWEST = 20  # messages needed to call a topic periodic
 _QUIET_S, _QUIET_PERIODS = 2.0, 20.0  # a topic is quiet after the longer of the two
 
-RATE = "_rate"  # ends the name of what a signal changed by over the last second
+RATE = "_rate"  # suffix for the change of a signal over the last second
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class Signal(NamedTuple):
     """One column of a trace."""
 
     unit: str
-    floor: float  # differences below it mean nothing, in the unit
+    floor: float  # smallest significant difference, in the unit
     description: str
 
 
@@ -76,7 +76,7 @@ SIGNALS: Mapping[str, Signal] = {
 
 
 def known_names() -> list[str]:
-    """Return what formulas may name: all signals, and how fast each changes."""
+    """Return the names that formulas may use: all signals and their rates."""
     return [*SIGNALS, *(f"{name}{RATE}" for name in SIGNALS)]
 
 
@@ -113,9 +113,9 @@ def _keep_poses(messages: Any) -> tuple[Floats, Floats, Floats]:
 
 
 def _keep_scans(messages: Any) -> Floats:
-    """Return the nearest return [m], the share of rays without one, and how uneven ranges are [m].
+    """Return the nearest return [m], the share of rays without one, and the unevenness [m].
 
-    The last is the median of the second differences between neighbouring rays.
+    The unevenness is the median of the second differences between neighbouring rays.
     """
     kept = np.full((len(messages.ranges), 3), np.nan)
     lengths = np.array([len(ranges) for ranges in messages.ranges])
@@ -143,7 +143,7 @@ def _medians(rows: Floats) -> Floats:
     return medians
 
 
-#: What a trace is made of, as a plugin asks for it; it has no features.
+#: The topics of a trace, requested as a plugin without features.
 TRACE = FeaturePlugin(
     "trace", "trace", (), lambda _: Missing("a trace has no features"),
     GOAL_TOPICS | {
@@ -171,7 +171,7 @@ def read_trace(robot: Robot) -> pd.DataFrame:
 
 
 def trace_of(recording: KeptMessages) -> pd.DataFrame:
-    """Return the signals of a recording that was read for `TRACE`, and perhaps for others.
+    """Return the signals of a recording that was read for `TRACE`, and maybe other plugins.
 
     Returns
     -------
@@ -181,7 +181,7 @@ def trace_of(recording: KeptMessages) -> pd.DataFrame:
     """
     whole = Span(0, recording.duration_ns)
     window = recording.window(TRACE, whole, recording.span(whole, NO_GRAPH))
-    if isinstance(window, Missing):  # a topic that cannot be decoded
+    if isinstance(window, Missing):  # a topic cannot be decoded
         window = recording.span(whole, NO_GRAPH)
     clock = np.arange(0.0, whole.end_s, STEP_S)
     columns = {name: np.full(len(clock), np.nan) for name in SIGNALS}
@@ -206,7 +206,7 @@ def signals(window: Window, clock: Floats) -> dict[str, Floats]:
 
 
 def quiet_topics(arrivals: Mapping[str, Arrivals], clock: Floats) -> Floats:
-    """Return how many periodic topics have been silent for too long, at each time."""
+    """Return the number of periodic topics that have been silent for too long, at each time."""
     quiet = np.zeros(len(clock))
     for arrived in arrivals.values():
         times_s = arrived.times_s
@@ -215,9 +215,9 @@ def quiet_topics(arrivals: Mapping[str, Arrivals], clock: Floats) -> Floats:
         period_s = float(np.median(np.diff(times_s)))
         if period_s > _PERIODIC_S:
             continue
-        patience_s = max(_QUIET_S, _QUIET_PERIODS * period_s)
+        limit_s = max(_QUIET_S, _QUIET_PERIODS * period_s)
         last = np.searchsorted(times_s, clock, side="right") - 1
-        quiet += (last >= 0) & (clock - times_s[np.maximum(last, 0)] > patience_s)
+        quiet += (last >= 0) & (clock - times_s[np.maximum(last, 0)] > limit_s)
     return quiet
 
 
@@ -238,8 +238,8 @@ def _sensed(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
     if (poses := _one(window, "pose")) is not None:
         yield "pose_spread", _held(poses, clock)[2]
         if (odometry := _one(window, "odometry")) is not None:
-            there = _held(odometry, poses.times_s)[:2].T
-            jumps = np.abs(_strides(poses.values[:, :2]) - _strides(there))
+            by_odometry = _held(odometry, poses.times_s)[:2].T
+            jumps = np.abs(_strides(poses.values[:, :2]) - _strides(by_odometry))
             yield "pose_jump", _held(Series(poses.times_s, jumps[:, None]), clock)[0]
 
 
@@ -277,12 +277,12 @@ def _logged(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
 
 
 def _one(window: Window, key: str) -> Series | None:
-    """Return what was kept of a role that only one topic has."""
+    """Return the values of a role that only one topic has."""
     return the_topic(window.topics.get(key, {}))
 
 
 def _first(window: Window, key: str) -> Series | None:
-    """Return what was kept of the first topic of a role, by name."""
+    """Return the values of the first topic of a role, by name."""
     return next(iter(window.topics.get(key, {}).values()), None)
 
 
@@ -299,5 +299,5 @@ def _strides(points: Floats) -> Floats:
 
 
 def _so_far(times_s: Floats, clock: Floats) -> Floats:
-    """Return how many events there have been at each time."""
+    """Return the cumulative number of events at each time."""
     return np.searchsorted(np.sort(times_s), clock, side="right").astype(np.float64)

@@ -1,1 +1,1 @@
-"""A recorded run as a film and as one picture."""
+"""Draws a recorded run as a film and as a picture."""

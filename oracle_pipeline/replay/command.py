@@ -9,7 +9,7 @@ import click
 
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE
 
-FASTEST_HZ = 50.0  # browsers slow a film down that asks for more
+FASTEST_HZ = 50.0  # highest frame rate of animations in browsers
 SUFFIXES = (".gif", ".webp", ".png")
 
 
@@ -34,8 +34,7 @@ def replay(run_or_bag: Path, places: tuple[Path, ...], frames: float, speed: flo
 
     Shows map, local costmap, scans, plan, path, goals, attack and time, as far as the bag has them.
     RUN_OR_BAG is a run directory or any bag with odometry, or with transforms of the robot's base.
-    What a topic is for is found by its message type, whatever its name; of several robots the first
-    is drawn.
+    Topics are found by message type, not by name. If there are several robots, the first is drawn.
 
     \b
     Examples:
@@ -47,18 +46,18 @@ def replay(run_or_bag: Path, places: tuple[Path, ...], frames: float, speed: flo
     for place in places:
         if place.suffix not in SUFFIXES:
             raise click.UsageError(
-                f"{place}: a replay is written as {', '.join(SUFFIXES)}; choose one of them."
+                f"{place}: a replay must be one of {', '.join(SUFFIXES)}; choose another suffix."
             )
     if frames * speed > FASTEST_HZ:
         raise click.UsageError(
-            f"{frames:g} frames at {speed:g} times the speed are {frames * speed:g} a second; "
-            f"browsers show {FASTEST_HZ:g}. Lower --speed or --frames."
+            f"{frames:g} frames at {speed:g} times the speed are {frames * speed:g} per second; "
+            f"browsers show at most {FASTEST_HZ:g}. Lower --speed or --frames."
         )
     _draw(run_or_bag, places, frames, speed)
 
 
 def _beside(run_or_bag: Path) -> tuple[Path, ...]:
-    """Return the default places of a film and a picture."""
+    """Return the default paths of film and picture."""
     from oracle_pipeline.replay.picture import FILM, PICTURE
 
     if (run_or_bag / MANIFEST_FILE).is_file():

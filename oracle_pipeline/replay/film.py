@@ -1,6 +1,6 @@
-"""A run as a film from above: the moments of a scene, one after the other.
+"""A run as a film from above: one frame for each moment of a scene.
 
-Static parts are drawn once; a frame is a copy of them with the moving parts drawn over it.
+Static parts are drawn once; a frame is a copy of them with the moving parts on top.
 """
 
 from pathlib import Path
@@ -27,30 +27,30 @@ from oracle_pipeline.replay.scene import (
     ReplayScene,
     draw_grid,
     draw_ground,
-    lay_grid,
+    set_grid,
 )
 from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, SERIES, house_style
 
-# Suffix of a film -> how Pillow writes it.
+# Suffix of a film -> Pillow's options.
 FORMATS: dict[str, dict[str, Any]] = {
     ".gif": {"format": "GIF", "optimize": True},
     ".webp": {"format": "WEBP", "lossless": True, "method": 1, "quality": 20},
 }
 LAST_FRAME_MS = 2000
 PALETTE = 96  # colours of a film
-PALETTE_FRAMES = 8  # from which they are chosen
+PALETTE_FRAMES = 8  # frames to choose them from
 SIX_BITS = np.uint8(0b11111100)
 
-PAPER = "white"  # no pixel of a GIF is half transparent
+PAPER = "white"  # GIF has no partial transparency
 WIDTH_IN, HEAD_IN, FOOT_IN, DPI = 6.4, 0.66, 0.92, 100
-FLATTEST, TALLEST = 0.4, 1.2  # height of the world over its width
-ROBOT_RADIUS_M = 0.22  # a TurtleBot3's in Nav2's parameters
+FLATTEST, TALLEST = 0.4, 1.2  # limits of height / width of the world
+ROBOT_RADIUS_M = 0.22  # of a TurtleBot3, from Nav2's parameters
 DRIVEN, SEEN, ATTACK, COST = COLORS["normal"], COLORS["control"], COLORS["malicious"], SERIES[3]
 INKS = (INK, AMBER, DRIVEN, SEEN, ATTACK, COST)
 FAILED: dict[str, Any] = {"color": INK, "marker": "X", "ls": "", "ms": 8, "mec": PAPER}
 
-# A colour for each byte of a costmap, in few steps: that keeps films small. 99 is where the robot
-# would touch an obstacle, 100 is the obstacle.
+# A colour for each byte of a costmap, in a few steps to keep films small. 99 is the inscribed
+# radius, 100 is the obstacle.
 _COSTS = np.zeros((256, 4))
 _COSTS[:, :3] = to_rgb(COST)
 _COSTS[:101, 3] = 0.06 + 0.06 * (np.arange(101) // 20)
@@ -61,16 +61,16 @@ COST_COLORS = ListedColormap(_COSTS)
 def save_film(scene: ReplayScene, path: Path, speed: float) -> None:
     """Write a scene as an animated GIF or WebP, by the suffix of the path.
 
-    A progress bar shows on standard error, if that is a terminal.
+    A progress bar is shown on standard error if it is a terminal.
 
     Parameters
     ----------
     scene : Scene
         With moments.
     path : Path
-        What was there is replaced once the film is whole.
+        Replaced atomically.
     speed : float
-        Seconds of the run in one of the film.
+        Seconds of the run per second of the film.
     """
     times_s = np.array([moment.time_s for moment in scene.moments])
     shown_ms = np.append(np.diff(times_s) / speed * 1000.0, LAST_FRAME_MS)
@@ -86,10 +86,10 @@ def save_film(scene: ReplayScene, path: Path, speed: float) -> None:
 
 
 def _palette(film: "_Film", scene: ReplayScene) -> Image.Image:
-    """Return the inks and what else is frequent in some frames: few, and exact but for edges."""
+    """Return a palette of the inks and the most frequent colours in some frames."""
     some = scene.moments[:: max(1, len(scene.moments) // PALETTE_FRAMES)]
     sheet = Image.fromarray(np.concatenate([film.frame(moment) for moment in some]) & SIX_BITS)
-    counted: Any = sheet.getcolors(sheet.width * sheet.height)  # never None: it may count them all
+    counted: Any = sheet.getcolors(sheet.width * sheet.height)  # not None: the limit is not reached
     inks = [tuple(int(255 * level) & 0b11111100 for level in to_rgb(ink)) for ink in INKS]
     colors = list(dict.fromkeys([*inks, *(color for _, color in sorted(counted, reverse=True))]))
     palette = Image.new("P", (1, 1))
@@ -98,14 +98,14 @@ def _palette(film: "_Film", scene: ReplayScene) -> Image.Image:
 
 
 def _indexed(frame: NDArray[np.uint8], palette: Image.Image) -> Image.Image:
-    """Return a frame in the colours of a palette, which Pillow compares by their upper six bits."""
+    """Return a frame in the colours of a palette; Pillow compares only the upper six bits."""
     image = Image.fromarray(frame & SIX_BITS).quantize(palette=palette, dither=Image.Dither.NONE)
-    image.putpalette([level | 0b11 for level in image.getpalette() or ()])  # white is white again
+    image.putpalette([level | 0b11 for level in image.getpalette() or ()])  # restores pure white
     return image
 
 
 class _Film:
-    """A figure whose moving parts are drawn anew over its still ones."""
+    """A figure with static parts that are drawn once, and moving parts."""
 
     def __init__(self, scene: ReplayScene) -> None:
         (left, low), (right, high) = scene.corners()
@@ -127,11 +127,11 @@ class _Film:
             for artist in part.moving:
                 artist.set_animated(True)
         canvas.draw()
-        self._canvas, self._still = canvas, canvas.copy_from_bbox(self._figure.bbox)
+        self._canvas, self._background = canvas, canvas.copy_from_bbox(self._figure.bbox)
 
     def frame(self, moment: Moment) -> NDArray[np.uint8]:
         """Return the picture of one moment, RGB, shape (height, width, 3)."""
-        self._canvas.restore_region(self._still)
+        self._canvas.restore_region(self._background)
         for part in self._parts:
             part.show(moment)
             for artist in part.moving:
@@ -139,13 +139,13 @@ class _Film:
         return np.array(self._canvas.buffer_rgba())[..., :3]
 
     def _add_axes(self, left: float, low: float, width: float, height: float) -> Axes:
-        """Add axes at a place in inches."""
+        """Add axes at a position in inches."""
         across, up = self._figure.get_size_inches()
         return self._figure.add_axes((left / across, low / up, width / across, height / up))
 
 
 class _World:
-    """Map and goals, and what the robot does, sees, plans and takes for an obstacle."""
+    """Map, goals, robot, path, plan, scans and costmap."""
 
     def __init__(self, axes: Axes, scene: ReplayScene) -> None:
         self._scene = scene
@@ -174,12 +174,12 @@ class _World:
             self.moving.insert(0, self._costmap)
 
     def show(self, moment: Moment) -> None:
-        """Move everything to where it was."""
+        """Update all artists to one moment."""
         scene, (x, y, yaw) = self._scene, moment.robot
         if self._costmap is not None:
             self._costmap.set_visible(moment.costmap is not None)
             if moment.costmap is not None:
-                lay_grid(self._costmap, moment.costmap)
+                set_grid(self._costmap, moment.costmap)
         self._driven.set_data(*scene.path[: moment.driven].T)
         self._plan.set_data(*moment.plan.T)
         self._scan.set_data(*moment.scan.T)
@@ -197,7 +197,7 @@ class _World:
 
 
 class _Timeline:
-    """How far the film is, when there was an attack, and when goals ended."""
+    """The progress of the film, with the attack and the ends of goals."""
 
     def __init__(self, axes: Axes, scene: ReplayScene) -> None:
         axes.set(xlim=(0.0, scene.duration_s), ylim=(0.0, 1.0), yticks=[])
@@ -218,12 +218,12 @@ class _Timeline:
                 self.moving += axes.plot(goal.ended_s, 0.5, **style, clip_on=False)
 
     def show(self, moment: Moment) -> None:
-        """Move on to a moment."""
+        """Update the progress bar to one moment."""
         self._past.set_width(moment.time_s)
 
 
 class _Words:
-    """Which run this is, how late it is, and how the robot fares."""
+    """The title of the run, the time, and the status of goals and recoveries."""
 
     def __init__(self, figure: Figure, scene: ReplayScene) -> None:
         self._scene = scene
@@ -231,17 +231,17 @@ class _Words:
         first, second = 1.0 - 0.12 / height_in, 1.0 - 0.38 / height_in
         figure.text(0.04, first, scene.title, size="large", weight="bold", va="top")
         self._clock = figure.text(0.96, first, "", size="large", ha="right", va="top")
-        self._news = figure.text(0.04, second, "", va="top")
-        self.moving: list[Artist] = [self._clock, self._news]
+        self._status = figure.text(0.04, second, "", va="top")
+        self.moving: list[Artist] = [self._clock, self._status]
 
     def show(self, moment: Moment) -> None:
-        """Update the film to one moment."""
+        """Update the texts to one moment."""
         scene = self._scene
         goal, reached = scene.goal_at(moment.time_s), int(scene.reached(moment.time_s).sum())
-        news = [f"to goal {goal + 1} of {len(scene.goals)}"] if goal is not None else []
-        news += [f"{reached} reached"] if len(scene.goals) else []
-        news += [f"recoveries: {moment.recoveries}"] if moment.recoveries else []
-        self._news.set_text(" \N{MIDDLE DOT} ".join(news))
+        status = [f"to goal {goal + 1} of {len(scene.goals)}"] if goal is not None else []
+        status += [f"{reached} reached"] if len(scene.goals) else []
+        status += [f"recoveries: {moment.recoveries}"] if moment.recoveries else []
+        self._status.set_text(" \N{MIDDLE DOT} ".join(status))
         self._clock.set_text(f"{moment.time_s:.1f} s")
 
 
@@ -251,7 +251,7 @@ def _line(axes: Axes, style: str, color: str, **options: Any) -> Line2D:
 
 
 def _legend(scene: ReplayScene) -> list[Artist]:
-    """Return a sample of each thing that is seen in the film."""
+    """Return a legend entry for each kind of element in the film."""
     moments = scene.moments
 
     def dots(color: str, label: str) -> Line2D:

@@ -1,4 +1,4 @@
-"""The picture of a run, and the places where picture and film are kept."""
+"""The picture of a run, and the file names of picture and film."""
 
 from pathlib import Path
 
@@ -12,17 +12,17 @@ from oracle_pipeline.replay.radar import has_tracks, plan_view, radar_display
 from oracle_pipeline.replay.scene import top_down
 from oracle_pipeline.replay.story import run_scene
 
-# Beside a run's manifest; a re-simulated run starts without them.
+# In the run directory; a re-simulated run starts without them.
 FILM, PICTURE = "replay.gif", "picture.png"
 
 
 def kept_picture(path: Path) -> bytes:
-    """Return the picture of a run directory, drawn once and kept, as PNG.
+    """Return the picture of a run directory as PNG, cached in a file.
 
     Raises
     ------
     OracleError
-        If there is none yet and the run cannot be read or drawn.
+        If there is no file, and the run cannot be read or drawn.
     """
     place = path / PICTURE
     if place.is_file():
@@ -30,7 +30,7 @@ def kept_picture(path: Path) -> bytes:
     manifest = Manifest.load(path / MANIFEST_FILE)
     with (
         fetched(path / BAG_FOLDER) as bag,
-        OpenedRun(path, BagReader(bag), manifest, ()) as run,  # graphs are not in it
+        OpenedRun(path, BagReader(bag), manifest, ()) as run,  # graphs are not drawn
     ):
         png = _drawn(run)
     with replacing(place) as sink:

@@ -1,7 +1,6 @@
-"""An air traffic recording as a controller sees it: tracks, reports and plots around the antenna.
+"""The radar display of an air traffic recording: tracks, reports and plots around the antenna.
 
-Where the antenna stands is found as the features find it, in
-``oracle_pipeline.features.atc_reports``.
+The position of the antenna is estimated with ``oracle_pipeline.features.atc_reports``.
 """
 
 import cmath
@@ -34,12 +33,12 @@ from oracle_pipeline.reporting.report import ReportError
 
 TRACKS, REPORT = "atc_msgs/msg/TrackArray", "atc_msgs/msg/AdsbReport"
 ECHO, REPLY = "atc_msgs/msg/RadarPlot", "atc_msgs/msg/SecondaryReply"
-INSTANT = 0.25  # of the recording; halfway through, flights of our testbed meet over the antenna
-HISTORY_S = 120.0  # of what is shown, before the instant
+INSTANT = 0.25  # share of the recording; at 0.5, flights of our testbed meet over the antenna
+HISTORY_S = 120.0  # shown time before the instant
 RING_KM = 20.0
-AHEAD_S = 60.0  # which a track's line reaches ahead
+AHEAD_S = 60.0  # length of a track's prediction
 FLIGHT_LEVEL_M = 30.48
-# Where labels stand from their tracks, from west to east in turn: queues stay readable [points].
+# Offsets of labels from their tracks, alternating from west to east to avoid overlaps [points].
 LABELS = ((6, 6), (6, -13), (6, 17), (6, -24))
 
 _ADSB = 1  # in the sources of a track
@@ -52,41 +51,41 @@ _INKS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Track:
-    """One aircraft as the fusion sees it; places are north + i east of the antenna [km]."""
+    """One track of the fusion; positions are north + i east of the antenna [km]."""
 
     label: str
     seen_by: str  # a key of the legend
     trail: NDArray[np.complex128]  # (n,), the newest last
-    ahead: complex  # where it will be in a minute, from here
+    ahead: complex  # predicted displacement in a minute
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Display:
-    """What is on the screen at one instant; places are north + i east of the antenna [km]."""
+    """The display at one instant; positions are north + i east of the antenna [km]."""
 
     title: str
     tracks: Sequence[Track]
     reports: NDArray[np.complex128]  # (n,), of the last two minutes
-    plots: NDArray[np.complex128]  # (m,), the same of both radars
+    plots: NDArray[np.complex128]  # (m,), of both radars in the last two minutes
 
 
 def has_tracks(run: OpenedRun) -> bool:
-    """Return whether a recording is of air traffic."""
+    """Return whether a recording has air traffic tracks."""
     return TRACKS in {topic.msgtype for topic in run.bag.topics.values()}
 
 
 def radar_display(run: OpenedRun) -> Display:
-    """Read what the screen shows when a quarter of a recording is over.
+    """Return the display after a quarter of a recording.
 
     Raises
     ------
     ReportError
-        There was no track then.
+        There is no track at that time.
     BagError
         The bag cannot be read.
     """
     instant_s = INSTANT * run.duration_s
-    messages = _heard(run, instant_s)
+    messages = _messages(run, instant_s)
     if not messages[TRACKS] or not messages[TRACKS][-1].tracks:
         raise ReportError(f"{run.path} cannot be drawn: there is no track a quarter through it.")
     antenna = _antenna(messages)
@@ -104,7 +103,7 @@ def radar_display(run: OpenedRun) -> Display:
 
 
 def plan_view(display: Display) -> bytes:
-    """Draw the screen as PNG, in the inks of ``oracle_pipeline.reporting.figures``; north is up."""
+    """Draw the display as PNG, in the style of ``reporting.figures``; north is up."""
     trails = np.concatenate([track.trail for track in display.tracks])
     reach = RING_KM * math.ceil(float(np.abs(trails).max()) / RING_KM)
     with drawing(4.7, 5.2) as (axes, png):
@@ -132,20 +131,20 @@ def plan_view(display: Display) -> bytes:
     return png.getvalue()
 
 
-def _heard(run: OpenedRun, instant_s: float) -> Mapping[str, list[Any]]:
+def _messages(run: OpenedRun, instant_s: float) -> Mapping[str, list[Any]]:
     """Return the messages of the history, by type."""
     types = {name: topic.msgtype for name, topic in run.bag.topics.items()}
     wanted = {name for name, of in types.items() if of in (TRACKS, REPORT, ECHO, REPLY)}
-    heard = defaultdict(list)
+    messages = defaultdict(list)
     for raw in run.bag.messages(wanted):
         time_s = (raw.stamp_ns - run.bag.start_ns) * 1e-9
         if instant_s - HISTORY_S <= time_s <= instant_s:
-            heard[types[raw.topic]].append(run.bag.deserialize(raw))
-    return heard
+            messages[types[raw.topic]].append(run.bag.deserialize(raw))
+    return messages
 
 
 def _antenna(messages: Mapping[str, Sequence[Any]]) -> Site:
-    """Return where the radar stands or, where nobody answers it, the middle of the tracks."""
+    """Return the position of the radar or, without any replies, the middle of the tracks."""
     replies = defaultdict(list)
     for address, *reply in map(keep_reply, messages[REPLY]):
         replies[address].append(reply)
@@ -171,7 +170,7 @@ def _flights(reports: Sequence[Any]) -> dict[str, ReportedFlight]:
 
 
 def _tracks(arrays: Sequence[Any], antenna: Site) -> list[Track]:
-    """Return the tracks of the newest array, with where they were in those before."""
+    """Return the tracks of the newest array, with their earlier positions."""
     positions = defaultdict(list)
     for array in arrays:
         for track in array.tracks:
@@ -188,7 +187,7 @@ def _tracks(arrays: Sequence[Any], antenna: Site) -> list[Track]:
 
 
 def _label(track: Any) -> str:
-    """Return who it is and at which flight level."""
+    """Return the name and flight level of a track."""
     name = track.callsign or track.icao24 or "no name"
     level = "---" if math.isnan(track.altitude_m) else f"{track.altitude_m / FLIGHT_LEVEL_M:03.0f}"
     return f"{name} {level}"
@@ -206,7 +205,7 @@ def _ahead(track: Any) -> complex:
 
 
 def _places(positions: Sequence[tuple[float, ...]], antenna: Site) -> NDArray[np.complex128]:
-    """Return where positions [deg, deg, m] are; an unknown altitude moves nothing to speak of."""
+    """Return positions [deg, deg, m] relative to the antenna; an unknown altitude counts as 0."""
     columns = np.nan_to_num(np.array(positions, dtype=np.float64).reshape(-1, 3))
     return np.asarray(antenna.seen(cartesian(*columns.T))[0] * 1e-3)
 

@@ -1,4 +1,4 @@
-"""A run seen from above: the scene to draw, and the still picture.
+"""A top-down view of a run: the scene to draw, and the still picture.
 
 ``oracle_pipeline.replay.film`` draws the same scene as a film.
 """
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.manifest import GoalResult
 from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, drawing
 
-MARGIN_M = 0.3  # around what is shown
+MARGIN_M = 0.3  # around the shown part
 OCCUPIED = 65  # occupancy from which the map server calls a cell an obstacle [%]
 
 # A colour for each byte of an occupancy grid: 0 free to 100, 255 unknown.
@@ -30,12 +30,12 @@ FAKE_OBJECT: dict[str, Any] = {"color": COLORS["malicious"], "alpha": 0.55, "lw"
 OBSTACLE: dict[str, Any] = {**FAKE_OBJECT, "color": AMBER}
 REACHED: dict[str, Any] = {"color": AMBER, "marker": "*", "ls": "", "ms": 11}
 NOT_REACHED: dict[str, Any] = {**REACHED, "mfc": to_rgba(AMBER, 0.15), "mec": AMBER}
-LABEL_AWAY = 9.0  # number of a goal from its middle [points]
+LABEL_OFFSET = 9.0  # distance of a goal's number from the goal [points]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DrawnGrid:
-    """An occupancy grid somewhere in the scene's frame."""
+    """An occupancy grid with its pose in the scene's frame."""
 
     cells: NDArray[np.int8]  # (rows, columns), row 0 at the lowest y; 0 free to 100, -1 unknown
     resolution_m: float  # edge of a cell
@@ -47,14 +47,14 @@ class DrawnGrid:
         return Affine2D().scale(self.resolution_m).rotate(yaw).translate(x, y)
 
     def known(self) -> NDArray[np.float64]:
-        """Return two opposite corners of each cell that is known, shape (2 n, 2)."""
+        """Return two opposite corners of each known cell, shape (2 n, 2)."""
         cells = np.argwhere(self.cells >= 0)[:, ::-1]  # column, row
         return np.asarray(self.placement().transform(np.concatenate([cells, cells + 1])))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Moment:
-    """The state at one instant: the newest of everything, placed when it was received."""
+    """The state at one instant: the newest data, transformed at the time of reception."""
 
     time_s: float  # since the start of the recording
     robot: tuple[float, float, float]  # x, y, yaw
@@ -63,7 +63,7 @@ class Moment:
     attacked: NDArray[np.float64]  # (m, 2), points of the attacked scan
     plan: NDArray[np.float64]  # (p, 2)
     costmap: DrawnGrid | None
-    disc: tuple[float, float, float] | None  # x, y, radius of an object that is not there
+    disc: tuple[float, float, float] | None  # x, y, radius of the fake object
     recoveries: int  # until now
 
 
@@ -72,19 +72,19 @@ class ReplayScene:
     """The scene of one run; metres and radians in one frame, seconds since its start."""
 
     title: str
-    frame: str  # map (REP 105), or odom where that is all that is known
+    frame: str  # map (REP 105), or odom without localisation
     map: DrawnGrid | None
-    path: NDArray[np.float64]  # (n, 2), where the robot went
+    path: NDArray[np.float64]  # (n, 2), of the robot
     start: tuple[float, float]
     duration_s: float
     # (k, 3): x, y, yaw, in the order they were given
     goals: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     results: tuple[GoalResult, ...] = ()  # of the first goals
     onset_s: float | None = None  # of the attack
-    disc: tuple[float, float, float] | None = None  # x, y, radius of an object that is not there
-    obstacle: tuple[float, float, float] | None = None  # x, y, radius of a real one on no map
+    disc: tuple[float, float, float] | None = None  # x, y, radius of the fake object
+    obstacle: tuple[float, float, float] | None = None  # x, y, radius of a real unmapped one
     scan: NDArray[np.float64] | None = None  # (m, 2), points of one scan: attacked, if any was
-    moments: tuple[Moment, ...] = ()  # in time order; empty where only a picture is wanted
+    moments: tuple[Moment, ...] = ()  # in order of time; empty for a still picture
 
     def reached(self, time_s: float = np.inf) -> NDArray[np.bool_]:
         """Return whether each goal was reached by a time, shape (k,)."""
@@ -95,18 +95,18 @@ class ReplayScene:
         return reached
 
     def goal_at(self, time_s: float) -> int | None:
-        """Return the number of the goal, from 0, that the robot is under way to."""
+        """Return the index of the active goal; None without one."""
         for number, goal in enumerate(self.results):
             if goal.accepted_s <= time_s < (np.inf if goal.ended_s is None else goal.ended_s):
                 return number
         return None
 
     def surroundings(self) -> NDArray[np.float64]:
-        """Return the points of the scans of all moments, shape (m, 2): a sketch of a map."""
+        """Return the points of the scans of all moments, shape (m, 2), in place of a map."""
         return np.concatenate([np.zeros((0, 2)), *(moment.scan for moment in self.moments)])
 
     def corners(self) -> NDArray[np.float64]:
-        """Return lower left and upper right corner of what there is to see, shape (2, 2)."""
+        """Return the lower left and upper right corners of the scene, shape (2, 2)."""
         extents = [self.path, self.goals[:, :2], np.array([self.start])]
         if self.map is not None:
             extents.append(self.map.known())
@@ -117,9 +117,9 @@ class ReplayScene:
 
 
 def top_down(scene: ReplayScene) -> bytes:
-    """Draw a scene as PNG, in the inks of ``oracle_pipeline.reporting.figures``.
+    """Draw a scene as PNG, in the style of ``oracle_pipeline.reporting.figures``.
 
-    The picture is cut to the part of the map that is known and to where the robot went.
+    The picture shows the known part of the map and the path.
     """
     reached = scene.reached()
     goals, missed = scene.goals[reached], scene.goals[~reached]
@@ -148,7 +148,7 @@ def top_down(scene: ReplayScene) -> bytes:
 
 
 def draw_ground(axes: Axes, scene: ReplayScene) -> None:
-    """Draw what never moves, the map and the numbers of the goals, and set what part is seen."""
+    """Draw the static parts (map, numbers of goals), and set the limits of the axes."""
     if scene.map is not None:
         draw_grid(axes, scene.map, MAP_COLORS)
     else:
@@ -164,17 +164,17 @@ def draw_ground(axes: Axes, scene: ReplayScene) -> None:
 
 
 def draw_grid(axes: Axes, grid: DrawnGrid, colors: ListedColormap) -> AxesImage:
-    """Draw a grid where it lies, a colour for each value of its bytes."""
+    """Draw a grid at its pose, with a colour for each value of its bytes."""
     image = AxesImage(axes, cmap=colors, interpolation="nearest", origin="lower")
     image.set_clim(0, 255)
-    lay_grid(image, grid)
+    set_grid(image, grid)
     axes.add_image(image)
     image.set_clip_path(axes.patch)
     return image
 
 
-def lay_grid(image: AxesImage, grid: DrawnGrid) -> None:
-    """Put another grid into an image."""
+def set_grid(image: AxesImage, grid: DrawnGrid) -> None:
+    """Replace the grid of an image."""
     rows, columns = grid.cells.shape
     image.set_data(grid.cells.view(np.uint8))
     image.set_extent((0, columns, 0, rows))
@@ -182,8 +182,10 @@ def lay_grid(image: AxesImage, grid: DrawnGrid) -> None:
 
 
 def _label_offset(point: NDArray[np.float64], others: NDArray[np.float64]) -> tuple[float, float]:
-    """Return where a label of a point stands clear of the nearest other one [points]."""
+    """Return the offset of a point's label, away from the nearest other point [points]."""
     away = point - others
-    far = np.hypot(*away.T)
-    x, y = (0.7, 0.7) if not far.size or far.min() == 0.0 else away[far.argmin()] / far.min()
-    return LABEL_AWAY * x, LABEL_AWAY * y
+    distance = np.hypot(*away.T)
+    x, y = 0.7, 0.7
+    if distance.size and distance.min() > 0.0:
+        x, y = away[distance.argmin()] / distance.min()
+    return LABEL_OFFSET * x, LABEL_OFFSET * y

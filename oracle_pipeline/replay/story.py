@@ -1,9 +1,8 @@
-"""From an opened run to its scene, in one pass over its bag and manifest.
+"""Builds the scene of an opened run, in one pass over its bag and manifest.
 
-Topics are found by role, as for features. The driven path is that of the robot's base, from
-transforms and odometry, in the root frame: map, or odom if nothing localized the robot. Everything
-is planar, so a point is a complex number [m] and a rotation a complex factor. Drawing is in
-``oracle_pipeline.replay.scene``.
+Topics are found by role, as for features. The path is that of the robot's base, from transforms and
+odometry, in the root frame: map, or odom without localisation. Everything is planar, so a point is
+a complex number [m] and a rotation a complex factor. ``oracle_pipeline.replay.scene`` draws it.
 """
 
 import cmath
@@ -32,26 +31,26 @@ from oracle_pipeline.robots.roles import (
     Roles,
 )
 
-MAP_FRAME = "map"  # REP 105; recipes are drawn in it
+MAP_FRAME = "map"  # REP 105; the frame of recipes
 ATTACKED = "/scan_fakeobject"  # of simulated runs
 BASES = ("base_footprint", "base_link")  # REP 105 and 120
-RECOVERY = "RecoveryActions"  # what Nav2's behaviour trees call the node above their recoveries
-LEAST_STEP_M = 0.01  # between two points of the way; finer does not show
+RECOVERY = "RecoveryActions"  # parent node of recoveries in Nav2's behaviour trees
+LEAST_STEP_M = 0.01  # least distance between two points of the path
 
 _Points = NDArray[np.complex128]
-_Placed = tuple[complex, complex]  # where something is, and how it is turned
+_Pose = tuple[complex, complex]  # position and rotation
 _NO_POINTS: _Points = np.zeros(0, dtype=np.complex128)
 
 
 def run_scene(run: OpenedRun, moments_per_s: float | None = None) -> ReplayScene:
-    """Read the scene of a run, or of a foreign bag; of several robots, that of the first.
+    """Read the scene of a run or a foreign bag; if there are several robots, of the first.
 
     Parameters
     ----------
     run : Run
         Map, goals and attack are in the scene as far as bag and manifest have them.
     moments_per_s : float, optional
-        How many moments the scene has for a second of the recording; by default it has none.
+        Moments per second of the recording; by default the scene has none.
 
     Raises
     ------
@@ -64,15 +63,15 @@ def run_scene(run: OpenedRun, moments_per_s: float | None = None) -> ReplayScene
     run = replace(run, bag=robot.bag)
     story = _Story(run, robot.roles, moments_per_s)
     for raw in run.bag.messages(story.topics):
-        story.hear(raw.topic, raw.stamp_ns, run.bag.deserialize(raw))
+        story.update(raw.topic, raw.stamp_ns, run.bag.deserialize(raw))
     return story.scene()
 
 
 class _Story:
     """The state of a run, updated by its messages in the order of recording.
 
-    Of the attacked scans that from nearest to the fake object is kept or, where there is none, the
-    one nearest to halfway through the recording; of a run without an attack, the plain scan there.
+    One scan is kept for the still picture: the attacked scan taken nearest to the fake object, or
+    else the scan (attacked, if there is an attack) nearest to the middle of the recording.
     """
 
     def __init__(self, run: OpenedRun, roles: Roles, moments_per_s: float | None) -> None:
@@ -88,46 +87,46 @@ class _Story:
         self._frames = _Frames()
         self._map: Any = None  # nav_msgs/msg/OccupancyGrid
         self._recoveries = 0
-        self._begin_in("")
+        self._start_in("")
 
-        hearers: dict[str, Callable[[Any], None]] = {
-            MAP: self._hear_map,
-            ODOMETRY: self._hear_odometry,
-            TRANSFORMS: self._hear_transforms,
-            STATIC_TRANSFORMS: self._frames.hear,
+        handlers: dict[str, Callable[[Any], None]] = {
+            MAP: self._on_map,
+            ODOMETRY: self._on_odometry,
+            TRANSFORMS: self._on_transforms,
+            STATIC_TRANSFORMS: self._frames.update,
         }
         if moments_per_s:
-            hearers |= {
-                PLAN: self._hear_plan,
-                LOCAL_COSTMAP: self._hear_costmap,
-                BEHAVIOR_TREE: self._hear_behaviors,
+            handlers |= {
+                PLAN: self._on_plan,
+                LOCAL_COSTMAP: self._on_costmap,
+                BEHAVIOR_TREE: self._on_behaviors,
             }
-        self._hearers = {
-            topic: hear for role, hear in hearers.items() for topic in roles.found[role].topics
+        self._handlers = {
+            topic: handle for role, handle in handlers.items() for topic in roles.found[role].topics
         }
         if attacked:
-            self._hearers[ATTACKED] = self._hear_attacked_scan
+            self._handlers[ATTACKED] = self._on_attacked_scan
         scans = [topic for topic in roles.found[SCAN].topics if topic != ATTACKED]
         if scans and (moments_per_s or not attacked):
-            self._hearers[scans[0]] = self._hear_scan
+            self._handlers[scans[0]] = self._on_scan
 
     @property
     def topics(self) -> set[str]:
-        """What is to be heard."""
-        return set(self._hearers)
+        """The topics to read."""
+        return set(self._handlers)
 
-    def hear(self, topic: str, stamp_ns: int, message: Any) -> None:
-        """Take one message in."""
+    def update(self, topic: str, stamp_ns: int, message: Any) -> None:
+        """Process one message."""
         self._now_ns = stamp_ns - self._run.bag.start_ns
         while self._step_ns and self._next_ns < self._now_ns:
-            self._remember(self._next_ns * 1e-9)
+            self._add_moment(self._next_ns * 1e-9)
             self._next_ns += self._step_ns
-        self._hearers[topic](message)
+        self._handlers[topic](message)
 
     def scene(self) -> ReplayScene:
-        """Return all that was heard; errors are those of `run_scene`."""
+        """Return the scene; errors are those of `run_scene`."""
         run, manifest = self._run, self._run.manifest
-        if not self._way:
+        if not self._path:
             raise ReportError(
                 f"{run.path} cannot be drawn: its bag has neither odometry nor a transform to "
                 f"{' or '.join(BASES)}, so the robot's pose is unknown."
@@ -139,8 +138,8 @@ class _Story:
                 f"{self._map.header.frame_id} to {self._root}; record /tf and /tf_static too."
             )
         if self._step_ns:
-            self._remember(run.duration_s)
-        path = _xy(np.array(self._way))
+            self._add_moment(run.duration_s)
+        path = _xy(np.array(self._path))
         scene = ReplayScene(
             title=run.path.resolve().name,
             frame=self._root,
@@ -164,56 +163,56 @@ class _Story:
             scan=None if self._closest_scan is None else _xy(self._closest_scan),
         )
 
-    def _begin_in(self, root: str) -> None:
-        """Start in a frame, and drop what was placed in another."""
+    def _start_in(self, root: str) -> None:
+        """Start in a root frame, and drop data from another."""
         self._root = root
-        self._way: list[complex] = []
-        self._robot: _Placed = (0j, 1 + 0j)
+        self._path: list[complex] = []
+        self._robot: _Pose = (0j, 1 + 0j)
         self._scan = self._attacked = self._plan = _NO_POINTS
         self._costmap: DrawnGrid | None = None
         self._moments: list[Moment] = []
         self._closest = np.inf
         self._closest_scan: _Points | None = None
 
-    def _hear_map(self, message: Any) -> None:
+    def _on_map(self, message: Any) -> None:
         self._map = message
 
-    def _hear_transforms(self, message: Any) -> None:
-        self._frames.hear(message)
+    def _on_transforms(self, message: Any) -> None:
+        self._frames.update(message)
         if not self._has_odometry:
             self._drive(next((base for base in BASES if base in self._frames), ""))
 
-    def _hear_odometry(self, message: Any) -> None:
+    def _on_odometry(self, message: Any) -> None:
         pose = message.pose.pose
-        self._frames.hang(message, message.child_frame_id, pose.position, pose.orientation)
+        self._frames.attach(message, message.child_frame_id, pose.position, pose.orientation)
         self._drive(message.child_frame_id)
 
-    def _hear_scan(self, message: Any) -> None:
+    def _on_scan(self, message: Any) -> None:
         self._scan = self._hits(message)
-        if ATTACKED not in self._hearers:
+        if ATTACKED not in self._handlers:
             self._keep_closest(self._scan)
 
-    def _hear_attacked_scan(self, message: Any) -> None:
+    def _on_attacked_scan(self, message: Any) -> None:
         self._attacked = self._hits(message)
         self._keep_closest(self._attacked)
 
     def _keep_closest(self, scan: _Points) -> None:
-        """Keep a scan if it is the closest to what the picture shows."""
+        """Keep a scan if it is the best so far for the still picture."""
         fake, halfway_s = self._fake_object(), self._run.duration_s / 2
         off = abs(self._now_ns * 1e-9 - halfway_s) if fake is None else abs(self._robot[0] - fake)
         if len(scan) and off < self._closest:
             self._closest, self._closest_scan = off, scan
 
-    def _hear_plan(self, message: Any) -> None:
-        if (placed := self._placed(message.header.frame_id)) is not None:
+    def _on_plan(self, message: Any) -> None:
+        if (pose := self._pose_of(message.header.frame_id)) is not None:
             points = [stamped.pose.position for stamped in message.poses]
             plan = np.array([complex(point.x, point.y) for point in points], dtype=np.complex128)
-            self._plan = placed[0] + placed[1] * plan
+            self._plan = pose[0] + pose[1] * plan
 
-    def _hear_costmap(self, message: Any) -> None:
+    def _on_costmap(self, message: Any) -> None:
         self._costmap = self._grid(message)
 
-    def _hear_behaviors(self, message: Any) -> None:
+    def _on_behaviors(self, message: Any) -> None:
         self._recoveries += sum(
             change.node_name == RECOVERY
             and (change.previous_status, change.current_status) == ("IDLE", "RUNNING")
@@ -221,26 +220,26 @@ class _Story:
         )
 
     def _drive(self, base: str) -> None:
-        """Note where the robot's base is now."""
+        """Update the pose of the robot's base."""
         root, robot = self._frames.from_root(base)
         if not root or root in BASES:  # the robot's pose is unknown
             return
         if root != self._root:
-            self._begin_in(root)
-        if not self._way or abs(robot[0] - self._way[-1]) > LEAST_STEP_M:
-            self._way.append(robot[0])
+            self._start_in(root)
+        if not self._path or abs(robot[0] - self._path[-1]) > LEAST_STEP_M:
+            self._path.append(robot[0])
         self._robot = robot
 
-    def _placed(self, frame: str) -> _Placed | None:
-        """Return where a frame is in the scene, if that is known."""
-        root, placed = self._frames.from_root(frame)
-        return placed if root == self._root else None
+    def _pose_of(self, frame: str) -> _Pose | None:
+        """Return the pose of a frame in the scene, if known."""
+        root, pose = self._frames.from_root(frame)
+        return pose if root == self._root else None
 
     def _hits(self, scan: Any) -> _Points:
-        """Return where the rays of a scan ended."""
+        """Return the end points of the rays of a scan."""
         if not hasattr(scan, "ranges"):
             scan = sliced(scan)
-        sensor = self._placed(scan.header.frame_id)
+        sensor = self._pose_of(scan.header.frame_id)
         if sensor is None:
             return _NO_POINTS
         ranges = np.asarray(scan.ranges, dtype=np.float64)
@@ -249,23 +248,23 @@ class _Story:
         return np.asarray(sensor[0] + sensor[1] * ranges[hit] * np.exp(1j * bearings))
 
     def _grid(self, message: Any) -> DrawnGrid | None:
-        """Return an occupancy grid where it lies in the scene."""
-        placed = self._placed(message.header.frame_id)
-        if placed is None:
+        """Return an occupancy grid with its pose in the scene."""
+        pose = self._pose_of(message.header.frame_id)
+        if pose is None:
             return None
         info = message.info
         corner, turn = _pose(info.origin.position, info.origin.orientation)
         return DrawnGrid(
             np.asarray(message.data, dtype=np.int8).reshape(info.height, info.width),
             info.resolution,
-            _x_y_yaw((placed[0] + placed[1] * corner, placed[1] * turn)),
+            _x_y_yaw((pose[0] + pose[1] * corner, pose[1] * turn)),
         )
 
     def _fake_object(self) -> complex | None:
-        """Return where the object that is not there is by the newest transform."""
+        """Return the position of the fake object by the newest transform."""
         if "radius" not in self._attack:
             return None
-        frame = self._placed(self._attack["frame"])
+        frame = self._pose_of(self._attack["frame"])
         return frame and frame[0] + frame[1] * complex(self._attack["x"], self._attack["y"])
 
     def _disc(self) -> tuple[float, float, float] | None:
@@ -273,22 +272,22 @@ class _Story:
         return None if fake is None else (fake.real, fake.imag, self._attack["radius"])
 
     def _obstacle(self, manifest: Manifest) -> tuple[float, float, float] | None:
-        """Return where a real obstacle was put that is on no map, by the recipe."""
-        drawn, there = manifest.recipe.get("fake_object"), self._placed(MAP_FRAME)
-        if drawn is None or there is None or not manifest.recipe["conditions"].get("obstacle"):
+        """Return the real unmapped obstacle of the recipe."""
+        drawn, map_pose = manifest.recipe.get("fake_object"), self._pose_of(MAP_FRAME)
+        if drawn is None or map_pose is None or not manifest.recipe["conditions"].get("obstacle"):
             return None
-        place = there[0] + there[1] * complex(drawn["x"], drawn["y"])
+        place = map_pose[0] + map_pose[1] * complex(drawn["x"], drawn["y"])
         return place.real, place.imag, drawn["radius"]
 
-    def _remember(self, time_s: float) -> None:
-        if not self._way:
+    def _add_moment(self, time_s: float) -> None:
+        if not self._path:
             return
         attacked = self._onset_s is not None and time_s >= self._onset_s
         self._moments.append(
             Moment(
                 time_s=time_s,
                 robot=_x_y_yaw(self._robot),
-                driven=len(self._way),
+                driven=len(self._path),
                 scan=_xy(self._scan),
                 attacked=_xy(self._attacked),
                 plan=_xy(self._plan),
@@ -300,28 +299,28 @@ class _Story:
 
 
 class _Frames:
-    """Which frame hangs from which, as last heard."""
+    """The newest transforms, as a tree of frames."""
 
     def __init__(self) -> None:
-        self._parents: dict[str, tuple[str, _Placed]] = {}
+        self._parents: dict[str, tuple[str, _Pose]] = {}
 
     def __contains__(self, frame: str) -> bool:
         return frame in self._parents
 
-    def hear(self, message: Any) -> None:
-        """Take a tf2_msgs/msg/TFMessage in."""
-        for heard in message.transforms:
-            step = heard.transform
-            self.hang(heard, heard.child_frame_id, step.translation, step.rotation)
+    def update(self, message: Any) -> None:
+        """Process a tf2_msgs/msg/TFMessage."""
+        for stamped in message.transforms:
+            step = stamped.transform
+            self.attach(stamped, stamped.child_frame_id, step.translation, step.rotation)
 
-    def hang(self, stamped: Any, child: str, position: Any, orientation: Any) -> None:
-        """Hang a frame from that of a stamped message."""
+    def attach(self, stamped: Any, child: str, position: Any, orientation: Any) -> None:
+        """Attach a frame to that of a stamped message."""
         self._parents[child] = (stamped.header.frame_id, _pose(position, orientation))
 
-    def from_root(self, frame: str) -> tuple[str, _Placed]:
-        """Return the frame from which a frame hangs in the end, and where it is in that.
+    def from_root(self, frame: str) -> tuple[str, _Pose]:
+        """Return the root of a frame, and the frame's pose in it.
 
-        The name of the root is empty if the frames hang in a ring.
+        The name of the root is empty if the frames form a cycle.
         """
         at, turn = 0j, 1 + 0j
         for _ in range(len(self._parents) + 1):
@@ -332,13 +331,13 @@ class _Frames:
         return "", (at, turn)
 
 
-def _pose(position: Any, q: Any) -> _Placed:
+def _pose(position: Any, q: Any) -> _Pose:
     turn = complex(1.0 - 2.0 * (q.y**2 + q.z**2), 2.0 * (q.w * q.z + q.x * q.y))
     return complex(position.x, position.y), turn / abs(turn)
 
 
-def _x_y_yaw(placed: _Placed) -> tuple[float, float, float]:
-    at, turn = placed
+def _x_y_yaw(pose: _Pose) -> tuple[float, float, float]:
+    at, turn = pose
     return at.real, at.imag, cmath.phase(turn)
 
 

@@ -1,6 +1,6 @@
-"""The oracle's evaluation as a `Report`: its tables, pictures, and the headline in words.
+"""The oracle's evaluation as a `Report`: tables, pictures, and the headline as a sentence.
 
-Everything shown is measured in ``oracle_pipeline.evaluation.campaign_evaluation``.
+All values come from ``oracle_pipeline.evaluation.campaign_evaluation``.
 """
 
 import numpy as np
@@ -23,11 +23,11 @@ from oracle_pipeline.scoring.feature_sets import ASPECTS
 def evaluation_report(evaluation: CampaignEvaluation) -> Report:
     """Return the report on an evaluation.
 
-    The table has a row for each scorer, split and comparison, the headline first; the tables
-    ``alarms``, ``aspects``, ``aspects_by_mode``, ``quadrants``, ``task_uncertainty``,
+    The main table has a row for each scorer, split and comparison, the headline first. Further
+    tables are ``alarms``, ``aspects``, ``aspects_by_mode``, ``quadrants``, ``task_uncertainty``,
     ``task_differences``, ``audit``, ``small_clusters``, ``checks``, ``open_claims``, ``runs``,
     ``raised``, ``standing`` and, with a grid, ``kills``, ``mutation_scores`` and
-    ``minimum_detectable`` the rest.
+    ``minimum_detectable``.
     """
     return Report(
         evaluation.table, _pictures(evaluation), _summary(evaluation), _tables(evaluation)
@@ -59,11 +59,11 @@ def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
 
 
 def _judged(evaluation: CampaignEvaluation) -> pd.DataFrame:
-    """Return a row for each run: its keys, its scores and p-values, and how it ended.
+    """Return a row for each run: its keys, its scores and p-values, and its outcome.
 
-    ``score`` and ``p`` are of the verdict; those of ``tampering`` and ``misbehaviour`` begin with
-    their names. ``effect`` is the size of what the robot did otherwise than in unaltered runs of
-    its block: above 1, the run misbehaved; NaN, it is not known.
+    ``score`` and ``p`` belong to the verdict; those of ``tampering`` and ``misbehaviour`` have
+    their names as prefix. ``effect`` is the difference from unaltered runs of the block, in units
+    of the uncertainty: above 1, the run misbehaved; NaN if unknown.
     """
     campaign, headline = evaluation.campaign, evaluation.headline
     aspects = {
@@ -119,7 +119,7 @@ def area_is_claimed(evaluation: CampaignEvaluation) -> bool:
 
 
 def ranked(ranking: Ranking) -> str:
-    """Return how attacked runs rank, which claims nothing about other runs.
+    """Return a sentence on the rank of the attacked runs; it makes no claim on other runs.
 
     Examples
     --------
@@ -129,7 +129,9 @@ def ranked(ranking: Ranking) -> str:
     'Of the 9 highest scores, 7 belong to the 9 attacked runs; by chance it would be about 3.'
     """
     if not ranking.attacked or not ranking.normal:
-        return "Nothing can be compared yet: it takes attacked and normal runs with a score."
+        return (
+            "Nothing can be compared yet: a comparison needs attacked and normal runs with scores."
+        )
     if ranking.on_top == ranking.attacked:
         return (
             f"All {ranking.attacked} attacked runs score higher than all {ranking.normal} "
@@ -142,7 +144,7 @@ def ranked(ranking: Ranking) -> str:
 
 
 def verdicts(runs: pd.DataFrame) -> str:
-    """Return how many runs are called anomalous at the usual rate; empty without p-values."""
+    """Return a sentence on the runs called anomalous at the usual rate; empty without p-values."""
     judged = runs[runs["p"].notna()]
     if judged.empty:
         return ""
@@ -179,7 +181,7 @@ def _pictures(evaluation: CampaignEvaluation) -> dict[str, bytes]:
 
 
 def _headline_pictures(curves: HeadlineCurves) -> dict[str, bytes]:
-    """Draw ROC curves, detection over false alarms, and effort."""
+    """Draw ROC curves, detection rate over false positive rate, and effort."""
     pictures = {"roc": figures.roc_curves(curves.roc)}
     if curves.detection:
         pictures["detection"] = figures.curves(

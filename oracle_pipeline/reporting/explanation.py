@@ -1,6 +1,6 @@
 """Explains one run of each attack: its verdict, the evidence, and a picture.
 
-Beside it is the picture of the run that differs only by the attack. Evidence comes from
+A second picture shows the run that differs only by the attack. Evidence comes from
 ``oracle_pipeline.scoring.evidence``, pictures from ``oracle_pipeline.replay.picture``.
 """
 
@@ -18,13 +18,13 @@ from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.evidence import evidence
 from oracle_pipeline.scoring.verdict import Evidence
 
-SHOWN = 3  # attacks
+SHOWN = 3  # number of attacks
 CONTROLS = {attacked: control for control, attacked in PAIRS}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Explanation:
-    """One attacked run; the notes name what is missing."""
+    """One attacked run; the notes name missing evidence and pictures."""
 
     run_id: str
     verdict: str
@@ -39,7 +39,7 @@ def explanations(
     judged: pd.DataFrame,
     draw: Callable[[str], bytes],
 ) -> list[Explanation]:
-    """Explain a run of each attack, at most three: of those with a control pair before others.
+    """Explain one run for each of at most three attacks, those of control pairs first.
 
     Parameters
     ----------
@@ -48,10 +48,10 @@ def explanations(
     windows : DataFrame
         Their windows, a row each.
     judged : DataFrame
-        ``run_id``, ``mode``, ``label``, ``score`` and ``p`` of each run that was judged (the table
-        ``runs`` of `oracle_evaluation`).
+        ``run_id``, ``mode``, ``label``, ``score`` and ``p`` of each judged run (the table ``runs``
+        of `oracle_evaluation`).
     draw : callable
-        From a run to its picture, PNG; an `OracleError` becomes a note.
+        Takes a run and returns its picture as PNG; an `OracleError` becomes a note.
     """
     attacked = judged[is_malicious(judged)]
     attacked_modes = sorted(set(attacked["mode"]))
@@ -63,7 +63,7 @@ def explanations(
 
 
 def _typical(runs: pd.DataFrame) -> pd.Series:
-    """Return the run with the median score of those that were detected, else of all."""
+    """Return the run with the median score among the detected runs, or else among all."""
     detected = runs[runs["p"] <= RATES[0]]
     ranked = (detected if len(detected) else runs).sort_values(["score", "run_id"])
     return ranked.iloc[(len(ranked) - 1) // 2]
@@ -98,8 +98,8 @@ def drawn(runs: Iterable[str], draw: Callable[[str], bytes]) -> tuple[dict[str, 
 def counterpart(run: str, df: pd.DataFrame) -> list[str]:
     """Return the run of the same block without the attack, if there is one.
 
-    That is the attack's control; of other attacks the shadow, or else the block's first normal run
-    that is no hard negative.
+    This is the attack's control; for attacks without one, the shadow or else the block's first
+    normal run that is not a hard negative.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
 """Charts as PNG bytes: dendrogram, ROC and other curves, components, heat maps, intervals.
 
-A run seen from above is drawn in ``oracle_pipeline.replay.scene``.
+Maps of runs are drawn in ``oracle_pipeline.replay.scene``.
 
-Every picture is transparent and drawn in inks of equal contrast to white and to near-black paper,
-so one file reads in light and in dark. Labels differ in marker as well as in colour. Nothing here
-reads a clock, a file or a user's Matplotlib settings: the same numbers give the same bytes.
+Pictures are transparent, in colours with equal contrast to white and to near-black, so one file is
+readable in light and dark mode. Labels differ in marker as well as in colour. Nothing depends on
+the clock, files or the user's Matplotlib settings: the same numbers give the same bytes.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,10 +36,10 @@ COLORS = {"normal": "#3f83d8", "control": "#1f9486", "malicious": "#d4583a"}
 MARKERS = {"normal": "o", "control": "s", "malicious": "^"}
 SERIES = ("#3f83d8", "#d4583a", "#1f9486", "#8b6fd0", AMBER)
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
-SHADE = 0.3  # opacity of a heat map's strongest cell: more, and its number is hard to read
+SHADE = 0.3  # opacity of a heat map's strongest cell; the number on it must stay readable
 
 DPI = 160
-PALETTE = 128  # colours of a picture: a third of the bytes; many lie in Dagster's event log
+PALETTE = 128  # colours of a picture; saves two thirds of the bytes in Dagster's event log
 
 _STYLE: dict[Any, Any] = {
     "axes.edgecolor": INK,
@@ -63,7 +63,7 @@ _STYLE: dict[Any, Any] = {
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Draw as all our pictures are drawn, whatever the user's settings."""
+    """Use the style of all our pictures, regardless of the user's settings."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_STYLE)
@@ -72,7 +72,7 @@ def house_style() -> Iterator[None]:
 
 @contextmanager
 def drawing(width: float, height: float) -> Iterator[tuple[Axes, BytesIO]]:
-    """Give axes of a figure [inches] and the buffer that holds its PNG once the block is left."""
+    """Yield the axes of a figure [inches], and a buffer that has its PNG after the block."""
     png = BytesIO()
     with house_style():
         figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
@@ -93,7 +93,7 @@ def _legend_above(axes: Axes) -> None:
 
 
 def dendrogram(tree: Tree, labels: Sequence[str]) -> bytes:
-    """Draw a tree; links over runs of one label have its colour, mixed ones are grey.
+    """Draw a dendrogram; links over runs of one label have its colour, mixed ones are grey.
 
     Parameters
     ----------
@@ -149,12 +149,12 @@ def roc_curves(curves: Mapping[str, tuple[RocCurve, Estimate]]) -> bytes:
 
 
 def curves(named: Mapping[str, Curve], x: str, y: str, *, log: bool = False) -> bytes:
-    """Draw shares over something else.
+    """Draw curves of shares with their bands.
 
     Parameters
     ----------
     named : mapping of str to Curve
-        By the legend's text.
+        Curves by legend text.
     x, y : str
         Labels of the axes.
     log : bool
@@ -217,12 +217,12 @@ def principal_components(
     Parameters
     ----------
     X : ndarray of shape (n, n_features)
-        Scaled.
+        Scaled features.
     labels : sequence of str, length n
     copies : ndarray of shape (n,), optional
-        How often each run was drawn; the marker's area grows with it.
+        Number of draws of each run, shown as the area of the marker.
     """
-    padded = np.pad(X - X.mean(axis=0), (0, 2))  # so that there are two components, whatever X is
+    padded = np.pad(X - X.mean(axis=0), (0, 2))  # ensures two components
     left, singular, directions = np.linalg.svd(padded, full_matrices=False)
     # A component's sign is arbitrary: make its largest loading positive.
     sign = np.sign(directions[np.arange(len(directions)), np.abs(directions).argmax(axis=1)])
@@ -232,17 +232,17 @@ def principal_components(
 
     with drawing(4.7, 4.7) as (axes, png):
         for label in COLORS:
-            these = np.array([other == label for other in labels])
-            if these.any():
+            mask = np.array([other == label for other in labels])
+            if mask.any():
                 axes.scatter(
-                    scores[these, 0],
-                    scores[these, 1],
-                    s=size[these],
+                    scores[mask, 0],
+                    scores[mask, 1],
+                    s=size[mask],
                     color=COLORS[label],
                     marker=MARKERS[label],
                     alpha=0.7,
                     linewidths=0,
-                    label=f"{label} ({these.sum()})",
+                    label=f"{label} ({mask.sum()})",
                 )
         for axis, name, share in (
             (axes.xaxis, "first", shares[0]),
@@ -260,7 +260,7 @@ def grid_heat_map(table: pd.DataFrame) -> bytes:
     Parameters
     ----------
     table : DataFrame
-        As made by ``oracle_pipeline.reporting.thesis_tables.grid_search_table``.
+        From ``oracle_pipeline.reporting.thesis_tables.grid_search_table``.
     """
     settings = list(dict.fromkeys(zip(table["criterion"], table["t"], strict=True)))
     names = table["linkage"] + ", " + table["metric"]
@@ -289,14 +289,14 @@ def intervals(
     quantity: str = "AUC",
     chance: float | None = 0.5,
 ) -> bytes:
-    """Draw estimates under each other with their intervals, the thesis's figure beside where known.
+    """Draw a forest plot of estimates with their intervals, and the thesis's values if known.
 
     Parameters
     ----------
     ours : mapping of str to Estimate
-        By the name of the line, from the top down.
+        By name of the line, from top to bottom.
     thesis : mapping of str to float
-        By the same names; lines without one are left out.
+        By the same names; some may be absent.
     quantity : str
         Label of the axis, which runs from 0 to 1.
     chance : float, optional

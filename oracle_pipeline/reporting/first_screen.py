@@ -1,6 +1,6 @@
-"""The first screen of the report: what was recorded, found, and cannot be claimed yet.
+"""The first screen of the report: recorded runs, results, and open claims.
 
-It holds no figure of its own; all are of ``oracle_evaluation``.
+It computes no results; all come from ``oracle_evaluation``.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,9 +14,9 @@ from oracle_pipeline.reporting.report import Report
 from oracle_pipeline.reporting.strip_plot import StripPlot, strip_plot
 from oracle_pipeline.reporting.two_scores import called_kinds, counted, true_kinds
 
-HIGHEST = 3  # runs that are named
+HIGHEST = 3  # number of runs with the highest scores to list
 
-# From modes, where ``*`` ends the beginning of names, and blocks to the command that records them.
+# Takes modes, with a trailing ``*`` as wildcard, and blocks; returns the command that records them.
 Recorder = Callable[[Sequence[str], int], str]
 
 
@@ -29,7 +29,7 @@ class RunLink(NamedTuple):
 
 
 class ClaimLine(NamedTuple):
-    """What cannot be claimed yet."""
+    """A claim that these runs do not support yet."""
 
     claim: str
     reason: str
@@ -37,13 +37,13 @@ class ClaimLine(NamedTuple):
 
 
 class FirstScreen(NamedTuple):
-    """What the first screen shows."""
+    """The content of the first screen."""
 
     answer: str
     recorded: str
     verdicts: str
-    by_scores: str  # how many runs the two scores call tampered and misbehaved; may be empty
-    in_truth: str  # how many were
+    by_scores: str  # number of runs that the two scores call tampered and misbehaved; may be empty
+    in_truth: str  # number of runs that are
     highest: Sequence[RunLink]
     highest_normal: RunLink | None
     claims: Sequence[ClaimLine]
@@ -93,7 +93,7 @@ def _links(runs: pd.DataFrame) -> list[RunLink]:
 
 
 def _recorded(runs: pd.DataFrame) -> str:
-    """Return what was recorded, in numbers."""
+    """Return a sentence on the number of runs, modes and hours."""
     attacked = int(is_malicious(runs).sum())
     hours = runs["recording_s"].sum() / 3600.0
     of = [

@@ -1,6 +1,6 @@
-"""The page on recordings that arrived: a verdict for each, with its evidence.
+"""The page on recordings from the inbox: a verdict for each, with its evidence.
 
-One self-contained HTML file beside the report; the page itself is ``templates/foreign.html.j2``.
+One self-contained HTML file beside the report, from ``templates/foreign.html.j2``.
 """
 
 from collections import Counter
@@ -20,7 +20,7 @@ _IN_WORDS: dict[Judgement, str] = {
 
 
 def foreign_page(verdicts: Sequence[KeptVerdict]) -> str:
-    """Return the page, verdicts in the order given."""
+    """Return the page, with the verdicts in the given order."""
     return template("foreign.html.j2").render(
         verdicts=verdicts,
         summary=summary(verdicts),
@@ -32,7 +32,7 @@ def foreign_page(verdicts: Sequence[KeptVerdict]) -> str:
 
 
 def summary(verdicts: Sequence[KeptVerdict]) -> str:
-    """Return a sentence on how many recordings there are of each outcome."""
+    """Return a sentence on the number of recordings of each outcome."""
     count = Counter(kept.verdict.outcome for kept in verdicts)
     parts = [f"{count[outcome]} {words}" for outcome, words in _IN_WORDS.items() if count[outcome]]
     noun = "recording" if len(verdicts) == 1 else "recordings"

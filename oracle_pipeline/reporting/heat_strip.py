@@ -1,6 +1,6 @@
-"""A drawing of when a run was unusual: windows by column, families of features by row.
+"""A heat map of the unusual windows of a run: windows by column, families of features by row.
 
-The page draws it as inline SVG; places are in per cent of the width. What is usual is measured in
+The page draws it as inline SVG; positions are in per cent of the width. The usual ranges come from
 ``oracle_pipeline.evaluation.unusual_windows``.
 """
 
@@ -15,10 +15,10 @@ from oracle_pipeline.evaluation.unusual_windows import UnusualWindows
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
 LINE = 18  # height of a family [px]
-STRONGEST = 10.0  # times the usual distance at which a cell is as strong as cells get
+STRONGEST = 10.0  # multiple of the usual distance at which a cell is opaque
 FAINTEST = 0.25  # opacity of a cell just outside the usual range
-LEAST_USUAL = 1.0  # a distance below one scale is nothing to speak of
-TICK_S = (10, 20, 60, 120, 300, 600)  # between the times that the axis names
+LEAST_USUAL = 1.0  # a distance below one scale always counts as usual
+TICK_S = (10, 20, 60, 120, 300, 600)  # choices of the distance between ticks
 MOST_TICKS = 8
 
 
@@ -48,7 +48,7 @@ class AlarmMark(NamedTuple):
 
 
 class HeatStrip(NamedTuple):
-    """The whole drawing."""
+    """The whole heat map."""
 
     rows: Sequence[HeatRow]
     height: int  # [px], without the axis
@@ -66,10 +66,10 @@ def heat_strip(
     goal_ends_s: Sequence[float],
     alarms_s: Sequence[float] = (),
 ) -> HeatStrip:
-    """Return the drawing of the windows of one run, the most unusual family first.
+    """Return the heat map of the windows of one run, the most unusual family first.
 
-    A cell covers the time until the next window starts, so that windows, which overlap, do not.
-    The first line holds the alarms.
+    A cell ends where the next window starts, so that cells do not overlap as windows do. The first
+    line has the alarms.
     """
     end_s = max(recording_s, float(windows.start_s.max(initial=0.0)) + HOP_S)
     bounds = np.maximum(windows.usual, LEAST_USUAL)
@@ -125,7 +125,7 @@ def _cells(
 
 
 def _alarm(at_s: float, onset_s: float | None) -> str:
-    """Say when an alarm was raised."""
+    """Return a text on the time of an alarm."""
     if onset_s is None or at_s <= onset_s:
         return f"alarm at {at_s:g} s"
     return f"alarm at {at_s:g} s, {at_s - onset_s:.0f} s after the attack began"

@@ -1,9 +1,8 @@
-"""The report's main page: the first screen, the evidence, and the method behind folds.
+"""The report's main page: the first screen, the evidence, and the method in folded sections.
 
 It loads nothing from the network. Its content comes from ``evaluation_report`` and
-``thesis_reports`` beside this module; the first screen is put together in ``first_screen``, tables
-are chosen in ``page_tables``; the page itself is ``templates/report.html.j2``. The pages of single
-runs are made in ``run_pages``.
+``thesis_reports``; ``first_screen`` assembles the first screen and ``page_tables`` selects the
+tables. The template is ``templates/report.html.j2``. ``run_pages`` writes the pages of runs.
 """
 
 import platform
@@ -31,7 +30,7 @@ NO_STORAGE = pd.DataFrame()
 
 
 class CheckLine(NamedTuple):
-    """One integrity check, in words."""
+    """One integrity check, as text."""
 
     name: str
     status: str  # green, red or unsupported
@@ -49,10 +48,10 @@ class ExplainedRun(NamedTuple):
     pictures: Sequence[Picture]
 
 
-# Of each section that is shown: its anchor and its heading.
+# Anchor and heading of each section.
 _SECTIONS = {
     "verdicts": "What is detected",
-    "giveaways": "What gives each attack away",
+    "giveaways": "Features that show each attack",
     "explained": "Attacked runs explained",
     "searched": "Attacks that a search found",
     "alarms": "Time to detect",
@@ -65,12 +64,12 @@ _SECTIONS = {
     "radar": "A radar display with and without a ghost",
     "trees": "Dendrograms",
     "thesis": "The thesis's method on these runs",
-    "storage": "What was kept",
+    "storage": "Storage",
     "reading": "How to read this",
     "provenance": "Provenance",
 }
 
-# By the name of a figure, or the part before its first underscore: title and caption.
+# Title and caption, by the name of a figure or the part before its first underscore.
 _CAPTIONS = {
     "roc": ("ROC curves", "ROC curves with 95% bands from resampled blocks; dotted: chance"),
     "detection": (
@@ -100,7 +99,7 @@ _CAPTIONS = {
         "The thesis's AUC, of a hard verdict chosen with labels, ours and its own",
     ),
     "reproduced": (
-        "AUC reproduced beside the thesis's",
+        "AUC of the thesis, reproduced and printed",
         "The thesis's AUC: reproduced on our runs, and as printed",
     ),
 }
@@ -128,25 +127,25 @@ def render(
     Parameters
     ----------
     evaluation : Report
-        Of `oracle_pipeline.reporting.evaluation_report`.
+        From `oracle_pipeline.reporting.evaluation_report`.
     explained : sequence of Explanation
         Attacked runs, each with its evidence.
     giveaways : DataFrame
-        Of `oracle_pipeline.evaluation.giveaways`.
+        From `oracle_pipeline.evaluation.giveaways`.
     record : callable
-        Gives the command that records further runs.
+        Returns the command that records further runs.
     grid, rates, pairs, side_by_side, null_model : Report
-        Of the functions of ``oracle_pipeline.reporting.thesis_reports``.
+        From the functions of ``oracle_pipeline.reporting.thesis_reports``.
     radar : mapping of str to bytes
         PNG pictures of an attacked air traffic run and its control, by run; may be empty.
     provenance : mapping of str to str
         Hash of the runs and versions of the libraries.
     storage : DataFrame
-        What the storage plan kept of each mode.
+        Storage used by each mode.
     arrived : str
-        A sentence on recordings that arrived from elsewhere, whose page is beside this one.
+        A sentence on recordings from the inbox, which have a page of their own.
     searched : Searched, optional
-        What searches for attacks found.
+        Results of searches for attacks.
     """
     tables = {
         **page_tables.of_evaluation(evaluation),
@@ -159,7 +158,7 @@ def render(
             null_model=null_model,
         ),
         "giveaways": page_tables.of_giveaways(giveaways),
-        "storage": page_tables.of_any("What was kept", storage),
+        "storage": page_tables.of_any("Storage", storage),
     }
     content = {
         "giveaways": len(giveaways) > 0,
@@ -196,7 +195,7 @@ def render(
 
 
 def write_page(page: str, path: Path) -> None:
-    """Write a page so that a reader sees all of it or the old one."""
+    """Write a page atomically."""
     with replacing(path) as sink:
         sink.write(page.encode())
 
@@ -227,7 +226,7 @@ def _draws(pairs: Report, evaluation: Report) -> dict[str, str]:
 
 
 def _thesis_reading(row: pd.Series) -> str:
-    """Return what the thesis's method, Ward and two clusters, finds on all modes and features."""
+    """Describe the result of the thesis's method, Ward and two clusters, on all modes."""
     recall, fpr = (Estimate.of_row(row, f"{name}_best_cluster") for name in ("recall", "fpr"))
     return (
         f"On these runs it contains {recall} of the malicious rows and {fpr} of the others; "
@@ -247,7 +246,7 @@ def _explained(explanation: Explanation) -> ExplainedRun:
 
 
 def _charts(report: Report, *kinds: str) -> list[Picture]:
-    """Return a report's figures of some kinds, captioned by what follows the underscore."""
+    """Return a report's figures of some kinds; names after the underscore go into the captions."""
     charts = []
     for kind in kinds:
         alt, caption = _CAPTIONS[kind]

@@ -1,6 +1,6 @@
 """``oracle kinds``, ``oracle review`` and ``oracle invariants``: several kinds of oracle.
 
-What they need is imported when they run, so that the help of all commands stays fast.
+Heavy imports are inside the commands, so that ``--help`` stays fast.
 """
 
 from pathlib import Path
@@ -21,7 +21,7 @@ _recordings = click.argument(
 )  # fmt: skip
 _reference = click.option(
     "--reference", type=click.Path(path_type=Path, exists=True),
-    help="Folder of normal recordings to learn from, beside those that are labelled normal.",
+    help="Folder of normal recordings to learn from, besides those that are labelled normal.",
 )  # fmt: skip
 _requirements = click.option(
     "--requirements", type=click.Path(path_type=Path, dir_okay=False, exists=True),
@@ -29,7 +29,7 @@ _requirements = click.option(
 )  # fmt: skip
 _traces = click.option(
     "--traces", type=click.Path(path_type=Path, file_okay=False),
-    help="Folder for the signals that were read, so that the next call is fast.",
+    help="Folder to cache extracted signals in, so that the next call is faster.",
 )  # fmt: skip
 
 
@@ -39,11 +39,11 @@ _traces = click.option(
 @_requirements
 @click.option(
     "--answers", type=click.Path(path_type=Path, dir_okay=False, exists=True),
-    help="JSON file of what a person said of some runs, as `oracle review` writes it.",
+    help="JSON file of a person's answers on some runs, as `oracle review` writes it.",
 )  # fmt: skip
 @click.option(
     "--questions", type=click.IntRange(0), default=0, show_default=True,
-    help="How many questions the labels answer in place of a person.",
+    help="Number of questions that labels answer in place of a person.",
 )  # fmt: skip
 @rate_option("--far", "False positive rate of each kind, and of all together.")
 @format_option("text", "json", text="Text for reading; one JSON object for programs.")
@@ -62,14 +62,14 @@ def kinds(
 ) -> None:
     """Judge runs by several kinds of oracle, side by side.
 
-    The kinds: implicit (crash, abort, silence), specified (formulas of signal temporal logic),
-    invariants (what always held in normal runs), metamorphic (other runs of the same task), human
-    (answers of a person). Each kind gives p-values at the same false positive rate, with whole
-    sessions held out. `union` is all of them together at that rate. A root with datasets/ adds the
+    The kinds are implicit (crash, abort, silence), specified (formulas of signal temporal logic),
+    invariants (learned from normal runs), metamorphic (comparison with other runs of the same
+    task) and human (answers of a person). Each kind gives p-values at the same false positive rate,
+    with whole sessions held out. `union` combines them at that rate. A root with datasets/ adds the
     scorer of a reference card.
 
     RUN_OR_BAG is a run directory, a bag, or a folder of these. Normal runs are found by their
-    label; for bags without one, name a folder of normal ones with --reference.
+    label; for bags without one, give a folder of normal ones with --reference.
 
     \b
     Examples:
@@ -101,12 +101,12 @@ def kinds(
 @_reference
 @_requirements
 @output_option(
-    "--answers", "JSON file to keep the answers in; those in it are not asked for again.",
+    "--answers", "JSON file of answers; runs that are in it already are skipped.",
     required=True,
 )  # fmt: skip
 @click.option(
     "-k", "count", type=click.IntRange(1), default=10, show_default=True,
-    help="How many runs to ask about.",
+    help="Number of runs to ask about.",
 )  # fmt: skip
 @_traces
 def review(
@@ -119,9 +119,9 @@ def review(
 ) -> None:
     """Ask a person about the most informative runs.
 
-    It asks about the runs of which a model of the answers so far is least sure, and that differ
-    most from those already asked about. Look at each with `oracle replay` or on its page of the
-    report. The answers are written after each question; `oracle kinds --answers` learns from them.
+    It selects the runs about which a model of the answers so far is least certain, and that differ
+    most from those already answered. Inspect each with `oracle replay` or on its page of the
+    report. Answers are saved after each question; `oracle kinds --answers` learns from them.
 
     \b
     Examples:
@@ -137,7 +137,7 @@ def review(
         click.echo(f"\n{run}")
         for line in human.evidence(material, run):
             click.echo(f"    {line}")
-        choice = click.prompt("Was it good, bad, or do you not know?", type=_ANSWERS, default="?")
+        choice = click.prompt("Was it good, bad, or unknown (?)", type=_ANSWERS, default="?")
         return None if choice == "?" else choice == human.BAD
 
     for run, bad in human.interview(material, ask, count):
@@ -152,9 +152,9 @@ def review(
 @output_option("--output", "YAML file to write.", required=True)
 @_traces
 def invariants(good: tuple[Path, ...], output: Path, traces: Path | None) -> None:
-    """Write down what always held in normal recordings, a line each.
+    """Learn invariants from normal recordings, one line each.
 
-    The file holds formulas of signal temporal logic. Read it, delete or change lines, and give it
+    The file has formulas of signal temporal logic. Review it, delete or change lines, and pass it
     to `oracle kinds --requirements`.
 
     \b

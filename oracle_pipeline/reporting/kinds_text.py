@@ -1,4 +1,4 @@
-"""Several kinds of oracle side by side, as text for people and JSON for programs."""
+"""Formats the comparison of several kinds of oracle as text and JSON."""
 
 import json
 from typing import TYPE_CHECKING
@@ -11,14 +11,14 @@ from oracle_pipeline.bags.terminal import aligned_lines
 if TYPE_CHECKING:
     from oracle_pipeline.evaluation.oracle_kinds import KindsComparison
 
-_FEW = 20  # recordings without a label whose p-values are shown
+_FEW = 20  # most recordings without a label to show p-values of
 
 
 def as_text(comparison: "KindsComparison", far: float) -> str:
-    """Return the tables of oracles and of modes; then the recordings without a label."""
+    """Return the tables of oracles, of modes, and of recordings without a label."""
     oracles, by_mode = comparison.oracles, comparison.by_mode
-    head = ("oracle", "finds", "95 % interval", "false positives", "95 % interval", "asks for",
-            "ms a run")  # fmt: skip
+    head = ("oracle", "detects", "95 % interval", "false positives", "95 % interval", "needs",
+            "ms per run")  # fmt: skip
     rows: list[tuple[str, ...]] = [head]
     for _, row in oracles.iterrows():
         rows.append(
@@ -51,7 +51,7 @@ def as_text(comparison: "KindsComparison", far: float) -> str:
 
 
 def as_json(comparison: "KindsComparison", far: float) -> str:
-    """Return one object with the three tables; what is not known is null."""
+    """Return one JSON object with the three tables; unknown values are null."""
     tables = {"oracles": comparison.oracles, "by_mode": comparison.by_mode, "runs": comparison.p}
     document = {
         "far": far,

@@ -1,4 +1,4 @@
-"""Kinds of oracle in the report: their tables, beside those of the evaluation."""
+"""The tables of the report that compare kinds of oracle."""
 
 from dataclasses import replace
 
@@ -13,19 +13,19 @@ ORACLES, BY_MODE = "oracle_kinds", "oracle_kinds_by_mode"
 _RATE = "at a false positive rate of 5%"
 _ORACLES = (
     PageColumn("oracle", "oracle"),
-    PageColumn("asks for", "asks"),
-    PageColumn("of them", "written", spec=".0f"),
-    PageColumn("processor time a run [s]", "seconds_a_run", spec=".3f"),
+    PageColumn("needs", "asks"),
+    PageColumn("number of these", "written", spec=".0f"),
+    PageColumn("processor time per run [s]", "seconds_a_run", spec=".3f"),
     PageColumn("AUC", "auc"),
     PageColumn("detection rate", "detection_rate", _RATE),
     PageColumn("realised false positives", "false_alarm_rate", _RATE),
-    PageColumn("of harmless changes", "false_alarm_rate_harmless", _RATE),
+    PageColumn("false positives on harmless changes", "false_alarm_rate_harmless", _RATE),
     PageColumn("note", "note"),
 )
 
 
 def with_kinds(report: Report, comparison: KindsComparison) -> Report:
-    """Return the report on an evaluation with the tables of the kinds of oracle."""
+    """Return the report on an evaluation, with the tables of the kinds of oracle added."""
     tables = {ORACLES: comparison.oracles, BY_MODE: comparison.by_mode}
     return replace(report, tables={**report.tables, **tables})
 
@@ -40,7 +40,7 @@ def tables_of_kinds(report: Report) -> dict[str, PageTable]:
     columns += [PageColumn(name, name, "share called anomalous") for name in names]
     return {
         ORACLES: grid("Kinds of oracle on the same runs", report.tables[ORACLES], _ORACLES),
-        BY_MODE: grid("Which kind calls which mode anomalous", _side_by_side(by_mode), columns),
+        BY_MODE: grid("Runs called anomalous by kind and mode", _side_by_side(by_mode), columns),
     }
 
 

@@ -20,7 +20,7 @@ class Picture(NamedTuple):
 
 @functools.cache
 def template(name: str) -> jinja2.Template:
-    """Return a template of the folder ``templates``; its values are escaped as text."""
+    """Return a template of the folder ``templates``; values are HTML-escaped."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("oracle_pipeline.reporting"),
         autoescape=True,
@@ -37,7 +37,7 @@ def run_picture(run: str, png: bytes) -> Picture:
 
 
 def picture(alt: str, caption: str, png: bytes) -> Picture:
-    """Return a PNG as a part of the page."""
+    """Return a PNG as an embedded picture."""
     pixels = int.from_bytes(png[16:20], "big")  # the width in a PNG's header
     uri = f"data:image/png;base64,{base64.b64encode(png).decode()}"
     return Picture(alt, caption, uri, round(pixels * 100 / DPI))

@@ -1,6 +1,6 @@
 """The tables of the HTML page: columns, headings and formats.
 
-The page itself is put together in ``oracle_pipeline.reporting.html``.
+``oracle_pipeline.reporting.html`` assembles the page.
 """
 
 from collections.abc import Iterable, Sequence
@@ -34,7 +34,7 @@ class PageColumn(NamedTuple):
     title: str
     name: str  # of the DataFrame's column
     group: str = ""
-    spec: str = ""  # format of its numbers; by default two digits with an interval, else three
+    spec: str = ""  # number format; by default two digits with an interval, else three
 
 
 class PageTable(NamedTuple):
@@ -44,7 +44,7 @@ class PageTable(NamedTuple):
     groups: Sequence[tuple[str, int]]  # heading, columns below it
     columns: Sequence[PageColumn]
     rows: Sequence[Sequence[PageCell]]
-    notes: Sequence[str] = ()  # the column of notes holds their numbers
+    notes: Sequence[str] = ()  # the column of notes has their numbers
 
 
 THESIS = "The thesis"
@@ -66,7 +66,7 @@ _VERDICTS = (
     PageColumn("lower bound, one-sided", "false_alarm_rate_5_bound", _AT_5),
     PageColumn("detection rate", "detection_rate_1", _AT_1),
     PageColumn("realised false alarms", "false_alarm_rate_1", _AT_1),
-    PageColumn("blocks lacking", "blocks_lacking_1", _AT_1),
+    PageColumn("blocks missing", "blocks_lacking_1", _AT_1),
     _NOTE,
 )
 _ALARMS = (
@@ -77,8 +77,8 @@ _ALARMS = (
     PageColumn("median", "time_to_detect_median_s", "time to detect [s]", ".1f"),
     PageColumn("90th percentile", "time_to_detect_90_s", "time to detect [s]", ".1f"),
     PageColumn("median, after a change", "after_effect_median_s", "time to detect [s]", ".1f"),
-    PageColumn("promised at most", "promised_per_h", "false alarms an hour", ".2g"),
-    PageColumn("realised", "false_alarms_per_h", "false alarms an hour"),
+    PageColumn("promised at most", "promised_per_h", "false alarms per hour", ".2g"),
+    PageColumn("realised", "false_alarms_per_h", "false alarms per hour"),
 )
 _CALLED = (
     PageColumn("tampered", "called_tampering", "share called, at 5%"),
@@ -221,16 +221,16 @@ _PAIRS = (PageColumn("runs", "scope"), PageColumn("features", "features"))
 
 
 def of_evaluation(evaluation: Report) -> dict[str, PageTable]:
-    """Return the tables of `oracle_evaluation` by name; of a grid only if one was run."""
+    """Return the tables of `oracle_evaluation` by name, with those of a grid if there is one."""
     table, more = evaluation.table, evaluation.tables
     headline = _of_headline(table)
     against = [scope for scope in headline["scope"] if "/" in scope]
     areas = [PageColumn(scope, scope) for scope in against]
-    if "kills" in more:  # its picture has the other oracles'
+    if "kills" in more:  # the other oracles are in the picture
         more = {**more, "kills": more["kills"][_is_headline(more["kills"])]}
     grids = {
         "verdicts": grid("Verdicts of the headline's scorer", headline, _VERDICTS),
-        "alarms": grid("Alarms while a run goes on", more["alarms"], _ALARMS),
+        "alarms": grid("Alarms during a run", more["alarms"], _ALARMS),
         "scorers": grid(
             "Over all modes", table[table["scope"] == ALL_MODES], (*_SCORER, *_OVER_ALL)
         ),
@@ -243,10 +243,10 @@ def of_evaluation(evaluation: Report) -> dict[str, PageTable]:
         "small_clusters": grid("Small clusters", more["small_clusters"], _SMALL_CLUSTERS),
     }
     for name, title, columns in (
-        ("quadrants", "What was altered, and what the robot did", _QUADRANTS),
+        ("quadrants", "Tampered and misbehaved runs", _QUADRANTS),
         ("aspects_by_mode", "The same, by mode", _ASPECTS_BY_MODE),
-        ("aspects", "Each score by its own truth", _ASPECTS),
-        ("minimum_detectable", "Smallest magnitude that is detected", _MAGNITUDES),
+        ("aspects", "Each score against its own ground truth", _ASPECTS),
+        ("minimum_detectable", "Smallest detected magnitude", _MAGNITUDES),
         ("mutation_scores", "Mutation scores", _MUTATION_SCORES),
         ("kills", f"Kills by {HEADLINE.detector} on {HEADLINE.features} features", _KILLS),
     ):
@@ -261,9 +261,9 @@ def of_thesis(
     """Return the tables that follow the thesis's method, by name."""
     return {
         "side_by_side": grid(
-            "What the thesis prints, and both variants", side_by_side.table, _SIDE_BY_SIDE
+            "Printed results of the thesis, and both variants", side_by_side.table, _SIDE_BY_SIDE
         ),
-        "null_model": grid("Labels without meaning", null_model.table, _NULL_MODEL),
+        "null_model": grid("Meaningless labels", null_model.table, _NULL_MODEL),
         "grid": grid("Grid search", grid_search.table, (*_GRID_SEARCH, *_MEASURES)),
         "rates": grid("Malicious rates", rates.table, (*_RATES, *_MEASURES)),
         "pairs": grid("Pairs and features", pairs.table, (*_PAIRS, *_MEASURES)),
@@ -295,14 +295,14 @@ def of_families(families: Iterable[FamilyDeviation]) -> PageTable:
 
 
 def of_giveaways(giveaways: pd.DataFrame) -> PageTable:
-    """Return the features that show each attacked mode; a mode is named in its first row."""
-    again = giveaways.duplicated("mode")
+    """Return the features that show each attacked mode; only its first row has the mode's name."""
+    repeated = giveaways.duplicated("mode")
     shown = giveaways.assign(
-        mode=giveaways["mode"].mask(again, ""),
+        mode=giveaways["mode"].mask(repeated, ""),
         outside=giveaways["outside"].astype(str) + " of " + giveaways["runs"].astype(str),
         normal=giveaways["outside_normal"].astype(str) + " of " + giveaways["normal"].astype(str),
     )
-    return grid("Features that give attacks away", shown, _GIVEAWAYS)
+    return grid("Features that show attacks", shown, _GIVEAWAYS)
 
 
 def of_any(title: str, table: pd.DataFrame) -> PageTable:
@@ -311,8 +311,8 @@ def of_any(title: str, table: pd.DataFrame) -> PageTable:
 
 
 def grid(title: str, table: pd.DataFrame, columns: Iterable[PageColumn]) -> PageTable:
-    """Return those columns that a table has; notes and figures that are all empty are left out."""
-    shown = [column for column in columns if _says_anything(table, column.name)]
+    """Return a table with those of the columns that have any value."""
+    shown = [column for column in columns if _has_values(table, column.name)]
     groups = [(name, len(list(members))) for name, members in groupby(shown, lambda c: c.group)]
     number: dict[str, str] = {}
     if _NOTE in shown:
@@ -323,7 +323,7 @@ def grid(title: str, table: pd.DataFrame, columns: Iterable[PageColumn]) -> Page
     return PageTable(title, groups, shown, rows, list(number))
 
 
-def _says_anything(table: pd.DataFrame, name: str) -> bool:
+def _has_values(table: pd.DataFrame, name: str) -> bool:
     return name in table.columns and bool((table[name].notna() & (table[name] != "")).any())
 
 
@@ -338,7 +338,7 @@ def _cell(row: pd.Series, column: PageColumn) -> PageCell:
 
 
 def _of_headline(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of the headline's scorer; of other splits those over all of a kind."""
+    """Return the rows of the headline's scorer; for other splits only the overall rows."""
     overall = table["scope"].isin([ALL_MODES, HARD_NEGATIVES])
     return table[_is_headline(table) & ((table["split"] == BLOCK) | overall)]
 

@@ -24,7 +24,7 @@ class ReportError(OracleError):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Report:
-    """One report's outcome."""
+    """The content of one report."""
 
     table: pd.DataFrame
     figures: Mapping[str, bytes]  # PNG by name
@@ -32,9 +32,9 @@ class Report:
     tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)  # further ones, by name
 
     def save(self, directory: Path) -> None:
-        """Write the report to a folder of its own, in place of what was there.
+        """Replace a folder by this report.
 
-        It is written beside its place and renamed into it, so that no reader sees half of it.
+        The report is written to a sibling path and renamed, so that no reader sees half of it.
         """
         with replaced_folder(directory) as new:
             (new / FIGURES).mkdir()
@@ -56,14 +56,14 @@ class Report:
         Raises
         ------
         ReportError
-            The folder does not hold a whole report, or its summary was changed.
+            The folder has no complete report, or its summary was changed.
         """
         try:
             content = (directory / SUMMARY).read_bytes()
             summary = json.loads(content.decode())
         except (FileNotFoundError, ValueError) as error:
             raise ReportError(
-                f"{directory} holds no report ({error}); materialize it again."
+                f"{directory} has no report ({error}); materialize it again."
             ) from error
         if seals.check(content) == "wrong":
             raise ReportError(f"{directory / SUMMARY} is damaged; materialize the report again.")

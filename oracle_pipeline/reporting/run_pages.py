@@ -1,7 +1,7 @@
-"""A page for each run, and one that lists them all: ``runs/<mode>/<run>.html``.
+"""A page for each run, ``runs/<mode>/<run>.html``, and a list of all runs.
 
-A page shows what was kept when the run was recorded (manifest, picture, tables), so it is made
-without the bag. Each is one file that needs no other.
+Pages are written from manifest, picture and tables of a run, without its bag. Each page is one
+self-contained file.
 """
 
 import shlex
@@ -36,7 +36,7 @@ UP = "../../"  # from a run's page to the folder of the report
 BAGS = {
     "full": "whole",
     "trimmed": "trimmed to the topics that features need",
-    "recipe": "dropped to save space; the page shows what was kept, and the recipe makes it again",
+    "recipe": "dropped to save space; it can be simulated again from the recipe",
 }
 
 
@@ -49,9 +49,9 @@ class ShownRuns:
     deviations: Mapping[str, Sequence[Deviation]]  # by run
     unusual: UnusualWindows | None  # of the windows of `measured`; None: too few blocks
     path: Callable[[str], Path]  # of a run's folder
-    film: str  # name of the film there, if one was made
+    film: str  # file name of the film in that folder, if there is one
     manifest: Callable[[str], Manifest]
-    picture: Callable[[str], bytes]  # PNG; an `OracleError` says why there is none
+    picture: Callable[[str], bytes]  # PNG; raises `OracleError` if there is none
 
 
 class JudgedTables(NamedTuple):
@@ -59,13 +59,13 @@ class JudgedTables(NamedTuple):
 
     runs: pd.DataFrame  # by run, with the rank of its score
     scored: int
-    differences: pd.DataFrame  # of what robots did, by run
-    uncertainty: Mapping[str, float]  # of these, by quantity
+    differences: pd.DataFrame  # from unaltered runs, by run
+    uncertainty: Mapping[str, float]  # of the differences, by quantity
     raised: pd.DataFrame  # alarms
 
     @classmethod
     def of(cls, evaluation: Report) -> "JudgedTables":
-        """Return the tables of an evaluation, in the form that pages look runs up in."""
+        """Return the tables of an evaluation, indexed by run."""
         tables = evaluation.tables
         runs, usual = tables["runs"], tables["task_uncertainty"]
         ranks = runs.assign(rank=runs["score"].rank(ascending=False))
@@ -91,7 +91,7 @@ LIST = ("score", "p", "p tampered", "p misbehaved", "block", "session", "ended",
 
 
 def write_run_pages(shown: ShownRuns, folder: Path) -> int:
-    """Write the pages of all runs, in place of those that are there; return how many.
+    """Write the pages of all runs, replacing existing ones; return the number of runs.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def write_run_pages(shown: ShownRuns, folder: Path) -> int:
 
 
 def _lines(judged: pd.DataFrame) -> list[RunLine]:
-    """Return the runs by falling score."""
+    """Return the runs by descending score."""
     return [
         RunLine(
             run["run_id"],
@@ -211,12 +211,12 @@ def _picture(shown: ShownRuns, run: str) -> tuple[Picture | None, str]:
 
 
 def _verdict(judged: pd.Series | None, scored: int) -> str:
-    """Return the verdict on a run and where it ranks."""
+    """Return the verdict on a run and its rank."""
     if judged is None:
         return "Not judged: it ended before its attack began."
     if np.isnan(judged["score"]):
-        return "Not judged: a score takes normal runs of three blocks."
-    where = f"Score {judged['score']:.3g}, number {judged['rank']:.0f} of {scored} from the top."
+        return "Not judged: a score needs normal runs of three blocks."
+    where = f"Score {judged['score']:.3g}, rank {judged['rank']:.0f} of {scored}."
     if np.isnan(judged["p"]):
         return f"{where} No verdict: there are too few normal blocks for one at {RATES[0]:.0%}."
     called = "Anomalous" if judged["p"] <= RATES[0] else "Not anomalous"

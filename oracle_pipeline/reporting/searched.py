@@ -1,4 +1,4 @@
-"""The section on searches for attacks: what each found, as a table, with its front as a picture."""
+"""The section on searches for attacks: a table of results, and a picture of each Pareto front."""
 
 import json
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from oracle_pipeline.reporting.page_tables import PageTable, of_any
 
 
 class Searched(NamedTuple):
-    """What a section on searches shows."""
+    """The content of the section on searches."""
 
     table: PageTable
     fronts: Sequence[Picture]
@@ -55,7 +55,7 @@ def _row(folder: Path) -> dict[str, Any]:
         "proposals": len(findings),
         "run in closed loop": len(ran),
         "with an effect on the task": len(effects),
-        "of these passed by the oracle": len(passed),
-        "largest effect passed": max((each["effect"] for each in passed), default=0.0),
+        "of these missed by the oracle": len(passed),
+        "largest missed effect": max((each["effect"] for each in passed), default=0.0),
         "lowest score with an effect": min((each["score"] for each in effects), default=None),
     }

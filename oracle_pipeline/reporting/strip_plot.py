@@ -1,7 +1,7 @@
 """A plot with a line for each mode and a mark for each run, by score.
 
-The page draws it as inline SVG in its own inks, so that one drawing reads in light and in dark and
-text keeps its size on a phone. Places are in per cent of the width.
+The page draws it as inline SVG in its own colours, so that it is readable in light and dark mode
+and text keeps its size on a phone. Positions are in per cent of the width.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,11 +15,11 @@ from oracle_pipeline.evaluation.comparisons import RATES
 from oracle_pipeline.reporting.two_scores import KINDS, called_kinds
 
 MARGIN = 2.5  # left and right of the marks [%]
-APART = 8.0  # least distance of two ticks [%]
+TICK_DISTANCE = 8.0  # least distance of two ticks [%]
 TICKS = (0, 1, 3, 10, 30, 100, 300, 1000, 3000, 10_000)
-HEIGHTS = ((10, 26), (20, 19))  # of a line, up to so many modes [px]; more modes: the least
-LEAST_HEIGHT = 14
-SWAY = (0, -1, 1, -2, 2)  # off the middle of the line, so that equal scores do not hide each other
+HEIGHTS = ((10, 26), (20, 19))  # largest number of modes, height of their lines [px]
+LEAST_HEIGHT = 14  # with more modes
+JITTER = (0, -1, 1, -2, 2)  # vertical offsets, so that equal scores do not hide each other
 
 
 class Mark(NamedTuple):
@@ -28,8 +28,8 @@ class Mark(NamedTuple):
     x: float  # [%]
     y: float  # [px]
     page: str
-    name: str  # run and score, in words
-    called: bool  # anomalous, or there are no verdicts
+    name: str  # run and score, as text
+    called: bool  # anomalous; also true without verdicts
 
 
 class Strip(NamedTuple):
@@ -38,26 +38,26 @@ class Strip(NamedTuple):
     mode: str
     label: str
     marks: Sequence[Mark]
-    note: str  # beside the line: how many runs; empty if they are told apart by kind
+    note: str  # number of runs; empty if `kinds` is given
     kinds: Sequence[int]  # runs of each of `KINDS`, by their two scores; empty without verdicts
     description: str
 
 
 class StripPlot(NamedTuple):
-    """The whole drawing."""
+    """The whole plot."""
 
     strips: Sequence[Strip]
     height: int  # of a line [px]
-    ticks: Sequence[tuple[float, str]]  # place [%] and text
+    ticks: Sequence[tuple[float, str]]  # position [%] and text
     highest_normal: float | None  # [%]
     with_verdicts: bool
-    kinds: Sequence[str]  # what stands above the numbers; empty without verdicts
+    kinds: Sequence[str]  # headings of the numbers; empty without verdicts
 
 
 def strip_plot(
     runs: pd.DataFrame, standing: pd.DataFrame, page_of: Callable[[str], str]
 ) -> StripPlot | None:
-    """Return the drawing, None if no run has a score.
+    """Return the plot; None if no run has a score.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def strip_plot(
     standing : DataFrame
         Modes, in the order of their lines (`oracle_pipeline.evaluation.ranking.standing`).
     page_of : callable
-        From a run to the address of its page.
+        Takes a run and returns the address of its page.
     """
     runs = runs[np.isfinite(runs["score"])]
     if runs.empty:
@@ -81,7 +81,7 @@ def strip_plot(
         marks = [
             Mark(
                 round(place(run.score), 2),
-                height / 2 + SWAY[number % len(SWAY)] * height / 10,
+                height / 2 + JITTER[number % len(JITTER)] * height / 10,
                 page_of(run.run_id),
                 f"{run.run_id}: {run.score:.3g}",
                 bool(run.p <= RATES[0]) or not with_verdicts,
@@ -110,7 +110,7 @@ def _description(mode: pd.Series, runs: pd.DataFrame, of_kinds: Sequence[int]) -
 
 
 class _Scale:
-    """From scores to places: linear about 0, logarithmic far from it (asinh)."""
+    """Maps scores to positions: linear near 0, logarithmic far from it (asinh)."""
 
     def __init__(self, scores: pd.Series) -> None:
         self._low, self._high = np.arcsinh([min(scores.min(), -1.0), max(scores.max(), 3.0)])
@@ -120,10 +120,10 @@ class _Scale:
         return float(MARGIN + share * (100.0 - 2 * MARGIN))
 
     def ticks(self) -> list[tuple[float, str]]:
-        """Return places and texts of what the axis names."""
+        """Return positions and texts of the ticks."""
         named: list[tuple[float, str]] = []
         for tick in TICKS:
             x = self(tick)
-            if x <= 100.0 - MARGIN / 2 and (not named or x - named[-1][0] >= APART):
+            if x <= 100.0 - MARGIN / 2 and (not named or x - named[-1][0] >= TICK_DISTANCE):
                 named.append((round(x, 2), f"{tick:,}"))
         return named

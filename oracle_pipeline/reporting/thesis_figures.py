@@ -2,9 +2,9 @@
 
 "A testing framework for evaluating behavioural correctness in robotic systems using clustering as
 an oracle": 15 runs of six modes, agglomerative clustering of bootstrapped rows. Its "accuracy" is
-the recall of the cluster that holds most of the malicious rows, and its AUC that of a hard verdict;
-the false-positive rate, which it does not print, is decoded from the two, and the distinct runs
-behind both from their number.
+the recall of the cluster with most of the malicious rows, and its AUC that of a hard verdict. The
+false-positive rate, which it does not print, is decoded from the two, and the numbers of distinct
+runs from the rates.
 """
 
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class ThesisFigure:
         }
 
 
-#: Columns of a row that the thesis has no figure for.
+#: Columns of a row without a result in the thesis.
 NO_FIGURE: dict[str, float | str] = {
     **dict.fromkeys(("thesis_recall", "thesis_fpr", "thesis_auc", "thesis_mcc"), np.nan),
     **dict.fromkeys(("thesis_runs", "thesis_source"), ""),
@@ -58,7 +58,7 @@ NO_FIGURE: dict[str, float | str] = {
 #: Threshold of the thesis's code for each linkage, under either criterion (appendix A, cluster.py).
 THRESHOLD = {"ward": 2.0, "single": 4.0, "complete": 4.0, "average": 4.0}
 
-#: Table 5.1 by linkage and criterion. The last two rows look swapped; they stand as printed.
+#: Table 5.1 by linkage and criterion. The last two rows look swapped; they are kept as printed.
 GRID = {
     key: ThesisFigure(recall, auc, "Table 5.1")
     for key, recall, auc in (

@@ -1,9 +1,9 @@
 """Reports on the thesis's method: from feature tables to a `Report` of tables, pictures and facts.
 
-The first four follow the thesis's method in one variant, which draws copies of runs before it
-clusters them. `side_by_side` compares both variants with the printed results, and `null_model`
-applies the method to meaningless labels. Tables are made in ``thesis_tables``, pictures in
-``figures``; our own evaluation is in ``evaluation_report``.
+The first four apply one variant of the thesis's method, which draws copies of runs and clusters
+them. `side_by_side` compares both variants with the printed results, and `null_model` applies the
+method to meaningless labels. Tables are built in ``thesis_tables``, pictures in ``figures``; our
+own evaluation is in ``evaluation_report``.
 """
 
 import numpy as np
@@ -26,8 +26,8 @@ from oracle_pipeline.reporting.thesis_figures import FAMILIES
 ROWS, MALICIOUS_RATE, SEED = 1000, 0.3, 50  # the thesis's bootstrap
 
 THESIS_WARNING = (
-    "Copies of the same runs are clustered, and labels choose the cluster that they then measure: "
-    "recall and AUC of the best cluster do not measure how well attacks are detected."
+    "Copies of the same runs are clustered, and the best cluster is chosen with the labels that it "
+    "is then compared with: its recall and AUC do not measure how well attacks are detected."
 )
 
 
@@ -38,11 +38,11 @@ def bootstrapped_dataset(
     seed: int = SEED,
     variant: VariantName = "corrected",
 ) -> Report:
-    """Draw rows with replacement; the report's table holds them.
+    """Draw rows with replacement; they are the report's table.
 
-    Parameters and errors are those of `oracle_pipeline.bootstrap.bootstrap`; but of a campaign that
-    has only one class so far, all rows are drawn from that one, with a note in the summary. The
-    thesis's variant leaves out runs that lack one of its ten features, and names them.
+    Parameters and errors are those of `oracle_pipeline.bootstrap.bootstrap`, except that a campaign
+    with only one class gives rows of that class and a note in the summary. The thesis's variant
+    leaves out runs that lack one of its ten features; the summary lists them.
     """
     by = VARIANTS[variant]
     usable = by.whole_runs(df)
@@ -69,7 +69,7 @@ def bootstrapped_dataset(
 
 
 def _drawn_by(variant: Variant) -> dict[str, float | int | str]:
-    """Return for a summary the variant of a report, and its warning."""
+    """Return the variant of a report and its warning, for a summary."""
     warning = {"warning": THESIS_WARNING} if variant.name == "thesis" else {}
     return {"variant": str(variant.name), **warning}
 
@@ -87,7 +87,7 @@ def clustering_grid_search(
     rows : DataFrame
         The table of `bootstrapped_dataset`, of the same variant.
     seed : int
-        Of the resamples behind the intervals.
+        Of the resamples for the intervals.
     variant : {"corrected", "thesis"}
     grid : Grid
     """
@@ -114,7 +114,7 @@ def clustering_grid_search(
 
 
 def _selected(table: pd.DataFrame, measure: Measure) -> dict[str, float | int | str]:
-    """Return the setting with the highest value of a measure, which needs labels."""
+    """Return the setting with the highest value of a measure; this needs labels."""
     if table[measure].isna().all():
         return {}
     best = table.iloc[int(table[measure].argmax())]
@@ -128,7 +128,7 @@ def _labels(rows: pd.DataFrame) -> list[str]:
 
 
 def _thesis_choice(table: pd.DataFrame) -> dict[str, float | int | str]:
-    """Return the setting that the thesis's rule picks, by recall alone, and what it costs."""
+    """Return the setting with the highest recall (the thesis's rule), and its FPR."""
     if table["recall_best_cluster"].isna().all():
         return {}
     chosen = table.iloc[int(table["recall_best_cluster"].argmax())]
@@ -150,7 +150,7 @@ def malicious_rate_report(
     df : DataFrame
         Distinct runs.
     n, seed : int
-        Of each bootstrap; the seed is that of the intervals too.
+        Of each bootstrap; the seed is also used for the intervals.
     variant : {"corrected", "thesis"}
     """
     by = VARIANTS[variant]
@@ -220,7 +220,7 @@ def _pair_dendrograms(
 def side_by_side(
     df: pd.DataFrame, n: int = ROWS, malicious_rate: float = MALICIOUS_RATE, seed: int = SEED
 ) -> Report:
-    """Put what the thesis prints beside what both variants of its method give on our runs.
+    """Compare the printed results of the thesis with both variants of its method on our runs.
 
     Parameters are those of `bootstrapped_dataset`; the columns are those of
     `oracle_pipeline.reporting.thesis_tables.side_by_side_table`.
@@ -250,7 +250,7 @@ def null_model(repetitions: int = 50, seed: int = SEED) -> Report:
     repetitions : int
         Experiments of 90 runs for each share of long runs.
     seed : int
-        Of the generator that makes the runs.
+        Of the generator of the runs.
     """
     table = thesis_tables.null_model_table(repetitions, seed)
     usual = table[table["p_long"] == thesis_tables.P_LONG].iloc[0]
@@ -269,7 +269,7 @@ def null_model(repetitions: int = 50, seed: int = SEED) -> Report:
 
 
 def null_headline(recall: Estimate, area: Estimate) -> str:
-    """Return whether the thesis's headline can be distinguished from chance.
+    """Return a sentence on whether the thesis's headline can be distinguished from chance.
 
     Examples
     --------
@@ -280,7 +280,7 @@ def null_headline(recall: Estimate, area: Estimate) -> str:
     by_chance = recall.covers(thesis.recall) and area.covers(thesis.auc)
     return (
         f'The thesis reports an "accuracy" of {thesis.recall:.3f} and an AUC of {thesis.auc:.3f}: '
-        f"{'not distinguishable' if by_chance else 'distinguishable'} from chance, because labels "
-        f'without meaning give its method an "accuracy" of {recall} and an AUC of {area} '
-        "(median, and where 95% of the experiments lie)."
+        f"{'not distinguishable' if by_chance else 'distinguishable'} from chance, because its "
+        f'method gives an "accuracy" of {recall} and an AUC of {area} with meaningless labels '
+        "(median and 95% range of the experiments)."
     )

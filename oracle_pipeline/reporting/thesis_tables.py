@@ -1,8 +1,8 @@
-"""The thesis's tables made from our runs, its figures in the columns ``thesis_*``, and our own.
+"""The thesis's tables computed from our runs, with its printed values in columns ``thesis_*``.
 
-Functions from a feature table and a generator to a DataFrame. An estimate takes three columns, for
-example ``auc``, ``auc_low`` and ``auc_high`` (`Estimate.of_row`). The thesis's tables can be made
-with either variant of its method, and with both side by side.
+The functions take a feature table and a generator, and return a DataFrame. An estimate has three
+columns, for example ``auc``, ``auc_low`` and ``auc_high`` (`Estimate.of_row`). The tables can be
+computed with either variant of the thesis's method, and with both side by side.
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ from oracle_pipeline.reporting.thesis_figures import (
 THESIS_GRID = Grid()
 FEATURE_SETS: tuple[FeatureSet, ...] = ("all", "structural", "contextual")
 MALICIOUS_RATES = (0.1, 0.3, 0.5, 0.7, 0.9)
-P_LONG = 0.05  # share of very long runs in the null model that its headline is about
+P_LONG = 0.05  # share of very long runs in the headline of the null model
 
 
 def grid_search_table(
@@ -44,19 +44,19 @@ def grid_search_table(
 ) -> pd.DataFrame:
     """Judge every setting of a grid on the same rows (the thesis's table 5.1).
 
-    The thesis's figures stand in the rows that have its threshold: 2 for Ward, 4 otherwise; the
-    thesis's variant has no other rows. Its distances are of unscaled features, so of the corrected
-    variant only the ``maxclust`` rows ask the same question as the thesis.
+    Rows with the thesis's threshold (2 for Ward, 4 otherwise) have its printed values; the thesis's
+    variant has no other rows. Its distances are of unscaled features, so in the corrected variant
+    only the ``maxclust`` rows are comparable with the thesis.
 
     Parameters
     ----------
     rows : DataFrame
-        Drawn as the variant draws them.
+        Drawn by the same variant.
     rng : Generator
         Draws the resamples for the intervals.
     variant : Variant
     grid : Grid
-        Its distances are in scales if the variant scales.
+        Its distances are in units of the scaled features if the variant scales.
     """
     columns = variant.columns(rows, "all")
     table = []
@@ -147,18 +147,17 @@ def pairwise_table(
 def side_by_side_table(
     df: pd.DataFrame, n: int, malicious_rate: float, seed: int, rng: np.random.Generator
 ) -> pd.DataFrame:
-    """Put each result that the thesis prints beside what either variant gives on our runs.
+    """Compare each printed result of the thesis with both variants of its method on our runs.
 
     Parameters are those of `malicious_rate_table`, with one rate.
 
     Returns
     -------
     DataFrame
-        One row for each printed result. ``thesis_*`` is what the thesis prints, or what follows
-        from it.
-        ``reproduced_recall``, ``_fpr`` and ``_auc`` are the same by the thesis's variant: of the
-        best cluster, chosen with labels. ``corrected_tpr`` and ``_fpr`` are of the verdict without
-        labels and ``corrected_auc`` of the HAC height, by the corrected variant.
+        One row for each printed result. ``thesis_*`` are printed values, or follow from them.
+        ``reproduced_recall``, ``_fpr`` and ``_auc`` are the same for the best cluster of the
+        thesis's variant, chosen with labels. ``corrected_tpr`` and ``_fpr`` are of the verdict
+        without labels and ``corrected_auc`` of the HAC height, by the corrected variant.
     """
     settings = (df, n, malicious_rate, seed, rng)
     reproduced, corrected = (_printed_results(*settings, v) for v in (THESIS, CORRECTED))
@@ -193,7 +192,7 @@ def _printed_results(
     rng: np.random.Generator,
     variant: Variant,
 ) -> pd.DataFrame:
-    """Return one variant's rows of all tables that the thesis prints figures for."""
+    """Return one variant's rows of all tables that are in the thesis."""
     settings = (n, malicious_rate, seed, rng, variant)
     rates = malicious_rate_table(df, n, seed, rng, variant)
     families, pairs = family_table(df, *settings), pairwise_table(df, *settings)
@@ -231,7 +230,7 @@ def _grid_or_reason(
 
 
 def _renamed(table: pd.DataFrame, prefix: str, **estimates: str) -> pd.DataFrame:
-    """Return estimates with their intervals, by their new names."""
+    """Return estimates with their intervals under new names."""
     ends = ("", "_low", "_high")
     names = {
         f"{old}{end}": f"{prefix}_{new}{end}" for new, old in estimates.items() for end in ends
@@ -245,10 +244,9 @@ def null_model_table(repetitions: int, seed: int) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each share of very long runs, ``p_long``. Of the best cluster ``recall``,
-        ``fpr`` and ``auc``: the median of the repetitions and, ``_low`` and ``_high``, where 95%
-        of them lie.
-        ``reaches_headline`` is the share with the recall that the thesis reports, or more.
+        One row for each share of very long runs, ``p_long``: ``recall``, ``fpr`` and ``auc`` of the
+        best cluster, as the median and the 95% range (``_low``, ``_high``) of the repetitions.
+        ``reaches_headline`` is the share of repetitions with at least the thesis's recall.
     """
     table = []
     for p_long in (0.0, 0.02, P_LONG, 0.1):

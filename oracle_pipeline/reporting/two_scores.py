@@ -1,7 +1,7 @@
 """Tampering and misbehaviour of single runs: the two scores beside the ground truth.
 
-The scores and the truth are measured in ``oracle_pipeline.evaluation``: ``aspects`` and
-``task_effects``. Here they are put in words, for the first screen and the pages of runs.
+Scores and ground truth come from ``oracle_pipeline.evaluation``: ``aspects`` and ``task_effects``.
+This module formats them for the first screen and the pages of runs.
 """
 
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ _CALLED = {"tampering": "tampered", "misbehaviour": "misbehaved"}
 
 
 def called_kinds(runs: pd.DataFrame) -> pd.Series:
-    """Return which of `KINDS` the two scores call each run at 5 %; NaN without two p-values.
+    """Return the kind of each run by its two scores at 5 %; NaN without two p-values.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def called_kinds(runs: pd.DataFrame) -> pd.Series:
 
 
 def true_kinds(runs: pd.DataFrame) -> pd.Series:
-    """Return which of `KINDS` each run is in truth; NaN where it is not known."""
+    """Return the true kind of each run; NaN if unknown."""
     tampered = pd.Series(is_malicious(runs), runs.index)
     return _kinds(tampered, runs["effect"] > 1.0, runs["effect"].notna())
 
@@ -52,7 +52,7 @@ def _kinds(tampered: pd.Series, misbehaved: pd.Series, known: pd.Series) -> pd.S
 
 
 def counted(kinds: pd.Series) -> str:
-    """Say how many runs there are of each kind; empty if none is known.
+    """Return a text on the number of runs of each kind; empty if none is known.
 
     Examples
     --------
@@ -69,17 +69,17 @@ def counted(kinds: pd.Series) -> str:
 def scores_table(
     judged: pd.Series, manifest: Manifest, differences: pd.Series, uncertainty: Mapping[str, float]
 ) -> PageTable:
-    """Return the two scores of a run, each beside what really happened.
+    """Return the two scores of a run beside the ground truth.
 
     Parameters
     ----------
     judged : Series
-        Its row of the table ``runs``.
+        The run's row of the table ``runs``.
     manifest : Manifest
     differences : Series
-        Of what the robot did from unaltered runs of the block, by quantity.
+        Differences of the robot's behaviour from unaltered runs of the block, by quantity.
     uncertainty : mapping of str to float
-        How far unaltered runs are from each other, by quantity.
+        Distance between unaltered runs, by quantity.
     """
     truth = {
         "tampering": _tampered(manifest),
@@ -102,12 +102,12 @@ def scores_table(
 def task_table(
     manifest: Manifest, differences: pd.Series, uncertainty: Mapping[str, float]
 ) -> PageTable:
-    """Return what the robot did, by quantity; no row if it does not drive.
+    """Return the robot's behaviour by quantity; empty if it does not drive.
 
     Parameters
     ----------
     manifest, differences, uncertainty
-        As of `scores_table`.
+        As for `scores_table`.
     """
     rows = [
         (
@@ -131,17 +131,17 @@ def _tampered(manifest: Manifest) -> str:
 
 
 def _misbehaved(effect: float, differences: pd.Series, uncertainty: Mapping[str, float]) -> str:
-    """Say in which quantities a robot did something else, and by how much."""
+    """Return a text on the quantities in which the robot's behaviour differs."""
     if np.isnan(effect):
-        return f"not known: that takes {REPEATS} unaltered runs, and one in this block"
+        return f"unknown: it needs {REPEATS} unaltered runs, one of them in this block"
     if effect <= 1.0:
-        return "did not misbehave: as unaltered runs of its block"
-    otherwise = [
+        return "did not misbehave: like unaltered runs of its block"
+    different = [
         f"{_name(quantity)} {differences[quantity]:+.3g}{_unit(quantity)}"
         for quantity in UNITS
         if abs(differences[quantity]) > uncertainty[quantity]
     ]
-    return f"misbehaved: {', '.join(otherwise)}"
+    return f"misbehaved: {', '.join(different)}"
 
 
 def _verdict(aspect: str, p: float) -> str:

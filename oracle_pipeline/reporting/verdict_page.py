@@ -1,7 +1,7 @@
 """The page of `oracle score --page`: each verdict with its picture and its evidence.
 
 One self-contained HTML file that loads nothing from the network. Names and texts of a recording are
-escaped, and pictures are drawn in processes of their own, as its features are computed.
+escaped, and pictures are drawn in separate processes, as features are computed.
 """
 
 import base64
@@ -27,7 +27,7 @@ _HEADLINES: dict[Judgement, str] = {
 
 
 class _Row(NamedTuple):
-    """One piece of evidence: its cells, and what the feature is."""
+    """One piece of evidence: its cells, and a description of the feature."""
 
     cells: Sequence[str]
     meaning: str
@@ -59,18 +59,18 @@ def write(
     Parameters
     ----------
     path : Path
-        Its place.
+        The file to write.
     verdicts : sequence of Verdict
     far : float
-        The false positive rate that they were judged at.
+        The false positive rate of the verdicts.
     notes : sequence of str
-        What a reader should know of the reference.
+        Remarks on the reference.
     manager : FeatureManager
-        That knows what the features are.
+        Provides the descriptions of the features.
     limits : Limits
         Of each process that draws a recording.
     draw : callable
-        A function of a module, from the place of a recording to its picture, PNG.
+        A picklable function that takes the path of a recording and returns its picture as PNG.
     """
     meanings = {name: feature.description for name, feature in manager.features().items()}
     page = template("verdicts.html.j2").render(
@@ -109,7 +109,7 @@ def _judged(
 
 
 def _sentence(verdict: Verdict, far: float) -> str:
-    """Return what the p-value means."""
+    """Return a sentence that explains the p-value."""
     if verdict.p_value is None or verdict.suite_p_value is None:
         return verdict.error
     farther = round(verdict.p_value * (verdict.normal_blocks + 1)) - 1

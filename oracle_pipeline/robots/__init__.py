@@ -1,1 +1,1 @@
-"""Who is in a recording: its robots, and which of a robot's topics is what."""
+"""The robots of a recording, and the roles of their topics."""

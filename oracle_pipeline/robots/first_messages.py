@@ -1,4 +1,4 @@
-"""The frames in the first message of each topic, read only where types and names leave a choice."""
+"""The frames in the first message of each topic, read only if types and names are ambiguous."""
 
 from collections.abc import Collection, Iterable
 from functools import cached_property
@@ -19,7 +19,7 @@ _WITH_FRAMES = (
 
 
 class FirstMessages:
-    """Frames of a robot's topics; the bag is read when the first one is asked for."""
+    """Frames of a robot's topics; the bag is read on first use."""
 
     def __init__(self, bag: BagReader) -> None:
         self.bag = bag
@@ -30,7 +30,7 @@ class FirstMessages:
         return _bare(getattr(header, "frame_id", ""))
 
     def child_frame(self, topic: str) -> str:
-        """Return the frame of what moves, of an odometry topic."""
+        """Return the child frame of an odometry topic."""
         return _bare(getattr(self._first.get(topic), "child_frame_id", ""))
 
     def frames_of(self, topics: Iterable[str]) -> set[str]:
@@ -38,12 +38,12 @@ class FirstMessages:
         return {frame for topic in topics if (frame := self.frame(topic))}
 
     def carried(self, body: str, topics: Iterable[str]) -> int:
-        """Return how many of some sensors a body carries, by the first static transforms."""
+        """Return the number of sensors attached to a body, by the first static transforms."""
         return sum(body in self._above(self.frame(topic)) for topic in topics)
 
     def _above(self, frame: str) -> set[str]:
         above: set[str] = set()
-        while frame and frame not in above:  # a loop in a broken tree ends too
+        while frame and frame not in above:  # stops at cycles
             above.add(frame)
             frame = self._parents.get(frame, "")
         return above
@@ -68,7 +68,7 @@ class FirstMessages:
 
 
 def _first_messages(bag: BagReader, topics: Collection[str]) -> dict[str, Any]:
-    """Decode the first message of each topic, in file order; those that cannot be are left out."""
+    """Decode the first message of each topic, in file order; undecodable ones are left out."""
     names = list(bag.topics)
     found: dict[str, Any] = {}
     for batch in bag.batches(topics):
@@ -92,5 +92,5 @@ def _decoded(bag: BagReader, topic: str, data: bytes) -> Any:
 
 
 def _bare(frame: object) -> str:
-    """Return a frame's name; old drivers put a slash before it."""
+    """Return a frame's name without the leading slash of old drivers."""
     return str(frame).lstrip("/")

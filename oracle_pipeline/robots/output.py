@@ -1,4 +1,4 @@
-"""What was found of the robots of a recording, for people to read."""
+"""Formats the robots of a recording and the roles of their topics as text."""
 
 from collections.abc import Iterator, Sequence
 
@@ -6,15 +6,15 @@ from oracle_pipeline.robots.robot import Robot
 
 
 def as_text(robots: Sequence[Robot]) -> str:
-    """Return which topic has which role, robot by robot, and what is ambiguous."""
+    """Return the topics of each role by robot, and ambiguities."""
     return "\n\n".join("\n".join(_lines(robot)) for robot in robots)
 
 
 def _lines(robot: Robot) -> Iterator[str]:
     if robot.name:
-        yield f"Robot {robot.name}: its topics, without {robot.namespace}, and shared ones"
+        yield f"Robot {robot.name}: its topics without {robot.namespace}, and shared topics"
     elif robot.namespace:
-        yield f"One robot, its topics without {robot.namespace}"
+        yield f"One robot: its topics without {robot.namespace}"
     else:
         yield "One robot"
     width = max(map(len, robot.roles.found))

@@ -1,8 +1,8 @@
-"""The robots of a recording: which namespaces are robots, and what each of them sees.
+"""The robots of a recording: which namespaces are robots, and the topics of each.
 
-A robot sees its topics without its namespace, and the topics that belong to no robot, such as a
-``/map`` or ``/tf`` that all share. So features do not depend on the namespace, and a reference card
-that was learned on one robot scores another.
+The topics of a robot are those of its namespace, without the namespace, and those that belong to no
+robot, such as a shared ``/map`` or ``/tf``. So features do not depend on the namespace, and a
+reference card that was learned on one robot can score another.
 """
 
 from collections.abc import Iterable
@@ -40,11 +40,11 @@ class Robot:
     name : str
         Its namespace without the first slash, such as ``robot1``; empty if it is the only one.
     namespace : str
-        What was taken off the names of its topics, such as ``/robot1``; may be empty.
+        Prefix removed from the names of its topics, such as ``/robot1``; may be empty.
     bag : BagReader
         Its topics and those that all robots share.
     roles : Roles
-        What they are for.
+        Roles of these topics.
     """
 
     name: str
@@ -59,7 +59,7 @@ def find_robots(bag: BagReader, choices: RoleChoices | None = None) -> list[Robo
     Raises
     ------
     RolesError
-        The roles file names a robot without topics, or a topic for a role that does not fit it.
+        The roles file has a robot without topics, or a topic whose type does not fit its role.
     """
     choices = choices or RoleChoices()
     spaces = sorted(_namespaces(bag) if choices.robots is None else choices.robots)
@@ -67,7 +67,7 @@ def find_robots(bag: BagReader, choices: RoleChoices | None = None) -> list[Robo
         if space and not any(name.startswith(f"{space}/") for name in bag.topics):
             raise RolesError(
                 f"The roles file names the robot {space}, but {bag.path} has no topic in that "
-                "namespace. Name others, or leave `robots` out to have them found."
+                "namespace. Use another, or omit `robots` to detect robots."
             )
     robots = []
     for space in spaces:
@@ -79,7 +79,7 @@ def find_robots(bag: BagReader, choices: RoleChoices | None = None) -> list[Robo
 
 
 def of_robot(recording: str, name: str) -> str:
-    """Return how a robot of a recording is called.
+    """Return the name of a robot of a recording.
 
     Examples
     --------
@@ -90,10 +90,10 @@ def of_robot(recording: str, name: str) -> str:
 
 
 def _names(topics: Iterable[str], space: str, others: Iterable[str]) -> dict[str, str]:
-    """Return what a robot calls the topics that it sees, by their recorded names.
+    """Return the names of topics relative to a robot, by their recorded names.
 
-    Of a topic outside of its namespace, what both are in is taken off. Of two that it would call
-    the same, it sees the one that is nearer to its namespace.
+    For a topic outside its namespace, the common namespace is removed. If two topics would get the
+    same name, the one nearer to its namespace is used.
     """
     foreign = tuple(f"{other}/" for other in others)
     seen = [(_inside(name, space), name) for name in topics if not name.startswith(foreign)]
@@ -102,7 +102,7 @@ def _names(topics: Iterable[str], space: str, others: Iterable[str]) -> dict[str
 
 
 def _inside(name: str, space: str) -> str:
-    """Return a name without what it shares with a namespace.
+    """Return a name without the part that it shares with a namespace.
 
     Examples
     --------
@@ -117,14 +117,14 @@ def _inside(name: str, space: str) -> str:
 def _namespaces(bag: BagReader) -> list[str]:
     """Return the namespaces that are robots; the root, which is empty, if there are none.
 
-    A robot tells how it moves (odometry, or else commands), and something besides. If several
-    namespaces side by side do, and nothing outside of them tells the same, each is a robot. If
-    only one does, and nothing outside of it tells anything of a robot, it is the robot.
+    A robot publishes its motion (odometry, or else commands) and at least one other robot topic. If
+    several sibling namespaces do, and no topic outside has the motion, each is a robot. If only one
+    does, and there are no robot topics outside, it is the robot.
     """
     own = [topic for topic in bag.topics.values() if topic.msgtype not in _SHARED_TYPES]
     spaces = _below("", own)
     if len(spaces) == 1 and len(_names(bag.topics, spaces[0], ())) < len(bag.topics):
-        return [""]  # two topics would have one name
+        return [""]  # two topics would have the same name
     return spaces
 
 
@@ -150,7 +150,7 @@ def _below(space: str, topics: list[Topic]) -> list[str]:
 
 
 def _motion(robots: Iterable[list[Topic]]) -> set[str]:
-    """Return what tells the motion of some robots: odometry, if all have it, or else commands."""
+    """Return the kinds of topics with the robots' motion: odometry if all have it, or commands."""
     return {ODOMETRY} if all(ODOMETRY in _kinds(held) for held in robots) else {ODOMETRY, COMMAND}
 
 
@@ -160,7 +160,7 @@ def _is_robot(topics: Iterable[Topic]) -> bool:
 
 
 def _kinds(topics: Iterable[Topic]) -> set[str]:
-    """Return what topics tell, of what makes a robot."""
+    """Return the kinds of robot topics among some topics."""
     types = {topic.msgtype for topic in topics}
     kinds = {kind for kind in (ODOMETRY, COMMAND, JOINTS) if types & set(ROLES[kind].types)}
     return kinds | ({LASER_SCAN} & types)

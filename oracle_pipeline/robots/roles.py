@@ -1,8 +1,8 @@
-"""Roles of topics: what a robot's topic tells, whatever its name is.
+"""Roles of topics: the meaning of a robot's topic, independent of its name.
 
-A role is found by message type. Where several topics have the type, the usual name decides, then
-the frames in their messages, then the alphabet; the last is told as ambiguous. A roles file decides
-before all of these.
+Topics of a role are found by message type. If several have the type, the usual name decides, then
+the frames in their messages, then the alphabet, which is reported as ambiguous. A roles file takes
+precedence.
 """
 
 from collections.abc import Callable, Mapping
@@ -33,22 +33,22 @@ class RolesError(OracleError):
 
 @dataclass(frozen=True, slots=True)
 class Role:
-    """What a topic may be for, and how it is found.
+    """A possible role of topics, and how these are found.
 
     Attributes
     ----------
     types : tuple of str
-        Message types. If no topic has the first, the next one counts.
+        Message types. If no topic has the first, the next is used.
     several : bool
         Whether a robot may have many topics of the role.
     usual : tuple of str
-        Globs of usual names, the most usual first.
+        Globs of usual names, the most common first.
     never : tuple of str
-        Globs of names whose topics are known to be something else.
+        Globs of names that never have the role.
     only_usual : bool
-        Whether the type tells nothing, so that only a usual name is found.
+        Whether a topic must have a usual name, because its type is too general.
     accepts : callable
-        What else a topic has to fulfil.
+        A further condition for topics.
     """
 
     types: tuple[str, ...]
@@ -60,12 +60,12 @@ class Role:
 
 
 def _is_static(topic: Topic) -> bool:
-    """Tell whether transforms do not move: by the topic's name, or because they are latched."""
+    """Return whether transforms are static, by the topic's name or because they are latched."""
     latched = {profile.durability for profile in topic.qos} == {QosDurability.TRANSIENT_LOCAL}
     return "static" in topic.name or latched
 
 
-#: All roles, in the order in which they are told.
+#: All roles, in the order of the output.
 ROLES: Final[Mapping[str, Role]] = {
     SCAN: Role((LASER_SCAN, POINT_CLOUD), several=True),
     ODOMETRY: Role(("nav_msgs/msg/Odometry",), usual=("/odom", "*/odom")),
@@ -103,16 +103,16 @@ ROLES: Final[Mapping[str, Role]] = {
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The topics of one role, and why these.
+    """The topics of one role, and why they were chosen.
 
     Attributes
     ----------
     topics : tuple of str
         Empty if there is none.
     reason : str
-        In words.
+        Why they were chosen, as text.
     others : tuple of str
-        What else it could have been; not empty: the choice is ambiguous.
+        Other candidates; the choice is ambiguous if there are any.
     """
 
     topics: tuple[str, ...]
@@ -120,36 +120,36 @@ class Found:
     others: tuple[str, ...] = ()
 
     def ambiguity(self, role: str) -> str:
-        """Say what else could have the role; empty if nothing could."""
+        """Return a sentence on other candidates for the role; empty without any."""
         if not self.others:
             return ""
         return (
-            f"{self.topics[0]} is taken as {role} ({self.reason}, then by name), but "
-            f"{', '.join(self.others)} could be it too; a roles file can name the right one."
+            f"{self.topics[0]} is used as {role} ({self.reason}, then by name), but "
+            f"{', '.join(self.others)} would fit too; a roles file can select another."
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Roles:
-    """What each topic of one robot is for.
+    """The roles of the topics of one robot.
 
     Attributes
     ----------
     found : mapping of str to Found
-        By name of the role, all of `ROLES`.
+        By name of the role, for all of `ROLES`.
     notes : tuple of str
-        What a roles file names and the recording lacks.
+        Topics of the roles file that the recording lacks.
     """
 
     found: Mapping[str, Found] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     def ambiguities(self) -> list[str]:
-        """Return a sentence for each choice that could have been another."""
+        """Return a sentence for each ambiguous role."""
         return [text for role, found in self.found.items() if (text := found.ambiguity(role))]
 
     def has(self, role: str, topic: str) -> bool:
-        """Tell whether a topic has a role."""
+        """Return whether a topic has a role."""
         return role in self.found and topic in self.found[role].topics
 
 
@@ -159,14 +159,14 @@ def find_roles(bag: BagReader, chosen: Mapping[str, tuple[str, ...]] | None = No
     Parameters
     ----------
     bag : BagReader
-        The robot's topics; a few first messages are read if names and types leave a choice.
+        The robot's topics; a few first messages are read if names and types are ambiguous.
     chosen : mapping of str to tuple of str, optional
         Topics by role, from a roles file.
 
     Raises
     ------
     RolesError
-        The roles file names a topic for a role that its type does not fit.
+        The roles file has a topic whose type does not fit its role.
     """
     chosen = chosen or {}
     first = FirstMessages(bag)
@@ -184,21 +184,21 @@ def find_roles(bag: BagReader, chosen: Mapping[str, tuple[str, ...]] | None = No
 def _named(
     name: str, role: Role, topics: tuple[str, ...], bag: BagReader
 ) -> tuple[Found, list[str]]:
-    """Take what a roles file names."""
+    """Return the topics that a roles file assigns to a role, and notes on missing ones."""
     shown = {recorded: topic for topic in bag.topics for recorded in (topic, bag.recorded(topic))}
     present = tuple(dict.fromkeys(shown[topic] for topic in topics if topic in shown))
     for topic in present:
         if (msgtype := bag.topics[topic].msgtype) not in role.types:
             raise RolesError(
                 f"The roles file names {topic} as {name}, but its type is {msgtype}, not "
-                f"{' or '.join(role.types)}. Name another topic."
+                f"{' or '.join(role.types)}. Use another topic."
             )
     absent = [
         f"The roles file names {topic} as {name}, but it is not recorded."
         for topic in topics
         if topic not in shown
     ]
-    reason = "named in the roles file" if present else "the roles file names none that is recorded"
+    reason = "by the roles file" if present else "no topic of the roles file is recorded"
     return Found(present, reason), absent
 
 
@@ -213,7 +213,7 @@ def _searched(
     for glob in role.usual:
         if usual := [topic for topic in topics if fnmatchcase(topic, glob)]:
             return _one(usual, "by its usual name")
-    if name == LOCAL_COSTMAP:  # a grid in the frame of odometry rolls along with the robot
+    if name == LOCAL_COSTMAP:  # a rolling grid is in the odometry frame
         topics = [t for t in topics if first.frame(t) in first.frames_of(found[ODOMETRY].topics)]
         if topics:
             return _one(topics, "by message type and frame")
@@ -229,7 +229,7 @@ def _searched(
 
 
 def _candidates(role: Role, bag: BagReader) -> list[str]:
-    """Return the topics that could have a role; silent ones only if there is no other."""
+    """Return the candidates for a role; topics without messages only if there is no other."""
     for msgtype in role.types:
         topics = [
             topic
@@ -239,20 +239,20 @@ def _candidates(role: Role, bag: BagReader) -> list[str]:
             and not any(fnmatchcase(topic.name, glob) for glob in role.never)
         ]
         if topics:
-            heard = [topic.name for topic in topics if topic.count]
-            return heard or [topic.name for topic in topics]
+            recorded = [topic.name for topic in topics if topic.count]
+            return recorded or [topic.name for topic in topics]
     return []
 
 
 def _in_fitting_frames(
     name: str, topics: list[str], first: FirstMessages, found: Mapping[str, Found]
 ) -> list[str]:
-    """Return those whose frames fit best what else the robot has; all if frames tell nothing."""
-    if name == ODOMETRY:  # of the body that carries the sensors
+    """Return the topics whose frames fit the robot's other topics best, or else all."""
+    if name == ODOMETRY:  # its child frame is the body that carries the sensors
         sensors = (*found[SCAN].topics, *(t for t in first.bag.topics if _is_imu(first.bag, t)))
         carried = {topic: first.carried(first.child_frame(topic), sensors) for topic in topics}
         return [topic for topic in topics if carried[topic] == max(carried.values())]
-    if name == MAP:  # localisation tells where the robot is in it
+    if name == MAP:  # localisation is in the frame of the map
         frames = first.frames_of(found[POSE].topics)
         return [topic for topic in topics if first.frame(topic) in frames] or topics
     return topics
@@ -263,6 +263,6 @@ def _is_imu(bag: BagReader, topic: str) -> bool:
 
 
 def _one(topics: list[str], reason: str) -> Found:
-    """Take the least nested, of several the first by name; the others make it ambiguous."""
+    """Choose the least nested topic, then the first by name; the others make it ambiguous."""
     first, *others = sorted(topics, key=lambda topic: (topic.count("/"), topic))
     return Found((first,), reason, tuple(others))

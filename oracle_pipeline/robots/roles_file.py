@@ -1,4 +1,4 @@
-"""The roles file: a small YAML that names what cannot be found by message type.
+"""The roles file: a small YAML for robots and topics that cannot be found by message type.
 
 ::
 
@@ -22,12 +22,12 @@ _LARGEST = 64 * 1024  # bytes
 
 @dataclass(frozen=True, slots=True)
 class RoleChoices:
-    """What a roles file says.
+    """The content of a roles file.
 
     Attributes
     ----------
     robots : tuple of str or None
-        Namespaces without the slash at their ends; the root is empty. None: they are found.
+        Namespaces without the trailing slash; the root is empty. None: they are detected.
     topics : mapping of str to tuple of str
         Topics by role.
     """
@@ -42,7 +42,7 @@ class RoleChoices:
         Raises
         ------
         RolesError
-            It is no such file; the error says what is wrong with it.
+            The file is invalid; the message has the fault.
         """
         with path.open("rb") as source:
             content = source.read(_LARGEST + 1)
@@ -52,17 +52,17 @@ class RoleChoices:
             return cls.of(bounded_yaml.load(content.decode()))
         except (ValueError, UnicodeDecodeError) as error:
             raise RolesError(
-                f"{path} is no roles file: {error}. See docs/how-to/other-robots.md."
+                f"{path} is not a roles file: {error}. See docs/how-to/other-robots.md."
             ) from error
 
     @classmethod
     def of(cls, document: Any) -> Self:
-        """Return what a document says that is as a roles file.
+        """Return the choices from the content of a roles file.
 
         Raises
         ------
         ValueError
-            It is not.
+            The content is invalid.
         """
         document = _mapping("the file", document, ("robots", "roles"))
         topics = _mapping("roles", document.get("roles") or {}, tuple(ROLES))
@@ -77,7 +77,7 @@ class RoleChoices:
         )
 
     def document(self) -> dict[str, Any]:
-        """Return the roles file that says the same."""
+        """Return the content of an equivalent roles file."""
         robots = [] if self.robots is None else [f"{name}/" for name in self.robots]
         roles = {role: list(names) for role, names in self.topics.items()}
         return {"roles": roles} if self.robots is None else {"robots": robots, "roles": roles}
@@ -85,7 +85,7 @@ class RoleChoices:
 
 def _mapping(what: str, given: Any, known: tuple[str, ...]) -> dict[str, Any]:
     if not isinstance(given, dict):
-        raise ValueError(f"{what} has to be a mapping of {', '.join(known)}")
+        raise ValueError(f"{what} must be a mapping of {', '.join(known)}")
     if unknown := [str(key) for key in given if key not in known]:
         raise ValueError(f"{what} has {', '.join(unknown)}; known are {', '.join(known)}")
     return given
@@ -95,5 +95,5 @@ def _names(key: str, given: Any) -> tuple[str, ...]:
     names = given if isinstance(given, list) else [given]
     for name in names:
         if not isinstance(name, str) or not name.startswith("/"):
-            raise ValueError(f"{key} has to be names that begin with a slash, found {name!r}")
+            raise ValueError(f"{key} must be names that begin with a slash, found {name!r}")
     return tuple(names)

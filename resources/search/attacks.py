@@ -1,7 +1,7 @@
-"""What a trial can run: a scenario with varied parameters, or one operator on one topic.
+"""The attacks of trials: a scenario with varied parameters, or one operator on one topic.
 
-In both cases a proposal is a complete scenario with the proposed values as defaults. So what a
-search found can be recorded, mutated and shared like any other scenario.
+In both cases a proposal is a complete scenario with the proposed values as defaults. So it can be
+recorded, mutated and shared like any other scenario.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,21 +16,21 @@ from sim.fuzzing.value_types import Array, Message, Number, message_type
 from sim.testbed import Mode
 
 COMPOSED = "composed"  # the name of a search without a template
-_ONSET = Dimension("onset_s", 0.0, 15.0, "float")  # after the goal was accepted
+_ONSET = Dimension("onset_s", 0.0, 15.0, "float")  # after the goal is accepted
 _LASTS = Dimension("lasts_s", 0.5, 60.0, "float")
 _LEFT_OUT = ("header", "covariance", "orientation")  # parts of fields that are not altered
 
 
 @dataclass(frozen=True, slots=True)
 class Attack:
-    """What a trial proposes.
+    """The proposal of a trial.
 
     Attributes
     ----------
     document : mapping
         A scenario with the values as defaults.
     values : mapping of str to number or text
-        What was chosen, by name.
+        The proposed values, by name.
     """
 
     document: Mapping[str, Any]
@@ -38,7 +38,7 @@ class Attack:
 
 
 class Template(Protocol):
-    """What a search varies."""
+    """The search space of a search."""
 
     @property
     def id(self) -> str:
@@ -46,14 +46,14 @@ class Template(Protocol):
 
     @property
     def conditions(self) -> Mapping[str, Any]:
-        """What is otherwise in the testbed."""
+        """Changes to the testbed."""
 
     @property
     def text(self) -> str:
-        """What is varied, for people."""
+        """A description of the search space."""
 
     def suggest(self, trial: optuna.Trial) -> Attack:
-        """Return what a trial proposes."""
+        """Return the proposal of a trial."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,12 +70,12 @@ class ScenarioTemplate:
 
     @property
     def conditions(self) -> Mapping[str, Any]:
-        """What is otherwise in the testbed."""
+        """Changes to the testbed."""
         return self.mode.conditions
 
     @property
     def text(self) -> str:
-        """What is varied, for people."""
+        """A description of the search space."""
         return ", ".join(f"{each.name} {each.low:g} to {each.high:g}" for each in self.space)
 
     def suggest(self, trial: optuna.Trial) -> Attack:
@@ -90,7 +90,7 @@ class ScenarioTemplate:
 
 
 def _fixed(spec: Mapping[str, Any], value: Any) -> dict[str, Any]:
-    """Return a parameter with a value that neither its block nor its run draws."""
+    """Return a parameter with a fixed value instead of a drawn one."""
     kept = {key: what for key, what in spec.items() if key not in ("drawn", "draw")}
     return {**kept, "default": value}
 
@@ -103,7 +103,7 @@ class Operator:
     has_field: bool = False
 
     def action(self, name: str, field: str | None, amount: Any) -> dict[str, Any]:
-        """Return it as an action of a scenario."""
+        """Return the operator as an action of a scenario."""
         place = {} if field is None else {"field": field}
         match name:
             case "noise":
@@ -163,7 +163,7 @@ class ComposedTemplate:
         cls,
         names: Sequence[str],
         operators: Sequence[str],
-        there: Mapping[str, str],
+        available: Mapping[str, str],
         *,
         allow_actuation: bool = False,
     ) -> "ComposedTemplate":
@@ -173,10 +173,10 @@ class ComposedTemplate:
         ----------
         names, operators : sequence of str
             Topics, and operators. Without operators, all of them.
-        there : mapping of str to str
+        available : mapping of str to str
             The topics that exist, and their types.
         allow_actuation : bool
-            Whether topics may be altered that move something.
+            Whether topics that move something may be altered.
 
         Raises
         ------
@@ -192,15 +192,17 @@ class ComposedTemplate:
         needs_field = any(OPERATORS[name].has_field for name in chosen)
         topics = {}
         for name in names:
-            if name not in there:
+            if name not in available:
                 raise SearchError(
-                    f"There is no topic {name}; there are {', '.join(sorted(there))}."
+                    f"There is no topic {name}; there are {', '.join(sorted(available))}."
                 )
-            if moves_something(name, there[name]) and not allow_actuation:
+            if moves_something(name, available[name]) and not allow_actuation:
                 raise SearchError(f"{name} may move the robot; allow it with --allow-actuation.")
-            if needs_field and not _fields(there[name]):
-                raise SearchError(f"{name} ({there[name]}) has no number that could be altered.")
-            topics[name] = there[name]
+            if needs_field and not _fields(available[name]):
+                raise SearchError(
+                    f"{name} ({available[name]}) has no number that could be altered."
+                )
+            topics[name] = available[name]
         return cls(topics, chosen)
 
     @property
@@ -210,12 +212,12 @@ class ComposedTemplate:
 
     @property
     def conditions(self) -> Mapping[str, Any]:
-        """The conditions of the testbed: the usual ones."""
+        """No changes to the testbed."""
         return {}
 
     @property
     def text(self) -> str:
-        """What is varied, for people."""
+        """A description of the search space."""
         return f"{', '.join(self.operators)} on {', '.join(self.topics)}"
 
     def suggest(self, trial: optuna.Trial) -> Attack:
@@ -252,7 +254,7 @@ class ComposedTemplate:
 
 
 def _fields(msgtype: str) -> tuple[str, ...]:
-    """Return the numbers with fractions in a message, and arrays of them, by their paths."""
+    """Return the paths of floating-point fields in a message, and of arrays of these."""
     return tuple(_walk(message_type(msgtype), ""))
 
 

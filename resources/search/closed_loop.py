@@ -1,6 +1,6 @@
 """One trial of a search: a run in closed loop, its effect on the task, and its verdict.
 
-Only numbers are kept of a run, because its scenario and its recipe can reproduce it.
+Only the numbers of a run are stored, because its scenario and recipe can reproduce it.
 """
 
 import functools
@@ -32,40 +32,40 @@ from sim.fuzzing.scenario import NO_FILE, Scenario
 from sim.pairs import CONTROL
 from sim.testbed import Mode
 
-SHARE = 0.15  # of the control's way or time: so much more or less is an effect on the task
-# Of each other quantity, the difference that is an effect.
+SHARE = 0.15  # relative change of the control's path or time that is an effect on the task
+# Smallest difference of other quantities that is an effect.
 STEPS: Mapping[str, float] = {
     "clearance_m": 0.05,
     "goals_reached": 1.0,
     "recoveries": 1.0,
     "commands_altered": 0.05,
 }
-NEAREST_M = 0.02  # a robot that comes nearer to anything does not keep clear of it
-LATEST = 2.0  # times the control's time, to be in time
-MOVED_SCALES = 3.0  # of the normal runs: a quantity that differs by more from the control's moved
+NEAREST_M = 0.02  # smallest clearance that counts as keeping clear
+LATEST = 2.0  # longest time that counts as in time, in units of the control's time
+MOVED_SCALES = 3.0  # difference from the control from which a feature counts as changed
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What all trials of a search share."""
+    """The settings that all trials of a search share."""
 
     campaign: Campaign
     card: Path
     far: float
     screen: bool
-    conditions: Mapping[str, Any] = field(default_factory=dict)  # otherwise in the testbed
+    conditions: Mapping[str, Any] = field(default_factory=dict)  # changes to the testbed
 
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """The run that one trial asks for.
+    """The run that one trial proposes.
 
     Attributes
     ----------
     document : mapping
         The scenario, with the values as defaults.
     values : mapping of str to number or text
-        What was proposed, by name.
+        The proposed values, by name.
     """
 
     run: int
@@ -86,8 +86,8 @@ class Finding:
     Attributes
     ----------
     screened_out : bool
-        The oracle detects the attack already if it only alters the recording of the control, so
-        it was not run in closed loop and has no effect.
+        Whether the oracle detects the attack in an altered recording of the control. Then it was
+        not run in closed loop and has no effect.
     effect : float
         Largest change of the task, in units of a change that matters: 1 or more is an effect.
     effects : mapping of str to float
@@ -96,12 +96,12 @@ class Finding:
         Smallest distance of the run from violating a property of its behaviour, in units of a
         change that matters. Below 0, a property is violated. None if it was not run.
     violated : tuple of str
-        The properties that it violates.
+        The violated properties.
     magnitude : float or None
-        Largest change of a message, in the unit of what the scenario changes; None if a number was
-        no longer finite.
+        Largest change of a message, in the unit of the altered field; None if a number was no
+        longer finite.
     score, p_value : float
-        Of `oracle score`.
+        As from `oracle score`.
     families : tuple of str
         Families of features outside their usual range, the farthest first.
     moved : tuple of str
@@ -122,7 +122,7 @@ class Finding:
 
     @property
     def has_effect(self) -> bool:
-        """Whether the attack changed how the robot did its task."""
+        """Whether the attack changed the robot's task significantly."""
         return self.effect >= 1.0
 
 
@@ -162,10 +162,10 @@ def task_effects(attacked: Manifest, control: Manifest) -> dict[str, tuple[float
 
 
 def margins(attacked: Manifest, control: Manifest) -> dict[str, float]:
-    """Return how far a run is from violating each property of its behaviour.
+    """Return the distance of a run from violating each property of its behaviour.
 
-    In units of a change that matters; below 0 the property is violated. A property that the control
-    violates, too, is left out.
+    It is in units of a change that matters; below 0 the property is violated. Properties that the
+    control violates are left out.
     """
     ours, theirs = behaviour(attacked), behaviour(control)
     if not ours or not theirs:
@@ -229,12 +229,12 @@ def _finding(
 def _moved(attacked: pd.DataFrame, control: RunDirectory, card: Path) -> tuple[str, ...]:
     """Return the features that differ from those of the control."""
     ranges = _ranges(card)
-    apart = _placed(attacked, ranges) - _in_control(control, card)
-    far = np.flatnonzero(np.nan_to_num(np.abs(apart)) >= MOVED_SCALES)
-    return tuple(ranges.scaler.kept_[j] for j in far.tolist())
+    difference = _scaled(attacked, ranges) - _scaled_control(control, card)
+    changed = np.flatnonzero(np.nan_to_num(np.abs(difference)) >= MOVED_SCALES)
+    return tuple(ranges.scaler.kept_[j] for j in changed.tolist())
 
 
-def _placed(row: pd.DataFrame, ranges: UsualRanges) -> NDArray[np.float64]:
+def _scaled(row: pd.DataFrame, ranges: UsualRanges) -> NDArray[np.float64]:
     """Return the features of a run, scaled as those of the normal runs."""
     scaler = ranges.scaler
     values = row.reindex(columns=scaler.kept_).iloc[0].to_numpy(dtype=np.float64)
@@ -242,8 +242,8 @@ def _placed(row: pd.DataFrame, ranges: UsualRanges) -> NDArray[np.float64]:
 
 
 @functools.cache
-def _in_control(control: RunDirectory, card: Path) -> NDArray[np.float64]:
-    return _placed(_features(control)[0].run, _ranges(card))
+def _scaled_control(control: RunDirectory, card: Path) -> NDArray[np.float64]:
+    return _scaled(_features(control)[0].run, _ranges(card))
 
 
 @functools.cache

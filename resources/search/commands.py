@@ -1,4 +1,4 @@
-"""``oracle-sim search``: look for attacks that the oracle misses."""
+"""``oracle-sim search``: search for attacks that the oracle misses."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--blocks", default=3, show_default=True, type=click.IntRange(min=1),
-    help="Number of blocks (start, goals, arena, session) in which trials take turns.",
+    help="Number of blocks (start, goals, arena, session) that trials alternate over.",
 )  # fmt: skip
 @click.option(
     "--time-limit", default=120.0, show_default=True, type=click.FloatRange(min=1.0),
@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     "--sampler", default="tpe", show_default=True,
     type=click.Choice(["tpe", "nsga2", "guided", "random"]),
     help="How trials are proposed: by Optuna's TPE or NSGA-II; guided: near trials that changed "
-    "features which few others changed; random: for comparison.",
+    "rarely changed features; random: for comparison.",
 )  # fmt: skip
 @click.option(
     "--screen/--no-screen", default=True, show_default=True,
@@ -83,7 +83,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--compare", "seeds", type=click.IntRange(min=2), metavar="SEEDS",
-    help="Number of seeds with which to search, also at random; prints the medians.",
+    help="Number of seeds to compare the sampler with random search; prints the medians.",
 )  # fmt: skip
 @allow_actuation_option
 @campaign_options
@@ -115,9 +115,9 @@ def search(
     onset and its duration. Each trial is run in closed loop, compared with the same run without the
     attack, and scored. Later trials learn from both results.
 
-    An effect of 1 is a change that matters: 15 % of the way or the time, 5 cm of clearance, a goal,
-    a recovery, or 5 % of the commands. The search writes findings.json, front.png, and into misses/
-    a scenario file for each run with an effect that the oracle passes. Call it again with a larger
+    An effect of 1 is a change that matters: 15 % of path or time, 5 cm of clearance, a goal, a
+    recovery, or 5 % of the commands. The search writes findings.json, front.png, and in misses/ a
+    scenario file for each run with an effect that the oracle misses. Call it again with a larger
     budget to continue.
 
     \b
@@ -134,7 +134,7 @@ def search(
     from resources.search.whole_search import CONTROLS, Plan, search_of, template_of
 
     if (template is None) == (not topics):
-        raise click.UsageError("Say what to vary: either a TEMPLATE or --topic.")
+        raise click.UsageError("Give either a TEMPLATE or --topic to vary.")
     with errors_told():
         limit, settings = Budget.parse(budget), campaign(options)
         plan = Plan(
@@ -143,11 +143,11 @@ def search(
             allow_actuation=allow_actuation, ranges=ranges, topics=topics, operators=operators,
         )  # fmt: skip
         varied = template_of(template, out, plan)
-        click.echo(f"Varies {varied.text}. Looks for {OBJECTIVES[objective].text}.")
+        click.echo(f"Varying {varied.text}. Searching for {OBJECTIVES[objective].text}.")
 
         def searched(folder: Path, who: Any, seed: int) -> Search:
             study = search_of(varied, folder, plan, controls=out / CONTROLS, seed=seed, sampler=who)
-            _follow(study.run(limit, workers, _tell_failure), far)
+            _follow(study.run(limit, workers, _print_failure), far)
             return study
 
         if seeds is not None:
@@ -159,7 +159,7 @@ def search(
         files = save(out, findings, study.front, far, corpus or out / MISSES)
     click.echo(
         f"{len(findings)} trials, {sum(f.screened_out for f in findings)} of them detected before "
-        f"they were run. {len(files)} had an effect and were passed."
+        f"they were run. {len(files)} had an effect and were missed."
     )
     for path in files:
         click.echo(f"Miss: {path}")
@@ -183,5 +183,5 @@ def _follow(trials: "Iterator[Finding]", far: float) -> None:
             )
 
 
-def _tell_failure(reason: str) -> None:
+def _print_failure(reason: str) -> None:
     click.echo(reason, err=True)

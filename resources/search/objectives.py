@@ -1,4 +1,4 @@
-"""The objectives of a search, by name, as values for an optimiser."""
+"""The objectives of a search, as values for an optimiser."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -9,17 +9,17 @@ from resources.search.closed_loop import Finding
 
 Direction: TypeAlias = Literal["minimize", "maximize"]
 _BEYOND_ALL = 1e9
-_ENOUGH = 3.0  # an effect beyond this counts no more: a robot that is stuck shows nothing new
+_ENOUGH = 3.0  # larger effects do not count: a stuck robot is not informative
 
 
 @dataclass(frozen=True, slots=True)
 class Objective:
-    """What a search looks for.
+    """The objective of a search.
 
     Attributes
     ----------
     directions : tuple of str
-        Of each value: `maximize` or `minimize`.
+        `maximize` or `minimize`, for each value.
     values : callable
         Takes a finding and the false positive rate of the oracle, and returns the values.
     text : str
@@ -27,7 +27,7 @@ class Objective:
     wants_detected : bool
         Whether only runs that the oracle detects count.
     screens : bool
-        Whether a trial can be given up if its altered messages are detected without a run.
+        Whether trials that are detected in an altered recording are not run.
     """
 
     directions: tuple[Direction, ...]
@@ -38,7 +38,7 @@ class Objective:
 
 
 def _ordered(value: float | None) -> float:
-    """Return a number that can be ordered; None becomes larger than all others."""
+    """Return a sortable number; None becomes larger than all others."""
     return _BEYOND_ALL if value is None or not math.isfinite(value) else value
 
 
@@ -48,10 +48,10 @@ def _symlog(value: float) -> float:
 
 
 def _evasion(finding: Finding, far: float) -> tuple[float, float]:
-    """Return the effect as far as it matters, and how clearly the oracle detects the run.
+    """Return the bounded effect, and how clearly the oracle detects the run.
 
-    Unbounded, both lead away from what is looked for: the front would consist of robots that are
-    stuck, which every oracle detects, and of attacks that do nothing.
+    Without bounds, the front would consist of stuck robots, which every oracle detects, and of
+    attacks without an effect.
     """
     effect = min(_ordered(finding.effect), _ENOUGH)
     return effect, 0.0 if finding.p_value > far else _symlog(finding.score)
@@ -61,7 +61,7 @@ OBJECTIVES: Mapping[str, Objective] = {
     "evade": Objective(
         ("maximize", "minimize"),
         _evasion,
-        "an effect on the task that the oracle passes, or else at the smallest score",
+        "an effect on the task that the oracle misses, or else at the smallest score",
         screens=True,
     ),
     "break": Objective(

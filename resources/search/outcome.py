@@ -20,24 +20,24 @@ _HIGHEST = 8.0  # effects above this are drawn at the edge
 
 
 def is_miss(finding: Finding, far: float) -> bool:
-    """Tell whether a run had an effect, and the oracle passes it."""
+    """Return whether a run had an effect that the oracle misses."""
     return finding.has_effect and finding.p_value > far
 
 
 def misses(findings: Sequence[Finding], far: float) -> list[Finding]:
-    """Return the runs with an effect that the oracle passes, the largest effect first."""
+    """Return the runs with an effect that the oracle misses, the largest effect first."""
     return sorted((each for each in findings if is_miss(each, far)), key=lambda each: -each.effect)
 
 
 def save(
     folder: Path, findings: Sequence[Finding], front: Sequence[Finding], far: float, corpus: Path
 ) -> list[Path]:
-    """Write all of it, and return the files of the misses in the corpus.
+    """Write findings, picture and corpus, and return the files of the misses.
 
-    The files are scenarios with the found values as defaults, each with a name of its own. If
-    ``ORACLE_SCENARIOS`` names the corpus, they are modes of the next campaign. Attacks that alter a
-    topic in place have no node, and would stand out among normal runs that all have one. So the
-    corpus also holds a normal scenario without a node.
+    The files are scenarios with the found values as defaults and unique names. They become modes of
+    the next campaign if ``ORACLE_SCENARIOS`` is the corpus. Attacks that alter a topic in place
+    have no node, and would differ from normal runs that all have one. So the corpus also has a
+    normal scenario without a node.
     """
     document = {
         "far": far,
@@ -83,7 +83,7 @@ def picture(findings: Sequence[Finding], front: Sequence[Finding], far: float) -
     screened = [each for each in findings if each.screened_out]
     ran = [each for each in findings if not each.screened_out]
     groups = [
-        ("passed by the oracle", COLORS["malicious"], "^", [f for f in ran if f.p_value > far]),
+        ("missed by the oracle", COLORS["malicious"], "^", [f for f in ran if f.p_value > far]),
         ("detected", COLORS["normal"], "o", [f for f in ran if f.p_value <= far]),
         ("detected before it was run", INK, "x", screened),
     ]

@@ -1,4 +1,4 @@
-"""Samplers that propose the next trial: Optuna's by name, and one that is guided by messages."""
+"""Samplers that propose the next trial: those of Optuna, and one guided by changed features."""
 
 import warnings
 from collections import Counter
@@ -14,9 +14,9 @@ from resources.search.space import SearchError
 
 Sampler: TypeAlias = Literal["tpe", "nsga2", "guided", "random"]
 
-MOVED = "moved"  # of a trial: the message-derived quantities that the attack moved
-_FIRST = 6  # trials that are drawn before any is varied
-_STEP = 0.15  # of the bounds: the standard deviation of a change
+MOVED = "moved"  # attribute of a trial: features that the attack changed
+_FIRST = 6  # random trials before any is varied
+_STEP = 0.15  # standard deviation of a change, relative to the bounds
 _VARIED = 0.5  # share of the values of a trial that are varied
 _FROM_FRONT = 0.5  # share of the proposals that vary a trial of the front
 
@@ -27,7 +27,7 @@ def sampler_named(text: str) -> Sampler:
     Raises
     ------
     SearchError
-        There is no sampler of that name.
+        The sampler does not exist.
     """
     for name in get_args(Sampler):
         if name == text:
@@ -52,11 +52,11 @@ def sampler_for(name: Sampler, seed: int) -> optuna.samplers.BaseSampler:
 
 
 class MessageGuidedSampler(optuna.samplers.BaseSampler):
-    """Varies trials that changed features which few others changed, after ROFER's guided search.
+    """Varies trials that changed rarely changed features, after ROFER's guided search.
 
-    Each trial reports which features of the messages the attack changed. Half of the proposals vary
-    a trial of the front. The others vary any trial, with a probability that grows with the rarity
-    of the features that it changed: there, the search has tried little.
+    Each trial reports which features the attack changed. Half of the proposals vary a trial of the
+    front. The others vary any trial, with a probability that grows with the rarity of the features
+    that it changed, to explore new behaviour.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class MessageGuidedSampler(optuna.samplers.BaseSampler):
         return {}
 
     def before_trial(self, study: optuna.Study, trial: FrozenTrial) -> None:
-        """Choose what the trial varies."""
+        """Choose the parent of the trial."""
         self._parents[trial.number] = self._parent(study)
 
     def sample_independent(
@@ -96,7 +96,7 @@ class MessageGuidedSampler(optuna.samplers.BaseSampler):
         param_name: str,
         param_distribution: BaseDistribution,
     ) -> Any:
-        """Return a value: the parent's, one near it, or any."""
+        """Return the parent's value, a value near it, or a random value."""
         parent = self._parents.get(trial.number)
         if parent is not None and param_name in parent.params:
             value = parent.params[param_name]
@@ -130,7 +130,7 @@ class MessageGuidedSampler(optuna.samplers.BaseSampler):
 
 
 def rarity(moved: Sequence[Sequence[str]]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return the rarity of each trial: the sum, over its features, of 1 / trials that changed it.
+    """Return the rarity of each trial: the sum over its features of 1 / trials that changed it.
 
     Examples
     --------

@@ -15,11 +15,11 @@ from resources.search.study import Search
 
 
 class Success(NamedTuple):
-    """What one search found."""
+    """The result of one search."""
 
     misses: int
-    until_third: float  # trials until there were three misses; inf if there never were
-    closest: float  # lowest score of a run with an effect; inf if there was none
+    until_third: float  # trials until the third miss; inf without one
+    closest: float  # lowest score of a run with an effect; inf without one
 
 
 Compared = dict[Sampler, list[Success]]  # a success for each seed
@@ -32,7 +32,7 @@ def compared(
     seeds: Sequence[int],
     far: float,
 ) -> Compared:
-    """Search with each seed, by the sampler and at random, each in a folder of its own."""
+    """Search with each seed, with the sampler and at random, in separate folders."""
     found: Compared = {sampler: [], "random": []}
     for seed in seeds:
         for name, successes in found.items():

@@ -13,7 +13,7 @@ from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.value_types import Boolean, Number
 from sim.testbed import Mode
 
-RATIO_FOR_LOG = 100.0  # bounds this far apart are searched by their logarithm
+RATIO_FOR_LOG = 100.0  # ratio of the bounds from which the scale is logarithmic
 
 _NUMBER = r"[-+]?[0-9.]+(?:e[-+]?[0-9]+)?"
 _RANGE = re.compile(rf"(\w+)=({_NUMBER}):({_NUMBER})", re.IGNORECASE)
@@ -34,7 +34,7 @@ class Dimension:
 
     @property
     def is_logarithmic(self) -> bool:
-        """Whether the bounds are so far apart that the scale is logarithmic."""
+        """Whether the scale is logarithmic, because of the ratio of the bounds."""
         is_float = self.kind in ("float", "signed")
         return is_float and self.low > 0.0 and self.high / self.low >= RATIO_FOR_LOG
 
@@ -53,21 +53,20 @@ class Dimension:
 def search_space(mode: Mode, ranges: Sequence[str] = ()) -> tuple[Dimension, ...]:
     """Return the parameters of a scenario that can be varied.
 
-    Numbers with a min and a max, and truth values, are varied. A parameter that a block draws is
-    varied only if a range names it.
+    Numbers with a min and a max, and booleans, are varied. A parameter that is drawn by block is
+    varied only if a range is given for it.
 
     Parameters
     ----------
     mode : Mode
         Of the scenario.
     ranges : sequence of str
-        ``name=low:high``: narrower bounds of a parameter, or bounds of one that would not be
-        varied.
+        ``name=low:high``: narrower bounds, or bounds of a parameter that is fixed by default.
 
     Raises
     ------
     SearchError
-        A range cannot be read, leaves the scenario's own bounds, or nothing can be varied.
+        A range is invalid or outside the scenario's bounds, or nothing can be varied.
     """
     program = compile_scenario(mode.scenario, allow_actuation=True)
     given = dict(_read(text) for text in ranges)

@@ -1,7 +1,7 @@
 """The loop of a search: propose, run, learn. It is stored on disk and can be resumed.
 
-Trials are proposed in rounds, one trial for each worker. The sampler gets their results in the
-order of their numbers. So the same seed and the same number of workers give the same search.
+Trials are proposed in rounds, one trial per worker. The sampler receives results in the order of
+trial numbers, so the same seed and number of workers give the same search.
 """
 
 import dataclasses
@@ -28,7 +28,7 @@ _FINDING = "finding"
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Budget:
-    """When a search ends: after a number of trials, including earlier ones, or after a time."""
+    """The end of a search: after a number of trials, including earlier ones, or after a time."""
 
     trials: float = float("inf")
     seconds: float = float("inf")
@@ -40,7 +40,7 @@ class Budget:
         Raises
         ------
         SearchError
-            If it is none of these.
+            If the text is invalid.
         """
         number, unit = (text[:-1], text[-1]) if text.endswith(("m", "h")) else (text, "")
         if not (number.isdecimal() and int(number) > 0):
@@ -63,7 +63,7 @@ class Search:
     controls : Path
         Folder of the runs without an attack; searches of the same setting may share it.
     blocks : int
-        Number of blocks, in which trials take turns.
+        Number of blocks that trials alternate over.
     seed : int
         Of the proposals.
     sampler : str
@@ -95,21 +95,21 @@ class Search:
             )  # fmt: skip
         except ValueError as error:
             raise SearchError(
-                f"{folder} holds another search: {error}; choose another folder."
+                f"{folder} has another search: {error}; choose another folder."
             ) from error
-        # Proposals after a pause must not repeat those before it.
+        # After resuming, proposals must not repeat.
         fresh = seed + len(self._study.trials)
         self._study.sampler = sampler_for(sampler, fresh)
 
     @property
     def findings(self) -> list[Finding]:
         """The findings of all trials, in the order of their numbers."""
-        told = [trial.user_attrs.get(_FINDING) for trial in self._study.trials]
-        return [_from_dict(document) for document in told if document]
+        documents = [trial.user_attrs.get(_FINDING) for trial in self._study.trials]
+        return [_from_dict(document) for document in documents if document]
 
     @property
     def front(self) -> list[Finding]:
-        """The trials that no other is better than in every respect."""
+        """The findings on the Pareto front."""
         return [_from_dict(trial.user_attrs[_FINDING]) for trial in self._study.best_trials]
 
     def run(self, budget: Budget, workers: int, failed: Callable[[str], None]) -> Iterator[Finding]:
@@ -119,9 +119,9 @@ class Search:
         ----------
         budget : Budget
         workers : int
-            Trials at a time.
+            Number of parallel trials.
         failed : callable
-            Takes the reason for which a trial has no finding.
+            Called with the reason for each failed trial.
         """
         controls = self._controls
         for outcome in fan_out(
@@ -147,7 +147,7 @@ class Search:
                 for trial, future in running:
                     error = future.exception()
                     if error is None:
-                        yield self._told(trial, future.result())
+                        yield self._report(trial, future.result())
                     else:
                         self._study.tell(trial, state=optuna.trial.TrialState.FAIL)
                         failed(f"trial {trial.number}: {error}")
@@ -159,7 +159,7 @@ class Search:
         block = trial.number % self._blocks
         return Proposal(trial.number, block, attack.document, attack.values)
 
-    def _told(self, trial: optuna.Trial, finding: Finding) -> Finding:
+    def _report(self, trial: optuna.Trial, finding: Finding) -> Finding:
         trial.set_user_attr(_FINDING, dataclasses.asdict(finding))
         trial.set_user_attr(MOVED, finding.moved)
         if self._objective.wants_detected:

@@ -1,4 +1,4 @@
-"""A search from its settings: over the parameters of a scenario, or over topics and operators."""
+"""Builds a search from settings: over a scenario's parameters, or over topics and operators."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Plan:
     card : Path
         Reference card of the oracle to search against.
     campaign : Campaign
-        What all runs have in common, except goals and time limit.
+        Settings of all runs, except goals and time limit.
     goals : int
         Of each run.
     time_limit : float
@@ -50,12 +50,12 @@ class Plan:
 
     @property
     def setting(self) -> Setting:
-        """What all trials share.
+        """The settings that all trials share.
 
         Raises
         ------
         SearchError
-            There is no such objective.
+            The objective does not exist.
         """
         if self.objective not in OBJECTIVES:
             raise SearchError(
@@ -69,14 +69,14 @@ class Plan:
 
 
 def template_of(name: str | None, folder: Path, plan: Plan) -> Template:
-    """Return the template of a search: a scenario, or without a name topics and operators."""
+    """Return the template of a search: a scenario, or topics and operators if `name` is None."""
     if name is not None:
         mode = find_mode(name, allow_actuation=plan.allow_actuation)
         return ScenarioTemplate(mode, search_space(mode, plan.ranges))
     control = run_control(plan.setting, folder / CONTROLS, 0)
-    there = {topic: count.type for topic, count in control.topics.items()}
+    available = {topic: count.type for topic, count in control.topics.items()}
     return ComposedTemplate.of(
-        plan.topics, plan.operators, there, allow_actuation=plan.allow_actuation
+        plan.topics, plan.operators, available, allow_actuation=plan.allow_actuation
     )
 
 
@@ -100,14 +100,14 @@ def search_of(
     plan
         The settings.
     controls
-        Folder of the runs without an attack; by default one in that of the search.
+        Folder of the runs without an attack; by default inside that of the search.
     seed, sampler
-        In place of the campaign's and the plan's.
+        Override those of campaign and plan.
 
     Raises
     ------
     OracleError
-        Something that the plan names does not exist.
+        A name in the plan does not exist.
     """
     if isinstance(template, str):
         template = template_of(template, folder, plan)

@@ -1,1 +1,1 @@
-"""Storage used and kept by runs. Imports no Dagster; only the commands print."""
+"""Storage of runs. Imports no Dagster; only the commands print."""

@@ -1,4 +1,4 @@
-"""``oracle-sim storage`` and ``oracle-sim remake``: storage used by runs, and bags re-simulated."""
+"""``oracle-sim storage`` shows the storage of runs; ``oracle-sim remake`` re-simulates bags."""
 
 import os
 from pathlib import Path
@@ -63,8 +63,8 @@ def _show_room(stock: Stock, room: int) -> None:
         click.echo(f"room for {max(room, 0) // block} more blocks, {kept}: {megabytes(block)} each")
 
 
-def _is_whole(run: RunDirectory, manifest: Manifest) -> bool:
-    """Tell whether a run has its whole bag and its graphs, and their hashes are known and right."""
+def _is_verified(run: RunDirectory, manifest: Manifest) -> bool:
+    """Return whether a run has its complete bag and graphs, verified by their hashes."""
     measured = manifest.measured
     known = measured.kept == "full" and bool(measured.files)
     return known and not damaged_files(run.path, manifest)
@@ -75,7 +75,7 @@ def _is_whole(run: RunDirectory, manifest: Manifest) -> bool:
 def remake(run: Path) -> None:
     """Rebuild a dropped, trimmed or damaged bag from its recipe.
 
-    A run of an older release is rebuilt, too, because it has no hashes that would show damage.
+    A run of an older release without hashes is always rebuilt.
 
     \b
     Example:
@@ -84,16 +84,16 @@ def remake(run: Path) -> None:
     try:
         directory = RunDirectory.at(run)
         with directory.held():
-            former = directory.manifest()
-            if _is_whole(directory, former):
-                click.echo(f"{run} has its whole bag.")
+            previous = directory.manifest()
+            if _is_verified(directory, previous):
+                click.echo(f"{run} has its complete bag.")
                 return
-            manifest = remake_run(former, directory)
+            manifest = remake_run(previous, directory)
     except OracleError as error:
         raise click.ClickException(str(error)) from error
-    click.echo(f"{run}: {megabytes(manifest.measured.bytes['bag'])} of bag re-simulated.")
-    if manifest.content_hash != former.content_hash:
+    click.echo(f"{run}: re-simulated a bag of {megabytes(manifest.measured.bytes['bag'])}.")
+    if manifest.content_hash != previous.content_hash:
         click.echo(
             "The software has changed, and so have the messages: this is a new generation of the "
-            "run. Its features are extracted again when they are materialized next."
+            "run. Its features are extracted again at their next materialization."
         )

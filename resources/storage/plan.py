@@ -1,7 +1,7 @@
-"""How much of each run is kept on disk: most of the first blocks, the same for all runs of a block.
+"""Decides how much of each run is kept on disk: more of the first blocks, equal within a block.
 
-A pure function of sizes. Sizes on disk are measured in ``resources.storage.stock``. Reasons:
-docs/how-to/storage.md.
+A pure function of sizes, which ``resources.storage.stock`` measures. docs/how-to/storage.md gives
+the reasons.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,17 +24,17 @@ class Sizes:
     recipe: int
 
     def of(self, kept: Kept) -> int:
-        """Return the size of a run of which this much is kept."""
+        """Return the size of a run if this much of it is kept."""
         size: int = getattr(self, kept)
         return size
 
 
 def plan(blocks: Mapping[int, Sequence[Sizes]], available: int) -> dict[int, Kept]:
-    """Return how much is kept of the runs of each block.
+    """Return how much to keep of the runs of each block.
 
-    All blocks keep the recipe. The first blocks, as many as fit, keep a trimmed bag, and the first
-    of these, as many as fit, the full bag. All runs of a block keep the same, so that what was kept
-    never identifies a mode.
+    All blocks keep the recipe. As many of the first blocks as fit keep a trimmed bag, and as many
+    of these as fit the full bag. All runs of a block keep the same, so that storage never
+    identifies a mode.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def plan(blocks: Mapping[int, Sequence[Sizes]], available: int) -> dict[int, Kep
     Raises
     ------
     StorageError
-        If not even all recipes fit; it names the number that would.
+        If graphs and features alone do not fit; it states the number of blocks that would.
     """
     kept: dict[int, Kept] = dict.fromkeys(sorted(blocks), "recipe")
     taken = sum(_size(blocks[block], "recipe") for block in kept)

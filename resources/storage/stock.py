@@ -1,4 +1,4 @@
-"""Storage used below a root on this machine, the sizes expected of further runs, and the plan.
+"""Storage used below a local root, expected sizes of further runs, and the storage plan.
 
 The pipeline plans with it before it starts runs; ``oracle-sim storage`` shows it.
 """
@@ -25,9 +25,9 @@ BUDGET_VARIABLE = "ORACLE_STORAGE_BUDGET"
 FIRST_GUESS = Sizes(full=1_500_000, trimmed=1_000_000, recipe=900_000)
 FIRST_GUESS_A_GOAL = Sizes(full=3_000_000, trimmed=1_100_000, recipe=250_000)
 TRIMMED_SHARE = 0.3  # of a bag, until one has been trimmed
-SAMPLE = 20  # finished runs of a mode that the expected size is the mean of
-AMPLE = 4  # times the expected size: if that fits, no plan is needed
-MARGIN = 0.05  # of the limit, for runs larger than expected and for reports
+SAMPLE = 20  # finished runs of a mode to average for the expected size
+AMPLE = 4  # multiple of the expected size; if it fits, no plan is needed
+MARGIN = 0.05  # share of the limit reserved for larger runs and for reports
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,18 +54,18 @@ class Stock:
 
 @dataclass(frozen=True, slots=True)
 class StoragePlan:
-    """How much is kept of which runs, by the sizes known now.
+    """How much to keep of which runs, based on the sizes known so far.
 
     Attributes
     ----------
     kept
-        How much is kept of the runs of each block.
+        How much to keep of the runs of each block.
     expected
-        Size of a run of each mode that is still to be made.
+        Size of a run of each mode that is not recorded yet.
     shrink
-        Finished runs, none of those planned for, that keep more than their block's share.
+        Finished runs that were not requested and have more than their block should keep.
     blocks_ahead
-        How many blocks may be made before sizes are known well enough to plan again.
+        Number of blocks to record before planning again with better known sizes.
     taken, limit
         Storage used below the root when the plan was made, and its limit [B].
     """
@@ -103,14 +103,14 @@ def parse_budget(text: str) -> int | None:
 
 
 def take_stock(root: Path) -> Stock:
-    """Measure everything below a root, in one walk."""
+    """Measure everything below a root in one pass."""
     total = 0
     bags: defaultdict[tuple[str, str], int] = defaultdict(int)
     rest: defaultdict[tuple[str, str], int] = defaultdict(int)
     for folder, _, names in os.walk(root):
         place = Path(folder).relative_to(root).parts
         for name in names:
-            size = _bytes_on_disk(os.path.join(folder, name))  # noqa: PTH118 -- a million of them
+            size = _bytes_on_disk(os.path.join(folder, name))  # noqa: PTH118 -- for speed
             total += size
             if (run := owner((*place, name))) is not None:
                 (bags if run.part == BAG_FOLDER else rest)[run.mode, run.run_id] += size
@@ -138,12 +138,12 @@ def make_plan(
     workers: int,
     goals: int,
 ) -> StoragePlan:
-    """Plan for requested runs beside those that are finished.
+    """Plan the storage of requested and finished runs.
 
     Parameters
     ----------
     root
-        A folder of this machine.
+        A local folder.
     wanted
         All requested runs, finished or not.
     budget
@@ -158,7 +158,7 @@ def make_plan(
     Raises
     ------
     StorageError
-        If not even graphs and features of all fit.
+        If graphs and features alone do not fit.
     """
     stock = take_stock(root)
     capacity = stock.total + stock.free - reserve
@@ -187,15 +187,15 @@ def make_plan(
     try:
         kept = plan(takes, int(limit * (1.0 - MARGIN)) - others - room)
     except StorageError:
-        # The first guess may be wrong: if a run or two fit, measure them.
+        # The first guess may be wrong: if a few runs fit, record and measure them.
         if fewest_finished or limit - stock.total < workers * guess.recipe:
             raise
         kept = dict.fromkeys(sorted(takes), "recipe")
-    asked_for = set(wanted)
+    requested = set(wanted)
     shrink = tuple(
         run
         for run, (has, sizes) in finished.items()
-        if run not in asked_for and sizes.of(kept[run.run]) < sizes.of(has)
+        if run not in requested and sizes.of(kept[run.run]) < sizes.of(has)
     )
     return StoragePlan(kept, expected, shrink, max(1, fewest_finished), stock.total, limit)
 
@@ -211,7 +211,7 @@ def _first_guess(goals: int) -> Sizes:
 
 
 def expected_sizes(mode: str, stock: Stock) -> Sizes | None:
-    """Return the expected size of a run: of finished runs of its mode, or else of all modes."""
+    """Return the mean size of finished runs of the mode, or else of all modes."""
     of_mode = [run for run in stock.runs if run.mode == mode] or list(stock.runs)
     sample = of_mode[:: len(of_mode) // SAMPLE + 1]
     measured = [(stock.runs[run].rest, m.measured) for run in sample if (m := _manifest(run))]
@@ -225,14 +225,14 @@ def expected_sizes(mode: str, stock: Stock) -> Sizes | None:
 
 
 def _working_room(new: Sequence[RunDirectory], expected: Mapping[str, Sizes], workers: int) -> int:
-    """Return the storage that runs need while they are made, beyond what is kept of them."""
+    """Return the temporary storage that runs need while they are recorded."""
     if not new:
         return 0
     return min(workers, len(new)) * max(size.full + size.trimmed for size in expected.values())
 
 
 def _may_take(run: RunDirectory, stock: Stock) -> tuple[Kept, Sizes]:
-    """Return how much is kept of a finished run, and its size if less of it were kept."""
+    """Return how much is kept of a finished run, and its sizes if less were kept."""
     from sim.experiments import can_be_made_again  # the testbeds: half a second to import
 
     now = stock.runs[run]
@@ -248,7 +248,7 @@ def _may_take(run: RunDirectory, stock: Stock) -> tuple[Kept, Sizes]:
 
 
 def _manifest(run: RunDirectory) -> Manifest | None:
-    """Return a run's manifest; None if it cannot be read, which its verification reports."""
+    """Return a run's manifest; None if unreadable, which the run's verification reports."""
     try:
         return run.manifest()
     except ManifestError:
@@ -256,7 +256,7 @@ def _manifest(run: RunDirectory) -> Manifest | None:
 
 
 def storage_of_modes(stock: Stock) -> list[dict[str, str | int]]:
-    """Return storage kept and freed of each mode, as rows of a table."""
+    """Return the used and freed storage of each mode, as rows of a table."""
     by_mode: defaultdict[str, list[RunDirectory]] = defaultdict(list)
     for run in stock.runs:
         by_mode[run.mode].append(run)

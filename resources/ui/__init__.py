@@ -1,1 +1,1 @@
-"""Dagster's web server behind a guard that accepts requests of its own pages only."""
+"""Dagster's web server behind a guard that accepts requests from its own pages only."""

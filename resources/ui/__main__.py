@@ -1,4 +1,4 @@
-"""``python -m resources.ui``: what ``oracle-ui`` does."""
+"""``python -m resources.ui`` is the same as ``oracle-ui``."""
 
 from resources.ui.server import main
 

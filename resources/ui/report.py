@@ -1,7 +1,7 @@
 """Serves the report beside Dagster's pages, since browsers refuse ``file:`` links from web pages.
 
-Pages contain text from recordings of unknown origin. They are served without permission to run
-scripts, so nothing in them can use the UI on the reader's behalf.
+Pages contain text from recordings of unknown origin. They must not run scripts, so that they cannot
+use the UI on the reader's behalf.
 """
 
 from pathlib import Path
@@ -19,7 +19,7 @@ class _Pages(StaticFiles):
     """The files of a folder, served as pages that cannot run scripts."""
 
     async def check_config(self) -> None:
-        """Accept a folder that does not exist yet; then there is no page."""
+        """Accept a folder that does not exist yet."""
 
     def file_response(self, *arguments: Any, **settings: Any) -> Response:
         response = super().file_response(*arguments, **settings)

@@ -1,8 +1,7 @@
 """``oracle-ui``: the pipeline in the browser, behind the guard, with Dagster's daemon beside it.
 
-It does the work of ``dagster dev``, whose web server cannot be put behind a guard: it starts one
-code server for each code location, which web server and daemon share. The web server runs in this
-process.
+It replaces ``dagster dev``, whose web server cannot be put behind a guard: it starts one code
+server for each code location, shared by web server and daemon. The web server runs in this process.
 """
 
 import contextlib
@@ -71,7 +70,7 @@ def main(workspace: Path | None, host: str, port: int | None, webserver_only: bo
         oracle-ui
         oracle-ui -p 8080
     """  # noqa: D301 -- click reads the control character
-    for number in (signal.SIGINT, signal.SIGTERM):  # a shell may have had us ignore them
+    for number in (signal.SIGINT, signal.SIGTERM):  # some shells ignore them for child processes
         signal.signal(number, signal.default_int_handler)
     workspace = (workspace or _default_workspace()).absolute()
     configure_loggers()
@@ -89,7 +88,7 @@ def main(workspace: Path | None, host: str, port: int | None, webserver_only: bo
         with _listener(host, port) as listener:
             _log.info("The UI is at http://%s:%s", *listener.getsockname()[:2])
             server.run([listener])
-            # Without a signal, which would have ended this block, it is the daemon that ended.
+            # A signal raises an exception, so the server returns only if the daemon has ended.
             raise click.ClickException("Dagster's daemon has ended; the reason is above.")
 
 
@@ -98,12 +97,12 @@ def _default_workspace() -> Path:
     for place in (Path("workspace.yaml"), _PROJECT / "workspace.yaml"):
         if place.is_file():
             return place
-    raise click.UsageError("There is no workspace.yaml here; name one with -w.")
+    raise click.UsageError("There is no workspace.yaml here; give one with -w.")
 
 
 @contextlib.contextmanager
 def _shared_code_servers(instance: DagsterInstance, workspace: Path) -> Iterator[Path]:
-    """Start a code server for each location; yield a workspace that names the servers."""
+    """Start a code server for each location; yield a workspace file with the servers."""
     target = WorkspaceFileTarget(paths=[str(workspace)])
     with (
         ProxyServerManager(instance, target, "WARNING") as servers,
@@ -135,16 +134,16 @@ def _web_server(instance: DagsterInstance, workspace: Path) -> Iterator[uvicorn.
 
 @contextlib.contextmanager
 def _daemon(workspace: Path, server: uvicorn.Server) -> Iterator[None]:
-    """Run Dagster's daemon; if it ends by itself, the web server ends, too."""
+    """Run Dagster's daemon; the web server stops if the daemon ends."""
     command = [sys.executable, "-m", "dagster._daemon", "run", "-w", str(workspace)]
-    # A session of its own: Control-C reaches this process alone, which ends the others in order.
+    # In a new session, so that Control-C reaches only this process, which stops the others.
     daemon = subprocess.Popen(command, start_new_session=True)
 
-    def end_with_it() -> None:
+    def stop_server() -> None:
         daemon.wait()
         server.should_exit = True
 
-    threading.Thread(target=end_with_it, daemon=True).start()
+    threading.Thread(target=stop_server, daemon=True).start()
     try:
         yield
     finally:
@@ -163,7 +162,7 @@ def _listener(host: str, port: int | None) -> socket.socket:
             return socket.create_server((host, wanted), family=family, backlog=2048)
         except OSError as error:
             refused = error
-            _log.warning("Port %s of %s cannot be had: %s", wanted, host, error.strerror)
+            _log.warning("Cannot listen at port %s of %s: %s", wanted, host, error.strerror)
     raise click.ClickException(
-        f"Nothing can listen at {host}: {refused.strerror}. Name another with -h or -p."
+        f"Cannot listen at {host}: {refused.strerror}. Choose another address with -h or -p."
     )

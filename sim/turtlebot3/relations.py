@@ -1,7 +1,7 @@
 """Metamorphic relations: changes of a task that should not change how well it is done.
 
-Nobody knows the right way of a run. But in a mirrored world it is the mirrored way, in reverse
-order the legs are as long, and from a start close by the way is about the same. ``oracle kinds``
+The correct path of a run is unknown. But in a mirrored world it is the mirrored path, in reverse
+order the legs are as long, and from a nearby start the path is about the same. ``oracle kinds``
 compares such runs.
 """
 
@@ -17,23 +17,23 @@ from sim.turtlebot3.map import WORLD_IN_MAP
 from sim.turtlebot3.recipes import Block
 
 SHIFT_M = (0.15, 0.3)  # from the start: least and most
-_DRAWS = 50  # of a start close by
+_DRAWS = 50  # of a nearby start
 
 
 def related(block: Block, relation: Relation, rng: np.random.Generator) -> Iterator[Block]:
-    """Yield the blocks in a relation to a block, best first; they may leave no way to drive.
+    """Yield candidates for the related block, best first; not all of them can be driven.
 
     Parameters
     ----------
     block
-        As it was drawn.
+        The original.
     relation
-        - ``mirrored``: everything as in a mirror along the x axis of the world.
+        - ``mirrored``: the block reflected in the x axis of the world.
         - ``reordered``: from the last goal back to the start, so that the legs are the same.
         - ``shifted``: from a start `SHIFT_M` away, turned as before.
         - ``same``: the block itself.
     rng
-        For what is drawn.
+        Draws the shifted start.
     """
     match relation:
         case "mirrored":
@@ -62,6 +62,6 @@ def _mirrored(block: Block) -> Block:
 
 
 def _across(pose: Pose2D) -> Pose2D:
-    """Return a pose in the map frame as in a mirror along the x axis of the world."""
+    """Return a pose in the map frame, reflected in the x axis of the world."""
     seen = WORLD_IN_MAP.inverse().compose(pose)
     return WORLD_IN_MAP.compose(Pose2D(seen.x, 0.0 - seen.y, 0.0 - seen.yaw))

@@ -52,4 +52,4 @@ def test_without_an_evaluation_the_step_says_what_to_do(tmp_path: Path) -> None:
     failure = shown(tmp_path).failure_data_for_node("checks_of_evaluation")
     assert failure is not None
     assert failure.user_failure_data is not None
-    assert "holds no report" in str(failure.user_failure_data.description)
+    assert "has no report" in str(failure.user_failure_data.description)

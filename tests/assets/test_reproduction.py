@@ -153,4 +153,4 @@ def test_an_edited_manifest_and_a_dropped_bag_are_told_apart_from_other_messages
     assert judge(run, edited, run).first_difference.startswith("none: the bags hold the same")
     measured = dataclasses.replace(manifest.measured, kept="recipe")
     dropped = dataclasses.replace(edited, measured=measured)
-    assert judge(run, dropped, run).first_difference.startswith("not known: the former bag")
+    assert judge(run, dropped, run).first_difference.startswith("unknown: the previous bag")

@@ -127,4 +127,4 @@ def test_a_changed_scenario_without_materialized_runs_asks_for_nothing(
     edit(scenario, title="Another title")
     seen = tick(empty, cursor)
     assert not seen.run_requests
-    assert f"{MODE} has changed, and no run of it is materialized." in seen.skip_message
+    assert f"{MODE} has changed, but has no materialized run." in seen.skip_message

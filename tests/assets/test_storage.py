@@ -151,10 +151,10 @@ def test_the_command_makes_a_bag_again_and_leaves_a_whole_one_alone(run: RunDire
     before = content_hash(run.bag)
     process(run, "recipe")
     assert "room for" in CliRunner().invoke(storage, ["--root", str(run.root)]).output
-    assert "bag re-simulated" in CliRunner().invoke(remake, [str(run.path)]).output
+    assert "re-simulated a bag" in CliRunner().invoke(remake, [str(run.path)]).output
     assert content_hash(run.bag) == run.manifest().content_hash == before
     files_before = files(run.root)
-    assert "has its whole bag" in CliRunner().invoke(remake, [str(run.path)]).output
+    assert "has its complete bag" in CliRunner().invoke(remake, [str(run.path)]).output
     assert files(run.root) == files_before
 
 

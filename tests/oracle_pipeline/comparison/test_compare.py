@@ -93,7 +93,7 @@ def test_the_number_that_is_said_to_be_needed_is_the_fewest_that_can_differ(
 
 def test_sets_of_one_session_each_are_told_to_differ_by_day() -> None:
     comparison = compare(reference(np.arange(6.0)), reference(np.arange(6.0), session=1))
-    assert any("can come from the day" in note for note in comparison.notes)
+    assert any("may be due to the session" in note for note in comparison.notes)
 
 
 def test_sets_that_show_nothing_are_refused() -> None:

@@ -64,7 +64,7 @@ REDECLARED.attrs["fields"] = {**FIELDS, "contextual.duration": {"unit": "ns", "f
     ("tables", "said"),
     [
         ([], "no run features to join"),
-        ([FIRST, FIRST], r"lidar_passthrough\|run000 stand in more than one"),
+        ([FIRST, FIRST], r"lidar_passthrough\|run000 are in more than one"),
         ([FIRST, SECOND.drop(columns="structural.entropy")], "run001 lacks.*structural.entropy"),
         ([FIRST, SECOND.drop(columns="block")], "lacks the columns block"),
         ([FIRST, changed(SECOND, session=None)], "'session' is empty.*run001"),

@@ -121,7 +121,7 @@ def test_the_mixture_takes_as_many_components_as_pay():
     [
         (NearestRuns(n_neighbors=5), normal_runs(n=4), "4 runs have no 5 nearest"),
         (MaxZ(), normal_runs(n=1), "at least two"),
-        (DenseRegions(), normal_runs(n=4), "cannot make a cluster of 5"),
+        (DenseRegions(), normal_runs(n=4), "cannot form a cluster of 5"),
         (DistinctLocalOutlierFactor(novelty=True), np.repeat(normal_runs(n=20), 9, axis=0),
          "more than 20 distinct runs, there are 20"),
         (AmpleEllipticEnvelope(), normal_runs(n=15), "more than 15 runs, there are 15"),

@@ -133,7 +133,7 @@ def test_the_table_has_a_row_for_each_kind_and_tells_why_one_is_missing():
     assert [*table.index] == [
         "implicit", "specified", "invariants", "metamorphic", "human", UNION,
     ]  # fmt: skip
-    assert "all alike" in table.loc["human", "note"]
+    assert "all equal" in table.loc["human", "note"]
     assert table.loc["implicit", "detection_rate"] == 1.0
     assert table.loc[UNION, "detection_rate"] == 1.0
     assert table.loc[UNION, "false_alarm_rate"] <= 0.1
@@ -167,7 +167,7 @@ def test_questions_are_about_runs_in_doubt_and_answers_move_the_line():
     assert all(bad[run] == answer for run, answer in material.answers.items())
     assert len(material.answers) == 16
     assert set(material.answers.values()) == {True, False}
-    person = human.Human(material.answers, runs, human.looked_at(material))
+    person = human.Human(material.answers, runs, human.input_kinds(material))
     opinion = person.learn(runs.where(runs.normal))
     assert opinion.low <= opinion.threshold <= opinion.high
     above = opinion.score(runs) > opinion.threshold
@@ -178,7 +178,7 @@ def test_answers_about_a_session_do_not_judge_it():
     runs = campaign(8)
     asked = human.Human({"attack|run003": True, "patrol0|run005": False}, runs, [Implicit()])
     for block in (3, 5):
-        with pytest.raises(human.AnswerError, match="all alike"):
+        with pytest.raises(human.AnswerError, match="all equal"):
             asked.learn(runs.where(runs.normal & (runs.block != block)))
 
 
@@ -190,7 +190,7 @@ def test_answers_are_kept_and_wrong_ones_are_told(tmp_path):
     with pytest.raises(human.AnswerError, match="answer on a.run000 is 'perhaps'; write bad"):
         human.load_answers(path)
     path.write_text("[]", "utf-8")
-    with pytest.raises(human.AnswerError, match="is no file of answers"):
+    with pytest.raises(human.AnswerError, match="is not a file of answers"):
         human.load_answers(path)
 
 

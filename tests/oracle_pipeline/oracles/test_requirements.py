@@ -83,22 +83,22 @@ def test_what_is_shipped_notices(altered, name):
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
-        (["requirements: 3"], "'requirements' has to be a list"),
+        (["requirements: 3"], "'requirements' must be a list"),
         (["rules: []"], "one key 'requirements'"),
         (["requirements: [&a {name: x}, *a]"], "alias"),
         (["requirements:", "  - {name: a, formula: always (sped > 0)}"],
-         "line 2: there is no signal 'sped'; do you mean speed"),
+         "line 2: there is no signal 'sped'; did you mean speed"),
         (["requirements:", "", "  - {name: a, formula: [speed"], "is no file"),
         (["requirements:", "", "  - {name: a, formula: 'always (speed > '}"],
-         "line 3: 'always .speed > ' is no formula: parse error at line 1, column"),
+         "line 3: 'always .speed > ' is not a formula: parse error at line 1, column"),
         (["requirements:", "  - {name: a, formula: always (speed > 0), scale: 0}"],
-         "'scale' has to be a number above 0, found 0"),
+         "'scale' must be a number above 0, found 0"),
         (["requirements:", "  - {name: a, formla: always (speed > 0)}"], "unknown key 'formla'"),
         (["requirements:", "  - {name: a, formula: always (speed > 0)}",
-          "  - {name: a, formula: always (speed < 1)}"], "line 3: the name 'a' stands twice"),
+          "  - {name: a, formula: always (speed < 1)}"], "line 3: the name 'a' is used twice"),
         (["requirements:", "  - {name: a, formula: 'P>=0.9 (speed > 0)'}"], "has no robustness"),
         (["requirements:", "  - {name: a, formula: __import__('os').system('true')}"],
-         "line 2: .* is no formula"),
+         "line 2: .* is not a formula"),
     ],
 )  # fmt: skip
 def test_a_fault_is_told_with_file_line_and_reason(tmp_path, lines, said):

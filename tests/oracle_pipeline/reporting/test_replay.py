@@ -142,7 +142,7 @@ def test_only_what_is_named_is_written(attacked, tmp_path):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["-o", "run.mp4"], "run.mp4: a replay is written as .gif, .webp, .png"),
+        (["-o", "run.mp4"], "run.mp4: a replay must be one of .gif, .webp, .png"),
         (["--speed", "50"], "Lower --speed or --frames"),
     ],
 )

@@ -88,7 +88,7 @@ def test_a_report_is_a_function_of_its_input_and_comes_back_from_its_folder(name
 
 
 def test_a_folder_without_a_report_is_refused(tmp_path):
-    with pytest.raises(ReportError, match="holds no report"):
+    with pytest.raises(ReportError, match="has no report"):
         Report.load(tmp_path)
 
 

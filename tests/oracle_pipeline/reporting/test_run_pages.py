@@ -93,7 +93,7 @@ def test_a_page_loads_nothing_and_stays_small(report):
 def test_an_attacked_run_is_shown_with_verdict_evidence_and_onset(report):
     text = page(report, ATTACKED)
     assert "attacked" in text
-    assert re.search(r"Score [\d.]+, number \d+ of 55 from the top", text)
+    assert re.search(r"Score [\d.]+, rank \d+ of 55", text)
     assert "attack begins" in text
     assert "at 30.0 s; 12 messages changed" in text
     assert re.search(r'<th scope="row">(structural.entropy|contextual.yaw_variance)</th>', text)

@@ -15,7 +15,7 @@ def test_a_miss_is_a_run_with_an_effect_above_the_false_positive_rate() -> None:
     titles = [column.title for column in section.table.columns]
     found = [dict(zip(titles, row, strict=True)) for row in rows]
     assert [each["scenario"] for each in found] == ["drift", "drop"]
-    assert [each["of these passed by the oracle"] for each in found] == ["1", "0"]
+    assert [each["of these missed by the oracle"] for each in found] == ["1", "0"]
     assert [each["run in closed loop"] for each in found] == ["2", "1"]
     assert [picture.caption for picture in section.fronts] == ["drift", "drop"]
 

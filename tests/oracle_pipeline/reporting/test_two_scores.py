@@ -80,8 +80,8 @@ def words(effect: float, **differences: float) -> str:
 @pytest.mark.parametrize(
     ("effect", "differences", "said"),
     [
-        (NONE, {}, "not known: that takes 20 unaltered runs, and one in this block"),
-        (0.9, {"driven_m": 0.9}, "did not misbehave: as unaltered runs of its block"),
+        (NONE, {}, "unknown: it needs 20 unaltered runs, one of them in this block"),
+        (0.9, {"driven_m": 0.9}, "did not misbehave: like unaltered runs of its block"),
         (2.4, {"clearance_m": -0.12, "driven_m": 0.9}, "misbehaved: clearance -0.12 m"),
         (3.0, {"recoveries": 3.0, "under_way_s": 12.5},
          "misbehaved: under way +12.5 s, recoveries +3"),

@@ -97,8 +97,8 @@ def test_what_is_ambiguous_is_told(tmp_path):
     roles = roles_of(bag)
     assert roles.found["odometry"].topics == ("/left",)
     (told,) = roles.ambiguities()
-    assert "/left is taken as odometry" in told
-    assert "/right could be it too" in told
+    assert "/left is used as odometry" in told
+    assert "/right would fit too" in told
     assert roles_of(bag, {"odometry": ("/right",)}).ambiguities() == []
 
 

@@ -42,7 +42,7 @@ def test_a_roles_file_names_robots_and_topics(tmp_path):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("[1, 2]", "the file has to be a mapping of robots, roles"),
+        ("[1, 2]", "the file must be a mapping of robots, roles"),
         ("topics: {}", "the file has topics; known are robots, roles"),
         ("roles: {scanner: /scan}", "roles has scanner; known are scan, odometry"),
         ("roles: {scan: scan}", "begin with a slash, found 'scan'"),
@@ -80,7 +80,7 @@ def test_the_command_prints_roles_in_words(tmp_path):
     done = oracle("features", bag, "--roles")
     assert done.exit_code == 0, done.output
     assert "scan               /front (by message type)" in done.output
-    assert "Note: /left/odom is taken as odometry" in done.output
+    assert "Note: /left/odom is used as odometry" in done.output
     assert "imu                none (no topic of type sensor_msgs/msg/Imu)" in done.output
 
 
