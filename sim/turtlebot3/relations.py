@@ -1,6 +1,6 @@
 """Metamorphic relations: changes of a task that should not change how well it is done.
 
-Nobody knows the right way of a run. But in a mirrored world it is the mirrored way, in reverse
+The right way of a run is unknown. But in a mirrored world it is the mirrored way, in reverse
 order the legs are as long, and from a start close by the way is about the same. ``oracle kinds``
 compares such runs.
 """
