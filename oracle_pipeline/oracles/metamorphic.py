@@ -112,11 +112,11 @@ class Metamorphic:
                 f"{compared.max()} normal runs have another run of the same task, {FEWEST} are "
                 "needed; record several runs of each block, or the blocks with --relation mirrored."
             )
-        for relation, number in zip(self._partners, compared, strict=True):
-            if relation != SAME and number < len(normal.traces):
+        for name, number in zip(self._partners, compared, strict=True):
+            if name != SAME and number < len(normal.traces):
                 raise KindError(
                     f"{len(normal.traces) - number} of {len(normal.traces)} normal runs have no "
-                    f"{relation} run of their block; record it for all blocks, or leave it out."
+                    f"{name} run of their block; record it for all blocks, or leave it out."
                 )
         spread = np.full(apart.shape[1:], np.inf)
         for relation in np.flatnonzero(compared >= FEWEST):
