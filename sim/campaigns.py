@@ -16,7 +16,7 @@ Navigation = Literal["tuned", "stock", "drawn"]
 # Drawn: block 0 is in the hexagon, 1 in a house, 2 in a random arena, 3 in the hexagon, ...
 ArenaChoice = Literal["drawn", "hexagon", "house", "random"]
 # What a run is to the runs of its block. Another relation changes the task, not what is right, so
-# that a run can be compared with others although nobody knows the right way: `relations`.
+# that a run can be compared with others although the right way is unknown: `relations`.
 Relation = Literal["same", "mirrored", "reordered", "shifted"]
 
 DEFAULT_SEED = 20260101
