@@ -16,7 +16,7 @@ from soak.faults import complete, disturbed, jobs, leftovers, state
 from soak.full_disk import everything
 from tests.assets.laboratory import Laboratory
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(8)
 
 KILLS = 3  # of everything, of a worker and of the caller; `python -m soak.faults` makes 50
 
