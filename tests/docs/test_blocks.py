@@ -52,7 +52,7 @@ def reader(lab, recorded_run, tmp_path_factory):
     mirrored = replace(ONE_GOAL, options=Options(relation="mirrored"))
     copied(recorded_run(NORMAL, 0, mirrored), folder / "mirrored")
     shutil.copytree(lab / "runs" / NORMAL / "run000", folder / f"data/runs/{NORMAL}/run000")
-    for number in range(4):
+    for number in range(3):  # as few as a verdict with --far 0.25 takes
         shutil.copytree(lab / f"runs/{NORMAL}/run00{number}/bag", folder / f"good_bags/{number}")
     for build in ("old_build", "new_build"):
         shutil.copytree(folder / "good_bags", folder / build)
