@@ -25,7 +25,7 @@ def scenario() -> None:
     """Check, list and show scenarios, which alter messages.
 
     \b
-    Example:
+    Examples:
         oracle-sim scenario list
         oracle-sim scenario show random_noise > my_attack.yaml
         oracle-sim scenario check my_attack.yaml
