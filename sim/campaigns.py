@@ -34,7 +34,7 @@ class Options:
     """
 
     # How the mode's node stands in the system. Additive: what it publishes is one more source of
-    # obstacles, as in the thesis. Replace: the collision monitor hears it instead of the LiDAR
+    # obstacles, as in the thesis. Replace: the collision monitor receives it instead of the LiDAR
     # that it mutates. Absent: there is no such node.
     wiring: Wiring = "additive"
     odometry_source: OdometrySource = "world"
