@@ -51,7 +51,7 @@ FORK_SERVER.set_forkserver_preload(["assets.worker.run", "assets.worker.inspecti
 
 
 class WarmFleet(Fleet):
-    """Worker processes as ever, only that they start at once."""
+    """Worker processes that start immediately."""
 
     def _fan_out(self, function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[Outcome[J, R]]:
         workers = min(self.workers, len(jobs))
