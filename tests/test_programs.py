@@ -31,7 +31,7 @@ def python(text, hidden):
         ("resources", "import oracle_pipeline.definitions"),
     ],
 )
-def test_a_clash_of_names_is_told_with_the_place_and_what_to_do(name, text, tmp_path):
+def test_a_clash_of_names_is_reported_with_paths_and_remedy(name, text, tmp_path):
     (tmp_path / name).mkdir()
     (tmp_path / name / "__init__.py").touch()
     done = python(text, tmp_path)

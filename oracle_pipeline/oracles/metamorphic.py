@@ -115,7 +115,7 @@ class Metamorphic:
         return len(self._partners.traces)
 
 
-def _made(material: Material) -> Metamorphic | None:
+def _make(material: Material) -> Metamorphic | None:
     """Return the kind if any task was run twice."""
     plain = material.runs.block[material.runs.normal]
     return Metamorphic(material.runs) if len(np.unique(plain)) < len(plain) else None
@@ -124,4 +124,4 @@ def _made(material: Material) -> Metamorphic | None:
 @hookimpl
 def register_oracles() -> list[Maker]:
     """Register the oracle that compares runs of the same task."""
-    return [_made]
+    return [_make]

@@ -200,7 +200,7 @@ def signals(window: Window, clock: Floats) -> dict[str, Floats]:
         for key in moving
         for series in window.topics.get(key, {}).values()
     ]
-    found["non_finite"] = _so_far(np.concatenate([np.zeros(0), *broken]), clock)
+    found["non_finite"] = _cumulative_count(np.concatenate([np.zeros(0), *broken]), clock)
     found["quiet_topics"] = quiet_topics(window.arrivals, clock)
     return found
 
@@ -266,14 +266,14 @@ def _navigated(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
         time_s[under_way] = clock[under_way] - goal.accepted_s
     failed = [g.ended_s for g in goals if g.ended_s is not None and not g.reached]
     yield "goal_time", time_s
-    yield "goals_failed", _so_far(np.array(failed, dtype=np.float64), clock)
+    yield "goals_failed", _cumulative_count(np.array(failed, dtype=np.float64), clock)
 
 
 def _logged(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
     logs = window.topics.get("logged", {}).values()
     if logs:
         bad = [series.times_s[series.values >= _ERROR] for series in logs]
-        yield "errors", _so_far(np.concatenate(bad), clock)
+        yield "errors", _cumulative_count(np.concatenate(bad), clock)
 
 
 def _one(window: Window, key: str) -> Series | None:
@@ -298,6 +298,6 @@ def _strides(points: Floats) -> Floats:
     return np.asarray(np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T), dtype=np.float64)
 
 
-def _so_far(times_s: Floats, clock: Floats) -> Floats:
+def _cumulative_count(times_s: Floats, clock: Floats) -> Floats:
     """Return the cumulative number of events at each time."""
     return np.searchsorted(np.sort(times_s), clock, side="right").astype(np.float64)

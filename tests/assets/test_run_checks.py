@@ -1,4 +1,4 @@
-"""Each check passes on a sound run, and fails on a run with only the damage that it should detect."""
+"""Each check passes on an undamaged run, and fails on one with only the damage to detect."""
 
 import shutil
 from collections.abc import Callable

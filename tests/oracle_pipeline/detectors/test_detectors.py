@@ -119,7 +119,7 @@ def test_the_mixture_has_the_number_of_components_with_the_lowest_bic():
 @pytest.mark.parametrize(
     ("detector", "rows", "text"),
     [
-        (NearestRuns(n_neighbors=5), normal_runs(n=4), "4 runs have no 5 nearest"),
+        (NearestRuns(n_neighbors=5), normal_runs(n=4), "4 runs are too few for 5 neighbours"),
         (MaxZ(), normal_runs(n=1), "at least two"),
         (DenseRegions(), normal_runs(n=4), "cannot form a cluster of 5"),
         (DistinctLocalOutlierFactor(novelty=True), np.repeat(normal_runs(n=20), 9, axis=0),

@@ -87,7 +87,7 @@ def test_a_missing_interval_is_an_error(tmp_path):
     assert read_intervals(tmp_path) == ()
     for start in (0, 20):
         write_gexf(graph_of(), tmp_path / f"{start:06d}.gexf")
-    with pytest.raises(GraphError, match=r"one graph each 10 s.*\[0, 20\]"):
+    with pytest.raises(GraphError, match=r"one graph every 10 s.*\[0, 20\]"):
         read_intervals(tmp_path)
 
 

@@ -156,7 +156,7 @@ def test_answers_are_stored_and_invalid_files_are_errors(tmp_path):
     human.save_answers({"a|run000": True, "b|run001": False}, path)
     assert human.load_answers(path) == {"a|run000": True, "b|run001": False}
     path.write_text(json.dumps({"answers": {"a|run000": "perhaps"}}), "utf-8")
-    with pytest.raises(human.AnswerError, match="answer on a.run000 is 'perhaps'; write bad"):
+    with pytest.raises(human.AnswerError, match="answer for a.run000 is 'perhaps'; write bad"):
         human.load_answers(path)
     path.write_text("[]", "utf-8")
     with pytest.raises(human.AnswerError, match="is not a file of answers"):
