@@ -52,7 +52,7 @@ def test_a_module_in_place_of_a_package_is_told_as_well(tmp_path):
 def test_an_import_that_fails_for_another_reason_is_left_as_it_is(tmp_path):
     (tmp_path / "dagster.py").touch()
     done = python("import oracle_pipeline.definitions", tmp_path)
-    assert "virtual environment of its own" not in done.stderr
+    assert "separate virtual environment" not in done.stderr
     assert done.returncode == 1
 
 
