@@ -36,7 +36,9 @@ def feature_dataset(
     extracted = [run for run in runs if run.feature_table("run").is_file()]
     with clear_failures():
         manifests = {run.key: run.manifest() for run in extracted if run.is_complete()}
-        too_short = sorted(key for key, manifest in manifests.items() if not _acted(manifest))
+        too_short = sorted(
+            key for key, manifest in manifests.items() if not _node_started(manifest)
+        )
         joined = [run for run in extracted if run.key not in too_short]
         df = datasets.feature_dataset(
             datasets.read_table(run.feature_table("run")) for run in joined
@@ -73,6 +75,6 @@ def feature_dataset(
     )
 
 
-def _acted(manifest: Manifest) -> bool:
+def _node_started(manifest: Manifest) -> bool:
     """Return whether the node of the mode ever started."""
     return manifest.onset_s is not None

@@ -233,7 +233,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     except OSError as error:
         if error.filename is not None or error.errno is None:
             raise
-        raise OSError(error.errno, error.strerror, str(path)) from error  # as of a full disk
+        raise OSError(error.errno, error.strerror, str(path)) from error  # such as a full disk
 
 
 def write_table(df: pd.DataFrame, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A package of somebody else that has the name of one of ours is told as what it is."""
+"""The error message explains if another package has the name of one of ours."""
 
 import os
 import subprocess
@@ -31,14 +31,14 @@ def python(text, hidden):
         ("resources", "import oracle_pipeline.definitions"),
     ],
 )
-def test_a_clash_of_names_is_told_with_the_place_and_what_to_do(name, text, tmp_path):
+def test_a_clash_of_names_is_reported_with_paths_and_remedy(name, text, tmp_path):
     (tmp_path / name).mkdir()
     (tmp_path / name / "__init__.py").touch()
     done = python(text, tmp_path)
     assert done.returncode == 1
-    told = done.stderr.strip().splitlines()[-1]
-    assert f"the package {name!r} of ros2-behaviour-oracle in {tmp_path / name} instead of" in told
-    assert "virtual environment of its own" in told
+    error = done.stderr.strip().splitlines()[-1]
+    assert f"the package {name!r} of ros2-behaviour-oracle in {tmp_path / name} instead of" in error
+    assert "separate virtual environment" in error
 
 
 def test_a_module_in_place_of_a_package_is_told_as_well(tmp_path):
@@ -52,7 +52,7 @@ def test_a_module_in_place_of_a_package_is_told_as_well(tmp_path):
 def test_an_import_that_fails_for_another_reason_is_left_as_it_is(tmp_path):
     (tmp_path / "dagster.py").touch()
     done = python("import oracle_pipeline.definitions", tmp_path)
-    assert "virtual environment of its own" not in done.stderr
+    assert "separate virtual environment" not in done.stderr
     assert done.returncode == 1
 
 

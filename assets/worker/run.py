@@ -1,6 +1,6 @@
 """One run, from its recipe to its features, in a worker process.
 
-A run that exists and matches its recipe is left alone and reported as ``verified``. With
+A run that exists and matches its recipe is not touched and reported as ``verified``. With
 ``refresh`` it is simulated again in a separate directory and replaces the previous run, unless the
 messages differ although code, libraries, CPU and recipe are the same. Bags that the storage plan
 does not keep are dropped once features are extracted, and re-simulated when features need them. A

@@ -109,9 +109,9 @@ def evaluate(
     Parameters
     ----------
     features : DataFrame
-        Distinct runs, a row each.
+        Distinct runs, one row each.
     windows : DataFrame
-        Their windows, a row each.
+        Their windows, one row each.
     truth : DataFrame
         Ground truth of each run (`truth.truth_table`).
     graph_differences : sequence of str, optional
@@ -354,6 +354,6 @@ class _Steps:
             integrity.label_above_session(campaign, columns, self.folds, self.seed),
             integrity.shuffled_labels(campaign, columns, detector, block_folds, rng),
             integrity.hard_negatives(headline, campaign, rng),
-            integrity.shortcuts_apart(campaign.features, columns, area),
+            integrity.shortcuts_are_separate(campaign.features, columns, area),
             integrity.unaltered_runs_alike(campaign, columns),
         ]

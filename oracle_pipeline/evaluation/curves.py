@@ -46,7 +46,7 @@ def headline_curves(
     scores : HeldOutScores
     campaign : JudgedRuns
     compared : sequence of ComparedRuns
-        As of `comparisons.comparisons`, all modes first.
+        From `comparisons.comparisons`, all modes first.
     rng : Generator
         Draws the resamples behind the bands.
     """

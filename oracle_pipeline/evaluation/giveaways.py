@@ -19,7 +19,7 @@ def deviations_of_runs(df: pd.DataFrame) -> dict[str, list[Deviation]]:
     Parameters
     ----------
     df : DataFrame
-        Distinct runs of one kind of system, a row each.
+        Distinct runs of one kind of system, one row each.
 
     Returns
     -------

@@ -314,7 +314,7 @@ def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> Integr
     )
 
 
-def shortcuts_apart(
+def shortcuts_are_separate(
     features: pd.DataFrame, columns: Sequence[str], of_shortcuts: Estimate
 ) -> IntegrityCheck:
     """No headline feature identifies a run by its nodes or by how it was recorded.

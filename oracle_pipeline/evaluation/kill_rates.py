@@ -132,7 +132,7 @@ def mutation_scores(kills: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     kills : DataFrame
-        As of `kill_matrix`.
+        From `kill_matrix`.
     """
     rows = []
     for oracle, of in kills.groupby(ORACLE, sort=False):
@@ -155,7 +155,7 @@ def minimum_detectable(kills: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     kills : DataFrame
-        As of `kill_matrix`.
+        From `kill_matrix`.
     """
     rows = []
     for place, of in kills.groupby([*ORACLE, *OPERATOR], sort=False):

@@ -38,7 +38,7 @@ def open_claims(df: pd.DataFrame, checks: Sequence[IntegrityCheck]) -> list[Open
     Parameters
     ----------
     df : DataFrame
-        Distinct runs, a row each.
+        Distinct runs, one row each.
     checks : sequence of IntegrityCheck
         Of their evaluation; an AUC is claimed if all are green.
     """

@@ -43,7 +43,7 @@ def judged(kind: OracleKind, runs: TracedRuns) -> Judged:
         Fewer than three blocks of normal runs.
     """
     normal = runs.normal
-    return _voted(_fold_scores(kind, runs, normal), runs, normal)
+    return _judge_by_votes(_fold_scores(kind, runs, normal), runs, normal)
 
 
 def union(verdicts: Sequence[Judged], runs: TracedRuns) -> Judged:
@@ -55,12 +55,12 @@ def union(verdicts: Sequence[Judged], runs: TracedRuns) -> Judged:
     with few blocks most runs share the smallest one.
     """
     normal = runs.normal
-    units = [_in_tails(each.score, each.score[normal]) for each in verdicts]
+    units = [_in_tail_units(each.score, each.score[normal]) for each in verdicts]
     fold = _folds(runs.where(normal))
-    return _voted(np.tile(np.max(units, axis=0), (fold.max() + 1, 1)), runs, normal)
+    return _judge_by_votes(np.tile(np.max(units, axis=0), (fold.max() + 1, 1)), runs, normal)
 
 
-def _in_tails(score: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
+def _in_tail_units(score: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return scores relative to the median of normal runs, in units of their upper tail.
 
     If all normal runs have the same score, any higher score is extreme.
@@ -95,7 +95,9 @@ def _folds(normal: TracedRuns) -> NDArray[np.intp]:
     return assign_folds(unit, FOLDS, np.random.default_rng(SEED))
 
 
-def _voted(scores: NDArray[np.float64], runs: TracedRuns, normal: NDArray[np.bool_]) -> Judged:
+def _judge_by_votes(
+    scores: NDArray[np.float64], runs: TracedRuns, normal: NDArray[np.bool_]
+) -> Judged:
     """Compute p-values from the votes of normal blocks; `scores` has shape (n_folds, n_runs)."""
     votes = CrossConformalScorer(Design(MaxZ(), (), (), {}))  # only its folds and votes are used
     votes.fold_, votes.block_ = _folds(runs.where(normal)), runs.block[normal]

@@ -308,10 +308,10 @@ def input_kinds(material: Material) -> list[OracleKind]:
 @hookimpl
 def register_oracles() -> list[Maker]:
     """Register the oracle that learns from answers, if there are answers."""
-    return [_made]
+    return [_make]
 
 
-def _made(material: Material) -> Human | None:
+def _make(material: Material) -> Human | None:
     if not material.answers:
         return None
     return Human(material.answers, material.runs, input_kinds(material))

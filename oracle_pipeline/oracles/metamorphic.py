@@ -165,7 +165,7 @@ def _unaltered(runs: TracedRuns) -> TracedRuns:
     return runs.where(runs.normal & ~is_hard_negative(runs.table))
 
 
-def _made(material: Material) -> Metamorphic | None:
+def _make(material: Material) -> Metamorphic | None:
     """Return the kind if any task was run twice, or in another relation."""
     plain = material.runs.block[material.runs.normal]
     if material.follow_ups is None and len(np.unique(plain)) == len(plain):
@@ -176,4 +176,4 @@ def _made(material: Material) -> Metamorphic | None:
 @hookimpl
 def register_oracles() -> list[Maker]:
     """Register the oracle that compares runs of the same task."""
-    return [_made]
+    return [_make]

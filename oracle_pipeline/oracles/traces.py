@@ -56,17 +56,19 @@ SIGNALS: Mapping[str, Signal] = {
     "command_turn": Signal("rad/s", 0.02, "commanded turn, to the left"),
     "speed": Signal("m/s", 0.005, "speed by odometry"),
     "turn": Signal("rad/s", 0.02, "turn by odometry"),
-    "travelled": Signal("m", 0.02, "length of the way so far, by odometry"),
+    "travelled": Signal("m", 0.02, "path length so far, by odometry"),
     "gyro_turn": Signal("rad/s", 0.02, "turn by the first inertial unit"),
     "acceleration": Signal("m/s^2", 0.05, "length of its acceleration"),
     "pose_spread": Signal("m", 0.01, "standard deviation of the position, by localisation"),
-    "pose_jump": Signal("m", 0.02, "how far the last two poses differ from odometry in distance"),
+    "pose_jump": Signal(
+        "m", 0.02, "difference between the last step of localisation and of odometry"
+    ),
     "nearest_min": Signal("m", 0.02, "nearest return, of the scanner that has the smallest"),
     "nearest_max": Signal("m", 0.02, "nearest return, of the scanner that has the largest"),
     "no_return_min": Signal("1", 0.005, "share of rays without a return, smallest of the scanners"),
     "no_return_max": Signal("1", 0.005, "share of rays without a return, largest of the scanners"),
-    "uneven_min": Signal("m", 0.002, "how uneven neighbouring ranges are, least of the scanners"),
-    "uneven_max": Signal("m", 0.002, "how uneven neighbouring ranges are, most of the scanners"),
+    "uneven_min": Signal("m", 0.002, "unevenness of neighbouring ranges, smallest of the scanners"),
+    "uneven_max": Signal("m", 0.002, "unevenness of neighbouring ranges, largest of the scanners"),
     "goal_time": Signal("s", 0.5, "time since the goal was accepted; 0: none is under way"),
     "goals_failed": Signal("1", 0.5, "goals so far that ended without success"),
     "errors": Signal("1", 0.5, "messages so far at level ERROR or FATAL in the log"),
@@ -200,7 +202,7 @@ def signals(window: Window, clock: Floats) -> dict[str, Floats]:
         for key in moving
         for series in window.topics.get(key, {}).values()
     ]
-    found["non_finite"] = _so_far(np.concatenate([np.zeros(0), *broken]), clock)
+    found["non_finite"] = _cumulative_count(np.concatenate([np.zeros(0), *broken]), clock)
     found["quiet_topics"] = quiet_topics(window.arrivals, clock)
     return found
 
@@ -266,14 +268,14 @@ def _navigated(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
         time_s[under_way] = clock[under_way] - goal.accepted_s
     failed = [g.ended_s for g in goals if g.ended_s is not None and not g.reached]
     yield "goal_time", time_s
-    yield "goals_failed", _so_far(np.array(failed, dtype=np.float64), clock)
+    yield "goals_failed", _cumulative_count(np.array(failed, dtype=np.float64), clock)
 
 
 def _logged(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
     logs = window.topics.get("logged", {}).values()
     if logs:
         bad = [series.times_s[series.values >= _ERROR] for series in logs]
-        yield "errors", _so_far(np.concatenate(bad), clock)
+        yield "errors", _cumulative_count(np.concatenate(bad), clock)
 
 
 def _one(window: Window, key: str) -> Series | None:
@@ -298,6 +300,6 @@ def _strides(points: Floats) -> Floats:
     return np.asarray(np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T), dtype=np.float64)
 
 
-def _so_far(times_s: Floats, clock: Floats) -> Floats:
+def _cumulative_count(times_s: Floats, clock: Floats) -> Floats:
     """Return the cumulative number of events at each time."""
     return np.searchsorted(np.sort(times_s), clock, side="right").astype(np.float64)

@@ -44,9 +44,9 @@ def explanations(
     Parameters
     ----------
     df : DataFrame
-        Distinct runs, a row each.
+        Distinct runs, one row each.
     windows : DataFrame
-        Their windows, a row each.
+        Their windows, one row each.
     judged : DataFrame
         ``run_id``, ``mode``, ``label``, ``score`` and ``p`` of each judged run (the table ``runs``
         of `oracle_evaluation`).

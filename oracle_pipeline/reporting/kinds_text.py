@@ -26,7 +26,7 @@ def as_text(comparison: "KindsComparison", far: float) -> str:
                 str(row["oracle"]),
                 *_estimate(row, "detection_rate"),
                 *_estimate(row, "false_alarm_rate"),
-                _asked(row),
+                _needed_input(row),
                 _number(1e3 * row.get("seconds_a_run", np.nan), ".1f"),
             )
         )
@@ -67,7 +67,7 @@ def _estimate(row: pd.Series, name: str) -> tuple[str, str]:
     return f"{value:.3f}", f"{low:.3f} to {high:.3f}"
 
 
-def _asked(row: pd.Series) -> str:
+def _needed_input(row: pd.Series) -> str:
     written = row.get("written", np.nan)
     return f"{written:.0f} {row['asks']}" if written > 0 else str(row["asks"])
 

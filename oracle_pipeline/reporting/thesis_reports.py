@@ -65,10 +65,10 @@ def bootstrapped_dataset(
         "content_hash": content_hash(rows),
         "note": lacks,
     }
-    return Report(rows, {"principal_components": picture}, summary | _drawn_by(by))
+    return Report(rows, {"principal_components": picture}, summary | _variant_facts(by))
 
 
-def _drawn_by(variant: Variant) -> dict[str, float | int | str]:
+def _variant_facts(variant: Variant) -> dict[str, float | int | str]:
     """Return the variant of a report and its warning, for a summary."""
     warning = {"warning": THESIS_WARNING} if variant.name == "thesis" else {}
     return {"variant": str(variant.name), **warning}
@@ -110,7 +110,7 @@ def clustering_grid_search(
         pictures["roc"] = figures.roc_curves(curves)
     summary: dict[str, float | int | str] = {"settings": len(table), "note": lacking(rows)}
     chosen = _selected(table, grid.select_by) | _thesis_choice(table)
-    return Report(table, pictures, summary | _drawn_by(by) | chosen)
+    return Report(table, pictures, summary | _variant_facts(by) | chosen)
 
 
 def _selected(table: pd.DataFrame, measure: Measure) -> dict[str, float | int | str]:
@@ -163,7 +163,7 @@ def malicious_rate_report(
             thesis[line] = row[f"thesis_{figure}"]
     picture = figures.intervals(ours, thesis, "share of rows in the best cluster", chance=None)
     summary: dict[str, float | int | str] = {"rows": n, "seed": seed, "note": lacking(df)}
-    return Report(table, {"rates": picture}, summary | _drawn_by(by))
+    return Report(table, {"rates": picture}, summary | _variant_facts(by))
 
 
 def pairwise_report(
@@ -193,7 +193,7 @@ def pairwise_report(
         "malicious_rate": malicious_rate,
         "seed": seed,
     }
-    return Report(table, pictures, summary | _drawn_by(by))
+    return Report(table, pictures, summary | _variant_facts(by))
 
 
 def _line(row: pd.Series) -> str:

@@ -69,7 +69,7 @@ def grid_search_table(
         result = cluster_and_judge(rows, columns, rng, method, criterion, t, variant, metric)
         figure = GRID[method, criterion] if is_printed else None
         setting = {"metric": metric, "linkage": method, "criterion": criterion, "t": t}
-        table.append(setting | result.columns() | _beside(figure))
+        table.append(setting | result.columns() | _thesis_columns(figure))
     return pd.DataFrame(table)
 
 
@@ -98,7 +98,7 @@ def malicious_rate_table(
     table = []
     for rate in rates:
         result = _bootstrap_and_judge(df, "all", n, rate, seed, rng, variant)
-        table.append({"malicious_rate": rate} | result.columns() | _beside(RATES.get(rate)))
+        table.append({"malicious_rate": rate} | result.columns() | _thesis_columns(RATES.get(rate)))
     return pd.DataFrame(table)
 
 
@@ -118,7 +118,7 @@ def family_table(
     for features in FEATURE_SETS:
         result = _bootstrap_and_judge(df, features, n, malicious_rate, seed, rng, variant)
         place = {"scope": ALL_MODES, "features": features}
-        table.append(place | result.columns() | _beside(FAMILIES[features]))
+        table.append(place | result.columns() | _thesis_columns(FAMILIES[features]))
     return pd.DataFrame(table)
 
 
@@ -140,7 +140,9 @@ def pairwise_table(
         for features in FEATURE_SETS:
             result = _bootstrap_and_judge(pair, features, n, malicious_rate, seed, rng, variant)
             place = {"scope": f"{control} / {attacked}", "features": features}
-            table.append(place | result.columns() | _beside(PAIRWISE.get((attacked, features))))
+            table.append(
+                place | result.columns() | _thesis_columns(PAIRWISE.get((attacked, features)))
+            )
     return pd.DataFrame(table)
 
 
@@ -278,5 +280,5 @@ def _bootstrap_and_judge(
     return cluster_and_judge(rows, variant.columns(rows, features), rng, variant=variant)
 
 
-def _beside(thesis: ThesisFigure | None) -> dict[str, float | str]:
+def _thesis_columns(thesis: ThesisFigure | None) -> dict[str, float | str]:
     return NO_FIGURE if thesis is None else thesis.columns()

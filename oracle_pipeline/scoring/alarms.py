@@ -182,7 +182,7 @@ class NormalWindows:
         return AlarmRule(allowance, threshold, per_hour, reach)
 
     def lowest_rate(self) -> float:
-        """Return the lowest false alarm rate that these recordings support [1/h]."""
+        """Return the lowest rate of false alarms that these recordings support [1/h]."""
         clock = self._clock()
         return clock.most / clock.hours if clock.hours else math.inf
 

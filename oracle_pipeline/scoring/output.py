@@ -112,7 +112,7 @@ def _support(blocks: int) -> str:
 
 
 def _alarms_as_text(card: ReferenceCard) -> str:
-    """Describe the false alarm rate that the hours of the recordings support."""
+    """Describe the rate of false alarms that the recordings support."""
     windows = card.scorer.windows_
     if windows is None:
         return "No alarms within a recording: the recordings have no features of windows."

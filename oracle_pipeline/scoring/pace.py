@@ -21,7 +21,7 @@ class Pace(NamedTuple):
     """The pace of a topic, measured from its first message."""
 
     longest_gap_s: float  # without a message, up to the end of the recording [s]
-    fewest: int | None  # messages in any span of `SPAN_S`; None if no recording is so long
+    fewest: int | None  # messages in any span of `SPAN_S`; None if all recordings are shorter
     most: int | None
 
     @classmethod

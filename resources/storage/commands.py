@@ -44,7 +44,7 @@ def storage(root: Path) -> None:
     limit = capacity if budget is None else min(budget, capacity)
     click.echo(f"{root}: {megabytes(stock.total)} of {megabytes(limit)} used")
     _show_modes(stock)
-    _show_room(stock, limit - stock.total)
+    _show_free_space(stock, limit - stock.total)
 
 
 def _show_modes(stock: Stock) -> None:
@@ -54,7 +54,7 @@ def _show_modes(stock: Stock) -> None:
         click.echo(f"{first:<32}" + "".join(f"{cell:>14}" for cell in others))
 
 
-def _show_room(stock: Stock, room: int) -> None:
+def _show_free_space(stock: Stock, room: int) -> None:
     """Print how many further blocks fit, each with one run of every recorded mode."""
     modes = sorted({run.mode for run in stock.runs})
     sizes = [size for mode in modes if (size := expected_sizes(mode, stock))]

@@ -51,7 +51,7 @@ def plan(blocks: Mapping[int, Sequence[Sizes]], available: int) -> dict[int, Kep
     kept: dict[int, Kept] = dict.fromkeys(sorted(blocks), "recipe")
     taken = sum(_size(blocks[block], "recipe") for block in kept)
     if taken > available:
-        raise StorageError(_too_much(blocks, taken, available))
+        raise StorageError(_size_message(blocks, taken, available))
     for better in ("trimmed", "full"):
         for block in kept:
             more = _size(blocks[block], better) - _size(blocks[block], kept[block])
@@ -66,7 +66,7 @@ def _size(runs: Sequence[Sizes], kept: Kept) -> int:
     return sum(run.of(kept) for run in runs)
 
 
-def _too_much(blocks: Mapping[int, Sequence[Sizes]], taken: int, available: int) -> str:
+def _size_message(blocks: Mapping[int, Sequence[Sizes]], taken: int, available: int) -> str:
     fitting, room = 0, available
     for block in sorted(blocks):
         room -= _size(blocks[block], "recipe")

@@ -176,7 +176,7 @@ def make_plan(
             dict.fromkeys(blocks, "full"), expected, (), len(blocks), stock.total, limit
         )
 
-    finished = {run: _may_take(run, stock) for run in stock.runs}
+    finished = {run: _possible_sizes(run, stock) for run in stock.runs}
     takes: defaultdict[int, list[Sizes]] = defaultdict(list)
     for run in new:
         takes[run.run].append(expected[run.mode])
@@ -231,7 +231,7 @@ def _working_room(new: Sequence[RunDirectory], expected: Mapping[str, Sizes], wo
     return min(workers, len(new)) * max(size.full + size.trimmed for size in expected.values())
 
 
-def _may_take(run: RunDirectory, stock: Stock) -> tuple[Kept, Sizes]:
+def _possible_sizes(run: RunDirectory, stock: Stock) -> tuple[Kept, Sizes]:
     """Return how much is kept of a finished run, and its sizes if less were kept."""
     from sim.experiments import can_be_made_again  # the testbeds: half a second to import
 

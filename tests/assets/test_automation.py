@@ -1,4 +1,4 @@
-"""What can start by itself: the schedules and sensors are off until somebody switches them on."""
+"""Schedules and sensors are off until they are switched on."""
 
 from datetime import UTC, datetime, timedelta
 
@@ -13,7 +13,7 @@ from tests.assets.laboratory import Laboratory
 RANGE = ("dagster/asset_partition_range_start", "dagster/asset_partition_range_end")
 
 
-def test_nothing_starts_by_itself(empty: Laboratory) -> None:
+def test_all_automation_is_off_by_default(empty: Laboratory) -> None:
     schedules = {schedule.name: schedule for schedule in defs.schedules or []}
     sensors = {sensor.name: sensor for sensor in defs.sensors or []}
     assert set(schedules) == {"nightly", "weekly"}
@@ -34,7 +34,7 @@ def test_the_job_takes_every_asset_and_check_but_those_of_arrived_recordings() -
 
 
 @pytest.mark.slow
-def test_as_many_nights_as_there_are_runs_make_every_run_of_every_mode_again_once(
+def test_as_many_nights_as_runs_re_simulate_every_run_once(
     empty: Laboratory,
 ) -> None:
     nightly = defs.resolve_schedule_def("nightly")

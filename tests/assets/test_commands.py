@@ -36,7 +36,7 @@ def checkout(campaign: Laboratory, tmp_path: Path) -> Path:
 
 
 def environment(checkout: Path) -> dict[str, str]:
-    """What a shell in the checkout would hand on."""
+    """The environment of a shell in the checkout."""
     ours = {name: value for name, value in os.environ.items() if not name.startswith("ORACLE_")}
     return ours | {
         "PWD": str(checkout),
@@ -56,7 +56,7 @@ def run(checkout: Path, *command: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_a_range_is_one_dagster_run_and_names_what_failed(checkout: Path) -> None:
+def test_a_range_is_one_dagster_run_and_names_failed_runs(checkout: Path) -> None:
     (checkout / "data/runs" / ATTACKED / "run001" / "manifest.json").write_text("{}")
     done = run(
         checkout, *MATERIALIZE, "--select", "+run_features", "--partition-range",

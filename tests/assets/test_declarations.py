@@ -1,4 +1,4 @@
-"""What every asset, check, job and setting tells whoever opens the UI."""
+"""The descriptions of every asset, check, job and setting in the UI."""
 
 import re
 from graphlib import TopologicalSorter
@@ -22,7 +22,7 @@ TABLES = [
 
 
 @pytest.mark.parametrize("asset", NODES, ids=lambda node: node.key.to_user_string())
-def test_every_asset_says_what_it_is_whose_where_and_of_what_kind(asset: Any) -> None:
+def test_every_asset_has_description_owner_path_and_kinds(asset: Any) -> None:
     summary, _, rest = (asset.description or "").partition("\n\n")
     assert summary.endswith(".")
     assert len(rest) > 40
@@ -44,12 +44,12 @@ def test_groups_read_from_left_to_right() -> None:
     assert order.index("simulation") < order.index("features") < order.index("oracle")
 
 
-def test_every_check_says_what_it_checks() -> None:
+def test_every_check_has_a_description() -> None:
     for key in GRAPH.asset_check_keys:
         assert len(GRAPH.get_check_spec(key).description or "") > 30, key
 
 
-def test_every_job_schedule_and_sensor_says_what_it_is_for() -> None:
+def test_every_job_schedule_and_sensor_has_a_description() -> None:
     jobs = [job for job in defs.resolve_all_job_defs() if not job.name.startswith("__")]
     assert {"everything", "simulate", "features", "report", "evaluate", "thesis"} <= {
         job.name for job in jobs
@@ -59,7 +59,7 @@ def test_every_job_schedule_and_sensor_says_what_it_is_for() -> None:
 
 
 def settings() -> list[tuple[str, Any]]:
-    """Every field of the config of ops and resources, by a name that tells where it is."""
+    """Every field of the config of ops and resources, by its path."""
     found = {}
     for job in defs.resolve_all_job_defs():
         for node in job.all_node_defs:

@@ -67,7 +67,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedLaborator
         yield laboratory
 
 
-def test_a_cluster_makes_the_runs_that_this_machine_makes(
+def test_a_cluster_gives_the_same_runs_as_this_machine(
     shared: SharedLaboratory, campaign: Laboratory
 ) -> None:
     assert [run.key for run in STORE.complete_runs()] == [PARTNER, KEY]
@@ -112,7 +112,7 @@ def test_progress_reaches_the_log_of_the_run(shared: SharedLaboratory) -> None:
     assert any(re.match(r"1 of 1 runs done in \d+ s, none failed\.", said) for said in messages)
 
 
-def test_what_is_complete_is_verified_and_left_alone(shared: SharedLaboratory) -> None:
+def test_complete_runs_are_only_verified(shared: SharedLaboratory) -> None:
     before = shared.objects()
     assert shared.materialize(PER_RUN, KEY).success
     assert shared.objects() == before
@@ -127,7 +127,7 @@ def test_features_alone_are_extracted_from_the_bag_in_the_bucket(shared: SharedL
     assert content_hash(read_table(place)) == version
 
 
-def test_a_damaged_run_is_named_and_made_again_whole(shared: SharedLaboratory) -> None:
+def test_a_damaged_run_is_reported_and_re_simulated(shared: SharedLaboratory) -> None:
     run = STORE.run(KEY)
     version = run.manifest().content_hash
     (run.graphs / "000000.gexf").unlink()
@@ -146,7 +146,7 @@ def test_a_damaged_run_is_named_and_made_again_whole(shared: SharedLaboratory) -
     assert bytes_on_disk(run.path) == run.manifest().measured.bytes
 
 
-def test_a_run_of_which_only_a_part_was_published_is_made_again(shared: SharedLaboratory) -> None:
+def test_a_partly_published_run_is_re_simulated(shared: SharedLaboratory) -> None:
     run = STORE.run(KEY)
     version = run.manifest().content_hash
     run.manifest_path.unlink()  # it comes last
@@ -155,7 +155,7 @@ def test_a_run_of_which_only_a_part_was_published_is_made_again(shared: SharedLa
     assert run.manifest().content_hash == version
 
 
-def test_a_run_that_comes_out_otherwise_for_no_reason_is_put_beside_the_one_in_the_bucket(
+def test_a_run_with_unexplained_differences_is_stored_beside_the_one_in_the_bucket(
     shared: SharedLaboratory,
 ) -> None:
     run = STORE.run(KEY)

@@ -1,4 +1,4 @@
-"""The evaluation's own checks are shown as they were found, each with its figure."""
+"""The checks of the evaluation are reported with their results and values."""
 
 from pathlib import Path
 
@@ -48,7 +48,7 @@ def test_red_fails_unsupported_warns_and_green_passes(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
-def test_without_an_evaluation_the_step_says_what_to_do(tmp_path: Path) -> None:
+def test_without_an_evaluation_the_error_states_the_remedy(tmp_path: Path) -> None:
     failure = shown(tmp_path).failure_data_for_node("checks_of_evaluation")
     assert failure is not None
     assert failure.user_failure_data is not None

@@ -1,4 +1,4 @@
-"""The five assets of a run: what is done, what is left alone, and what a failure leaves."""
+"""The five assets of a run: materialization, verification and failures."""
 
 import base64
 import re
@@ -24,7 +24,7 @@ def test_a_range_materializes_each_run_of_each_asset_once(campaign: Laboratory) 
         assert sorted(str(record.partition_key) for record in records) == sorted(KEYS)
 
 
-def test_figures_tell_what_a_run_was(campaign: Laboratory) -> None:
+def test_metadata_describes_the_run(campaign: Laboratory) -> None:
     manifest = campaign.store.run(KEY).manifest()
     run = campaign.figures("experiment_runs", KEY)
     assert (run["label"], run["outcome"]) == ("malicious", manifest.outcome)
@@ -39,7 +39,7 @@ def test_figures_tell_what_a_run_was(campaign: Laboratory) -> None:
     assert campaign.figures("window_features", KEY)["dagster/row_count"] > 1
 
 
-def test_a_run_is_seen_from_above_where_its_outcome_is(campaign: Laboratory) -> None:
+def test_the_metadata_of_a_run_has_its_picture(campaign: Laboratory) -> None:
     for key in KEYS:
         kept = (campaign.store.run(key).path / "picture.png").read_bytes()
         start, _, encoded = campaign.figures("experiment_runs", key)["picture"].partition("base64,")
@@ -49,7 +49,7 @@ def test_a_run_is_seen_from_above_where_its_outcome_is(campaign: Laboratory) -> 
         assert len(kept) < 40_000  # a thousand of them are in the event log
 
 
-def test_a_run_that_cannot_be_drawn_is_kept_and_says_why(copy_of_campaign: Laboratory) -> None:
+def test_a_run_that_cannot_be_drawn_is_kept_with_the_reason(copy_of_campaign: Laboratory) -> None:
     picture = copy_of_campaign.store.run(KEY).path / "picture.png"
     picture.unlink()
     picture.mkdir()  # so that nothing can be written there
@@ -70,7 +70,7 @@ def test_data_versions_are_hashes_of_the_content(campaign: Laboratory) -> None:
         assert len(set(of_asset.values())) == len(KEYS)
 
 
-def test_a_run_keeps_the_version_of_the_code_that_made_it(copy_of_campaign: Laboratory) -> None:
+def test_a_run_keeps_the_version_of_the_code_that_recorded_it(copy_of_campaign: Laboratory) -> None:
     run = copy_of_campaign.store.run(KEY)
     rewrite(run, lambda document: document["software"].update(code="of last year"))
     assert copy_of_campaign.materialize(["experiment_runs", "bags"], KEY).success
@@ -79,7 +79,7 @@ def test_a_run_keeps_the_version_of_the_code_that_made_it(copy_of_campaign: Labo
         assert tags["dagster/code_version"] == "of last year"
 
 
-def test_what_is_complete_is_verified_and_left_alone(copy_of_campaign: Laboratory) -> None:
+def test_complete_runs_are_only_verified(copy_of_campaign: Laboratory) -> None:
     before = copy_of_campaign.files()
     assert copy_of_campaign.materialize(PER_RUN, *BOTH).success
     assert copy_of_campaign.files() == before
@@ -88,7 +88,7 @@ def test_what_is_complete_is_verified_and_left_alone(copy_of_campaign: Laborator
             assert copy_of_campaign.figures(asset, key)["status"] == "verified"
 
 
-def test_features_alone_are_extracted_from_the_run_that_is_there(
+def test_features_alone_are_extracted_from_the_existing_run(
     copy_of_campaign: Laboratory,
 ) -> None:
     copy_of_campaign.store.run(KEY).feature_table("run").unlink()
@@ -106,7 +106,7 @@ def test_features_alone_are_extracted_from_the_run_that_is_there(
     assert copy_of_campaign.materialized("bags") == set()
 
 
-def test_bags_alone_leave_features_alone(copy_of_campaign: Laboratory) -> None:
+def test_selecting_bags_does_not_extract_features(copy_of_campaign: Laboratory) -> None:
     before = copy_of_campaign.files()
     assert copy_of_campaign.materialize(["bags"], KEY).success
     assert copy_of_campaign.files() == before
@@ -123,7 +123,7 @@ def test_a_changed_table_is_extracted_again(copy_of_campaign: Laboratory) -> Non
     assert place.read_bytes() == whole
 
 
-def test_one_bad_run_fails_alone_and_is_named(copy_of_campaign: Laboratory) -> None:
+def test_one_bad_run_fails_alone_and_is_reported(copy_of_campaign: Laboratory) -> None:
     bag = next(copy_of_campaign.store.run(KEY).bag.glob("*.mcap"))
     bag.write_bytes(bag.read_bytes()[:-1000])
     result = copy_of_campaign.materialize([*PER_RUN, "feature_dataset"], *BOTH)
@@ -158,7 +158,7 @@ def test_a_disk_without_room_fails_before_any_run(empty: Laboratory) -> None:
     assert not RunStore(root=str(empty.root)).complete_runs()
 
 
-def test_features_of_a_run_that_is_not_there_record_it_first(empty: Laboratory) -> None:
+def test_features_of_a_missing_run_record_it_first(empty: Laboratory) -> None:
     assert empty.materialize(["run_features"], KEY).success
     assert empty.store.run(KEY).is_complete()
     assert empty.figures("run_features", KEY)["status"] == "made"

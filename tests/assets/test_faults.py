@@ -1,4 +1,4 @@
-"""Processes that are killed at any moment, and two that want the same run at once."""
+"""Processes that are killed at any time, and concurrent requests for the same run."""
 
 import shutil
 import time
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow(8)
 KILLS = 3  # of everything, of a worker and of the caller; `python -m soak.faults` makes 50
 
 
-def test_a_campaign_killed_at_random_moments_ends_as_one_left_alone(tmp_path: Path) -> None:
+def test_a_campaign_killed_at_random_times_ends_like_an_undisturbed_one(tmp_path: Path) -> None:
     quiet, other = tmp_path / "quiet", tmp_path / "disturbed"
     complete(quiet)
     wrong = list(disturbed(other, KILLS, seed=0))
@@ -30,7 +30,7 @@ def test_a_campaign_killed_at_random_moments_ends_as_one_left_alone(tmp_path: Pa
     assert leftovers(other) == []
 
 
-def test_of_two_who_want_the_same_run_at_once_one_makes_it(tmp_path: Path) -> None:
+def test_of_two_concurrent_requests_for_a_run_one_simulates_it(tmp_path: Path) -> None:
     job = jobs(tmp_path)[0]
     outcomes = list(fan_out(process_run, [job, job], lambda: process_pool(2)))
     statuses = [o.result.assets["bags"].figures["status"] for o in outcomes if o.result]
@@ -38,7 +38,7 @@ def test_of_two_who_want_the_same_run_at_once_one_makes_it(tmp_path: Path) -> No
     assert leftovers(tmp_path) == []
 
 
-def test_tables_and_reports_killed_while_they_are_written_are_the_former_or_the_new(
+def test_a_killed_write_leaves_the_old_or_the_new_table_or_report(
     campaign: Laboratory, tmp_path: Path
 ) -> None:
     root = tmp_path / "data"
@@ -60,7 +60,7 @@ def test_tables_and_reports_killed_while_they_are_written_are_the_former_or_the_
     assert compared(root, expected) == []
 
 
-def test_an_evaluation_that_is_told_to_stop_ends_soon_and_leaves_nothing(
+def test_an_interrupted_evaluation_ends_soon_and_leaves_nothing(
     campaign: Laboratory, tmp_path: Path
 ) -> None:
     root = tmp_path / "data"

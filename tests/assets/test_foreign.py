@@ -115,7 +115,7 @@ def keys(seen: Any) -> list[str]:
     return [request.partition_key for request in seen.run_requests or []]
 
 
-def test_a_recording_is_requested_once_it_is_at_rest_and_then_once_for_each_change(
+def test_a_recording_is_requested_once_it_is_stable_and_once_for_each_change(
     watched: Watched, place: Path
 ) -> None:
     key = watched.arrive(place / "usual", "one")
@@ -165,7 +165,9 @@ def test_a_recording_that_was_cut_off_is_requested_after_a_while(
     assert keys(watched.tick()) == [key]
 
 
-def test_a_removed_recording_is_told_and_its_verdict_kept(watched: Watched, place: Path) -> None:
+def test_a_removed_recording_is_reported_and_its_verdict_kept(
+    watched: Watched, place: Path
+) -> None:
     key = watched.arrive(place / "usual", "gone")
     watched.tick()
     watched.tick()
@@ -175,11 +177,11 @@ def test_a_removed_recording_is_told_and_its_verdict_kept(watched: Watched, plac
     assert "Removed: gone." in seen.skip_message
     assert [event.partition for event in seen.asset_events] == [key]
     assert "gone" in watched.page()
-    assert not watched.tick().asset_events  # told once
+    assert not watched.tick().asset_events  # reported once
 
 
 @pytest.mark.parametrize("lacking", ["folder", "card"])
-def test_without_inbox_or_card_a_tick_says_what_to_do(
+def test_without_inbox_or_card_a_tick_states_the_remedy(
     watched: Watched, tmp_path: Path, lacking: str
 ) -> None:
     settings = {"folder": str(watched.folder), "card": __file__}
@@ -191,7 +193,7 @@ def test_without_inbox_or_card_a_tick_says_what_to_do(
                 else "nowhere") in seen.skip_message  # fmt: skip
 
 
-def test_each_recording_gets_its_verdict_and_a_bad_one_blocks_no_other(
+def test_each_recording_gets_its_verdict_and_a_bad_one_does_not_block_others(
     watched: Watched, place: Path
 ) -> None:
     odd = os.fsdecode(b"spinning \xff|...\x1b[2J")
@@ -236,7 +238,7 @@ def test_too_few_normal_recordings_are_a_warning(watched: Watched, place: Path) 
     assert "19 are needed" in check.description
 
 
-def test_a_recording_that_is_gone_before_its_run_says_so(watched: Watched) -> None:
+def test_a_recording_removed_before_its_run_is_an_error(watched: Watched) -> None:
     watched.laboratory.instance.add_dynamic_partitions(str(ARRIVALS.name), ["gone"])
     failed = watched.judge("gone")
     assert not failed.success
@@ -246,7 +248,7 @@ def test_a_recording_that_is_gone_before_its_run_says_so(watched: Watched) -> No
     assert "was removed or renamed" in str(data.user_failure_data.description)
 
 
-def test_the_check_can_be_shown_again_without_judging(watched: Watched, place: Path) -> None:
+def test_the_check_can_run_again_without_judging(watched: Watched, place: Path) -> None:
     key = watched.arrive(place / "spinning", "spinning")
     watched.laboratory.instance.add_dynamic_partitions(str(ARRIVALS.name), [key])
     assert watched.judge(key).success

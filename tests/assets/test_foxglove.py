@@ -1,4 +1,4 @@
-"""The Foxglove layout that ships with the project, held against a recorded run."""
+"""The Foxglove layout that ships with the project, compared with a recorded run."""
 
 import json
 import re
@@ -56,7 +56,7 @@ def test_each_panel_is_in_the_layout_once() -> None:
     assert {"3D", "Plot", "RawMessages", "RosOut", "StateTransitions"} <= set(kinds)
 
 
-def test_somebody_publishes_every_topic_of_the_layout(campaign: Laboratory) -> None:
+def test_every_topic_of_the_layout_has_a_publisher(campaign: Laboratory) -> None:
     run = campaign.store.run(KEY)
     graph = read_gexf(run.graphs / "run.gexf")
     published = {

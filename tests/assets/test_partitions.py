@@ -1,4 +1,4 @@
-"""Partitions: every run of every mode, as the environment says."""
+"""Partitions: every run of every mode, configured by the environment."""
 
 import os
 import re
@@ -27,7 +27,7 @@ def test_there_is_a_partition_for_every_run_of_every_mode_in_order() -> None:
 
 
 @pytest.mark.parametrize("value", ["0", "-1", "1.5", "many"])
-def test_a_count_that_makes_no_sense_is_named(value: str) -> None:
+def test_an_invalid_count_is_an_error_with_its_value(value: str) -> None:
     with pytest.raises(ConfigurationError, match=f"ORACLE_RUNS is '{value}'"):
         run_count({"ORACLE_RUNS": value})
 
@@ -50,7 +50,7 @@ def test_a_choice_of_modes_keeps_their_order(text: str, first: str, count: int) 
 
 
 @pytest.mark.parametrize("part", ["fake_objects", "Turtlebot3", ""])
-def test_a_choice_that_names_no_mode_is_refused(part: str) -> None:
+def test_a_choice_that_matches_no_mode_is_an_error(part: str) -> None:
     with pytest.raises(ConfigurationError, match=f"'{part}' matches no mode.*turtlebot3, atc"):
         chosen_modes({"ORACLE_MODES": f"fake_object,{part}"})
 
@@ -66,7 +66,7 @@ def test_the_range_of_make_run_is_the_six_modes_and_nothing_else() -> None:
 
 
 @pytest.mark.slow
-def test_scenario_files_are_partitions_and_a_broken_one_is_named_and_no_more(
+def test_scenario_files_are_partitions_and_an_invalid_one_is_only_logged(
     tmp_path: Path,
 ) -> None:
     scenario = (

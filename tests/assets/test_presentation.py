@@ -1,4 +1,4 @@
-"""What the UI is given: plain Python values, small pictures, readable tables."""
+"""Metadata for the UI: plain Python values, small pictures, readable tables."""
 
 import base64
 
@@ -58,7 +58,7 @@ def test_estimates_keep_their_intervals_and_gaps_are_empty() -> None:
     ]
 
 
-def test_columns_tell_unit_and_meaning() -> None:
+def test_columns_have_unit_and_meaning() -> None:
     described = {column.name: column for column in presentation.columns(TABLE).columns}
     assert described["mcc"].type == "float64"
     assert described["mcc"].description == "Matthews correlation [1]"

@@ -14,7 +14,7 @@ SIX = list(modes())[:6]
 
 
 def keys_of(command: str) -> list[str]:
-    """Return the partitions that a command asks for, under the settings that it makes."""
+    """Return the partitions of a command, under its settings."""
     words = shlex.split(command)
     settings = dict(word.split("=") for word in words if word.startswith("ORACLE_"))
     first, last = words[words.index("--partition-range") + 1].split("...")
@@ -30,18 +30,18 @@ def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("blocks", [3, 20])
-def test_the_command_asks_for_every_run_that_is_needed(blocks: int) -> None:
+def test_the_command_covers_every_needed_run(blocks: int) -> None:
     keys = keys_of(record_command(SIX, blocks))
     assert keys == [f"{mode}|run{run:03d}" for mode in SIX for run in range(blocks)]
 
 
-def test_a_beginning_of_names_stands_for_all_modes_that_have_it() -> None:
+def test_a_prefix_selects_all_modes_with_it() -> None:
     benign = [mode for mode in modes() if mode.startswith("benign_")]
     asked_for = {key.partition("|")[0] for key in keys_of(record_command(["benign_*"], 2))}
     assert asked_for == set(benign)
 
 
-def test_settings_of_the_campaign_are_said_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_settings_of_the_campaign_are_repeated(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ORACLE_HOME", "my campaign")
     monkeypatch.setenv("ORACLE_GOALS_PER_RUN", "4")
     monkeypatch.setenv("ORACLE_RUNS", "60")
@@ -50,7 +50,7 @@ def test_settings_of_the_campaign_are_said_again(monkeypatch: pytest.MonkeyPatch
     assert re.search(r"run000\.\.\.delayed_fakeobject\|run019", command)
 
 
-def test_modes_that_are_no_partitions_now_become_some(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_modes_that_are_not_partitions_are_enabled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ORACLE_MODES", "fake_object")
     assert "ORACLE_MODES" not in record_command(["fake_object"], 2)
     command = record_command(SIX, 2)

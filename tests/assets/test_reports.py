@@ -1,4 +1,4 @@
-"""The assets over all runs read what is on disk, and say so when that is too little."""
+"""The assets over all runs read the tables on disk, and report if there are too few."""
 
 import shutil
 from dataclasses import replace
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 AGGREGATES = [asset for asset in EVERYTHING if asset not in PER_RUN]
 
 
-def test_the_dataset_holds_every_run_that_is_there(campaign: Laboratory) -> None:
+def test_the_dataset_has_every_existing_run(campaign: Laboratory) -> None:
     df = read_table(campaign.store.dataset("features"))
     assert list(df["run_id"]) == sorted(KEYS)
     figures = campaign.figures("feature_dataset")
@@ -36,9 +36,7 @@ def test_a_run_that_ended_before_its_onset_is_left_out_and_named(
 
 
 @pytest.mark.parametrize("asset", AGGREGATES)
-def test_an_aggregate_knows_where_it_is_and_what_it_is_made_of(
-    campaign: Laboratory, asset: str
-) -> None:
+def test_an_aggregate_has_its_path_and_inputs(campaign: Laboratory, asset: str) -> None:
     materialization = campaign.latest(asset)
     assert materialization.partition is None
     assert isinstance(materialization.metadata["path"], dg.PathMetadataValue)
@@ -86,7 +84,7 @@ def test_the_same_runs_give_the_same_versions(
         assert ours["dagster/data_version"] == theirs["dagster/data_version"]
 
 
-def test_one_run_alone_is_reported_as_what_it_is(copy_of_campaign: Laboratory) -> None:
+def test_a_single_run_gives_a_report_with_notes(copy_of_campaign: Laboratory) -> None:
     features = copy_of_campaign.root / "features" / "run"
     shutil.rmtree(features / CONTROL)
     (features / ATTACKED / "run001.parquet").unlink()
@@ -95,7 +93,7 @@ def test_one_run_alone_is_reported_as_what_it_is(copy_of_campaign: Laboratory) -
     assert "no normal runs" in copy_of_campaign.store.report.read_text(encoding="utf-8")
 
 
-def test_no_runs_at_all_fail_with_what_to_do(empty: Laboratory) -> None:
+def test_without_runs_the_error_states_the_remedy(empty: Laboratory) -> None:
     result = empty.materialize(["feature_dataset"])
     failure = result.failure_data_for_node("feature_dataset")
     assert failure is not None

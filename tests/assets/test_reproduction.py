@@ -1,4 +1,4 @@
-"""A run that is simulated again: what the check says of it, and which run stays in use."""
+"""A re-simulated run: the result of the check, and which run stays in use."""
 
 import dataclasses
 import json
@@ -48,7 +48,7 @@ def recorded(laboratory: Laboratory) -> dict[str, tuple[int, int]]:
     return {path: as_of for path, as_of in laboratory.files().items() if path.startswith("runs/")}
 
 
-def test_a_run_that_comes_out_as_it_was_passes_and_one_that_is_verified_gives_no_result(
+def test_an_equal_re_simulation_passes_and_a_verified_run_gives_no_result(
     copy_of_campaign: Laboratory,
 ) -> None:
     run = copy_of_campaign.store.run(BOTH[0])
@@ -71,7 +71,7 @@ def test_a_run_that_comes_out_as_it_was_passes_and_one_that_is_verified_gives_no
     assert results(verified) == {}
 
 
-def test_other_software_or_another_recipe_explains_another_run_and_it_is_replaced(
+def test_other_software_or_recipe_explains_different_messages_and_the_run_is_replaced(
     copy_of_campaign: Laboratory,
 ) -> None:
     of_software, of_recipe = (copy_of_campaign.store.run(key) for key in BOTH)
@@ -96,7 +96,7 @@ def test_other_software_or_another_recipe_explains_another_run_and_it_is_replace
         assert not place_aside(run).path.exists()
 
 
-def test_a_difference_that_nothing_explains_fails_and_both_runs_are_kept(
+def test_an_unexplained_difference_fails_and_both_runs_are_kept(
     copy_of_campaign: Laboratory,
 ) -> None:
     run, other = (copy_of_campaign.store.run(key) for key in BOTH)
@@ -109,13 +109,13 @@ def test_a_difference_that_nothing_explains_fails_and_both_runs_are_kept(
     before = recorded(copy_of_campaign)
 
     outcome = ask(copy_of_campaign, refreshed_runs(BOTH[0], BOTH[0]))
-    assert outcome.success  # the check tells; what could be made is there
+    assert outcome.success  # only the check fails
     result = results(outcome)[run.key]
     assert not result.passed
     aside = place_aside(run)
-    told = {name: value.value for name, value in result.metadata.items()}
-    assert str(told.pop("first_difference")).startswith("/")
-    assert told == {
+    metadata = {name: value.value for name, value in result.metadata.items()}
+    assert str(metadata.pop("first_difference")).startswith("/")
+    assert metadata == {
         "former_hash": wrong,
         "new_hash": right,
         "former_path": str(run.path),
@@ -144,7 +144,7 @@ def test_the_first_message_that_differs_is_named(campaign: Laboratory) -> None:
     assert found.first_difference == f"{earlier.topic}, {seconds:.3f} s after the first message"
 
 
-def test_an_edited_manifest_and_a_dropped_bag_are_told_apart_from_other_messages(
+def test_an_edited_manifest_and_a_dropped_bag_are_distinguished_from_other_messages(
     campaign: Laboratory,
 ) -> None:
     run = campaign.store.run(KEYS[0])

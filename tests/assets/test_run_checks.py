@@ -1,4 +1,4 @@
-"""Each check passes on a sound run, and fails on a run with just the damage it is there for."""
+"""Each check passes on an undamaged run, and fails on one with only the damage to detect."""
 
 import shutil
 from collections.abc import Callable
@@ -46,9 +46,9 @@ def newest(laboratory: Laboratory, asset: dg.AssetKey, key: str) -> dg.EventLogR
 
 
 @pytest.mark.parametrize("check", ASSET_OF)
-def test_sound_runs_pass_each_with_a_result_of_its_own(campaign: Laboratory, check: str) -> None:
+def test_undamaged_runs_pass_with_separate_results(campaign: Laboratory, check: str) -> None:
     found = evaluations(campaign, check)
-    # The controls were there first, and had nothing to be compared with.
+    # The controls were recorded first, and had no counterpart yet.
     expected = KEYS[2:] if check == PAIR_CHECK else KEYS
     assert sorted(map(str, found)) == expected
     for key, evaluation in found.items():
@@ -148,7 +148,7 @@ Damage = Callable[[RunDirectory], None]
         ),
     ],
 )
-def test_damage_is_found(
+def test_damage_is_detected(
     copy_of_campaign: Laboratory, name: str, damage: Damage, said: str
 ) -> None:
     control, attacked = (copy_of_campaign.store.run(key) for key in (PARTNER, KEY))

@@ -45,12 +45,12 @@ def forget(laboratory: Laboratory, days: int) -> dict[str, Any]:
         instance=laboratory.instance,
         run_config={"ops": {"forget_runs": {"config": {"days": days}}}},
     )
-    (told,) = [e for e in done.all_events if e.event_type_value == "STEP_OUTPUT"]
-    return {name: value.value for name, value in told.step_output_data.metadata.items()}
+    (output,) = [e for e in done.all_events if e.event_type_value == "STEP_OUTPUT"]
+    return {name: value.value for name, value in output.step_output_data.metadata.items()}
 
 
 @pytest.mark.slow
-def test_old_runs_are_forgotten_but_for_those_that_something_points_at(empty: Laboratory) -> None:
+def test_old_runs_are_deleted_unless_they_hold_the_newest_state(empty: Laboratory) -> None:
     instance = empty.instance
     old = [small(empty, "by_letter", partition="b"), small(empty, "over_all")]
     in_use = [
@@ -70,8 +70,11 @@ def test_old_runs_are_forgotten_but_for_those_that_something_points_at(empty: La
     before = seen()
     assert forget(empty, days=1) == {"forgotten": 0, "old_and_in_use": 0}
     assert all(instance.has_run(run) for run in old)
-    told = forget(empty, days=0)
-    assert told == {"forgotten": len(old) + 1, "old_and_in_use": len(in_use)}  # and the job's first
+    deleted = forget(empty, days=0)
+    assert deleted == {
+        "forgotten": len(old) + 1,
+        "old_and_in_use": len(in_use),
+    }  # and the job's first
     assert not any(instance.has_run(run) for run in old)
     assert all(instance.has_run(run) for run in [*in_use, going_on])
     assert seen() == before

@@ -1,4 +1,4 @@
-"""The sensor asks for the runs of a mode whose scenario has changed, once."""
+"""The sensor requests the runs of a mode once when its scenario changes."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -58,7 +58,7 @@ def tick(laboratory: Laboratory, cursor: str | None) -> Any:
     return defs.resolve_sensor_def("changed_scenarios").evaluate_tick(context)
 
 
-def test_a_changed_scenario_asks_once_for_its_materialized_runs_and_no_others(
+def test_a_changed_scenario_requests_its_materialized_runs_once(
     watched: Laboratory, scenario: Path
 ) -> None:
     first = tick(watched, None)
@@ -80,7 +80,7 @@ def test_a_changed_scenario_asks_once_for_its_materialized_runs_and_no_others(
 
 
 @pytest.mark.slow
-def test_a_change_back_and_forth_is_asked_for_again(watched: Laboratory, scenario: Path) -> None:
+def test_a_change_back_and_forth_is_requested_again(watched: Laboratory, scenario: Path) -> None:
     cursor, asked = tick(watched, None).cursor, []
     original = scenario.read_text(encoding="utf-8")
     for change in ("B", None, "B"):
@@ -100,13 +100,13 @@ def test_a_change_back_and_forth_is_asked_for_again(watched: Laboratory, scenari
     assert len(asked) == len(set(asked)) == 6
 
 
-def test_a_new_layout_of_a_file_is_no_change(watched: Laboratory, scenario: Path) -> None:
+def test_a_changed_layout_of_a_file_does_not_count(watched: Laboratory, scenario: Path) -> None:
     cursor = tick(watched, None).cursor
     scenario.write_text("# A comment.\n" + scenario.read_text(encoding="utf-8"), encoding="utf-8")
     assert not tick(watched, cursor).run_requests
 
 
-def test_a_broken_file_is_named_and_asked_for_once_it_is_mended(
+def test_an_invalid_file_is_reported_and_requested_once_corrected(
     watched: Laboratory, scenario: Path
 ) -> None:
     cursor = tick(watched, None).cursor
@@ -120,7 +120,7 @@ def test_a_broken_file_is_named_and_asked_for_once_it_is_mended(
     assert len(tick(watched, broken.cursor).run_requests) == 2
 
 
-def test_a_changed_scenario_without_materialized_runs_asks_for_nothing(
+def test_a_changed_scenario_without_materialized_runs_requests_nothing(
     empty: Laboratory, scenario: Path
 ) -> None:
     cursor = tick(empty, None).cursor

@@ -1,4 +1,4 @@
-"""The job that searches a scenario: it reports what it found, and its misses are modes."""
+"""The job that searches a scenario: it reports its findings, and its misses are modes."""
 
 import json
 from pathlib import Path
@@ -15,7 +15,7 @@ from tests.assets.laboratory import Laboratory
 from tests.recorded_runs import RecordedRuns, linked
 
 
-def test_templates_are_attacks_on_the_robot_that_need_no_leave() -> None:
+def test_templates_are_attacks_on_the_robot_without_actuation() -> None:
     keys = TEMPLATES.get_partition_keys()
     assert {"range_drift", "odometry_reordered", "infrared_ghost"} <= set(keys)
     refused = ["fake_object", "command_scale", "benign_drop", "sensor_freeze", "atc_deadzone"]
@@ -24,7 +24,7 @@ def test_templates_are_attacks_on_the_robot_that_need_no_leave() -> None:
 
 
 @pytest.mark.slow
-def test_a_search_is_reported_and_goes_on(
+def test_a_search_is_reported_and_can_be_continued(
     copy_of_campaign: Laboratory, recorded_run: RecordedRuns, tmp_path: Path
 ) -> None:
     for run in range(5):

@@ -1,4 +1,4 @@
-"""What is kept of runs: the plan, what trimming and dropping leave, and bags made again."""
+"""Storage of runs: the plan, trimmed and dropped bags, and re-simulated bags."""
 
 import contextlib
 import dataclasses
@@ -51,7 +51,7 @@ def files(root: Path) -> dict[str, tuple[int, int]]:
     }
 
 
-def test_a_trimmed_bag_holds_what_features_decode_and_all_that_is_light(run: RunDirectory) -> None:
+def test_a_trimmed_bag_has_the_decoded_topics_and_all_small_ones(run: RunDirectory) -> None:
     with BagReader(run.bag) as bag:
         wanted = topics_of_features(bag)
         before = {message for message in bag.messages() if message.topic in wanted}
@@ -68,7 +68,7 @@ def test_a_trimmed_bag_holds_what_features_decode_and_all_that_is_light(run: Run
     assert inspect(Inspection("bag_is_complete", (run,))).wrong == []
 
 
-def test_what_is_dropped_is_the_bag_and_nothing_else(run: RunDirectory) -> None:
+def test_only_the_bag_is_dropped(run: RunDirectory) -> None:
     before, manifest = files(run.root), run.manifest()
     process(run, "recipe")
     gone = {name for name in before if name.startswith(f"runs/{ATTACKED}/run000/bag/")}
@@ -91,7 +91,7 @@ def test_a_run_is_never_given_more_than_it_has_and_verified_as_it_is(run: RunDir
     assert files(run.root) == before
 
 
-def test_features_and_picture_come_before_the_bag_goes(run: RunDirectory) -> None:
+def test_features_and_picture_are_computed_before_the_bag_is_dropped(run: RunDirectory) -> None:
     for table in ("run", "window"):
         run.feature_table(table).unlink()
     (run.path / "picture.png").unlink()
@@ -100,7 +100,7 @@ def test_features_and_picture_come_before_the_bag_goes(run: RunDirectory) -> Non
     assert (run.path / "picture.png").is_file()
 
 
-def test_features_of_a_dropped_run_make_its_bag_again_first(run: RunDirectory) -> None:
+def test_features_of_a_dropped_run_re_simulate_its_bag_first(run: RunDirectory) -> None:
     place = run.feature_table("run")
     features, hash_before = read_table(place), run.manifest().content_hash
     process(run, "recipe")
@@ -112,7 +112,7 @@ def test_features_of_a_dropped_run_make_its_bag_again_first(run: RunDirectory) -
     assert run.manifest().measured.kept == "full"
 
 
-def test_a_run_of_other_software_cannot_be_made_again_and_keeps_its_bag(run: RunDirectory) -> None:
+def test_a_run_of_other_software_is_not_reproducible_and_keeps_its_bag(run: RunDirectory) -> None:
     rewrite(run, lambda document: document["software"].update(code="of last year"))
     assert process(run, "recipe").kept == "full"
     assert run.bag.is_dir()
@@ -137,7 +137,7 @@ def test_other_software_makes_a_new_generation_with_features_of_its_own(run: Run
     assert run.manifest().software.code != "of last year"
 
 
-def test_the_same_software_that_makes_another_run_is_not_believed(run: RunDirectory) -> None:
+def test_different_messages_from_the_same_software_are_an_error(run: RunDirectory) -> None:
     process(run, "recipe")
     rewrite(run, lambda document: document.update(content_hash="0" * 64))
     before = files(run.root)
@@ -147,7 +147,7 @@ def test_the_same_software_that_makes_another_run_is_not_believed(run: RunDirect
     assert files(run.root) == before
 
 
-def test_the_command_makes_a_bag_again_and_leaves_a_whole_one_alone(run: RunDirectory) -> None:
+def test_remake_restores_a_bag_and_does_not_touch_a_complete_one(run: RunDirectory) -> None:
     before = content_hash(run.bag)
     process(run, "recipe")
     assert "room for" in CliRunner().invoke(storage, ["--root", str(run.root)]).output
@@ -165,7 +165,7 @@ def test_on_a_full_disk_a_run_stays_as_it_was(run: RunDirectory) -> None:
     assert files(run.root) == before
 
 
-def test_a_second_materialization_that_makes_runs_waits_for_the_first(tmp_path: Path) -> None:
+def test_a_second_materialization_of_runs_waits_for_the_first(tmp_path: Path) -> None:
     store, budget = RunStore(root=str(tmp_path)), StorageBudget()
     assert order_of_two(lambda: budget.alone(store)) == ["first", "second"]
 

@@ -76,7 +76,7 @@ def test_the_ui_shows_every_asset_with_kinds_owners_and_partitions(ui: Query) ->
             assert run["partitionKeys"] == [f"run{i:03d}" for i in range(15)]
 
 
-def test_the_ui_shows_what_can_start_by_itself_and_that_it_is_off(ui: Query) -> None:
+def test_the_ui_shows_automations_as_switched_off(ui: Query) -> None:
     repository = ui(
         "{ repositoriesOrError { ... on RepositoryConnection { nodes {"
         "  jobs { name } schedules { name scheduleState { status } }"
@@ -90,7 +90,7 @@ def test_the_ui_shows_what_can_start_by_itself_and_that_it_is_off(ui: Query) -> 
     assert {"name": "changed_scenarios", "sensorState": off} in repository["sensors"]
 
 
-def test_the_matrix_shows_which_runs_are_there(ui: Query) -> None:
+def test_the_matrix_shows_which_runs_exist(ui: Query) -> None:
     nodes = ui(
         "{ assetNodes { assetKey { path } assetPartitionStatuses { ... on MultiPartitionStatuses {"
         "  ranges { primaryDimStartKey primaryDimEndKey secondaryDim {"
@@ -106,7 +106,7 @@ def test_the_matrix_shows_which_runs_are_there(ui: Query) -> None:
 
 
 @pytest.mark.parametrize("asset", EVERYTHING)
-def test_nothing_is_stale_that_was_just_made(ui: Query, asset: str) -> None:
+def test_nothing_is_stale_right_after_materialization(ui: Query, asset: str) -> None:
     partition = f'(partition: "{KEY}")' if asset in PER_RUN else ""
     (node,) = ui(
         f'{{ assetNodes(assetKeys: [{{path: ["{asset}"]}}]) {{'

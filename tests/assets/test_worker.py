@@ -47,7 +47,7 @@ def test_an_air_traffic_run_becomes_all_five_assets_and_is_verified_then(
     assert again.assets["run_features"].version == report.assets["run_features"].version
 
 
-def test_features_and_signals_of_one_reading_are_those_of_two(recorded_run, tmp_path: Path) -> None:
+def test_features_and_signals_of_one_pass_equal_those_of_two(recorded_run, tmp_path: Path) -> None:
     run = linked(recorded_run("random_noise"), tmp_path)
     assert require_tables(run)
     kept = read_table(layout.traces(tmp_path) / run.mode / f"{run.run_id}.parquet")

@@ -1,6 +1,9 @@
 """Pages use today's terms, keep their lines short, and name only files that exist."""
 
+import ast
+import io
 import re
+import tokenize
 from collections.abc import Iterator
 
 import click
@@ -16,12 +19,52 @@ LONGEST = 100
 PROGRAMS = {"oracle": oracle, "oracle-sim": oracle_sim, "oracle-ui": oracle_ui}
 GENERATED = {"deploy/requirements.txt"}  # by make, and not committed
 GLOSSARY = DOCS / "reference" / "glossary.md"
+CHECKED_PACKAGES = (
+    "assets", "resources", "oracle_pipeline/clustering", "oracle_pipeline/comparison",
+    "oracle_pipeline/detectors", "oracle_pipeline/evaluation", "oracle_pipeline/graphs",
+    "oracle_pipeline/oracles", "oracle_pipeline/replay", "oracle_pipeline/reporting",
+    "oracle_pipeline/robots", "oracle_pipeline/scoring",
+)  # fmt: skip
+CHECKED_CODE = sorted(
+    file
+    for pattern in ("oracle_pipeline/*.py", *(f"{name}/**/*.py" for name in CHECKED_PACKAGES))
+    for file in REPOSITORY.glob(pattern)
+)
 
 
-def retired() -> list[tuple[re.Pattern[str], str]]:
-    lines = (DOCS / "retired_terms.txt").read_text("utf-8").splitlines()
+def retired(*files: str) -> list[tuple[re.Pattern[str], str]]:
+    """Return the retired terms of files in ``docs``, with their replacements."""
+    lines = [
+        line
+        for file in files or ("retired_terms.txt",)
+        for line in (DOCS / file).read_text("utf-8").splitlines()
+    ]
     pairs = [line.split(" => ") for line in lines if line and not line.startswith("#")]
     return [(re.compile(pattern, re.I), instead) for pattern, instead in pairs]
+
+
+def prose_of_code(source: str) -> Iterator[tuple[int, str]]:
+    """Yield the docstrings and comments of a module with their first lines."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            yield getattr(node, "lineno", 1), ast.get_docstring(node) or ""
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            yield token.start[0], token.string
+
+
+def retired_in_code(files: dict[str, str]) -> list[str]:
+    """Return the retired terms in docstrings and comments of sources by name."""
+    terms = retired("retired_terms.txt", "retired_terms_in_code.txt")
+    any_term = re.compile("|".join(pattern.pattern for pattern, _ in terms), re.I)
+    return [
+        f"{name}:{line}: {match[0]!r}: {instead}"
+        for name, source in files.items()
+        if any_term.search(" ".join(source.split()))  # parse only candidates, which is slow
+        for line, text in prose_of_code(source)
+        for pattern, instead in terms
+        for match in pattern.finditer(" ".join(text.split()))
+    ]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
@@ -40,6 +83,24 @@ def test_the_word_list_finds_what_it_is_for():
     assert {match[0] for pattern, _ in retired() for match in pattern.finditer(sentence)} == {
         "Right runs", "made again", "one a processor", "told apart"
     }  # fmt: skip
+
+
+def test_docstrings_and_comments_use_no_retired_term():
+    found = retired_in_code({name(file): file.read_text("utf-8") for file in CHECKED_CODE})
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ('"""A node that hears a topic."""', ["code:1: 'hears'"]),
+        ("x = 1  # for whoever asks", ["code:1: 'whoever'"]),
+        ('def f():\n    """Tell\n    what it is."""\n', ["code:1: 'Tell what'"]),
+        ('told = "told"  # names and strings are not checked', []),
+    ],
+)
+def test_a_retired_term_is_found_in_docstrings_and_comments_only(source, found):
+    assert [line.rpartition(": ")[0] for line in retired_in_code({"code": source})] == found
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)

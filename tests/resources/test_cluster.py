@@ -1,4 +1,4 @@
-"""The fleet on a Dask cluster of separate processes: what holds on this machine holds there."""
+"""The fleet on a Dask cluster of separate processes: the same laws hold as on this machine."""
 
 import math
 import os
@@ -61,13 +61,13 @@ def test_jobs_of_a_worker_that_died_are_done_by_another(fleet: Fleet, tmp_path: 
     assert sorted(o.result or 0 for o in outcomes) == list(range(6))
 
 
-def test_a_job_that_keeps_killing_its_worker_is_given_up_and_named(fleet: Fleet) -> None:
+def test_a_job_that_kills_workers_is_abandoned_with_an_error(fleet: Fleet) -> None:
     outcomes = {o.job: o for o in fleet.outcomes(die, range(3))}
     assert {job: o.result for job, o in outcomes.items()} == {0: 0, 1: None, 2: 2}
     assert "worker process died" in str(outcomes[1].error)
 
 
-def test_a_cluster_that_nobody_answers_at_is_named_with_a_way_out(
+def test_the_error_for_an_unreachable_cluster_states_a_remedy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(cluster, "PATIENCE_S", 0.5)
@@ -75,7 +75,7 @@ def test_a_cluster_that_nobody_answers_at_is_named_with_a_way_out(
         list(Fleet(address="tcp://127.0.0.1:9").outcomes(math.sqrt, [1.0]))
 
 
-def test_a_cluster_without_workers_is_named_with_a_way_out(
+def test_the_error_for_a_cluster_without_workers_states_a_remedy(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(cluster, "PATIENCE_S", 2)

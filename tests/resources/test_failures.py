@@ -1,4 +1,4 @@
-"""Errors that people can act on become failures that say how; defects keep their traceback."""
+"""Errors that users can fix become failures with a remedy; bugs keep their traceback."""
 
 import errno
 import os
@@ -13,7 +13,7 @@ from resources.failures import clear_failures
 @pytest.mark.parametrize(
     "code", [errno.ENOSPC, errno.EFBIG, errno.EACCES, errno.EROFS, errno.EDQUOT]
 )
-def test_a_disk_that_takes_no_more_is_named_with_a_way_out(code: int) -> None:
+def test_the_error_for_a_full_disk_states_a_remedy(code: int) -> None:
     with pytest.raises(dg.Failure) as caught, clear_failures():
         raise OSError(code, os.strerror(code), "/somewhere/run003")
     assert "/somewhere/run003" in str(caught.value.description)
@@ -26,6 +26,6 @@ def test_our_own_errors_keep_their_text() -> None:
     assert caught.value.description == "Run 3 is missing; record it."
 
 
-def test_a_defect_passes() -> None:
+def test_other_exceptions_propagate() -> None:
     with pytest.raises(ZeroDivisionError), clear_failures():
         _ = 1 / 0

@@ -22,11 +22,11 @@ def test_nothing_to_do_starts_nothing() -> None:
     assert list(Fleet().outcomes(math.sqrt, [])) == []
 
 
-def test_by_default_every_processor_works() -> None:
+def test_by_default_every_processor_is_used() -> None:
     assert Fleet().workers == os.cpu_count()
 
 
-def test_a_fleet_without_workers_is_refused() -> None:
+def test_a_fleet_without_workers_is_an_error() -> None:
     with pytest.raises(ValueError, match="workers"):
         Fleet(workers=0)
 

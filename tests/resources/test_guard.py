@@ -32,7 +32,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebServer]:
 def send(
     server: WebServer, method: str, path: str, *headers: tuple[str, str], body: str = ""
 ) -> tuple[int, str]:
-    """Send a request as it stands and return status and all of the answer."""
+    """Send a raw request, and return status and full response."""
     given = dict.fromkeys(name.lower() for name, _ in headers)
     lines = [f"{method} {path} HTTP/1.1"]
     if "host" not in given:
@@ -97,7 +97,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("request_", REFUSED.values(), ids=REFUSED)
-def test_what_a_foreign_page_could_send_is_refused(
+def test_requests_of_foreign_pages_are_rejected(
     server: WebServer, request_: tuple[str, str, list[tuple[str, str]]]
 ) -> None:
     method, path, headers = request_
@@ -143,7 +143,7 @@ def test_a_link_in_a_mail_opens_the_page_and_no_frame_shows_it(server: WebServer
     assert "x-frame-options: sameorigin" in answer.lower()
 
 
-def test_a_refusal_says_what_to_do(server: WebServer) -> None:
+def test_a_rejection_states_the_remedy(server: WebServer) -> None:
     _, answer = send(server, "GET", "/", ("Host", "oracle.lan"))
     assert "'oracle.lan'" in answer
     assert "ORACLE_UI_ORIGINS" in answer
@@ -174,7 +174,7 @@ def test_a_websocket_is_opened_to_our_own_pages_only(
         assert json.loads(wire.recv()) == {"type": "connection_ack"}
 
 
-def test_a_websocket_of_a_rebound_name_is_refused(server: WebServer) -> None:
+def test_a_websocket_with_a_rebound_name_is_rejected(server: WebServer) -> None:
     wire = socket.create_connection(("127.0.0.1", server.port))
     with pytest.raises(InvalidStatus, match="403"):
         connect("ws://evil.example:3000/graphql", sock=wire)
@@ -191,6 +191,6 @@ def test_the_allow_list_holds_origins_as_browsers_show_them() -> None:
 @pytest.mark.parametrize(
     "wrong", ["oracle.example.org", "*", "https://*.org", "https://a/b", "ftp://a", "https://u@a"]
 )
-def test_an_entry_that_is_no_origin_is_refused_with_advice(wrong: str) -> None:
+def test_the_error_for_an_invalid_origin_has_advice(wrong: str) -> None:
     with pytest.raises(OriginError, match="such as https://"):
         parse_origins(wrong)

@@ -1,4 +1,4 @@
-"""A Dagster run whose process was killed is failed, with the reason, and blocks nobody."""
+"""A Dagster run whose process was killed is marked as failed, and does not block the queue."""
 
 import os
 import shutil
@@ -42,7 +42,7 @@ def instance(home: Path) -> Iterator[dg.DagsterInstance]:
 
 
 def started_run(instance: dg.DagsterInstance) -> str:
-    """A run that Dagster believes to be executed by somebody."""
+    """A run that Dagster considers started."""
     run = instance.create_run_for_job(dg.GraphDefinition(name="anything").to_job())
     instance.report_dagster_event(
         dg.DagsterEvent(dg.DagsterEventType.RUN_START.value, run.job_name), run.run_id
@@ -113,7 +113,7 @@ def test_two_killed_commands_do_not_block_the_queue(
         assert "is gone" in reason
 
 
-def test_the_next_command_fails_what_the_last_one_left(
+def test_the_next_command_marks_lost_runs_as_failed(
     home: Path, instance: dg.DagsterInstance
 ) -> None:
     lost, other = started_run(instance), started_run(instance)
@@ -135,20 +135,18 @@ def test_the_next_command_fails_what_the_last_one_left(
     assert lost not in left
 
 
-def test_a_process_number_that_is_used_again_deceives_nobody(
+def test_a_reused_process_id_is_not_mistaken_for_the_run(
     home: Path, instance: dg.DagsterInstance
 ) -> None:
     lost = started_run(instance)
     (home / "run_processes").mkdir()
-    alive = f"process {os.getpid()} on this machine"  # the number is that of somebody who lives
+    alive = f"process {os.getpid()} on this machine"  # a living process has this number
     (home / "run_processes" / lost).write_text(alive)
     assert fail_lost_runs(instance) == [lost]
     assert alive in reasons(instance, lost)[0]
 
 
-def test_a_run_of_another_machine_is_left_alone(
-    instance: dg.DagsterInstance, tmp_path: Path
-) -> None:
+def test_a_run_of_another_machine_is_ignored(instance: dg.DagsterInstance, tmp_path: Path) -> None:
     elsewhere = started_run(instance)  # its file is below the folder of that machine's instance
     assert fail_lost_runs(instance) == []
     here = started_run(instance)

@@ -44,7 +44,7 @@ def test_no_block_keeps_more_than_one_before_it(of, available):
 
 
 @given(blocks)
-def test_where_everything_fits_everything_is_kept(of):
+def test_everything_is_kept_if_it_fits(of):
     everything = taken(of, dict.fromkeys(of, "full"))
     assert set(plan(of, everything).values()) <= {"full"}
 
@@ -66,9 +66,9 @@ def test_four_blocks_of_two_runs(available, kept):
     assert " ".join(plan({block: [RUN, RUN] for block in range(4)}, available).values()) == kept
 
 
-def test_what_does_not_fit_is_told_with_what_would():
-    told = pytest.raises(StorageError, match=r"4 blocks .* do not fit.*first 2 blocks would fit")
-    with told:
+def test_the_error_states_the_number_of_blocks_that_fit():
+    error = pytest.raises(StorageError, match=r"4 blocks .* do not fit.*first 2 blocks would fit")
+    with error:
         plan({block: [Sizes(10**7, 10**7, 10**6)] for block in range(4)}, 2_500_000)
 
 
@@ -81,7 +81,7 @@ def test_a_budget_is_bytes_with_or_without_a_unit(text, size):
 
 
 @pytest.mark.parametrize("text", ["much", "2 apples", "-"])
-def test_a_budget_that_is_no_size_is_told(text):
+def test_an_invalid_budget_is_an_error(text):
     with pytest.raises(StorageError, match="ORACLE_STORAGE_BUDGET.*20GiB"):
         parse_budget(text)
 
@@ -110,21 +110,21 @@ def test_everything_below_the_root_is_counted_and_each_file_to_its_run(tmp_path:
     assert (stock.runs[run].bag, stock.runs[run].rest) == (2 * page, (1 + 3 + 4 + 5) * page)
 
 
-def test_with_room_for_much_more_nothing_is_planned_away(tmp_path: Path) -> None:
+def test_with_ample_space_everything_is_kept(tmp_path: Path) -> None:
     wanted = [RunStore(root=str(tmp_path)).run(f"a|run00{number}") for number in range(3)]
     made = make_plan(tmp_path, wanted, budget=10**9, reserve=0, workers=2, goals=8)
     assert dict(made.kept) == dict.fromkeys(range(3), "full")
     assert made.blocks_ahead == 3
 
 
-def test_where_no_run_was_measured_one_block_is_made_to_measure(tmp_path: Path) -> None:
+def test_without_measured_runs_one_block_is_recorded_first(tmp_path: Path) -> None:
     wanted = [RunStore(root=str(tmp_path)).run(f"a|run{number:03d}") for number in range(100)]
     made = make_plan(tmp_path, wanted, budget=100_000_000, reserve=0, workers=2, goals=8)
     assert set(made.kept.values()) == {"recipe"}
     assert made.blocks_ahead == 1
 
 
-def test_where_not_even_a_first_run_fits_nothing_begins(tmp_path: Path) -> None:
+def test_if_no_run_fits_nothing_starts(tmp_path: Path) -> None:
     wanted = [RunStore(root=str(tmp_path)).run("a|run000")]
     with pytest.raises(StorageError, match="do not fit"):
         make_plan(tmp_path, wanted, budget=1000, reserve=0, workers=2, goals=8)

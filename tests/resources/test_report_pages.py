@@ -1,4 +1,4 @@
-"""The report opens from the UI, and nothing that stands in it can use the UI."""
+"""The report opens from the UI, and its content cannot use the UI."""
 
 import pytest
 import requests
@@ -32,7 +32,7 @@ def get(server, path, **headers):
 
 
 @pytest.mark.parametrize(("path", "text"), [("/", "the report"), ("/runs/one.html", "one run")])
-def test_pages_are_served_without_leave_to_run_scripts(server, path, text):
+def test_pages_are_served_with_scripts_forbidden(server, path, text):
     status, page, headers = get(server, path)
     assert (status, text in page) == (200, True)
     assert "sandbox; default-src 'none'" in headers["Content-Security-Policy"]
@@ -48,11 +48,11 @@ def test_nothing_outside_the_report_is_served(server, path):
     assert "secret" not in page
 
 
-def test_the_guard_stands_before_the_report(server):
+def test_the_guard_protects_the_report(server):
     assert get(server, "/", Host="evil.example")[0] == 403
 
 
-def test_before_there_is_a_report_dagster_is_not_disturbed(tmp_path):
+def test_without_a_report_dagsters_pages_still_work(tmp_path):
     with web_server(tmp_path, ORACLE_HOME=str(tmp_path / "none")) as started:
         assert get(started, "/")[0] == 404
         assert started.runs() == 0

@@ -1,4 +1,4 @@
-"""Whoever starts a run chooses no host to connect to and no place to write to."""
+"""A run config cannot choose a host to connect to or a path to write to."""
 
 from collections.abc import Iterator
 
@@ -38,7 +38,7 @@ def text_fields(kind: object, path: tuple[str, ...] = ()) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("job", JOBS.values(), ids=JOBS)
-def test_no_text_in_a_runs_config_names_a_host_or_a_place(job: dg.JobDefinition) -> None:
+def test_the_run_config_cannot_set_a_host_or_a_path(job: dg.JobDefinition) -> None:
     found = set(text_fields(job.run_config_schema.config_type))
     assert found  # the walk sees the schema
     assert found <= HARMLESS_TEXT
@@ -53,7 +53,7 @@ def test_no_text_in_a_runs_config_names_a_host_or_a_place(job: dg.JobDefinition)
     ],
 )
 @pytest.mark.parametrize("job", JOBS.values(), ids=JOBS)
-def test_a_run_config_that_names_one_is_refused(
+def test_a_run_config_with_a_host_or_path_is_an_error(
     job: dg.JobDefinition, resource: str, setting: str, value: str
 ) -> None:
     config = {"resources": {resource: {"config": {setting: value}}}}

@@ -1,4 +1,4 @@
-"""The run store: its layout, and what it says when it cannot be written to."""
+"""The run store: its layout, and errors if it is not writable."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -28,14 +28,14 @@ def test_places_are_those_that_users_and_tools_call(tmp_path: Path) -> None:
     ]
 
 
-def test_a_new_root_is_made_and_left_empty(tmp_path: Path) -> None:
+def test_a_new_root_is_created_empty(tmp_path: Path) -> None:
     store = RunStore(root=str(tmp_path / "new" / "root"))
     store.require_writable()
     assert list(store.path.iterdir()) == []
 
 
 @pytest.mark.parametrize("root", ["/proc/oracle", "/dev/null/oracle"])
-def test_a_root_that_cannot_be_written_to_is_named_with_a_way_out(root: str) -> None:
+def test_the_error_for_an_unwritable_root_states_a_remedy(root: str) -> None:
     with pytest.raises(dg.Failure, match=f"{root}.*ORACLE_HOME"):
         RunStore(root=root).require_writable()
 
@@ -73,7 +73,7 @@ def test_a_folder_is_read_and_written_where_it_is(tmp_path: Path) -> None:
         assert (read, written) == (tmp_path, tmp_path / "report")
 
 
-def test_what_is_published_is_fetched_and_nothing_else(bucket: RunStore) -> None:
+def test_exactly_the_published_files_are_fetched(bucket: RunStore) -> None:
     place = bucket.results("a")
     with published(place, last="summary.json") as folder:
         write(folder, "summary.json", "figures/old.png")
@@ -86,7 +86,7 @@ def test_what_is_published_is_fetched_and_nothing_else(bucket: RunStore) -> None
     assert not folder.exists()
 
 
-def test_what_tells_that_a_folder_is_whole_comes_last(bucket: RunStore) -> None:
+def test_the_completion_marker_is_published_last(bucket: RunStore) -> None:
     place = bucket.results("a")
     for _ in range(2):  # new, and in the place of a former one
         with published(place, last="b.json") as folder:
@@ -119,6 +119,6 @@ def test_a_table_in_a_bucket_is_replaced_as_a_whole(bucket: RunStore) -> None:
     assert read.attrs == df.attrs
 
 
-def test_a_root_of_an_unknown_kind_is_named_with_a_way_out() -> None:
+def test_the_error_for_an_unknown_kind_of_root_states_a_remedy() -> None:
     with pytest.raises(dg.Failure, match="nosuch://bucket.*ORACLE_HOME"):
         RunStore(root="nosuch://bucket").require_writable()

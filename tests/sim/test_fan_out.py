@@ -55,7 +55,7 @@ def test_jobs_of_a_worker_that_died_are_done_by_another(tmp_path):
     assert sorted(o.result for o in outcomes) == [0, 1, 2, 3]
 
 
-def test_a_job_that_keeps_killing_its_worker_is_given_up_and_named():
+def test_a_job_that_kills_workers_is_abandoned_with_an_error():
     outcomes = {o.job: o for o in fan_out(die, range(2), lambda: process_pool(1))}
     assert outcomes[0].result == 0
     assert "worker process died" in outcomes[1].error

@@ -93,7 +93,7 @@ def test_every_join_is_of_two_clusters_that_are_nearest_even_if_others_are_as_ne
 
 
 @given(tied_rows(), methods, st.integers(0, 40))
-def test_equal_rows_are_never_parted(rows, method, more):
+def test_equal_rows_are_never_separated(rows, method, more):
     X, copies = rows
     distinct = len(np.unique(X, axis=0))
     tree = grow_tree(X, method, copies)
@@ -102,7 +102,7 @@ def test_equal_rows_are_never_parted(rows, method, more):
 
 
 @given(rows_and_copies(), methods)
-def test_rows_count_once_if_nothing_is_said(rows, method):
+def test_rows_count_once_by_default(rows, method):
     X, _ = rows
     assert np.allclose(grow_tree(X, method).merges, linkage(X, method), rtol=1e-9)
 
@@ -125,7 +125,7 @@ def test_many_rows_give_the_tree_of_scipy(method, features):
 
 
 @pytest.mark.parametrize("method", ["ward", "single"])
-def test_memory_grows_with_the_rows_and_not_with_their_pairs(method):
+def test_memory_is_linear_in_the_number_of_rows(method):
     X = np.random.default_rng(0).normal(size=(6000, 3))
     tracemalloc.start()
     grow_tree(X, method)
@@ -135,6 +135,6 @@ def test_memory_grows_with_the_rows_and_not_with_their_pairs(method):
 
 
 @pytest.mark.parametrize("method", ["complete", "average"])
-def test_a_matrix_that_does_not_fit_is_refused_before_it_is_made(method):
+def test_a_matrix_that_does_not_fit_is_an_error_before_allocation(method):
     with pytest.raises(ClusteringError, match="15001 rows needs a matrix of 2 GB; use ward or sin"):
         grow_tree(np.zeros((MATRIX_ROWS + 1, 1)), method)

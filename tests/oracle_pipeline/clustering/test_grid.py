@@ -31,7 +31,7 @@ def test_distances_in_a_metric_are_half_the_squares_of_those_of_its_rows(metric,
         ({"select_by": "luck"}, "no measure 'luck'"),
     ],
 )
-def test_a_setting_that_does_not_exist_is_refused_with_those_that_do(settings, said):
+def test_the_error_for_an_unknown_setting_lists_the_known_ones(settings, said):
     with pytest.raises(ClusteringError, match=said):
         Grid(**settings)
 

@@ -22,7 +22,7 @@ def scaled(table, **floors):
 
 @settings(max_examples=40)
 @given(tables)
-def test_scaled_features_are_finite_and_bounded_whatever_comes(array):
+def test_scaled_features_are_finite_and_bounded_for_any_input(array):
     table = pd.DataFrame(array, columns=[f"f.{i}" for i in range(array.shape[1])])
     scaler = FlooredRobustScaler().fit(table)
     X = scaler.transform(table)
@@ -46,13 +46,13 @@ def test_a_normal_column_gets_unit_deviation():
     assert np.median(X) == 0.0
 
 
-def test_a_constant_column_says_nothing_even_with_rounding_noise():
+def test_a_constant_column_becomes_0_even_with_rounding_noise():
     noise = 0.1 + 1e-17 * np.arange(8) + np.array([0, 1, 2, 3] * 2) * 2.8e-17
     X = scaled(frame(constant=np.full(8, 4.2), noisy=noise, zero=np.zeros(8)))
     assert np.abs(X).max() < 1e-6
 
 
-def test_one_odd_run_in_a_constant_column_does_not_swamp_the_others():
+def test_one_outlier_in_a_constant_column_does_not_dominate_the_others():
     x = np.r_[np.zeros(99), 1.0]
     assert np.abs(scaled(frame(x=x))).max() <= CLIP
     assert scaled(frame(x=x), x=0.1).max() == pytest.approx(10.0)
@@ -73,7 +73,7 @@ def test_missing_values_become_the_median_and_are_indicated():
     assert X[:, 2].tolist() == [1.0, 0.0, 0.0, 1.0]
 
 
-def test_what_was_learnt_from_some_runs_applies_to_others():
+def test_a_fitted_scaler_applies_to_other_runs():
     scaler = clone(FlooredRobustScaler({"x": 0.5})).fit(frame(x=[1, 2, 3]))
     assert scaler.transform(frame(x=[2])).tolist() == [[0.0]]
     assert scaler.center_.tolist() == [2.0]

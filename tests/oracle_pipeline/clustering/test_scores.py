@@ -34,7 +34,7 @@ def test_hac_height_is_the_lowest_height_that_holds_half_of_the_reference(tree, 
     assert hac_height(tree, reference).tolist() == slow_hac_height(tree, reference).tolist()
 
 
-def test_an_odd_run_joins_the_majority_last():
+def test_an_anomalous_run_joins_the_majority_last():
     X = np.r_[np.random.default_rng(0).normal(size=(40, 3)), [[30.0, 0.0, 0.0]]]
     for method in LINKAGES:
         assert hac_height(grow_tree(X, method)).argmax() == 40
@@ -49,21 +49,21 @@ def test_a_chain_of_ten_thousand_runs_needs_no_recursion():
     assert height[-1] == n - 1
 
 
-def test_a_reference_without_runs_is_refused():
+def test_a_reference_without_runs_is_an_error():
     tree = grow_tree(np.eye(3))
     with pytest.raises(ClusteringError, match="No row is marked as reference"):
         hac_height(tree, np.zeros(3, dtype=bool))
 
 
 @given(trees(), st.floats(0.0, 1.0))
-def test_small_cluster_score_is_one_less_the_share_of_the_own_cluster(tree, kappa):
+def test_small_cluster_score_is_one_minus_the_share_of_the_runs_cluster(tree, kappa):
     clusters = tree.cut("maxclust", max(1, round(kappa * len(tree))))
     shares = [(clusters == own).sum() / len(tree) for own in clusters]
     assert np.allclose(small_cluster_score(tree, kappa), 1.0 - np.array(shares))
 
 
 @given(st.lists(st.integers(1, 4), min_size=1, max_size=20))
-def test_what_is_outside_the_largest_cluster_is_never_the_most_common(clusters):
+def test_rows_outside_the_largest_cluster_are_never_the_most_common(clusters):
     names = np.array(clusters, dtype=np.int32)
     inside = names[~outside_largest(names)]
     assert len(set(inside.tolist())) == 1

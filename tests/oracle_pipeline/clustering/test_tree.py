@@ -11,7 +11,7 @@ def copied_rows(seed):
 
 @pytest.mark.parametrize("method", LINKAGES)
 @pytest.mark.parametrize("t", [2.0, 3.0, 4.0])
-def test_there_are_at_most_as_many_clusters_as_asked_for(method, t):
+def test_there_are_at_most_as_many_clusters_as_requested(method, t):
     tree = grow_tree(copied_rows(0), method)
     assert tree.method == method
     assert len(np.unique(tree.cut("maxclust", t))) <= t
@@ -24,7 +24,7 @@ def test_a_tree_counts_copies(method):
 
 
 @pytest.mark.parametrize("method", LINKAGES)
-def test_a_row_beside_known_ones_grows_the_tree_of_all_of_them(method):
+def test_a_tree_with_one_more_row_equals_the_tree_of_all_rows(method):
     rng = np.random.default_rng(1)
     reference, rows = rng.normal(size=(30, 4)), rng.normal(size=(5, 4))
     for row, tree in zip(rows, trees_with(reference, rows, method), strict=True):
@@ -33,6 +33,6 @@ def test_a_row_beside_known_ones_grows_the_tree_of_all_of_them(method):
 
 
 @pytest.mark.parametrize("shape", [(1, 3), (0, 3), (5, 0)])
-def test_what_cannot_be_clustered_is_refused(shape):
+def test_rows_that_cannot_be_clustered_are_an_error(shape):
     with pytest.raises(ClusteringError, match=f"{shape[0]} rows of {shape[1]} features"):
         grow_tree(np.zeros(shape))

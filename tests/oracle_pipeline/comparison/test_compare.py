@@ -1,4 +1,4 @@
-"""Comparing sets: pairs where blocks are the same, resolution, and words about what limits it."""
+"""Comparing sets: pairs where blocks are the same, resolution, and notes on limitations."""
 
 from typing import Any
 
@@ -34,7 +34,7 @@ def test_a_set_does_not_differ_from_itself() -> None:
     assert compare(normal, normal).outcome == "same"
 
 
-def test_equal_blocks_are_compared_in_pairs_in_whatever_order_they_come() -> None:
+def test_equal_blocks_are_compared_in_pairs_in_any_order() -> None:
     goals = np.array([3.0, 40.0, 12.0, 7.0, 25.0, 18.0])  # blocks differ far more than the sets
     first, second = reference(goals), reference(goals + 1.0, mode="other")
     shuffled = Reference(second.table.sample(frac=1.0, random_state=3))
@@ -53,7 +53,7 @@ def test_recordings_without_a_manifest_have_no_partners() -> None:
     assert comparison.pairs == 0
 
 
-def test_a_difference_below_the_resolution_is_none() -> None:
+def test_a_difference_below_the_resolution_does_not_count() -> None:
     table = reference([0.0, 0.1, 0.2, 10.0]).table
     steps = resolved_values(table[["drive.path"]], table)
     assert steps[:, 0].tolist() == [0.0, 0.0, 0.0, 20.0]
@@ -79,9 +79,7 @@ def test_a_topic_that_one_set_lacks_is_a_difference(seen: Any, element: str) -> 
 
 
 @pytest.mark.parametrize("paired", [False, True])
-def test_the_number_that_is_said_to_be_needed_is_the_fewest_that_can_differ(
-    *, paired: bool
-) -> None:
+def test_the_stated_number_of_recordings_is_the_smallest_sufficient_one(*, paired: bool) -> None:
     def lowest_p(n: int) -> float:
         rows = np.arange(n, dtype=np.float64)[:, None]
         return (MatchedPairs if paired else TwoSamples)(rows, rows + 1.0).lowest_p
@@ -91,12 +89,12 @@ def test_the_number_that_is_said_to_be_needed_is_the_fewest_that_can_differ(
         assert lowest_p(n) <= level < lowest_p(n - 1)
 
 
-def test_sets_of_one_session_each_are_told_to_differ_by_day() -> None:
+def test_a_note_warns_of_sets_with_one_session_each() -> None:
     comparison = compare(reference(np.arange(6.0)), reference(np.arange(6.0), session=1))
     assert any("may be due to the session" in note for note in comparison.notes)
 
 
-def test_sets_that_show_nothing_are_refused() -> None:
+def test_sets_without_varying_features_are_an_error() -> None:
     with pytest.raises(ComparisonError, match="No feature varies"):
         compare(reference(np.zeros(6)), reference(np.zeros(6)))
     with pytest.raises(ComparisonError, match="1 recording"):

@@ -1,4 +1,4 @@
-"""``oracle compare`` on real recordings: what it tells, and how it ends."""
+"""``oracle compare`` on real recordings: output and exit codes."""
 
 import json
 from pathlib import Path
@@ -28,7 +28,7 @@ def compare(*arguments: object) -> Result:
 
 
 @pytest.mark.slow
-def test_attacked_runs_differ_from_normal_ones_and_the_files_say_where(
+def test_attacked_runs_differ_from_normal_ones_and_the_files_have_the_differences(
     sets: dict[str, Path], tmp_path: Path
 ) -> None:
     junit, picture = tmp_path / "compare.xml", tmp_path / "compare.png"
@@ -58,7 +58,7 @@ def test_too_few_recordings_give_no_verdict_and_the_number_that_is_needed(
     assert "Record 6 pairs" in result.stdout
 
 
-def test_a_folder_without_recordings_is_named(tmp_path: Path) -> None:
+def test_a_folder_without_recordings_is_an_error_with_its_name(tmp_path: Path) -> None:
     result = compare(tmp_path, tmp_path)
     assert result.exit_code == 2
     assert str(tmp_path) in result.stderr

@@ -53,7 +53,9 @@ def _distance(first: np.ndarray, second: np.ndarray) -> float:
 
 
 @given(arrays(np.float64, (8, 5), elements=st.integers(0, 4)), st.sampled_from([-1.0, 1.0]))
-def test_neither_the_order_of_the_sets_nor_a_scale_matters(values: np.ndarray, sign: float) -> None:
+def test_p_values_do_not_depend_on_the_order_of_sets_or_on_scale(
+    values: np.ndarray, sign: float
+) -> None:
     first, second = values[:4], values[4:]
     forward, backward = TwoSamples(first, second), TwoSamples(sign * 3 * second, sign * 3 * first)
     np.testing.assert_allclose(p_values(forward), p_values(backward))
@@ -76,7 +78,7 @@ def test_a_feature_without_values_or_without_spread_never_differs() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("paired", [False, True])
-def test_equal_sets_differ_no_more_often_than_the_level_says(*, paired: bool) -> None:
+def test_equal_sets_differ_at_most_as_often_as_the_level(*, paired: bool) -> None:
     rng = np.random.default_rng(4)
     false = 0
     for _ in range(200):  # features depend on each other, have ties and gaps
@@ -86,10 +88,10 @@ def test_equal_sets_differ_no_more_often_than_the_level_says(*, paired: bool) ->
         first, second = values[:10], values[10:]
         design = MatchedPairs(first, second) if paired else TwoSamples(first, second)
         false += bool(adjusted_p_values(design, rng).min() <= 0.05)
-    assert false <= 17  # 10 are expected; more than 17 happen to a right test once in 90
+    assert false <= 17  # 10 are expected; a correct test exceeds 17 once in 90
 
 
-def test_a_shift_of_one_feature_among_many_is_found_and_no_other() -> None:
+def test_a_shift_of_one_feature_among_many_is_the_only_difference_found() -> None:
     rng = np.random.default_rng(1)
     first, second = rng.normal(size=(10, 200)), rng.normal(size=(10, 200))
     second[:, 7] += 4.0

@@ -1,4 +1,4 @@
-"""Features of a campaign as it would give them, with as much of an attack in them as asked for."""
+"""Synthetic features of a campaign, with attacks of a given effect."""
 
 import json
 

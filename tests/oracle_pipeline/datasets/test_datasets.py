@@ -33,7 +33,7 @@ def changed(table, **columns):
 
 @settings(max_examples=10)
 @given(st.permutations(each_run(CAMPAIGN)))
-def test_the_order_in_which_runs_come_does_not_matter(tables):
+def test_the_order_of_runs_does_not_matter(tables):
     joined = feature_dataset(tables)
     pd.testing.assert_frame_equal(joined, feature_dataset(each_run(CAMPAIGN)))
     assert list(joined["run_id"]) == sorted(CAMPAIGN["run_id"])
@@ -47,7 +47,7 @@ def test_columns_are_found_by_family():
     assert feature_floors(CAMPAIGN) == {"structural.density": 1e-4, "contextual.duration": 0.1}
 
 
-def test_a_feature_that_a_run_lacks_is_missing_if_the_run_says_why():
+def test_a_feature_that_a_run_lacks_is_nan_if_there_is_a_reason():
     first, second = each_run(CAMPAIGN)[:2]
     second = second.drop(columns="structural.entropy")
     second["missing"] = '{"structural.entropy": "ValueError: no graph"}'
@@ -73,12 +73,12 @@ REDECLARED.attrs["fields"] = {**FIELDS, "contextual.duration": {"unit": "ns", "f
         ([FIRST, REDECLARED], "'contextual.duration'.*'ns'.*elsewhere.*'s'"),
     ],
 )
-def test_tables_that_do_not_fit_are_refused_by_name(tables, said):
+def test_inconsistent_tables_are_an_error_with_the_run(tables, said):
     with pytest.raises(DatasetError, match=said):
         feature_dataset(tables)
 
 
-def test_a_table_comes_back_from_parquet_with_its_units(tmp_path):
+def test_a_table_survives_parquet_with_its_units(tmp_path):
     path = tmp_path / "datasets" / "features.parquet"
     write_table(CAMPAIGN, path)
     back = read_table(path)
@@ -89,7 +89,7 @@ def test_a_table_comes_back_from_parquet_with_its_units(tmp_path):
     assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 
-def test_some_columns_and_rows_are_read_as_they_are_in_the_whole_table(tmp_path):
+def test_selected_columns_and_rows_equal_those_of_the_whole_table(tmp_path):
     path = tmp_path / "features.parquet"
     write_table(CAMPAIGN, path)
     columns = ["run_id", *feature_columns(CAMPAIGN)[::2]]
@@ -126,7 +126,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_a_killed_writer_left_is_removed_by_the_next_one(tmp_path):
+def test_leftovers_of_a_killed_writer_are_removed_by_the_next_one(tmp_path):
     path = tmp_path / "table.parquet"
     path.with_name(".table.parquet.0badcafe").write_bytes(b"ha")  # and then: kill -9
     other = tmp_path / ".table.0badcafe"
@@ -136,7 +136,7 @@ def test_what_a_killed_writer_left_is_removed_by_the_next_one(tmp_path):
     assert sorted(tmp_path.iterdir()) == [other, path]
 
 
-def test_what_a_living_writer_writes_is_left_alone(tmp_path):
+def test_the_file_of_an_active_writer_is_not_removed(tmp_path):
     path = tmp_path / "table.parquet"
     with replacing(path) as sink:
         sink.write(b"first")
@@ -147,7 +147,7 @@ def test_what_a_living_writer_writes_is_left_alone(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_is_no_table_is_named(tmp_path):
+def test_a_file_that_is_not_a_table_is_an_error_with_its_name(tmp_path):
     with pytest.raises(DatasetError, match=r"There is no table .*absent\.parquet"):
         read_table(tmp_path / "absent.parquet")
     (tmp_path / "text.parquet").write_text("no parquet")
@@ -157,7 +157,7 @@ def test_what_is_no_table_is_named(tmp_path):
 
 @settings(max_examples=30)
 @given(st.integers(1, 400), st.floats(0.0, 1.0), st.integers(0, 2**32))
-def test_a_bootstrap_has_its_size_and_rate_and_holds_only_runs_that_exist(n, rate, seed):
+def test_a_bootstrap_has_its_size_and_rate_and_only_existing_runs(n, rate, seed):
     rows = bootstrap(CAMPAIGN, n, rate, seed)
     assert len(rows) == n
     assert is_malicious(rows).sum() == round(n * rate)
@@ -184,7 +184,7 @@ def test_distinct_runs_count_every_row_once():
         ("normal", 1.5, "malicious rate of 1.5"),
     ],
 )
-def test_a_bootstrap_without_a_class_says_which(wanted, rate, said):
+def test_the_error_for_a_missing_class_names_it(wanted, rate, said):
     with pytest.raises(DatasetError, match=said):
         bootstrap(CAMPAIGN[CAMPAIGN["label"] == wanted], 10, rate, seed=0)
 

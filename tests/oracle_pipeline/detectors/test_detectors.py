@@ -1,4 +1,4 @@
-"""What single detectors compute, by hand, and what they refuse."""
+"""Single detectors against hand calculations, and their errors."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_mahalanobis_counts_common_deviations_once():
 
 
 @given(st.floats(1e-6, 1.0))
-def test_mahalanobis_takes_no_feature_for_better_known_than_its_scale(spread):
+def test_mahalanobis_never_uses_a_variance_below_the_scale(spread):
     X = normal_runs(n=500) * [1.0, spread, 0.0]
     scores = Mahalanobis().fit(X).score_samples([[0.0, 4.0, 0.0], [0.0, 0.0, 4.0]])
     assert scores == pytest.approx([-4.0, -4.0], rel=0.15)
@@ -53,12 +53,12 @@ def test_nearest_runs_is_the_mean_distance_to_them():
     )
 
 
-def test_hac_height_is_that_at_which_the_run_joins_half_of_the_right_ones():
+def test_hac_height_is_where_the_run_joins_half_of_the_normal_ones():
     # Average linkage: 0-1 and 2-3 join at 1, the pairs at 2, then 9 at the mean of 9, 8, 7 and 6.
     assert HacHeight().fit(LINE).score_samples([[9.0]]) == pytest.approx([-7.5])
 
 
-def test_both_readings_of_kappa_see_the_lone_run():
+def test_both_readings_of_kappa_detect_the_isolated_run():
     lone = [[9.0]]
     # Five rows: two clusters, {0, 1, 2, 3} and {9}.
     count = SmallCluster(kappa=0.4, reading="count").fit(LINE).score_samples(lone)
@@ -87,14 +87,14 @@ def test_reference_distance_is_in_spreads_of_the_nearest_large_cluster():
     assert near_tight < 2 * near_wide < 0.0
 
 
-def test_a_lone_odd_run_in_training_is_no_cluster_to_be_near_to():
+def test_an_isolated_training_run_is_not_a_cluster():
     X = np.vstack([normal_runs(), [[40.0, 40.0, 40.0]]])
     for detector in (ReferenceDistance(), DenseRegions()):
         beside, among = detector.fit(X).score_samples([[40.0, 40.0, 41.0], [0.0, 0.0, 0.0]])
         assert beside < 10 * among
 
 
-def test_copies_of_a_run_do_not_blind_the_local_outlier_factor():
+def test_copies_of_a_run_do_not_distort_the_local_outlier_factor():
     X = normal_runs(n=40)
     with_copies = np.repeat(X, 30, axis=0)
     rows = np.vstack([X[:3] + 0.05, [[8.0, 8.0, 8.0]]])
@@ -106,7 +106,7 @@ def test_copies_of_a_run_do_not_blind_the_local_outlier_factor():
     assert copied[3] < 2 * copied[:3].min()
 
 
-def test_the_mixture_takes_as_many_components_as_pay():
+def test_the_mixture_has_the_number_of_components_with_the_lowest_bic():
     rng = np.random.default_rng(0)
     one, two = (
         rng.normal(size=(80, 2)),
@@ -119,7 +119,7 @@ def test_the_mixture_takes_as_many_components_as_pay():
 @pytest.mark.parametrize(
     ("detector", "rows", "text"),
     [
-        (NearestRuns(n_neighbors=5), normal_runs(n=4), "4 runs have no 5 nearest"),
+        (NearestRuns(n_neighbors=5), normal_runs(n=4), "4 runs are too few for 5 neighbours"),
         (MaxZ(), normal_runs(n=1), "at least two"),
         (DenseRegions(), normal_runs(n=4), "cannot form a cluster of 5"),
         (DistinctLocalOutlierFactor(novelty=True), np.repeat(normal_runs(n=20), 9, axis=0),
@@ -127,12 +127,12 @@ def test_the_mixture_takes_as_many_components_as_pay():
         (AmpleEllipticEnvelope(), normal_runs(n=15), "more than 15 runs, there are 15"),
     ],
 )  # fmt: skip
-def test_too_few_runs_are_refused_with_the_number_needed(detector, rows, text):
+def test_too_few_runs_are_an_error_with_the_number_needed(detector, rows, text):
     with pytest.raises(DetectorError, match=text):
         detector.fit(rows)
 
 
-def test_values_that_are_not_finite_are_refused():
+def test_values_that_are_not_finite_are_an_error():
     for detector in (MaxZ(), Mahalanobis(), HacHeight()):
         with pytest.raises(ValueError, match="NaN"):
             detector.fit([[np.nan], [1.0]])

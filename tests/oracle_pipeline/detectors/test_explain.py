@@ -25,7 +25,7 @@ def test_the_feature_that_was_moved_comes_first_with_its_value_and_unit():
 
 
 @given(st.integers(0, len(DF) - 1), st.lists(st.floats(-1e3, 1e3), min_size=5, max_size=5))
-def test_no_feature_within_its_usual_range_is_named(number, moved):
+def test_no_feature_within_its_usual_range_is_listed(number, moved):
     row = DF.iloc[[number]].copy()
     row[COLUMNS] = row[COLUMNS].to_numpy() + np.array(moved)
     named = explain(DF, row, COLUMNS)
@@ -38,7 +38,7 @@ def test_no_feature_within_its_usual_range_is_named(number, moved):
     assert set(far) - {"contextual.duration"} <= {each.feature for each in named}
 
 
-def test_z_that_is_capped_says_so_and_the_larger_one_still_comes_first():
+def test_a_capped_z_is_marked_and_order_is_by_the_uncapped_z():
     row = DF.iloc[[3]].copy()
     row["contextual.range_variance"], row["structural.entropy"] = 1e3, 1e6
     first, second, *others = explain(DF, row, COLUMNS)
@@ -47,13 +47,13 @@ def test_z_that_is_capped_says_so_and_the_larger_one_still_comes_first():
     assert not any(each.capped for each in others)
 
 
-def test_a_normal_run_like_the_median_has_nothing_unusual():
+def test_a_run_like_the_median_has_no_deviations():
     row = DF.iloc[[0]].copy()
     row[COLUMNS] = DF[COLUMNS].median().to_numpy()
     assert explain(DF, row, COLUMNS) == []
 
 
-def test_what_is_missing_explains_nothing():
+def test_missing_features_are_not_deviations():
     row = DF.iloc[[3]].assign(**{"contextual.duration": np.nan})
     assert "contextual.duration" not in [each.feature for each in explain(DF, row, COLUMNS)]
 

@@ -52,7 +52,7 @@ def test_a_score_does_not_depend_on_the_rows_scored_with_it(name, fitted, seed, 
 
 
 @every_member
-def test_a_run_far_out_is_less_normal_than_right_ones(name, fitted):
+def test_an_extreme_run_scores_lower_than_normal_ones(name, fitted):
     far_out = np.full((1, 5), 12.0)
     others = normal_runs(seed=1)
     assert fitted[name].score_samples(far_out)[0] < np.quantile(
@@ -72,7 +72,7 @@ def test_fitting_again_gives_the_same_scores(name, fitted):
 
 
 @every_member
-def test_it_is_an_outlier_detector_that_knows_its_number_of_features(name, fitted):
+def test_it_is_an_outlier_detector_with_its_number_of_features(name, fitted):
     assert is_outlier_detector(fitted[name])
     assert fitted[name].n_features_in_ == 5
     with pytest.raises(ValueError, match="4 features"):
@@ -81,7 +81,7 @@ def test_it_is_an_outlier_detector_that_knows_its_number_of_features(name, fitte
 
 @pytest.mark.filterwarnings("ignore:The covariance matrix associated:UserWarning")
 @every_member
-def test_a_feature_constant_in_training_is_seen_unless_the_docs_say_so(name):
+def test_a_feature_constant_in_training_is_used_unless_documented_otherwise(name):
     constant = np.c_[normal_runs(), np.zeros(80)]
     detector = panel(0)[name].fit(constant)
     usual, odd = np.zeros((1, 6)), np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 50.0]])
@@ -90,7 +90,7 @@ def test_a_feature_constant_in_training_is_seen_unless_the_docs_say_so(name):
 
 
 @every_member
-def test_it_stands_behind_the_scaler(name):
+def test_it_works_behind_the_scaler(name):
     columns = [f"family.{letter}" for letter in "abcde"]
     df = pd.DataFrame(normal_runs(), columns=columns) * [1.0, 10.0, 1e3, 1e-3, 1.0] + 7.0
     oracle = pipeline(panel(0)[name], {"family.a": 0.01}).fit(df)

@@ -138,13 +138,13 @@ def test_hard_negatives_of_too_few_blocks_are_not_green_but_can_be_red():
 
 def test_a_shortcut_in_the_headline_is_red_and_an_undeclared_feature_unsupported():
     features, _, _ = campaign(3)
-    assert integrity.shortcuts_apart(features, COLUMNS, NOTHING).status == "green"
+    assert integrity.shortcuts_are_separate(features, COLUMNS, NOTHING).status == "green"
     fields = features.attrs["fields"]
     features.attrs["fields"] = fields | {COLUMNS[0]: {"shortcut": "true"}}
-    check = integrity.shortcuts_apart(features, COLUMNS, Estimate(1.0, 0.9, 1.0))
+    check = integrity.shortcuts_are_separate(features, COLUMNS, Estimate(1.0, 0.9, 1.0))
     assert (check.status, COLUMNS[0] in check.sentence) == ("red", True)
     features.attrs["fields"] = {}
-    assert integrity.shortcuts_apart(features, COLUMNS, NOTHING).status == "unsupported"
+    assert integrity.shortcuts_are_separate(features, COLUMNS, NOTHING).status == "unsupported"
 
 
 def test_the_banner_has_all_checks_that_are_not_green():

@@ -44,7 +44,7 @@ def test_composition_is_a_sum(a, b, c):
     assert total == sum(d["messages"] for graph in (a, b) for *_, d in graph.edges(data=True))
 
 
-def test_composition_leaves_its_parts_alone():
+def test_composition_does_not_change_its_inputs():
     a, b = graph_of(("/amcl", "/tf")), graph_of(("/amcl", "/tf"))
     compose([a, b])
     assert a.edges["node:/amcl", "topic:/tf"]["messages"] == 1
@@ -81,17 +81,17 @@ def test_intervals_are_read_in_order_of_time(tmp_path):
     assert edge == {"messages": 100, "bytes": 1000}
 
 
-def test_a_missing_interval_is_told(tmp_path):
+def test_a_missing_interval_is_an_error(tmp_path):
     with pytest.raises(GraphError, match="absent"):
         read_intervals(tmp_path / "absent")
     assert read_intervals(tmp_path) == ()
     for start in (0, 20):
         write_gexf(graph_of(), tmp_path / f"{start:06d}.gexf")
-    with pytest.raises(GraphError, match=r"one graph each 10 s.*\[0, 20\]"):
+    with pytest.raises(GraphError, match=r"one graph every 10 s.*\[0, 20\]"):
         read_intervals(tmp_path)
 
 
-def test_the_system_view_has_no_observers_and_nothing_that_only_they_use():
+def test_the_system_view_has_no_observers_and_no_topics_that_only_they_use():
     graph = graph_of(
         ("/amcl", "/tf"), ("/scan", "/amcl"),
         ("/tf", "/rosbag2_recorder"), ("/rosbag2_recorder", "/events/write_split"),
@@ -103,20 +103,20 @@ def test_the_system_view_has_no_observers_and_nothing_that_only_they_use():
 @pytest.mark.parametrize(
     "observer", ["/rosbag2_recorder", "/_ros2cli_1234", "/_ros2cli_daemon_0_ab12", "/launch_ros_99"]
 )
-def test_every_observer_is_known(observer):
+def test_every_observer_is_recognised(observer):
     graph = graph_of(("/amcl", "/tf"))
     graph.add_node(f"node:{observer}", label=observer, kind="node", type="")
     assert content(system_view(graph)) == content(graph_of(("/amcl", "/tf")))
 
 
-def test_a_topic_nobody_used_is_kept():
+def test_an_unused_topic_is_kept():
     graph = graph_of(("/amcl", "/tf"))
     graph.add_node("topic:/goal_pose", label="/goal_pose", kind="topic", type="T")
     assert "topic:/goal_pose" in system_view(graph)
 
 
 @given(st.permutations(["5581ab", "7f00", "0abc", "99"]), st.permutations(["1", "2a", "3", "f"]))
-def test_made_up_names_do_not_tell_equal_systems_apart(one, other):
+def test_generated_names_do_not_distinguish_equal_systems(one, other):
     def system(suffixes):
         graph = nx.DiGraph()
         for number, suffix in enumerate(suffixes):
@@ -156,7 +156,7 @@ def test_differences_are_symmetric_and_none_means_equal(a, b):
     assert (forth == []) == same
 
 
-def test_traffic_is_no_difference_but_a_type_is():
+def test_traffic_does_not_count_as_a_difference_but_a_type_does():
     one, other = graph_of(("/amcl", "/tf")), graph_of(("/amcl", "/tf"), counts=7)
     assert graph_differences(intervals_of([one]), intervals_of([other])) == []
     other.nodes["topic:/tf"]["type"] = "U"

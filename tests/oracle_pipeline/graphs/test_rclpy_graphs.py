@@ -13,7 +13,7 @@ from oracle_pipeline.bags.graph_files import RosGraph, read_gexf
 from oracle_pipeline.bags.qos_profiles import compatible
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.graphs.intervals import compose, read_intervals
-from oracle_pipeline.graphs.rclpy_graphs import IntervalGraphs, Traffic, _shared_out, snapshot
+from oracle_pipeline.graphs.rclpy_graphs import IntervalGraphs, Traffic, _divided, snapshot
 from sim.middleware.domain import Domain
 from sim.middleware.endpoints import Publisher, Subscription
 from sim.recording import GraphRecorder
@@ -24,7 +24,7 @@ SECOND_NS = 1_000_000_000
 
 @dataclass(frozen=True)
 class Info:
-    """A TopicEndpointInfo of rclpy, as far as it is read."""
+    """The used part of rclpy's TopicEndpointInfo."""
 
     node_name: str
     node_namespace: str
@@ -113,7 +113,7 @@ def test_a_lone_publisher_has_the_messages_and_bytes_that_it_sent(
     }
 
 
-def test_the_publishers_of_a_topic_together_have_what_was_sent(
+def test_the_traffic_of_publishers_adds_up_to_that_of_the_topic(
     recorded: tuple[RosGraph, RosGraph],
 ) -> None:
     ours, from_lists = recorded
@@ -126,7 +126,7 @@ def test_the_publishers_of_a_topic_together_have_what_was_sent(
 
 @given(st.integers(0, 10_000), st.integers(1, 50))
 def test_shares_are_nearly_equal_and_add_up(total: int, parts: int) -> None:
-    shares = _shared_out(total, parts)
+    shares = _divided(total, parts)
     assert sum(shares) == total
     assert max(shares) - min(shares) <= 1
 

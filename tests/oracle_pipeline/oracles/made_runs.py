@@ -1,4 +1,4 @@
-"""Made traces: what a recording of a robot on patrol would say, and runs of such."""
+"""Synthetic traces of a robot on patrol, and runs with them."""
 
 import numpy as np
 import pandas as pd

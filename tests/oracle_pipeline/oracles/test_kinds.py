@@ -23,7 +23,7 @@ from tests.oracle_pipeline.oracles.made_runs import campaign, trace
 
 
 class Drawn:
-    """A kind that knows nothing: its scores are drawn."""
+    """A kind without information: its scores are random."""
 
     name, asks = "drawn", "luck"
 
@@ -51,7 +51,7 @@ class Drawn:
         (Invariants, {"acceleration": 2.0}),
     ],
 )
-def test_a_kind_finds_what_it_is_for(kind, altered):
+def test_each_kind_detects_its_failures(kind, altered):
     runs = campaign(**altered)
     p = judged(kind(), runs).p
     assert p[runs.malicious].max() <= 0.05
@@ -64,7 +64,7 @@ def test_a_run_is_compared_with_others_of_its_task():
     assert p[runs.malicious].max() <= 0.05
 
 
-def test_without_a_second_run_of_a_task_nothing_can_be_compared():
+def test_without_a_second_run_of_a_task_there_is_no_metamorphic_oracle():
     with pytest.raises(KindError, match="0 normal runs have another run of the same task"):
         judged(Metamorphic(campaign(repeats=1)), campaign(repeats=1))
 
@@ -104,7 +104,7 @@ def test_follow_up_runs_are_there_for_all_blocks_or_for_none():
         Metamorphic(runs, some).learn(runs.where(runs.normal))
 
 
-def test_false_positives_of_each_kind_and_of_all_together_are_controlled():
+def test_false_positives_of_each_kind_and_of_the_union_are_controlled():
     runs = campaign(40, repeats=1)
     rates = []
     for seed in range(0, 100, 5):
@@ -115,7 +115,7 @@ def test_false_positives_of_each_kind_and_of_all_together_are_controlled():
     assert np.mean(rates, axis=0) == pytest.approx([0.1, 0.1], abs=0.03)
 
 
-def test_a_run_is_never_judged_by_what_was_learned_from_its_session():
+def test_no_run_is_judged_by_a_model_of_its_session():
     class Remembers(Drawn):
         def learn(self, normal):
             learned = Drawn(0)
@@ -129,7 +129,7 @@ def test_a_run_is_never_judged_by_what_was_learned_from_its_session():
     assert judged(Remembers(0), runs).score[runs.normal] == pytest.approx(1.0)
 
 
-def test_the_table_has_a_row_for_each_kind_and_tells_why_one_is_missing():
+def test_the_table_has_a_row_for_each_kind_with_the_reason_for_missing_ones():
     runs = campaign(errors=2.0)
     kinds = build_kinds(Material(runs, load(NAV2), {"attack|run000": True}))
     comparison = compare_kinds(kinds, runs)
@@ -164,7 +164,7 @@ def test_a_kind_of_oracle_comes_from_the_plugin_folder(tmp_path):
     assert judged(mine, runs).p[runs.malicious].max() <= 0.05
 
 
-def test_questions_are_about_runs_in_doubt_and_answers_move_the_line():
+def test_questions_are_about_uncertain_runs_and_answers_move_the_threshold():
     runs = campaign(20, nearest_max=0.12)
     material = human.answered_by_labels(Material(runs, load(NAV2)), 16)
     bad = dict(zip(runs.table["run_id"], runs.malicious, strict=True))
@@ -178,7 +178,7 @@ def test_questions_are_about_runs_in_doubt_and_answers_move_the_line():
     assert (above == runs.malicious).mean() > 0.9
 
 
-def test_answers_about_a_session_do_not_judge_it():
+def test_answers_on_a_session_are_not_used_to_judge_it():
     runs = campaign(8)
     asked = human.Human({"attack|run003": True, "patrol0|run005": False}, runs, [Implicit()])
     for block in (3, 5):
@@ -186,19 +186,19 @@ def test_answers_about_a_session_do_not_judge_it():
             asked.learn(runs.where(runs.normal & (runs.block != block)))
 
 
-def test_answers_are_kept_and_wrong_ones_are_told(tmp_path):
+def test_answers_are_stored_and_invalid_files_are_errors(tmp_path):
     path = tmp_path / "answers.json"
     human.save_answers({"a|run000": True, "b|run001": False}, path)
     assert human.load_answers(path) == {"a|run000": True, "b|run001": False}
     path.write_text(json.dumps({"answers": {"a|run000": "perhaps"}}), "utf-8")
-    with pytest.raises(human.AnswerError, match="answer on a.run000 is 'perhaps'; write bad"):
+    with pytest.raises(human.AnswerError, match="answer for a.run000 is 'perhaps'; write bad"):
         human.load_answers(path)
     path.write_text("[]", "utf-8")
     with pytest.raises(human.AnswerError, match="is not a file of answers"):
         human.load_answers(path)
 
 
-def test_a_topic_is_quiet_when_it_stops_and_not_before():
+def test_a_topic_is_quiet_only_after_it_stops():
     clock = np.arange(0.0, 30.0, STEP_S)
     every = np.arange(0.0, 30.0, 0.1)
 
@@ -217,7 +217,7 @@ rays = hnp.arrays(np.float32, st.integers(0, 9), elements=st.floats(0.0, 4.0, wi
 
 
 @given(st.lists(rays, min_size=1, max_size=6))
-def test_scans_are_read_together_as_each_is_alone(ranges):
+def test_batched_scans_give_the_values_of_single_scans(ranges):
     many = np.empty(len(ranges), dtype=object)
     many[:] = ranges
     least, most = np.full(len(ranges), 0.25), np.full(len(ranges), 3.5)
@@ -236,7 +236,7 @@ def test_scans_are_read_together_as_each_is_alone(ranges):
         assert np.array_equal(values, [nearest, without, uneven], equal_nan=True)
 
 
-def test_a_bag_says_what_the_robot_did(recorded_run):
+def test_the_trace_of_a_bag_has_the_robots_motion(recorded_run):
     from oracle_pipeline.opened_run import open_run
     from oracle_pipeline.oracles.traces import SIGNALS, TIME, read_trace
     from oracle_pipeline.robots.robot import find_robots

@@ -14,7 +14,7 @@ ATTACKED = manifest()
 def recorded(tmp_path):
     """Return a function that records messages, a tenth of a second apart, as a run directory."""
 
-    def record(*messages, told=ATTACKED):
+    def record(*messages, manifest_=ATTACKED):
         path = tmp_path / "run003"
         with BagWriter(path / "bag") as bag:
             for topic, msgtype in {topic: msgtype for topic, msgtype, _ in messages}.items():
@@ -24,7 +24,7 @@ def recorded(tmp_path):
         types = {topic: msgtype for topic, msgtype, _ in messages}
         counts = {name: TopicCount(types[name], count) for name, count in bag.counts.items()}
         (path / "graphs").mkdir()
-        replace(told, topics=counts).save(path / "manifest.json")
+        replace(manifest_, topics=counts).save(path / "manifest.json")
         return path
 
     return record

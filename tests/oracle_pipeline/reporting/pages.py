@@ -31,7 +31,7 @@ UNDRAWN = "lidar_passthrough|run003"
 
 @contextmanager
 def quickly():
-    """Two detectors, small forests, few resamples: what is slow has tests of its own."""
+    """Two detectors, small forests, few resamples: slow parts have separate tests."""
     panel, bounds, bound = (
         campaign_evaluation.panel,
         campaign_evaluation.upper_bounds,
@@ -49,7 +49,7 @@ def quickly():
 
 
 def draw(run):
-    """Return a transparent picture; of one run there is none."""
+    """Return a transparent picture; one run has none."""
     if run == UNDRAWN:
         raise OracleError("its bag is gone")
     png = io.BytesIO()
@@ -58,12 +58,12 @@ def draw(run):
 
 
 def record(modes, blocks):
-    """Return what stands for the command that records runs."""
+    """Return a placeholder for the command that records runs."""
     return f"record {' '.join(modes)} in {blocks} blocks"
 
 
 def page_of(df, windows, truth, *, mutants=None, differences=None, change=lambda _: _, **more):
-    """Return the page of a campaign; `more` is said in its provenance or passed on.
+    """Return the page of a campaign; `more` is part of its provenance or forwarded.
 
     `change` may make another report of its evaluation.
     """
@@ -96,7 +96,7 @@ def oracle_report_of(df, windows, truth):
 
 
 def with_many_runs(report, runs=60):
-    """Return an evaluation's report with so many runs of each mode and three modes more."""
+    """Return an evaluation's report with `runs` runs of each mode and three more modes."""
     few = report.tables["runs"]
     of_mode = [rows for _, rows in few.groupby("mode", sort=False)]
     more = [of_mode[0].assign(mode=f"benign_{name}") for name in ("drop", "median", "slow")]
@@ -126,9 +126,9 @@ def searches_of_two():
 
 @cache
 def whole_page():
-    """Return a page with every section, of a campaign in which attacks are plain to see."""
+    """Return a page with every section, of a campaign with obvious attacks."""
     return page_of(
-        *campaign(30, effect=20.0),  # as many blocks as all checks take
+        *campaign(30, effect=20.0),  # as many blocks as all checks need
         mutants=grid_of([1.0, 40.0], 2, used=30),
         differences=[],
         radar={run: draw(run) for run in (GHOST, WITHOUT)},

@@ -1,4 +1,4 @@
-"""Small recordings, message by message, of a robot that is on a map, sees and drives."""
+"""Small recordings, message by message, of a robot with map, scans and odometry."""
 
 import math
 from dataclasses import replace
@@ -117,7 +117,7 @@ def at(x, y, yaw=0.0):
 
 
 def standing(x, y, frame="odom"):
-    """Where the robot's base is, told by a transform."""
+    """The position of the base, as a transform."""
     return ("/tf", "tf2_msgs/msg/TFMessage", tf(frame, "base_footprint", x, y, 0.0))
 
 
@@ -161,7 +161,7 @@ def ended(accepted_s, ended_s, outcome="succeeded"):
 
 def manifest(label="malicious", attack=FAKE_OBJECT, **changes):
     """Manifest of a run of one goal, of a robot that starts at it."""
-    told = Manifest(
+    base = Manifest(
         mode="fake_object",
         label=label,
         run=3,
@@ -186,4 +186,4 @@ def manifest(label="malicious", attack=FAKE_OBJECT, **changes):
         software=Software("", "", ""),
         measured=Measured(0.0, {}),
     )
-    return replace(told, **changes)
+    return replace(base, **changes)

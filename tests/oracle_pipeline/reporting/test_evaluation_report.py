@@ -47,16 +47,16 @@ def _quick(monkeypatch):
 
 @functools.cache
 def strong():
-    heard = []
+    steps = []
     report = oracle_evaluation(
         *campaign(20, effect=20.0), graph_differences=[], grid=grid_of([1.0, 40.0], 2, used=20),
-        progress=heard.append,
+        progress=steps.append,
     )  # fmt: skip
-    return report, heard
+    return report, steps
 
 
 def test_the_headline_stands_first_with_its_interval():
-    report, heard = strong()
+    report, steps = strong()
     first = report.table.iloc[0]
     assert (first["detector"], first["level"], first["scope"]) == (
         "mahalanobis",
@@ -65,7 +65,7 @@ def test_the_headline_stands_first_with_its_interval():
     )
     assert Estimate.of_row(first, "auc").low > 0.85
     assert report.summary["auc"] == first["auc"]
-    assert heard[0].startswith("mahalanobis")
+    assert steps[0].startswith("mahalanobis")
 
 
 def test_there_is_a_row_for_every_scorer_split_and_scope():
@@ -90,7 +90,7 @@ def test_there_is_a_row_for_every_scorer_split_and_scope():
         assert (runs == blocks).all(axis=None)
 
 
-def test_the_other_tables_and_pictures_are_there():
+def test_the_other_tables_and_pictures_exist():
     report, _ = strong()
     assert set(report.tables) == {
         "alarms", "small_clusters", "checks", "open_claims", "runs", "standing",
@@ -107,7 +107,7 @@ def test_the_other_tables_and_pictures_are_there():
     assert alarms["time_to_detect_median_s"] <= 10.0
 
 
-def test_a_check_that_is_not_green_leaves_a_ranking_and_the_tables_but_no_claim_of_an_auc():
+def test_without_green_checks_there_is_a_ranking_but_no_claim_of_an_auc():
     report = oracle_evaluation(*campaign(6, effect=20.0))
     assert report.summary["headline"].startswith("All 18 attacked runs score higher than all 48")
     assert "graphs_of_pairs_are_equal is unsupported" in report.summary["banner"]
@@ -119,7 +119,7 @@ def test_a_check_that_is_not_green_leaves_a_ranking_and_the_tables_but_no_claim_
     assert checked["shortcuts_are_apart"] == "green"
 
 
-def test_no_attack_gives_no_finding():
+def test_without_an_effect_there_is_no_finding():
     report = oracle_evaluation(*campaign(20, seed=1), graph_differences=[])
     first = report.table.iloc[0]
     assert Estimate.of_row(first, "auc").covers(0.5)
@@ -151,7 +151,7 @@ def test_every_campaign_gives_an_honest_report(cut, tmp_path):
     assert set(Report.load(tmp_path / "report").tables) == set(report.tables)
 
 
-def test_further_tables_come_back_and_a_report_without_them_does_too(tmp_path):
+def test_reports_survive_saving_with_and_without_further_tables(tmp_path):
     plain = Report(run_features(1), {}, {"runs": 6})
     plain.save(tmp_path / "report")
     assert Report.load(tmp_path / "report").tables == {}
@@ -161,7 +161,7 @@ def test_further_tables_come_back_and_a_report_without_them_does_too(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["summary.json", "table.parquet"])
-def test_no_flipped_bit_of_a_report_gives_another_one(name, tmp_path):
+def test_a_flipped_bit_in_a_report_is_an_error_or_changes_nothing(name, tmp_path):
     Report(run_features(1), {}, {"headline": "No claim", "runs": 6}).save(tmp_path / "report")
     file = tmp_path / "report" / name
     content = file.read_bytes()
@@ -186,11 +186,11 @@ def test_no_flipped_bit_of_a_report_gives_another_one(name, tmp_path):
         (Estimate(0.99, 0.9, 1.0), "clearly"),
     ],
 )
-def test_the_headline_says_no_more_than_the_interval(area, words):
+def test_the_headline_claims_no_more_than_the_interval(area, words):
     assert words in in_words(area)
 
 
-def test_a_campaign_of_one_control_and_one_attack_in_two_blocks_is_a_report_without_figures():
+def test_a_campaign_of_two_modes_in_two_blocks_gives_a_report_without_figures():
     features, windows, truth = campaign(2, effect=20.0)
     few = features[features["mode"].isin(["lidar_passthrough", "random_noise"])]
     report = oracle_evaluation(few, windows, truth)

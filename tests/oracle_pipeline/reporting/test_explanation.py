@@ -29,7 +29,7 @@ def draw(run):
     return run.encode()
 
 
-def test_of_each_attack_the_detected_run_with_the_median_score_is_explained(tables):
+def test_the_detected_run_with_the_median_score_of_each_attack_is_explained(tables):
     runs = judged(tables[0])
     runs.loc[runs["score"] < 3.0, "p"] = 0.5
     assert [each.run_id for each in explanations(*tables, runs, draw)] == [
@@ -41,13 +41,13 @@ def test_of_each_attack_the_detected_run_with_the_median_score_is_explained(tabl
     ("p", "words"),
     [(0.05, "Called anomalous"), (0.051, "Not called anomalous"), (np.nan, "Not judged")],
 )
-def test_the_verdict_is_the_one_that_was_passed(tables, p, words):
+def test_the_verdict_is_that_of_the_evaluation(tables, p, words):
     found = explanations(*tables, judged(tables[0], p), draw)
     assert len(found) == 3
     assert all(each.verdict.startswith(words) for each in found)
 
 
-def test_what_gave_a_run_away_is_what_the_attack_changed(tables):
+def test_the_evidence_has_the_features_that_the_attack_changed(tables):
     for each in explanations(*tables, judged(tables[0]), draw):
         assert {e.feature for e in each.evidence[:2]} == set(ATTACKED)
         assert not each.notes
@@ -79,7 +79,7 @@ def test_without_a_normal_run_of_another_block_there_is_no_evidence_and_a_reason
         assert "no normal run of another block" in each.notes[0]
 
 
-def test_beside_a_run_is_its_control_of_the_same_block(tables):
+def test_the_counterpart_of_a_run_is_its_control_of_the_same_block(tables):
     (_, found, _) = explanations(*tables, judged(tables[0]), draw)
     assert list(found.pictures) == ["fake_object|run002", "lidar_passthrough_odom|run002"]
     assert found.pictures["fake_object|run002"] == b"fake_object|run002"

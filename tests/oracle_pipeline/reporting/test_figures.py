@@ -79,7 +79,7 @@ PICTURES = {
 
 
 @pytest.mark.parametrize("name", PICTURES)
-def test_a_picture_depends_on_its_numbers_alone_and_leaves_settings_alone(name):
+def test_a_picture_depends_only_on_its_numbers_and_does_not_change_settings(name):
     before = dict(mpl.rcParams)
     first = PICTURES[name]()
     with mpl.rc_context({"lines.linewidth": 7, "font.size": 30, "savefig.dpi": 20}):
@@ -96,7 +96,7 @@ def luminance(color):
 
 @pytest.mark.parametrize("paper", ["#ffffff", "#0f1216"])
 @pytest.mark.parametrize("ink", sorted({INK, AMBER, *COLORS.values(), *SERIES}))
-def test_every_ink_reads_on_light_and_on_dark_paper(ink, paper):
+def test_every_ink_is_readable_on_light_and_dark_paper(ink, paper):
     dark, light = sorted([luminance(ink), luminance(paper)])
     wanted = 4.3 if ink == INK else 3.0  # WCAG asks 3 of graphics and large text
     assert (light + 0.05) / (dark + 0.05) > wanted

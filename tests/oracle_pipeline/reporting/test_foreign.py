@@ -12,11 +12,11 @@ from tests.oracle_pipeline.scoring.test_kept_verdicts import WHOLE, kept
 HOSTILE = "<script>alert(1)</script>"
 
 
-def test_a_page_without_recordings_says_so():
+def test_a_page_without_recordings_has_a_note():
     assert "0 recordings." in foreign_page([])
 
 
-def test_every_recording_has_its_verdict_and_what_gave_it_away():
+def test_every_recording_has_its_verdict_and_evidence():
     broken = Verdict(HOSTILE, "error", error="no end")
     page = foreign_page([kept("a", WHOLE), kept("b", broken), kept("c", Verdict("c", "normal"))])
     assert HOSTILE not in page

@@ -85,7 +85,7 @@ def answer(page):
     return said
 
 
-def test_the_page_holds_everything_it_shows(page):
+def test_the_page_is_self_contained(page):
     parsed = Page(page)
     assert parsed.open == []
     assert parsed.loaded
@@ -96,12 +96,12 @@ def test_the_page_holds_everything_it_shows(page):
         assert base64.b64decode(place.partition(",")[2]).startswith(b"\x89PNG")
 
 
-def test_what_is_said_is_text_and_never_markup(page):
+def test_texts_are_escaped(page):
     assert "<script" not in page
     assert "<script>alert(1)</script>" in "".join(Page(page).texts)
 
 
-def test_every_section_is_there_in_the_order_in_which_a_reader_needs_it(page, poor):
+def test_every_section_is_present_in_order(page, poor):
     whole, part = Page(page), Page(poor)
     assert whole.headings == FIRST + EVERYTHING
     absent = {"curves", "magnitude", "radar", "searched", "storage"}
@@ -112,7 +112,7 @@ def test_every_section_is_there_in_the_order_in_which_a_reader_needs_it(page, po
         assert inside == set(parsed.headings)
 
 
-def test_every_picture_has_words_in_its_place_and_every_table_a_caption(page):
+def test_every_picture_has_an_alternative_text_and_every_table_a_caption(page):
     parsed = Page(page)
     described = [image["alt"] for image in parsed.images]
     assert all(described)
@@ -122,7 +122,7 @@ def test_every_picture_has_words_in_its_place_and_every_table_a_caption(page):
     assert all(parsed.captions)
 
 
-def test_no_figure_of_ours_stands_without_its_interval(page):
+def test_every_result_of_ours_has_its_interval(page):
     number = r"-?\d+\.\d\d"
     cells = [cell for cell in Page(page).cells if re.match(rf"{number}\[", cell)]
     assert len(cells) > 16 * 8
@@ -133,7 +133,7 @@ def test_the_headline_is_the_evaluations(page):
     assert re.search(r"stand out clearly: AUC \d\.\d\d \[\d\.\d\d, \d\.\d\d\]", answer(page))
 
 
-def test_a_small_campaign_is_told_what_it_lacks_and_which_command_records_it(poor):
+def test_a_small_campaign_has_its_missing_runs_and_the_command_that_records_them(poor):
     first = poor.split("<nav")[0]
     assert "Withheld" not in poor
     assert "withheld" not in poor
@@ -143,7 +143,7 @@ def test_a_small_campaign_is_told_what_it_lacks_and_which_command_records_it(poo
     assert re.search(r"<code[^>]*>record [\w ]+ in 20 blocks</code>", first)
 
 
-def test_the_first_screen_says_what_was_recorded_and_links_every_run(page):
+def test_the_first_screen_describes_the_campaign_and_links_every_run(page):
     first = page.split("<nav")[0]
     assert "330 runs: 90 attacked, 240 normal. 11 modes, 30 blocks, 3 sessions" in first
     marks = re.findall(r'<a href="runs/(\w+)/run(\d{3}).html" tabindex="-1">', first)
@@ -157,20 +157,20 @@ def test_the_page_of_840_runs_is_small_and_marks_every_run():
     assert len(set(re.findall(r'href="(runs/\w+/run\d{3}.html)" tabindex', page))) == 840
 
 
-def test_a_campaign_that_a_verdict_takes_no_more_runs_for_names_the_next_rate(page):
+def test_a_campaign_with_enough_runs_for_a_verdict_names_the_next_rate(page):
     first = page.split("<nav")[0]
     assert "A false positive rate of 1%" in first
     assert re.search(r"<code[^>]*>record [\w ]+ in 250 blocks</code>", first)
 
 
-def test_every_check_says_in_words_how_it_ended(page, poor):
+def test_every_check_has_its_result_as_text(page, poor):
     panel = re.findall(r'<span class="status (\w+)">(\S) (\w+)</span>', page + poor)
     assert len(panel) == 14
     assert all(status == word for status, _, word in panel)
     assert {(mark, word) for _, mark, word in panel} >= {("✓", "green"), ("?", "unsupported")}
 
 
-def test_attacked_runs_are_explained_by_what_the_attack_changed_and_shown_beside_controls(page):
+def test_attacked_runs_are_explained_by_changed_features_and_shown_beside_controls(page):
     section = page[page.index('id="explained"') : page.index('id="searched"')]
     runs = re.findall(r"<h3><a [^>]+>(\w+)\|run\d\d\d</a></h3>", section)
     assert runs == ["random_noise", "fake_object", "delayed_fakeobject"]
@@ -181,7 +181,7 @@ def test_attacked_runs_are_explained_by_what_the_attack_changed_and_shown_beside
     assert drawn == 6 - section.count(f"{UNDRAWN} is not drawn: its bag is gone")
 
 
-def test_a_note_is_said_once_below_its_table_and_numbered_in_it(poor):
+def test_a_note_is_printed_once_below_its_table_and_numbered_in_it(poor):
     section = poor[
         poor.index(">Side by side<") : poor.index(">The same method on meaningless labels")
     ]
@@ -189,7 +189,7 @@ def test_a_note_is_said_once_below_its_table_and_numbered_in_it(poor):
     assert len(re.findall(r"<td[^>]*>1</td>\n</tr>", section)) > 10
 
 
-def test_the_page_reads_in_light_in_dark_on_paper_and_on_a_phone(page):
+def test_the_page_has_styles_for_light_dark_print_and_phones(page):
     for need in ("prefers-color-scheme: dark", "@media print", "width=device-width", "overflow-x"):
         assert need in page
 
@@ -224,7 +224,7 @@ def test_all_inks_can_be_read_in_light_in_dark_and_on_paper(page):
             assert contrast(inks[ink], inks[paper]) >= READABLE, (ink, paper)
 
 
-def test_the_page_comes_whole_into_its_place(page, tmp_path):
+def test_the_page_is_written_atomically(page, tmp_path):
     path = tmp_path / "report" / "index.html"
     write_page(page, path)
     assert path.read_text(encoding="utf-8") == page

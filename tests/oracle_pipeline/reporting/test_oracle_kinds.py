@@ -1,4 +1,4 @@
-"""The report shows what each kind of oracle found, beside the others."""
+"""The report compares the results of each kind of oracle."""
 
 import pandas as pd
 

@@ -25,9 +25,10 @@ BOTH, ALONE, RADARS = 7, 1, 6  # sources
 
 def shown(time_s):
     """Tracks of the first three aircraft, each with other sources."""
-    told = zip(AIRCRAFT, (BOTH, ALONE, RADARS), strict=False)
+    messages = zip(AIRCRAFT, (BOTH, ALONE, RADARS), strict=False)
     return tracks(
-        time_s, *(moving(number, address, time_s, s) for number, (address, s) in enumerate(told))
+        time_s,
+        *(moving(number, address, time_s, s) for number, (address, s) in enumerate(messages)),
     )
 
 
@@ -39,8 +40,8 @@ def moving(number, address, time_s, sources):
 
 
 def recording(ghosts=True):
-    told = [shown(t) if ghosts else tracks(t) for t in np.arange(0.0, SECONDS).tolist()]
-    return sorted([*flown(), *told], key=lambda each: each[0])
+    messages = [shown(t) if ghosts else tracks(t) for t in np.arange(0.0, SECONDS).tolist()]
+    return sorted([*flown(), *messages], key=lambda each: each[0])
 
 
 @pytest.fixture
@@ -54,7 +55,7 @@ def display_of(tmp_path):
     return read
 
 
-def test_tracks_stand_where_they_are_seen_from_the_antenna(display_of):
+def test_tracks_are_drawn_relative_to_the_antenna(display_of):
     display = display_of(recording())
     instant_s = np.floor(INSTANT * (SECONDS - 0.5))
     for shown_track, address in zip(display.tracks, AIRCRAFT, strict=False):
@@ -70,7 +71,7 @@ def test_tracks_stand_where_they_are_seen_from_the_antenna(display_of):
         assert len(shown_track.trail) == instant_s + 1
 
 
-def test_who_is_seen_by_whom_is_told_apart(display_of):
+def test_sources_of_tracks_are_distinguished(display_of):
     display = display_of(recording())
     assert [each.seen_by for each in display.tracks] == [
         "seen by both", "ADS-B alone", "radar alone",
@@ -93,7 +94,7 @@ def test_without_replies_the_tracks_are_in_the_middle(display_of):
     assert display.plots.size == display.reports.size == 0
 
 
-def test_an_empty_screen_is_an_error_that_says_so(display_of):
+def test_an_empty_display_is_an_error(display_of):
     with pytest.raises(ReportError, match="there is no track"):
         display_of(recording(ghosts=False))
 

@@ -38,7 +38,7 @@ STORY = (
 @pytest.fixture
 def attacked(recorded):
     """A run of 1.1 s in which everything happens that a film shows."""
-    return recorded(*STORY, told=manifest(onset_s=0.6))
+    return recorded(*STORY, manifest_=manifest(onset_s=0.6))
 
 
 def frames(path):
@@ -95,7 +95,7 @@ def pixels(frame, ink):
         (replay.COST, 500, 0.6),
     ],
 )
-def test_a_thing_is_in_the_film_from_when_it_was_heard(attacked, tmp_path, ink, least, since_s):
+def test_an_element_is_in_the_film_from_its_first_message(attacked, tmp_path, ink, least, since_s):
     scene = scene_of(attacked, 10.0)
     save_film(scene, tmp_path / "film.gif", speed=1.0)
     shown, _ = frames(tmp_path / "film.gif")
@@ -108,7 +108,7 @@ def command(*words):
     return CliRunner().invoke(main, ["replay", *map(str, words)])
 
 
-def test_a_film_and_a_picture_lie_beside_the_manifest(attacked):
+def test_film_and_picture_are_written_beside_the_manifest(attacked):
     picture = kept_picture(attacked)
     (attacked / "picture.png").unlink()
     done = command(attacked, "--frames", "5")
@@ -118,7 +118,7 @@ def test_a_film_and_a_picture_lie_beside_the_manifest(attacked):
     assert str(attacked / "replay.gif") in done.output
 
 
-def test_a_run_is_as_whole_as_before_with_its_film_and_picture(attacked):
+def test_film_and_picture_do_not_affect_the_checks_of_a_run(attacked):
     before = {p: p.read_bytes() for p in attacked.rglob("*") if p.is_file()}
     assert command(attacked).exit_code == 0
     after = {p for p in attacked.rglob("*") if p.is_file()}
@@ -126,13 +126,15 @@ def test_a_run_is_as_whole_as_before_with_its_film_and_picture(attacked):
     assert {p: p.read_bytes() for p in before} == before
 
 
-def test_of_somebody_elses_bag_both_are_written_here(attacked, tmp_path, monkeypatch):
+def test_film_and_picture_of_a_foreign_bag_are_written_to_the_current_folder(
+    attacked, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     assert command(attacked / "bag").exit_code == 0
     assert sorted(p.name for p in tmp_path.iterdir() if p.is_file()) == ["bag.gif", "bag.png"]
 
 
-def test_only_what_is_named_is_written(attacked, tmp_path):
+def test_only_the_given_files_are_written(attacked, tmp_path):
     wanted = [tmp_path / "a.webp", tmp_path / "b.png"]
     assert command(attacked, "-o", wanted[0], "-o", wanted[1]).exit_code == 0
     assert sorted(p for p in tmp_path.iterdir() if p.is_file()) == wanted
@@ -146,7 +148,7 @@ def test_only_what_is_named_is_written(attacked, tmp_path):
         (["--speed", "50"], "Lower --speed or --frames"),
     ],
 )
-def test_what_cannot_be_done_is_refused_with_advice(attacked, tmp_path, monkeypatch, words, said):
+def test_invalid_options_are_errors_with_advice(attacked, tmp_path, monkeypatch, words, said):
     monkeypatch.chdir(tmp_path)
     done = command(attacked, *words)
     assert done.exit_code != 0
@@ -155,7 +157,7 @@ def test_what_cannot_be_done_is_refused_with_advice(attacked, tmp_path, monkeypa
     assert not list(tmp_path.glob("*.*"))
 
 
-def test_a_bag_without_the_robot_is_refused_in_one_line(recorded):
+def test_a_bag_without_a_robot_is_an_error_of_one_line(recorded):
     done = command(recorded(MAP) / "bag")
     assert (done.exit_code, done.output.count("\n")) == (2, 1)
     assert "neither odometry" in done.output
@@ -163,7 +165,7 @@ def test_a_bag_without_the_robot_is_refused_in_one_line(recorded):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("words", [["--help"], ["replay", "--help"]])
-def test_help_comes_without_what_draws(words):
+def test_help_does_not_import_drawing_libraries(words):
     code = f"""
 import sys
 from oracle_pipeline.cli import main

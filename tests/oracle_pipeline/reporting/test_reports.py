@@ -77,7 +77,7 @@ def assert_honest(report):
 
 
 @pytest.mark.parametrize("name", ["bootstrapped", "rates"])
-def test_a_report_is_a_function_of_its_input_and_comes_back_from_its_folder(name, tmp_path):
+def test_a_report_is_a_function_of_its_input_and_survives_saving(name, tmp_path):
     report = of_small_campaign(name)
     report.save(tmp_path / name)
     REPORTS[name](SMALL).save(tmp_path / name)  # in place of the first
@@ -87,7 +87,7 @@ def test_a_report_is_a_function_of_its_input_and_comes_back_from_its_folder(name
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
-def test_a_folder_without_a_report_is_refused(tmp_path):
+def test_a_folder_without_a_report_is_an_error(tmp_path):
     with pytest.raises(ReportError, match="has no report"):
         Report.load(tmp_path)
 
@@ -103,7 +103,7 @@ def test_the_grid_has_the_thesis_beside_it_once_for_each_of_its_rows():
 
 
 @pytest.mark.parametrize("name", of_thesis_s_method())
-def test_the_thesis_s_variant_says_which_it_is_and_what_its_figures_are_not(name):
+def test_the_thesis_s_variant_is_labelled_with_a_warning(name):
     report = of_thesis_s_variant(name)
     assert_honest(report)
     assert report.summary["variant"] == "thesis"
@@ -120,7 +120,7 @@ def test_the_thesis_s_grid_has_its_eight_settings_only():
     assert (table["thesis_source"] == "Table 5.1").all()
 
 
-def test_the_variants_read_features_of_their_own():
+def test_the_variants_use_different_features():
     runs = thesis_runs(runs=3)
     thesis_s = [name for name in runs if name.startswith("thesis.")]
     shuffled = runs.assign(**{name: runs[name].sample(frac=1).to_numpy() for name in thesis_s})
@@ -139,7 +139,7 @@ def test_runs_with_short_vectors_are_named():
     assert bootstrapped_dataset(runs, N).summary["left_out"] == ""
 
 
-def test_runs_without_the_thesis_s_features_are_refused_or_noted():
+def test_runs_without_the_thesis_s_features_are_an_error_or_a_note():
     with pytest.raises(OracleError, match="extract the runs' features again"):
         of_thesis_s_method("thesis")["bootstrapped"](SMALL)
     table = of_thesis_s_method("thesis")["rates"](SMALL).table
@@ -169,21 +169,21 @@ def test_each_printed_result_stands_beside_both_variants():
         assert (table[name] <= table[f"{name}_high"]).all()
 
 
-def test_what_cannot_be_reproduced_says_why_beside_what_can():
+def test_rows_that_cannot_be_reproduced_have_the_reason():
     table = side_by_side(SMALL, N).table
     assert table["reproduced_auc"].isna().all()
     assert table["corrected_auc"].notna().all()
     assert table["note"].str.contains("extract the runs' features again").all()
 
 
-def test_the_report_says_that_the_thesis_s_headline_is_not_distinguishable_from_chance():
+def test_the_thesis_s_headline_is_reported_as_not_distinguishable_from_chance():
     report = null_model(repetitions=25)
     assert "not distinguishable from chance" in report.summary["headline"]
     assert report.table["p_long"].tolist() == [0.0, 0.02, 0.05, 0.1]
     assert report.summary["auc_low"] < 0.5 < report.summary["auc_high"]
 
 
-def test_a_headline_beyond_what_chance_gives_is_called_distinguishable():
+def test_a_headline_beyond_chance_is_called_distinguishable():
     said = null_headline(Estimate(0.8, 0.7, 0.9), Estimate(0.5, 0.4, 0.6))
     assert ": distinguishable from chance" in said
 
@@ -197,7 +197,7 @@ def test_rates_and_pairs_are_those_of_the_thesis():
 
 
 @pytest.mark.parametrize("malicious", [True, False])
-def test_a_campaign_of_one_class_is_drawn_from_that_class_and_says_so(malicious):
+def test_a_campaign_of_one_class_is_drawn_from_that_class_with_a_note(malicious):
     campaign = run_features(runs=3)
     one_class = campaign[(campaign["label"] == "malicious") == malicious]
     report = bootstrapped_dataset(one_class, n=50)

@@ -32,8 +32,8 @@ def shown_runs(tmp_path, blocks=5):
     def of_run(run) -> Manifest:
         mode, number = run.split("|run")
         kept = Measured(1.0, {"bag": 1}, kept="recipe" if run == DROPPED else "full")
-        told = manifest(label=labels[run], onset_s=DELAY_S, changes=(Change(30.0, 12, 1.0),))
-        return replace(told, mode=mode, run=int(number), recording_s=90.0, measured=kept)
+        original = manifest(label=labels[run], onset_s=DELAY_S, changes=(Change(30.0, 12, 1.0),))
+        return replace(original, mode=mode, run=int(number), recording_s=90.0, measured=kept)
 
     def picture(run):
         if run == DROPPED:
@@ -67,13 +67,13 @@ def page(report, run):
     return (report / run_page(run)).read_text(encoding="utf-8")
 
 
-def test_there_is_a_page_for_every_run_and_no_other(report):
+def test_there_is_exactly_one_page_per_run(report):
     pages = sorted(path.relative_to(report) for path in (report / "runs").rglob("*.html"))
     assert len(pages) == 55 + 1
     assert not (report / "runs" / "stale").exists()
 
 
-def test_every_link_is_relative_and_leads_to_a_page_or_a_file(report):
+def test_every_link_is_relative_and_valid(report):
     for path in (report / "runs").rglob("*.html"):
         links = re.findall(r'href="([^"]+)"', path.read_text(encoding="utf-8"))
         assert links
@@ -99,14 +99,14 @@ def test_an_attacked_run_is_shown_with_verdict_evidence_and_onset(report):
     assert re.search(r'<th scope="row">(structural.entropy|contextual.yaw_variance)</th>', text)
 
 
-def test_a_normal_run_says_nothing_of_an_attack_and_links_its_film(report):
+def test_the_page_of_a_normal_run_has_no_attack_and_links_its_film(report):
     text = page(report, NORMAL)
     assert "attack begins" not in text
     assert 'href="../../../runs/benign_noise/run002/replay.gif"' in text
     assert "oracle replay" not in text
 
 
-def test_a_run_without_a_bag_or_picture_says_so_and_has_the_rest(report):
+def test_a_run_without_a_bag_or_picture_has_a_page_with_a_note(report):
     text = page(report, DROPPED)
     assert "It is not drawn: &lt;no bag&gt;" in text
     assert "dropped to save space" in text
@@ -114,7 +114,7 @@ def test_a_run_without_a_bag_or_picture_says_so_and_has_the_rest(report):
     assert 'class="heat"' in text
 
 
-def test_runs_of_one_block_lead_to_each_other(report):
+def test_runs_of_one_block_link_to_each_other(report):
     others = re.findall(r'href="\.\./\.\./runs/(\w+)/run001.html"', page(report, ATTACKED))
     assert len(set(others)) == 10
 
@@ -126,7 +126,7 @@ def test_the_list_has_every_run_the_highest_score_first(report):
     assert {label for _, _, label in rows[:15]} == {"malicious"}
 
 
-def test_a_run_shows_what_two_scores_say_and_what_is_true(report):
+def test_the_page_of_a_run_has_both_scores_and_the_ground_truth(report):
     text = page(report, ATTACKED)
     assert "Tampering: do its messages agree with each other?" in text
     assert "tampered: the attack altered 12 messages" in text
@@ -183,6 +183,6 @@ def test_scores_keep_their_order_on_the_line_and_the_highest_normal_run_is_marke
     assert plot.ticks[0][1] == "0"
 
 
-def test_without_a_score_there_is_nothing_to_draw(tmp_path):
+def test_without_scores_there_is_no_plot(tmp_path):
     judged = shown_runs(tmp_path).evaluation.tables["runs"].assign(score=np.nan)
     assert strip_plot(judged, judged, run_page) is None

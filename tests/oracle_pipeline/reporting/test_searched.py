@@ -1,4 +1,4 @@
-"""The section on searches: what is counted as found, and what cannot be read is named."""
+"""The section on searches: counted findings, and errors for unreadable files."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def test_without_searches_there_is_no_section(tmp_path: Path) -> None:
     assert searched(tmp_path) is None
 
 
-def test_findings_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+def test_unreadable_findings_are_an_error_with_the_path(tmp_path: Path) -> None:
     file = tmp_path / "searches" / "drift" / "findings.json"
     file.parent.mkdir(parents=True)
     file.write_text("{")

@@ -26,13 +26,13 @@ from tests.oracle_pipeline.reporting.recordings import (
 )
 
 
-def told(path, moments_per_s=None):
+def scene_of_run(path, moments_per_s=None):
     with open_run(path) as run:
         return run_scene(run, moments_per_s)
 
 
-def test_the_way_driven_is_odometry_in_the_map_frame(recorded):
-    scene = told(recorded(MAP, at(9.0, 9.0), MAP_TO_ODOM, at(0.0, 0.0), at(2.0, 0.0)))
+def test_the_path_is_odometry_in_the_map_frame(recorded):
+    scene = scene_of_run(recorded(MAP, at(9.0, 9.0), MAP_TO_ODOM, at(0.0, 0.0), at(2.0, 0.0)))
     assert scene.path == pytest.approx(np.array([[10.0, 0.0], [10.0, 2.0]]))
     assert scene.map.cells.tolist() == [[-1, 0, 100], [0, 0, 0]]
     assert (scene.map.resolution_m, scene.map.origin) == (0.5, (-1.0, -2.0, 0.0))
@@ -40,12 +40,12 @@ def test_the_way_driven_is_odometry_in_the_map_frame(recorded):
     assert (scene.frame, scene.title) == ("map", "fake_object|run003, succeeded")
 
 
-def test_topics_are_found_by_what_they_are_for(tmp_path):
+def test_topics_are_found_by_role(tmp_path):
     usual = [each for each in drive() if each[1] in ("/odom", "/scan", "/plan")]
     names = {"/odom": "/robot1/wheels/track", "/scan": "/robot1/front", "/plan": "/robot1/way"}
     write_bag(tmp_path / "usual", usual)
     write_bag(tmp_path / "renamed", [(t, names[topic], m) for t, topic, m in usual])
-    one, other = (told(tmp_path / name, 1.0) for name in ("usual", "renamed"))
+    one, other = (scene_of_run(tmp_path / name, 1.0) for name in ("usual", "renamed"))
     assert len(one.path) > 10
     np.testing.assert_array_equal(one.path, other.path)
     for mine, its in zip(one.moments, other.moments, strict=True):
@@ -53,42 +53,46 @@ def test_topics_are_found_by_what_they_are_for(tmp_path):
         np.testing.assert_array_equal(mine.scan, its.scan)
 
 
-def test_a_robot_that_stands_adds_nothing_to_its_way(recorded):
-    scene = told(recorded(MAP_TO_ODOM, at(0.0, 0.0), at(0.001, 0.0), at(0.0, 0.002)))
+def test_a_standing_robot_adds_no_points_to_its_path(recorded):
+    scene = scene_of_run(recorded(MAP_TO_ODOM, at(0.0, 0.0), at(0.001, 0.0), at(0.0, 0.002)))
     assert len(scene.path) == 1
 
 
-def test_the_fake_object_and_the_scan_from_nearest_to_it_are_on_the_map(recorded):
+def test_the_fake_object_and_the_nearest_scan_are_on_the_map(recorded):
     far, near = (at(-3.0, 0.0), seen(1.0, 1.0)), (at(0.0, 0.0), seen(0.3, math.inf, 2.0))
-    scene = told(recorded(MAP, MAP_TO_ODOM, MOUNT, *far, *near, *far))
+    scene = scene_of_run(recorded(MAP, MAP_TO_ODOM, MOUNT, *far, *near, *far))
     assert scene.disc == pytest.approx((10.0, 1.0, 0.2))
     assert scene.scan == pytest.approx(np.array([[10.0, 0.8], [10.0, -1.5]]), abs=1e-6)
 
 
-def test_without_an_object_the_scan_is_that_from_halfway(recorded):
+def test_without_an_object_the_scan_is_from_the_middle_of_the_run(recorded):
     drive = [part for x in range(5) for part in (at(float(x), 0.0), seen(1.0))]
-    run = recorded(MAP, MAP_TO_ODOM, MOUNT, *drive, told=manifest(attack={"level": 0.1}))
-    scene = told(run)
+    run = recorded(MAP, MAP_TO_ODOM, MOUNT, *drive, manifest_=manifest(attack={"level": 0.1}))
+    scene = scene_of_run(run)
     assert scene.disc is None
     assert scene.scan == pytest.approx(np.array([[10.0, 2.5]]), abs=1e-6)  # driven 1, mounted 0.5
 
 
-def test_rays_that_met_nothing_are_no_points(recorded):
+def test_rays_without_a_return_give_no_points(recorded):
     beyond = scanned(0.05, 1.0, 4.0, math.nan)
-    (*_, last) = told(recorded(MAP_TO_ODOM, at(0.0, 0.0), beyond), 10.0).moments
+    (*_, last) = scene_of_run(recorded(MAP_TO_ODOM, at(0.0, 0.0), beyond), 10.0).moments
     assert last.scan == pytest.approx(np.array([[9.0, 0.0]]), abs=1e-6)
 
 
-def test_of_a_normal_run_nothing_attacked_is_shown(recorded):
+def test_a_normal_run_has_no_attack_in_its_scene(recorded):
     right = manifest("normal", {}, onset_s=0.0)
-    scene = told(recorded(MAP, MAP_TO_ODOM, MOUNT, at(0.0, 0.0), seen(1.0), told=right), 10.0)
+    scene = scene_of_run(
+        recorded(MAP, MAP_TO_ODOM, MOUNT, at(0.0, 0.0), seen(1.0), manifest_=right), 10.0
+    )
     assert scene.disc is scene.scan is scene.onset_s is None
     assert not any(len(moment.attacked) for moment in scene.moments)
 
 
-def test_a_moment_holds_what_was_newest_then(recorded):
+def test_a_moment_has_the_newest_data_at_its_time(recorded):
     drive = [MAP_TO_ODOM, at(0.0, 0.0), scanned(1.0), at(1.0, 0.0, QUARTER), scanned(2.0)]
-    scene = told(recorded(*drive, planned((3.0, 4.0), (5.0, 6.0)), COSTMAP, at(2.0, 0.0)), 10.0)
+    scene = scene_of_run(
+        recorded(*drive, planned((3.0, 4.0), (5.0, 6.0)), COSTMAP, at(2.0, 0.0)), 10.0
+    )
     assert [m.time_s for m in scene.moments] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])
     assert [m.driven for m in scene.moments] == [1, 1, 2, 2, 2, 2, 3]
     first, second, _, third, fourth, _, last = scene.moments
@@ -103,9 +107,9 @@ def test_a_moment_holds_what_was_newest_then(recorded):
     assert last.costmap.cells.tolist() == [[0, 99], [100, -1]]
 
 
-def test_the_object_is_seen_from_the_onset_on(recorded):
+def test_the_fake_object_is_shown_from_the_onset(recorded):
     drive = [at(x / 10, 0.0) for x in range(6)]
-    scene = told(recorded(MAP_TO_ODOM, *drive, told=manifest(onset_s=0.35)), 10.0)
+    scene = scene_of_run(recorded(MAP_TO_ODOM, *drive, manifest_=manifest(onset_s=0.35)), 10.0)
     assert [m.time_s for m in scene.moments if m.disc] == pytest.approx([0.4, 0.5, 0.6])
 
 
@@ -114,15 +118,15 @@ def test_recoveries_are_counted_when_they_begin(recorded):
     over = ticked("RecoveryActions", "RUNNING", "SUCCESS")
     other = ticked("FollowPath", "IDLE", "RUNNING")
     run = recorded(MAP_TO_ODOM, at(0.0, 0.0), other, begun, over, begun, at(1.0, 0.0))
-    (*_, last) = told(run, 10.0).moments
+    (*_, last) = scene_of_run(run, 10.0).moments
     assert last.recoveries == 2
 
 
-def test_goals_are_under_way_reached_or_missed(recorded):
+def test_goals_are_active_reached_or_missed(recorded):
     results = (ended(0.1, 0.3), ended(0.3, None, "timeout"))
     goals = (Pose(1.0, 0.0, 0.0),) * 3
-    run = recorded(MAP_TO_ODOM, at(0.0, 0.0), told=manifest(goals=goals, goal_results=results))
-    scene = told(run)
+    run = recorded(MAP_TO_ODOM, at(0.0, 0.0), manifest_=manifest(goals=goals, goal_results=results))
+    scene = scene_of_run(run)
     assert [scene.goal_at(t) for t in (0.0, 0.1, 0.2, 0.3, 9.0)] == [None, 0, 0, 1, 1]
     assert [scene.reached(t).tolist() for t in (0.2, 0.3)] == [[False] * 3, [True, False, False]]
     assert scene.reached().tolist() == [True, False, False]
@@ -136,19 +140,19 @@ def test_goals_are_under_way_reached_or_missed(recorded):
         ([MOUNT, MAP_TO_ODOM], "neither odometry"),
     ],
 )
-def test_a_bag_that_lacks_a_part_is_refused_by_its_name(recorded, messages, lacking):
+def test_the_error_for_an_incomplete_bag_names_the_missing_part(recorded, messages, lacking):
     with pytest.raises(ReportError, match=lacking):
-        told(recorded(*messages))
+        scene_of_run(recorded(*messages))
 
 
-def test_frames_that_hang_in_a_ring_are_nowhere(recorded):
+def test_a_cycle_of_frames_has_no_root(recorded):
     ring = ("/tf", "tf2_msgs/msg/TFMessage", tf("base_footprint", "odom", 0.0, 0.0, 0.0))
     with pytest.raises(ReportError, match="transform"):
-        told(recorded(MAP, ring, at(0.0, 0.0)))
+        scene_of_run(recorded(MAP, ring, at(0.0, 0.0)))
 
 
-def test_somebody_elses_bag_is_drawn_in_odom_if_nothing_localized_the_robot(recorded):
-    scene = told(recorded(at(1.0, 0.0), scanned(1.0), at(2.0, 0.0)) / "bag", 10.0)
+def test_a_foreign_bag_is_drawn_in_odom_without_localisation(recorded):
+    scene = scene_of_run(recorded(at(1.0, 0.0), scanned(1.0), at(2.0, 0.0)) / "bag", 10.0)
     assert (scene.frame, scene.title, scene.map) == ("odom", "bag", None)
     assert scene.path.tolist() == [[1.0, 0.0], [2.0, 0.0]]
     assert scene.start == (1.0, 0.0)
@@ -156,6 +160,6 @@ def test_somebody_elses_bag_is_drawn_in_odom_if_nothing_localized_the_robot(reco
     assert np.unique(scene.surroundings(), axis=0) == pytest.approx(np.array([[2.0, 0.0]]))
 
 
-def test_without_odometry_transforms_say_where_the_robot_was(recorded):
-    scene = told(recorded(MAP_TO_ODOM, standing(0.0, 0.0), standing(2.0, 0.0)) / "bag")
+def test_without_odometry_the_path_comes_from_transforms(recorded):
+    scene = scene_of_run(recorded(MAP_TO_ODOM, standing(0.0, 0.0), standing(2.0, 0.0)) / "bag")
     assert scene.path == pytest.approx(np.array([[10.0, 0.0], [10.0, 2.0]]))

@@ -24,7 +24,7 @@ PRINTED = GRID | RATES | FAMILIES | PAIRWISE
 
 
 @pytest.mark.parametrize("row", DECODED, ids=str)
-def test_the_false_alarms_that_the_thesis_does_not_print_are_decoded(row):
+def test_the_unpublished_false_positive_rates_are_decoded(row):
     assert PRINTED[row].fpr == pytest.approx(DECODED[row], abs=6e-4)
 
 

@@ -38,14 +38,14 @@ def test_a_run_is_tampered_misbehaved_both_or_neither_by_its_two_p_values() -> N
     assert kinds[4:].isna().all()  # one p-value alone is no verdict
 
 
-def test_in_truth_it_is_by_its_label_and_its_effect() -> None:
+def test_the_true_kind_follows_from_label_and_effect() -> None:
     kinds = true_kinds(RUNS)
     known = ["tampered", "both", "neither", "misbehaved"]
     assert kinds[[0, 1, 3, 4]].tolist() == known
     assert kinds[[2, 5]].isna().all()
 
 
-def test_nothing_is_counted_where_nothing_is_known() -> None:
+def test_unknown_kinds_are_not_counted() -> None:
     assert counted(called_kinds(RUNS.assign(tampering_p=np.nan))) == ""
     said = counted(true_kinds(RUNS))
     assert said == "1 tampered only, 1 misbehaved only, 1 both, 1 neither"
@@ -66,7 +66,7 @@ def test_the_plot_counts_the_kinds_of_each_mode() -> None:
 
 
 def words(effect: float, **differences: float) -> str:
-    """Return what the table of scores says of misbehaviour in truth."""
+    """Return the true misbehaviour in the table of scores."""
     row = pd.Series(
         {f"{aspect}_{name}": NONE for aspect in ("tampering", "misbehaviour")
          for name in ("score", "p")} | {"effect": effect}
@@ -87,7 +87,7 @@ def words(effect: float, **differences: float) -> str:
          "misbehaved: under way +12.5 s, recoveries +3"),
     ],
 )  # fmt: skip
-def test_misbehaviour_is_told_by_the_quantities_that_differ(
+def test_misbehaviour_lists_the_quantities_that_differ(
     effect: float, differences: dict[str, float], said: str
 ) -> None:
     assert words(effect, **differences) == said

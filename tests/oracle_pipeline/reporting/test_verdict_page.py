@@ -48,7 +48,7 @@ def test_a_verdict_stands_beside_the_picture_and_the_evidence(recorded_run, page
     assert "redundancy: 1 of 5 features outside their usual range" in html
 
 
-def test_what_cannot_be_drawn_keeps_its_verdict_and_says_why(tmp_path, page):
+def test_a_recording_that_cannot_be_drawn_keeps_its_verdict_with_a_note(tmp_path, page):
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(b"no bag")
     html = page(anomalous(broken), Verdict(str(broken), "error", error="It is no bag."))
@@ -57,7 +57,7 @@ def test_what_cannot_be_drawn_keeps_its_verdict_and_says_why(tmp_path, page):
     assert html.index("Anomalous") < html.index("Could not be judged") < html.index("It is no bag.")
 
 
-def test_names_and_texts_of_a_recording_are_only_shown(recorded_run, tmp_path, page):
+def test_names_and_texts_of_a_recording_are_escaped(recorded_run, tmp_path, page):
     run = linked(recorded_run("fake_object"), tmp_path / "<script>")
     html = page(anomalous(run.path, contract=(HOSTILE,)), notes=(HOSTILE,))
     assert "<script" not in html

@@ -22,7 +22,7 @@ PATH, STRING = "nav_msgs/msg/Path", "std_msgs/msg/String"
 
 
 def bag_with(path: Path, topics: dict[str, str]) -> Path:
-    """Write a bag that has topics of some types, and one message that nobody asks for."""
+    """Write a bag that has topics of some types, and one unused message."""
     with BagWriter(path) as bag:
         for name, msgtype in topics.items():
             bag.add_topic(name, msgtype, [])

@@ -1,4 +1,4 @@
-"""Which namespaces of a recording are robots, and what features of each do not depend on."""
+"""Which namespaces of a recording are robots, and features that do not depend on namespaces."""
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -62,7 +62,7 @@ def test_robots_are_found_by_namespace(recorded, names, tmp_path):
     assert sorted(robots_of(bag_with(tmp_path / "bag", recorded))) == names
 
 
-def test_robots_see_their_own_topics_without_the_namespace_and_the_shared_ones(tmp_path):
+def test_robots_have_their_own_topics_without_the_namespace_and_shared_ones(tmp_path):
     recorded = below("/r1", SMALL) | below("/r2", SMALL) | {"/map": GRID, "/tf": TF, "/r2/tf": TF}
     robots = robots_of(bag_with(tmp_path / "bag", recorded))
     shared = {"/map", "/tf", "/rosout_of_tests"}
@@ -172,10 +172,10 @@ def test_roles_of_the_testbed_are_its_own_topics(recorded_run):
     }  # fmt: skip
     with open_run(recorded_run("fake_object").path) as run:
         (found,) = find_robots(run.bag)
-        (told,) = find_robots(run.bag, RoleChoices(topics=named))
+        (robot,) = find_robots(run.bag, RoleChoices(topics=named))
         assert {role: each.topics for role, each in found.roles.found.items() if each.topics} == {
-            role: each.topics for role, each in told.roles.found.items() if each.topics
+            role: each.topics for role, each in robot.roles.found.items() if each.topics
         }
         assert hashes(features.extract(run, MANAGER, found)) == hashes(
-            features.extract(run, MANAGER, told)
+            features.extract(run, MANAGER, robot)
         )

@@ -1,4 +1,4 @@
-"""Which topic of a robot is what, by message type, then usual name, then frame."""
+"""Roles of topics, by message type, then usual name, then frame."""
 
 import pytest
 
@@ -81,7 +81,7 @@ def test_odometry_is_that_of_the_body_that_carries_the_sensors(tmp_path):
     assert roles.ambiguities() == []
 
 
-def test_grids_are_told_apart_by_their_frames(tmp_path):
+def test_grids_are_distinguished_by_their_frames(tmp_path):
     recorded = [
         (0.0, "/a_grid", grid("odom")), (0.0, "/b_grid", grid("map")), (0.0, "/where", pose("map")),
         (0.0, "/wheels", odometry("base_link")),
@@ -92,37 +92,37 @@ def test_grids_are_told_apart_by_their_frames(tmp_path):
     assert found["local_costmap"] == ("/a_grid",)
 
 
-def test_what_is_ambiguous_is_told(tmp_path):
+def test_ambiguous_roles_are_reported(tmp_path):
     bag = bag_with(tmp_path / "bag", {"/left": ODOMETRY, "/right": ODOMETRY})
     roles = roles_of(bag)
     assert roles.found["odometry"].topics == ("/left",)
-    (told,) = roles.ambiguities()
-    assert "/left is used as odometry" in told
-    assert "/right would fit too" in told
+    (note,) = roles.ambiguities()
+    assert "/left is used as odometry" in note
+    assert "/right would fit too" in note
     assert roles_of(bag, {"odometry": ("/right",)}).ambiguities() == []
 
 
-def test_a_topic_with_messages_goes_before_a_silent_one(tmp_path):
-    write_bag(tmp_path / "heard", [(0.0, "/b_track", odometry("base"))])
+def test_a_topic_with_messages_has_precedence_over_a_silent_one(tmp_path):
+    write_bag(tmp_path / "recorded", [(0.0, "/b_track", odometry("base"))])
     silent = bag_with(tmp_path / "silent", {"/a_track": ODOMETRY})
     assert topics(roles_of(silent))["odometry"] == ("/a_track",)
-    assert topics(roles_of(tmp_path / "heard"))["odometry"] == ("/b_track",)
+    assert topics(roles_of(tmp_path / "recorded"))["odometry"] == ("/b_track",)
 
 
-def test_a_roles_file_decides_and_what_it_lacks_is_told(tmp_path):
+def test_a_roles_file_has_precedence_and_missing_topics_are_reported(tmp_path):
     bag = bag_with(tmp_path / "bag", {"/odom": ODOMETRY, "/wheels": ODOMETRY, "/laser": SCAN})
     roles = roles_of(bag, {"odometry": ("/wheels",), "scan": ("/laser", "/gone"), "imu": ()})
     assert topics(roles) == {"odometry": ("/wheels",), "scan": ("/laser",)}
     assert roles.notes == ("The roles file names /gone as scan, but it is not recorded.",)
 
 
-def test_a_topic_of_another_type_is_refused(tmp_path):
+def test_a_topic_with_the_wrong_type_is_an_error(tmp_path):
     bag = bag_with(tmp_path / "bag", {"/laser": SCAN})
     with pytest.raises(RolesError, match="/laser as odometry, but its type is sensor_msgs"):
         roles_of(bag, {"odometry": ("/laser",)})
 
 
-def test_no_role_is_found_in_a_bag_of_something_else(tmp_path):
+def test_no_role_is_found_in_a_bag_without_a_robot(tmp_path):
     roles = roles_of(bag_with(tmp_path / "bag", {}))
     assert topics(roles) == {}
     assert roles.found.keys() == ROLES.keys()

@@ -31,7 +31,7 @@ def oracle(*arguments):
     return CliRunner().invoke(main, list(map(str, arguments)))
 
 
-def test_a_roles_file_names_robots_and_topics(tmp_path):
+def test_a_roles_file_has_robots_and_topics(tmp_path):
     choices = RoleChoices.load(written(tmp_path, GOOD))
     assert choices.robots == ("/robot1", "")
     assert choices.topics == {
@@ -56,7 +56,7 @@ def test_a_roles_file_names_robots_and_topics(tmp_path):
         ("x" * 70_000, "larger than 65536 bytes"),
     ],
 )
-def test_a_faulty_roles_file_is_refused_in_words(text, reason, tmp_path):
+def test_an_invalid_roles_file_is_an_error_with_the_fault(text, reason, tmp_path):
     with pytest.raises(RolesError, match=reason):
         RoleChoices.load(written(tmp_path, text))
 
@@ -70,11 +70,11 @@ def test_a_faulty_roles_file_is_refused_in_words(text, reason, tmp_path):
         ),
     )
 )
-def test_choices_are_those_of_their_own_document(choices):
+def test_choices_survive_a_round_trip(choices):
     assert RoleChoices.of(json.loads(json.dumps(choices.document()))) == choices
 
 
-def test_the_command_prints_roles_in_words(tmp_path):
+def test_the_command_prints_roles_as_text(tmp_path):
     recorded = {"/left/odom": ODOMETRY, "/right/odom": ODOMETRY, "/front": SCAN}
     bag = bag_with(tmp_path / "bag", recorded)
     done = oracle("features", bag, "--roles")
@@ -94,7 +94,7 @@ def test_the_command_gives_a_row_for_each_robot(tmp_path):
     assert [row["run_id"] for row in json.loads(one.stdout)["rows"]] == ["bag"]
 
 
-def test_a_roles_file_changes_what_features_are_made_of(tmp_path):
+def test_a_roles_file_changes_the_topics_of_features(tmp_path):
     write_bag(tmp_path / "bag", [each for each in drive() if each[1] == "/odom"])
     roles = written(tmp_path, "roles: {odometry: []}")
     (row,) = json.loads(oracle("features", tmp_path / "bag", "--roles", roles).stdout)["rows"]

@@ -1,4 +1,4 @@
-"""What a search composes: proposals are scenarios of the language, on topics that are there."""
+"""Composed attacks: proposals are valid scenarios on existing topics."""
 
 from pathlib import Path
 
@@ -57,12 +57,12 @@ def test_small_changes_are_proposed_as_often_as_large_ones_in_both_directions(na
         ("/map", "has no number that could be altered"),
     ],
 )
-def test_a_topic_that_cannot_be_altered_is_refused(topic: str, reason: str) -> None:
+def test_a_topic_that_cannot_be_altered_is_an_error(topic: str, reason: str) -> None:
     with pytest.raises(SearchError, match=reason):
         ComposedTemplate.of([topic], [], THERE)
 
 
-def test_an_unknown_operator_is_refused_with_those_that_there_are() -> None:
+def test_the_error_for_an_unknown_operator_lists_the_known_ones() -> None:
     with pytest.raises(SearchError, match="no operator vanish; there are add, scale"):
         ComposedTemplate.of(["/scan"], ["vanish"], THERE)
 

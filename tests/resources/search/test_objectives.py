@@ -1,4 +1,4 @@
-"""Objectives: nothing is preferred to an attack that has a clear effect and is passed."""
+"""Objectives: an attack with a clear effect that is missed is the best."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -30,7 +30,7 @@ def dominates(ours: Finding, theirs: Finding) -> bool:
 
 
 @given(detected, passed)
-def test_no_detected_run_is_preferred_to_one_that_is_passed_with_a_clear_effect(
+def test_a_missed_run_with_an_effect_is_preferred_to_detected_runs(
     caught: Finding, missed: Finding
 ) -> None:
     if missed.effect >= 3.0:
@@ -39,12 +39,12 @@ def test_no_detected_run_is_preferred_to_one_that_is_passed_with_a_clear_effect(
 
 
 @given(passed, passed)
-def test_among_runs_that_are_passed_the_effect_alone_counts(one: Finding, two: Finding) -> None:
+def test_among_missed_runs_only_the_effect_counts(one: Finding, two: Finding) -> None:
     if min(one.effect, 3.0) > min(two.effect, 3.0):
         assert dominates(one, two)
 
 
 @given(detected, st.floats(3.0, 1e6))
-def test_a_robot_that_is_stuck_longer_is_no_better_find(caught: Finding, effect: float) -> None:
+def test_a_robot_that_is_stuck_longer_has_no_better_value(caught: Finding, effect: float) -> None:
     stuck = finding(effect, caught.score, caught.p_value)
     assert not dominates(stuck, finding(3.0, caught.score, caught.p_value))

@@ -1,4 +1,4 @@
-"""Samplers: all stay within bounds, and the guided one varies what moved rare quantities."""
+"""Samplers: all stay within bounds, and the guided one varies trials with rare changes."""
 
 from typing import get_args
 
@@ -38,11 +38,11 @@ def test_a_sampler_with_the_same_seed_proposes_the_same_within_bounds(name: Samp
     assert proposed[0] == proposed[1]
 
 
-def test_what_moved_as_nothing_else_did_is_varied_most() -> None:
+def test_trials_with_the_rarest_changes_are_varied_most() -> None:
     study = optuna.create_study(
         directions=["maximize", "minimize"], sampler=MessageGuidedSampler(1)
     )
-    # All trials but one are equally good, and that one moved what no other moved.
+    # All trials but one are equally good, and that one changed a feature that no other changed.
     for number in range(40):
         trial = study.ask({"rate": optuna.distributions.FloatDistribution(0.0, 1.0)})
         rare = number == 20

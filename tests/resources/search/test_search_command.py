@@ -48,7 +48,7 @@ def search(card: Path, out: Path, budget: int, *more: str) -> Result:
     return CliRunner().invoke(oracle_sim, words)
 
 
-def test_a_search_goes_on_where_it_stopped(card: Path, tmp_path: Path) -> None:
+def test_a_search_can_be_resumed(card: Path, tmp_path: Path) -> None:
     found = []
     for budget in (1, 3):
         result = search(card, tmp_path, budget, "--no-screen", "--range", "rate=-0.02:0.02")
@@ -62,7 +62,7 @@ def test_a_search_goes_on_where_it_stopped(card: Path, tmp_path: Path) -> None:
     assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_what_is_detected_in_an_altered_recording_is_not_run(card: Path, tmp_path: Path) -> None:
+def test_trials_detected_in_an_altered_recording_are_not_run(card: Path, tmp_path: Path) -> None:
     result = search(card, tmp_path, 1, "--range", "rate=0.5:0.9")
     assert result.exit_code == 0, result.output
     (finding,) = json.loads((tmp_path / "findings.json").read_text())["findings"]
@@ -70,7 +70,7 @@ def test_what_is_detected_in_an_altered_recording_is_not_run(card: Path, tmp_pat
     assert finding["effects"] == {}
 
 
-def test_another_objective_in_the_same_folder_is_refused_or_apart(
+def test_another_objective_in_the_same_folder_is_an_error_or_a_separate_study(
     card: Path, tmp_path: Path
 ) -> None:
     assert search(card, tmp_path, 1, "--range", "rate=0.5:0.9").exit_code == 0
@@ -94,7 +94,7 @@ def test_a_search_without_a_template_chooses_topics_and_operators(
 
 
 def miss(attack: Attack) -> Finding:
-    """A run of an attack that had an effect and was passed."""
+    """A run of an attack with an effect that the oracle missed."""
     return Finding(
         Proposal(7, 0, attack.document, attack.values), screened_out=False, effect=2.0,
         effects={"driven_m": 1.5}, margin=0.5, violated=(), magnitude=0.3, score=1.0, p_value=0.4,
@@ -102,7 +102,7 @@ def miss(attack: Attack) -> Finding:
     )  # fmt: skip
 
 
-def test_a_miss_is_a_mode_with_what_was_found_as_its_default(
+def test_a_miss_is_a_mode_with_the_found_values_as_defaults(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     template = ScenarioTemplate(find_mode("range_drift"), search_space(find_mode("range_drift")))
@@ -121,7 +121,7 @@ def test_a_miss_is_a_mode_with_what_was_found_as_its_default(
     assert "unaltered" not in modes()  # its runs have a node, as normal ones have
 
 
-def test_what_a_search_found_is_a_row_of_the_evaluation(
+def test_a_found_attack_is_a_row_of_the_evaluation(
     recorded_run: RecordedRuns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     there = {"/cmd_vel": "geometry_msgs/msg/Twist"}

@@ -1,4 +1,4 @@
-"""What a search varies: bounds are the scenario's own, or narrower ones that were asked for."""
+"""The search space: bounds of the scenario, or narrower ones."""
 
 import optuna
 import pytest
@@ -36,7 +36,7 @@ def mode() -> Mode:
     return Mode(scenario)
 
 
-def test_numbers_with_bounds_and_truth_values_are_varied(mode: Mode) -> None:
+def test_numbers_with_bounds_and_booleans_are_varied(mode: Mode) -> None:
     space = {each.name: each for each in search_space(mode)}
     assert set(space) == {"share", "count", "on"}
     assert space["share"].is_logarithmic
@@ -49,7 +49,7 @@ def test_a_range_narrows_a_parameter_or_frees_one(mode: Mode) -> None:
     assert (space["free"].low, space["free"].high) == (-1.0, 1.0)
 
 
-def test_what_a_block_draws_is_varied_only_if_a_range_names_it() -> None:
+def test_a_drawn_parameter_is_varied_only_with_a_range() -> None:
     fake = find_mode("fake_object")
     with pytest.raises(SearchError, match="no parameter to vary"):
         search_space(fake)
@@ -66,7 +66,9 @@ def test_what_a_block_draws_is_varied_only_if_a_range_names_it() -> None:
         ("size=0:1", "no parameter size; it has share, count"),
     ],
 )
-def test_a_wrong_range_is_told_with_what_is_right(mode: Mode, text: str, reason: str) -> None:
+def test_the_error_for_an_invalid_range_states_the_valid_one(
+    mode: Mode, text: str, reason: str
+) -> None:
     with pytest.raises(SearchError, match=reason):
         search_space(mode, [text])
 
