@@ -53,6 +53,8 @@ demo-card: setup ## Learn the demo's reference card again, after a change of sim
 		--out $${ORACLE_HOME:-data}/demo-card
 	oracle learn $${ORACLE_HOME:-data}/demo-card --output demo/normal.card
 
+# Dagster 1.13 warns that `dg launch`, which needs a further package, does the same.
+run campaign: export PYTHONWARNINGS = ignore:Function `asset_materialize_command` is superseded
 run: setup ## Simulate the small campaign, analyse it, and say where the report is
 	dagster asset materialize -m oracle_pipeline.definitions --select '*' \
 		--partition-range '$(FIRST)...$(LAST)'
@@ -78,7 +80,7 @@ test-browser: setup-dev ## Look at the report in a headless Chromium, which has 
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
 	pytest tests/browser
 
-test-compiled: setup-dev ## Build a feature plugin in C++ and use it; cmake and a compiler have to be installed
+test-compiled: setup-dev ## Build feature plugins in C++ and Rust and use them; needs cmake and a compiler, Rust is optional
 	pytest tests/compiled
 
 lint: setup-dev ## Check style and the direction of imports

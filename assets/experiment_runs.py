@@ -29,7 +29,7 @@ from resources import terminal
 from resources.budget import StorageBudget
 from resources.campaign import CampaignSettings
 from resources.dagster_internals import output_without_event
-from resources.fleet import Fleet
+from resources.fleet import Fleet, in_words
 from resources.store import RunStore
 from sim.commands.progress import RunProgress
 from sim.modes import broken_scenarios
@@ -182,8 +182,8 @@ def recorded_runs(
             simulated += outcome.result.simulated_s > 0.0
             simulated_s += outcome.result.simulated_s
     context.log.info(
-        f"{simulated} runs simulated ({simulated_s:.0f} s of the robot's time in "
-        f"{time.monotonic() - started:.0f} s), {len(jobs) - simulated - len(failed)} verified, "
+        f"{simulated} runs simulated ({in_words(simulated_s)} of the robot's time in "
+        f"{in_words(time.monotonic() - started)}), {len(jobs) - simulated - len(failed)} verified, "
         f"{len(failed)} failed. They are in {store.path / layout.RUNS}. The job `report` analyses "
         "all runs in that folder."
     )

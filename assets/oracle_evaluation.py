@@ -1,6 +1,8 @@
 """Our own evaluation of the oracle, over distinct runs and held-out blocks."""
 
-from collections.abc import Sequence
+import math
+import time
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import dagster as dg
@@ -18,7 +20,7 @@ from assets.feature_dataset import feature_dataset
 from assets.run_checks import PAIR_CHECK, complete_pairs
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.failures import clear_failures
-from resources.fleet import Fleet
+from resources.fleet import PROGRESS_S, Fleet
 from resources.store import RunStore
 
 if TYPE_CHECKING:
@@ -64,13 +66,29 @@ def oracle_evaluation(
             graph_differences=_graph_differences(store, fleet, set(df["run_id"])),
             grid=_mutants(store, fleet),
             bounds=config.upper_bounds,
-            progress=lambda step: context.log.info(f"Evaluating: {step}."),
+            progress=_throttled(context.log.info),
         )
         report = evaluation_report(evaluation)
-        context.log.info(f"{report.summary['headline']} {report.summary['verdicts']}")
+        context.log.info(f"{report.summary['headline']} {report.summary['verdicts']}".strip())
         if (kinds := _kinds(store, fleet, evaluation)) is not None:
             report = with_kinds(report, kinds)
         return keep(report, store, "oracle_evaluation")
+
+
+def _throttled(log: Callable[[str], None]) -> Callable[[str], None]:
+    """Return a function that logs the current step, at most once per `PROGRESS_S`.
+
+    There are over forty steps, most of which take less than a second.
+    """
+    last_s = -math.inf
+
+    def log_step(step: str) -> None:
+        nonlocal last_s
+        if (now_s := time.monotonic()) - last_s >= PROGRESS_S:
+            last_s = now_s
+            log(f"Evaluating: {step}.")
+
+    return log_step
 
 
 def _kinds(
@@ -94,7 +112,7 @@ def _kinds(
     jobs = [store.run(run) for run in table["run_id"]]
     traces = {
         outcome.job.key: outcome.result
-        for outcome in fleet.outcomes(require_trace, jobs, "signals read")
+        for outcome in fleet.outcomes(require_trace, jobs, "runs read for the comparison of kinds")
         if outcome.result is not None
     }
     traced = table["run_id"].isin(traces).to_numpy()

@@ -22,6 +22,19 @@ MAX_ROWS = 40
 Metadata = dict[str, dg.MetadataValue]
 
 
+_KEYS = {
+    "run_id": "the run: mode|number",
+    "mode": "the experiment; foreign: a recording from elsewhere",
+    "label": "normal, malicious (attacked), control or unknown",
+    "block": "runs of a block have the same start and goals; -1: none",
+    "session": "the day in the laboratory, which blocks share; -1: none",
+    "world": "the arena that the robot drove in",
+    "window_start_s": "start of the window in the recording [s]",
+    "where": "JSON: topic, pair or edge at which each feature was attained",
+    "missing": "JSON: why a feature has no value",
+}
+
+
 def png(picture: bytes) -> dg.MetadataValue:
     """Return a picture that is shown inline."""
     return dg.MetadataValue.md(
@@ -60,7 +73,11 @@ def columns(df: "pd.DataFrame") -> dg.TableSchema:
     fields = field_metadata(df)
     return dg.TableSchema(
         [
-            dg.TableColumn(str(name), str(dtype), description=_meaning(fields.get(str(name), {})))
+            dg.TableColumn(
+                str(name),
+                str(dtype),
+                description=_KEYS.get(str(name)) or _meaning(fields.get(str(name), {})),
+            )
             for name, dtype in df.dtypes.items()
         ]
     )
@@ -80,13 +97,17 @@ def _meaning(field: Mapping[str, str]) -> str | None:
 
 
 def facts(summary: Mapping[str, float | int | str | bytes]) -> Metadata:
-    """Return facts and pictures as metadata; numbers stay numbers, so that the UI plots them."""
+    """Return facts and pictures as metadata; numbers stay numbers, so that the UI plots them.
+
+    An empty text is left out.
+    """
     return {
         name: png(value) if isinstance(value, bytes)
         else dg.MetadataValue.text(value) if isinstance(value, str)
         else dg.MetadataValue.int(value) if isinstance(value, int)
         else dg.MetadataValue.float(value)
         for name, value in summary.items()
+        if value != ""
     }  # fmt: skip
 
 

@@ -1,11 +1,11 @@
 """Alterations that an attacker could make to a recording, applied while features read it.
 
-An `Alteration` receives each decoded message of the types that it names, and returns a replacement,
-or None to leave the message out. No second bag is written: the reader returns the altered bytes.
+An `Alteration` changes or drops each decoded message of the types that it names. No second bag is
+written: the altered messages are in memory.
 """
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from oracle_pipeline.bags.memory_bag import MemoryBag
 from oracle_pipeline.bags.reader import BagReader, RawMessage
 from oracle_pipeline.bags.types import serialize
 from oracle_pipeline.opened_run import OpenedRun, open_run
@@ -47,33 +48,6 @@ class Alteration:
     late_s: Mapping[str, float] = field(default_factory=dict)
 
 
-class AlteredBag(BagReader):
-    """A bag without some topics, and with altered messages on others."""
-
-    def __init__(self, path: Path, alteration: Alteration, left_out: Collection[str]) -> None:
-        super().__init__(path)
-        self._alteration = alteration
-        self.topics = {name: t for name, t in self.topics.items() if name not in left_out}
-
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """Yield the altered messages."""
-        wanted = self.topics.keys() if topics is None else self.topics.keys() & set(topics)
-        changes = {each: make() for each, make in self._alteration.changes.items()}
-        for raw in super().messages(wanted):
-            msgtype = self.topics[raw.topic].msgtype
-            since_s = (raw.stamp_ns - self.start_ns) / 1e9 - self._alteration.onset_s
-            data, late_s = raw.data, self._alteration.late_s.get(msgtype, 0.0)
-            if since_s < 0.0:
-                yield raw
-                continue
-            if msgtype in changes:
-                message = self.deserialize(raw)
-                if changes[msgtype](raw.topic, message, since_s) is False:
-                    continue
-                data = serialize(message, msgtype)
-            yield RawMessage(raw.topic, raw.stamp_ns + round(late_s * 1e9), data)
-
-
 def pose_of(pose: Any) -> tuple[float, float, float]:
     """Return x [m], y [m] and yaw [rad] of a ``geometry_msgs/msg/Pose``."""
     position, q = pose.position, pose.orientation
@@ -82,11 +56,41 @@ def pose_of(pose: Any) -> tuple[float, float, float]:
 
 
 def open_altered(path: Path, alteration: Alteration, left_out: Collection[str] = ()) -> OpenedRun:
-    """Open a run directory as if it had been recorded with an alteration; graphs are left out."""
-    run = open_run(path)
-    bag = AlteredBag(run.bag.path, alteration, left_out)
-    run.bag.close()
-    return replace(run, bag=bag, intervals=())
+    """Open a run directory as if it had been recorded with an alteration; graphs are left out.
+
+    Raises
+    ------
+    RuntimeError
+        If the alteration changes no message.
+    """
+    with open_run(path) as run:
+        bag = run.bag
+        topics = {name: topic for name, topic in bag.topics.items() if name not in left_out}
+        original = list(bag.messages(topics))
+        altered = list(_altered(bag, original, alteration))
+        if altered == original and alteration != Alteration():
+            raise RuntimeError(f"{alteration} changes no message of {path}")
+        memory = MemoryBag(bag.path, topics, altered, bag.start_ns, bag.end_ns)
+        return replace(run, bag=memory, intervals=())
+
+
+def _altered(
+    bag: BagReader, messages: Iterable[RawMessage], alteration: Alteration
+) -> Iterator[RawMessage]:
+    changes = {each: make() for each, make in alteration.changes.items()}
+    for raw in messages:
+        msgtype = bag.topics[raw.topic].msgtype
+        since_s = (raw.stamp_ns - bag.start_ns) / 1e9 - alteration.onset_s
+        data, late_s = raw.data, alteration.late_s.get(msgtype, 0.0)
+        if since_s < 0.0:
+            yield raw
+            continue
+        if msgtype in changes:
+            message = bag.deserialize(raw)
+            if changes[msgtype](raw.topic, message, since_s) is False:
+                continue
+            data = serialize(message, msgtype)
+        yield RawMessage(raw.topic, raw.stamp_ns + round(late_s * 1e9), data)
 
 
 def ranges_by(function: Callable[[Any], Any]) -> Alteration:
@@ -174,8 +178,10 @@ def without_small_things(message: Any) -> Any:
             best, nearest = (first, last), float(here.min())
     if best is not None:
         first, last = best
-        ends = ranges[first], ranges[last + 1]
-        ranges[first + 1 : last + 1] = np.linspace(*ends, last - first + 2)[1:-1]
+        left, right = ranges[first], ranges[last + 1]
+        is_finite = math.isfinite(left) and math.isfinite(right)
+        background = np.linspace(left, right, last - first + 2)[1:-1] if is_finite else math.inf
+        ranges[first + 1 : last + 1] = background
     return ranges
 
 

@@ -24,9 +24,9 @@ from soak.budget import MODES, campaign
 # most), and `make run`.
 CAMPAIGNS = ((20, Campaign().goals_per_run), (20, 1), (3, Campaign().goals_per_run))
 GOAL = 1.3
-MOST = 10_000  # events that Dagster hands out at a time
+MOST = 10_000  # events in one page of Dagster's
 TIMED = ("experiment_runs", "run_features")  # assets of a run that record their duration
-OF_RUNS = ("runs", "checks_of_runs")  # steps that hand the work to processes of their own
+OF_RUNS = ("runs", "checks_of_runs")  # steps whose work is done in worker processes
 
 
 def rows() -> Iterator[Row]:

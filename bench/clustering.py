@@ -25,7 +25,7 @@ def rows() -> Iterator[Row]:
     rng = np.random.default_rng(0)
     few = _features(RUNS, rng)
     for method in LINKAGES:
-        grow_tree(few, method)  # compiles, if nobody did
+        grow_tree(few, method)  # compiles the hot loops, unless they are cached
     many = _features(DISTINCT, rng)
     for method in WITHOUT_MATRIX:
         seconds = _seconds(grow_tree, many, method)

@@ -34,7 +34,7 @@ def rows() -> Iterator[Row]:
         directory = RunDirectory(Path(folder), MODE, 0)
         record_run(recipe_for(MODE, 0, Campaign(goals_per_run=GOALS)), directory)
         manager = features.build_manager()
-        _extract(directory.path, manager)  # compiles, if nobody did
+        _extract(directory.path, manager)  # compiles the hot loops, unless they are cached
         wanted = _decoded_topics(directory.path, manager)
         read, decode, extract = [], [], []
         for _ in range(ROUNDS):

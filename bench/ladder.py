@@ -235,10 +235,10 @@ def _figures(attack: Attack, right: Tables, attacked: Tables) -> Iterator[Row]:
         against["real obstacle"] = (REAL, 0.90)
     for what, (negative, goal) in against.items():
         two = np.isin(mode, ["attacked", negative])
-        told, of_old = (_auc(each[two], runs, two) for each in (score, earlier))
+        estimate, of_old = (_auc(each[two], runs, two) for each in (score, earlier))
         yield Row(
-            f"{name} against {what}", told.value, "AUC", goal, False,
-            f"[{told.low:.2f}, {told.high:.2f}]; without the consistency families {of_old}",
+            f"{name} against {what}", estimate.value, "AUC", goal, False,
+            f"[{estimate.low:.2f}, {estimate.high:.2f}]; without the consistency families {of_old}",
         )  # fmt: skip
 
 

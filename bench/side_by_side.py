@@ -26,27 +26,27 @@ class Watching:
 
     Attributes
     ----------
-    told : list of dict
+    events : list of dict
         The objects that it printed.
-    heard, dropped : int
+    received, dropped : int
         Numbers of messages; known when it has ended.
     recording : Path or None
         Its recording, once it has ended.
     """
 
     process: Any
-    told: list[dict[str, Any]] = field(default_factory=list)
-    heard: int = 0
+    events: list[dict[str, Any]] = field(default_factory=list)
+    received: int = 0
     dropped: int = 0
     recording: Path | None = None
 
     def verdicts(self) -> list[dict[str, Any]]:
         """Return the verdicts on windows so far."""
-        return [told["window"] for told in self.told if "window" in told]
+        return [event["window"] for event in self.events if "window" in event]
 
     def alarms(self) -> list[dict[str, Any]]:
         """Return the alarms so far."""
-        return [told["alarm"] for told in self.told if "alarm" in told]
+        return [event["alarm"] for event in self.events if "alarm" in event]
 
     def start_s(self) -> float:
         """Return when the recording began, by the robot's clock [s]."""
@@ -60,19 +60,19 @@ def watching(domain: int, *words: str | Path) -> Iterator[Watching]:
     """Watch a domain; at the end, wait until the recording is complete."""
     process = _process("oracle", "watch", "--domain", str(domain), "--format", "json", *words)
     watch = Watching(process)
-    reader = threading.Thread(target=_read, args=(process.stdout, watch.told))
+    reader = threading.Thread(target=_read, args=(process.stdout, watch.events))
     reader.start()
     try:
         process.stderr.readline()  # it is there
         yield watch
     finally:
         process.send_signal(signal.SIGINT)
-        said = process.stderr.read()
+        printed = process.stderr.read()
         process.wait()
         reader.join()
-        for line in said.splitlines():
+        for line in printed.splitlines():
             if "dropped." in line:
-                watch.heard, watch.dropped = int(line.split()[0]), int(line.split()[3])
+                watch.received, watch.dropped = int(line.split()[0]), int(line.split()[3])
             if line.startswith("Recording: "):
                 watch.recording = Path(line.partition(" ")[2])
 
@@ -94,10 +94,10 @@ def switch(serve: Any, attack: str) -> float:
     """Switch an attack on, and return the time by the robot's clock [s]."""
     serve.stdin.write(f"attack {attack}\n")
     serve.stdin.flush()
-    said = serve.stderr.readline()
-    if not said.startswith("At "):
-        raise RuntimeError(f"{attack} was not switched on: {said}")
-    return float(said.split()[1])
+    answer = serve.stderr.readline()
+    if not answer.startswith("At "):
+        raise RuntimeError(f"{attack} was not switched on: {answer}")
+    return float(answer.split()[1])
 
 
 def processor_s(process: int) -> float:
@@ -141,8 +141,8 @@ def _process(program: str, *words: str | Path) -> Any:
     )  # fmt: skip
 
 
-def _read(lines: Any, told: list[dict[str, Any]]) -> None:
-    told.extend({**json.loads(line), "at": time.monotonic()} for line in lines)
+def _read(lines: Any, events: list[dict[str, Any]]) -> None:
+    events.extend({**json.loads(line), "at": time.monotonic()} for line in lines)
 
 
 def _children(process: int) -> list[int]:

@@ -47,7 +47,7 @@ def rows() -> Iterator[Row]:
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        warm_up = _record(root, 0)  # compiles, if nobody did
+        warm_up = _record(root, 0)  # compiles the hot loops, unless they are cached
         runs, per_second, yardsticks = [], [], []
         for block in range(ROUNDS):
             before_s = _yardstick_s()

@@ -9,6 +9,7 @@ Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomal
 import json
 import math
 import shlex
+import sys
 import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,9 +25,7 @@ from oracle_pipeline.replay.command import replay
 from oracle_pipeline.reporting.kinds_command import invariants, kinds, review
 
 if TYPE_CHECKING:
-    import pandas as pd
-
-    from oracle_pipeline.features import FeatureTables
+    from oracle_pipeline.features import Measured, Table
     from oracle_pipeline.robots.roles_file import RoleChoices
     from oracle_pipeline.scoring.verdict import Verdict
 
@@ -93,8 +92,12 @@ def _choices(roles: Path | None) -> "RoleChoices | None":
     "--table", type=click.Choice(["run", "window"]), default="run", show_default=True,
     help="One row for the recording, or one for each window of 5 s (every 2.5 s).",
 )  # fmt: skip
-@format_option(
-    "json", "parquet", text="JSON for reading and jq; Parquet for pandas, units in its schema."
+@click.option(
+    "--format",
+    "file_format",
+    type=click.Choice(["text", "json", "parquet"]),
+    help="Text for reading; JSON for jq; Parquet for pandas, units in its schema.  [default: text "
+    "on a terminal, else JSON]",
 )
 @output_option("--output", "File to write; Parquet needs one.  [default: standard output]")
 @click.option(
@@ -107,7 +110,7 @@ def _choices(roles: Path | None) -> "RoleChoices | None":
 def features(
     run_or_bag: Path,
     table: str,
-    file_format: str,
+    file_format: str | None,
     output: Path | None,
     roles: str | None,
     plugins: Path | None,
@@ -124,6 +127,7 @@ def features(
     \b
     Examples:
         oracle features data/runs/fake_object/run003
+        oracle features my_robot_bag/ --format text | less
         oracle features my_robot_bag/ | jq '.rows[0]["contextual.total_turning"]'
         oracle features my_robot_bag/ --table window --format parquet --output windows.parquet
         oracle features my_robot_bag/ --roles
@@ -143,19 +147,24 @@ def features(
     with open_run(run_or_bag, strict=strict) as run:
         tables = feature_extraction.together(
             [
-                feature_extraction.extract(run, manager, robot)
+                feature_extraction.measure(run, manager, robot)
                 for robot in find_robots(run.bag, choices)
             ]
         )
     wanted = tables.run if table == "run" else tables.windows
-    if output is None:
-        click.echo(_json(wanted, tables))
-    elif file_format == "parquet":
-        write_table(wanted, output)
+    if output is not None and file_format == "parquet":
+        write_table(wanted.frame(), output)
         for note in tables.notes:
             click.echo(note, err=True)
+        return
+    for_reading = file_format == "text" or (
+        file_format is None and output is None and sys.stdout.isatty()
+    )
+    text = _text(wanted, tables) if for_reading else _json(wanted, tables)
+    if output is None:
+        click.echo(text)
     else:
-        output.write_text(_json(wanted, tables) + "\n", encoding="utf-8")
+        output.write_text(text + "\n", encoding="utf-8")
 
 
 def _print_roles(recording: Path, *, strict: bool) -> None:
@@ -171,9 +180,16 @@ def _is_nan(value: object) -> bool:
     return isinstance(value, float) and math.isnan(value)
 
 
-def _json(table: "pd.DataFrame", tables: "FeatureTables") -> str:
+def _text(table: "Table", tables: "Measured") -> str:
+    """Return a feature table for reading, and the notes on it."""
+    from oracle_pipeline.features.table_text import as_text
+
+    return as_text(table.frame(), tables.notes)
+
+
+def _json(table: "Table", tables: "Measured") -> str:
     """Return the rows of a feature table, with NaN as null, and the notes on them."""
-    from oracle_pipeline.datasets import MISSING, WHERE, field_metadata
+    from oracle_pipeline.datasets import MISSING, WHERE
     from oracle_pipeline.features import families
 
     rows = [
@@ -181,13 +197,13 @@ def _json(table: "pd.DataFrame", tables: "FeatureTables") -> str:
             **{column: None if _is_nan(value) else value for column, value in row.items()},
             **{column: json.loads(row[column]) for column in (WHERE, MISSING)},
         }
-        for row in table.to_dict("records")
+        for row in table.rows()
     ]
     document = {
         "rows": rows,
         "notes": tables.notes,
         "families": families(tables),
-        "fields": field_metadata(table),
+        "fields": table.fields,
     }
     return json.dumps(document, indent=2, allow_nan=False)
 

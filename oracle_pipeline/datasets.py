@@ -5,6 +5,8 @@ are in ``oracle_pipeline.clustering``. Declarations of a column (unit, resolutio
 field metadata of the Parquet schema and, in memory, in ``DataFrame.attrs["fields"]``.
 """
 
+from __future__ import annotations  # pandas is imported only where it is used: it takes long
+
 import hashlib
 import io
 import json
@@ -12,13 +14,9 @@ import os
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, Self
+from typing import TYPE_CHECKING, BinaryIO, Self
 
 import numpy as np
-import pandas as pd
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags import seals
@@ -26,6 +24,9 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import LABELS
 from oracle_pipeline.bags.remote import is_local
 from oracle_pipeline.bags.scratch import scratch_beside
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 KEYS = ("run_id", "mode", "label", "block", "session", "world")
 WINDOW_START = "window_start_s"  # further key of window tables [s of the recording]
@@ -128,6 +129,8 @@ def window_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
 def _joined(
     tables: Iterable[pd.DataFrame], keys: tuple[str, ...], kind: str, order: list[str]
 ) -> pd.DataFrame:
+    import pandas as pd
+
     parts = [table for table in tables if len(table)]
     if not parts:
         raise DatasetError(
@@ -171,6 +174,8 @@ def _check_keys(table: pd.DataFrame, keys: tuple[str, ...]) -> None:
 
 
 def _check_columns(table: pd.DataFrame, columns: list[str]) -> None:
+    import pandas as pd
+
     reasons = {reason for text in table[MISSING] for reason in json.loads(text)}
     absent = [column for column in columns if column not in table.columns]
     unexplained = [column for column in absent if not column.startswith(tuple(reasons))]
@@ -240,6 +245,9 @@ def write_table(df: pd.DataFrame, path: Path) -> None:
 
 def table_bytes(df: pd.DataFrame) -> bytes:
     """Return a table as the bytes of a sealed Parquet file, with units in the schema."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     fields = field_metadata(df)
     table = pa.Table.from_pandas(df, preserve_index=False).replace_schema_metadata(None)
     schema = pa.schema([field.with_metadata(fields.get(field.name)) for field in table.schema])
@@ -294,6 +302,10 @@ def parse_table(
 
     As `read_table`, including errors.
     """
+    import pyarrow as pa
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
     kept = None
     if rows is not None:
         column, values = rows
@@ -323,6 +335,8 @@ def parse_table(
 
 def content_hash(df: pd.DataFrame) -> str:
     """Return the SHA-256 of a table's column names and values, independent of the file."""
+    import pandas as pd
+
     digest = hashlib.sha256()
     for column in df.columns:
         digest.update(json.dumps(str(column)).encode())

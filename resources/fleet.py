@@ -104,9 +104,22 @@ def _progress(over: int, jobs: int, done: str, failed: int, seconds: float) -> s
     Examples
     --------
     >>> _progress(6, 18, "runs done", 1, 60.4)
-    '6 of 18 runs done in 60 s, 1 failed; about 120 s to go.'
+    '6 of 18 runs done in 60 s, 1 failed; about 2 min to go.'
     >>> _progress(18, 18, "runs done", 0, 181.0)
-    '18 of 18 runs done in 181 s, none failed.'
+    '18 of 18 runs done in 3 min, none failed.'
     """
-    rest = f"; about {seconds / over * (jobs - over):.0f} s to go" if over < jobs else ""
-    return f"{over} of {jobs} {done} in {seconds:.0f} s, {failed or 'none'} failed{rest}."
+    rest = f"; about {in_words(seconds / over * (jobs - over))} to go" if over < jobs else ""
+    return f"{over} of {jobs} {done} in {in_words(seconds)}, {failed or 'none'} failed{rest}."
+
+
+def in_words(seconds: float) -> str:
+    """Return a duration as text in seconds, minutes or hours.
+
+    Examples
+    --------
+    >>> [in_words(seconds) for seconds in (12.3, 449.0, 9000.0)]
+    ['12 s', '7 min', '2.5 h']
+    """
+    if seconds < 100.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 6000.0 else f"{seconds / 3600.0:.1f} h"

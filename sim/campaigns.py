@@ -15,6 +15,9 @@ OdometrySource = Literal["world", "encoder"]  # gazebo_ros_diff_drive's two
 Navigation = Literal["tuned", "stock", "drawn"]
 # Drawn: block 0 is in the hexagon, 1 in a house, 2 in a random arena, 3 in the hexagon, ...
 ArenaChoice = Literal["drawn", "hexagon", "house", "random"]
+# What a run is to the runs of its block. Another relation changes the task, not what is right, so
+# that a run can be compared with others although nobody knows the right way: `relations`.
+Relation = Literal["same", "mirrored", "reordered", "shifted"]
 
 DEFAULT_SEED = 20260101
 
@@ -37,6 +40,7 @@ class Options:
     odometry_source: OdometrySource = "world"
     arena: ArenaChoice = "drawn"
     nav2: Navigation = "tuned"
+    relation: Relation = "same"
     # Values of Nav2's parameters that are otherwise, by full name: see ``sim.nav2.parameters``.
     nav2_params: Mapping[str, float] = field(default_factory=dict, hash=False)
     cameras: bool = False  # images and points of the depth camera, 15 MB a second

@@ -136,14 +136,14 @@ def _of_table(place: Path) -> str:
 def _of_report(place: Path) -> str:
     report = Report.load(place)
     tables = {"": report.table, **report.tables}
-    said = [
+    statements = [
         sorted(report.summary.items()),
         [(name, content_hash(tables[name])) for name in sorted(tables)],
     ]
     drawn = [
         (name, hashlib.sha256(png).hexdigest()) for name, png in sorted(report.figures.items())
     ]
-    return hashlib.sha256(repr([said, drawn]).encode()).hexdigest()
+    return hashlib.sha256(repr([statements, drawn]).encode()).hexdigest()
 
 
 def _of_page(place: Path) -> str:

@@ -89,11 +89,11 @@ def _looked_at(watch: Watching, serve: Any, wall_s: float) -> list[dict[str, flo
 
 
 def _is_right(watch: Watching, minutes: list[dict[str, float]], speed: float) -> bool:
-    """Print the results, and tell whether all goals are met; some hold at real time only."""
+    """Print the results, and return whether all goals are met; some apply at real time only."""
     settled = [each["memory_mb"] for each in minutes[int(len(minutes) * SETTLED) :]]
     share = float(np.median([each["share"] for each in minutes]))
     latency = np.quantile([each["latency_s"] for each in watch.verdicts()], [0.5, 0.9, 1.0])
-    print(f"Messages: {watch.heard} received, {watch.dropped} dropped.")
+    print(f"Messages: {watch.received} received, {watch.dropped} dropped.")
     print(f"Memory: {settled[0]:.0f} MB settled, {max(settled):.0f} MB at most.")
     print(f"Share of a core: {share:.1%} (median of the minutes).")
     print("Latency of verdicts: median {:.2f} s, 90 % {:.2f} s, at most {:.2f} s.".format(*latency))

@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from xml.parsers import expat
 from xml.sax.saxutils import escape
 
-import networkx as nx
-
 from oracle_pipeline.bags.errors import GraphError
 from oracle_pipeline.bags.limits import DEEPEST_GRAPH, LARGEST_GRAPH
 
 if TYPE_CHECKING:
+    import networkx as nx
+
     RosGraph: TypeAlias = nx.DiGraph[str]
-else:  # generic in its type stubs only
-    RosGraph = nx.DiGraph
+else:  # most recordings have no graph, and importing networkx takes longer than reading them
+    RosGraph = Any
 
 Kind: TypeAlias = Literal["node", "topic", "service", "action"]
 
@@ -181,6 +181,8 @@ class _Xml:
 
 class _GraphMl(_Xml):
     def graph(self, data: bytes) -> RosGraph:
+        import networkx as nx
+
         return _checked(nx.read_graphml(io.BytesIO(data)))
 
 
@@ -214,6 +216,8 @@ class _Gexf(_Xml):
             raise GraphError("its edges are not directed")
 
     def graph(self, data: bytes) -> RosGraph:  # noqa: ARG002 -- it was gone through
+        import networkx as nx
+
         graph: RosGraph = nx.DiGraph()
         graph.add_nodes_from(
             (vertex, _vertex(vertex, values)) for vertex, values in self._vertices.items()
@@ -228,6 +232,8 @@ class _Gexf(_Xml):
 
 
 def _read(path: Path, kind: type[_Xml]) -> RosGraph:
+    import networkx as nx
+
     try:
         if path.stat().st_size > LARGEST_GRAPH:
             raise GraphError(f"it is larger than {LARGEST_GRAPH} bytes (LARGEST_GRAPH)")
@@ -245,6 +251,8 @@ def _read(path: Path, kind: type[_Xml]) -> RosGraph:
 
 def _checked(parsed: Any) -> RosGraph:
     """Return the parsed graph with the attributes of our schema and no others."""
+    import networkx as nx
+
     graph: RosGraph = nx.DiGraph()
     for vertex, data in parsed.nodes(data=True):
         graph.add_node(vertex, **_vertex(vertex, data))

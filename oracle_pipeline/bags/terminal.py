@@ -9,10 +9,12 @@ import contextlib
 import logging
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, TextIO, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar, cast
 
 import click
-from tqdm import tqdm
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 T = TypeVar("T")
 
@@ -88,6 +90,8 @@ def progress_bar(
     leave
         Whether the bar stays when all are done.
     """
+    from tqdm import tqdm  # not every command has a bar
+
     return tqdm(
         items, desc=printable(desc), total=total, leave=leave, unit=unit, dynamic_ncols=True,
         file=getattr(sys.stderr, "_wrapped", sys.stderr), disable=None,

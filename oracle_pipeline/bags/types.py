@@ -1,18 +1,16 @@
 """ROS 2 message types: Humble's, and those that Humble's type store lacks.
 
-The missing ones stand below ``msg/`` in ROS's own interface files: ``<package>/msg/*.msg``,
-``<package>/srv/*.srv`` and ``<package>/action/*.action``; a service or action file yields the
-messages that ROS derives from it (``NavigateToPose_Goal``, ``NavigateToPose_FeedbackMessage``).
-Bytes are CDR with its four-byte encapsulation header, as in a bag.
+Their fields stand in ``fields.json``, which ``interfaces`` beside this module makes: parsing all of
+them takes longer than reading a short recording. Bytes are CDR with its four-byte encapsulation
+header, as in a bag.
 """
 
 import functools
-from collections.abc import Iterator
+import json
 from importlib.resources import files
-from importlib.resources.abc import Traversable
 from typing import Any, NamedTuple
 
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from oracle_pipeline.bags.errors import BagError
@@ -20,8 +18,7 @@ from oracle_pipeline.bags.errors import BagError
 GROUND_TRUTH_TOPIC = "/_oracle/ground_truth"
 GROUND_TRUTH_TYPE = "oracle_msgs/msg/GroundTruth"
 
-# IDL has no empty struct, so ROS puts this byte into messages without fields.
-_EMPTY = "uint8 structure_needs_at_least_one_member\n"
+_FIELDS = "fields.json"
 
 
 class TypeDefinition(NamedTuple):
@@ -31,21 +28,51 @@ class TypeDefinition(NamedTuple):
     type_hash: str  # RIHS01_...; empty: not in the bag
 
 
+class _BuiltIn(Typestore):
+    """Knows the fields of all types, and makes the class of one when it is asked for."""
+
+    def __init__(self, fielddefs: dict[str, Any]) -> None:
+        super().__init__()
+        self.fielddefs = fielddefs
+        self.types = _Classes(fielddefs)
+
+
+class _Classes(dict[str, type[Any]]):
+    def __init__(self, fielddefs: dict[str, Any]) -> None:
+        super().__init__()
+        self._fielddefs = fielddefs
+
+    def __missing__(self, msgtype: str) -> type[Any]:
+        store = Typestore()
+        store.register({msgtype: self._fielddefs[msgtype]})
+        self[msgtype] = store.types[msgtype]
+        return self[msgtype]
+
+
 @functools.cache
 def typestore() -> Typestore:
     """Return the shared type store; treat it as read-only."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    store.register(
-        {
-            name: definition
-            for package in files(__package__).joinpath("msg").iterdir()
-            for folder in package.iterdir()
-            for file in folder.iterdir()
-            for msgtype, text in _messages_of(package.name, folder.name, file)
-            for name, definition in _parse(msgtype, text).items()
-        }
-    )
-    return store
+    return _BuiltIn(fields_from_text(files(__package__).joinpath(_FIELDS).read_text("utf8")))
+
+
+def fields_from_text(text: str) -> dict[str, Any]:
+    """Return the fields of types, as rosbags has them, from JSON."""
+
+    def kind(node: Any) -> Any:
+        number, what = node
+        if isinstance(what, str):
+            return Nodetype(number), what
+        if number == Nodetype.BASE:
+            return Nodetype.BASE, tuple(what)
+        return Nodetype(number), (kind(what[0]), what[1])
+
+    return {
+        name: (
+            [tuple(constant) for constant in constants],
+            [(field, kind(node)) for field, node in fields],
+        )
+        for name, (constants, fields) in json.loads(text).items()
+    }
 
 
 @functools.cache
@@ -61,7 +88,8 @@ def message_class(msgtype: str) -> type[Any]:
         return typestore().types[msgtype]
     except KeyError:
         raise BagError(
-            f"Message type {msgtype!r} is unknown; add its definition to oracle_pipeline/bags/msg."
+            f"Message type {msgtype!r} is unknown; add its definition to oracle_pipeline/bags/msg, "
+            "and run `python -m oracle_pipeline.bags.interfaces`."
         ) from None
 
 
@@ -113,32 +141,3 @@ def _renamed() -> Typestore:
 
 def _as_msg(msgtype: str) -> str:
     return msgtype.replace("/action/", "/msg/").replace("/srv/", "/msg/")
-
-
-def _messages_of(package: str, folder: str, file: Traversable) -> Iterator[tuple[str, str]]:
-    """Yield name and text of every message that one interface file stands for."""
-    name = f"{package}/{folder}/{file.name.partition('.')[0]}"
-    parts = [part.strip() + "\n" for part in f"\n{file.read_text('utf8')}\n".split("\n---\n")]
-    parts = [_EMPTY if part == "\n" else part for part in parts]
-    if folder == "msg":
-        yield name, parts[0]
-    elif folder == "srv":
-        yield from zip((f"{name}_Request", f"{name}_Response"), parts, strict=True)
-    else:
-        goal, result, feedback = (f"{name}_{part}" for part in ("Goal", "Result", "Feedback"))
-        uuid = "unique_identifier_msgs/msg/UUID goal_id\n"
-        yield from zip((goal, result, feedback), parts, strict=True)
-        yield f"{name}_FeedbackMessage", f"{uuid}{feedback} feedback\n"
-        yield f"{name}_SendGoal_Request", f"{uuid}{goal} goal\n"
-        yield (
-            f"{name}_SendGoal_Response",
-            "bool accepted\nbuiltin_interfaces/msg/Time stamp\n",
-        )
-        yield f"{name}_GetResult_Request", uuid
-        yield f"{name}_GetResult_Response", f"int8 status\n{result} result\n"
-
-
-def _parse(msgtype: str, text: str) -> dict[str, Any]:
-    """Parse one message; the parser knows no ``srv`` names, so those go in as ``msg``."""
-    (fields,) = get_types_from_msg(text, msgtype.replace("/srv/", "/msg/")).values()
-    return {msgtype: fields}

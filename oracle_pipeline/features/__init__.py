@@ -3,13 +3,7 @@
 A plugin needs only the names in this module.
 """
 
-from oracle_pipeline.features.extraction import (
-    FeatureTables,
-    extract,
-    families,
-    together,
-    write,
-)
+from oracle_pipeline.features.extraction import extract, measure, write
 from oracle_pipeline.features.manager import FeatureManager, build_manager
 from oracle_pipeline.features.plugin import (
     Feature,
@@ -23,6 +17,7 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
+from oracle_pipeline.features.tables import FeatureTables, Measured, Table, families, together
 from oracle_pipeline.features.thesis import FeatureExtractionPlugin
 
 __all__ = [
@@ -32,16 +27,19 @@ __all__ = [
     "FeaturePlugin",
     "FeatureTables",
     "Located",
+    "Measured",
     "Missing",
     "PluginError",
     "RawRecord",
     "Request",
     "Series",
+    "Table",
     "Window",
     "build_manager",
     "extract",
     "families",
     "hookimpl",
+    "measure",
     "together",
     "write",
 ]

@@ -19,10 +19,9 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
 
 from oracle_pipeline.features.plugin import (
     Feature,
@@ -33,6 +32,9 @@ from oracle_pipeline.features.plugin import (
     Series,
     Window,
 )
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 SUFFIXES = (".so", ".dylib")
 SECONDS = 60.0  # that one call may take
@@ -163,6 +165,8 @@ def _compute(
     fields: Mapping[str, list[str]], names: tuple[str, ...], window: Window
 ) -> dict[str, float | Missing]:
     """Hand the tables of a window to the process, and return what it makes of them."""
+    import pyarrow as pa
+
     process: PluginProcess = window.prepared
     with tempfile.TemporaryDirectory(prefix="oracle-plugin-") as folder:
         for key, wanted in fields.items():
@@ -177,8 +181,10 @@ def _compute(
     return {n: nothing if v is None or math.isnan(v) else float(v) for n, v in found.items()}
 
 
-def _batch(topics: Mapping[str, Series], fields: list[str]) -> pa.RecordBatch:
+def _batch(topics: Mapping[str, Series], fields: list[str]) -> "pa.RecordBatch":
     """Return the messages of some topics as one table."""
+    import pyarrow as pa
+
     rows = [row for series in topics.values() for row in series.values]
     columns: dict[str, pa.Array] = {
         "topic": pa.array(

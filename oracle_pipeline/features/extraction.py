@@ -7,32 +7,20 @@ reason. Fields of the manifest become key columns, which no plugin sees.
 import json
 import logging
 import math
-from collections import ChainMap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import networkx as nx
 import numpy as np
-import pandas as pd
 
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import MOST_WINDOWS
 from oracle_pipeline.bags.manifest import UNKNOWN_WORLD
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.terminal import printable
-from oracle_pipeline.datasets import (
-    KEYS,
-    MISSING,
-    WHERE,
-    WINDOW_START,
-    Fields,
-    feature_columns,
-    write_table,
-)
+from oracle_pipeline.datasets import KEYS, MISSING, WHERE, WINDOW_START, write_table
 from oracle_pipeline.features.kept_messages import NO_GRAPH, Graphs, KeptMessages
 from oracle_pipeline.features.kept_rows import Carried, Span
 from oracle_pipeline.features.manager import FeatureManager
@@ -44,6 +32,7 @@ from oracle_pipeline.features.plugin import (
     Values,
     Window,
 )
+from oracle_pipeline.features.tables import FeatureTables, Measured, Table
 from oracle_pipeline.features.thesis import MessageTable, ThesisPlugin
 from oracle_pipeline.graphs.intervals import compose, known_in
 from oracle_pipeline.graphs.views import system_view
@@ -52,19 +41,10 @@ from oracle_pipeline.robots.robot import Robot, find_robots, of_robot
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.windows import windows_ns
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 _log = logging.getLogger(__name__)
-
-
-class FeatureTables(NamedTuple):
-    """The features of one recording; ``attrs["fields"]`` describes the columns."""
-
-    run: pd.DataFrame  # one row
-    windows: pd.DataFrame  # one row for each window, by start
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What of the recording is missing, could not be read or was not used."""
-        return tuple(self.run.attrs["notes"])
 
 
 @dataclass(slots=True)
@@ -97,6 +77,19 @@ def extract(
     robot: Robot | None = None,
     recording: KeptMessages | None = None,
 ) -> FeatureTables:
+    """Compute all features of one robot of a recording, as DataFrames.
+
+    As `measure`, errors included.
+    """
+    return measure(run, manager, robot, recording).frames()
+
+
+def measure(
+    run: OpenedRun,
+    manager: FeatureManager,
+    robot: Robot | None = None,
+    recording: KeptMessages | None = None,
+) -> Measured:
     """Compute all features of one robot of a recording.
 
     Parameters
@@ -134,37 +127,22 @@ def extract(
     windowed = {c: f for c, f in manager.features().items() if f.per_window}
     starts = {WINDOW_START: [span.start_s for span in spans]}
     window_fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}
-    tables = FeatureTables(
-        _table(_keys(run, robot), {}, of_run.values, [of_run], fields),
-        _table(_keys(run, robot), starts, windowed, of_windows, window_fields),
-    )
     own = [*robot.roles.notes, *robot.roles.ambiguities(), *recording.notes]
-    tables.run.attrs["notes"] = [
+    notes = (
         *run.bag.losses, *run.bag.notes,
         *(f"{robot.name}: {note}" if robot.name else note for note in own),
-    ]  # fmt: skip
-    return tables
-
-
-def together(robots: Sequence[FeatureTables]) -> FeatureTables:
-    """Join the tables of the robots of one recording: a row for each robot, by ``run_id``."""
-    if len(robots) == 1:
-        return robots[0]
-    joined = []
-    for parts in zip(*robots, strict=True):
-        table = pd.concat(parts, ignore_index=True)
-        fields = [part.attrs["fields"] for part in parts]
-        table.attrs = {"fields": Fields(dict(ChainMap(*fields)))}
-        joined.append(table)
-    notes = dict.fromkeys(note for tables in robots for note in tables.notes)
-    joined[0].attrs["notes"] = list(notes)
-    return FeatureTables(*joined)
+    )  # fmt: skip
+    return Measured(
+        _table(_keys(run, robot), {}, of_run.values, [of_run], fields),
+        _table(_keys(run, robot), starts, windowed, of_windows, window_fields),
+        notes,
+    )
 
 
 class WindowFeatures(NamedTuple):
     """The features of one window of a recording in progress."""
 
-    row: pd.DataFrame  # one row, as in the table of windows
+    row: "pd.DataFrame"  # one row, as in the table of windows
     carried: Carried  # what the next window has to know
 
 
@@ -200,23 +178,7 @@ def extract_window(
     windowed = {c: f for c, f in manager.features().items() if f.per_window}
     fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}
     table = _table(_keys(run, robot), {WINDOW_START: [start_s]}, windowed, [row], fields)
-    return WindowFeatures(table, recording.carried())
-
-
-def families(tables: FeatureTables) -> dict[str, dict[str, Any]]:
-    """Return by family how many features could be computed, and what is missing, of all robots."""
-    summary: dict[str, dict[str, Any]] = {}
-    reasons = [json.loads(text) for text in tables.run[MISSING]]
-    for column, missing in product(feature_columns(tables.run), reasons):
-        family = summary.setdefault(
-            column.partition(".")[0], {"computed": 0, "of": 0, "missing": []}
-        )
-        family["of"] += 1
-        if column not in missing:
-            family["computed"] += 1
-        elif missing[column] not in family["missing"]:
-            family["missing"].append(missing[column])
-    return summary
+    return WindowFeatures(table.frame(), recording.carried())
 
 
 def window_spans(recording: KeptMessages) -> list[Span]:
@@ -282,6 +244,8 @@ class _Extraction:
 
         How many there are is known only when it succeeds; a failure is kept under its own name.
         """
+        import networkx as nx
+
         graph = self._graphs_of(span).graph
         try:
             with messages.cursor() as cursor:
@@ -299,6 +263,8 @@ class _Extraction:
         known = known_in(self._run.intervals, span.start_s, span.end_s, self._whole.end_s)
         starts = tuple(interval.start_s for interval in known)
         if starts not in self._graphs:
+            import networkx as nx
+
             graph = nx.freeze(compose(each.graph for each in known))
             self._graphs[starts] = Graphs(graph, nx.freeze(system_view(graph)), known)
         return self._graphs[starts]
@@ -373,16 +339,14 @@ def _table(
     columns: Iterable[str],
     rows: list[_Row],
     fields: dict[str, dict[str, str]],
-) -> pd.DataFrame:
+) -> Table:
     """Lay rows out: the keys, the columns as float64; where each was, what is missing, as JSON."""
     data: dict[str, Any] = {key: [value] * len(rows) for key, value in keys.items()}
     data |= {key: np.array(values, dtype=np.float64) for key, values in more_keys.items()}
     data |= {c: np.array([row.values[c] for row in rows], dtype=np.float64) for c in columns}
     data[WHERE] = [json.dumps(row.where, sort_keys=True) for row in rows]
     data[MISSING] = [json.dumps(row.missing, sort_keys=True) for row in rows]
-    table = pd.DataFrame(data)
-    table.attrs["fields"] = Fields(fields)
-    return table
+    return Table(data, fields)
 
 
 def _fields(features: Mapping[str, Feature]) -> dict[str, dict[str, str]]:

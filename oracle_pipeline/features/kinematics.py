@@ -77,6 +77,7 @@ class Fit(NamedTuple):
 PAIRS = (
     Pair(TURN, POSE, TWIST),
     Pair(TURN, POSE, GYRO),
+    Pair(TURN, POSE, ORIENTATION),
     Pair(TURN, GYRO, ORIENTATION),
     Pair(TURN, POSE, JOINTS),
     Pair(TURN, GYRO, JOINTS),

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.clearance import clearance
 from oracle_pipeline.features.parts import header_stamps_s, poses_of
 from oracle_pipeline.features.plugin import (
     Feature,
@@ -86,10 +87,7 @@ class Map:
         """Prepare a grid; beyond its border is as unknown as unknown cells are."""
         cells = np.pad(grid.cells, 1, constant_values=-1)
         solid = cells >= _OCCUPIED
-        from scipy.ndimage import distance_transform_edt  # only runs that need it pay for it
-
-        clearance = distance_transform_edt(~(solid | (cells < 0))).astype(np.float32)
-        return cls(grid.pose, grid.resolution, clearance, solid)
+        return cls(grid.pose, grid.resolution, clearance(solid | (cells < 0)), solid)
 
     def cast(self, origins: Points, directions: Points) -> Floats:
         """Return how far rays get to the first solid cell [m].

@@ -7,8 +7,8 @@ nodes, so it also shows how a run was observed; its features are therefore marke
 
 import functools
 from dataclasses import replace
+from operator import or_
 
-import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
@@ -108,6 +108,8 @@ def _shape(
     vertices: frozenset[tuple[str, str]], edges: frozenset[tuple[str, str]]
 ) -> dict[str, float]:
     """Most windows of a run have the same graph: compute its shape once."""
+    import networkx as nx
+
     graph: RosGraph = nx.DiGraph()
     graph.add_nodes_from((vertex, {"kind": kind}) for vertex, kind in sorted(vertices))
     graph.add_edges_from(sorted(edges))
@@ -117,11 +119,20 @@ def _shape(
 def _mean_betweenness(graph: RosGraph) -> float:
     """Return it from distances alone: a shortest path of k edges has k - 1 vertices inside."""
     n = graph.number_of_nodes()
-    from scipy.sparse.csgraph import shortest_path  # only runs that need it pay for it
-
-    distances = shortest_path(nx.to_scipy_sparse_array(graph, weight=None), unweighted=True)
-    inside = distances[np.isfinite(distances) & (distances > 1.0)] - 1.0
-    return float(inside.sum()) / (n * max(1, (n - 1) * (n - 2)))
+    bit = {vertex: 1 << place for place, vertex in enumerate(graph)}
+    within = dict(bit)  # what can be reached from a vertex in so many steps, a bit for each
+    inside = steps = 0
+    grown = n
+    while grown:
+        further = {
+            vertex: functools.reduce(or_, map(within.__getitem__, graph.successors(vertex)), own)
+            for vertex, own in bit.items()
+        }
+        grown = sum(reached.bit_count() - within[v].bit_count() for v, reached in further.items())
+        within = further
+        inside += steps * grown  # behind the first step, one vertex inside each
+        steps += 1
+    return inside / (n * max(1, (n - 1) * (n - 2)))
 
 
 def _entropy(shares: NDArray[np.float64]) -> float:

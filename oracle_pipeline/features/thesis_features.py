@@ -8,7 +8,6 @@ structural ones, and a NaN becomes 0. Plugins in the thesis's *form* are in ``th
 
 from typing import Any
 
-import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
@@ -56,6 +55,8 @@ VECTOR = tuple(f"thesis.{feature.name}" for feature in (*STRUCTURAL, *CONTEXTUAL
 
 def graph_numbers(graph: RosGraph) -> dict[str, float]:
     """Compute the structural features of a graph with at least one vertex."""
+    import networkx as nx
+
     degrees = np.array([degree for _, degree in graph.degree()])
     vertices_of_degree = np.bincount(degrees)
     centrality = list(nx.in_degree_centrality(graph).values())

@@ -5,8 +5,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import networkx as nx
-
 from oracle_pipeline.bags.errors import GraphError
 from oracle_pipeline.bags.graph_files import RosGraph, read_gexf
 from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S
@@ -50,6 +48,8 @@ def interval_count(recording_s: float) -> int:
 
 def compose(graphs: Iterable[RosGraph]) -> RosGraph:
     """Return the union of graphs; the traffic of common edges is summed."""
+    import networkx as nx
+
     union: RosGraph = nx.DiGraph()
     for graph in graphs:
         union.add_nodes_from(graph.nodes(data=True))

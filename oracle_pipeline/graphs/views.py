@@ -7,8 +7,6 @@ replaced by numbers.
 
 import re
 
-import networkx as nx
-
 from oracle_pipeline.bags.graph_files import RosGraph, vertex_id
 
 _OBSERVERS = re.compile(r"/(rosbag2_recorder|rosbag2_player|_ros2cli_\w+|launch_ros_\d+)")
@@ -43,6 +41,8 @@ def thesis_view(graph: RosGraph) -> RosGraph:
 
     A ROS node and a topic of the same name become one vertex, as in the thesis.
     """
+    import networkx as nx
+
     kept = [v for v, data in graph.nodes(data=True) if data["kind"] in ("node", "topic")]
     view: RosGraph = nx.relabel_nodes(
         graph.subgraph(kept), {vertex: graph.nodes[vertex]["label"] for vertex in kept}
@@ -66,6 +66,8 @@ def _numbered(graph: RosGraph) -> RosGraph:
     kinds = {vertex: graph.nodes[vertex]["kind"] for vertex in names}
     if not names:
         return graph
+    import networkx as nx
+
     view: RosGraph = nx.relabel_nodes(
         graph, {vertex: vertex_id(kinds[vertex], name) for vertex, name in names.items()}
     )

@@ -1,4 +1,4 @@
-"""``oracle watch``: watches a DDS domain, and prints what happens."""
+"""``oracle watch``: watches a DDS domain, and prints events."""
 
 import contextlib
 import dataclasses
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from oracle_pipeline.live.page import LivePage
     from oracle_pipeline.live.watch import Event, Watch
 
-MOST_BREACHES = 8  # of the contract that are told to a person at once
+MOST_BREACHES = 8  # of the contract that are printed at once
 
 
 @click.command()
@@ -108,10 +108,10 @@ def watch(
             alarms += isinstance(event, Alarm | ContractAlarm)
             for each in views:
                 each.show(event)
-            told = _as_json(event) if file_format == "json" else _as_text(event, watching)
-            for line in told:
+            lines = _as_json(event) if file_format == "json" else _as_text(event, watching)
+            for line in lines:
                 click.echo(line)
-    click.echo(f"{watching.heard} messages received, {watching.dropped} dropped.", err=True)
+    click.echo(f"{watching.received} messages received, {watching.dropped} dropped.", err=True)
     if watching.recording is not None:
         click.echo(f"Recording: {watching.recording.path}", err=True)
     ctx.exit(1 if alarms else 0)
@@ -120,7 +120,7 @@ def watch(
 def _views(
     stack: contextlib.ExitStack, view: int | None, foxglove: int | None
 ) -> Iterator["LivePage | FoxgloveServer"]:
-    """Start what shows the watch to people, and say where."""
+    """Start the live views, and print their addresses."""
     if view is not None:
         from oracle_pipeline.live.page import LivePage
 
@@ -136,7 +136,7 @@ def _views(
 
 
 def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
-    """Yield the lines that a person reads of an event."""
+    """Yield the lines of text of an event."""
     from oracle_pipeline.bags.terminal import aligned_lines, printable
     from oracle_pipeline.live.watch import Alarm, ContractAlarm, GraphTaken, Note
     from oracle_pipeline.live.window_scorer import WindowVerdict
@@ -146,7 +146,7 @@ def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
         kinds = [vertex.partition(":")[0] for vertex in event.graph]
         yield (
             f"{event.start_s:6d} s  graph: {kinds.count('node')} nodes, "
-            f"{kinds.count('topic')} topics; {watching.heard} messages so far"
+            f"{kinds.count('topic')} topics; {watching.received} messages so far"
         )
     elif isinstance(event, WindowVerdict):
         shown = "usual" if event.is_usual else "UNUSUAL"
@@ -168,7 +168,7 @@ def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
 
 
 def _as_json(event: "Event") -> Iterator[str]:
-    """Yield one object with one key that says what it is; messages are left out."""
+    """Yield an event as an object with one key, its kind; messages are left out."""
     from oracle_pipeline.live.watch import Alarm, ContractAlarm, GraphTaken, Note
     from oracle_pipeline.live.window_scorer import WindowVerdict
 

@@ -1,7 +1,7 @@
 """Discovery on a DDS domain: ROS nodes, their publishers and subscriptions.
 
-DDS knows participants and endpoints. ROS 2 publishes on ``ros_discovery_info`` which of them belong
-to which node. A participant that vanishes without goodbye is gone when its lease ends.
+DDS discovers participants and endpoints. ROS 2 publishes on ``ros_discovery_info`` which of them
+belong to which node. A participant that dies without a message is removed when its lease expires.
 """
 
 import contextlib
@@ -31,7 +31,7 @@ class Endpoint:
     """A publisher or a subscription of a ROS topic."""
 
     guid: bytes
-    handle: int  # by which DDS tells who sent a message
+    handle: int  # DDS's handle of the publisher of a message
     participant: bytes
     topic: str
     msgtype: str
@@ -40,7 +40,7 @@ class Endpoint:
 
 
 class Discovery:
-    """Keeps the present state of a domain.
+    """Tracks the current state of a domain.
 
     Parameters
     ----------
@@ -50,15 +50,15 @@ class Discovery:
     Attributes
     ----------
     endpoints : dict of int to Endpoint
-        Those that are there now, by handle.
+        The current ones, by handle.
     revision : int
-        Counts the changes.
+        Number of changes so far.
     """
 
     def __init__(self, participant: dds.Participant) -> None:
         self._own = participant.guid.bytes
         self._builtin = dds.BuiltinReaders(participant)
-        # Up to Humble identifiers have 24 bytes, later 16; a reader gets what is of its own type.
+        # Identifiers have 24 bytes up to Humble, and 16 later; a reader receives only its own type.
         self._stores = (types.typestore(), get_typestore(Stores.ROS2_JAZZY))
         self._entities = [
             dds.RawReader(participant, ENTITIES_TOPIC, ENTITIES_TYPE, _ENTITIES_QOS, store)
@@ -70,7 +70,7 @@ class Discovery:
         self.revision = 0
 
     def update(self) -> bool:
-        """Take what is new; tell whether anything changed."""
+        """Take the newest discovery samples; return whether anything changed."""
         before = self.revision
         for sample in self._builtin.participants():
             self._participant(sample)
@@ -83,18 +83,23 @@ class Discovery:
         for reader, store in zip(self._entities, self._stores, strict=True):
             while raw := reader.take():
                 for message in raw:
-                    with contextlib.suppress(ValueError):  # names that are no text
+                    with contextlib.suppress(ValueError):  # names that are not UTF-8
                         self._claim(store.deserialize_cdr(message.data, ENTITIES_TYPE))
         return self.revision != before
 
     def node_names(self) -> list[str]:
         """Return the full name of every node, as ``ros2 node list`` does."""
-        claimed = {name for nodes in self._here() for name in nodes}
+        claimed = {name for nodes in self._current_nodes() for name in nodes}
         return sorted(claimed | {node for _, node in self.owned() if node == UNKNOWN_NODE})
 
     def owned(self) -> Iterator[tuple[Endpoint, str]]:
         """Yield the endpoints, each with the name of its node."""
-        owner = {guid: name for nodes in self._here() for name, of in nodes.items() for guid in of}
+        owner = {
+            guid: name
+            for nodes in self._current_nodes()
+            for name, of in nodes.items()
+            for guid in of
+        }
         for endpoint in self.endpoints.values():
             yield endpoint, owner.get(endpoint.guid, UNKNOWN_NODE)
 
@@ -106,8 +111,8 @@ class Discovery:
                 publishers.setdefault(endpoint.topic, []).append(endpoint)
         return publishers
 
-    def _here(self) -> Iterator[Mapping[str, frozenset[bytes]]]:
-        """Yield the nodes of the participants that are there."""
+    def _current_nodes(self) -> Iterator[Mapping[str, frozenset[bytes]]]:
+        """Yield the nodes of each current participant."""
         for participant in self._participants.values():
             yield self._nodes.get(participant, {})
 
@@ -131,7 +136,7 @@ class Discovery:
         )
 
     def _claim(self, message: Any) -> None:
-        """Take what a participant says of its nodes; the last word counts."""
+        """Take a participant's list of nodes, which replaces its former one."""
         self.revision += 1
         nodes: dict[str, frozenset[bytes]] = {}
         for node in message.node_entities_info_seq:

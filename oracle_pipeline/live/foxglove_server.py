@@ -1,11 +1,11 @@
 """Serves a running watch to Foxglove by WebSocket, on this machine only.
 
 Topics are forwarded unchanged, with their ROS 2 message definitions, so Foxglove shows scans,
-paths, maps and transforms by itself. Clients that connect later get the messages of latched topics
-again, as in DDS: without static transforms, no scan has a place on the map. Added are the verdicts
-on windows (``/oracle/window``), a log of alarms and notes (``/oracle/log``), and the ROS graph for
-the panel Topic Graph. Clients cannot publish, and pages of other sites cannot connect
-(``handshake_guard``). A layout is in ``docs/foxglove/live.json``.
+paths, maps and transforms without further setup. As in DDS, clients that connect later get the
+messages of latched topics again: without static transforms, scans cannot be placed on the map. The
+server adds the verdicts on windows (``/oracle/window``), a log of alarms and notes
+(``/oracle/log``), and the ROS graph for the panel Topic Graph. Clients cannot publish, and pages of
+other sites cannot connect (``handshake_guard``). A layout is in ``docs/foxglove/live.json``.
 """
 
 import math
@@ -18,7 +18,14 @@ from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.bags.types import definition
 from oracle_pipeline.live.handshake_guard import HandshakeGuard, certificate
 from oracle_pipeline.live.loopback import HOST, listen
-from oracle_pipeline.live.watch import Alarm, ContractAlarm, Event, GraphTaken, MessageHeard, Note
+from oracle_pipeline.live.watch import (
+    Alarm,
+    ContractAlarm,
+    Event,
+    GraphTaken,
+    MessageReceived,
+    Note,
+)
 from oracle_pipeline.live.window_scorer import WindowVerdict
 
 if TYPE_CHECKING:
@@ -41,7 +48,7 @@ WINDOW_SCHEMA = {
 
 
 class FoxgloveError(OracleError):
-    """Foxglove's SDK is not there."""
+    """Foxglove's SDK is not installed."""
 
 
 class FoxgloveServer:
@@ -70,14 +77,14 @@ class FoxgloveServer:
             port=0,
             capabilities=[foxglove.Capability.ConnectionGraph],
             context=self._context,
-            server_listener=_listener(self._say_again),
+            server_listener=_listener(self._resend),
             tls_cert=own.certificate,
             tls_key=own.key,
         )
         self._guard = HandshakeGuard(self._socket, self._server.port, own, ORIGINS)
         self.address = f"ws://{HOST}:{self._socket.getsockname()[1]}"
-        self._channels: dict[str, Channel | None] = {}  # None: its definition is not known
-        self._latched: dict[str, deque[MessageHeard]] = {}  # by topic
+        self._channels: dict[str, Channel | None] = {}  # None: its definition is unknown
+        self._latched: dict[str, deque[MessageReceived]] = {}  # by topic
         self._window = foxglove.Channel(WINDOW_TOPIC, schema=WINDOW_SCHEMA, context=self._context)
         self._log = LogChannel(LOG_TOPIC, context=self._context)
         self._start_ns: int | None = None
@@ -85,7 +92,7 @@ class FoxgloveServer:
 
     def show(self, event: Event) -> None:
         """Send an event to all connected clients."""
-        if isinstance(event, MessageHeard):
+        if isinstance(event, MessageReceived):
             self._message(event)
         elif isinstance(event, GraphTaken):
             self._server.publish_connection_graph(_connections(event))
@@ -105,12 +112,12 @@ class FoxgloveServer:
             verdict = event.verdict
             named = ", ".join(each.feature for each in verdict.evidence)
             text = f"Anomalous from {verdict.start_s:g} s to {verdict.end_s:g} s: {named}"
-            self._say(text, self._stamp_ns(verdict.end_s), is_alarm=True)
+            self._write_log(text, self._stamp_ns(verdict.end_s), is_alarm=True)
         elif isinstance(event, ContractAlarm):
             text = " ".join(breach.text for breach in event.breaches)
-            self._say(text, self._stamp_ns(event.at_s), is_alarm=True)
+            self._write_log(text, self._stamp_ns(event.at_s), is_alarm=True)
         elif isinstance(event, Note):
-            self._say(event.text, self._now_ns, is_alarm=False)
+            self._write_log(event.text, self._now_ns, is_alarm=False)
 
     def __enter__(self) -> Self:
         self._guard.__enter__()
@@ -121,7 +128,7 @@ class FoxgloveServer:
         self._server.stop()
         self._socket.close()
 
-    def _message(self, event: MessageHeard) -> None:
+    def _message(self, event: MessageReceived) -> None:
         if self._start_ns is None:
             self._start_ns = event.stamp_ns
         self._now_ns = event.stamp_ns
@@ -129,14 +136,14 @@ class FoxgloveServer:
             self._channels[event.topic] = self._channel(event)
         if event.latched:
             self._latched.setdefault(event.topic, deque(maxlen=_LATCHED)).append(event)
-        self._hand_on(event)
+        self._forward(event)
 
-    def _hand_on(self, event: MessageHeard) -> None:
+    def _forward(self, event: MessageReceived) -> None:
         channel = self._channels[event.topic]
         if channel is not None:
             channel.log(event.data, log_time=event.stamp_ns)
 
-    def _channel(self, event: MessageHeard) -> "Channel | None":
+    def _channel(self, event: MessageReceived) -> "Channel | None":
         from foxglove import Channel, Schema
 
         try:
@@ -146,15 +153,15 @@ class FoxgloveServer:
         schema = Schema(name=event.msgtype, encoding="ros2msg", data=text.encode())
         return Channel(event.topic, schema=schema, message_encoding="cdr", context=self._context)
 
-    def _say_again(self, topic: str) -> None:
+    def _resend(self, topic: str) -> None:
         """Send the messages of latched topics again, such as maps and static transforms."""
         for event in tuple(self._latched.get(topic, ())):
-            self._hand_on(event)
+            self._forward(event)
 
     def _stamp_ns(self, second: float) -> int:
         return (self._start_ns or 0) + round(second * _SECOND_NS)
 
-    def _say(self, text: str, stamp_ns: int, *, is_alarm: bool) -> None:
+    def _write_log(self, text: str, stamp_ns: int, *, is_alarm: bool) -> None:
         from foxglove.messages import Log, LogLevel, Timestamp
 
         level = LogLevel.Error if is_alarm else LogLevel.Warning
@@ -166,7 +173,7 @@ class FoxgloveServer:
 
 
 def _listener(on_subscribe: Callable[[str], None]) -> "ServerListener":
-    """Return what calls a function with the topic when a client subscribes to one."""
+    """Return a listener that calls a function with each topic that a client subscribes to."""
     from foxglove.websocket import ServerListener
 
     class Listener(ServerListener):
@@ -177,7 +184,7 @@ def _listener(on_subscribe: Callable[[str], None]) -> "ServerListener":
 
 
 def _connections(event: GraphTaken) -> "ConnectionGraph":
-    """Return the graph as Foxglove's panel Topic Graph knows it: nodes of each topic."""
+    """Return the graph in the form of Foxglove's panel Topic Graph: nodes of each topic."""
     from foxglove import ConnectionGraph
 
     connections = ConnectionGraph()

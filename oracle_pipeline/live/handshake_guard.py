@@ -1,7 +1,7 @@
 """A guard in front of a WebSocket server that does not check the origin of pages.
 
-Foxglove's SDK does not look at the origin of a connection, so any page that a browser shows could
-read a robot's topics. The guard reads the request that opens a connection, refuses pages of other
+Foxglove's SDK does not check the origin of a connection, so any page in a browser could read a
+robot's topics. The guard reads the request that opens a connection, refuses pages of other
 sites, and then forwards bytes unchanged. The guarded server uses TLS with a certificate that only
 the guard knows, so no browser can bypass the guard.
 """
@@ -26,8 +26,8 @@ from oracle_pipeline.live.loopback import HOST
 from oracle_pipeline.web_guard import is_loopback
 
 _LONGEST = 16_384  # bytes of a request
-_PATIENCE_S = 5.0  # for a request to be whole
-_PIECE = 65_536  # bytes that are handed on at once
+_REQUEST_S = 5.0  # until a request must be complete
+_PIECE = 65_536  # bytes that are forwarded at once
 _REFUSAL = "HTTP/1.1 {status}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 
 
@@ -75,11 +75,11 @@ class HandshakeGuard:
     listening : socket
         Bound to an address of this machine.
     port : int
-        Where the server that it guards listens, on 127.0.0.1.
+        Of the guarded server, on 127.0.0.1.
     trusted : Certificate
-        Of that server.
+        Certificate of that server.
     origins : tuple of str
-        Sites whose pages are let in, beside those of this machine.
+        Sites whose pages may connect, beside those of this machine.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class HandshakeGuard:
             runner.run(self._serve())
 
     async def _serve(self) -> None:
-        """Let connections in until the end; then `asyncio.run` ends those that go on."""
+        """Accept connections until the end; then `asyncio.Runner` cancels the open ones."""
         listening = await asyncio.start_server(
             self._connection, sock=self._listening, limit=_LONGEST
         )
@@ -118,7 +118,7 @@ class HandshakeGuard:
     async def _connection(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         with contextlib.closing(writer), contextlib.suppress(OSError, asyncio.CancelledError):
             try:
-                request = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), _PATIENCE_S)
+                request = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), _REQUEST_S)
             except (asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError):
                 return
             if refusal := self.refusal(request):
@@ -130,33 +130,33 @@ class HandshakeGuard:
             )
             with contextlib.closing(server_writer):
                 server_writer.write(request)
-                ways = (_hand_on(reader, server_writer), _hand_on(server_reader, writer))
+                ways = (_forward(reader, server_writer), _forward(server_reader, writer))
                 tasks = [asyncio.ensure_future(way) for way in ways]
                 await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
                 for task in tasks:
                     task.cancel()
 
     def refusal(self, request: bytes) -> str | None:
-        """Return the status line of a refusal; None lets the request in."""
+        """Return the status line of a refusal, or None to accept the request."""
         headers = BytesParser().parsebytes(request.partition(b"\r\n")[2], headersonly=True)
         if any(len(headers.get_all(name, [])) > 1 for name in ("Host", "Origin")):
             return "400 Bad Request"
         host, origin = str(headers.get("Host", "")).lower(), headers.get("Origin")
-        if not is_loopback(host):  # a name that was bound anew to this machine
+        if not is_loopback(host):  # DNS rebinding: a foreign name that resolves to this machine
             return "403 Forbidden"
-        if origin is None or self._is_let_in(str(origin).lower()):
+        if origin is None or self._may_connect(str(origin).lower()):
             return None
         return "403 Forbidden"
 
-    def _is_let_in(self, origin: str) -> bool:
-        """Tell whether a page may read: it is of this machine, or of a program's own scheme."""
+    def _may_connect(self, origin: str) -> bool:
+        """Return whether an origin is listed, of this machine, or of an application's scheme."""
         parts = urlsplit(origin)
         if parts.scheme in ("http", "https"):
             return origin in self._origins or is_loopback(parts.netloc)
-        return origin != "null"  # as of a page whose site is hidden
+        return origin != "null"  # the opaque origin, such as that of a sandboxed frame
 
 
-async def _hand_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+async def _forward(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     while piece := await reader.read(_PIECE):
         writer.write(piece)
         await writer.drain()

@@ -1,8 +1,8 @@
 """Receives the messages of a DDS domain as bytes, into a bounded queue.
 
-A separate thread waits for them, so each gets its time of arrival at once. If they are not taken
-fast enough, the newest are dropped and counted. A robot never waits for the watch: readers keep
-only the last messages, so a full queue here fills no queue there.
+A separate thread receives them, so each gets its time of arrival at once. If the queue is full, the
+newest messages are dropped and counted. A robot never waits for the watch: readers keep only the
+last messages, so a full queue here does not fill the robot's queues.
 """
 
 import threading
@@ -18,36 +18,36 @@ from oracle_pipeline.bags.dds_names import dds_topic
 from oracle_pipeline.bags.errors import DdsError
 from oracle_pipeline.bags.qos_profiles import compatible, is_latched
 
-QUEUE_BYTES = 64 * 2**20  # of messages that wait at most
-_DEPTH = 500  # messages of a topic that wait in DDS, until the thread takes them
-_WAIT_S = 0.2  # at most, until the thread looks for new readers or its end
+QUEUE_BYTES = 64 * 2**20  # of waiting messages, at most
+_DEPTH = 500  # history depth of a DDS reader
+_WAIT_S = 0.2  # at most, until the thread checks for new readers or its end
 _NO_LIMIT = _QosTime(9223372036, 854775807)
 
 
 class Received(NamedTuple):
-    """A message as it came."""
+    """A message as received."""
 
     topic: str
     sent_ns: int  # by the sender's clock [ns since 1970]
-    wall_ns: int  # when it came, by ours
+    wall_ns: int  # when it arrived, by our clock [ns since 1970]
     writer: int  # handle of the endpoint that sent it
     data: bytes  # CDR with its encapsulation header
 
 
 class Intake:
-    """Hears topics.
+    """Subscribes to topics and queues their messages.
 
     Parameters
     ----------
     participant
-        Where the readers live.
+        Owner of the readers.
     queue_bytes : int
         Size of the queue [B].
 
     Attributes
     ----------
     topics : dict of str to str
-        What is heard: topic -> message type.
+        Message type of each subscribed topic.
     """
 
     def __init__(self, participant: dds.Participant, queue_bytes: int = QUEUE_BYTES) -> None:
@@ -66,13 +66,13 @@ class Intake:
         self._thread = threading.Thread(target=self._run, name="intake", daemon=True)
         self._thread.start()
 
-    def hear(self, topic: str, msgtype: str, *, reliable: bool, latched: bool) -> None:
+    def subscribe(self, topic: str, msgtype: str, *, reliable: bool, latched: bool) -> None:
         """Subscribe to a topic.
 
         Raises
         ------
         DdsError
-            If its type is not known.
+            If its type is unknown.
         """
         qos = Qos(
             QosHistory.KEEP_LAST,
@@ -91,16 +91,16 @@ class Intake:
         self._names[reader] = topic
         self._ready.add(reader)
 
-    def hears(self, topic: str, offered: Qos) -> bool:
-        """Tell whether a publisher's profile fits what we asked for."""
+    def accepts(self, topic: str, offered: Qos) -> bool:
+        """Return whether a publisher's QoS is compatible with our subscription's."""
         return compatible(offered, self._requested[topic])
 
     def is_latched(self, topic: str) -> bool:
-        """Tell whether we asked for what was said before we came."""
+        """Return whether the subscription is latched, so it also gets earlier messages."""
         return is_latched(self._requested[topic])
 
     def take(self) -> list[Received]:
-        """Return what has come, in order of arrival.
+        """Return the queued messages, in order of arrival.
 
         Raises
         ------
@@ -114,13 +114,13 @@ class Intake:
         return taken
 
     def dropped(self) -> Counter[str]:
-        """Return how many messages of each topic were dropped since this was last asked."""
+        """Return how many messages of each topic were dropped since the last call."""
         with self._lock:
             dropped, self._dropped = self._dropped, Counter()
         return dropped
 
     def close(self) -> None:
-        """Stop; what was not taken stays in the queue."""
+        """Stop receiving; messages that were not taken stay in the queue."""
         self._ended = True
         self._thread.join()
 
@@ -134,7 +134,9 @@ class Intake:
                     for reader in ready
                     for raw in reader.take()
                 ]
-                came.sort(key=lambda each: each.sent_ns)  # as sent, if senders' clocks agree
+                came.sort(
+                    key=lambda each: each.sent_ns
+                )  # in sending order, if the senders' clocks agree
                 self._put(came)
         except DdsError as error:
             with self._lock:

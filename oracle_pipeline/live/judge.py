@@ -19,17 +19,18 @@ from typing import TypeAlias
 from rosbags.interfaces import Qos
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.reader import RawMessage
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.features.extraction import extract_window
 from oracle_pipeline.features.kept_rows import Carried
 from oracle_pipeline.graphs.intervals import Interval
-from oracle_pipeline.live.recent import RecentMessages, Stamped
+from oracle_pipeline.live.recent import RecentMessages
 from oracle_pipeline.live.window_scorer import WindowScorer, WindowVerdict
 from oracle_pipeline.scoring.card import ReferenceCard
 
-_END_S = 5.0  # that the process gets to end by itself
-_INBOX = 10_000  # what may wait to be worked on
-_MOST_WAITING = 2  # windows behind one, until it is left out
+_END_S = 5.0  # until the process is killed
+_INBOX = 10_000  # requests that may wait
+_MOST_WAITING = 2  # newer windows that make the process leave one out
 _SECOND_NS = 1_000_000_000
 
 
@@ -54,15 +55,15 @@ class _Window:
 
 @dataclass(frozen=True, slots=True)
 class _LeftOut:
-    """A window that is not judged: newer ones wait."""
+    """A window that was not judged, because newer ones were waiting."""
 
 
-_Told: TypeAlias = _Topic | _Window | Interval | list[Stamped] | None
+_Request: TypeAlias = _Topic | _Window | Interval | list[RawMessage] | None
 _Answer: TypeAlias = WindowVerdict | _LeftOut | OracleError
 
 
 class Judge:
-    """The other process.
+    """Owns the process that judges windows, and talks to it.
 
     Parameters
     ----------
@@ -83,7 +84,7 @@ class Judge:
 
     def __init__(self, card: Path, alarms_per_h: float | None, plugins: Path | None = None) -> None:
         known = ReferenceCard.load(card)
-        WindowScorer(known, alarms_per_h)  # a bad card is told at once
+        WindowScorer(known, alarms_per_h)  # a bad card raises an error at once
         self.contract = known.contract
         self.left_out = 0
         context = multiprocessing.get_context("spawn")
@@ -96,22 +97,22 @@ class Judge:
 
     def add_topic(self, name: str, msgtype: str, qos: tuple[Qos, ...]) -> None:
         """Announce a topic, or more publishers of it."""
-        self._tell(_Topic(name, msgtype, qos))
+        self._send(_Topic(name, msgtype, qos))
 
-    def add(self, messages: list[Stamped]) -> None:
-        """Hand messages over, in order of time."""
-        self._tell(messages)
+    def add(self, messages: list[RawMessage]) -> None:
+        """Send messages, in order of time."""
+        self._send(messages)
 
     def add_graph(self, interval: Interval) -> None:
-        """Hand the graph of an interval over."""
-        self._tell(interval)
+        """Send the graph of an interval."""
+        self._send(interval)
 
     def end_window(self, recording_ns: int, start_ns: int, end_ns: int) -> None:
-        """Ask for the verdict on a window that has ended."""
-        self._tell(_Window(recording_ns, start_ns, end_ns, time.monotonic()))
+        """Request the verdict on a window that has ended."""
+        self._send(_Window(recording_ns, start_ns, end_ns, time.monotonic()))
 
     def verdicts(self, timeout_s: float = 0.0) -> Iterator[WindowVerdict]:
-        """Yield the verdicts that are there, or come within some time.
+        """Yield the verdicts that have arrived, or arrive within some time.
 
         Raises
         ------
@@ -148,9 +149,9 @@ class Judge:
         self._pipe.close()
         return last
 
-    def _tell(self, told: _Told) -> None:
-        with contextlib.suppress(OSError):  # it has died; `verdicts` says so
-            self._pipe.send(told)
+    def _send(self, request: _Request) -> None:
+        with contextlib.suppress(OSError):  # it has died; `verdicts` raises the error
+            self._pipe.send(request)
 
     def _death(self) -> OracleError:
         self._process.join(_END_S)
@@ -161,31 +162,33 @@ class Judge:
 
 
 def _work(pipe: Connection, card: Path, alarms_per_h: float | None, plugins: Path | None) -> None:
-    """Judge in the other process, until it is told to end."""
-    # The pipe is emptied while a window is worked on, so that the watch need not wait.
+    """Judge windows in the other process, until the end is requested."""
+    # A thread empties the pipe while a window is judged, so that the watch need not wait.
     inbox = _Inbox(pipe)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the watch, which says the end
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # Ctrl-C ends the watch, which then ends this process
     try:
         manager = build_manager(plugins)
         reference = ReferenceCard.load(card)
         scorer = WindowScorer(reference, alarms_per_h)
         recent = RecentMessages()
         carried: Carried = {}
-        while (told := inbox.take()) is not None:
-            if isinstance(told, list):
-                recent.add(told)
-            elif isinstance(told, Interval):
-                recent.add_graph(told)
-            elif isinstance(told, _Topic):
-                recent.add_topic(told.name, told.msgtype, told.qos)
+        while (request := inbox.take()) is not None:
+            if isinstance(request, list):
+                recent.add(request)
+            elif isinstance(request, Interval):
+                recent.add_graph(request)
+            elif isinstance(request, _Topic):
+                recent.add_topic(request.name, request.msgtype, request.qos)
             elif inbox.windows > _MOST_WAITING:
                 pipe.send(_LeftOut())
             else:
-                run = recent.until(told.recording_ns, told.end_ns)
-                start_s = (told.start_ns - told.recording_ns) / _SECOND_NS
+                run = recent.until(request.recording_ns, request.end_ns)
+                start_s = (request.start_ns - request.recording_ns) / _SECOND_NS
                 row, carried = extract_window(run, manager, start_s, carried, reference.roles)
-                verdict = scorer.judge(row, (told.end_ns - told.recording_ns) / _SECOND_NS)
-                pipe.send(replace(verdict, latency_s=time.monotonic() - told.ended_at))
+                verdict = scorer.judge(row, (request.end_ns - request.recording_ns) / _SECOND_NS)
+                pipe.send(replace(verdict, latency_s=time.monotonic() - request.ended_at))
     except OracleError as error:
         pipe.send(error)
     except BrokenPipeError:
@@ -195,31 +198,31 @@ def _work(pipe: Connection, card: Path, alarms_per_h: float | None, plugins: Pat
 
 
 class _Inbox:
-    """What was told and is not worked on yet; a thread receives it until the watch is gone."""
+    """Queue of requests; a thread receives them until the watch closes the pipe."""
 
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe
-        self._waiting: queue.Queue[_Told] = queue.Queue(_INBOX)
-        self._received = self._taken = 0  # windows
+        self._waiting: queue.Queue[_Request] = queue.Queue(_INBOX)
+        self._received = self._taken = 0  # numbers of windows
         threading.Thread(target=self._receive, daemon=True).start()
 
     @property
     def windows(self) -> int:
-        """How many windows wait."""
+        """Number of waiting windows."""
         return self._received - self._taken
 
-    def take(self) -> _Told:
-        """Return the oldest, once there is any; None is the end."""
-        told = self._waiting.get()
-        self._taken += isinstance(told, _Window)
-        return told
+    def take(self) -> _Request:
+        """Wait for the oldest request; None is the end."""
+        request = self._waiting.get()
+        self._taken += isinstance(request, _Window)
+        return request
 
     def _receive(self) -> None:
-        told: _Told = []
-        while told is not None:
+        request: _Request = []
+        while request is not None:
             try:
-                told = self._pipe.recv()
+                request = self._pipe.recv()
             except (EOFError, OSError):
-                told = None
-            self._received += isinstance(told, _Window)
-            self._waiting.put(told)
+                request = None
+            self._received += isinstance(request, _Window)
+            self._waiting.put(request)

@@ -21,13 +21,13 @@ from starlette.responses import HTMLResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from oracle_pipeline.live.loopback import HOST, listen
-from oracle_pipeline.live.shown import Shown
+from oracle_pipeline.live.page_state import PageState
 from oracle_pipeline.live.watch import Event
 from oracle_pipeline.web_guard import Guard
 
 PORT = 8300
-_EVERY_S = 0.2  # between two looks for changes
-_ENDS_S = 3  # that open connections get when the watch ends
+_EVERY_S = 0.2  # between two checks for changes
+_ENDS_S = 3  # grace period of open connections when the watch ends
 _ADVICE = "Open the address that oracle watch prints, on the machine where it runs."
 
 
@@ -35,12 +35,12 @@ class LivePage:
     """Serves the page at a port (`listen`); a context manager."""
 
     def __init__(self, port: int = PORT) -> None:
-        self.shown = Shown()
+        self.state = PageState()
         self._socket = listen(port)
         self.address = f"http://{HOST}:{self._socket.getsockname()[1]}"
         self._server = uvicorn.Server(
             uvicorn.Config(
-                Guard(_application(self.shown, self._is_over), advice=_ADVICE),
+                Guard(_application(self.state, self._is_over), advice=_ADVICE),
                 log_level="error",
                 lifespan="off",
                 timeout_graceful_shutdown=_ENDS_S,
@@ -52,7 +52,7 @@ class LivePage:
 
     def show(self, event: Event) -> None:
         """Show an event."""
-        self.shown.show(event)
+        self.state.update(event)
 
     def _is_over(self) -> bool:
         return self._server.should_exit
@@ -83,7 +83,7 @@ def page() -> tuple[str, str]:
     return text, policy
 
 
-def _application(shown: Shown, is_over: Callable[[], bool]) -> Starlette:
+def _application(state: PageState, is_over: Callable[[], bool]) -> Starlette:
     text, policy = page()
 
     async def whole(_request: Request) -> Response:
@@ -93,7 +93,7 @@ def _application(shown: Shown, is_over: Callable[[], bool]) -> Starlette:
 
     async def events(request: Request) -> Response:
         return StreamingResponse(
-            _changes(request, shown, is_over),
+            _changes(request, state, is_over),
             media_type="text/event-stream",
             headers={"Cache-Control": "no-store"},
         )
@@ -102,13 +102,13 @@ def _application(shown: Shown, is_over: Callable[[], bool]) -> Starlette:
 
 
 async def _changes(
-    request: Request, shown: Shown, is_over: Callable[[], bool]
+    request: Request, state: PageState, is_over: Callable[[], bool]
 ) -> AsyncIterator[str]:
     """Yield all parts, then those that change, until the page or the watch is gone."""
     change = 0
     yield "retry: 1000\n\n"
     while not is_over() and not await request.is_disconnected():
-        change, parts = shown.since(change)
+        change, parts = state.since(change)
         for name, part in parts.items():
             yield f"event: {name}\ndata: {json.dumps(part, allow_nan=False)}\n\n"
         await asyncio.sleep(_EVERY_S)

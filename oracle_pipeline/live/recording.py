@@ -24,16 +24,16 @@ class LiveRecording:
     Parameters
     ----------
     folder : Path
-        Where recordings are kept; it is made if it is not there.
+        Folder of recordings; it is created if it does not exist.
     name : str
-        Of this one.
+        Name of this recording.
 
     Attributes
     ----------
     path : Path
-        Where it is when it is whole.
+        Folder of the complete recording.
     facts : dict
-        What ``recording.json`` is to hold beside the counts of messages.
+        Content of ``recording.json``, beside the counts of messages.
     """
 
     def __init__(self, folder: Path, name: str) -> None:

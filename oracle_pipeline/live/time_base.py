@@ -1,9 +1,9 @@
 """The time of a recording: simulated time if there is a ``/clock``, else wall time.
 
-It is the choice of ``ros2 bag record``: with ``--use-sim-time`` stamps are the robot's own time, so
-windows of 5 s are 5 s of the robot, however fast the simulation is. A message then gets the
-robot's time at which it was sent, between the ticks of the clock before and after. So the load of
-the watching machine does not matter. After the newest tick, time continues at the speed of the last
+``ros2 bag record --use-sim-time`` makes the same choice: in simulated time, a window of 5 s is 5 s
+of the robot, however fast the simulation runs. The stamp of a message is the simulated time at
+which it was sent, interpolated between the clock ticks before and after, so the load of the
+watching machine does not matter. After the newest tick, time continues at the rate of the last
 ticks.
 """
 
@@ -15,19 +15,19 @@ from oracle_pipeline.live.intake import Received
 CLOCK_TOPIC = "/clock"
 
 _TIME = struct.Struct("<iI")  # seconds, nanoseconds
-_TICKS = 20  # of which the speed is taken
-_KEPT = 500  # ticks
-_SILENT_NS = 2_000_000_000  # after which another clock may take over, by the wall
-_LATEST_NS = 1_000_000_000  # that a message is on its way; else the machines' clocks disagree
+_TICKS = 20  # that the rate is estimated from
+_KEPT = 500  # ticks in memory
+_SILENT_NS = 2_000_000_000  # of wall time, after which another clock may take over
+_LATEST_NS = 1_000_000_000  # longest transport time; beyond it, the machines' clocks disagree
 _SECOND_NS = 1_000_000_000
 
 
 class WallTime:
-    """The wall's time: when messages come."""
+    """Wall time: stamps are times of arrival."""
 
     is_ready = True
 
-    def hear(self, message: Received) -> None:
+    def tick(self, message: Received) -> None:
         """Ignore a tick of ``/clock``."""
 
     def stamp_ns(self, message: Received) -> int:
@@ -43,20 +43,20 @@ class SimulatedTime:
     """Simulated time, from the ticks of ``/clock``; one publisher of it counts at a time."""
 
     def __init__(self) -> None:
-        self._walls: list[int] = []  # of the ticks, ascending [ns]
-        self._times: list[int] = []  # what they say [ns]
-        self._clock: int | None = None  # who says it
-        self._heard_ns = 0
+        self._walls: list[int] = []  # wall times of the ticks, ascending [ns]
+        self._times: list[int] = []  # simulated times of the ticks [ns]
+        self._clock: int | None = None  # handle of the publisher
+        self._ticked_ns = 0
         self._offset_ns = 0  # keeps time from running back when a simulation starts anew
         self._last_ns = 0
 
     @property
     def is_ready(self) -> bool:
-        """Whether there were ticks enough to know the time and its speed."""
+        """Whether there were enough ticks to know the time and its rate."""
         return len(self._walls) > 1
 
-    def hear(self, message: Received) -> None:
-        """Hear a tick.
+    def tick(self, message: Received) -> None:
+        """Take a tick of the clock.
 
         Parameters
         ----------
@@ -65,10 +65,10 @@ class SimulatedTime:
         """
         wall_ns = _sent_ns(message)
         if message.writer != self._clock:
-            if self._clock is not None and wall_ns - self._heard_ns < _SILENT_NS:
+            if self._clock is not None and wall_ns - self._ticked_ns < _SILENT_NS:
                 return
             self._clock = message.writer
-        self._heard_ns = wall_ns
+        self._ticked_ns = wall_ns
         seconds, nanoseconds = _TIME.unpack_from(message.data, 4)
         now_ns = seconds * _SECOND_NS + nanoseconds
         if self._times and now_ns < self._times[-1]:
@@ -85,7 +85,7 @@ class SimulatedTime:
         return self.now_ns(_sent_ns(message))
 
     def now_ns(self, wall_ns: int) -> int:
-        """Return the time that it was at a time of the wall; it never runs back."""
+        """Return the simulated time at a wall time; it never runs back."""
         walls, times = self._walls, self._times
         after = bisect_right(walls, wall_ns)
         if after == 0:
@@ -101,7 +101,7 @@ class SimulatedTime:
         return self._last_ns
 
     def _since_last(self, wall_ns: int) -> int:
-        """Return how far time has gone on since the newest tick, up to one tick [ns]."""
+        """Return how much simulated time has passed since the newest tick, at most a tick [ns]."""
         walls, times = self._walls[-_TICKS:], self._times[-_TICKS:]
         speed = (times[-1] - times[0]) / max(1, walls[-1] - walls[0])
         tick = (times[-1] - times[0]) / max(1, len(times) - 1)
@@ -109,6 +109,6 @@ class SimulatedTime:
 
 
 def _sent_ns(message: Received) -> int:
-    """Return when a message was sent; if that cannot be, when it came."""
-    on_its_way_ns = message.wall_ns - message.sent_ns
-    return message.sent_ns if 0 <= on_its_way_ns <= _LATEST_NS else message.wall_ns
+    """Return when a message was sent; if that is implausible, when it arrived."""
+    transport_ns = message.wall_ns - message.sent_ns
+    return message.sent_ns if 0 <= transport_ns <= _LATEST_NS else message.wall_ns

@@ -17,7 +17,7 @@ class Traffic:
         self._sent: dict[int, tuple[int, int]] = {}
 
     def count(self, writer: int, size: int) -> None:
-        """Count a message by the handle of who sent it, and its size in bytes."""
+        """Count a message of `size` bytes from the publisher with the handle `writer`."""
         messages, total = self._sent.get(writer, (0, 0))
         self._sent[writer] = messages + 1, total + size
 
@@ -31,14 +31,14 @@ class Traffic:
 
 
 def snapshot(discovery: Discovery, sent: Mapping[int, tuple[int, int]]) -> RosGraph:
-    """Return who is there now, and what went over each edge; hidden topics are left out.
+    """Return the current graph with the traffic of each edge; hidden topics are left out.
 
     Parameters
     ----------
     discovery : Discovery
     sent : mapping of int to tuple
-        Messages and bytes, by the handle of the publisher. A subscription got what the publishers
-        of its topic sent with whom its profile fits.
+        Messages and bytes, by the handle of the publisher. A subscription receives all messages
+        of the publishers of its topic with a compatible QoS.
     """
     graph: RosGraph = nx.DiGraph()
     for name in discovery.node_names():
@@ -52,10 +52,10 @@ def snapshot(discovery: Discovery, sent: Mapping[int, tuple[int, int]]) -> RosGr
         if endpoint.publishes:
             add_traffic(graph, node, topic, *sent.get(endpoint.handle, (0, 0)))
             continue
-        heard = [
+        received = [
             sent.get(publisher.handle, (0, 0))
             for publisher in publishers.get(endpoint.topic, ())
             if compatible(publisher.qos, endpoint.qos)
         ]
-        add_traffic(graph, topic, node, sum(m for m, _ in heard), sum(b for _, b in heard))
+        add_traffic(graph, topic, node, sum(m for m, _ in received), sum(b for _, b in received))
     return graph

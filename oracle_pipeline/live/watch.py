@@ -1,4 +1,4 @@
-"""Watches a domain: records and judges messages, and reports events as they happen.
+"""Watches a DDS domain: records and judges its messages, and reports events as they happen.
 
 ``oracle watch`` and the live views use ``Watch``. It only reads, and has no writer on the domain.
 """
@@ -16,12 +16,12 @@ from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.limits import MOST_CHANNELS
 from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S, is_hidden
 from oracle_pipeline.bags.qos_profiles import is_latched, is_reliable
+from oracle_pipeline.bags.reader import RawMessage
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.live.contract_watch import ContractWatch
 from oracle_pipeline.live.discovery import Discovery, Endpoint
 from oracle_pipeline.live.intake import QUEUE_BYTES, Intake, Received
 from oracle_pipeline.live.judge import Judge
-from oracle_pipeline.live.recent import Stamped
 from oracle_pipeline.live.recording import LiveRecording
 from oracle_pipeline.live.time_base import CLOCK_TOPIC, SimulatedTime, WallTime
 from oracle_pipeline.live.traffic import Traffic, snapshot
@@ -29,21 +29,21 @@ from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.scoring.contract import Breach
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
-SETTLE_S = 2.0  # from the first topic on, until those who are on the domain are known
+SETTLE_S = 2.0  # from the first topic until discovery is taken to be complete
 _DISCOVERY_S = 0.1  # rosbag2 looks for new topics this often
-_PAUSE_S = 0.05  # between two looks for messages; to wake up for each of them costs more
+_PAUSE_S = 0.05  # between two reads of the queue; waking up for each message costs more
 _SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class MessageHeard:
-    """A message, as it was on DDS."""
+class MessageReceived:
+    """A message as it was received."""
 
     topic: str
     msgtype: str
     stamp_ns: int  # in the recording's time
     data: bytes  # CDR with its encapsulation header
-    latched: bool = False  # who comes later hears it, too
+    latched: bool = False  # later subscribers receive it, too
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class Note:
     text: str
 
 
-Event: TypeAlias = MessageHeard | GraphTaken | WindowVerdict | Alarm | ContractAlarm | Note
+Event: TypeAlias = MessageReceived | GraphTaken | WindowVerdict | Alarm | ContractAlarm | Note
 
 
 class Watch:
@@ -89,7 +89,7 @@ class Watch:
     card : Path, optional
         Reference card to judge windows by; without one, nothing is judged.
     folder : Path, optional
-        Where to keep the recording; without one, nothing is recorded.
+        Folder of the recording; without one, nothing is recorded.
     name : str
         Of the recording.
     alarms_per_h : float, optional
@@ -97,14 +97,14 @@ class Watch:
     plugins : Path, optional
         Folder of feature plugins.
     queue_bytes : int
-        Messages that may wait to be dealt with.
+        Size of the queue of received messages [B].
 
     Attributes
     ----------
     dropped : int
-        Messages that were lost because they came faster than they could be dealt with.
-    heard : int
-        Messages that were dealt with.
+        Messages that were lost because the queue was full.
+    received : int
+        Messages that were processed.
     recording : LiveRecording or None
 
     Examples
@@ -125,7 +125,7 @@ class Watch:
         plugins: Path | None = None,
         queue_bytes: int = QUEUE_BYTES,
     ) -> None:
-        self.dropped = self.heard = 0
+        self.dropped = self.received = 0
         self._domain = domain
         self._stopped = False
         self._judge = None if card is None else Judge(card, alarms_per_h, plugins)
@@ -136,23 +136,23 @@ class Watch:
         self.discovery = Discovery(self._participant)
         self._intake = Intake(self._participant, queue_bytes)
         self._traffic = Traffic()
-        self._announced: dict[str, int] = {}  # publishers whose profile was told on, by topic
-        self._unheard: set[str] = set()  # topics that were said not to be heard
+        self._announced: dict[str, int] = {}  # publishers whose QoS was recorded, by topic
+        self._unsupported: set[str] = set()  # topics that cannot be recorded
         self._time: WallTime | SimulatedTime = WallTime()
         self._start_ns: int | None = None
         self._now_ns = 0
-        self._interval = 0  # number of the one that goes on
-        self._window = 0  # number of the next that ends
-        self._second = 1  # of the recording, at which the contract is looked at next
+        self._interval = 0  # number of the current one
+        self._window = 0  # number of the next one to end
+        self._second = 1  # of the recording, at which the contract is checked next
         self._pending: deque[Event] = deque()
 
     def stop(self) -> None:
-        """Let the iteration end soon; may be called by a signal handler or another thread."""
+        """End the iteration soon; a signal handler or another thread may call it."""
         self._stopped = True
 
     @property
     def duration_s(self) -> float:
-        """How long the recording is so far [s]."""
+        """Length of the recording so far [s]."""
         return 0.0 if self._start_ns is None else (self._now_ns - self._start_ns) / _SECOND_NS
 
     def __enter__(self) -> Self:
@@ -176,25 +176,25 @@ class Watch:
             self.recording.__exit__(*exception)
 
     def __iter__(self) -> Iterator[Event]:
-        """Yield what happens, until `stop` is called."""
+        """Yield events until `stop` is called."""
         self._settle()
         waiting: list[Received] = []  # until the time is known
-        looked = 0.0
+        discovered = 0.0
         while not self._stopped:
             sleep(_PAUSE_S)
             before_ns = time_ns()
             came = self._intake.take()
-            if monotonic() - looked >= _DISCOVERY_S:
-                looked = monotonic()
+            if monotonic() - discovered >= _DISCOVERY_S:
+                discovered = monotonic()
                 self._discover()
             waiting += came
             for received in came:
                 if received.topic == CLOCK_TOPIC:
-                    self._time.hear(received)
+                    self._time.tick(received)
             if self._time.is_ready:
-                yield from self._deal_with(waiting)
+                yield from self._process(waiting)
                 if not came and self._start_ns is not None:
-                    self._pass_to(self._time.now_ns(before_ns))
+                    self._advance_to(self._time.now_ns(before_ns))
                 waiting = []
             self._collect()
             while self._pending:
@@ -202,7 +202,7 @@ class Watch:
         yield from self._finish()
 
     def _settle(self) -> None:
-        """Wait until nodes are on the domain and known, and choose the time base."""
+        """Wait until the nodes of the domain are known, and choose the time base."""
         until = None
         while (until is None or monotonic() < until) and not self._stopped:
             self.discovery.update()
@@ -214,11 +214,15 @@ class Watch:
         self._discover(force=True)
 
     def _discover(self, *, force: bool = False) -> None:
-        """Subscribe to topics that are new."""
+        """Subscribe to new topics."""
         if not self.discovery.update() and not force:
             return
         for topic, publishers in self.discovery.topics().items():
-            if is_hidden(topic) or topic in self._unheard or len(self._announced) >= MOST_CHANNELS:
+            if (
+                is_hidden(topic)
+                or topic in self._unsupported
+                or len(self._announced) >= MOST_CHANNELS
+            ):
                 continue
             known = self._announced.get(topic, 0)
             if not known:
@@ -229,22 +233,23 @@ class Watch:
 
     def _subscribe(self, topic: str, publishers: list[Endpoint]) -> None:
         try:
-            self._intake.hear(
+            self._intake.subscribe(
                 topic,
                 publishers[0].msgtype,
                 reliable=all(is_reliable(each.qos) for each in publishers),
                 latched=all(is_latched(each.qos) for each in publishers),
             )
         except DdsError as error:
-            self._unheard.add(topic)
+            self._unsupported.add(topic)
             self._pending.append(Note(f"{topic} is not recorded: {error}"))
 
     def _announce(self, topic: str, publishers: list[Endpoint]) -> None:
-        if not all(self._intake.hears(topic, each.qos) for each in publishers):
+        if not all(self._intake.accepts(topic, each.qos) for each in publishers):
             self._pending.append(
                 Note(
-                    f"{topic} has a publisher that came later and offers less than the first ones; "
-                    "its messages are not heard. Start the watch again to hear all."
+                    f"A later publisher of {topic} offers a QoS that is not compatible with the "
+                    "subscription, so its messages are not received. Start the watch again to "
+                    "receive all."
                 )
             )
         msgtype, profiles = self._intake.topics[topic], tuple(each.qos for each in publishers)
@@ -253,55 +258,55 @@ class Watch:
         if self._judge is not None:
             self._judge.add_topic(topic, msgtype, profiles)
 
-    def _deal_with(self, came: list[Received]) -> Iterator[Event]:
-        """Record messages, count them, and forward them, up to the end of each window."""
-        fresh: list[Stamped] = []
+    def _process(self, came: list[Received]) -> Iterator[Event]:
+        """Record messages, count them, and forward them to the judge, window by window."""
+        fresh: list[RawMessage] = []
         for received in came:
             stamp_ns = self._time.stamp_ns(received)
             if self._start_ns is None:
                 self._start_ns = stamp_ns
             if self._is_due(stamp_ns):
-                self._hand_on(fresh)
+                self._forward(fresh)
                 fresh = []
-                self._pass_to(stamp_ns)
+                self._advance_to(stamp_ns)
             self._now_ns = stamp_ns
             if self._contract is not None:
-                self._look_at_contract()
-                self._contract.hear(received.topic, self.duration_s)
-            self.heard += 1
+                self._check_contract()
+                self._contract.count(received.topic, self.duration_s)
+            self.received += 1
             self._traffic.count(received.writer, len(received.data))
             if self.recording is not None:
                 self.recording.write(received.topic, stamp_ns, received.data)
-            fresh.append(Stamped(received.topic, stamp_ns, received.data))
+            fresh.append(RawMessage(received.topic, stamp_ns, received.data))
             msgtype = self._intake.topics[received.topic]
             latched = self._intake.is_latched(received.topic)
-            yield MessageHeard(received.topic, msgtype, stamp_ns, received.data, latched)
-        self._hand_on(fresh)
+            yield MessageReceived(received.topic, msgtype, stamp_ns, received.data, latched)
+        self._forward(fresh)
 
-    def _look_at_contract(self) -> None:
-        """Compare with the contract once a second of the recording, whatever comes meanwhile."""
+    def _check_contract(self) -> None:
+        """Compare the robot with the contract, once for each second of the recording."""
         if self._contract is None or self.duration_s < self._second:
             return
         now_s = self.duration_s
         self._second = int(now_s) + 1
-        if breaches := self._contract.look(now_s, self.discovery, self._intake.topics):
+        if breaches := self._contract.check(now_s, self.discovery, self._intake.topics):
             self._pending.append(ContractAlarm(now_s, breaches))
 
-    def _hand_on(self, fresh: list[Stamped]) -> None:
+    def _forward(self, fresh: list[RawMessage]) -> None:
         if self._judge is not None and fresh:
             self._judge.add(fresh)
 
     def _is_due(self, stamp_ns: int) -> bool:
-        """Tell whether a window has ended; every interval ends with one."""
+        """Return whether a window has ended; each interval ends together with a window."""
         return stamp_ns >= self._window_end_ns
 
     @property
     def _window_end_ns(self) -> int:
-        assert self._start_ns is not None  # noqa: S101 -- windows are cut once there is a message
+        assert self._start_ns is not None  # noqa: S101 -- set by the first message
         return self._start_ns + round((self._window * HOP_S + WINDOW_S) * _SECOND_NS)
 
-    def _pass_to(self, stamp_ns: int) -> None:
-        """Let time pass: end the intervals and windows that are over."""
+    def _advance_to(self, stamp_ns: int) -> None:
+        """Advance the time of the recording: end intervals and windows that are over."""
         while self._is_due(stamp_ns):
             end_ns = self._window_end_ns
             assert self._start_ns is not None  # noqa: S101
@@ -313,7 +318,7 @@ class Watch:
                 self._judge.end_window(self._start_ns, start_ns, end_ns)
             self._window += 1
         self._now_ns = max(self._now_ns, stamp_ns)
-        self._look_at_contract()
+        self._check_contract()
 
     def _end_interval(self) -> None:
         start_s = self._interval * INTERVAL_S
@@ -327,18 +332,18 @@ class Watch:
         self._pending.append(GraphTaken(start_s, graph))
 
     def _collect(self) -> None:
-        """Take verdicts that have come, and count what was dropped."""
+        """Collect new verdicts and the counts of dropped messages."""
         if dropped := self._intake.dropped():
             self.dropped += dropped.total()
             listed = ", ".join(f"{topic} {count}" for topic, count in dropped.most_common(5))
             self._pending.append(
-                Note(f"{dropped.total()} messages were dropped: they came too fast ({listed}).")
+                Note(f"{dropped.total()} messages arrived too fast and were dropped ({listed}).")
             )
         if self._judge is not None:
             try:
                 before = self._judge.left_out
                 for verdict in self._judge.verdicts():
-                    self._tell(verdict)
+                    self._report(verdict)
                 if left_out := self._judge.left_out - before:
                     self._pending.append(
                         Note(f"{left_out} windows were not judged: this machine is too slow.")
@@ -348,7 +353,7 @@ class Watch:
                 self._judge = None
                 self._pending.append(Note(str(error)))
 
-    def _tell(self, verdict: WindowVerdict) -> None:
+    def _report(self, verdict: WindowVerdict) -> None:
         self._pending.append(verdict)
         if verdict.alarm:
             self._pending.append(Alarm(verdict))
@@ -361,7 +366,7 @@ class Watch:
                 self._end_interval()
         if self._judge is not None:
             for verdict in self._judge.close():
-                self._tell(verdict)
+                self._report(verdict)
             self._judge = None
         while self._pending:
             yield self._pending.popleft()

@@ -18,21 +18,21 @@ from oracle_pipeline.scoring.evidence import SHOWN
 from oracle_pipeline.scoring.verdict import Evidence, ScoringError
 
 _LEVEL = "windows"
-_USUAL = 1.645  # scales from the median within which nine of ten values of a normal one are
+_USUAL = 1.645  # scales around the median that hold 90 % of a normal distribution
 
 
 @dataclass(frozen=True, slots=True)
 class WindowVerdict:
-    """The judgement of one window of a recording that goes on."""
+    """The verdict on one window of a recording in progress."""
 
     start_s: float  # since the start of the recording
     end_s: float
     score: float  # higher is more anomalous
     p_value: float  # share of normal windows that score at least as high
-    is_usual: bool  # it adds nothing to an alarm
-    alarm: bool  # it raised one
-    evidence: tuple[Evidence, ...] = ()  # what is farthest from usual
-    latency_s: float = 0.0  # from the end of the window to the verdict, by the wall
+    is_usual: bool  # it adds nothing to the alarm statistic
+    alarm: bool  # it raised an alarm
+    evidence: tuple[Evidence, ...] = ()  # the features farthest from usual
+    latency_s: float = 0.0  # wall time from the end of the window to the verdict
 
 
 class WindowScorer:
@@ -53,7 +53,7 @@ class WindowScorer:
     Raises
     ------
     ScoringError
-        If the card knows nothing of windows.
+        If the card holds no features of windows.
     AlarmError
         If it has too few hours of normal recordings for the rate.
     """

@@ -12,7 +12,7 @@ from oracle_pipeline.bags.terminal import printable, progress_bar
 from oracle_pipeline.datasets import KEYS
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.oracles.kept_traces import kept_trace
-from oracle_pipeline.oracles.kind import KindError, TracedRuns
+from oracle_pipeline.oracles.kind import RELATION, SAME, KindError, TracedRuns
 from oracle_pipeline.oracles.traces import read_trace
 from oracle_pipeline.robots.robot import find_robots, of_robot
 from oracle_pipeline.scoring.reference import recordings_below
@@ -36,6 +36,11 @@ def traced_runs(
 
     An attacked run that ended before its attack is left out.
 
+    Returns
+    -------
+    TracedRuns
+        The table has a column `RELATION` besides the keys.
+
     Raises
     ------
     OracleError
@@ -55,7 +60,7 @@ def traced_runs(
                 traces.append(trace)
         except (OracleError, OSError) as error:
             raise KindError(f"{path}: {error}") from error
-    table = pd.DataFrame(rows, columns=list(KEYS))
+    table = pd.DataFrame(rows, columns=[*KEYS, RELATION])
     alone = table["session"] < 0
     return TracedRuns(
         table.assign(session=table["session"].mask(alone, table["block"])), tuple(traces)
@@ -71,10 +76,13 @@ def _traced(
         if manifest.label == "malicious" and manifest.onset_s is None:
             return
         keys = (manifest.key, *(getattr(manifest, key) for key in KEYS[1:]))
-        yield dict(zip(KEYS, keys, strict=True)), kept_trace(run, folder)
+        relation = manifest.recipe.get("options", {}).get(RELATION, SAME)
+        # Runs in different relations have equal names; each relation has a folder of traces.
+        place = folder / relation if folder and relation != SAME else folder
+        yield dict(zip(KEYS, keys, strict=True)) | {RELATION: relation}, kept_trace(run, place)
         return
     with open_run(path) as opened:
         for robot in find_robots(opened.bag):
             name = of_robot(printable(path.resolve().name), robot.name)
             keys = (name, "foreign", label, _NO_BLOCK, _NO_BLOCK, UNKNOWN_WORLD)
-            yield dict(zip(KEYS, keys, strict=True)), read_trace(robot)
+            yield dict(zip(KEYS, keys, strict=True)) | {RELATION: SAME}, read_trace(robot)

@@ -23,6 +23,9 @@ from oracle_pipeline.features.manager import plugin_folder, register_others
 from oracle_pipeline.features.plugin import PROJECT
 from oracle_pipeline.oracles.requirements import Requirement
 
+RELATION = "relation"  # column: relation of a run to the runs of its block, from its recipe
+SAME = "same"  # the relation of all runs that are judged
+
 _log = logging.getLogger(__name__)
 
 hookspec = pluggy.HookspecMarker(PROJECT)
@@ -129,11 +132,15 @@ class Material:
         Formulas that runs should satisfy.
     answers : mapping of str to bool
         Answers of people, by run; True means bad.
+    follow_ups : TracedRuns or None
+        Runs of the same blocks in another relation than `SAME`, with a column `RELATION`. They are
+        not judged.
     """
 
     runs: TracedRuns
     requirements: Sequence[Requirement]
     answers: Mapping[str, bool] = field(default_factory=dict)
+    follow_ups: TracedRuns | None = None
 
 
 Maker = Callable[[Material], OracleKind | None]

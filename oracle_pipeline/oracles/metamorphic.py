@@ -3,6 +3,9 @@
 The correct path is unknown, but the same task in the same world should give about the same outcome
 with any build. The runs of a block have equal start, goals and world: each is compared with the
 unaltered runs of its block, in units of their spread.
+
+Runs of a related task are compared, too. In the mirrored world, for example, the robot should turn
+right where it turned left.
 """
 
 from dataclasses import dataclass
@@ -14,13 +17,16 @@ from numpy.typing import NDArray
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
 from oracle_pipeline.datasets import is_hard_negative
 from oracle_pipeline.features.plugin import hookimpl
-from oracle_pipeline.oracles.kind import KindError, Maker, Material, TracedRuns
+from oracle_pipeline.oracles.kind import RELATION, SAME, KindError, Maker, Material, TracedRuns
 from oracle_pipeline.oracles.traces import SIGNALS, STEP_S, values_of
 
 PERCENTILES = (5.0, 50.0, 95.0)
 FEWEST = 20  # comparisons of normal runs needed to estimate the spread
+SWAPPED = ("mirrored", "reordered")  # relations in which left and right turns are swapped
+TURNS = ("command_turn", "turn", "gyro_turn")  # signals that are positive to the left
 
 _NAMES = tuple(SIGNALS)
+_TURNING = [_NAMES.index(name) for name in TURNS]
 
 
 def outcomes(trace: pd.DataFrame) -> NDArray[np.float64]:
@@ -43,6 +49,16 @@ def outcomes(trace: pd.DataFrame) -> NDArray[np.float64]:
     return np.array([*levels.ravel(), path_m, turned, active_s], dtype=np.float64)
 
 
+def as_original(outcome: NDArray[np.float64], relation: str) -> NDArray[np.float64]:
+    """Return the outcome that a follow-up run predicts for the original task."""
+    if relation not in SWAPPED:
+        return outcome
+    seen = outcome.copy()
+    levels = seen[: len(PERCENTILES) * len(_NAMES)].reshape(len(PERCENTILES), -1)  # a view
+    levels[:, _TURNING] = 0.0 - levels[::-1, _TURNING]
+    return seen
+
+
 _FLOORS = np.array([*[SIGNALS[name].floor for name in _NAMES] * len(PERCENTILES), 0.1, 0.2, 0.5])
 
 
@@ -58,41 +74,57 @@ class _Judge:
 
 
 class Metamorphic:
-    """Compares runs with the unaltered runs of their task.
+    """Compares runs with the unaltered runs of their task, and of tasks in a relation to it.
 
     Parameters
     ----------
     partners : TracedRuns
         Candidates to compare with; only unaltered normal runs are used.
+    follow_ups : TracedRuns, optional
+        Runs of the same blocks in another relation, by the column ``relation``; as for partners.
     """
 
     name = "metamorphic"
     asks = "a second run of each task"
 
-    def __init__(self, partners: TracedRuns) -> None:
-        plain = partners.normal & ~is_hard_negative(partners.table)
-        self._partners = partners.where(plain)
+    def __init__(self, partners: TracedRuns, follow_ups: TracedRuns | None = None) -> None:
+        self._partners = {SAME: _unaltered(partners)}
+        if follow_ups is not None:
+            relations = follow_ups.table[RELATION].to_numpy(dtype=str)
+            for name in sorted(set(relations)):
+                self._partners[name] = _unaltered(follow_ups.where(relations == name))
         self._differences: dict[int, tuple[pd.DataFrame, NDArray[np.float64]]] = {}  # by trace
 
     def learn(self, normal: TracedRuns) -> _Judge:
-        """Learn the spread of normal runs of the same task."""
-        differences = self.differences(normal)
-        compared = int(np.isfinite(differences).any(axis=1).sum())
-        if compared < FEWEST:
+        """Learn the spread of normal runs of the same task, for each relation.
+
+        A relation with fewer than `FEWEST` comparisons is ignored.
+        """
+        differences = self.differences(normal).reshape(len(normal.traces), len(self._partners), -1)
+        compared = np.isfinite(differences).any(axis=2).sum(axis=0)
+        if compared.max() < FEWEST:
             raise KindError(
-                f"{compared} normal runs have another run of the same task, but {FEWEST} are "
-                "needed; record several runs of each block."
+                f"{compared.max()} normal runs have another run of the same task, {FEWEST} are "
+                "needed; record several runs of each block, or the blocks with --relation mirrored."
             )
-        known = np.isfinite(differences).any(axis=0)
-        spread = np.zeros(differences.shape[1])
-        spread[known] = MAD_TO_DEVIATION * np.nanmedian(np.abs(differences[:, known]), axis=0)
-        return _Judge(self, np.maximum(spread, _FLOORS))
+        spread = np.full(differences.shape[1:], np.inf)
+        for relation in np.flatnonzero(compared >= FEWEST):
+            known = np.isfinite(differences[:, relation]).any(axis=0)
+            typical = np.nanmedian(np.abs(differences[:, relation, known]), axis=0)
+            spread[relation] = _FLOORS
+            spread[relation, known] = np.maximum(MAD_TO_DEVIATION * typical, _FLOORS[known])
+        return _Judge(self, spread.ravel())
 
     def differences(self, runs: TracedRuns) -> NDArray[np.float64]:
-        """Return each run minus the median of its partners, shape (n_runs, n_outcomes).
+        """Return each run minus the median of its partners in each relation.
 
         Exact repetitions carry no information, so equal partners count once, and a run is never its
-        own partner. NaN without partners.
+        own partner.
+
+        Returns
+        -------
+        ndarray of shape (n_runs, n_relations * n_outcomes)
+            NaN without partners.
         """
         known = self._differences
         for trace, own, block in zip(runs.traces, runs.each(outcomes), runs.block, strict=True):
@@ -101,24 +133,34 @@ class Metamorphic:
         return np.stack([known[id(trace)][1] for trace in runs.traces])
 
     def _difference(self, own: NDArray[np.float64], block: int) -> NDArray[np.float64]:
-        others = self._partners.each(outcomes)[self._partners.block == block]
-        others = np.unique(others, axis=0)
-        others = others[~np.isclose(others, own, equal_nan=True).all(axis=1)]
-        difference = np.full(len(own), np.nan)
-        if len(others):
-            known = np.isfinite(others).any(axis=0)
-            difference[known] = own[known] - np.nanmedian(others[:, known], axis=0)
-        return difference
+        differences = np.full((len(self._partners), len(own)), np.nan)
+        for row, (relation, partners) in zip(differences, self._partners.items(), strict=True):
+            same_task = partners.where(partners.block == block)
+            if not same_task.traces:
+                continue
+            others = np.unique(same_task.each(outcomes), axis=0)
+            others = np.array([as_original(other, relation) for other in others])
+            others = others[~np.isclose(others, own, equal_nan=True).all(axis=1)]
+            if len(others):
+                known = np.isfinite(others).any(axis=0)
+                row[known] = own[known] - np.nanmedian(others[:, known], axis=0)
+        return differences.ravel()
 
     def written(self) -> int:
         """Return the number of recordings that serve as partners."""
-        return len(self._partners.traces)
+        return sum(len(partners.traces) for partners in self._partners.values())
+
+
+def _unaltered(runs: TracedRuns) -> TracedRuns:
+    return runs.where(runs.normal & ~is_hard_negative(runs.table))
 
 
 def _make(material: Material) -> Metamorphic | None:
-    """Return the kind if any task was run twice."""
+    """Return the kind if any task was run twice, or in another relation."""
     plain = material.runs.block[material.runs.normal]
-    return Metamorphic(material.runs) if len(np.unique(plain)) < len(plain) else None
+    if material.follow_ups is None and len(np.unique(plain)) == len(plain):
+        return None
+    return Metamorphic(material.runs, material.follow_ups)
 
 
 @hookimpl

@@ -182,8 +182,12 @@ def _material(
     traces: Path | None,
 ) -> "Material":
     from oracle_pipeline.oracles.collecting import traced_runs
-    from oracle_pipeline.oracles.kind import Material
+    from oracle_pipeline.oracles.kind import RELATION, SAME, KindError, Material
     from oracle_pipeline.oracles.requirements import NAV2, load
 
-    runs = traced_runs(recordings, [reference] if reference else [], traces)
-    return Material(runs, load(requirements or NAV2), answers)
+    found = traced_runs(recordings, [reference] if reference else [], traces)
+    is_same = (found.table[RELATION] == SAME).to_numpy()
+    if not is_same.any():
+        raise KindError("All runs have a --relation; add the runs of the original tasks.")
+    follow_ups = None if is_same.all() else found.where(~is_same)
+    return Material(found.where(is_same), load(requirements or NAV2), answers, follow_ups)

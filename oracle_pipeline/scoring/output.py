@@ -121,7 +121,7 @@ def _alarms_as_text(card: ReferenceCard) -> str:
         return f"Alarms within a recording: at most {RATE_PER_H:g} false alarms per hour."
     return (
         f"Alarms within a recording: at most {lowest:.2g} false alarms per hour; {RATE_PER_H:g} "
-        f"per hour needs {lowest / RATE_PER_H:.2g} times as many hours of normal recordings."
+        f"per hour needs {lowest / RATE_PER_H:.0f} times as many hours of normal recordings."
     )
 
 

@@ -122,16 +122,19 @@ class Operator:
                 return {"do": [{name: {"messages": amount}}]}
             case "freeze":
                 return {"do": [{name: {}}]}
+            case "scale":
+                return {"do": [{name: {**place, "by": "1.0 + p.amount"}}]}
             case _:
                 return {"do": [{name: {**place, "by": "p.amount"}}]}
 
 
+# Sizes are drawn on a logarithmic scale, since small sizes are the most likely to evade.
 OPERATORS: Mapping[str, Operator] = {
-    "add": Operator(Dimension("add amount", -1.0, 1.0, "float"), has_field=True),
-    "scale": Operator(Dimension("scale factor", 0.5, 1.5, "float"), has_field=True),
+    "add": Operator(Dimension("add amount", 0.001, 1.0, "signed"), has_field=True),
+    "scale": Operator(Dimension("scale change", 0.005, 0.5, "signed"), has_field=True),
     "noise": Operator(Dimension("noise spread", 0.001, 0.5, "float"), has_field=True),
-    "drift": Operator(Dimension("drift rate", -0.1, 0.1, "float"), has_field=True),
-    "drop": Operator(Dimension("drop share", 0.01, 0.95, "float")),
+    "drift": Operator(Dimension("drift rate", 0.0005, 0.1, "signed"), has_field=True),
+    "drop": Operator(Dimension("drop share", 0.005, 0.95, "float")),
     "delay": Operator(Dimension("delay s", 0.01, 3.0, "float")),
     "reorder": Operator(Dimension("reorder s", 0.01, 3.0, "float")),
     "freeze": Operator(None),

@@ -25,17 +25,18 @@ class SearchError(OracleError):
 
 @dataclass(frozen=True, slots=True)
 class Dimension:
-    """One varied parameter, with its bounds (inclusive)."""
+    """One varied parameter, with its inclusive bounds (on the magnitude if it is signed)."""
 
     name: str
     low: float
     high: float
-    kind: str  # float, int or bool
+    kind: str  # float, int, bool or signed
 
     @property
     def is_logarithmic(self) -> bool:
         """Whether the scale is logarithmic, because of the ratio of the bounds."""
-        return self.kind == "float" and self.low > 0.0 and self.high / self.low >= RATIO_FOR_LOG
+        is_float = self.kind in ("float", "signed")
+        return is_float and self.low > 0.0 and self.high / self.low >= RATIO_FOR_LOG
 
     def suggest(self, trial: optuna.Trial) -> Any:
         """Return the value that a trial proposes."""
@@ -43,7 +44,10 @@ class Dimension:
             return trial.suggest_categorical(self.name, [False, True])
         if self.kind == "int":
             return trial.suggest_int(self.name, math.ceil(self.low), math.floor(self.high))
-        return trial.suggest_float(self.name, self.low, self.high, log=self.is_logarithmic)
+        value = trial.suggest_float(self.name, self.low, self.high, log=self.is_logarithmic)
+        if self.kind == "signed" and trial.suggest_categorical(f"{self.name} < 0", [False, True]):
+            return -value
+        return value
 
 
 def search_space(mode: Mode, ranges: Sequence[str] = ()) -> tuple[Dimension, ...]:

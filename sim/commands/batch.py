@@ -21,9 +21,10 @@ from sim.campaigns import (
     OdometrySource,
     Options,
     RecipeError,
+    Relation,
     Wiring,
 )
-from sim.commands.progress import RunProgress
+from sim.commands.progress import RunProgress, pace
 from sim.fan_out import fan_out, process_pool
 
 J = TypeVar("J")
@@ -104,6 +105,12 @@ _CAMPAIGN_OPTIONS = (
         "--nav2-param", "nav2_params", multiple=True, metavar="NAME=VALUE", callback=_nav2_params,
         help="A parameter of Nav2, as inflation_radius=0.7 (of both costmaps) or "
         "FollowPath.PathDist.scale=20; may be given more than once.",
+    ),
+    click.option(
+        "--relation", default="same", show_default=True, type=click.Choice(get_args(Relation)),
+        help="The task of the runs, compared with that of their blocks: the same; in a mirrored "
+        "world; with start and goals in reverse order; or from a start up to 0.3 m away. `oracle "
+        "kinds` knows that all of these should be done alike.",
     ),
     click.option("--cameras", is_flag=True, help="Switch the depth camera on: 15 MB a second."),
     click.option(
@@ -196,9 +203,9 @@ def _summary(manifest: Manifest) -> str:
     if manifest.goals:
         reached = sum(result.outcome == "succeeded" for result in manifest.goal_results)
         told += f", {reached} of {len(manifest.goals)} goals"
-    factor = manifest.recording_s / manifest.measured.wall_s
+    speed = pace(manifest.recording_s, manifest.measured.wall_s)
     megabytes = sum(manifest.measured.bytes.values()) / 1e6
     return (
-        f"{told}, {manifest.recording_s:.0f} s at {factor:.0f}x real time, "
+        f"{told}, {manifest.recording_s:.0f} s at {speed}, "
         f"{megabytes:.1f} MB ({megabytes / manifest.recording_s * 60:.1f} MB a minute)"
     )

@@ -10,6 +10,12 @@ from tqdm import tqdm
 from oracle_pipeline.bags.terminal import progress_bar
 
 
+def pace(simulated_s: float, wall_s: float) -> str:
+    """Return how fast a simulation was, in words; a slow one with a decimal place."""
+    factor = simulated_s / wall_s
+    return f"{factor:.{0 if factor >= 2.0 else 1}f}x real time"
+
+
 class RunProgress:
     """A progress bar on standard error; silent when that is not a terminal.
 
@@ -27,8 +33,8 @@ class RunProgress:
     def done(self, recording_s: float) -> None:
         """Count one run, of ``recording_s`` seconds of simulated time."""
         self._recorded_s += recording_s
-        factor = self._recorded_s / (time.monotonic() - self._started)
-        self._bar.set_postfix_str(f"{factor:.0f}x real time", refresh=False)
+        speed = pace(self._recorded_s, time.monotonic() - self._started)
+        self._bar.set_postfix_str(speed, refresh=False)
         self._bar.update()
 
     def say(self, text: str) -> None:

@@ -7,7 +7,7 @@ Metres in the world frame (x right, y up, seen from above). Further arenas are d
 import functools
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
@@ -159,7 +159,7 @@ class Arena:
 
     @property
     def id(self) -> str:
-        """Kind and seed: equal for equal worlds."""
+        """Kind and seed: equal for equal arenas, but for one that was mirrored."""
         return f"{self.kind}-{self.seed}"
 
     def clearance(self, points: Points) -> NDArray[np.float64]:
@@ -180,6 +180,15 @@ class Arena:
         distances += [pillar.signed_distance(points) for pillar in self.pillars]
         return functools.reduce(np.minimum, distances)
 
+    def mirrored(self) -> Self:
+        """Return the arena as seen in a mirror along the x axis."""
+        return replace(
+            self,
+            boundary=_mirrored(self.boundary),
+            blocks=tuple(map(_mirrored, self.blocks)),
+            pillars=tuple(replace(pillar, y=0.0 - pillar.y) for pillar in self.pillars),
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return the arena as JSON knows it."""
         blocks, pillars = map(asdict, self.blocks), map(asdict, self.pillars)
@@ -196,6 +205,12 @@ class Arena:
                 "pillars": tuple(Cylinder(**pillar) for pillar in document["pillars"]),
             }
         )
+
+
+def _mirrored(block: Block) -> Block:
+    if isinstance(block, Box):
+        return replace(block, y=0.0 - block.y, yaw=0.0 - block.yaw)
+    return replace(block, y=0.0 - block.y)  # its corners lie alike on both sides
 
 
 def _block(document: Mapping[str, Any]) -> Block:

@@ -7,13 +7,14 @@ mode and its control differ in the mode only, and in noise where the campaign dr
 import functools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.campaigns import ArenaChoice, Campaign, Navigation, Options, RecipeError
+from sim.campaigns import ArenaChoice, Campaign, Navigation, Options, RecipeError, Relation
 from sim.middleware.geometry import Pose2D
 from sim.nav2.costmap import Costmap2D
 from sim.nav2.costmap_layers import static_costs
@@ -30,10 +31,13 @@ from sim.turtlebot3.recipes import (
     ARENA,
     ATTACK,
     BLOCK,
+    RELATION,
+    Block,
     Conditions,
     FakeObject,
     TurtleBot3Recipe,
 )
+from sim.turtlebot3.relations import related
 from sim.turtlebot3.sessions import draw_session
 
 MIN_CLEARANCE_M = 0.55  # of start and goals from every obstacle; see docs/explanation/navigation.md
@@ -47,16 +51,6 @@ _FOLLOWED_M = Parameters().forward_prune_distance
 _LOOK_AHEAD_M = 0.3
 FAKE_OBJECT_CLEARANCE_M = 0.6  # of the fake object from start and goals
 _FIRST_LATE_LEG = 2  # a delayed attack begins on the second or third leg
-
-
-@dataclass(frozen=True, slots=True)
-class Block:
-    """What the runs of one block share, in the map frame."""
-
-    arena: Arena
-    start: Pose2D
-    goals: tuple[Pose2D, ...]
-    fake_object: FakeObject
 
 
 @functools.cache  # all modes of a block share it
@@ -81,6 +75,25 @@ def draw_block(seed: int, block: int, goals: int, choice: ArenaChoice = "drawn")
             stops.append(stop)
             legs.append(path)
     return Block(arena, stops[0], tuple(stops[1:]), _draw_fake_object(rng, legs, stops))
+
+
+def _in_relation(seed: int, run: int, drawn: Block, relation: Relation) -> Block:
+    """Return the first block in a relation to a drawn one whose patrol can be driven."""
+    if relation == "same":
+        return drawn
+    for block in related(drawn, relation, generator(seed, RELATION, run)):
+        stops = [block.start, *block.goals]
+        is_clear = block.arena.clearance(
+            WORLD_IN_MAP.inverse().apply(np.array([(stop.x, stop.y) for stop in stops]))
+        )
+        if (is_clear >= MIN_CLEARANCE_M - 1e-9).all() and all(
+            path is not None and can_be_followed(path)
+            for path in (
+                plan(planning_grid(block.arena), (a.x, a.y), (b.x, b.y)) for a, b in pairwise(stops)
+            )
+        ):
+            return block
+    raise RecipeError(f"The patrol of block {run} cannot be driven {relation}; take other blocks.")
 
 
 def _nav2(arena: Arena, options: Options) -> Navigation:
@@ -162,12 +175,14 @@ def draw(
     Raises
     ------
     RecipeError
-        If the mode is an attack and its node is to be absent.
+        If the mode is an attack and its node is to be absent, or the patrol cannot be driven in
+        the relation that is asked for.
     """
     absent = campaign.options.wiring == "absent" and not mode.scenario.is_in_place
     if absent and mode.label == "malicious":
         raise RecipeError(f"{mode.id} without its node is no attack; take a passthrough mode.")
-    block = draw_block(campaign.seed, run, campaign.goals_per_run, campaign.options.arena)
+    drawn = draw_block(campaign.seed, run, campaign.goals_per_run, campaign.options.arena)
+    block = _in_relation(campaign.seed, run, drawn, campaign.options.relation)
     return TurtleBot3Recipe(
         mode=mode.id,
         scenario=mode.scenario.document,

@@ -12,7 +12,7 @@ from sim.seeds import attack_seed, node_generator
 from sim.turtlebot3.arena import Arena
 
 # Branches of the seed: what is drawn on one does not move what is drawn on another.
-SESSION, BLOCK, NODE, ATTACK, ARENA = range(5)
+SESSION, BLOCK, NODE, ATTACK, ARENA, RELATION = range(6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +30,16 @@ class FakeObject:
     x: float  # [m]
     y: float  # [m]
     radius: float  # [m]
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """What the runs of one block share, in the map frame."""
+
+    arena: Arena
+    start: Pose2D
+    goals: tuple[Pose2D, ...]
+    fake_object: FakeObject
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +94,23 @@ class TurtleBot3Recipe:
         """Return the key of the attack's own, counter-based randomness."""
         return attack_seed(self.seed, ATTACK, self.block)
 
+    @property
+    def world(self) -> str:
+        """Name of the world: equal for equal worlds."""
+        mirrored = "-mirrored" if self.options.relation == "mirrored" else ""
+        return f"{self.arena.id}{mirrored}"
+
     def to_dict(self) -> dict[str, Any]:
-        """Return the recipe as JSON knows it; Nav2's parameters are in it if any is set."""
+        """Return the recipe as JSON knows it.
+
+        Nav2's parameters and the relation to other runs are in it only if they are set: recipes of
+        releases without them stay valid.
+        """
         goals = [asdict(goal) for goal in self.goals]
-        options = asdict(self.options)
-        if not options["nav2_params"]:
-            del options["nav2_params"]
+        options, usual = asdict(self.options), asdict(Options())
+        for name in ("nav2_params", "relation"):
+            if options[name] == usual[name]:
+                del options[name]
         return {
             **asdict(self), "arena": self.arena.to_dict(), "goals": goals, "options": options,
         }  # fmt: skip

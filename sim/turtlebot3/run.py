@@ -164,7 +164,7 @@ class TurtleBot3Run:
             run=recipe.run,
             block=recipe.block,
             session=recipe.session.index,
-            world=recipe.arena.id,
+            world=recipe.world,
             seed=recipe.seed,
             start=_pose(recipe.start),
             goals=tuple(map(_pose, recipe.goals)),

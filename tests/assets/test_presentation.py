@@ -28,8 +28,13 @@ TABLE.attrs["fields"] = {"mcc": {"unit": "1", "description": "Matthews correlati
 def test_a_report_is_facts_table_and_one_picture_that_fits() -> None:
     large, small = b"x" * presentation.MAX_PNG_BYTES, b"small"
     shown = presentation.report(
-        Report(TABLE, {"large": large, "small": small}, {"runs": 2, "auc": 0.5, "note": "few"})
+        Report(
+            TABLE,
+            {"large": large, "small": small},
+            {"runs": 2, "auc": 0.5, "note": "few", "left_out": ""},
+        )
     )
+    assert "left_out" not in shown
     assert (shown["runs"], shown["auc"], shown["note"]) == (
         dg.MetadataValue.int(2),
         dg.MetadataValue.float(0.5),
@@ -57,4 +62,5 @@ def test_columns_have_unit_and_meaning() -> None:
     described = {column.name: column for column in presentation.columns(TABLE).columns}
     assert described["mcc"].type == "float64"
     assert described["mcc"].description == "Matthews correlation [1]"
-    assert described["mode"].description is None
+    assert described["mode"].description == "the experiment; foreign: a recording from elsewhere"
+    assert described["auc"].description is None

@@ -34,13 +34,27 @@ const struct OraclePluginV1* oracle_plugin_%s(void) { return &plugin; }
 """
 
 
-@pytest.fixture(scope="session")
-def example(tmp_path_factory):
-    """The example of the repository, built by its own CMakeLists.txt."""
-    build = tmp_path_factory.mktemp("build")
+def built_in_cpp(build):
     ran(["cmake", "-S", str(EXAMPLE), "-B", str(build), "-DCMAKE_BUILD_TYPE=Release"])
     ran(["cmake", "--build", str(build)])
     return build / "clearance.so"
+
+
+def built_in_rust(build):
+    library = build / "clearance_rust.so"
+    source = str(EXAMPLE / "clearance.rs")
+    ran(["rustc", "--edition", "2021", "-O", "--crate-type", "cdylib", source, "-o", str(library)])
+    return library
+
+
+# By family of the features. Rust is for those who have it; C++ is required, as cmake is.
+EXAMPLES = {"compiled": built_in_cpp} | ({"rust": built_in_rust} if shutil.which("rustc") else {})
+
+
+@pytest.fixture(params=EXAMPLES)
+def example(request, tmp_path):
+    """An example of the repository, built as its guide says: the family and the library."""
+    return request.param, EXAMPLES[request.param](tmp_path)
 
 
 def ran(command):
@@ -62,9 +76,12 @@ def odd(tmp_path):
     return made
 
 
-def test_the_example_computes_what_its_python_twin_does(recorded_run, example, tmp_path):
-    shutil.copy(example, tmp_path)
-    (tmp_path / "twin.py").write_text(
+def test_an_example_computes_what_its_python_twin_does(recorded_run, example, tmp_path):
+    family, library = example
+    plugins = tmp_path / "plugins"
+    plugins.mkdir()
+    shutil.copy(library, plugins)
+    (plugins / "twin.py").write_text(
         "import numpy as np\n"
         "from oracle_pipeline.features import Feature, FeaturePlugin, Request, hookimpl\n"
         "def keep(scan):\n"
@@ -81,14 +98,14 @@ def test_the_example_computes_what_its_python_twin_does(recorded_run, example, t
         "                          {'scans': Request(keep, role='scan')})]\n",
         "utf-8",
     )
-    manager = build_manager(tmp_path)
+    manager = build_manager(plugins)
     assert not manager.broken
     with open_run(recorded_run("lidar_passthrough").path) as run:
         tables = extract(run, manager)
     for table in tables:
         for name in ("nearest", "scans"):
-            assert table[f"compiled.{name}"].notna().all()
-            assert table[f"compiled.{name}"].tolist() == table[f"twin.{name}"].tolist()
+            assert table[f"{family}.{name}"].notna().all()
+            assert table[f"{family}.{name}"].tolist() == table[f"twin.{name}"].tolist()
 
 
 def test_a_crash_costs_only_the_features_of_the_plugin(recorded_run, odd):

@@ -112,6 +112,14 @@ def test_parameters_of_nav2_are_in_the_recipe_only_if_set_and_change_the_run(rec
     assert usual.manifest().content_hash != wide.manifest().content_hash
 
 
+def test_a_recipe_says_its_relation_only_if_it_is_not_the_usual_one(record):
+    usual, mirrored = record(), record(relation="mirrored")
+    assert "relation" not in usual.manifest().recipe["options"]
+    assert mirrored.manifest().recipe["options"]["relation"] == "mirrored"
+    assert mirrored.manifest().world == f"{usual.manifest().world}-mirrored"
+    assert TurtleBot3Recipe.from_dict(mirrored.manifest().recipe).options.relation == "mirrored"
+
+
 def test_a_recipe_with_options_survives_its_manifest(record):
     directory = record(wiring="replace", receive_stamps=True)
     recipe = TurtleBot3Recipe.from_dict(directory.manifest().recipe)

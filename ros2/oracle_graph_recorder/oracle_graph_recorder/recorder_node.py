@@ -33,9 +33,9 @@ class GraphRecorder(Node):
         super().__init__("oracle_graph_recorder")
         folder = Path(self.declare_parameter("folder", "graphs").value)
         self._own = {full_name(self.get_name(), self.get_namespace())}
-        self._heard: set[str] = set()
+        self._subscribed: set[str] = set()
         self._graphs = IntervalGraphs(self._take, folder, self._now_ns())
-        self.create_timer(_DISCOVERY_S, self._look)
+        self.create_timer(_DISCOVERY_S, self._update)
         self.get_logger().info(f"Writing graphs to {folder.absolute()}")
 
     def finish(self) -> None:
@@ -45,18 +45,18 @@ class GraphRecorder(Node):
     def _now_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)  # simulated time with use_sim_time
 
-    def _look(self) -> None:
+    def _update(self) -> None:
         """Subscribe to new topics, and end the intervals that are over."""
         for topic, types in self.get_topic_names_and_types():
-            if topic not in self._heard and not is_hidden(topic):
-                self._hear(topic, min(types))
+            if topic not in self._subscribed and not is_hidden(topic):
+                self._subscribe(topic, min(types))
         self._graphs.pass_to(self._now_ns())
 
-    def _hear(self, topic: str, msgtype: str) -> None:
+    def _subscribe(self, topic: str, msgtype: str) -> None:
         profiles = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
         if not profiles:
             return
-        self._heard.add(topic)
+        self._subscribed.add(topic)
         try:
             message_class = get_message(msgtype)
         except (AttributeError, ModuleNotFoundError, ValueError) as error:

@@ -1,4 +1,5 @@
 import re
+from importlib import resources
 
 import hypothesis.extra.numpy as hnp
 import numpy as np
@@ -10,9 +11,11 @@ from mcap_ros2._dynamic import generate_dynamic
 from mcap_ros2.decoder import DecoderFactory
 
 from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.interfaces import as_text, parsed
 from oracle_pipeline.bags.types import (
     definition,
     deserialize,
+    fields_from_text,
     message_class,
     serialize,
     type_hash,
@@ -124,3 +127,10 @@ def test_type_hash_is_that_of_ros():
 def test_unknown_type_is_named():
     with pytest.raises(BagError, match=r"no_msgs/msg/Nothing.*unknown"):
         message_class("no_msgs/msg/Nothing")
+
+
+def test_kept_fields_are_those_of_the_interface_files():
+    """If not, run ``python -m oracle_pipeline.bags.interfaces``."""
+    kept = resources.files("oracle_pipeline.bags").joinpath("fields.json").read_text("utf8")
+    assert kept == as_text(parsed())
+    assert fields_from_text(kept) == parsed()

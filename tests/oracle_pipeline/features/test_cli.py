@@ -1,5 +1,7 @@
+import contextlib
 import json
 import os
+import pty
 import subprocess
 import sys
 from pathlib import Path
@@ -38,6 +40,42 @@ def test_features_of_any_bag_are_json_with_reasons(foreign_bag):
     assert "no graph" in rows[0]["missing"]["structural.density"]
 
 
+def test_text_has_a_line_for_each_feature_and_the_reasons_for_the_rest(foreign_bag):
+    done = oracle("features", foreign_bag, "--format", "text")
+    assert done.exit_code == 0, done.output
+    row = json.loads(oracle("features", foreign_bag).stdout)["rows"][0]
+    features = [name for name in row if "." in name]
+    computed = [name for name in features if row[name] is not None]
+    first, header, *lines = done.stdout.splitlines()
+    assert first == f"{row['run_id']}: {len(computed)} of {len(features)} features"
+    assert header.split() == ["feature", "value", "unit", "where"]
+    assert [line.split()[0] for line in lines[: len(computed)]] == computed
+    assert f"    structural.*      12  {row['missing']['structural.density']}" in lines
+
+
+def test_text_on_windows_has_the_smallest_median_and_largest_value(foreign_bag):
+    done = oracle("features", foreign_bag, "--table", "window", "--format", "text")
+    rows = json.loads(oracle("features", foreign_bag, "--table", "window").stdout)["rows"]
+    rates = sorted(row["generic.message_rate"] for row in rows)
+    (line,) = (line for line in done.stdout.splitlines() if line.startswith("generic.message_rate"))
+    _, smallest, median, largest, unit = line.split()
+    assert (smallest, largest, unit) == (f"{rates[0]:.4g}", f"{rates[-1]:.4g}", "1/s")
+    assert rates[0] <= float(median) <= rates[-1]
+
+
+@pytest.mark.slow
+def test_a_terminal_gets_text(foreign_bag):
+    ours, theirs = pty.openpty()
+    with subprocess.Popen([ORACLE, "features", foreign_bag], stdout=theirs) as child:
+        os.close(theirs)
+        with os.fdopen(ours, "rb", buffering=0) as terminal, contextlib.suppress(OSError):
+            shown = terminal.read(4096)
+            while terminal.read(4096):  # until the other end is closed, which is an error on Linux
+                pass
+    assert b" features\r\nfeature " in shown
+    assert child.returncode == 0
+
+
 @pytest.mark.parametrize("table", ["run", "window"])
 def test_parquet_goes_to_a_file(table, make_run, tmp_path):
     target = tmp_path / "features.parquet"
@@ -49,6 +87,29 @@ def test_parquet_goes_to_a_file(table, make_run, tmp_path):
     done = oracle("features", make_run().path, *options)
     assert done.exit_code == 2
     assert "--output" in done.stderr
+
+
+def test_features_of_a_bag_need_no_library_that_takes_long_to_import(foreign_bag):
+    heavy = {
+        "pandas",
+        "pyarrow",
+        "networkx",
+        "scipy.linalg",
+        "scipy.ndimage",
+        "scipy.sparse",
+        "tqdm",
+    }
+    code = f"""
+import sys
+from oracle_pipeline.cli import main
+main(["features", sys.argv[1]], standalone_mode=False)
+sys.exit(", ".join({heavy} & sys.modules.keys()))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code, foreign_bag], capture_output=True, text=True, check=False
+    )
+    assert done.stderr.strip() == ""
+    assert json.loads(done.stdout)["rows"]
 
 
 def test_json_can_go_to_a_file(make_run, tmp_path):

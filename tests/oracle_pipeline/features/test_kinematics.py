@@ -155,12 +155,17 @@ def test_a_stream_that_is_late_lags(extracted):
     assert where["turn_lag_pose_gyro"] == "/odometry against /inertia"
 
 
-def test_an_orientation_that_drifts_away_from_the_gyroscope_drifts(extracted, honest):
+@pytest.mark.parametrize(
+    ("first", "place"), [("gyro", "/inertia"), ("pose", "/odometry against /inertia")]
+)
+def test_an_orientation_that_drifts_away_from_another_source_drifts(
+    extracted, honest, first, place
+):
     before, *_ = honest
     values, where, _ = extracted(drift=0.01)
-    change = values["turn_drift_gyro_orientation"] - before["turn_drift_gyro_orientation"]
-    assert change == pytest.approx(0.01, rel=0.1)  # some of it counts as scale
-    assert where["turn_drift_gyro_orientation"] == "/inertia"
+    column = f"turn_drift_{first}_orientation"
+    assert values[column] - before[column] == pytest.approx(0.01, rel=0.1)  # some counts as scale
+    assert where[column] == place
 
 
 def test_a_push_that_the_orientation_does_not_explain_is_measured(extracted):

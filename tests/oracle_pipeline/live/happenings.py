@@ -8,7 +8,7 @@ from oracle_pipeline.live.watch import (
     ContractAlarm,
     Event,
     GraphTaken,
-    MessageHeard,
+    MessageReceived,
     Note,
 )
 from oracle_pipeline.live.window_scorer import WindowVerdict
@@ -21,11 +21,11 @@ HOSTILE = '/<img src=x onerror="document.title=1">\x1b[2J'  # as a topic may be 
 EVIDENCE = Evidence("redundancy.<b>scan</b>", 12.5, False, 0.7, "m", 0.0, 0.1, "/scan", 10.0)
 
 
-def messages() -> Iterator[MessageHeard]:
+def messages() -> Iterator[MessageReceived]:
     for seconds, topic, message in drive():
         kind = message.__msgtype__
         stamp_ns = START_NS + round(seconds * 1e9)
-        yield MessageHeard(topic, kind, stamp_ns, serialize(message, kind))
+        yield MessageReceived(topic, kind, stamp_ns, serialize(message, kind))
 
 
 def verdict(number: int, *, alarm: bool = False) -> WindowVerdict:

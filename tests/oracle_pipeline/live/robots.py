@@ -27,24 +27,24 @@ class Robot:
     def __post_init__(self):
         self.participant = dds.join(self.domain)
         self.store = get_typestore(self.release)
-        self._told = dds.RawWriter(
+        self._announcer = dds.RawWriter(
             self.participant, ENTITIES_TOPIC, ENTITIES_TYPE, LATCHED, self.store
         )
 
-    def node(self, name, *, publishes=(), hears=(), qos=DEFAULT):
+    def node(self, name, *, publishes=(), subscribes=(), qos=DEFAULT):
         """Add a node and its endpoints; topics are of strings."""
         for topic in publishes:
             self.writers[name, self.namespace + topic] = dds.RawWriter(
                 self.participant, dds_topic(self.namespace + topic), STRING, qos
             )
-        for topic in hears:
+        for topic in subscribes:
             self.readers[name, self.namespace + topic] = dds.RawReader(
                 self.participant, dds_topic(self.namespace + topic), STRING, qos
             )
         return self
 
-    def tell(self):
-        """Tell whose the endpoints are, as every ROS 2 process does."""
+    def announce(self):
+        """Publish which endpoints belong to which node, as every ROS 2 process does."""
         names = {name: None for name, _ in (*self.writers, *self.readers)}
         nodes = [
             self._type("NodeEntitiesInfo")(
@@ -56,8 +56,8 @@ class Robot:
             for name in names
         ]
         message = self._type("ParticipantEntitiesInfo")
-        told = message(self._gid(self.participant.guid.bytes), nodes)
-        self._told.write(bytes(self.store.serialize_cdr(told, ENTITIES_TYPE)))
+        announced = message(self._gid(self.participant.guid.bytes), nodes)
+        self._announcer.write(bytes(self.store.serialize_cdr(announced, ENTITIES_TYPE)))
         return self
 
     def _of(self, endpoints, name):

@@ -1,4 +1,4 @@
-"""A running robot that departs from the contract of normal recordings is told within seconds."""
+"""A running robot that breaches the contract of normal recordings is reported within seconds."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import pytest
 
 from oracle_pipeline.bags import dds
 from oracle_pipeline.graphs.intervals import compose
-from oracle_pipeline.live.contract_watch import LASTS, STARTED_S, ContractWatch
+from oracle_pipeline.live.contract_watch import CONSECUTIVE, STARTUP_S, ContractWatch
 from oracle_pipeline.live.discovery import Discovery
 from oracle_pipeline.live.traffic import snapshot
 from oracle_pipeline.scoring.contract import Contract, Observation, graph_elements, qos_words
@@ -22,12 +22,14 @@ WORDS = "/words"
 
 @pytest.fixture
 def robot(domain):
-    return Robot(domain).node("talker", publishes=[WORDS]).node("ear", hears=[WORDS]).tell()
+    return (
+        Robot(domain).node("talker", publishes=[WORDS]).node("ear", subscribes=[WORDS]).announce()
+    )
 
 
 @pytest.fixture
 def watched(domain, robot, eventually):
-    """A discovery that knows the robot, and the contract that the robot keeps."""
+    """Discovery of the robot, and the contract that the robot keeps."""
     participant = dds.join(domain)
     discovery = Discovery(participant)
 
@@ -50,82 +52,84 @@ def contract_of(discovery):
     return Contract.learned([observation])
 
 
-def told(watch, discovery, *, from_s=0, to_s=20, period_s=PERIOD_S):
-    """Return when what was told first, while words come at a period; None: no words."""
+def reported(watch, discovery, *, from_s=0, to_s=20, period_s=PERIOD_S):
+    """Return when each breach is first reported; messages come at a period, None: not at all."""
     found, next_s = {}, float(from_s)
     for now_s in range(from_s + 1, to_s + 1):
         while period_s is not None and next_s < now_s:
-            watch.hear(WORDS, next_s)
+            watch.count(WORDS, next_s)
             next_s += period_s
         discovery.update()
-        for breach in watch.look(float(now_s), discovery, {WORDS, "/spy"}):
+        for breach in watch.check(float(now_s), discovery, {WORDS, "/spy"}):
             assert breach.text not in found
             found[breach.text] = now_s
     return found
 
 
-def test_a_robot_that_keeps_the_contract_is_told_nothing_of(watched):
+def test_a_robot_that_keeps_the_contract_has_no_breach(watched):
     discovery, contract = watched
-    assert told(ContractWatch(contract), discovery, to_s=100) == {}
+    assert reported(ContractWatch(contract), discovery, to_s=100) == {}
 
 
-def test_a_topic_that_falls_silent_is_told_within_seconds_and_once(watched):
+def test_a_topic_that_falls_silent_is_reported_within_seconds_and_once(watched):
     discovery, contract = watched
     watch = ContractWatch(contract)
-    assert told(watch, discovery, to_s=30) == {}
-    ((text, at_s),) = told(watch, discovery, from_s=30, to_s=90, period_s=None).items()
+    assert reported(watch, discovery, to_s=30) == {}
+    ((text, at_s),) = reported(watch, discovery, from_s=30, to_s=90, period_s=None).items()
     assert "/words has been silent" in text
     assert at_s - 30 <= 4
 
 
 @pytest.mark.parametrize("period_s", [PERIOD_S / 2, PERIOD_S * 2])
-def test_another_pace_is_told_within_a_span(watched, period_s):
+def test_another_rate_is_reported_within_a_span(watched, period_s):
     discovery, contract = watched
     watch = ContractWatch(contract)
-    assert told(watch, discovery, to_s=30) == {}
-    ((text, at_s),) = told(watch, discovery, from_s=30, to_s=60, period_s=period_s).items()
+    assert reported(watch, discovery, to_s=30) == {}
+    ((text, at_s),) = reported(watch, discovery, from_s=30, to_s=60, period_s=period_s).items()
     assert "/words has" in text
     assert at_s - 30 <= 10
 
 
-def test_a_node_that_is_new_is_told_without_its_edges(watched, robot, eventually):
+def test_a_new_node_is_reported_without_its_edges(watched, robot, eventually):
     discovery, contract = watched
     watch = ContractWatch(contract)
-    other = Robot(robot.domain).node("spy", hears=[WORDS], publishes=["/spy"]).tell()
+    other = Robot(robot.domain).node("spy", subscribes=[WORDS], publishes=["/spy"]).announce()
     assert eventually(lambda: discovery.update() or "/spy" in discovery.node_names())
-    found = told(watch, discovery)
+    found = reported(watch, discovery)
     assert set(found) == {"Node /spy is new.", f"Topic /spy ({STRING}) is new."}
-    assert set(found.values()) == {LASTS}
+    assert set(found.values()) == {CONSECUTIVE}
     assert other
 
 
-def test_a_node_that_has_gone_is_told_and_a_robot_that_has_left_is_not(watched, robot, eventually):
+def test_a_node_that_is_gone_is_reported_and_a_robot_that_has_left_is_not(
+    watched, robot, eventually
+):
     discovery, contract = watched
     watch = ContractWatch(contract)
-    assert told(watch, discovery) == {}
+    assert reported(watch, discovery) == {}
     del robot.readers["ear", WORDS]
-    robot.tell()
+    robot.announce()
     assert eventually(lambda: discovery.update() or discovery.node_names() == ["/talker"])
-    assert list(told(watch, discovery, from_s=20, to_s=30)) == ["Node /ear is gone."]
+    assert list(reported(watch, discovery, from_s=20, to_s=30)) == ["Node /ear is gone."]
     dds.leave(robot.participant)
     assert eventually(lambda: discovery.update() or not discovery.topics())
-    assert told(watch, discovery, from_s=30, to_s=90, period_s=None) == {}
+    assert reported(watch, discovery, from_s=30, to_s=90, period_s=None) == {}
 
 
-def test_other_qos_is_told(watched, robot, eventually):
+def test_other_qos_is_reported(watched, robot, eventually):
     discovery, contract = watched
-    other = Robot(robot.domain).node("talker", publishes=[WORDS], qos=SENSOR_DATA).tell()
+    other = Robot(robot.domain).node("talker", publishes=[WORDS], qos=SENSOR_DATA).announce()
     assert eventually(lambda: discovery.update() or len(discovery.topics()[WORDS]) == 2)
-    (text,) = told(ContractWatch(contract), discovery)
+    (text,) = reported(ContractWatch(contract), discovery)
     assert "QoS best effort" in text
     assert other
 
 
-def test_what_is_not_there_yet_is_missed_only_once_a_robot_has_started(watched):
+def test_missing_nodes_are_reported_only_once_a_robot_has_started(watched):
     discovery, contract = watched
     more = replace(
         contract, always=contract.always | {"node:/late"}, ever=contract.ever | {"node:/late"}
     )
-    ((text, at_s),) = told(ContractWatch(more), discovery, to_s=90).items()
+    ((text, at_s),) = reported(ContractWatch(more), discovery, to_s=90).items()
     assert text == "Node /late is gone."
-    assert at_s >= STARTED_S
+    assert at_s >= STARTUP_S

@@ -30,8 +30,8 @@ def edge(*ends):
 @pytest.mark.parametrize("release", [Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY])
 def test_nodes_and_their_endpoints_are_found(domain, discovery, eventually, release):
     robot = Robot(domain, release=release)
-    robot.node("talker", publishes=["/words"], qos=LATCHED).tell()
-    robot.node("listener", hears=["/words"], qos=LATCHED).tell()
+    robot.node("talker", publishes=["/words"], qos=LATCHED).announce()
+    robot.node("listener", subscribes=["/words"], qos=LATCHED).announce()
     expected = {
         edge("node:/talker", "topic:/words"),
         edge("topic:/words", "node:/listener"),
@@ -45,13 +45,13 @@ def test_an_endpoint_that_no_node_claims_is_not_hidden(domain, discovery, eventu
     robot = Robot(domain).node("stranger", publishes=["/words"])
     eventually(lambda: edges(discovery) == {edge(f"node:{UNKNOWN_NODE}", "topic:/words")})
     assert discovery.node_names() == [UNKNOWN_NODE]
-    robot.tell()
+    robot.announce()
     eventually(lambda: edges(discovery) == {edge("node:/stranger", "topic:/words")})
 
 
 def test_two_robots_with_namespaces_are_two(domain, discovery, eventually):
     robots = [
-        Robot(domain, name).node("driver", publishes=["/scan"], hears=["/go"]).tell()
+        Robot(domain, name).node("driver", publishes=["/scan"], subscribes=["/go"]).announce()
         for name in ("/robot1", "/robot2")
     ]
     expected = {
@@ -66,15 +66,15 @@ def test_two_robots_with_namespaces_are_two(domain, discovery, eventually):
 
 
 def test_domains_do_not_see_each_other(domain, other_domain, discovery, eventually):
-    other = Robot(other_domain).node("elsewhere", publishes=["/there"]).tell()
-    here = Robot(domain).node("talker", publishes=["/here"]).tell()
+    other = Robot(other_domain).node("elsewhere", publishes=["/there"]).announce()
+    here = Robot(domain).node("talker", publishes=["/here"]).announce()
     eventually(lambda: edges(discovery) == {edge("node:/talker", "topic:/here")})
     assert other.writers
     assert here.writers
 
 
 def _robot_that_is_killed(domain, ready):
-    robot = Robot(domain).node("doomed", publishes=["/last_words"]).tell()
+    robot = Robot(domain).node("doomed", publishes=["/last_words"]).announce()
     ready.set()
     multiprocessing.Event().wait()
     assert robot
@@ -102,9 +102,9 @@ def test_a_hundred_nodes_and_three_hundred_topics_are_all_found(domain, discover
         for number in range(part * 25, part * 25 + 25):
             topics = [f"/node{number}/topic{each}" for each in range(3)]
             robot.node(
-                f"node{number}", publishes=topics, hears=[f"/node{(number + 1) % 100}/topic0"]
+                f"node{number}", publishes=topics, subscribes=[f"/node{(number + 1) % 100}/topic0"]
             )
-        robots.append(robot.tell())
+        robots.append(robot.announce())
     eventually(lambda: len(edges(discovery)) == 400, seconds=30.0)
     assert len(discovery.node_names()) == 100
     assert len(discovery.topics()) == 300

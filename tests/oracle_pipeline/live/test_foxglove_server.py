@@ -1,4 +1,4 @@
-"""Foxglove's WebSocket hands a watch on: a real client hears the very bytes."""
+"""Foxglove's WebSocket forwards a watch: a real client receives the same bytes."""
 
 import json
 import socket
@@ -20,7 +20,7 @@ from oracle_pipeline.live.foxglove_server import (
     FoxgloveServer,
 )
 from oracle_pipeline.live.loopback import PortError
-from oracle_pipeline.live.watch import Alarm, MessageHeard, Note
+from oracle_pipeline.live.watch import Alarm, MessageReceived, Note
 from oracle_pipeline.opened_run import open_run
 from tests.oracle_pipeline.live.happenings import HOSTILE, contract_alarm, graph, messages, verdict
 
@@ -160,13 +160,15 @@ def test_who_comes_later_gets_all_transforms_so_that_scans_have_a_place_on_the_m
     server: FoxgloveServer, client: Client, recorded_run: Callable[..., RunDirectory]
 ) -> None:
     with open_run(recorded_run("lidar_passthrough").path) as run:
-        heard = [
-            MessageHeard(m.topic, TRANSFORMS, m.stamp_ns, m.data, latched=m.topic == "/tf_static")
+        received = [
+            MessageReceived(
+                m.topic, TRANSFORMS, m.stamp_ns, m.data, latched=m.topic == "/tf_static"
+            )
             for m in run.bag.messages(("/tf", "/tf_static"))
         ]
         scan = next(iter(run.bag.messages(["/scan"])))
         frame = deserialize(scan.data, run.bag.topics["/scan"].msgtype).header.frame_id
-    for event in heard:
+    for event in received:
         server.show(event)
     client.subscribe({"/tf_static"})
     parents: dict[str, str] = {}
@@ -174,7 +176,7 @@ def test_who_comes_later_gets_all_transforms_so_that_scans_have_a_place_on_the_m
         topic, _, data = client.take()
         assert topic == "/tf_static"
         parents |= frames(data)
-    for event in heard:
+    for event in received:
         if event.topic == "/tf":
             parents |= frames(event.data)
     while frame in parents:

@@ -8,12 +8,13 @@ import pytest
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.protocol import INTERVAL_S
+from oracle_pipeline.bags.reader import RawMessage
 from oracle_pipeline.datasets import WINDOW_START, feature_columns
 from oracle_pipeline.features import build_manager, extract
 from oracle_pipeline.features.extraction import extract_window
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.live.judge import Judge
-from oracle_pipeline.live.recent import CONTEXT_S, RecentMessages, Stamped
+from oracle_pipeline.live.recent import CONTEXT_S, RecentMessages
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.learning import learn
@@ -52,7 +53,7 @@ def judged(card, run):
             judge.end_window(start_ns, end_ns - round(WINDOW_S * SECOND_NS), end_ns)
             window += 1
             verdicts.append(next(judge.verdicts(600.0)))  # as slowly as a robot
-        judge.add([Stamped(*message)])
+        judge.add([message])
     assert not judge.close()
     return verdicts, window
 
@@ -84,7 +85,7 @@ def windows_as_they_end(run, manager, context_s):
             row, carried = extract_window(ended, manager, end_s - WINDOW_S, carried)
             rows.append(row)
             fresh, end_s = [], end_s + HOP_S
-        fresh.append(Stamped(*message))
+        fresh.append(message)
     return pd.concat(rows, ignore_index=True)
 
 
@@ -118,7 +119,7 @@ def test_the_roles_that_a_card_was_learned_with_count(recorded_run):
     with open_run(recorded_run(NORMAL).path) as run:
         for topic in run.bag.topics.values():
             recent.add_topic(topic.name, topic.msgtype, topic.qos)
-        recent.add([Stamped(*message) for message in run.bag.messages()])
+        recent.add(list(run.bag.messages()))
         end_ns = run.bag.start_ns + 20 * SECOND_NS
         ended = recent.until(run.bag.start_ns, end_ns)
     found, chosen = (
@@ -139,7 +140,7 @@ def test_what_live_windows_cannot_know_yet_changes_little(both):
 
 def test_what_was_said_once_on_a_latched_topic_is_kept_however_old_it_is(recorded_run):
     with open_run(recorded_run(NORMAL).path) as run:
-        topics, messages = run.bag.topics, [Stamped(*m) for m in run.bag.messages()]
+        topics, messages = run.bag.topics, list(run.bag.messages())
         start_ns, end_ns = run.bag.start_ns, run.bag.end_ns
     recent = RecentMessages(5.0)
     for topic in topics.values():
@@ -159,7 +160,7 @@ def test_graphs_older_than_what_is_kept_are_forgotten(recorded_run):
     recent.add_topic("/words", STRING, ())
     for number in range(100):
         recent.add_graph(Interval(10.0 * number, graph))
-    recent.add([Stamped("/words", 1000 * SECOND_NS, b"\0\1\0\0")])
+    recent.add([RawMessage("/words", 1000 * SECOND_NS, b"\0\1\0\0")])
     assert len(recent.until(0, 1001 * SECOND_NS).intervals) == 3
 
 
@@ -174,7 +175,7 @@ def test_the_death_of_the_process_that_judges_is_told(card, eventually):
     judge._process.join()
 
     def told():
-        judge.add([Stamped("/words", 0, b"\0\1\0\0")])
+        judge.add([RawMessage("/words", 0, b"\0\1\0\0")])
         with pytest.raises(OracleError, match="died"):
             list(judge.verdicts(1.0))
         return True
@@ -185,7 +186,7 @@ def test_the_death_of_the_process_that_judges_is_told(card, eventually):
 
 def test_windows_that_come_too_fast_are_left_out_and_the_newest_are_judged(card, recorded_run):
     with open_run(recorded_run(NORMAL, 4).path) as run:
-        start_ns, messages = run.bag.start_ns, [Stamped(*m) for m in run.bag.messages()]
+        start_ns, messages = run.bag.start_ns, list(run.bag.messages())
         topics = run.bag.topics
     judge = Judge(card, PER_HOUR)
     for topic in topics.values():

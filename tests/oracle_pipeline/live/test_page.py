@@ -50,7 +50,7 @@ def test_the_page_asks_for_nothing_but_itself(served: LivePage) -> None:
     assert "unsafe-inline" not in policy
 
 
-def test_a_page_that_comes_late_hears_all_there_is_and_then_what_changes(served: LivePage) -> None:
+def test_a_late_page_gets_the_whole_state_and_then_the_changes(served: LivePage) -> None:
     answer = ask(served, "/events")
     first = parts(answer, 7)
     assert len(first["verdicts"]) == 4  # type: ignore[arg-type]
@@ -88,7 +88,7 @@ def test_it_listens_on_loopback_only_and_says_so_if_the_port_is_taken(served: Li
         pass
 
 
-def test_the_page_hears_that_the_watch_has_ended() -> None:
+def test_the_page_is_told_that_the_watch_has_ended() -> None:
     with LivePage(0) as page:
         page.show(verdict(0))
         answer = ask(page, "/events")

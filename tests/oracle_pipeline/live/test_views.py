@@ -1,4 +1,4 @@
-"""`oracle watch` shows what it hears, as it is started from a shell."""
+"""`oracle watch`, started from a shell, shows the robot in its views."""
 
 import json
 import os
@@ -17,8 +17,8 @@ ORACLE = Path(sys.executable).with_name("oracle")
 
 
 @pytest.mark.slow
-def test_page_and_foxglove_hear_the_robot_while_it_is_watched(domain, eventually, tmp_path):
-    robot = Robot(domain).node("talker", publishes=["/words"]).tell()
+def test_page_and_foxglove_receive_the_robot_while_it_is_watched(domain, eventually, tmp_path):
+    robot = Robot(domain).node("talker", publishes=["/words"]).announce()
     command = [ORACLE, "watch", "--domain", str(domain), "--view", "0", "--foxglove", "0"]
     with (
         (tmp_path / "said").open("w") as said,
@@ -32,12 +32,12 @@ def test_page_and_foxglove_hear_the_robot_while_it_is_watched(domain, eventually
             page = eventually(lambda: address("Page"), 60)[1]
             foxglove = eventually(lambda: address("Foxglove"), 60)[1]
 
-            def heard():
+            def received():
                 robot.writers["talker", "/words"].write(TEXT)
                 with urllib.request.urlopen(f"{page}/events", timeout=10) as events:  # noqa: S310
                     return b"retry" in events.readline() and watch.poll() is None
 
-            assert heard()
+            assert received()
 
             def advertised():
                 robot.writers["talker", "/words"].write(TEXT)

@@ -1,4 +1,4 @@
-"""A watch hears, counts, records and draws what is said on a domain, and says nothing itself."""
+"""A watch receives, counts and records the messages of a domain, and publishes nothing."""
 
 import threading
 import time
@@ -9,7 +9,7 @@ import pytest
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.graph_files import vertex_id
 from oracle_pipeline.bags.types import message_class, serialize
-from oracle_pipeline.live.watch import GraphTaken, MessageHeard, Note, Watch
+from oracle_pipeline.live.watch import GraphTaken, MessageReceived, Note, Watch
 from oracle_pipeline.opened_run import open_run
 from sim.middleware.qos import CLOCK, SENSOR_DATA
 from tests.oracle_pipeline.live.robots import TEXT, Robot
@@ -25,11 +25,11 @@ def tick(seconds):
 
 
 class Speaker(threading.Thread):
-    """A robot that speaks in a thread, with a simulated clock that runs faster than the wall's."""
+    """A robot that publishes in a thread; its simulated clock runs faster than real time."""
 
     def __init__(self, domain, *, speed=10.0):
         super().__init__(daemon=True)
-        self.robot = Robot(domain).node("talker", publishes=["/words"]).tell()
+        self.robot = Robot(domain).node("talker", publishes=["/words"]).announce()
         self.clock = dds.RawWriter(self.robot.participant, "rt/clock", CLOCK_TYPE, CLOCK)
         self.speed, self.sent, self.ended = speed, 0, False
 
@@ -67,15 +67,13 @@ def graphs(events):
 
 
 @pytest.mark.slow
-def test_what_is_heard_is_recorded_with_its_graphs_by_the_robots_own_time(
-    domain, speaker, tmp_path
-):
+def test_messages_and_graphs_are_recorded_in_simulated_time(domain, speaker, tmp_path):
     speaker.start()
     with Watch(domain, folder=tmp_path, name="today") as watch:
         events = watched(watch, lambda so_far: len(graphs(so_far)) == 2)
-    heard = Counter(event.topic for event in events if isinstance(event, MessageHeard))
+    received = Counter(event.topic for event in events if isinstance(event, MessageReceived))
     with open_run(tmp_path / "today", strict=True) as run:
-        assert {name: topic.count for name, topic in run.bag.topics.items()} == heard
+        assert {name: topic.count for name, topic in run.bag.topics.items()} == received
         words = list(run.bag.messages(["/words"]))
         assert {message.data for message in words} == {TEXT}
         assert [interval.start_s for interval in run.intervals[:2]] == [0.0, 10.0]
@@ -83,8 +81,8 @@ def test_what_is_heard_is_recorded_with_its_graphs_by_the_robots_own_time(
         edge = vertex_id("node", "/talker"), vertex_id("topic", "/words")
         counted = [interval.graph.edges[edge]["messages"] for interval in run.intervals]
     assert counted == [event.graph.edges[edge]["messages"] for event in graphs(events)]
-    assert sum(counted) <= heard["/words"]
-    assert sum(counted) >= 0.9 * heard["/words"]
+    assert sum(counted) <= received["/words"]
+    assert sum(counted) >= 0.9 * received["/words"]
     assert not list(tmp_path.glob(".*"))
 
 
@@ -102,7 +100,7 @@ def test_a_watch_has_no_writer_on_the_domain(domain, speaker, tmp_path):
 
 
 @pytest.mark.slow
-def test_messages_that_come_too_fast_are_dropped_counted_and_told(domain, speaker):
+def test_messages_that_arrive_too_fast_are_dropped_counted_and_reported(domain, speaker):
     speaker.start()
     with Watch(domain, queue_bytes=3 * len(TEXT)) as watch:
         events = []
@@ -117,14 +115,14 @@ def test_messages_that_come_too_fast_are_dropped_counted_and_told(domain, speake
 
 
 @pytest.mark.slow
-def test_a_topic_of_an_unknown_type_is_told_once_and_costs_no_other(domain, speaker):
+def test_a_topic_of_an_unknown_type_is_reported_once_and_costs_no_other(domain, speaker):
     other = Robot(domain)
     stranger = dds.topic.Topic(other.participant, "rt/odd", _unknown_type())
     writer = dds.pub.DataWriter(other.participant, stranger)
     speaker.start()
     with Watch(domain) as watch:
         events = watched(
-            watch, lambda so_far: sum(isinstance(event, MessageHeard) for event in so_far) > 10
+            watch, lambda so_far: sum(isinstance(event, MessageReceived) for event in so_far) > 10
         )
     (note,) = [event.text for event in events if isinstance(event, Note)]
     assert "/odd" in note
@@ -137,7 +135,7 @@ def _unknown_type():
 
 
 @pytest.mark.slow
-def test_a_later_publisher_that_cannot_be_heard_is_told(domain, speaker):
+def test_a_later_publisher_with_incompatible_qos_is_reported(domain, speaker):
     speaker.start()
     with Watch(domain) as watch:
         late = []
@@ -145,7 +143,7 @@ def test_a_later_publisher_that_cannot_be_heard_is_told(domain, speaker):
         def until(events):
             if len(events) > 20 and not late:
                 late.append(
-                    Robot(domain).node("late", publishes=["/words"], qos=SENSOR_DATA).tell()
+                    Robot(domain).node("late", publishes=["/words"], qos=SENSOR_DATA).announce()
                 )
             return any(isinstance(event, Note) for event in events)
 

@@ -14,7 +14,7 @@ from oracle_pipeline.oracles import human
 from oracle_pipeline.oracles.calibration import judged, union
 from oracle_pipeline.oracles.implicit import Implicit
 from oracle_pipeline.oracles.invariants import Invariants
-from oracle_pipeline.oracles.kind import KindError, Material, build_kinds
+from oracle_pipeline.oracles.kind import RELATION, KindError, Material, build_kinds
 from oracle_pipeline.oracles.metamorphic import Metamorphic
 from oracle_pipeline.oracles.requirements import NAV2, load
 from oracle_pipeline.oracles.specified import Specified
@@ -67,6 +67,37 @@ def test_a_run_is_compared_with_others_of_its_task():
 def test_without_a_second_run_of_a_task_there_is_no_metamorphic_oracle():
     with pytest.raises(KindError, match="0 normal runs have another run of the same task"):
         judged(Metamorphic(campaign(repeats=1)), campaign(repeats=1))
+
+
+def turning(relation, **altered):
+    """Runs of tasks with different turns, no task twice; mirrored runs turn the other way."""
+    runs = campaign(repeats=1, **altered)
+    side = -1.0 if relation == "mirrored" else 1.0
+    traces = tuple(
+        trace.assign(turn=trace["turn"] + side * np.sin(7.0 * block))
+        for trace, block in zip(runs.traces, runs.block, strict=True)
+    )
+    return type(runs)(runs.table.assign(**{RELATION: relation}), traces)
+
+
+@pytest.mark.parametrize("relation", ["mirrored", "shifted"])
+def test_without_repeated_tasks_a_run_in_another_relation_detects_attacks(relation):
+    runs = turning("same", turn=0.3)
+    follow_ups = turning(relation)
+    follow_ups = type(runs)(  # the same task on another day
+        follow_ups.table, tuple(trace * 1.001 for trace in follow_ups.traces)
+    )
+    found = judged(Metamorphic(runs, follow_ups), runs).p
+    assert found[runs.malicious].max() <= 0.05
+    assert (found[runs.normal] <= 0.05).mean() <= 0.1
+    other = {"mirrored": "shifted", "shifted": "mirrored"}[relation]
+    wrong = type(runs)(follow_ups.table.assign(**{RELATION: other}), follow_ups.traces)
+    normal = runs.where(runs.normal)
+    right, reversed_ = (
+        np.nanmax(np.abs(Metamorphic(runs, each).differences(normal)))
+        for each in (follow_ups, wrong)
+    )
+    assert right < 0.1 < 1.0 < reversed_
 
 
 def test_false_positives_of_each_kind_and_of_the_union_are_controlled():

@@ -38,6 +38,17 @@ def test_every_composed_attack_is_a_scenario_that_compiles(seed: int) -> None:
     assert attack.values["operator"] in OPERATORS
 
 
+@pytest.mark.parametrize("name", ["add", "scale", "drift"])
+def test_small_changes_are_proposed_as_often_as_large_ones_in_both_directions(name: str) -> None:
+    amount = OPERATORS[name].amount
+    assert amount is not None
+    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=1))
+    values = [amount.suggest(study.ask()) for _ in range(300)]
+    middle = (amount.low * amount.high) ** 0.5
+    assert 0.4 < sum(abs(value) < middle for value in values) / 300 < 0.6
+    assert 0.4 < sum(value < 0.0 for value in values) / 300 < 0.6
+
+
 @pytest.mark.parametrize(
     ("topic", "reason"),
     [

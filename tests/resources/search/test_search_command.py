@@ -128,7 +128,8 @@ def test_a_found_attack_is_a_row_of_the_evaluation(
     template = ComposedTemplate.of(["/cmd_vel"], ["scale"], there, allow_actuation=True)
     study = optuna.create_study()
     field = {"field of geometry_msgs/msg/Twist": "linear.x"}
-    study.enqueue_trial({**field, "scale factor": 0.6, "onset_s": 1.0, "lasts_s": 20.0})
+    change = {"scale change": 0.4, "scale change < 0": True}
+    study.enqueue_trial({**field, **change, "onset_s": 1.0, "lasts_s": 20.0})
     finding = miss(template.suggest(study.ask()))
     (path,) = save(tmp_path, [finding], [finding], 0.05, tmp_path / "corpus")
     monkeypatch.setenv("ORACLE_SCENARIOS", str(path.parent))

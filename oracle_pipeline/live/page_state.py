@@ -1,4 +1,4 @@
-"""The state that a live page shows: the newest of everything, in bounded memory.
+"""The state that a live page shows: the newest messages and verdicts, in bounded memory.
 
 The watch adds events, and a page asks for the changes since its last request. So a slow page does
 not slow the watch.
@@ -15,31 +15,38 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.bags.types import typestore
-from oracle_pipeline.live.watch import Alarm, ContractAlarm, Event, GraphTaken, MessageHeard, Note
+from oracle_pipeline.live.watch import (
+    Alarm,
+    ContractAlarm,
+    Event,
+    GraphTaken,
+    MessageReceived,
+    Note,
+)
 from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.scoring.output import HEADINGS, cells
 
 MOST_VERDICTS = 720  # an hour of windows
 MOST_ALARMS = 50
 MOST_NOTES = 50
-MOST_POSES = 2000  # of the path; older ones are thinned out
+MOST_POSES = 2000  # of the path; beyond that, every other one is dropped
 MOST_RAYS = 720  # of a scan
 MOST_SCANS = 4  # topics of scans
-EVERY_NS = 200_000_000  # of the recording, between two scans or poses that are looked at
+EVERY_NS = 200_000_000  # of the recording, between two scans or poses that are decoded
 _SCAN, _ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
 
 Part = dict[str, Any] | list[Any]
 
 
-class Shown:
-    """The newest state of a watch; the watch's thread writes, a server's threads read."""
+class PageState:
+    """The current state of a watch; the watch's thread writes, a server's threads read."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._changes = 0
         self._changed: dict[str, int] = {}  # number of the newest change of each part
         self._start_ns: int | None = None
-        self._heard = 0
+        self._received = 0
         self._now_s = 0.0
         self._graph: Part = {"start_s": None, "nodes": [], "edges": []}
         self._verdicts: deque[Part] = deque(maxlen=MOST_VERDICTS)
@@ -48,12 +55,12 @@ class Shown:
         self._scans: dict[str, Part] = {}
         self._path: list[list[float]] = []  # x [m], y [m], yaw [rad]
         self._odometry = ""  # the topic that gives the path
-        self._looked: dict[str, int] = {}  # stamp of the newest message that was looked at [ns]
+        self._decoded_ns: dict[str, int] = {}  # by topic, stamp of the newest decoded message
 
-    def show(self, event: Event) -> None:
-        """Take an event in."""
+    def update(self, event: Event) -> None:
+        """Update the state with an event."""
         with self._lock:
-            if isinstance(event, MessageHeard):
+            if isinstance(event, MessageReceived):
                 self._message(event)
             elif isinstance(event, GraphTaken):
                 self._graph = _graph(event)
@@ -69,12 +76,12 @@ class Shown:
                 self._change("notes")
 
     def since(self, change: int) -> tuple[int, dict[str, Part]]:
-        """Return the number of the newest change, and all parts that changed after another one."""
+        """Return the number of the newest change, and all parts that changed after `change`."""
         with self._lock:
             if change >= self._changes:
                 return self._changes, {}
             parts: dict[str, Part] = {
-                "status": {"heard": self._heard, "now_s": self._now_s},
+                "status": {"received": self._received, "now_s": self._now_s},
                 "graph": self._graph,
                 "verdicts": list(self._verdicts),
                 "alarms": list(self._alarms),
@@ -90,19 +97,19 @@ class Shown:
         self._changes += 1
         self._changed[part] = self._changes
 
-    def _message(self, event: MessageHeard) -> None:
+    def _message(self, event: MessageReceived) -> None:
         if self._start_ns is None:
             self._start_ns = event.stamp_ns
-        self._heard += 1
+        self._received += 1
         self._now_s = (event.stamp_ns - self._start_ns) * 1e-9
-        if event.stamp_ns - self._looked.get("", -EVERY_NS) >= EVERY_NS:
-            self._looked[""] = event.stamp_ns
+        if event.stamp_ns - self._decoded_ns.get("", -EVERY_NS) >= EVERY_NS:
+            self._decoded_ns[""] = event.stamp_ns
             self._change("status")
         if event.msgtype not in (_SCAN, _ODOMETRY):
             return
-        if event.stamp_ns - self._looked.get(event.topic, -EVERY_NS) < EVERY_NS:
+        if event.stamp_ns - self._decoded_ns.get(event.topic, -EVERY_NS) < EVERY_NS:
             return
-        self._looked[event.topic] = event.stamp_ns
+        self._decoded_ns[event.topic] = event.stamp_ns
         message = typestore().deserialize_cdr(event.data, event.msgtype)
         if event.msgtype == _SCAN:
             topic = printable(event.topic)
@@ -123,7 +130,7 @@ class Shown:
 
 
 def points(scan: Any) -> list[list[float]]:
-    """Return where the rays of a scan end, in the sensor's frame [m]; rays without a return not."""
+    """Return the end points of the rays that hit something, in the sensor's frame [m]."""
     ranges: NDArray[np.float64] = np.asarray(scan.ranges, dtype=np.float64)
     step = max(1, math.ceil(len(ranges) / MOST_RAYS))
     bearings = scan.angle_min + scan.angle_increment * np.arange(len(ranges))

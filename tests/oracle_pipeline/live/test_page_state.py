@@ -1,4 +1,4 @@
-"""What a live page shows is the newest of everything, and bounded."""
+"""The state of a live page is current and bounded."""
 
 import json
 import math
@@ -10,62 +10,69 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from oracle_pipeline.live import shown as module
-from oracle_pipeline.live.shown import EVERY_NS, MOST_POSES, MOST_RAYS, MOST_VERDICTS, Shown, points
-from oracle_pipeline.live.watch import MessageHeard
+from oracle_pipeline.live import page_state
+from oracle_pipeline.live.page_state import (
+    EVERY_NS,
+    MOST_POSES,
+    MOST_RAYS,
+    MOST_VERDICTS,
+    PageState,
+    points,
+)
+from oracle_pipeline.live.watch import MessageReceived
 from tests.oracle_pipeline.features.conftest import scan
 from tests.oracle_pipeline.live.happenings import HOSTILE, events, messages, verdict
 
 PARTS = {"status", "graph", "verdicts", "alarms", "notes", "scans", "path"}
 
 
-def filled() -> Shown:
-    shown = Shown()
+def filled() -> PageState:
+    state = PageState()
     for event in events():
-        shown.show(event)
-    return shown
+        state.update(event)
+    return state
 
 
-def test_everything_that_happened_is_shown_once_and_then_only_what_changes() -> None:
-    shown = filled()
-    change, parts = shown.since(0)
+def test_the_first_request_gets_all_parts_and_later_ones_only_the_changes() -> None:
+    state = filled()
+    change, parts = state.since(0)
     assert set(parts) == PARTS
-    assert shown.since(change) == (change, {})
-    shown.show(verdict(4))
-    later, parts = shown.since(change)
+    assert state.since(change) == (change, {})
+    state.update(verdict(4))
+    later, parts = state.since(change)
     assert set(parts) == {"verdicts"}
     assert later > change
     assert len(parts["verdicts"]) == 5
 
 
-def test_what_is_shown_is_plain_json_without_control_characters() -> None:
+def test_the_state_is_plain_json_without_control_characters() -> None:
     _, parts = filled().since(0)
     text = json.dumps(parts, allow_nan=False)
     assert "\\u001b" not in text
     assert any(node["label"].startswith(HOSTILE[:10]) for node in parts["graph"]["nodes"])
 
 
-def test_a_score_that_is_no_number_is_none() -> None:
-    shown = Shown()
-    shown.show(replace(verdict(0), score=math.inf))
-    assert shown.since(0)[1]["verdicts"][0]["score"] is None
+def test_an_infinite_score_is_null() -> None:
+    state = PageState()
+    state.update(replace(verdict(0), score=math.inf))
+    assert state.since(0)[1]["verdicts"][0]["score"] is None
 
 
-def test_the_newest_verdicts_are_kept_and_no_more() -> None:
-    shown = Shown()
+def test_only_the_newest_verdicts_are_kept() -> None:
+    state = PageState()
     for number in range(MOST_VERDICTS + 7):
-        shown.show(verdict(number))
-    kept = shown.since(0)[1]["verdicts"]
+        state.update(verdict(number))
+    kept = state.since(0)[1]["verdicts"]
     assert len(kept) == MOST_VERDICTS
     assert kept[-1]["end_s"] == verdict(MOST_VERDICTS + 6).end_s
 
 
 def test_the_path_is_bounded_and_ends_where_the_robot_is() -> None:
     (first,) = [m for m in messages() if m.topic == "/odom"][:1]
-    shown = Shown()
+    state = PageState()
     for number in range(MOST_POSES + 10):
-        shown.show(replace(first, stamp_ns=first.stamp_ns + number * EVERY_NS))
-    path = shown.since(0)[1]["path"]
+        state.update(replace(first, stamp_ns=first.stamp_ns + number * EVERY_NS))
+    path = state.since(0)[1]["path"]
     assert 0 < len(path) <= MOST_POSES
 
 
@@ -74,17 +81,17 @@ def test_a_fast_topic_is_decoded_at_most_five_times_a_second(
 ) -> None:
     (first,) = [m for m in messages() if m.topic == "/odom"][:1]
     decoded = []
-    store = module.typestore()
+    store = page_state.typestore()
 
     class Counting:
         def deserialize_cdr(self, data: bytes, msgtype: str) -> object:
             decoded.append(msgtype)
             return store.deserialize_cdr(data, msgtype)
 
-    monkeypatch.setattr(module, "typestore", Counting)
-    shown = Shown()
+    monkeypatch.setattr(page_state, "typestore", Counting)
+    state = PageState()
     for number in range(1000):  # of one second
-        shown.show(replace(first, stamp_ns=first.stamp_ns + number * 1_000_000))
+        state.update(replace(first, stamp_ns=first.stamp_ns + number * 1_000_000))
     assert len(decoded) == 5
 
 
@@ -102,9 +109,9 @@ def test_points_lie_where_rays_end_and_are_bounded(values: np.ndarray) -> None:
 
 
 def test_messages_of_other_types_are_only_counted() -> None:
-    shown = Shown()
+    state = PageState()
     for number in range(10):
-        shown.show(MessageHeard("/odd", "pkg/msg/Odd", number * EVERY_NS, b"no message"))
-    _, parts = shown.since(0)
+        state.update(MessageReceived("/odd", "pkg/msg/Odd", number * EVERY_NS, b"no message"))
+    _, parts = state.since(0)
     assert parts.keys() == {"status"}
-    assert parts["status"] == {"heard": 10, "now_s": pytest.approx(1.8)}
+    assert parts["status"] == {"received": 10, "now_s": pytest.approx(1.8)}

@@ -1,0 +1,75 @@
+"""Where the built-in message types come from: ROS's own interface files.
+
+Humble's are those of rosbags. The ones that it lacks stand below ``msg/`` beside this module:
+``<package>/msg/*.msg``, ``<package>/srv/*.srv`` and ``<package>/action/*.action``; a service or
+action file yields the messages that ROS derives from it (``NavigateToPose_Goal``,
+``NavigateToPose_FeedbackMessage``).
+
+``python -m oracle_pipeline.bags.interfaces`` writes ``fields.json``, which ``types`` reads.
+"""
+
+import json
+from collections.abc import Iterator
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+# IDL has no empty struct, so ROS puts this byte into messages without fields.
+_EMPTY = "uint8 structure_needs_at_least_one_member\n"
+
+
+def parsed() -> dict[str, Any]:
+    """Return the fields of all types, by name, as rosbags has them."""
+    ours = {
+        name: fields
+        for package in files(__package__).joinpath("msg").iterdir()
+        for folder in package.iterdir()
+        for file in folder.iterdir()
+        for msgtype, text in _messages_of(package.name, folder.name, file)
+        for name, fields in _parse(msgtype, text).items()
+    }
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(ours)
+    return dict(store.fielddefs)
+
+
+def as_text(fields: dict[str, Any]) -> str:
+    """Return the fields of types as JSON, one type a line."""
+    lines = [f"{json.dumps(name)}: {json.dumps(fields[name])}" for name in sorted(fields)]
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def _messages_of(package: str, folder: str, file: Traversable) -> Iterator[tuple[str, str]]:
+    """Yield name and text of every message that one interface file stands for."""
+    name = f"{package}/{folder}/{file.name.partition('.')[0]}"
+    parts = [part.strip() + "\n" for part in f"\n{file.read_text('utf8')}\n".split("\n---\n")]
+    parts = [_EMPTY if part == "\n" else part for part in parts]
+    if folder == "msg":
+        yield name, parts[0]
+    elif folder == "srv":
+        yield from zip((f"{name}_Request", f"{name}_Response"), parts, strict=True)
+    else:
+        goal, result, feedback = (f"{name}_{part}" for part in ("Goal", "Result", "Feedback"))
+        uuid = "unique_identifier_msgs/msg/UUID goal_id\n"
+        yield from zip((goal, result, feedback), parts, strict=True)
+        yield f"{name}_FeedbackMessage", f"{uuid}{feedback} feedback\n"
+        yield f"{name}_SendGoal_Request", f"{uuid}{goal} goal\n"
+        yield (
+            f"{name}_SendGoal_Response",
+            "bool accepted\nbuiltin_interfaces/msg/Time stamp\n",
+        )
+        yield f"{name}_GetResult_Request", uuid
+        yield f"{name}_GetResult_Response", f"int8 status\n{result} result\n"
+
+
+def _parse(msgtype: str, text: str) -> dict[str, Any]:
+    """Parse one message; the parser knows no ``srv`` names, so those go in as ``msg``."""
+    (fields,) = get_types_from_msg(text, msgtype.replace("/srv/", "/msg/")).values()
+    return {msgtype: fields}
+
+
+if __name__ == "__main__":
+    Path(__file__).with_name("fields.json").write_text(as_text(parsed()), encoding="utf-8")

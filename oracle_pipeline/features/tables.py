@@ -1,0 +1,115 @@
+"""The tables of features: columns first, and DataFrames for those who analyse them.
+
+pandas takes longer to import than a short recording takes to read, so who only prints does without.
+"""
+
+import json
+import math
+from collections import ChainMap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from oracle_pipeline.datasets import MISSING, Fields
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class FeatureTables(NamedTuple):
+    """The features of one recording; ``attrs["fields"]`` describes the columns."""
+
+    run: "pd.DataFrame"  # one row
+    windows: "pd.DataFrame"  # one row for each window, by start
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What of the recording is missing, could not be read or was not used."""
+        return tuple(self.run.attrs["notes"])
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Columns of one length, by name, and what is declared of each feature."""
+
+    columns: dict[str, Any]  # numbers as float64, others as lists
+    fields: dict[str, dict[str, str]]
+
+    def __len__(self) -> int:
+        return len(self.columns[MISSING])
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Yield each row by column."""
+        values = [
+            column.tolist() if isinstance(column, np.ndarray) else column
+            for column in self.columns.values()
+        ]
+        for row in zip(*values, strict=True):
+            yield dict(zip(self.columns, row, strict=True))
+
+    def frame(self) -> "pd.DataFrame":
+        """Return the table as a DataFrame."""
+        import pandas as pd
+
+        frame = pd.DataFrame(self.columns)
+        frame.attrs["fields"] = Fields(self.fields)
+        return frame
+
+
+class Measured(NamedTuple):
+    """The features of one recording, as columns."""
+
+    run: Table  # one row for each robot
+    windows: Table  # one row for each window, by robot and start
+    notes: tuple[str, ...]  # what of the recording is missing, could not be read or was not used
+
+    def frames(self) -> FeatureTables:
+        """Return the tables as DataFrames."""
+        tables = FeatureTables(self.run.frame(), self.windows.frame())
+        tables.run.attrs["notes"] = list(self.notes)
+        return tables
+
+
+def together(robots: Sequence[Measured]) -> Measured:
+    """Join the tables of the robots of one recording: a row for each robot, by ``run_id``."""
+    if len(robots) == 1:
+        return robots[0]
+    notes = dict.fromkeys(note for measured in robots for note in measured.notes)
+    return Measured(
+        _below([measured.run for measured in robots]),
+        _below([measured.windows for measured in robots]),
+        tuple(notes),
+    )
+
+
+def families(measured: Measured) -> dict[str, dict[str, Any]]:
+    """Return by family how many features could be computed, and what is missing, of all robots."""
+    summary: dict[str, dict[str, Any]] = {}
+    reasons = [json.loads(text) for text in measured.run.columns[MISSING]]
+    features = [column for column in measured.run.columns if "." in column]
+    for column, missing in product(features, reasons):
+        family = summary.setdefault(
+            column.partition(".")[0], {"computed": 0, "of": 0, "missing": []}
+        )
+        family["of"] += 1
+        if column not in missing:
+            family["computed"] += 1
+        elif missing[column] not in family["missing"]:
+            family["missing"].append(missing[column])
+    return summary
+
+
+def _below(tables: Sequence[Table]) -> Table:
+    """Return the rows of all tables; a feature that only some of them have is NaN in others."""
+    names = dict.fromkeys(name for table in tables for name in table.columns)
+    columns: dict[str, Any] = {}
+    for name in names:
+        parts = [table.columns.get(name, np.full(len(table), math.nan)) for table in tables]
+        if all(isinstance(part, np.ndarray) for part in parts):
+            columns[name] = np.concatenate(parts)
+        else:
+            columns[name] = [value for part in parts for value in part]
+    return Table(columns, dict(ChainMap(*[table.fields for table in tables])))
