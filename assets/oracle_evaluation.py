@@ -66,7 +66,7 @@ def oracle_evaluation(
             graph_differences=_graph_differences(store, fleet, set(df["run_id"])),
             grid=_mutants(store, fleet),
             bounds=config.upper_bounds,
-            progress=_told_at_intervals(context.log.info),
+            progress=_throttled(context.log.info),
         )
         report = evaluation_report(evaluation)
         context.log.info(f"{report.summary['headline']} {report.summary['verdicts']}".strip())
@@ -75,20 +75,20 @@ def oracle_evaluation(
         return keep(report, store, "oracle_evaluation")
 
 
-def _told_at_intervals(say: Callable[[str], None]) -> Callable[[str], None]:
-    """Return a function that logs what is evaluated, unless it did so a moment ago.
+def _throttled(log: Callable[[str], None]) -> Callable[[str], None]:
+    """Return a function that logs the current step, at most once per `PROGRESS_S`.
 
     There are over forty steps, most of which take less than a second.
     """
-    told = -math.inf
+    last_s = -math.inf
 
-    def tell(step: str) -> None:
-        nonlocal told
-        if (now := time.monotonic()) - told >= PROGRESS_S:
-            told = now
-            say(f"Evaluating: {step}.")
+    def log_step(step: str) -> None:
+        nonlocal last_s
+        if (now_s := time.monotonic()) - last_s >= PROGRESS_S:
+            last_s = now_s
+            log(f"Evaluating: {step}.")
 
-    return tell
+    return log_step
 
 
 def _kinds(
@@ -112,7 +112,7 @@ def _kinds(
     jobs = [store.run(run) for run in table["run_id"]]
     traces = {
         outcome.job.key: outcome.result
-        for outcome in fleet.outcomes(require_trace, jobs, "runs read for the rules")
+        for outcome in fleet.outcomes(require_trace, jobs, "runs read for the comparison of kinds")
         if outcome.result is not None
     }
     traced = table["run_id"].isin(traces).to_numpy()

@@ -113,7 +113,7 @@ def _progress(over: int, jobs: int, done: str, failed: int, seconds: float) -> s
 
 
 def in_words(seconds: float) -> str:
-    """Return a duration in the unit that people would use.
+    """Return a duration as text in seconds, minutes or hours.
 
     Examples
     --------

@@ -23,7 +23,7 @@ from oracle_pipeline.features.manager import plugin_folder, register_others
 from oracle_pipeline.features.plugin import PROJECT
 from oracle_pipeline.oracles.requirements import Requirement
 
-RELATION = "relation"  # column: what a run is to the runs of its block, as its recipe says
+RELATION = "relation"  # column: relation of a run to the runs of its block, from its recipe
 SAME = "same"  # the relation of all runs that are judged
 
 _log = logging.getLogger(__name__)

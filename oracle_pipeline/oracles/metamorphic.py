@@ -104,8 +104,8 @@ class Metamorphic:
             Too few can be compared. Or some have no follow-up run: they would pass as if they had
             agreed with it, so p-values of those that have one would be too small.
         """
-        apart = self.differences(normal).reshape(len(normal.traces), len(self._partners), -1)
-        compared = np.isfinite(apart).any(axis=2).sum(axis=0)
+        differences = self.differences(normal).reshape(len(normal.traces), len(self._partners), -1)
+        compared = np.isfinite(differences).any(axis=2).sum(axis=0)
         if compared.max() < FEWEST:
             raise KindError(
                 f"{compared.max()} normal runs have another run of the same task, {FEWEST} are "
@@ -117,12 +117,12 @@ class Metamorphic:
                     f"{len(normal.traces) - number} of {len(normal.traces)} normal runs have no "
                     f"{name} run of their block; record it for all blocks, or leave it out."
                 )
-        spread = np.full(apart.shape[1:], np.inf)
+        spread = np.full(differences.shape[1:], np.inf)
         for relation in np.flatnonzero(compared >= FEWEST):
-            known = np.isfinite(apart[:, relation]).any(axis=0)
-            far = np.nanmedian(np.abs(apart[:, relation, known]), axis=0)
+            known = np.isfinite(differences[:, relation]).any(axis=0)
+            typical = np.nanmedian(np.abs(differences[:, relation, known]), axis=0)
             spread[relation] = _FLOORS
-            spread[relation, known] = np.maximum(MAD_TO_DEVIATION * far, _FLOORS[known])
+            spread[relation, known] = np.maximum(MAD_TO_DEVIATION * typical, _FLOORS[known])
         return _Judge(self, spread.ravel())
 
     def differences(self, runs: TracedRuns) -> NDArray[np.float64]:
@@ -145,10 +145,10 @@ class Metamorphic:
     def _difference(self, own: NDArray[np.float64], block: int) -> NDArray[np.float64]:
         differences = np.full((len(self._partners), len(own)), np.nan)
         for row, (relation, partners) in zip(differences, self._partners.items(), strict=True):
-            here = partners.where(partners.block == block)
-            if not here.traces:
+            same_task = partners.where(partners.block == block)
+            if not same_task.traces:
                 continue
-            others = np.unique(here.each(outcomes), axis=0)
+            others = np.unique(same_task.each(outcomes), axis=0)
             others = np.array([as_original(other, relation) for other in others])
             others = others[~np.isclose(others, own, equal_nan=True).all(axis=1)]
             if len(others):

@@ -188,6 +188,6 @@ def _material(
     found = traced_runs(recordings, [reference] if reference else [], traces)
     is_same = (found.table[RELATION] == SAME).to_numpy()
     if not is_same.any():
-        raise KindError("All runs were recorded with --relation; name the runs they follow, too.")
+        raise KindError("All runs have a --relation; add the runs of the original tasks.")
     follow_ups = None if is_same.all() else found.where(~is_same)
     return Material(found.where(is_same), load(requirements or NAV2), answers, follow_ups)

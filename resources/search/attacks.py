@@ -128,7 +128,7 @@ class Operator:
                 return {"do": [{name: {**place, "by": "p.amount"}}]}
 
 
-# All sizes are logarithmic: of evenly spread ones, few would be small, and small ones evade.
+# Sizes are drawn on a logarithmic scale, since small sizes are the most likely to evade.
 OPERATORS: Mapping[str, Operator] = {
     "add": Operator(Dimension("add amount", 0.001, 1.0, "signed"), has_field=True),
     "scale": Operator(Dimension("scale change", 0.005, 0.5, "signed"), has_field=True),

@@ -25,7 +25,7 @@ class SearchError(OracleError):
 
 @dataclass(frozen=True, slots=True)
 class Dimension:
-    """One varied parameter, with its bounds (inclusive); if it is signed, those of its size."""
+    """One varied parameter, with its inclusive bounds (on the magnitude if it is signed)."""
 
     name: str
     low: float

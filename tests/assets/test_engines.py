@@ -12,7 +12,7 @@ import dagster as dg
 import pytest
 
 from assets.experiment_runs import REPRODUCIBLE
-from assets.worker.reproduction import place_aside
+from assets.worker.reproduction import refreshed_directory
 from oracle_pipeline.bags.run_directory import bytes_on_disk
 from oracle_pipeline.datasets import content_hash, feature_dataset, read_table
 from oracle_pipeline.reporting.report import Report
@@ -167,7 +167,7 @@ def test_a_run_with_unexplained_differences_is_stored_beside_the_one_in_the_buck
     outcome = shared.materialize(PER_RUN, KEY, config={"runs": {"refresh": True}})
     found = {each.check_name: each for each in outcome.get_asset_check_evaluations()}
     assert not found[REPRODUCIBLE.name].passed
-    aside = place_aside(run)
+    aside = refreshed_directory(run)
     assert aside.manifest().content_hash == version
     assert bytes_on_disk(aside.path) == aside.manifest().measured.bytes
     now = shared.objects()

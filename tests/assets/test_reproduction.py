@@ -10,7 +10,7 @@ import pytest
 
 from assets.automation import refreshed_runs
 from assets.experiment_runs import REPRODUCIBLE
-from assets.worker.reproduction import judge, place_aside
+from assets.worker.reproduction import judge, refreshed_directory
 from oracle_pipeline.bags.reader import BagReader
 from tests.assets.laboratory import KEYS, PER_RUN, Laboratory
 from tests.manifests import rewrite
@@ -65,7 +65,7 @@ def test_an_equal_re_simulation_passes_and_a_verified_run_gives_no_result(
     of_run = {path for path in after if f"/{run.mode}/{run.run_id}" in path}
     assert changed == {path for path in of_run if not path.startswith("report/")}
     assert run.manifest().content_hash == hash_before
-    assert not place_aside(run).path.exists()
+    assert not refreshed_directory(run).path.exists()
     verified = copy_of_campaign.materialize(PER_RUN, run.key)
     assert verified.success
     assert results(verified) == {}
@@ -93,7 +93,7 @@ def test_other_software_or_recipe_explains_different_messages_and_the_run_is_rep
         assert what in str(found[run.key].description)
         assert found[run.key].metadata["new_hash"].value == hashes[run.key]
         assert run.manifest().content_hash == hashes[run.key]
-        assert not place_aside(run).path.exists()
+        assert not refreshed_directory(run).path.exists()
 
 
 def test_an_unexplained_difference_fails_and_both_runs_are_kept(
@@ -112,7 +112,7 @@ def test_an_unexplained_difference_fails_and_both_runs_are_kept(
     assert outcome.success  # only the check fails
     result = results(outcome)[run.key]
     assert not result.passed
-    aside = place_aside(run)
+    aside = refreshed_directory(run)
     metadata = {name: value.value for name, value in result.metadata.items()}
     assert str(metadata.pop("first_difference")).startswith("/")
     assert metadata == {

@@ -70,7 +70,7 @@ def test_without_a_second_run_of_a_task_there_is_no_metamorphic_oracle():
 
 
 def turning(relation, **altered):
-    """Runs of tasks that each turn otherwise, no task twice; to the other side in a mirror."""
+    """Runs of tasks with different turns, no task twice; mirrored runs turn the other way."""
     runs = campaign(repeats=1, **altered)
     side = -1.0 if relation == "mirrored" else 1.0
     drift = 1.0 if relation == "same" else 1.001  # another day: an exact repetition says nothing
@@ -82,7 +82,7 @@ def turning(relation, **altered):
 
 
 @pytest.mark.parametrize("relation", ["mirrored", "shifted"])
-def test_where_no_task_is_repeated_a_run_in_another_relation_tells_what_is_right(relation):
+def test_without_repeated_tasks_a_run_in_another_relation_detects_attacks(relation):
     runs, follow_ups = turning("same", turn=0.3), turning(relation)
     found = judged(Metamorphic(runs, follow_ups), runs).p
     assert found[runs.malicious].max() <= 0.05

@@ -130,7 +130,9 @@ def test_each_of_two_robots_has_the_features_that_it_has_alone(plain, tmp_path):
     assert hashes(two) != hashes(plain)
     assert one.run["run_id"].tolist() == ["robot#one"]
     assert two.windows["run_id"].unique().tolist() == ["robot#two"]
-    joined = features.together([one, two])
+    with open_run(tmp_path / "robot") as run:
+        measured = [features.measure(run, MANAGER, robot) for robot in find_robots(run.bag)]
+    joined = features.together(measured).frames()
     assert joined.run["run_id"].tolist() == ["robot#one", "robot#two"]
     assert len(joined.windows) == len(one.windows) + len(two.windows)
 
