@@ -3,8 +3,9 @@
 Exact states come from callables; no sensor has access to the air space itself. Figures are those of
 the standards: rates and accuracy categories of ADS-B from RTCA DO-260B (position and velocity
 squitters every 0.4 to 0.6 s, NACp 9: within 30 m in 95 %; NACv 2: within 3 m/s; altitude in steps
-of 25 ft), random errors and detection of the radars from EUROCONTROL's standard for radar surveillance
-(SUR.ET1.ST01.1000-STD-01-01: primary 120 m, 0.15 deg, 90 %; secondary 70 m, 0.08 deg, 97 %).
+of 25 ft), random errors and detection of the radars from EUROCONTROL's standard for radar
+surveillance (SUR.ET1.ST01.1000-STD-01-01: primary 120 m, 0.15 deg, 90 %; secondary 70 m, 0.08 deg,
+97 %).
 """
 
 import math

@@ -33,7 +33,7 @@ class Budget:
 
 
 class Numbers(Iterator[int]):
-    """Numbers of operations: whole numbers in turn, from any on."""
+    """Consecutive numbers of operations, from any first one."""
 
     def __init__(self, upcoming: int) -> None:
         self.upcoming = upcoming
@@ -179,7 +179,7 @@ class Target:
     field: Field
     longest: int
     convert: Convert
-    keep: bool  # leave what is not finite as it is
+    keep: bool  # keep numbers that are not finite
 
     @classmethod
     def of(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
@@ -207,7 +207,7 @@ class Target:
         return kind.element if isinstance(kind, Array) else kind
 
     def old(self, step: Step) -> Any:
-        """Return what stood there when the action began."""
+        """Return the value of the field before the action."""
         value = self.field.read(step.original)
         if isinstance(self.field.type, Array) and len(value) > self.longest:
             raise RefusedMessage(
@@ -216,20 +216,20 @@ class Target:
         return value
 
     def numbers(self, step: Step) -> tuple[Any, Any]:
-        """Return what stood there, as it was and, if numbers, such as can be reckoned with."""
+        """Return the value before the action; arrays of numbers also as int64 or float64."""
         old = self.old(step)
         if isinstance(old, np.ndarray) and old.dtype.kind != "b":
             return old, old.astype(np.int64 if old.dtype.kind in "iu" else np.float64)
         return old, old
 
     def change(self, step: Step, old: Any, new: Any) -> None:
-        """Put something else there: a value, or a whole array for an array."""
+        """Replace the value, or a whole array."""
         new = self.convert(new, old)
         step.message = self.field.replaced(step.message, new)
         step.note(*difference(self.field.path, old, new))
 
     def change_numbers(self, step: Step, old: Any, new: Any) -> None:
-        """Put other numbers there, where the old ones are to be changed."""
+        """Replace numbers, except those that are not finite and are kept."""
         if self.keep and isinstance(old, np.ndarray):
             new = np.where(np.isfinite(old), new, old)
         elif self.keep and not math.isfinite(old):

@@ -32,7 +32,7 @@ _VALUES: Mapping[str, Any] = {"float": 0.0, "int": 0, "bool": False, "string": "
 MAX_BAD_LINES = 5  # that are left out of a text that is not YAML
 MAX_SLIPS = 20  # lines of it that are tried
 _PREFIXES = {"parameters": "p", "constants": "c", "state": "state", "sources": "src"}
-_ABSENT = "expected the key "  # how faults begin that say that something is not there
+_ABSENT = "expected the key "  # how faults begin that report a missing key
 _EMPTY = "found null"  # how they end
 _Document = tuple[Any, dict[Key, Place]]
 
@@ -115,7 +115,7 @@ def _read_up_to(lines: Sequence[str], without: int, file: str) -> int:
 
 
 def _slip(line: str) -> str:
-    """Return what is probably wrong with a line of YAML; nothing, if no more than YAML says."""
+    """Return what is probably wrong with a line of YAML; empty if that is not obvious."""
     if "\t" in line[: len(line) - len(line.lstrip())]:
         return "found a tab in the indentation; use spaces"
     pairs = (line.count("{") - line.count("}"), line.count("[") - line.count("]"))
@@ -179,7 +179,7 @@ class _Taken:
         self._document = document
         self._out: set[Key] = set()
         self._instead: dict[Key, Any] = {}
-        self._unknown: set[str] = set()  # patterns of names that stand for nothing now
+        self._unknown: set[str] = set()  # patterns of names that are undefined now
 
     def without(self, key: Key) -> bool:
         """Take out what has a fault; tell whether the rest can still be checked."""

@@ -24,7 +24,7 @@ from sim.middleware.executor import SECOND
 from sim.middleware.stamps import header as make_header
 from sim.middleware.stamps import stamp_ns as nanoseconds
 
-PASSTHROUGH = "passthrough"  # the operation of what is handed on unchanged
+PASSTHROUGH = "passthrough"  # operation number of messages that are forwarded unchanged
 
 _PERIODS_S = (0.001, 3600.0)  # of a timer
 
@@ -85,7 +85,7 @@ class _Shared:
     state: dict[str, Any]
     sources: dict[str, Any]
     source_ns: dict[str, int]
-    acted: int = 0  # messages and beats so far
+    acted: int = 0  # messages and timer ticks so far
     ends_s: float = math.inf
     index: int = 0  # what the draws of the last main message went by
     main_ns: int | None = None  # when it was published
@@ -251,7 +251,7 @@ class Execution:
         if self._has_header:
             step.header = make_header(now_ns, self._frame_id)
         self._forget(now_ns)
-        step.dropped = True  # there is no message to hand on
+        step.dropped = True  # there is no message to forward
         timer(step)
         if not step.emitted:
             return Result([], None)

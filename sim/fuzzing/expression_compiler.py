@@ -33,7 +33,7 @@ from sim.fuzzing.value_types import (
 MAX_DEPTH = 40  # operations inside operations, functions included
 MAX_OPERATIONS = 2000  # of one expression, functions included
 
-Frame = dict[str, Any]  # the values of names, and of calls that were worked out already
+Frame = dict[str, Any]  # the values of names, and of calls that were computed already
 Evaluate = Callable[[Frame], Any]
 
 
@@ -188,7 +188,7 @@ class ExpressionCompiler(ast.NodeVisitor):
         return self._node(part.type, [part], lambda frame: compute(part.run(frame)))
 
     def visit_Compare(self, node: ast.Compare) -> _Node:
-        """Compile a comparison, or a chain of them; each value is worked out once."""
+        """Compile a comparison, or a chain of them; each value is computed once."""
         values = [self.visit(part) for part in (node.left, *node.comparators)]
         pairs = zip(itertools.pairwise(values), node.ops, strict=True)
         compare = [self._comparison(node, op, *pair) for pair, op in pairs]
@@ -201,7 +201,7 @@ class ExpressionCompiler(ast.NodeVisitor):
         return self._node(BOOLEAN, values, run, work=len(compare))
 
     def visit_BoolOp(self, node: ast.BoolOp) -> _Node:
-        """Compile ``and`` or ``or``; all sides are evaluated, which no one can tell."""
+        """Compile ``and`` or ``or``; all sides are evaluated, which has no visible effect."""
         parts = [self.visit(part) for part in node.values]
         self._expect(node, Boolean, parts)
         combine = arithmetic.LOGIC[type(node.op)]

@@ -96,7 +96,7 @@ def _leaves(kind: Type, way: _Way = ()) -> Iterator[tuple[_Way, Type]]:
 def _pick(
     message: Any, leaf: _Way, rng: np.random.Generator
 ) -> tuple[tuple[str | int, ...] | None, Any]:
-    """Draw one of the values that a leaf stands for; None if there is none."""
+    """Draw one of the numbers in a leaf; None if it has none."""
     way: list[str | int] = []
     value = message
     for part in leaf:

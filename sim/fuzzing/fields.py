@@ -20,7 +20,7 @@ from sim.fuzzing.value_types import Array, Boolean, Message, Number, Text, Type
 from sim.jit import jit
 
 Overflow = Literal["wrap", "clip", "error"]
-Convert = Callable[[Any, Any], Any]  # what was worked out, what stood there -> what is stored
+Convert = Callable[[Any, Any], Any]  # computed value, old value -> stored value
 
 _INT64 = np.iinfo(np.int64)
 _LARGEST_WHOLE = float(2**63 - 1024)  # the last float64 before 2**63
@@ -53,7 +53,7 @@ class Field:
         Raises
         ------
         LookupError
-            If there is none; the text says what there is.
+            If there is none; the text lists the existing ones.
         """
         kind: Type = root
         for name in path.split("."):
@@ -73,7 +73,7 @@ class Field:
 
 
 def replaced(value: Any, way: Sequence[str | int], new: Any) -> Any:
-    """Return a copy of a message or array in which something else stands at the end of a way.
+    """Return a copy of a message or array with another value at the end of a path.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def zero(kind: Type) -> Any:
 
 
 def converter(kind: Type, overflow: Overflow = "wrap") -> Convert:
-    """Return the function that makes what was worked out storable in a field.
+    """Return the function that converts a computed value for a field.
 
     Whole numbers are rounded to; where something is not finite, they stay as they were. Texts are
     cut. One number for an array goes into all of its elements.

@@ -32,7 +32,7 @@ _NODES = (
 
 
 class ExpressionError(OracleError):
-    """An expression, a function or a name is refused; says what, where and what was expected."""
+    """An expression, a function or a name is invalid; the text states where and what is expected."""
 
 
 @functools.lru_cache(maxsize=1024)  # a function is looked at again for each of its calls
@@ -50,7 +50,7 @@ def parse(text: str) -> ast.expr:
         raise ExpressionError(
             f"{_shown(text)} has {len(text)} characters; at most {MAX_LENGTH} are allowed."
         )
-    if "\0" in text:  # what Python says of it depends on its release
+    if "\0" in text:  # Python's message depends on its release
         raise ExpressionError(
             f"Column {text.strip().index(chr(0)) + 1} of {_shown(text)}: there is a NUL; "
             f"expected {_LANGUAGE}."
@@ -136,7 +136,7 @@ def check_names(names: Iterable[str], reserved: Iterable[str] = ()) -> None:
     Raises
     ------
     ExpressionError
-        If one is private, reserved, a keyword or no identifier, or stands twice.
+        If one is private, reserved, a keyword or no identifier, or is given twice.
     """
     taken = set(reserved)
     for name in names:
@@ -151,7 +151,7 @@ def check_names(names: Iterable[str], reserved: Iterable[str] = ()) -> None:
 
 
 def error_at(text: str, node: ast.AST, what: str) -> ExpressionError:
-    """Return the error that says where in a text something is wrong."""
+    """Return an error with the place of a node in a text."""
     text = text.strip()
     where = f"In {_shown(text)}"
     if isinstance(node, ast.expr):

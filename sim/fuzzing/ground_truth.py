@@ -44,7 +44,7 @@ def in_bins(changes: Iterable[tuple[int, float]], start_ns: int) -> tuple[Change
     Parameters
     ----------
     changes
-        When [ns], in order, and the magnitude; what came before the start is left out.
+        When [ns], in order, and the magnitude; earlier times are left out.
     start_ns
         Of the recording.
     """

@@ -18,7 +18,9 @@ from sim.fuzzing.topics import MAIN, type_of
 from sim.fuzzing.value_types import Boolean
 from sim.middleware.executor import SECOND
 
-WITHIN_S = 1.0  # that a main message may be before that of a further topic, if nothing is said
+WITHIN_S = (
+    1.0  # default of ``within_s``: by how much a main message may precede that of a further topic
+)
 _OF_AN_ACTION = 2**20  # numbers of operations; more than a file can have
 
 

@@ -41,7 +41,7 @@ class Summary:
 
     onset_s: float  # in seconds of the recording
     received: int  # messages of the input topic while the node was there
-    touched: int  # of them, and of the timer's beats, those that were not just handed on
+    touched: int  # those of them, and of the timer's ticks, that were altered
     published: int  # messages on the output topic
     changes: tuple[Change, ...]  # what was changed, and when
     topics: Mapping[str, TopicCount]  # of the mutant
@@ -78,7 +78,7 @@ def mutate_bag(
     run_seed : int
         The key of its draws, together with the scenario's seed.
     at_s : float, optional
-        Onset in seconds of the recording; by default what the scenario says, for which the bag
+        Onset in seconds of the recording; by default that of the scenario, for which the bag
         may have to show when a goal was accepted.
     parameters : mapping, optional
         Values in place of those drawn by the seed, or of the defaults.
@@ -158,7 +158,7 @@ class _Run:
             self._writer.write(*raw)
         if raw.stamp_ns < self._onset_ns and self._program.activation.before == "absent":
             if self._program.is_in_place and raw.topic in self._lanes:
-                self._writer.write(*raw)  # by who publishes it, as long as nothing alters it
+                self._writer.write(*raw)  # by publisher, while it is not altered
             return
         for name in self._source_names.get(raw.topic, ()):
             self._execution.on_source(name, self._decode(raw), raw.stamp_ns)

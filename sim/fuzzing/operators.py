@@ -64,7 +64,7 @@ class ForEach:
         )
 
     def __call__(self, step: Step) -> None:
-        """Do it."""
+        """Apply the operator."""
         old = self.target.old(step)
         new = [self._element(step, *place) for place in enumerate(old)]
         self.target.change(step, old, new)

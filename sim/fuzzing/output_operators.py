@@ -28,7 +28,7 @@ class Drop:
         return cls()
 
     def __call__(self, step: Step) -> None:
-        """Do it."""
+        """Apply the operator."""
         step.dropped = True
         step.note(1.0, "dropped")
 
@@ -50,7 +50,7 @@ class Delay:
         return self.seconds.cost
 
     def __call__(self, step: Step) -> None:
-        """Do it."""
+        """Apply the operator."""
         step.delay_s = _clamped(self.seconds(step), 0.0, _MAX_DELAY_S)
         step.note(step.delay_s, f"delayed by {step.delay_s:.6g} s")
 
@@ -76,7 +76,7 @@ class Duplicate:
         return self.copies.cost + self.spacing_s.cost
 
     def __call__(self, step: Step) -> None:
-        """Do it."""
+        """Apply the operator."""
         step.copies = int(_clamped(self.copies(step), 1.0, MAX_OUTPUTS))
         step.spacing_s = _clamped(self.spacing_s(step), 0.0, _MAX_DELAY_S)
         step.note(float(step.copies), f"{step.copies} copies")
@@ -109,7 +109,7 @@ class Playback:
         return cls(spec.get("messages", 0), next(context.numbers))
 
     def __call__(self, step: Step) -> None:
-        """Do it."""
+        """Apply the operator."""
         held = step.memory.get(self.number)
         if held is None or held.last != step.received - 1:
             before = list(step.recent)[-1 - self.messages : -1]
@@ -157,7 +157,7 @@ class Emit:
         return cls(is_copy, topic, output, tuple(fields), cost)
 
     def __call__(self, step: Step) -> None:
-        """Do it."""
+        """Apply the operator."""
         message = step.original
         if not self.is_copy:
             message = zero(self.output)

@@ -83,7 +83,7 @@ class Activation:
     seconds: float | tuple[float, float] = 0.0  # from then to the onset; two: drawn between them
     before: Literal["forward", "absent"] = "forward"  # absent: the node appears at the onset
     duration_s: float | None = None  # None: to the end
-    messages: int | None = None  # it acts on so many, beats of the timer included
+    messages: int | None = None  # number of messages that it acts on, including ticks of the timer
     until_goal: int | None = None  # it ends when this one is accepted
     probability: float = 1.0  # that a message is touched
 
@@ -114,7 +114,7 @@ class Action:
         return sum(part.cost for part in parts)
 
     def __call__(self, step: Step) -> bool:
-        """Do it if its condition holds; tell whether it did."""
+        """Apply the operators if the condition holds; return whether it did."""
         step.original = step.message
         if step.message is not None:
             step.env["msg"] = step.message
@@ -155,7 +155,7 @@ class Program:
     magnitude: Term | None
     outputs: int  # at most, for one message
     memory: int  # how many messages are kept to be played back
-    to: tuple[str, ...] = ()  # only these nodes hear what is altered; none: everybody
+    to: tuple[str, ...] = ()  # only these nodes receive what is altered; empty: all
     also: tuple["Program", ...] = ()  # one for each further topic that is altered together
     within_ns: int = 0  # of a further topic: how far it may be behind the main one it belongs to
     node_parameters: tuple[ParameterChange, ...] = ()  # set from the onset to the end

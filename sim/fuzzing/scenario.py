@@ -1,8 +1,8 @@
 """Scenario files: YAML read under bounds, checked against ``scenario.schema.json``.
 
 Each YAML document in a file is a scenario. Tags, anchors and aliases are refused, depth and size
-are bounded, and plain scalars mean what YAML 1.2's core schema says. What the scenario says of
-fields and expressions is checked in ``sim.fuzzing.program``.
+are bounded, and plain scalars have the meaning of YAML 1.2's core schema. ``compilation`` checks
+fields and expressions.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ from oracle_pipeline.bags.manifest import Label
 from sim.fuzzing.actuation import moves_something
 from sim.fuzzing.schema_words import in_words, schema
 
-Key = tuple[str | int, ...]  # where something stands in a document: ("transform", "actions", 0)
+Key = tuple[str | int, ...]  # path of a value in a document: ("transform", "actions", 0)
 Control = Literal["none", "passthrough", "shadow"]
 
 SET_PARAMETERS = "set_parameters"  # of nodes
@@ -32,7 +32,7 @@ SET_PARAMETERS = "set_parameters"  # of nodes
 MAX_BYTES = 2**18  # of a file
 MAX_DEPTH = 24  # of a document
 MAX_SCALAR = 4096  # characters
-MAX_FAULTS = 20  # that are told of a file
+MAX_FAULTS = 20  # that are reported of a scenario
 
 _INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
@@ -40,7 +40,7 @@ _WORDS = {"": None, "~": None, "null": None, "true": True, "false": False}
 
 
 class Place(NamedTuple):
-    """Where something stands in a file, counted from 1."""
+    """Line and column in a file, counted from 1."""
 
     line: int = 1
     column: int = 1
@@ -92,9 +92,9 @@ class Scenario:
     file
         Where it comes from.
     document
-        What the file says, as JSON knows it.
+        The content of the file, as JSON values.
     places
-        Where each key stands.
+        The place of each key.
     """
 
     file: str
@@ -108,7 +108,7 @@ class Scenario:
 
     @property
     def title(self) -> str:
-        """What it does, in a line."""
+        """What it does, in one line."""
         return str(self.document.get("title", self.id))
 
     @property
@@ -124,7 +124,7 @@ class Scenario:
 
     @property
     def control(self) -> Control:
-        """Whether what is worked out is published."""
+        """Whether altered messages are published."""
         control: Control = self.document.get("control", "none")
         return control
 
@@ -153,7 +153,7 @@ class Scenario:
 
     @property
     def may_move(self) -> bool:
-        """Whether it may move the robot, or change where it goes, so that it needs leave."""
+        """Whether it may move the robot or change its way, so that it needs permission."""
         spoken = (moves_something(*each) for each in self.spoken)
         return SET_PARAMETERS in self.document or any(spoken)
 
@@ -172,7 +172,7 @@ class Scenario:
 
     @property
     def has_object(self) -> bool:
-        """Whether it shows the robot the block's object that is not there."""
+        """Whether it shows the robot the fake object of the block."""
         return "object_x" in self.drawn.values()
 
     def as_shadow(self) -> "Scenario":
@@ -186,7 +186,7 @@ class Scenario:
         return dataclasses.replace(self, document={**self.document, **changes})
 
     def error(self, key: Key, text: str) -> ScenarioError:
-        """Return the error that says where in the file something is wrong."""
+        """Return an error with the place of a key in the file."""
         return _error(self.file, self.places, key, text)
 
 

@@ -38,7 +38,7 @@ class Store:
         return self.value.cost
 
     def __call__(self, step: Step) -> None:
-        """Do it."""
+        """Apply the operator."""
         state = step.env["state"]
         state[self.into] = self.convert(self.value(step), state[self.into])
 
@@ -83,7 +83,7 @@ class StoreRow:
         return self.key.cost + sum(value.cost for _, _, value in self.columns)
 
     def __call__(self, step: Step) -> None:
-        """Do it."""
+        """Apply the operator."""
         rows = step.env["state"][self.into]
         row = {name: convert(value(step), 0) for name, convert, value in self.columns}
         key = strip_padding(self.key(step))

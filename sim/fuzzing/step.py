@@ -1,4 +1,4 @@
-"""A message on its way through a scenario, with the values computed for it."""
+"""A message that a scenario processes, with the values computed for it."""
 
 import functools
 from collections.abc import Sequence
@@ -19,15 +19,15 @@ _BRANCH = 1 << 32  # the operations of one round of a loop, apart from those of 
 
 @dataclass(slots=True)
 class Step:
-    """One message, or one beat of a timer, on its way through a scenario."""
+    """One message, or one tick of a timer, that a scenario processes."""
 
     stamp_ns: int  # when it was published
     received: int  # how many messages came before
-    index: int  # what its draws go by
+    index: int  # number that determines its draws
     draws: Draws
     env: dict[str, Any]  # the values of names
     header: Any  # for messages that are made; None if the type has none
-    recent: Sequence[Any]  # what came last, this message included
+    recent: Sequence[Any]  # the last messages, including this one
     memory: dict[int, Any]  # of operators, from message to message
     original: Any = None  # the message, or element, as the action found it
     message: Any = None  # as far as it is changed
@@ -45,7 +45,7 @@ class Step:
         return self.draws.generator(self.index, operation + self.branch * _BRANCH, place)
 
     def note(self, magnitude: float, text: str) -> None:
-        """Keep what was done, for the ground truth."""
+        """Record a change for the ground truth."""
         self.magnitude = max(self.magnitude, magnitude)
         self.notes.append(text)
 
@@ -75,11 +75,11 @@ class Term:
 
 
 class Operator(Protocol):
-    """What is done to a message."""
+    """A compiled operator, which changes a message."""
 
     @property
     def cost(self) -> int:
         """Elements that it computes for one message, at most."""
 
     def __call__(self, step: Step) -> None:
-        """Do it."""
+        """Apply it."""

@@ -14,7 +14,7 @@ MAIN = "main"  # the name of the main topic beside those of ``also``
 
 
 def altered(document: Mapping[str, Any]) -> dict[Key, Mapping[str, Any]]:
-    """Return what a document says of each topic that is altered, by its key, the main one first."""
+    """Return the entries of a document on altered topics by their keys, the main one first."""
     also = document.get("also", {})
     return {(MAIN,): document[MAIN], **{("also", name): spec for name, spec in also.items()}}
 
@@ -34,7 +34,7 @@ def type_of(scenario: Scenario, name: str, key: Key) -> Message:
 
 
 def check_topics(scenario: Scenario, faults: Faults, *, allow_actuation: bool) -> None:
-    """Find topics that the scenario may not publish on, or cannot tell from others."""
+    """Find topics that the scenario may not publish on, or cannot distinguish from others."""
     document = scenario.document
     lanes = altered(document)
     sources = {spec["topic"] for spec in document.get("sources", {}).values()}

@@ -1,8 +1,8 @@
 """Operators that change the values in a message, one class each.
 
 Values are read from the message as the action found it, whatever the operators before have
-changed; changes go into a copy, so what came in stays as it was. What an operator did it notes in
-the step, for the ground truth.
+changed; changes go into a copy, so the original message does not change. Operators record their
+changes in the step, for the ground truth.
 """
 
 from collections.abc import Callable
@@ -18,8 +18,8 @@ from sim.fuzzing.scenario import Key
 from sim.fuzzing.step import Step, Term
 from sim.fuzzing.value_types import Array, Boolean, Number
 
-LOOP_WORK = 256  # what a round of a Python loop costs, in elements of an array
-_NOISE_WORK = 8  # what drawing and adding noise costs for an element
+LOOP_WORK = 256  # cost of one pass of a Python loop, in elements of an array
+_NOISE_WORK = 8  # cost of drawing and adding noise to one element
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Set:
         return cls(target, value, value.cost + context.width(target.field.type))
 
     def __call__(self, step: Step) -> None:
-        """Do it."""
+        """Apply the operator."""
         self.target.change(step, self.target.old(step), self.value(step))
 
 
@@ -62,14 +62,14 @@ class Arithmetic:
         return cls(target, by, combine, by.cost + context.width(target.field.type))
 
     def __call__(self, step: Step) -> None:
-        """Do it."""
+        """Apply the operator."""
         old, numbers = self.target.numbers(step)
         self.target.change_numbers(step, old, self.combine(numbers, self.by(step)))
 
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """Add what grows with the time since activation, at a rate a second."""
+    """Add an offset that grows with the time since activation, at a rate per second."""
 
     target: Target
     rate: Term
@@ -83,7 +83,7 @@ class Drift:
         return cls(target, rate, rate.cost + context.width(target.field.type))
 
     def __call__(self, step: Step) -> None:
-        """Do it."""
+        """Apply the operator."""
         old, numbers = self.target.numbers(step)
         self.target.change_numbers(step, old, numbers + self.rate(step) * step.env["t"])
 
@@ -92,7 +92,7 @@ class Drift:
 class Noise:
     """Add an independent draw to every number.
 
-    Uniform noise is drawn from [-spread, spread), Gaussian has the spread for its standard
+    Uniform noise is drawn from [-spread, spread), Gaussian noise has the spread as standard
     deviation. The spread is given, or relative to each number.
     """
 
@@ -100,7 +100,7 @@ class Noise:
     spread: Term
     is_relative: bool
     is_uniform: bool
-    limits: tuple[Term, Term] | None  # of what comes out
+    limits: tuple[Term, Term] | None  # of the result
     number: int
     cost: int
 
@@ -126,14 +126,14 @@ class Noise:
         )
 
     def __call__(self, step: Step) -> None:
-        """Do it."""
+        """Apply the operator."""
         old, numbers = self.target.numbers(step)
         count = len(old) if isinstance(old, np.ndarray) else None
         rng = step.generator(self.number)
         spread = self.spread(step)
         if self.is_relative:
             spread = spread * numbers
-        if self.is_uniform:  # in the order in which random.uniform(-spread, spread) reckons
+        if self.is_uniform:  # in the order of the operations of random.uniform(-spread, spread)
             noise = -spread + (spread + spread) * rng.random(count)
         else:
             noise = spread * rng.standard_normal(count)
@@ -173,7 +173,7 @@ class MapArray:
         return cls(target, names, let, value, cost)
 
     def __call__(self, step: Step) -> None:
-        """Do it."""
+        """Apply the operator."""
         old, numbers = self.target.numbers(step)
         outer = step.env
         step.env = {**outer, **dict(zip(self.names, (numbers, np.arange(len(old))), strict=False))}
@@ -212,7 +212,7 @@ class RemoveWhere:
         return cls(target, names, where, cost)
 
     def __call__(self, step: Step) -> None:
-        """Do it."""
+        """Apply the operator."""
         old, outer = self.target.old(step), step.env
         if isinstance(old, np.ndarray):
             step.env = {**outer, **dict(zip(self.names, (old, np.arange(len(old))), strict=False))}
@@ -253,7 +253,7 @@ class Mutate:
         return self.count * (LOOP_WORK + len(self.mutator.leaves))
 
     def __call__(self, step: Step) -> None:
-        """Do it."""
+        """Apply the operator."""
         for place in range(self.count):
             rng = step.generator(self.number, place)
             step.message, magnitude, text = self.mutator(step.message, rng)

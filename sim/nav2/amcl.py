@@ -1,7 +1,7 @@
-"""AMCL: where the robot is on the map, from odometry and laser scans.
+"""AMCL: the robot's pose on the map, from odometry and laser scans.
 
-The filter's mathematics are in ``particle_filter`` and ``likelihood_field``; here are topics,
-transforms and the gates that decide when a scan updates the filter.
+The mathematics of the filter is in ``particle_filter`` and ``likelihood_field``. This module has
+the topics, the transforms, and the conditions under which a scan updates the filter.
 """
 
 import struct
@@ -48,16 +48,16 @@ _PLANAR = np.ix_([0, 1, 5], [0, 1, 5])  # x, y and yaw in a 6x6 covariance
 
 
 class Amcl(LifecycleNode):
-    """Localises the robot and publishes map -> odom; silent until it is told where it starts.
+    """Localises the robot and publishes map -> odom; silent before the initial pose.
 
     Parameters
     ----------
     domain
-        Where the node lives.
+        The domain that the node belongs to.
     listener
         Suffix of its transform listener's name.
     rng
-        Moves and draws the particles.
+        Generator for the motion and the resampling of particles.
     transforms
         Buffer to share with other listeners; its own if omitted.
     latency_ns
@@ -96,7 +96,7 @@ class Amcl(LifecycleNode):
         self.create_service("nav2_msgs/srv/SetInitialPose", "/set_initial_pose", self._on_pose)
 
     def on_configure(self) -> None:
-        """Listen to map, scans and initial poses."""
+        """Subscribe to map, scans and initial poses."""
         self.create_subscription("nav_msgs/msg/OccupancyGrid", "/map", self._on_map, qos.LATCHED)
         self.create_subscription(
             "sensor_msgs/msg/LaserScan", "/scan", self._on_scan, qos.SENSOR_DATA
@@ -117,7 +117,7 @@ class Amcl(LifecycleNode):
         self._field = LikelihoodField(occupancy, meta.resolution, corner.x, corner.y)
 
     def _on_pose(self, message: Any) -> None:
-        """Start anew around a ``PoseWithCovarianceStamped`` in the map frame."""
+        """Restart around a ``PoseWithCovarianceStamped`` in the map frame."""
         position = message.pose.pose.position
         mean = np.array([position.x, position.y, pose_yaw(message.pose.pose)])
         covariance = np.reshape(message.pose.covariance, (6, 6))[_PLANAR]
@@ -197,12 +197,12 @@ class Amcl(LifecycleNode):
             self._updated_at = None
 
     def _force_update(self, _request: None) -> None:
-        """Let the next scan update the filter wherever the robot is."""
+        """Let the next scan update the filter, even if the robot has not moved."""
         self._is_forced = True
 
 
 def _has_moved(before: Pose2D, after: Pose2D) -> bool:
-    """Tell whether the robot moved enough for an update; each axis counts by itself."""
+    """Tell whether the robot moved enough for an update; each axis is tested separately."""
     return (
         abs(after.x - before.x) > UPDATE_MIN_D
         or abs(after.y - before.y) > UPDATE_MIN_D
@@ -211,9 +211,9 @@ def _has_moved(before: Pose2D, after: Pose2D) -> bool:
 
 
 def _beams(scan: Any, range_max: float) -> NDArray[np.float64]:
-    """Return the ends of the beams that AMCL looks at, in the sensor frame, shape (n, 2) [m].
+    """Return the ends of the beams that AMCL uses, in the sensor frame, shape (n, 2) [m].
 
-    Readings that hit nothing, or are too near to be one, are left out.
+    Readings without a return, and readings below the smallest range, are left out.
     """
     ranges = np.asarray(scan.ranges, dtype=np.float64)
     step = max(1, (ranges.size - 1) // (MAX_BEAMS - 1))

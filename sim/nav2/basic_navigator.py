@@ -1,4 +1,4 @@
-"""The client: tells AMCL where the robot starts and sends it on a patrol.
+"""The client: sends AMCL the initial pose, and Nav2 the goals of a patrol.
 
 It is ``BasicNavigator`` of ``nav2_simple_commander``, which opens a client for every action.
 """
@@ -52,7 +52,7 @@ _OUTCOMES: dict[Status, Outcome] = {
 
 @dataclass(slots=True)
 class GoalResult:
-    """How one goal of a patrol went."""
+    """Result of one goal of a patrol."""
 
     goal: Pose2D  # in the map
     accepted_ns: int
@@ -62,7 +62,7 @@ class GoalResult:
 
 
 class BasicNavigator(Node):
-    """Sends goals, one after the other.
+    """Sends goals one after the other.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class BasicNavigator(Node):
             self.create_client(f"nav2_msgs/srv/{srvtype}", service)
 
     def set_initial_pose(self, pose: Pose2D) -> None:
-        """Tell AMCL the robot's pose in the map, once a second until it answers."""
+        """Publish the robot's pose in the map once a second, until AMCL answers."""
         self._localized = False
 
         def tell() -> None:
@@ -124,7 +124,7 @@ class BasicNavigator(Node):
         goals
             The poses.
         on_done
-            Called when the last goal is reached, or one is not; see ``results``.
+            Called when the last goal has been reached, or one has failed; see ``results``.
         on_accepted
             Called with the new result when a goal has been accepted.
         """

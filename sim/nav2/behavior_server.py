@@ -1,7 +1,7 @@
 """The behaviour server: short blind manoeuvres that may free a stuck robot.
 
 As on Humble, velocities go straight to ``/cmd_vel``, past velocity smoother and collision
-monitor; what keeps them from harm is a look ahead in the local costmap.
+monitor. A collision test ahead in the local costmap protects the robot.
 """
 
 import enum
@@ -41,7 +41,7 @@ _REACHED_RAD = 1e-6
 
 
 class Outcome(enum.Enum):
-    """What one cycle of a behaviour came to."""
+    """Status of a behaviour after one cycle."""
 
     RUNNING = enum.auto()
     SUCCEEDED = enum.auto()
@@ -59,14 +59,14 @@ class Step:
 
 
 class Surroundings:
-    """Where the robot is and whether it would fit elsewhere."""
+    """The robot's pose, and whether other poses are free."""
 
     def __init__(self, transforms: TransformBuffer) -> None:
         self._transforms = transforms
         self._grid: Costmap2D | None = None
 
     def on_costmap(self, message: Any) -> None:
-        """Take the local costmap in."""
+        """Store the local costmap."""
         self._grid = Costmap2D.from_message(message)
 
     def pose(self) -> Pose2D | None:
@@ -89,7 +89,7 @@ class Behavior(ABC):
     node
         The server.
     surroundings
-        What the server knows.
+        The robot's pose and the local costmap.
     """
 
     name: ClassVar[str]  # of the action, without the slash
@@ -121,14 +121,14 @@ class Behavior(ABC):
         self._deadline_ns = self.node.now_ns + allowance_ns if allowance_ns else None
 
     def is_overdue(self) -> bool:
-        """Tell, and log, whether the time allowance is used up."""
+        """Tell whether the time allowance is used up, and log it."""
         if self._deadline_ns is None or self.node.now_ns <= self._deadline_ns:
             return False
         self.node.warn(f"Exceeded time allowance before reaching the {self.action} goal")
         return True
 
     def _on_goal(self, goal: GoalHandle) -> None:
-        if self._goal is not None:  # as in life, a behaviour cannot be preempted: both goals end
+        if self._goal is not None:  # as in Nav2, a behaviour cannot be preempted: both goals end
             self._end(self._goal.abort)
             goal.abort(self._result())
             return
@@ -168,12 +168,12 @@ class Behavior(ABC):
         answer(self._result())
 
     def _result(self) -> Any:
-        """Return how long it took."""
+        """Return the time since the start."""
         return self._result_type(duration_message(self.node.now_ns - self._start_ns))
 
 
 class Spin(Behavior):
-    """Turns on the spot by an angle."""
+    """Rotates in place by an angle."""
 
     name = "spin"
     action = "Spin"
@@ -205,7 +205,7 @@ class Spin(Behavior):
         return Step(Outcome.RUNNING, angular=velocity, feedback=feedback)
 
     def _is_clear(self, velocity: float, pose: Pose2D) -> bool:
-        # Nav2 stops looking at the angle turned so far, not at the one that remains; so do we.
+        # Like Nav2, this looks ahead by the angle turned so far, not by the one that remains.
         for seconds in _look_ahead():
             change = velocity * seconds
             if abs(self._turned) <= abs(change):
@@ -264,7 +264,7 @@ class BackUp(DriveOnHeading):
     feedback = _BackUpFeedback
 
     def command(self, goal: Any) -> tuple[float, float]:
-        """Return signed distance [m] and speed [m/s], both backwards whatever was asked."""
+        """Return signed distance [m] and speed [m/s], both negative, whatever the goal's signs."""
         return -abs(float(goal.target.x)), -abs(float(goal.speed))
 
 
@@ -280,7 +280,7 @@ class Wait(Behavior):
         return True
 
     def step(self, pose: Pose2D) -> Step:  # noqa: ARG002 -- wherever it is
-        """Look at the clock."""
+        """Compare the clock with the end of the wait."""
         left_ns = self._until_ns - self.node.now_ns
         feedback = _WaitFeedback(duration_message(max(0, left_ns)))
         return Step(Outcome.RUNNING if left_ns > 0 else Outcome.SUCCEEDED, feedback=feedback)
@@ -290,7 +290,7 @@ class Wait(Behavior):
 
 
 class AssistedTeleop(Behavior):
-    """Would drive as a person steers; nobody steers here, so no goal is accepted."""
+    """Teleoperation with collision tests; it has no operator here, so it accepts no goal."""
 
     name = "assisted_teleop"
     action = "AssistedTeleop"
@@ -336,7 +336,7 @@ class BehaviorServer(LifecycleNode):
             self._surroundings.on_costmap,
             qos.LATCHED,
         )
-        # Heard as in life; the outline never changes, so it is not taken from here.
+        # Subscribed as in Nav2; the outline never changes, so it is not read from here.
         self.create_subscription(
             "geometry_msgs/msg/PolygonStamped",
             "/local_costmap/published_footprint",

@@ -1,8 +1,8 @@
 """A small behaviour-tree engine with the control nodes of Nav2's navigation tree.
 
 Statuses, halting and memory follow BehaviorTree.CPP 3 and ``nav2_behavior_tree`` on Humble: a
-child that is halted while it runs forgets where it was, one that has ended only goes idle. The
-nodes that do something, the leaves, are in ``behavior_tree_leaves``.
+child that is halted while it runs loses its progress, one that has ended only becomes idle. The
+leaves, which act, are in ``behavior_tree_leaves``.
 """
 
 import enum
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 
 class Status(enum.Enum):
-    """What a node came to when it was last ticked."""
+    """Status of a node after its last tick."""
 
     IDLE = enum.auto()
     RUNNING = enum.auto()
@@ -44,7 +44,7 @@ class TreeNode(ABC):
         return self.status
 
     def set_status(self, status: Status) -> None:
-        """Change the status and tell whoever logs."""
+        """Change the status and call ``on_change``."""
         if status is not self.status:
             previous, self.status = self.status, status
             self.on_change(self, previous, status)
@@ -81,13 +81,13 @@ class ControlNode(TreeNode):
         super().halt()
 
     def halt_child(self, child: TreeNode) -> None:
-        """Interrupt a child if it runs, and let it be idle."""
+        """Interrupt a child if it runs, and make it idle."""
         if child.status is Status.RUNNING:
             child.halt()
         child.set_status(Status.IDLE)
 
     def halt_children(self) -> None:
-        """Do so with every child."""
+        """Interrupt every child that runs, and make all idle."""
         for child in self.children:
             self.halt_child(child)
 
@@ -131,7 +131,7 @@ class PipelineSequence(ControlNode):
         self._furthest = 0
 
     def tick(self) -> Status:
-        """Tick from the first child on, as far as the pipeline has come."""
+        """Tick from the first child to the one that the pipeline has reached."""
         for index, child in enumerate(self.children):
             status = child.execute()
             if status is Status.FAILURE:
@@ -159,9 +159,9 @@ class RecoveryNode(ControlNode):
     Parameters
     ----------
     name, child, recovery
-        The work, and what may help when it fails.
+        The child to tick, and the one to tick when it fails.
     retries
-        How often.
+        Largest number of recoveries.
     """
 
     def __init__(self, name: str, child: TreeNode, recovery: TreeNode, retries: int) -> None:
@@ -171,7 +171,7 @@ class RecoveryNode(ControlNode):
         self._recovering = False
 
     def tick(self) -> Status:
-        """Work, or recover."""
+        """Tick the child, or the recovery after a failure."""
         self.set_status(Status.RUNNING)
         child, recovery = self.children
         while True:
@@ -220,7 +220,7 @@ class ReactiveFallback(ControlNode):
 class RoundRobin(ControlNode):
     """Ticks one child until it ends, and the next one when asked again.
 
-    Its place outlasts success, so the next failure of a navigation meets the next recovery.
+    It keeps its position after a success, so the next failure leads to the next recovery.
     """
 
     def __init__(self, name: str, children: Sequence[TreeNode]) -> None:

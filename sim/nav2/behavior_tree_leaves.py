@@ -10,14 +10,14 @@ from sim.nav2.behavior_tree import Status, TreeNode
 
 
 class Condition(TreeNode):
-    """Succeeds if something holds."""
+    """Succeeds if a condition holds."""
 
     def __init__(self, name: str, holds: Callable[[], bool]) -> None:
         super().__init__(name)
         self._holds = holds
 
     def tick(self) -> Status:
-        """Ask."""
+        """Test the condition."""
         return Status.SUCCESS if self._holds() else Status.FAILURE
 
 
@@ -27,7 +27,7 @@ class ServiceNode(TreeNode):
     Parameters
     ----------
     name, client
-        What to call.
+        Name in the log, and the client of the service.
     on_start
         Called with every request.
     wake
@@ -48,7 +48,7 @@ class ServiceNode(TreeNode):
         self._answered = False
 
     def tick(self) -> Status:
-        """Call, or look for the answer."""
+        """Call the service, or check for its answer."""
         if self.status is Status.IDLE:
             self._answered = False
             self._on_start()
@@ -62,12 +62,12 @@ class ServiceNode(TreeNode):
 
 
 class ActionNode(TreeNode):
-    """Has an action done.
+    """Sends a goal to an action, and waits for its result.
 
     Parameters
     ----------
     name, client
-        What to ask for.
+        Name in the log, and the client of the action.
     make_goal
         Called for the goal at the start, and in every tick after that: another object than
         before is sent as a new goal, in place of the running one.
@@ -100,7 +100,7 @@ class ActionNode(TreeNode):
         self._result: tuple[GoalStatus, Any] | None = None
 
     def tick(self) -> Status:
-        """Send the goal, or look for its result."""
+        """Send the goal, or check for its result."""
         if self.status is Status.IDLE:
             self._on_start()
             self._goal = None

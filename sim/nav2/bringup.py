@@ -1,7 +1,7 @@
-"""Nav2 as ``tb3_simulation_launch.py`` brings it up on Humble, with collision monitor and client.
+"""Nav2 as ``tb3_simulation_launch.py`` starts it on Humble, with collision monitor and client.
 
-Here the nodes are made, wired and put under their lifecycle managers; the simulator's own nodes
-are added by ``sim.turtlebot3``.
+This module makes and connects the nodes, with their lifecycle managers. ``sim.turtlebot3`` adds the
+nodes of the simulator.
 """
 
 import zlib
@@ -41,7 +41,7 @@ OBSTACLE_SOURCES = ("/scan", "/scan_fakeobject")  # of both costmaps
 
 @dataclass(frozen=True, slots=True)
 class Nav2:
-    """What an experiment needs of a running Nav2."""
+    """The parts of a running Nav2 that an experiment uses."""
 
     navigator: BasicNavigator
     managers: tuple[LifecycleManager, ...]
@@ -65,16 +65,16 @@ def bring_up(
     stock: bool = False,
     parameters: Mapping[str, float] = MappingProxyType({}),
 ) -> Nav2:
-    """Put Nav2 into a domain; it becomes active once AMCL was told where the robot starts.
+    """Add Nav2 to a domain; it becomes active when AMCL has got the initial pose.
 
     Parameters
     ----------
     domain
-        Where the simulator's nodes are.
+        The domain with the nodes of the simulator.
     world_map
         The map to navigate on.
     generator
-        Gives each node, by name, its randomness.
+        Returns the generator of a node, by its name.
     latency_ns
         Of every node that processes messages, from a sample's publication to its callback.
     run
@@ -100,7 +100,7 @@ def bring_up(
         """Return what stands for the heap address of a node's transform listener."""
         return f"5581{zlib.crc32(f'{owner}#{run}'.encode()):08x}"
 
-    # All listeners hear the same, so one of them fills the buffer of all.
+    # All listeners receive the same, so one of them fills the buffer of all.
     transforms = TransformListener(domain, listener("rviz")).buffer
 
     Node(domain, "/nav2_container", endpoints="E")

@@ -35,12 +35,12 @@ ODOM_FRAME = "odom"
 SOURCE_TIMEOUT_NS = 5 * SECOND
 STOP_PUB_TIMEOUT_NS = 2 * SECOND
 _RANGE_STEP_RAD = math.radians(1.0)
-_SPARE_M = 1e-6  # so far outside its box no point is inside a polygon, whatever is rounded
+_SPARE_M = 1e-6  # so far outside its box, no point is inside a polygon, whatever the rounding
 
 
 @dataclass(frozen=True)
 class Polygon:
-    """A zone around the robot and what happens when something is in it."""
+    """A zone around the robot, and the action if points are in it."""
 
     name: str
     topic: str | None  # where it is shown, if it is
@@ -48,7 +48,7 @@ class Polygon:
     action: Literal["stop", "slowdown", "approach"]
     slowdown_ratio: float = 0.0
     max_points: int = 3  # the action is taken for more points than this
-    time_before_collision: float = 2.0  # how far an approach looks ahead [s]
+    time_before_collision: float = 2.0  # time that an approach looks ahead [s]
     simulation_time_step: float = 0.1  # of that look [s]
 
     def share(self, command: tuple[float, float], points: Points) -> float:
@@ -112,9 +112,9 @@ SOURCES = (
 
 
 class _Seen:
-    """What a source saw last that could be placed in the odometry frame.
+    """The last points of a source whose transform to the odometry frame is known.
 
-    Nav2 waits for the transform at a message's stamp; here the message before stands in for it.
+    Nav2 waits for the transform at a message's stamp; here the previous message is used until then.
     """
 
     def __init__(self, transforms: TransformBuffer) -> None:
@@ -124,7 +124,7 @@ class _Seen:
         self._waiting: tuple[Any, Points] | None = None  # header, points in the sensor's frame
 
     def receive(self, header: Any, points: Points) -> None:
-        """Take a new message in; by now the one before can be placed."""
+        """Store a new message; the transform of the previous one is known by now."""
         self._place()
         self._waiting = (header, points)
 
@@ -147,8 +147,8 @@ class _Seen:
 class CollisionMonitor(LifecycleNode):
     """Answers every command on ``/cmd_vel_raw`` with one on ``/cmd_vel``.
 
-    A source that is silent, or was for five seconds, has no points; the strictest polygon wins;
-    a robot that was stopped for two seconds gets no more commands.
+    A source without messages for five seconds has no points. The strictest polygon decides. A robot
+    that was stopped for two seconds gets no more commands.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ class CollisionMonitor(LifecycleNode):
         Buffer to share with other listeners; its own if omitted. The robot's motion since a scan
         is taken out with the newest odometry transform.
     polygons
-        In the order in which they are looked at; none after one that stops the robot.
+        In the order of their tests; none is tested after one that stops the robot.
     sources
         Where points come from.
     """
@@ -183,7 +183,7 @@ class CollisionMonitor(LifecycleNode):
         self._parts: list[Points] = []  # what each source sees, in the odometry frame
         self._all: Points = np.empty((0, 2))  # one behind the other
         self._action = ""  # polygon that acts
-        self._halted_ns: int | None = None  # since when the robot is told to stand
+        self._halted_ns: int | None = None  # since when commands are zero
         self.commands = self.commands_altered = 0  # to move; of these, slowed down or stopped
 
     def on_configure(self) -> None:
@@ -199,7 +199,7 @@ class CollisionMonitor(LifecycleNode):
             if polygon.topic is not None
         ]
         if any(polygon.action == "approach" for polygon in self._polygons):
-            # Heard as in life; the outline never changes, so it is not taken from here.
+            # Subscribed as in Nav2; the outline never changes, so it is not read from here.
             self.create_subscription(
                 POLYGON, "/local_costmap/published_footprint", None, qos.SYSTEM_SUBSCRIPTION
             )
@@ -207,7 +207,7 @@ class CollisionMonitor(LifecycleNode):
             self._listen(source)
 
     def on_activate(self) -> None:
-        """Show the polygons and start to answer."""
+        """Publish the polygons, and begin to answer commands."""
         self._publish_polygons()
         self.create_subscription(TWIST, "/cmd_vel_raw", self._on_command, qos.RELIABLE)
 
@@ -237,7 +237,7 @@ class CollisionMonitor(LifecycleNode):
         self._publish_polygons()
 
     def _points(self) -> Points:
-        """Return what all sources see, in the base frame as it is now."""
+        """Return the points of all sources, in the current base frame."""
         now_ns = self.now_ns
         parts = [seen.points(now_ns) for seen in self._seen]
         if list(map(id, parts)) != list(map(id, self._parts)):  # less often than commands come

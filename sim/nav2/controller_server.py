@@ -1,7 +1,7 @@
 """The controller server: follows the path it is given, 20 times a second.
 
-The velocity comes from ``dwb``; here are the action, the topics, and the checkers that say
-whether the robot gets on and whether it is there.
+The velocity comes from ``dwb``. This module has the action, the topics, and the checkers that
+decide whether the robot makes progress and whether it has arrived.
 """
 
 from collections.abc import Callable
@@ -39,7 +39,7 @@ MIN_THETA_VELOCITY = 0.001  # [rad/s]
 
 
 class LocalCostmap(Protocol):
-    """What a controller needs of the local costmap node; it is the only node that drives it."""
+    """Interface of the local costmap node, which the controller server configures and activates."""
 
     grid: Costmap2D
     is_current: bool
@@ -58,7 +58,7 @@ class LocalCostmap(Protocol):
 
 
 class ProgressChecker:
-    """Nav2's ``SimpleProgressChecker``: so far within so much time, or the robot is stuck."""
+    """Nav2's ``SimpleProgressChecker``: a distance within a time, or the robot is stuck."""
 
     RADIUS_M = 0.5
     ALLOWANCE_NS = 10 * SECOND
@@ -68,14 +68,14 @@ class ProgressChecker:
         self._since_ns = 0
 
     def check(self, pose: Pose2D, now_ns: int) -> bool:
-        """Tell whether the robot still gets on."""
+        """Tell whether the robot still makes progress."""
         if self._from is None or pose.distance_to(self._from) > self.RADIUS_M:
             self._from, self._since_ns = pose, now_ns
         return now_ns - self._since_ns <= self.ALLOWANCE_NS
 
 
 class GoalChecker:
-    """Nav2's ``SimpleGoalChecker``, stateful: near once is near enough, then the yaw counts."""
+    """Nav2's ``SimpleGoalChecker``, stateful: once it was near, only the yaw counts."""
 
     XY_TOLERANCE_M = 0.25
     YAW_TOLERANCE_RAD = 0.25
@@ -94,7 +94,7 @@ class _ControllerError(Exception):
 
 
 class ControllerServer(LifecycleNode):
-    """Serves ``/follow_path``; a new goal takes the place of the running one without a stop.
+    """Serves ``/follow_path``; a new goal replaces the running one without a stop.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ class ControllerServer(LifecycleNode):
         self._transformed = self.create_publisher(PATH, "/transformed_global_plan", qos.RELIABLE)
         self._local = self.create_publisher(PATH, "/local_plan", qos.RELIABLE)
         self._debug = DebugTopics(self)
-        # Advertised and silent, as in life (publish_cost_grid_pc is off).
+        # Advertised and silent, as in Nav2 (publish_cost_grid_pc is off).
         self.create_publisher("sensor_msgs/msg/PointCloud2", "/cost_cloud", qos.RELIABLE)
         self.create_subscription(
             "nav_msgs/msg/Odometry", "/odom", self._on_odometry, qos.SYSTEM_SUBSCRIPTION
@@ -198,8 +198,8 @@ class ControllerServer(LifecycleNode):
         self._frame = path.header.frame_id
         self._stamp_ns = stamp_ns(path.header.stamp)
         path_before, self._path = self._path, path_poses(path)
-        # Nav2 forgets with every path, once a second, that the robot was near the goal; see
-        # docs/explanation/navigation.md for what comes of it.
+        # With every path, once a second, Nav2 resets that the robot was near the goal; see
+        # docs/explanation/navigation.md for the effect.
         same_goal = np.array_equal(path_before[-1:], self._path[-1:])
         if not same_goal:
             self._goal_checker = GoalChecker()

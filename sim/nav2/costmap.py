@@ -1,4 +1,4 @@
-"""A grid of costs: its values, how it is read, and the two messages that carry it.
+"""A grid of costs: its values, functions to read it, and its two messages.
 
 What fills the grid is in ``costmap_layers``, the node that publishes it in ``costmap_node``.
 """
@@ -154,7 +154,7 @@ def footprint_cost(grid: Costmap2D, pose: Pose2D, footprint: Points = FOOTPRINT)
 
 
 def occupancies(grid: Costmap2D) -> NDArray[np.int8]:
-    """Return the costs as occupancies of shape (height, width) [%], for people to look at."""
+    """Return the costs as occupancies of shape (height, width) [%], for display."""
     return _OCCUPANCY.take(grid.costs)
 
 

@@ -21,7 +21,7 @@ _TINY = 1e-9  # instead of a length of zero [m]
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What one sensor saw at one moment, in the costmap's frame."""
+    """One measurement of a sensor, in the costmap's frame."""
 
     stamp_ns: int
     x: float  # of the sensor [m]
@@ -30,12 +30,12 @@ class Observation:
 
 
 class ObstacleLayer:
-    """Obstacles that sensors see, and the space they see through.
+    """Obstacles that sensors measure, and the free space in front of them.
 
     Parameters
     ----------
     grid
-        Where the layer lies; only its geometry is used.
+        Geometry of the layer; its costs are not used.
     margin
         Clearing stops this far before what a beam hit [m]: nothing in Nav2's obstacle layer,
         two cells in its voxel layer.
@@ -51,7 +51,7 @@ class ObstacleLayer:
         self._margin = margin
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Clear the layer."""
         self.costs[:] = NO_INFORMATION
 
     def update(
@@ -71,7 +71,7 @@ class ObstacleLayer:
         return ends
 
     def add_to(self, costs: Costs) -> None:
-        """Raise ``costs`` to this layer's where it knows something."""
+        """Raise ``costs`` to those of this layer, except where it is unknown."""
         _raise(costs, self.costs)
 
 
@@ -88,7 +88,7 @@ def _raise(costs: Costs, seen: Costs) -> None:
 def beam_ends(grid: Costmap2D, seen: Observation, margin: float) -> Points:
     """Return how far each beam clears: short of its hit, in range, on the grid, (n, 2) [m]."""
     height, width = grid.costs.shape
-    # A hair inside, so that a beam's end at the far border still has a cell.
+    # Slightly inside, so that the end of a beam at the far border still has a cell.
     right = grid.origin_x + grid.resolution * (width - 1e-6)
     top = grid.origin_y + grid.resolution * (height - 1e-6)
     return _ends(grid.origin_x, grid.origin_y, right, top, seen.x, seen.y, seen.points, margin)

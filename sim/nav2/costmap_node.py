@@ -51,7 +51,7 @@ LOCAL_RESOLUTION = 0.05  # [m]
 
 
 class _ScanSource:
-    """The latest scan of one topic that could be placed in the costmap's frame.
+    """The latest scan of one topic whose transform to the costmap's frame is known.
 
     A scan waits until the transform at its stamp is known. As in Nav2 with persistence 0, the
     latest one stays valid until the next arrives, however old it gets.
@@ -60,11 +60,11 @@ class _ScanSource:
     def __init__(self, frame: str) -> None:
         self.observation: Observation | None = None
         self._frame = frame
-        # Of two scans, the older one's transform is known for sure, once transforms flow.
+        # Of two scans, the transform of the older one is known once transforms arrive.
         self._waiting: deque[Any] = deque(maxlen=2)
 
     def receive(self, scan: Any) -> None:
-        """Take a ``sensor_msgs/msg/LaserScan`` in."""
+        """Store a ``sensor_msgs/msg/LaserScan``."""
         self._waiting.append(scan)
 
     def place(self, transforms: TransformBuffer) -> None:
@@ -84,18 +84,18 @@ class _ScanSource:
 
 
 class CostmapNode(LifecycleNode):
-    """What the local and the global costmap have in common.
+    """Base class of the local and the global costmap.
 
     Parameters
     ----------
     domain
-        Where the node lives.
+        The domain that the node belongs to.
     listener
         Suffix of its transform listener's name.
     scan_topics
         Obstacle sources; their publishers may appear late or never.
     rng
-        Draws how late the update loop wakes up. Nav2 publishes when *more* than a period has
+        Generator for the delay of the update loop. Nav2 publishes when *more* than a period has
         passed, so this decides whether the global costmap goes out after one second or two.
     transforms
         Buffer to share with other listeners; its own if omitted.
@@ -143,7 +143,7 @@ class CostmapNode(LifecycleNode):
         )
         self._occupancy = self.create_publisher(OCCUPANCY_GRID, f"/{label}/costmap", qos.LATCHED)
         self._raw = self.create_publisher(COSTMAP, f"/{label}/costmap_raw", qos.LATCHED)
-        # Silent: always_send_full_costmap is set.
+        # Publishes nothing, because always_send_full_costmap is set.
         self.create_publisher(
             "map_msgs/msg/OccupancyGridUpdate", f"/{label}/costmap_updates", qos.LATCHED
         )
@@ -214,7 +214,7 @@ class CostmapNode(LifecycleNode):
         """Publish what a layer publishes itself at every update, and how far beams cleared."""
 
     def set_grid(self, grid: Costmap2D) -> None:
-        """Start anew on another grid."""
+        """Restart on another grid."""
         self.grid = grid
         self.obstacles = ObstacleLayer(grid, margin=self.clearing_margin)
         self._inflation = InflationLayer(grid.resolution, INSCRIBED_RADIUS, self._inflated_by)
@@ -261,7 +261,7 @@ class CostmapNode(LifecycleNode):
         self._clear_square(around=False)
 
     def _clear_square(self, *, around: bool) -> None:
-        """Forget obstacles in a square around the robot, or everywhere else."""
+        """Clear obstacles in a square around the robot, or everywhere else."""
         pose = self.robot_pose()
         if pose is None:
             return
@@ -279,7 +279,7 @@ class CostmapNode(LifecycleNode):
 class LocalCostmap(CostmapNode):
     """A window of 3 m that rolls with the robot in the odometry frame: voxels and inflation.
 
-    The laser's plane crosses a single level of the voxels, so one cost a column says it all.
+    The laser's plane is in a single level of the voxels, so one cost for each column is enough.
     """
 
     label = "local_costmap"
@@ -303,7 +303,7 @@ class LocalCostmap(CostmapNode):
         return Costmap2D(costs, LOCAL_RESOLUTION, 0.0, 0.0, self.frame)
 
     def follow(self, pose: Pose2D) -> None:
-        """Keep the robot in the middle cell; what leaves the window is forgotten."""
+        """Keep the robot in the middle cell; the costs outside the window are lost."""
         grid = self.grid
         half = LOCAL_SIZE * LOCAL_RESOLUTION / 2.0
         columns, rows = grid.cell(pose.x - half, pose.y - half)

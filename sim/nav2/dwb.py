@@ -1,8 +1,7 @@
 """The DWB local planner: sample velocities, roll each one out, let seven critics choose.
 
-Sampling and rollout are in ``dwb_sampling``, the critics in ``dwb_critics``; here is what is kept
-from cycle to cycle. All of it is Nav2's on Humble. Nothing here knows about topics or actions;
-that is the controller server's part.
+Sampling and rollout are in ``dwb_sampling``, the critics in ``dwb_critics``. This module keeps the
+state between cycles, as Nav2 does on Humble. Topics and actions belong to the controller server.
 """
 
 import math
@@ -19,12 +18,12 @@ from sim.nav2.paths import Poses
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """What one control cycle came to; poses are in the costmap's frame."""
+    """Result of one control cycle; poses are in the costmap's frame."""
 
     twist: tuple[float, float] | None  # [m/s, rad/s]; None if no trajectory is legal
     plan: Poses  # the part of the plan that was followed
     trajectory: Poses  # the rollout of ``twist``
-    scoring: Scoring | None = None  # what the critics were asked; None if they were not
+    scoring: Scoring | None = None  # input of the critics; None if they were not called
 
 
 class LocalPlanner:
@@ -45,9 +44,9 @@ class LocalPlanner:
         self._turns = _Trend()
 
     def set_plan(self, plan: Poses, *, same_goal: bool = False) -> None:
-        """Follow ``plan`` of shape (n, 3) from now on; the critics forget what was.
+        """Follow ``plan`` of shape (n, 3) from now on; and reset the critics.
 
-        On the way to the same goal as before, what they know of the arrival stays.
+        If the goal is the same as before, their state of the arrival is kept.
         """
         self.plan = plan
         self._near_goal &= same_goal
@@ -103,7 +102,7 @@ class LocalPlanner:
         return Cycle((forward, turning) if legal else None, near, rollout, scoring)
 
     def followed(self, pose: Pose2D, grid: CostGrid, from_plan: Pose2D) -> Poses:
-        """Forget what lies behind; return the part to follow, in the costmap's frame."""
+        """Drop the plan behind the robot; return the part to follow, in the costmap's frame."""
         robot = from_plan.inverse().compose(pose)
         reach = max(grid.costs.shape) * grid.resolution / 2.0
         base, turn = self._base, from_plan.yaw
@@ -151,7 +150,7 @@ class LocalPlanner:
 
 
 class _Trend:
-    """The oscillation critic's memory: no turning back and forth on the spot.
+    """State of the oscillation critic, which prevents turning back and forth in place.
 
     The critic also watches driving forth and back, which this robot's limits rule out.
     """
@@ -166,7 +165,7 @@ class _Trend:
         self._flipped_at = Pose2D()
 
     def debrief(self, twist: tuple[float, float], pose: Pose2D) -> None:
-        """Take note of the velocity that was chosen."""
+        """Update the state with the chosen velocity."""
         sign = (twist[1] > 0.0) - (twist[1] < 0.0)
         if sign and abs(twist[0]) <= self.X_ONLY_THRESHOLD:
             if sign == -self._sign:

@@ -1,6 +1,6 @@
-"""DWB's seven critics, and the search for the velocity that they like best.
+"""DWB's seven critics, and the search for the velocity with the lowest score.
 
-As ``dwb_critics`` on Humble. What depends on the end of a trajectory only is asked first.
+As ``dwb_critics`` on Humble. Critics that depend only on the end of a trajectory come first.
 """
 
 import math
@@ -28,7 +28,7 @@ class CostGrid(NamedTuple):
 
 
 class Critics(NamedTuple):
-    """What the critics hold on to while the trajectories of one cycle are scored."""
+    """Inputs of the critics that are constant within one cycle."""
 
     path_distance: NDArray[np.int32]  # cells to the nearest cell of the path, by rows and columns
     goal_x: int  # cell of the last plan pose on the costmap
@@ -44,7 +44,7 @@ class Critics(NamedTuple):
 
 
 class Scoring(NamedTuple):
-    """All that the choice of one cycle is a function of."""
+    """Everything that determines the choice of one cycle."""
 
     parameters: Parameters
     grid: CostGrid
@@ -133,7 +133,7 @@ def obstacle_cost(grid: CostGrid, rollout: Poses) -> int:
 def map_cells(
     parameters: Parameters, grid: CostGrid, critics: Critics, end: NDArray[np.float64]
 ) -> tuple[int, int, int, int]:
-    """Return what the four critics that look at the end of a rollout say [cells].
+    """Return the scores of the four critics of the end of a rollout [cells].
 
     They are goal align, path align (0 where it is off), path dist and goal dist; all are -1 if
     the rollout, or the point in front of the robot, ends outside the costmap.
@@ -145,7 +145,7 @@ def map_cells(
 
 @jit
 def nose(parameters: Parameters, yaw: float) -> tuple[float, float]:
-    """Return where the point in front of the robot is, from the robot [m]."""
+    """Return the position of the point in front of the robot, relative to the robot [m]."""
     distance = parameters.forward_point_distance
     return distance * math.cos(yaw), distance * math.sin(yaw)
 
@@ -178,7 +178,7 @@ def map_score(parameters: Parameters, grid: CostGrid, cells: tuple[int, int, int
 
 @jit
 def rotate_to_goal(parameters: Parameters, critics: Critics, v: float, yaw: float) -> float:
-    """Return what the critic near the goal says: slow down, then face the goal's yaw."""
+    """Return the score near the goal: first for slowing down, then for facing the goal's yaw."""
     if not (critics.slowing or critics.rotating):
         return 0.0
     off = float((critics.goal_yaw - yaw + math.pi) % (2.0 * math.pi) - math.pi)
@@ -205,9 +205,9 @@ def search(
 
     The twist is NaN, and the rollout empty, if there is none.
 
-    The critics ask for the cell in which a rollout ends, which does not take its steps. Only
-    whether the robot hits something on its way does: that is asked of the trajectory with the
-    lowest score, then of the next, until one is legal.
+    The critics need the cell in which a rollout ends, which is computed without its steps. Only the
+    collision test needs the steps. It is made for the trajectory with the lowest score, then for
+    the next, until one is legal.
     """
     rollout = np.empty((_longest(parameters) + 2, 3))
     if critics.goal_x < 0:
@@ -244,7 +244,7 @@ def _totals(
 ) -> NDArray[np.float64]:
     """Return the score of each twist, infinite where the end of its rollout is illegal.
 
-    Forward speeds by turning speeds, in one row. ``rollout`` is room to work in.
+    Forward speeds by turning speeds, in one row. ``rollout`` is a work array.
     """
     totals = np.full(len(forward) * len(turning), math.inf)
     # By turning speed: in how many steps its way is known, that way, and at its end the yaw and

@@ -56,7 +56,7 @@ _MARKER_TAIL = np.array([0, 1, 0, 0, 0, 1, 0, 1, 0, 0, 0, 1, 0, 1, 0, 1, 0, 0, 0
 
 
 class Evaluation(NamedTuple):
-    """Every twist that was tried, in order, and what the critics said of it."""
+    """Every twist that was tried, in order, with the scores of the critics."""
 
     sim_time: float  # of every trajectory [s]
     twists: NDArray[np.float64]  # (n, 2) [m/s, rad/s]
@@ -77,7 +77,7 @@ class DebugTopics:
     Parameters
     ----------
     node
-        Who publishes.
+        The node that publishes.
     """
 
     def __init__(self, node: Node) -> None:
@@ -85,7 +85,7 @@ class DebugTopics:
         self._markers = node.create_publisher(MARKERS, "/marker", qos.RELIABLE)
 
     def publish(self, time_ns: int, frame: str, scoring: Scoring) -> None:
-        """Show one cycle to whoever listens."""
+        """Publish one cycle, on topics with a receiver."""
         evaluation_is_heard, markers_are_heard = (
             self._evaluation.has_receiver(),
             self._markers.has_receiver(),
@@ -103,8 +103,8 @@ class DebugTopics:
 def evaluate(scoring: Scoring) -> Evaluation:
     """Score every trajectory of a cycle as Nav2 does, short circuit included.
 
-    A trajectory is out as soon as its sum is above the best so far: its later critics are not
-    asked. The best is the twist that the planner chose.
+    A trajectory is rejected as soon as its sum is above the best so far, and its later critics are
+    not evaluated. The best is the twist that the planner chose.
     """
     parameters = scoring.parameters
     forward, turning = twists(parameters, scoring.velocity)
@@ -176,9 +176,9 @@ def _score(
     lowest: float,
     raw_scores: NDArray[np.float64],
 ) -> tuple[int, int, float]:
-    """Return which critic refuses a trajectory (-1: none), how many were asked, and its total.
+    """Return which critic refuses a trajectory (-1: none), how many were evaluated, and its total.
 
-    ``raw_scores`` of those that were asked are filled in; ``lowest`` is the best total so far.
+    ``raw_scores`` of those that were evaluated are filled in; ``lowest`` is the best total so far.
     """
     parameters, grid, critics = scoring.parameters, scoring.grid, scoring.critics
     v, w = twist

@@ -1,4 +1,4 @@
-"""The robot's outline as Nav2 sees it: a padded 16-gon around ``base_link``."""
+"""The robot's outline in Nav2: a padded 16-gon around ``base_link``."""
 
 import math
 from typing import Any

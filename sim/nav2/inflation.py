@@ -48,7 +48,7 @@ class InflationLayer:
         costs = np.where(distance <= inscribed_radius, INSCRIBED, np.floor((INSCRIBED - 1) * decay))
         squared = rows**2 + columns**2
         near = squared <= self._reach**2
-        # By the squared distance [cells]; what is no sum of two squares is never asked for.
+        # By the squared distance [cells]; numbers that are no sum of two squares are never used.
         self._costs = np.full(self._reach**2 + 1, FREE_SPACE, np.uint8)
         self._costs[squared[near]] = costs[near]
 

@@ -1,4 +1,4 @@
-"""Managed nodes, the managers that bring them up in order, and the bonds between the two.
+"""Managed nodes, the managers that start them in order, and the bonds between them.
 
 Services here answer with plain values: their messages never reach a topic, so no bag holds them.
 """
@@ -103,15 +103,15 @@ class LifecycleNode(Node):
 
     @property
     def is_active(self) -> bool:
-        """Tell whether the node does its work."""
+        """Tell whether the node is active."""
         return self.state is State.ACTIVE
 
     def is_ready(self) -> bool:
-        """Tell whether what activation waits for is there; Nav2's costmaps block on TF here."""
+        """Tell whether the node can be activated; Nav2's costmaps wait for transforms here."""
         return True
 
     def on_configure(self) -> None:
-        """Make what the node needs before it works."""
+        """Make what the node needs before it is active."""
 
     def on_activate(self) -> None:
         """Start work."""
@@ -184,7 +184,7 @@ class LifecycleManager(Node):
         return self.create_client("lifecycle_msgs/srv/ChangeState", f"{node}/change_state")
 
     def _next(self) -> None:
-        """Ask for the next transition, or be done."""
+        """Request the next transition, or finish."""
         if not self._todo:
             self.is_active = True
             self.info("Managed nodes are active")
@@ -213,4 +213,4 @@ def _state_message(state: State) -> object:
 
 
 def _nothing(_request: object) -> None:
-    """Answer a service that is offered, as in life, but that nobody here calls."""
+    """Answer a service that is offered, as in Nav2, but that nobody here calls."""

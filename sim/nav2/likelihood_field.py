@@ -1,7 +1,7 @@
-"""How well a laser scan fits a map: AMCL's likelihood field.
+"""AMCL's likelihood field: how well a laser scan fits a map.
 
-The field depends on the map alone, so it is computed once; weighing a particle is a look-up and
-an addition a beam.
+The field depends on the map alone, so it is computed once; weighing a particle takes a look-up and
+an addition for each beam.
 """
 
 import math

@@ -15,7 +15,7 @@ from sim.nav2.lifecycle import LifecycleNode
 
 @dataclass(frozen=True, slots=True)
 class OccupancyMap:
-    """What is known about the floor, in the map frame."""
+    """An occupancy map, in the map frame."""
 
     data: NDArray[np.int8]  # (height, width): 0 free, 100 occupied, -1 unknown
     resolution: float  # edge of a cell [m]
@@ -28,9 +28,9 @@ class MapServer(LifecycleNode):
     Parameters
     ----------
     domain
-        Where the node lives.
+        The domain that the node belongs to.
     maps
-        What ``load_map`` may ask for, by name.
+        The maps that ``load_map`` can load, by name.
     name
         The map to begin with.
     """

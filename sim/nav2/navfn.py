@@ -1,4 +1,4 @@
-"""NavFn: a wavefront of travel costs from the start over a costmap, and the way back down it.
+"""NavFn: a wavefront of travel costs over a costmap, and the descent along it.
 
 Cost translation, interpolation between cells and the half-cell descent are those of Nav2's NavFn
 planner with Dijkstra's expansion and unknown space allowed. Action and topic are in
@@ -182,7 +182,7 @@ def wavefront(
 
 @jit
 def _descend(potential: Cells, column: int, row: int, start_column: int, start_row: int) -> Points:
-    """Return the way down the potential to the start, shape (n, 2): column, row; empty if stuck.
+    """Return the descent to the start, shape (n, 2): column, row; empty if stuck.
 
     A step follows the gradient between the four cells around. Beside a cell that was never
     reached, where there is no gradient, and where steps repeat, it goes to the lowest neighbour.

@@ -22,7 +22,7 @@ class Settings:
 
 
 class Setting(NamedTuple):
-    """One parameter: where its value is, and which values it may have."""
+    """One parameter: the field with its value, and its bounds."""
 
     part: str  # field of `Settings`
     field: str  # of that
@@ -30,7 +30,7 @@ class Setting(NamedTuple):
     high: float
 
     def checked(self, name: str, value: float) -> float:
-        """Return a value as the parameter has it.
+        """Return a value converted to the parameter's type.
 
         Raises
         ------
@@ -102,7 +102,7 @@ def settings(*, stock: bool, given: Mapping[str, float]) -> Settings:
     stock
         As Nav2 ships them, or tuned to narrow gaps.
     given
-        Values that are to be others, by the full names of `PARAMETERS`.
+        Values to use instead, by the full names of `PARAMETERS`.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """AMCL's particle filter: poses that move with odometry and survive by how well scans fit.
 
 The motion model is the differential one, resampling is multinomial with KLD-adapted size, as in
-Nav2. Maps and scans come in as a `LikelihoodField`'s weights; messages are the node's business.
+Nav2. Maps and scans come in as a `LikelihoodField`'s weights; the node handles messages.
 """
 
 import math
@@ -25,8 +25,8 @@ _ALPHA = 0.2  # alpha1 to alpha4 of the motion model
 def kld_limits() -> NDArray[np.int64]:
     """Return how many particles are enough for k occupied bins, by k from 0 to the maximum.
 
-    With one bin or none the maximum is asked for: a filter that has converged tightly never
-    shrinks, which is AMCL's way.
+    With one bin or none, the result is the maximum. So a filter that has converged to one bin does
+    not shrink, as in AMCL.
     """
     k = np.arange(2, MAX_PARTICLES + 1)
     b = 2.0 / (9.0 * (k - 1))
@@ -62,7 +62,7 @@ class ParticleFilter:
         self.weights = np.full(len(poses), 1.0 / len(poses))
 
     def move(self, before: Pose2D, after: Pose2D) -> None:
-        """Move every particle as odometry says, each with its own slip.
+        """Move every particle by the odometry, each with a slip of its own.
 
         Parameters
         ----------
@@ -97,7 +97,7 @@ class ParticleFilter:
         self.weights = weights / weights.sum()
 
     def resample(self) -> None:
-        """Draw a new generation by weight, as large as the spread of the draws asks for."""
+        """Resample by weight, to a size that depends on the spread of the samples."""
         cumulative = np.cumsum(self.weights)
         draws = self._rng.random(MAX_PARTICLES) * cumulative[-1]
         chosen = np.searchsorted(cumulative, draws, side="right")
@@ -147,7 +147,9 @@ def _joined(bins: NDArray[np.int64]) -> NDArray[np.int64]:
     Clusters are numbered by their first bins.
     """
     cluster = np.full(len(bins), -1, np.int64)
-    reached = np.empty(len(bins), np.int64)  # bins of the cluster at hand, to look around from
+    reached = np.empty(
+        len(bins), np.int64
+    )  # bins of the current cluster whose neighbours are still to be visited
     count = 0
     for first in range(len(bins)):
         if cluster[first] >= 0:

@@ -1,7 +1,7 @@
-"""Paths as arrays, as ``nav_msgs/msg/Path``, and straight as CDR.
+"""Paths as arrays, as ``nav_msgs/msg/Path``, and as CDR bytes.
 
 A path has up to some hundred poses and goes out at 20 Hz, so ``path_bytes`` lays it out as an
-array instead of building and serialising one object a pose.
+array instead of building and serialising an object for each pose.
 """
 
 import functools
@@ -38,7 +38,7 @@ def path_poses(path: Any) -> Poses:
 
 
 class _StampedPoses(Sequence[Any]):
-    """The poses of a path message, each of which becomes an object when somebody reads it.
+    """The poses of a path message, each of which becomes an object when it is read.
 
     Servers and clients of this process take paths as arrays, so most poses never do.
     """
@@ -72,7 +72,7 @@ def _through_quaternions(poses: Poses) -> Poses:
 
 
 def path_bytes(time_ns: int, frame: str, poses: Poses) -> bytes:
-    """Return what ``serialize(path_message(...))`` returns, much sooner."""
+    """Return what ``serialize(path_message(...))`` returns, in less time."""
     words = _path_words(*divmod(time_ns, 1_000_000_000), _header(frame), poses)
     return CDR_LITTLE_ENDIAN + words.tobytes()
 

@@ -27,7 +27,7 @@ _POSE_ACTION = "nav2_msgs/action/ComputePathToPose"
 _POSES_ACTION = "nav2_msgs/action/ComputePathThroughPoses"
 _PoseResult = message_class(f"{_POSE_ACTION}_Result")
 _PosesResult = message_class(f"{_POSES_ACTION}_Result")
-_WAIT_NS = 10 * MILLISECOND  # between looks whether a cleared costmap is current again
+_WAIT_NS = 10 * MILLISECOND  # period of the tests whether a cleared costmap is current again
 
 Poses = NDArray[np.float64]  # shape (n, 3): x [m], y [m], yaw [rad]
 
@@ -38,7 +38,7 @@ class PlannerServer(LifecycleNode):
     Parameters
     ----------
     domain
-        Where the node lives.
+        The domain that the node belongs to.
     costmap
         The global costmap; it is configured and activated together with this node.
     latency_ns
@@ -83,7 +83,7 @@ class PlannerServer(LifecycleNode):
         return take
 
     def _serve(self, handle: GoalHandle, goals: list[Any], result: type[Any]) -> None:
-        """Plan as soon as the costmap is fit to plan on, unless the goal is over by then."""
+        """Plan as soon as the costmap is current, unless the goal has ended by then."""
         if handle.status is not Status.EXECUTING:
             return
         if not self._costmap.is_current:

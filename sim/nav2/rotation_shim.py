@@ -1,4 +1,4 @@
-"""The rotation shim: turn towards a new path on the spot before the local planner drives off.
+"""The rotation shim: turn in place towards a new path before the local planner drives.
 
 As ``nav2_rotation_shim_controller`` on Humble, around DWB. Without it DWB swings out while it
 turns, and a robot that swings out between the pillars of this world ends beside one, where the
@@ -27,8 +27,8 @@ class ShimParameters(NamedTuple):
 class RotationShim(LocalPlanner):
     """DWB that first faces each new path, turning as fast as DWB may.
 
-    The footprint is a circle, so turning on the spot needs no look at the costmap; the velocity
-    smoother sees to the acceleration.
+    The footprint is a circle, so turning in place needs no collision test. The velocity smoother
+    limits the acceleration.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class RotationShim(LocalPlanner):
         return super().compute(grid, pose, velocity, from_plan)
 
     def _heading_error(self, robot: Pose2D, plan: Poses) -> float:
-        """Return the bearing of the path a little ahead; 0 if the path ends before that."""
+        """Return the bearing of the path at the look-ahead distance; 0 if the path ends before."""
         distances = np.hypot(plan[:, 0] - robot.x, plan[:, 1] - robot.y)
         closest = int(np.argmin(distances)) if len(plan) else 0
         ahead = np.flatnonzero(distances[closest:] >= self._shim.forward_sampling_distance)

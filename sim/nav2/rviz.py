@@ -1,4 +1,4 @@
-"""RViz with Nav2's default view: it is in the graph, but silent, as without clicks."""
+"""RViz with Nav2's default view: in the graph, but without messages, as if no one clicks."""
 
 from sim.middleware import qos
 from sim.middleware.action import ActionClient
@@ -32,12 +32,12 @@ _DISPLAYS = (
 
 
 class RViz(Node):
-    """The window: listens to what the default view shows.
+    """The window, which subscribes to the topics of the default view.
 
     Parameters
     ----------
     domain
-        Where the node lives.
+        The domain that the node belongs to.
     """
 
     def __init__(self, domain: Domain) -> None:
@@ -64,7 +64,7 @@ class NavigationDialog(Node):
     Parameters
     ----------
     domain
-        Where the node lives.
+        The domain that the node belongs to.
     """
 
     def __init__(self, domain: Domain) -> None:

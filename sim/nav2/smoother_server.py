@@ -21,7 +21,7 @@ _Result = message_class(f"{_ACTION}_Result")
 
 DATA_WEIGHT = 0.2  # pull towards the original path
 SMOOTH_WEIGHT = 0.3  # pull towards the middle between the neighbours
-REFINEMENTS = 4  # times that what was smoothed is smoothed again (do_refinement)
+REFINEMENTS = 4  # number of further passes (do_refinement)
 
 
 class SmootherServer(LifecycleNode):
@@ -30,7 +30,7 @@ class SmootherServer(LifecycleNode):
     Parameters
     ----------
     domain
-        Where the node lives.
+        The domain that the node belongs to.
     listener
         Suffix of its transform listener's name.
     transforms
@@ -52,7 +52,7 @@ class SmootherServer(LifecycleNode):
         self._costmap: Any = None  # the latest nav2_msgs/msg/Costmap
 
     def on_configure(self) -> None:
-        """Listen to the global costmap and offer the action."""
+        """Subscribe to the global costmap and offer the action."""
         self._smoothed = self.create_publisher(PATH, "/plan_smoothed", qos.RELIABLE)
         self.create_subscription(
             "nav2_msgs/msg/Costmap", "/global_costmap/costmap_raw", self._on_costmap, qos.LATCHED
@@ -90,8 +90,8 @@ def smooth(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the path that Nav2's simple smoother converges to; the ends stay where they are.
 
     Its sweeps move every point until the pull of the original and that of the neighbours cancel
-    out, so their result is the solution of a tridiagonal system; each refinement takes it for the
-    original.
+    out, so their result is the solution of a tridiagonal system; each refinement begins with
+    it.
 
     Parameters
     ----------

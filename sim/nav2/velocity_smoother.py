@@ -13,7 +13,7 @@ VELOCITY_TIMEOUT_NS = 1 * SECOND
 
 
 class Limits(NamedTuple):
-    """What one component of the velocity may do (m and s, or rad and s)."""
+    """Limits of one component of the velocity (m and s, or rad and s)."""
 
     low: float
     high: float
@@ -21,7 +21,7 @@ class Limits(NamedTuple):
     deceleration: float  # negative
 
     def scaled(self, speed: float) -> "Limits":
-        """Return the limits of a slower robot that speeds up and slows down as well as this one."""
+        """Return the limits of a slower robot with the same accelerations."""
         return self._replace(low=speed * self.low, high=speed * self.high)
 
 

@@ -30,7 +30,7 @@ _POINT_STEP = 12  # bytes of three float32
 
 
 class VoxelGrids:
-    """``nav2_msgs/msg/VoxelGrid``: per level, bits z and z + 16 say what is known.
+    """``nav2_msgs/msg/VoxelGrid``: bits z and z + 16 hold the state of level z.
 
     Both set: marked. The lower one alone: unknown. None: free.
 

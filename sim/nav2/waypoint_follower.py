@@ -53,7 +53,7 @@ class WaypointFollower(LifecycleNode):
             self._end(goal.abort)
 
     def _cycle(self, goal: GoalHandle) -> None:
-        """Send the robot to the waypoint whose turn it is, or look how it gets on."""
+        """Send the robot to the next waypoint, or check its progress."""
         if goal is not self._goal:
             return
         if goal.status is Status.CANCELING:
@@ -72,7 +72,7 @@ class WaypointFollower(LifecycleNode):
         self.call_later(wait_ns, self._cycle, goal)
 
     def _arrive(self, status: Status) -> int:
-        """Note how a drive ended and turn to the next waypoint; return when [ns from now]."""
+        """Record how a drive ended and choose the next waypoint; return when [ns from now]."""
         reached = status is Status.SUCCEEDED
         if not reached:
             self._missed.append(self._index)

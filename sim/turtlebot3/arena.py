@@ -1,7 +1,7 @@
-"""An arena: what stands where, as geometry; and the turtlebot3_world as the first of them.
+"""Arenas as geometry, of which turtlebot3_world is the first.
 
-Metres in the world frame (x right, y up, seen from above). Further arenas are drawn in
-``floor_plans``; physics and rays are in ``world``, the map that a robot would have made in ``map``.
+Coordinates are metres in the world frame (x right, y up, seen from above). ``floor_plans`` draws
+further arenas, ``world`` has physics and rays, and ``map`` the map that SLAM would have made.
 """
 
 import functools
@@ -41,7 +41,7 @@ class Hexagon:
         return self.circumradius, self.apothem
 
     def slabs(self) -> Points:
-        """Return the strips that it is the intersection of, as `Box.slabs` does."""
+        """Return the strips whose intersection it is, as `Box.slabs` does."""
         angles = (math.pi / 6, math.pi / 2, 5 * math.pi / 6)
         return np.array([(math.cos(a), math.sin(a), self.apothem) for a in angles])
 
@@ -54,7 +54,8 @@ class Hexagon:
 
     def signed_distance(self, points: Points) -> NDArray[np.float64]:
         """Return how far points of shape (n, 2) are outside; negative inside [m]."""
-        # By symmetry every point is seen in the first quadrant, before the nearer of two sides.
+        # By symmetry, every point is moved to the first quadrant, in front of the nearer of two
+        # sides.
         x, y = np.abs(points[:, 0] - self.x), np.abs(points[:, 1] - self.y)
         slope_x, slope_y = math.sqrt(3.0) / 2.0, 0.5
         to_slope = slope_x * x + slope_y * y
@@ -87,7 +88,7 @@ class Box:
         return c * self.half_x + s * self.half_y, s * self.half_x + c * self.half_y
 
     def slabs(self) -> Points:
-        """Return the strips that it is the intersection of, shape (3, 3).
+        """Return the strips whose intersection it is, shape (3, 3).
 
         Each has the x and y of its unit normal and half its width [m]; the last one is everywhere.
         """
@@ -149,17 +150,17 @@ Block: TypeAlias = Hexagon | Box
 
 @dataclass(frozen=True, slots=True)
 class Arena:
-    """What a robot drives in; an arena without obstacles is its boundary alone."""
+    """The boundary and the obstacles that a robot drives among; obstacles may be missing."""
 
     kind: ArenaKind
-    seed: int  # what it was drawn from; 0 where nothing is drawn
-    boundary: Block  # the inside of the wall around
+    seed: int  # seed that it was drawn from; 0 if nothing is drawn
+    boundary: Block  # inner face of the outer wall
     blocks: tuple[Block, ...]
     pillars: tuple[Cylinder, ...]
 
     @property
     def id(self) -> str:
-        """Kind and seed: equal for equal arenas, but for one that was mirrored."""
+        """Kind and seed, which identify an arena that is not mirrored."""
         return f"{self.kind}-{self.seed}"
 
     def clearance(self, points: Points) -> NDArray[np.float64]:

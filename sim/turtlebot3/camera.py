@@ -1,7 +1,8 @@
 """The depth camera: Gazebo's driver of the r200, as a node.
 
-Without a rendering context Gazebo's camera advertises its topics and stays silent; so does this
-one unless it is given eyes. Frame, sizes, rates and encodings are those of Humble's Waffle.
+Without a rendering context, Gazebo's camera advertises its topics and publishes nothing. This one
+does the same unless it gets a function that renders. Frame, sizes, rates and encodings are those of
+Humble's Waffle.
 """
 
 import math
@@ -29,7 +30,7 @@ _RegionOfInterest = message_class("sensor_msgs/msg/RegionOfInterest")
 
 FRAME = "camera_depth_frame"  # turned as an optical frame: x right, y down, z forward
 PERIOD_NS = 200 * MILLISECOND
-_PHASE_NS = 160 * MILLISECOND  # it fires at a moment of its own, like the other sensors
+_PHASE_NS = 160 * MILLISECOND  # phase of its own, like the other sensors
 
 WIDTH, HEIGHT = 320, 240  # [pixels]
 HORIZONTAL_FIELD_OF_VIEW = 1.047  # [rad]
@@ -46,15 +47,15 @@ Look = Callable[[NDArray[np.float64], float], View]
 
 
 class DepthCamera(Node):
-    """Colour, depth and points of what is ahead, 5 times a second, for whoever listens.
+    """Publishes colour, depth and points, 5 times a second, for topics that have a receiver.
 
     Parameters
     ----------
     domain
-        Where the node lives.
+        The domain that the node belongs to.
     look
-        What is seen along unit vectors of shape (n, 3), x forward, y left, z up, up to a distance
-        [m]; None for a camera without a rendering context, which is silent.
+        Returns what is visible along unit vectors of shape (n, 3), x forward, y left, z up, up to a
+        distance [m]; None for a camera without a rendering context, which publishes nothing.
     """
 
     def __init__(self, domain: Domain, look: Look | None = None) -> None:
@@ -94,7 +95,7 @@ class DepthCamera(Node):
 
 
 def add_depth_camera(domain: Domain, world: World, *, renders: bool) -> None:
-    """Put the camera into a domain; without ``renders`` it advertises and stays silent."""
+    """Add the camera to a domain; without ``renders`` it advertises, but publishes nothing."""
     by_name = {mount.child: mount for mount in frames.STATIC}
     camera, link, base = (by_name[name].xyz for name in (FRAME, "camera_link", "base_link"))
     x, y, height = (sum(offsets) for offsets in zip(camera, link, base, strict=True))
@@ -126,7 +127,7 @@ def in_depth_range(depth: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def camera_info(stamped: Any) -> Any:
-    """Return the calibration: a pinhole without distortion, centred as the driver says."""
+    """Return the calibration: a pinhole without distortion, centred as in the driver."""
     f, cx, cy = FOCAL_LENGTH, (WIDTH + 1) / 2.0, (HEIGHT + 1) / 2.0
     return _CameraInfo(
         stamped,
@@ -154,7 +155,7 @@ def _point_cloud(
     depth: NDArray[np.float32],
     colours: NDArray[np.uint8],
 ) -> Any:
-    """Return the points, organised as the image; one out of range has its depth thrice."""
+    """Return the points in the order of the pixels; out of range, x, y and z are the depth."""
     record = np.zeros((len(depth), _POINT_STEP // 4), np.float32)
     record[:, :3] = np.where(np.isfinite(depth)[:, None], pixels * depth[:, None], depth[:, None])
     rgb = colours.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)

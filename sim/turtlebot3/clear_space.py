@@ -1,7 +1,7 @@
-"""Whether the robot is clear of every piece of the world, so that it can touch none.
+"""Tests whether the robot is so far from all pieces of the world that it can touch none.
 
-The robot fits into a ball around a point of its body, however it is tilted: where the ball's
-shadow on the floor meets no piece, there is no contact but with the floor.
+The robot fits into a ball around a point of its body, whatever its tilt. Where the ball's vertical
+projection meets no piece, the robot can touch only the floor.
 """
 
 import math
@@ -25,9 +25,9 @@ class ClearSpace:
     Parameters
     ----------
     arena
-        The wall around, and what stands in it.
+        The outer wall and the obstacles inside.
     obstacles
-        What stands in it besides.
+        Additional obstacles.
     """
 
     def __init__(self, arena: Arena, obstacles: Sequence[Cylinder] = ()) -> None:
@@ -75,7 +75,7 @@ def _all_clear(
 
 @jit
 def _beyond(x: float, y: float, block: NDArray[np.float64]) -> float:
-    """Return how far a point is outside the slab of a block that it is farthest from."""
+    """Return the distance of a point from the slab of a block that is farthest from it [m]."""
     out = -np.inf
     for i in range(2, 11, 3):
         along = block[i] * (x - block[0]) + block[i + 1] * (y - block[1])

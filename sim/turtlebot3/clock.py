@@ -1,4 +1,4 @@
-"""Gazebo itself, as a node: the clock and the simulator's performance."""
+"""The node of Gazebo's server: the clock and the simulator's performance."""
 
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
@@ -19,14 +19,14 @@ METRICS_NS = 200 * MILLISECOND
 
 
 class Gazebo(Node):
-    """The server: ``/clock`` and its own performance."""
+    """Gazebo's server, which publishes ``/clock`` and its own performance."""
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain, "/gazebo")
         self._clock = self.create_publisher(_CLOCK, "/clock", qos.CLOCK)
         self._metrics = self.create_publisher(_METRICS, "/performance_metrics")
         self._time = Template(_Clock(time_message(0)), _CLOCK, ("clock.sec", "clock.nanosec"))
-        # Simulated time knows nothing of the real time it took.
+        # The real time that the simulation takes is not available in simulated time.
         metrics = _PerformanceMetrics(header(0, ""), 1.0, [])
         self._performance = Template(metrics, _METRICS, STAMP)
         self.create_timer(CLOCK_NS, self._tick)

@@ -1,7 +1,8 @@
 """Draws a run on the TurtleBot3 testbed from the campaign's seed.
 
-Run i of every mode belongs to block i: same arena, start, goals, fake object and session, so that a
-mode and its control differ in the mode only, and in noise where the campaign draws it for each run.
+Run i of every mode belongs to block i, with the same arena, start, goals, fake object and session.
+So a mode and its control differ only in the mode, and in noise if the campaign draws it for each
+run.
 """
 
 import functools
@@ -42,9 +43,9 @@ from sim.turtlebot3.sessions import draw_session
 
 MIN_CLEARANCE_M = 0.55  # of start and goals from every obstacle; see docs/explanation/navigation.md
 MIN_LEG_M = 1.5  # straight distance from one goal to the next
-# How much nearer a path must come, along the axes, to the end of what the controller sees of it,
-# for each metre driven. DWB measures that distance through walls: where a path first leads away,
-# as in a turn around the end of a wall, the robot stays where it is.
+# By how much, for each metre driven, a path must come nearer to the end of the part that the
+# controller sees, measured along the axes. DWB measures that distance through walls. Where a path
+# first leads away, as in a turn around the end of a wall, the robot does not move.
 MIN_APPROACH = 0.2
 _SEEN_M = 1.5  # half a side of the local costmap
 _FOLLOWED_M = Parameters().forward_prune_distance
@@ -103,7 +104,10 @@ def _nav2(arena: Arena, options: Options) -> Navigation:
 
 
 def can_be_followed(path: NDArray[np.float64]) -> bool:
-    """Tell whether a path of shape (n, 2) in the map frame leads on everywhere (`MIN_APPROACH`)."""
+    """Tell whether the controller can follow a path of shape (n, 2) in the map frame.
+
+    See `MIN_APPROACH`.
+    """
     driven = np.concatenate([[0.0], np.hypot(*np.diff(path, axis=0).T).cumsum()])
     for i in range(0, len(path), 4):
         ahead = driven[i:] - driven[i]
@@ -119,7 +123,7 @@ def can_be_followed(path: NDArray[np.float64]) -> bool:
 
 
 def _draw_free_pose(rng: np.random.Generator, arena: Arena) -> Pose2D:
-    """Draw a pose in the map frame that keeps clear of everything."""
+    """Draw a pose in the map frame that is clear of all obstacles."""
     reach = max(arena.boundary.reach)
     while True:
         x, y = rng.uniform(-reach, reach, 2).tolist()
@@ -130,10 +134,10 @@ def _draw_free_pose(rng: np.random.Generator, arena: Arena) -> Pose2D:
 def _draw_fake_object(
     rng: np.random.Generator, legs: list[NDArray[np.float64]], stops: list[Pose2D]
 ) -> FakeObject:
-    """Draw a cylinder on the path of a late leg, whatever way around it that leaves.
+    """Draw a cylinder on the path of a late leg, even if it blocks every way around.
 
-    It keeps clear of where the robot must start and stop; where the legs leave no such place, it
-    stands as far from those poses as they do.
+    It is clear of the poses where the robot must start and stop. If the legs leave no such place,
+    it is as far from those poses as they allow.
     """
     late = legs[min(_FIRST_LATE_LEG, len(legs) - 1) :]
     on_path = np.concatenate([leg[int(0.3 * len(leg)) : int(0.7 * len(leg)) + 1] for leg in late])
@@ -151,7 +155,7 @@ def path_length(path: NDArray[np.float64]) -> float:
 
 @functools.lru_cache(maxsize=8)  # see `occupancy_map`
 def planning_grid(arena: Arena) -> Costmap2D:
-    """Return the global costmap of an arena with nothing in it that is on no map."""
+    """Return the global costmap of an arena, without obstacles that are on no map."""
     world = occupancy_map(arena)
     costs = static_costs(world.data)
     InflationLayer(
@@ -168,7 +172,7 @@ def draw(
     Parameters
     ----------
     mode, run, campaign
-        Which run, of what.
+        Mode, number and campaign of the run.
     parameters
         Values of the scenario's parameters, in place of what the block has drawn or the default.
 
@@ -206,7 +210,7 @@ def draw(
 
 
 def _drawn(block: Block, options: Options) -> dict[str, float]:
-    """Return what scenarios may ask of a block; a node knows the odometry frame only."""
+    """Return the properties of a block that scenarios may use, in the odometry frame."""
     there = block.fake_object
     odom = odom_in_map(options.odometry_source, block.start)
     seen = odom.inverse().compose(Pose2D(there.x, there.y))

@@ -31,7 +31,7 @@ _Vector3 = message_class("geometry_msgs/msg/Vector3")
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 _ODOMETRY = "nav_msgs/msg/Odometry"
 
-# Of the diff drive's pose and of its twist: x, y and yaw, as good as the plugin says they are.
+# Of the diff drive's pose and twist: x, y and yaw, with the covariances of the plugin.
 _ODOMETRY_COVARIANCE = np.diag([1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3]).ravel()
 _ODOMETRY_COVARIANCE.setflags(write=False)
 
@@ -42,10 +42,11 @@ _CLOSE_ENOUGH = 0.01  # wheel speeds this close to their target are set to it [m
 
 
 class DiffDrivePlugin(Node):
-    """``/cmd_vel`` in; wheel speeds, ``/odom`` and ``odom -> base_footprint`` out.
+    """Turns ``/cmd_vel`` into wheel speeds; publishes ``/odom`` and ``odom -> base_footprint``.
 
-    The last command is held for ever, and each update moves the wheels' set-points by at most the
-    acceleration's share. Odometry comes from one of the plugin's two sources (`wheel_odometry`).
+    The last command is held until the next one. Each update changes the set-points of the wheels by
+    at most the acceleration times the period. Odometry comes from one of the plugin's two sources
+    (`wheel_odometry`).
     """
 
     def __init__(
@@ -109,7 +110,7 @@ def _odom_transform(time_ns: int, pose: Pose2D) -> Any:
 
 
 def next_set_point(now: tuple[float, float], target: tuple[float, float]) -> tuple[float, float]:
-    """Return the wheels' next set-points [m/s], as Gazebo's diff drive moves them."""
+    """Return the next set-points of the wheels [m/s], as Gazebo's diff drive computes them."""
     (left, right), (to_left, to_right) = now, target
     if abs(to_left - left) < _CLOSE_ENOUGH and abs(to_right - right) < _CLOSE_ENOUGH:
         return target

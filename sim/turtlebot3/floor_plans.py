@@ -1,7 +1,7 @@
-"""Draws arenas: a house with furniture, and floors of rooms, pillars and clutter without a pattern.
+"""Draws arenas: a house with furniture, and random floors of rooms, pillars and clutter.
 
-A piece is only put where it closes no passage and leaves none narrow: a gap that the planner would
-lead the robot through, and the collision monitor would stop it in, is never made.
+A piece is placed only where it closes no passage and makes none narrow. So there is no gap through
+which the planner leads the robot, and in which the collision monitor stops it.
 """
 
 import math
@@ -18,12 +18,12 @@ from sim.turtlebot3.arena import HEXAGON, Arena, ArenaKind, Block, Box, Cylinder
 KINDS: tuple[ArenaKind, ...] = ("hexagon", "house", "random")  # in the order of the rotation
 
 MIN_DOOR_M, MAX_DOOR_M = 1.0, 1.4
-MIN_PASSAGE_M = 0.9  # between any two things that the robot can get between
+MIN_PASSAGE_M = 0.9  # between any two obstacles with a passage between them
 _CELL_M = 0.05  # of the grid on which passages are measured
 _WALL_HALF_M = 0.06  # half the thickness of a wall between rooms
-_BESIDE_DOOR_M = 0.2  # of wall, at least, to either side of a door
+_BESIDE_DOOR_M = 0.2  # smallest length of wall on both sides of a door
 _INTO_WALL_M = 0.02  # furniture at a wall reaches into it: no slot is left
-_DRAWS = 20  # of a place for one piece
+_DRAWS = 20  # to find a place for one piece
 
 _HOUSE = (3.7, 2.8)  # half the length and width of the house [m]
 _HOUSE_DOOR_M = 0.96
@@ -70,7 +70,7 @@ class _Floor:
         self._groups = 1  # of obstacles with passages between them
 
     def put(self, draw: Callable[P, Piece | list[Box]], *of: P.args, **named: P.kwargs) -> bool:
-        """Put what is drawn, if one of the draws fits in; tell whether it did."""
+        """Place a drawn piece, if one of the draws fits; return whether one did."""
         for _ in range(_DRAWS):
             drawn = draw(*of, **named)
             pieces = drawn if isinstance(drawn, list) else [drawn]
@@ -85,7 +85,7 @@ class _Floor:
         return False
 
     def arena(self, kind: ArenaKind, seed: int) -> Arena:
-        """Return what stands there."""
+        """Return the pieces on the floor."""
         return Arena(kind, seed, self.boundary, tuple(self.blocks), tuple(self.pillars))
 
 
@@ -152,7 +152,7 @@ def _random(seed: int, rng: np.random.Generator) -> Arena:
 
 
 def _divided(floor: _Floor, rng: np.random.Generator, room: Room, depth: int) -> Iterator[Room]:
-    """Divide a room by walls with a door each; yield the rooms that it becomes."""
+    """Divide a room by walls, each with a door; yield the resulting rooms."""
     size = (room.x_max - room.x_min, room.y_max - room.y_min)
     along = "y" if size[0] > size[1] else "x"  # the wall crosses the longer side
     low, high = (room.x_min, room.x_max) if along == "y" else (room.y_min, room.y_max)
@@ -188,7 +188,7 @@ def _wall(
     doors: tuple[float, ...],
     width: float,
 ) -> list[Box]:
-    """Return the parts of a wall along an axis, which the doors leave between them."""
+    """Return the parts of a wall along an axis between its doors."""
     edges = [ends[0], *(door + side * width / 2.0 for door in doors for side in (-1, 1)), ends[1]]
     parts = []
     for number, (begin, end) in enumerate(zip(edges[::2], edges[1::2], strict=True)):

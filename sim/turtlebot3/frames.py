@@ -1,4 +1,4 @@
-"""Where the robot's parts are: the static transforms, the wheels' mounts, and the URDF of both.
+"""Positions of the robot's parts: static transforms, mounts of the wheels, and the URDF of both.
 
 Parents, offsets [m] and roll, pitch, yaw [rad] are those of Nav2's Humble Waffle; the two sensors
 that the thesis added are the last rows.

@@ -1,8 +1,8 @@
-"""The map of an arena, as an occupancy grid, and what lies where in it.
+"""The map of an arena as an occupancy grid, and the frames in it.
 
-As the map that Nav2 ships for the turtlebot3_world, which was made by SLAM: walls are one or two
-cells thick, what no ray reached is unknown, and the whole is turned and shifted a little against
-the world. Figures: docs/explanation/world.md.
+It resembles the map that Nav2 ships for turtlebot3_world, which was made by SLAM: walls are one or
+two cells thick, cells that no ray reached are unknown, and the map is rotated and shifted slightly
+against the world. Figures: docs/explanation/world.md.
 """
 
 import functools
@@ -26,11 +26,11 @@ FREE, OCCUPIED, UNKNOWN = 0, 100, -1  # nav_msgs/msg/OccupancyGrid
 # The bias of the original, fitted over its nine cylinders.
 WORLD_IN_MAP = Pose2D(0.030, -0.002, math.radians(-1.05))
 
-# SLAM smears a wall over the cells whose centres lie this far in front of and behind its surface.
+# SLAM marks a wall in all cells whose centres are this far in front of and behind its surface.
 _BEFORE_M, _BEHIND_M = 0.025, 0.065
 
 
-# A campaign goes through its arenas block by block.
+# A campaign uses its arenas block by block.
 @functools.lru_cache(maxsize=8)
 def occupancy_map(arena: Arena) -> OccupancyMap:
     """Return the map of an arena without additional obstacles; treat it as read-only."""
@@ -51,7 +51,7 @@ def occupancy_map(arena: Arena) -> OccupancyMap:
 
 
 def _extent(arena: Arena) -> tuple[tuple[float, float], tuple[int, int]]:
-    """Return the outer corner of cell (0, 0) [m], and how many cells there are along x and y."""
+    """Return the outer corner of cell (0, 0) [m], and the numbers of cells along x and y."""
     if arena.kind == "hexagon":  # as in the original, most of which is unknown
         return (ORIGIN_M, ORIGIN_M), (CELLS, CELLS)
     reach = np.array(arena.boundary.reach) + MARGIN_M
@@ -62,7 +62,7 @@ def _extent(arena: Arena) -> tuple[tuple[float, float], tuple[int, int]]:
 
 
 def _widened(cells: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
-    """Return the cells with at least one of ``cells`` in the square of so many cells around."""
+    """Return the cells that have one of ``cells`` within so many cells along both axes."""
     height, width = cells.shape
     padded = np.pad(cells, reach)
     rows = np.logical_or.reduce([padded[i : i + height] for i in range(2 * reach + 1)])
@@ -73,7 +73,7 @@ def _widened(cells: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
 
 
 def odom_in_map(source: OdometrySource, start: Pose2D) -> Pose2D:
-    """Return where the odometry frame is in the map frame while odometry has not drifted yet.
+    """Return the pose of the odometry frame in the map frame before odometry has drifted.
 
     Parameters
     ----------

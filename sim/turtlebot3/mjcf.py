@@ -1,7 +1,7 @@
 """The world's pieces and the Waffle as MJCF, MuJoCo's format.
 
-Masses and sizes of the robot are those of Nav2's Humble ``waffle.model``; where the pieces of the
-world are is in ``arena``.
+Masses and sizes of the robot are those of Nav2's Humble ``waffle.model``. ``arena`` has the
+positions of the pieces of the world.
 """
 
 import math
@@ -14,15 +14,15 @@ from sim.turtlebot3.arena import HEXAGON, RING_THICKNESS, Arena, Block, Box, Cyl
 STEP_NS = 5_000_000
 
 WHEEL_RADIUS_M = 0.033
-WHEEL_SEPARATION_M = 0.287  # the diff drive's figure; the model's geometry says 0.288
+WHEEL_SEPARATION_M = 0.287  # as in the diff drive's settings; in the model's geometry it is 0.288
 MAX_WHEEL_TORQUE_NM = 20.0
 WALL_THICKNESS = 0.15  # of the walls around a drawn arena [m]
 # A stiffer motor would reach its set-point within one step, and kick the robot off the floor.
 _MOTOR_GAIN = 0.2  # [N m s/rad]
 
 STATIC, ROBOT, FLOOR = 0, 1, 2  # geom groups
-# A wheel stands on the floor at one point, as a sphere does: two edges of a cylinder would scrub
-# against each other in every turn. The cylinder is what meets the pieces of the world.
+# A wheel touches the floor at one point, as a sphere does: the two edges of a cylinder would slip
+# against each other in every turn. The cylinder touches the pieces of the world.
 _TREAD_BIT = 2
 
 # Red, green, blue, opacity; our own.
@@ -33,7 +33,7 @@ _FLOOR_RGBA = "0.6 0.6 0.55 1"
 
 @dataclass(frozen=True, slots=True)
 class WorldParameters:
-    """What differs from run to run."""
+    """Parameters of the world that differ between runs."""
 
     start: Pose2D  # of base_footprint in the world
     friction: float = 1.0  # of the floor, relative to the model
@@ -54,10 +54,10 @@ def pieces(parameters: WorldParameters) -> dict[str, str]:
 
 
 def mjcf(parameters: WorldParameters, *, with_pieces: bool = True) -> str:
-    """Return the model; without the pieces the robot stands on an endless floor.
+    """Return the model; without the pieces it is an infinite floor with the robot.
 
     The solver's islands and the tree of geoms are off: for a single robot they find the same
-    contacts and forces, and take a seventh of a step.
+    contacts and forces, and take a seventh of the time of a step.
     """
     around = pieces(parameters) if with_pieces else {}
     return f"""

@@ -1,6 +1,6 @@
-"""The simulator's and the robot's side of the graph, put together.
+"""Adds the nodes of the simulator and of the robot to the graph.
 
-Each node sees of the world only the one measurement it is given.
+Each node gets one measurement of the world and nothing else.
 """
 
 from collections.abc import Callable
@@ -31,23 +31,23 @@ def add_robot(
     odometry_source: OdometrySource = "world",
     cameras: bool = False,
 ) -> None:
-    """Put the simulator's and the robot's nodes into a domain.
+    """Add the nodes of the simulator and of the robot to a domain.
 
     Parameters
     ----------
     domain, world
         The graph, and the physics that its measurements come from.
     errors
-        How its sensors err.
+        Errors of its sensors.
     generator
         Gives each node, by name, its randomness.
     odometry_source
-        ``world``: odometry is the ground truth; ``encoder``: it is summed up from the wheels.
+        ``world``: odometry is the ground truth; ``encoder``: it is integrated from the wheels.
     cameras
-        Whether there is a rendering context, without which the depth camera is silent.
+        Whether there is a rendering context, without which the depth camera publishes nothing.
     """
     Gazebo(domain)
-    # The LiDARs and the infrared are separate devices: each fires at its own moment.
+    # The LiDARs and the infrared are separate devices: each measures at a phase of its own.
     lidars = (
         ("/turtlebot3_laserscan", "/scan", frames.BASE_SCAN, errors.scan, 200),
         ("/turtlebot3_laserscan_tom", "/scan_tom", frames.BASE_SCAN_TOM, errors.scan_tom, 260),
@@ -70,7 +70,7 @@ def add_robot(
         else lambda: (world.pose, world.twist),
         world.command_wheels,
     )
-    # After the diff drive: it measures what comes of the command that was just given.
+    # After the diff drive, so that it measures the effect of the newest command.
     ImuPlugin(domain, world.imu, errors.gyro, generator("/turtlebot3_imu"))
     JointStatePlugin(domain, world.wheel_states)
     add_depth_camera(domain, world, renders=cameras)

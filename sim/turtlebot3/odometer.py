@@ -1,4 +1,4 @@
-"""Where the robot really was and how far it drove: for the manifest, not for any node."""
+"""The true path and distance of the robot, for the manifest; no node has access to it."""
 
 from collections.abc import Callable
 
@@ -12,12 +12,12 @@ _PERIOD_NS = 100 * MILLISECOND  # a tenth of a second at 0.26 m/s is 3 cm of a s
 
 
 class Odometer:
-    """Follows the robot, and adds up its way, in parts.
+    """Records the path of the robot, and sums up its length in parts.
 
     Parameters
     ----------
     executor
-        Whose clock it runs by.
+        Its clock.
     pose
         Ground truth of the robot.
     """
@@ -32,7 +32,7 @@ class Odometer:
         self._measure()
 
     def mark(self) -> None:
-        """Begin a new part."""
+        """Begin a new part of the path."""
         self._marks.append(self._total_m)
 
     def distances(self) -> list[float]:
@@ -41,7 +41,7 @@ class Odometer:
         return [end - begin for begin, end in zip(self._marks, ends, strict=True)]
 
     def places(self) -> NDArray[np.float64]:
-        """Return where the robot was since the first part began, shape (n, 2) [m]."""
+        """Return the positions since the first part began, shape (n, 2) [m]."""
         return np.array(self._places).reshape(-1, 2)
 
     def _measure(self) -> None:

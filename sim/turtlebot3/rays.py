@@ -1,4 +1,4 @@
-"""Horizontal rays into the world: where a LiDAR's beams end.
+"""Horizontal rays of a LiDAR, and where they hit the world.
 
 The world's pieces are boxes and cylinders, and the intersections are computed as MuJoCo does
 (``engine_ray.c``), operation by operation: on a machine whose MuJoCo does not fuse multiplications
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sim.jit import jit
 
 _MIN = 1e-15  # mjMINVAL
-_SPARE = 1e-6  # of the test whether a ray comes near a piece at all [m]
+_SPARE = 1e-6  # margin of the test whether a ray comes near a piece [m]
 
 
 class Piece(NamedTuple):
@@ -49,7 +49,7 @@ class Rays:
         sines: NDArray[np.float64],
         range_max: float,
     ) -> NDArray[np.float64]:
-        """Return how far each ray goes [m]; ``inf`` beyond ``range_max``.
+        """Return the length of each ray [m]; ``inf`` beyond ``range_max``.
 
         Parameters
         ----------
@@ -58,7 +58,7 @@ class Rays:
         cosines, sines
             Shape (n,), of their directions in the plane.
         range_max
-            How far they are followed [m].
+            Maximum length [m].
         """
         return _cast(self._pieces, self._is_box, *origin, cosines, sines, range_max)
 

@@ -11,21 +11,21 @@ from sim.middleware.geometry import Pose2D
 from sim.seeds import attack_seed, node_generator
 from sim.turtlebot3.arena import Arena
 
-# Branches of the seed: what is drawn on one does not move what is drawn on another.
+# Branches of the seed: draws from one do not affect draws from another.
 SESSION, BLOCK, NODE, ATTACK, ARENA, RELATION = range(6)
 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What is otherwise in the testbed; a scenario can change messages only."""
+    """Changes of the testbed itself, because a scenario can change messages only."""
 
-    obstacle: bool = False  # a real cylinder, on no map, where the block's fake object would be
+    obstacle: bool = False  # a real cylinder, on no map, at the place of the block's fake object
     speed: float = 1.0  # share of its maximal speed that the robot may drive and turn at
 
 
 @dataclass(frozen=True, slots=True)
 class FakeObject:
-    """A cylinder that is not there."""
+    """The fake object: a cylinder that does not exist."""
 
     x: float  # [m]
     y: float  # [m]
@@ -34,7 +34,7 @@ class FakeObject:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """What the runs of one block share, in the map frame."""
+    """What all runs of a block have in common, in the map frame."""
 
     arena: Arena
     start: Pose2D
@@ -44,7 +44,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """What stays the same for a day and differs from the next."""
+    """Conditions that are constant within a session, and differ between sessions."""
 
     index: int
     lidar_bias_m: float  # of /scan
@@ -61,13 +61,13 @@ class Session:
     gyro_bias_rad_s: float  # about the vertical axis
     gyro_scale: float
     map_errors: float  # share of the cells of walls, and beside them, that are wrong
-    start_sd_m: float  # of what localisation is told of the start, each axis
+    start_sd_m: float  # error of the start pose that localisation gets, along each axis
     start_sd_rad: float
 
 
 @dataclass(frozen=True, slots=True)
 class TurtleBot3Recipe:
-    """All that a run is a function of; poses and the fake object are in the map frame."""
+    """Everything that determines a run; poses and the fake object are in the map frame."""
 
     mode: str
     scenario: Mapping[str, Any]  # the document
@@ -87,24 +87,24 @@ class TurtleBot3Recipe:
     noise: str  # `Mode.noise`
 
     def generator(self, node: str) -> np.random.Generator:
-        """Return the randomness of one node; the same in every run of the block and its noise."""
+        """Return the generator of one node; equal in all runs of a block that share their noise."""
         return node_generator(self.seed, NODE, self.block, self.noise + node)
 
     def attack_seed(self) -> int:
-        """Return the key of the attack's own, counter-based randomness."""
+        """Return the key of the attack's counter-based generator."""
         return attack_seed(self.seed, ATTACK, self.block)
 
     @property
     def world(self) -> str:
-        """Name of the world: equal for equal worlds."""
+        """Identifier of the world."""
         mirrored = "-mirrored" if self.options.relation == "mirrored" else ""
         return f"{self.arena.id}{mirrored}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the recipe as JSON knows it.
+        """Return the recipe as JSON values.
 
-        Nav2's parameters and the relation to other runs are in it only if they are set: recipes of
-        releases without them stay valid.
+        It holds Nav2's parameters and the relation only if they are set, so recipes of earlier
+        releases stay valid.
         """
         goals = [asdict(goal) for goal in self.goals]
         options, usual = asdict(self.options), asdict(Options())
@@ -132,7 +132,7 @@ class TurtleBot3Recipe:
         )
 
     def campaign(self) -> Campaign:
-        """Return the campaign that the run is of, as far as its block's draws depend on it."""
+        """Return the run's campaign, as far as the draws of its block depend on it."""
         return Campaign(
             self.seed, len(self.goals), self.storage, self.timeout_s, options=self.options,
             session=self.session.index, noise_per_run=bool(self.noise),

@@ -1,4 +1,4 @@
-"""The robot state publisher: where the robot's parts are, as transforms."""
+"""The robot state publisher: transforms of the robot's parts."""
 
 import math
 from typing import Any
@@ -44,7 +44,7 @@ class RobotStatePublisher(Node):
 
     def _on_joints(self, state: Any) -> None:
         now_ns = stamp_ns(state.header.stamp)
-        # The original compares with its own clock too, which /clock moves on ten times a second:
+        # The original also compares with its own clock, which /clock advances ten times a second:
         # hence 19.4 Hz on Humble, not the 14.7 Hz of every second joint state.
         clock_ns = now_ns - now_ns % CLOCK_NS
         if now_ns < min(clock_ns, self._last_ns) + WHEEL_TF_NS:

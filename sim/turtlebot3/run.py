@@ -1,8 +1,8 @@
 """One run on the TurtleBot3 testbed: robot, Nav2 and recorder, from start to run directory.
 
-The robot comes up, is told where it is, and once Nav2 is active the recorder starts; the client
-then sends the patrol's goals. The run ends a moment after the last goal's result, after an abort,
-or when time is up. World, nodes and loop meet here and nowhere else.
+The robot starts and gets its initial pose. When Nav2 is active, the recorder starts, and the client
+sends the goals of the patrol. The run ends shortly after the result of the last goal, after an
+abort, or at its time limit. Only this module combines world, nodes and event loop.
 """
 
 from collections.abc import Mapping
@@ -40,7 +40,7 @@ BEFORE_RECORDING_NS = 1 * SECOND  # from an active Nav2 to the recorder's start
 BEFORE_FIRST_GOAL_NS = 2 * SECOND  # from the recorder's start to the first goal
 AFTER_LAST_GOAL_NS = 2 * SECOND
 
-NODE = "/lidar_passthrough"  # the mode's node, whatever it does
+NODE = "/lidar_passthrough"  # name of the mode's node in every mode
 
 
 class BringUpError(RunDirectoryError):
@@ -48,12 +48,12 @@ class BringUpError(RunDirectoryError):
 
 
 class TurtleBot3Run:
-    """A testbed that has come up, and the one run that is made in it.
+    """A testbed that has started, for one run.
 
     Parameters
     ----------
     recipe
-        What to make.
+        Recipe of the run.
     folder
         Existing and empty; gets ``bag`` and ``graphs``.
 
@@ -62,7 +62,7 @@ class TurtleBot3Run:
     domain : Domain
         The system's graph.
     node : ScenarioNode or None
-        The mode's node; None as long as it is not there.
+        The mode's node; None until it joins.
     """
 
     def __init__(self, recipe: TurtleBot3Recipe, folder: Path) -> None:
@@ -110,7 +110,7 @@ class TurtleBot3Run:
         self._attack_end_ns: int | None = None
 
     def go(self) -> None:
-        """Bring Nav2 up, record the patrol, write bag and graphs."""
+        """Start Nav2, record the patrol, and write bag and graphs."""
         navigator = self._nav2.navigator
         recipe = self._recipe
         where = told_start(recipe.start, recipe.session, recipe.generator("/initialpose"))
@@ -149,12 +149,12 @@ class TurtleBot3Run:
             graph.finish()
 
     def manifest(self, wall_s: float, software: schema.Software) -> Manifest:
-        """Return what the finished run was."""
+        """Return the facts of the finished run for its manifest."""
         recipe, scenario = self._recipe, self._program.scenario
         results = tuple(
             map(self._goal_result, self._nav2.navigator.results, self._odometer.distances())
         )
-        # The worst of the goals': one that was never reached counts for those never sent.
+        # The worst of the goals; one that was never reached stands for those never sent.
         worst: schema.Outcome = next(
             (result.outcome for result in results if result.outcome != "succeeded"), "succeeded"
         )
@@ -175,7 +175,7 @@ class TurtleBot3Run:
             attack_seed=recipe.attack_seed(),
             scenario=scenario.id,
             scenario_hash=scenario.digest,
-            task_effect=None,  # until the run and its control are both there
+            task_effect=None,  # until both the run and its control exist
             drive=self._drive(),
             changes=() if self.node is None else self.node.changes(self._start_ns),
             recording_s=self._seconds(self._end_ns),
@@ -203,7 +203,7 @@ class TurtleBot3Run:
         )
 
     def _onset_s(self) -> float | None:
-        """Return when the node was there and its scenario began to act; None if it never did."""
+        """Return when the node had joined and its scenario began to act; None if it never did."""
         if self.node is None or self._onset_ns is None or self._onset_ns > self._end_ns:
             return None
         return self._seconds(self._onset_ns)
@@ -228,7 +228,7 @@ class TurtleBot3Run:
                 self.node.end(self._attack_end_ns)
 
     def _set_onset(self, after_ns: int) -> None:
-        """Let the scenario act so long after ``after_ns`` as it says."""
+        """Activate the scenario, after its delay from ``after_ns``."""
         activation = self._program.activation
         self._onset_ns = after_ns + round(activation.delay_s(self._recipe.attack_seed()) * SECOND)
         if activation.before == "absent":
@@ -237,7 +237,7 @@ class TurtleBot3Run:
             self.node.begin(self._onset_ns)
 
     def _start_node(self) -> None:
-        """Put the mode's node into the graph."""
+        """Add the mode's node to the graph."""
         recipe = self._recipe
         if recipe.options.wiring == "absent" and not self._program.is_in_place:
             return
@@ -249,8 +249,8 @@ class TurtleBot3Run:
             self.node.end(self._attack_end_ns)
 
     def _delays(self, node: str) -> Delays | None:
-        """Return what is added to a node's latency: to that of Nav2's, where they are many."""
-        if node == NODE:  # it must know when what it hears was sent
+        """Return the delays that are added to a node's latency."""
+        if node == NODE:  # it must know when its messages were sent
             return None
         return Delays(load(self._recipe.session), self._recipe.generator(f"{node} delays"))
 
@@ -272,12 +272,12 @@ class TurtleBot3Run:
         )
 
     def _seconds(self, time_ns: int) -> float:
-        """Return a time in seconds of the recording; what was before it began is at 0."""
+        """Return a time in seconds of the recording; times before its beginning become 0."""
         return max(time_ns - self._start_ns, 0) / SECOND
 
 
 def _world_parameters(recipe: TurtleBot3Recipe) -> WorldParameters:
-    """Return what the physics needs to know of a run, in the world frame."""
+    """Return the parameters of the physics for a run, in the world frame."""
     to_world = WORLD_IN_MAP.inverse()
     obstacles = []
     if recipe.conditions.obstacle:

@@ -1,7 +1,7 @@
 """Gazebo's sensor plugins, as nodes: the inertial unit, the LiDARs and the infrared.
 
-A sensor sees of the world only the one measurement it is given, adds its noise and publishes it
-with the rate, frame and QoS of the Humble simulation.
+A sensor gets one exact measurement of the world, adds its noise, and publishes the result with the
+rate, frame and QoS of the Humble simulation.
 """
 
 import math
@@ -34,7 +34,7 @@ _RANGE = "sensor_msgs/msg/Range"
 
 Ranges = NDArray[np.float64]
 
-IMU_NS = 34 * MILLISECOND  # the odometry's period, of which it measures one at a time
+IMU_NS = 34 * MILLISECOND  # period of odometry; all samples of one period are measured together
 SCAN_NS = 200 * MILLISECOND
 
 SCAN_RAYS = 360
@@ -52,7 +52,7 @@ ACCELEROMETER_NOISE = 1.7e-2  # standard deviation [m/s^2]
 
 @dataclass(frozen=True, slots=True)
 class LidarNoise:
-    """How a LiDAR errs."""
+    """Errors of a LiDAR."""
 
     sd_m: float = 0.01  # standard deviation of each range
     bias_m: float = 0.0  # of all ranges
@@ -61,7 +61,7 @@ class LidarNoise:
 
 @dataclass(frozen=True, slots=True)
 class GyroError:
-    """How a gyroscope errs besides its noise."""
+    """Errors of a gyroscope besides its noise."""
 
     bias_rad_s: float = 0.0  # about the vertical axis
     scale: float = 1.0
@@ -69,7 +69,7 @@ class GyroError:
 
 @dataclass(frozen=True, slots=True)
 class SensorErrors:
-    """How the robot's sensors err."""
+    """Errors of the robot's sensors."""
 
     scan: LidarNoise = LidarNoise()
     scan_tom: LidarNoise = LidarNoise()
@@ -77,19 +77,19 @@ class SensorErrors:
 
 
 class ImuPlugin(Node):
-    """``/imu``: orientation, turning speed, acceleration, with noise on the last two.
+    """``/imu``: orientation, angular velocity and acceleration, with noise on the last two.
 
-    The samples of an odometry period are measured in one go, at its start: until it ends nothing
-    acts on the robot that does not act at its start.
+    The samples of an odometry period are measured together at its start, because the commands to
+    the wheels do not change within it.
 
     Parameters
     ----------
     domain, rng
         As for `Node`.
     measure
-        What an ideal unit measures after now and up to a time [ns].
+        Returns what an ideal unit measures after now and up to a time [ns].
     gyro
-        How its gyroscope errs.
+        Errors of its gyroscope.
     """
 
     def __init__(
@@ -130,24 +130,24 @@ _IMU_PROTOTYPE = serialize(
     _IMU,
 )
 _IMU_BYTES = len(_IMU_PROTOTYPE)
-# It ends with doubles: orientation, turning speed and acceleration, each with its covariance. They
-# begin on a multiple of 8 behind the encapsulation, which is on an odd word of the message.
+# The message ends with doubles: orientation, angular velocity and acceleration, each with its
+# covariance. They begin at a multiple of 8 bytes behind the encapsulation, so at an odd word.
 _IMU_DOUBLES = 4 + 9 + 3 + 9 + 3 + 9
 _IMU_HEAD = np.frombuffer(_IMU_PROTOTYPE[: -8 * _IMU_DOUBLES], np.uint32)
 _IMU_TAIL = np.frombuffer(_IMU_PROTOTYPE[-8 * _IMU_DOUBLES :], np.float64)
 
 
 def imu_bytes(samples: ImuSamples, gyro: GyroError, noise: NDArray[np.float64]) -> bytes:
-    """Return samples as messages, one behind the other.
+    """Return samples as messages, in order.
 
     Parameters
     ----------
     samples
         What an ideal unit measures.
     gyro
-        How the gyroscope errs.
+        Errors of the gyroscope.
     noise
-        Shape (n, 6), of turning speed and acceleration, in standard deviations.
+        Shape (n, 6), of angular velocity and acceleration, in standard deviations.
     """
     words = _imu_words(
         samples.stamps_ns, samples.orientations, samples.angular_velocities,
@@ -191,13 +191,13 @@ class LaserPlugin(Node):
     Parameters
     ----------
     domain, name, topic, mount
-        The node, what it publishes, and in which frame.
+        The node, its topic, and the frame of the scans.
     measure
-        Exact ranges along bearings [rad] of the sensor's frame, up to a distance [m].
+        Returns exact ranges along bearings [rad] in the sensor's frame, up to a distance [m].
     noise, rng
-        How it errs.
+        Its errors, and their generator.
     phase_ns
-        When in its period it fires.
+        Time of the measurement within its period.
     """
 
     def __init__(
@@ -246,7 +246,7 @@ class LaserPlugin(Node):
 
 
 def noisy_ranges(exact: Ranges, noise: LidarNoise, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Return what a LiDAR reports of exact ranges [m]; two draws a ray, whatever it hits."""
+    """Return the reported ranges for exact ones [m]; each ray takes two draws in any case."""
     errors, losses = rng.standard_normal(len(exact)), rng.random(len(exact))
     return _measured(exact, noise.bias_m, noise.sd_m, errors, losses, noise.dropouts)
 
@@ -267,7 +267,7 @@ def _measured(
 
 
 class RangePlugin(Node):
-    """``/range_ella``: the nearest thing in a narrow infrared cone ahead."""
+    """``/range_ella``: the nearest obstacle in a narrow infrared cone ahead."""
 
     def __init__(
         self,

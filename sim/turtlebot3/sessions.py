@@ -1,6 +1,6 @@
-"""A session: a day in the laboratory, and all that differs from the next one.
+"""A session, like a day in the laboratory: the conditions that differ between sessions.
 
-The ranges, each with its reason: docs/explanation/testbed.md.
+The ranges and their reasons are in docs/explanation/testbed.md.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from sim.turtlebot3.map import FREE, OCCUPIED
 from sim.turtlebot3.recipes import SESSION, Session
 from sim.turtlebot3.sensors import GyroError, LidarNoise, SensorErrors
 
-_MAP = 1  # the branch of a session's seed from which its map errs
+_MAP = 1  # branch of a session's seed for the errors of its map
 
 
 def draw_session(seed: int, index: int) -> Session:
@@ -42,7 +42,7 @@ def draw_session(seed: int, index: int) -> Session:
 
 
 def sensor_errors(session: Session) -> SensorErrors:
-    """Return how a session's sensors err."""
+    """Return the errors of a session's sensors."""
     noise, dropouts = session.lidar_noise_m, session.lidar_dropouts
     return SensorErrors(
         LidarNoise(noise, session.lidar_bias_m, dropouts),
@@ -52,12 +52,12 @@ def sensor_errors(session: Session) -> SensorErrors:
 
 
 def load(session: Session) -> Load:
-    """Return how a session's messages are delayed."""
+    """Return the delays of a session's messages."""
     return Load(session.latency_jitter_ms, session.processor_load)
 
 
 def mapped(world: OccupancyMap, seed: int, session: Session) -> OccupancyMap:
-    """Return a map as the session's run of SLAM has drawn it.
+    """Return a map with the errors of the session's SLAM.
 
     A share of the cells of walls is free, and the same share of the free cells beside walls is
     occupied.
@@ -82,7 +82,7 @@ def _beside(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def told_start(start: Pose2D, session: Session, rng: np.random.Generator) -> Pose2D:
-    """Return where localisation is told that the robot starts: a person put it there by hand."""
+    """Return the initial pose that localisation gets, with the error of placing it by hand."""
     x, y, yaw = rng.standard_normal(3).tolist()
     place, turn = session.start_sd_m, session.start_sd_rad
     return Pose2D(start.x + place * x, start.y + place * y, start.yaw + turn * yaw)

@@ -12,13 +12,13 @@ from sim.turtlebot3.recipes import TurtleBot3Recipe
 def _draw(
     mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any]
 ) -> TurtleBot3Recipe:
-    from sim.turtlebot3.drawing import draw  # maps and planner take a while to import
+    from sim.turtlebot3.drawing import draw  # maps and planner take long to import
 
     return draw(mode, run, campaign, parameters)
 
 
 def _bring_up(recipe: TurtleBot3Recipe, folder: Path) -> TestbedRun:
-    from sim.turtlebot3.run import TurtleBot3Run  # MuJoCo takes a while to import
+    from sim.turtlebot3.run import TurtleBot3Run  # MuJoCo takes long to import
 
     return TurtleBot3Run(recipe, folder)
 

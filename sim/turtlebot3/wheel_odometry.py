@@ -1,7 +1,7 @@
 """Gazebo's two sources of odometry: ``world``, the ground truth, and ``encoder``, the wheels.
 
-What is here is the second: the wheels' turns, summed up. Slip, and wheels that stand 0.288 m apart
-but count as 0.287 m, make it drift; localisation has to make up for that.
+This module has the second, which integrates the turns of the wheels. It drifts because of slip, and
+because the wheels are 0.288 m apart but count as 0.287 m. Localisation has to correct that.
 """
 
 import math
@@ -12,9 +12,9 @@ from sim.turtlebot3.mjcf import WHEEL_RADIUS_M, WHEEL_SEPARATION_M
 
 
 class WheelOdometry:
-    """Dead reckoning of a differential drive, from (0, 0, 0) where it begins.
+    """Dead reckoning of a differential drive; the first pose is (0, 0, 0).
 
-    Called at every update it returns the pose of ``base_footprint`` in the odometry frame and the
+    Called at every update, it returns the pose of ``base_footprint`` in the odometry frame and the
     forward [m/s] and turning speed [rad/s].
 
     Parameters
@@ -40,7 +40,7 @@ class WheelOdometry:
 
 
 def _motion(left: float, right: float) -> tuple[float, float]:
-    """Return how far the robot goes and turns while its wheels turn (or per second) [m, rad]."""
+    """Return distance and turn of the robot for turns of its wheels, or for speeds [m, rad]."""
     return (
         WHEEL_RADIUS_M * (left + right) / 2.0,
         WHEEL_RADIUS_M * (right - left) / WHEEL_SEPARATION_M,

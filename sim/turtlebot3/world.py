@@ -1,7 +1,7 @@
-"""The physics: the world and the Waffle in MuJoCo, and what its sensors would measure.
+"""The physics: the world and the Waffle in MuJoCo, and exact measurements of its sensors.
 
-Nothing else touches ``MjModel`` and ``MjData``. Measurements here are exact; noise, messages and
-rates belong to the sensors' nodes. Frames: the world's, and the robot's ``base_footprint``.
+No other module uses ``MjModel`` or ``MjData``. Noise, messages and rates belong to the nodes of the
+sensors. Frames: the world's, and the robot's ``base_footprint``.
 """
 
 import math
@@ -19,9 +19,9 @@ from sim.turtlebot3.clear_space import ClearSpace
 from sim.turtlebot3.mjcf import STATIC, STEP_NS, WorldParameters, mjcf, pieces
 from sim.turtlebot3.rays import Piece, Rays
 
-_EPISODE_GAP_NS = 1_000_000_000  # a robot that grinds along a wall bounces off and on
+_EPISODE_GAP_NS = 1_000_000_000  # a robot that scrapes along a wall touches it again and again
 
-# By geom group: a camera sees the floor too.
+# By geom group; a camera also sees the floor.
 _SEEN_BY_CAMERAS = np.array([1, 0, 1, 0, 0, 0], np.uint8)
 
 # A state is time, positions (robot: x, y, z, quaternion w, x, y, z; wheels) and their speeds.
@@ -37,7 +37,7 @@ _SUN = np.array([0.5, -0.1, 0.9]) / math.sqrt(1.07)  # where it stands, as seen 
 
 
 class ImuSamples(NamedTuple):
-    """What an ideal inertial unit in ``imu_link`` measures, a sample a physics step."""
+    """Measurements of an ideal inertial unit in ``imu_link``, one for each physics step."""
 
     stamps_ns: NDArray[np.int64]  # (n,)
     orientations: NDArray[np.float64]  # (n, 4), quaternions w, x, y, z
@@ -47,7 +47,7 @@ class ImuSamples(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What an ideal camera sees along its rays."""
+    """Measurements of an ideal camera along its rays."""
 
     distances: NDArray[np.float64]  # (n,) to the nearest surface [m]; inf where there is none
     colours: NDArray[np.uint8]  # (n, 3) red, green, blue
@@ -62,11 +62,11 @@ class Touch:
 
 
 class World:
-    """The world and the robot in it.
+    """The world with the robot.
 
-    Nothing but the wheels' command acts on the robot, so the physics runs in blocks, and ahead of
-    the clock where a sensor asks for more than one sample at once. While the robot is clear of
-    all pieces it is simulated without them, which gives the same states in two thirds of the time.
+    Only the command to the wheels acts on the robot. So the physics runs in blocks, and ahead of
+    the clock if a sensor asks for several samples at once. While the robot is clear of all pieces,
+    it is simulated without them, which gives the same states in two thirds of the time.
 
     Parameters
     ----------
@@ -91,9 +91,9 @@ class World:
         self._rollout = Rollout(nthread=0)
         self._command = np.zeros(self._model.nu)
         self._now_ns = 0
-        self._pose_ns = self._state_ns = -1  # when the two below were of now
+        self._pose_ns = self._state_ns = -1  # time of the two below
         self._pose, self._numbers = start, list[float]()
-        # What is known of the steps from ``_first`` on, up to before ``_unknown_ns``.
+        # The steps that are computed already: from ``_first`` on, before ``_unknown_ns``.
         self._first = 0
         self._unknown_ns = STEP_NS
         self._states = np.empty((1, mujoco.mj_stateSize(self._model, _STATE.value)))
@@ -113,22 +113,22 @@ class World:
         return self._now_ns // STEP_NS * STEP_NS
 
     def advance_to(self, time_ns: int) -> None:
-        """Take every step that is due by ``time_ns``, and note new contacts after each.
+        """Take every step that is due by ``time_ns``, and record new contacts after each.
 
-        Poses and wheel angles are carried on to ``time_ns`` itself with their speeds: Gazebo
-        steps five times as often, and odometry that jumps by a step would look like slip.
+        Poses and wheel angles are extrapolated to ``time_ns`` with their speeds. Gazebo has five
+        times as many steps, and odometry that is late by up to a step would look like slip.
         """
         self._now_ns = time_ns
         if time_ns >= self._unknown_ns:
             self._simulate_until(time_ns)
 
     def command_wheels(self, left: float, right: float) -> None:
-        """Set what the wheel motors hold from now on [rad/s].
+        """Set the speeds that the wheel motors hold from now on [rad/s].
 
         Raises
         ------
         ValueError
-            If the physics is ahead of the clock: a sensor was asked for later samples already.
+            If the physics is ahead of the clock, because a sensor has taken later samples.
         """
         if self._row < len(self._states) - 1:
             raise ValueError(f"at {self._now_ns} ns the physics has gone on with the last command")
@@ -142,7 +142,7 @@ class World:
         return self._pose
 
     def _carried_on(self, state: list[float]) -> Pose2D:
-        """Return the pose of now: that of the last step, carried on with its speeds."""
+        """Return the current pose: that of the last step, extrapolated with its speeds."""
         ahead_s = self._ahead_s
         x, y, _ = state[_POSITION]
         w, qx, qy, qz = state[_QUATERNION]
@@ -151,7 +151,7 @@ class World:
         return Pose2D(x + ahead_s * vx, y + ahead_s * vy, yaw)
 
     def clearance(self, places: NDArray[np.float64]) -> float:
-        """Return the least distance of places of shape (n, 2) from any surface [m]."""
+        """Return the smallest distance of points of shape (n, 2) from any surface [m]."""
         distances = [
             self._arena.clearance(places),
             *(o.signed_distance(places) for o in self._obstacles),
@@ -160,7 +160,7 @@ class World:
 
     @property
     def twist(self) -> tuple[float, float]:
-        """Ground truth of the forward [m/s] and the turning speed [rad/s]."""
+        """Ground truth of the forward [m/s] and the angular speed [rad/s]."""
         state = self._state()
         vx, vy, _ = state[_VELOCITY]
         yaw = self.pose.yaw
@@ -176,13 +176,13 @@ class World:
         ], speeds
 
     def _state(self) -> list[float]:
-        """Return the last step's state; several sensors look at the same one."""
+        """Return the state of the last step, which several sensors share."""
         if self._state_ns != self._now_ns:
             self._state_ns, self._numbers = self._now_ns, self._states[self._row].tolist()
         return self._numbers
 
     def imu(self, until_ns: int) -> ImuSamples:
-        """Return what an inertial unit measures after now, up to ``until_ns``."""
+        """Return the samples of an inertial unit after now, up to ``until_ns``."""
         if until_ns >= self._unknown_ns:
             self._simulate_until(until_ns)
         steps = np.s_[self._row + 1 : until_ns // STEP_NS - self._first + 1]
@@ -207,7 +207,7 @@ class World:
         bearings : ndarray of shape (n,)
             Of the rays in the sensor's frame [rad].
         range_max
-            How far the sensor sees [m].
+            Range of the sensor [m].
 
         Returns
         -------
@@ -223,7 +223,7 @@ class World:
     def look(
         self, mount: Pose2D, height: float, directions: NDArray[np.float64], range_max: float
     ) -> View:
-        """Look along rays; surfaces are matt (Lambert), shadows are not cast.
+        """Measure depth and colour along rays; surfaces are matt (Lambert), without shadows.
 
         Parameters
         ----------
@@ -232,7 +232,7 @@ class World:
         directions : ndarray of shape (n, 3)
             Of the rays, unit vectors in the camera's frame: x forward, y left, z up.
         range_max
-            How far the camera sees [m].
+            Range of the camera [m].
         """
         camera = self.pose.compose(mount)
         turned = np.empty_like(directions)
@@ -263,16 +263,16 @@ class World:
 
     @property
     def _row(self) -> int:
-        """Which of the known steps is that of now."""
+        """Index of the current step among those computed already."""
         return self._now_ns // STEP_NS - self._first
 
     @property
     def _ahead_s(self) -> float:
-        """How far the clock is ahead of the last step [s]."""
+        """Time from the last step to now [s]."""
         return self._now_ns % STEP_NS / 1e9
 
     def _simulate_until(self, time_ns: int) -> None:
-        """Take the steps that are due by ``time_ns`` and not yet known; forget those before now."""
+        """Compute the missing steps up to ``time_ns``; drop those before now."""
         steps = (time_ns - self._unknown_ns) // STEP_NS + 1
         states, inertial = self._steps(steps)
         known = min(self._row, len(self._states) - 1)
@@ -282,7 +282,7 @@ class World:
         self._inertial = np.concatenate((self._inertial[known:], inertial))
 
     def _steps(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the next states and what the inertial unit measures in them."""
+        """Return the next states, and the samples of the inertial unit in them."""
         if self._is_clear or self._clear.holds(self._states[-1:, _POSE]):
             states, measured = self._run(self._alone, self._data_alone, count)
             self._is_clear = self._clear.holds(states[:, _POSE])
@@ -309,7 +309,7 @@ class World:
         return states[0], measured[0]
 
     def _watch_contacts(self, first: int, touching: NDArray[np.float64]) -> None:
-        """Note each piece that the robot touches and had not touched for a while."""
+        """Record each piece that the robot touches and has not touched for a while."""
         for row, piece in np.argwhere(touching).tolist():
             name, stamp_ns = self._pieces[piece], (first + row) * STEP_NS
             last_ns = self._last_touch_ns.get(name)
