@@ -68,6 +68,10 @@ DRIVE_FEATURES = (
         "longest_stall", "s", 1.0, "longest time without interruption of the same", "navigation",
         per_window=False, behaviour=True,
     ),
+    Feature(
+        "driven_without_goal", "m", 0.02, "way driven while no goal was under way", "navigation",
+        behaviour=True,
+    ),
 )  # fmt: skip
 
 _RECOVERIES = ("Spin", "BackUp", "Wait", "DriveOnHeading")  # in Nav2's behaviour trees
@@ -92,6 +96,7 @@ class _Drive:
 
     efficiency: float | Missing
     stalled: Series  # 1 where it was, 0 where not, at each step under way
+    without_goal: Series  # way since the message before [m], where no goal was under way
 
 
 def keep_begun(message: Any) -> tuple[int, int]:
@@ -155,6 +160,7 @@ def prepare_drive(window: Window) -> _Drive | Missing:
     return _Drive(
         _efficiency(accepted, the_topic(window.topics["plan"]), driven),
         stalls(accepted, driven),
+        _driven_without_goal(accepted, driven),
     )
 
 
@@ -168,6 +174,9 @@ def compute_drive(window: Window) -> Values:
         "path_efficiency": drive.efficiency,
         "stalled": idle if math.isnan(stalled) else stalled,
         "longest_stall": longest(inside == 1.0) * _STEP_S if inside.size else idle,
+        "driven_without_goal": float(
+            drive.without_goal.values[within(drive.without_goal.times_s, window)].sum()
+        ),
     }
 
 
@@ -238,6 +247,13 @@ def _efficiency(accepted: Sequence[Goal], plans: Series | None, driven: Series) 
             planned_m += float(plans.values[first])
             driven_m += float(np.abs(np.diff(places[start:end])).sum())
     return planned_m / driven_m if driven_m > 0.0 else Missing("no goal with a plan ended")
+
+
+def _driven_without_goal(accepted: Sequence[Goal], driven: Series) -> Series:
+    steps_m = np.hypot(*np.diff(driven.values[:, :2], axis=0).T)
+    times_s = driven.times_s[1:]
+    idle = goal_at(accepted, times_s) < 0
+    return Series(times_s[idle], steps_m[idle])
 
 
 def _places(driven: Series, times_s: Floats) -> Points:

@@ -138,7 +138,7 @@ def test_longest_run_of_flags(flags):
     assert navigation.longest(np.array(flags, dtype=bool)) == max(map(len, text.split()), default=0)
 
 
-def test_plans_are_compared_within_a_goal(extracted, messages):
+def test_plans_are_compared_within_a_goal_and_drives_by_their_goals(extracted, messages):
     recorded = [
         (0.0, "/behavior_tree_log", messages.tree_log(0, (ROOT, "IDLE", "RUNNING"))),
         *((t, "/plan", messages.plan(t, 4.0 - 0.2 * t)) for t in (1.0, 2.0, 3.0)),
@@ -156,6 +156,8 @@ def test_plans_are_compared_within_a_goal(extracted, messages):
     # The first goal: 3.8 m planned, and 10 s at 0.5 m/s driven.
     assert values["path_efficiency"] == pytest.approx(3.8 / 5.0, rel=0.02)
     assert values["stalled"] == 0.0
+    # No goal from 10 s to 11 s, at 0.5 m/s.
+    assert values["driven_without_goal"] == pytest.approx(0.5, abs=0.06)
 
 
 def test_without_goals_there_is_no_navigation(extracted):
