@@ -9,15 +9,18 @@ what the first job needs, which takes more than a second; its forks need millise
 """
 
 import concurrent.futures
+import contextlib
 import multiprocessing
 import os
 import pickle
+import sys
 import threading
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from functools import partial
 from multiprocessing.connection import Connection
+from types import ModuleType
 from typing import Any, TypeVar
 
 from oracle_pipeline.bags.errors import OracleError
@@ -136,7 +139,8 @@ class _Worker:
         self._pipe, theirs = context.Pipe()
         arguments = (theirs, dict(os.environ))  # the server has those of its own start
         self._process = context.Process(target=_work, args=arguments, daemon=True)
-        self._process.start()
+        with _no_program():
+            self._process.start()
         theirs.close()
 
     @property
@@ -171,6 +175,17 @@ class _Worker:
     def _end(self) -> None:
         self._process.kill()
         self._process.join()
+
+
+@contextlib.contextmanager
+def _no_program() -> Iterator[None]:
+    """Hide which program this is: a worker would import it, and ``dagster`` takes a second."""
+    program = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = program
 
 
 def _module_of(function: Callable[..., Any]) -> str:

@@ -52,10 +52,11 @@ def reader(lab, recorded_run, tmp_path_factory):
     mirrored = replace(ONE_GOAL, options=Options(relation="mirrored"))
     copied(recorded_run(NORMAL, 0, mirrored), folder / "mirrored")
     shutil.copytree(lab / "runs" / NORMAL / "run000", folder / f"data/runs/{NORMAL}/run000")
-    for number in range(3):  # as few as a verdict with --far 0.25 takes
-        shutil.copytree(lab / f"runs/{NORMAL}/run00{number}/bag", folder / f"good_bags/{number}")
-    for build in ("old_build", "new_build"):
-        shutil.copytree(folder / "good_bags", folder / build)
+    # As few as a verdict with --far 0.25, or a comparison, takes.
+    for name_of_set, count in (("good_bags", 3), ("old_build", 4), ("new_build", 4)):
+        for number in range(count):
+            bag = lab / f"runs/{NORMAL}/run00{number}/bag"
+            shutil.copytree(bag, folder / name_of_set / str(number))
     for place in ("my_robot_bag", "tonight/first"):
         shutil.copytree(lab / f"runs/{NORMAL}/run004/bag", folder / place)
     normal, attacked = (features(folder, mode) for mode in (NORMAL, ATTACKED))

@@ -122,6 +122,22 @@ def test_workers_start_with_what_the_first_job_needs():
     assert done.stdout == "True\n"
 
 
+def test_workers_do_not_import_the_program_that_was_started(tmp_path):
+    """A command of Dagster would bring Dagster into each worker."""
+    (tmp_path / "of_the_program.py").touch()
+    (tmp_path / "program.py").write_text(
+        "import of_the_program\nfrom sim.fan_out import process_pool\n"
+        "from tests.sim.test_fan_out import is_loaded\n"
+        "if __name__ == '__main__':\n"
+        "    with process_pool(1) as pool: print(pool.submit(is_loaded, 'of_the_program').result())"
+    )
+    done = subprocess.run(
+        [sys.executable, tmp_path / "program.py"], capture_output=True, text=True, check=True,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+    )  # fmt: skip
+    assert done.stdout == "False\n"
+
+
 def is_loaded(module: str) -> bool:
     return module in sys.modules
 
