@@ -32,7 +32,7 @@ _NODES = (
 
 
 class ExpressionError(OracleError):
-    """An expression, a function or a name is refused; the text states where and what was expected."""
+    """An expression, a function or a name is refused; the text states where and why."""
 
 
 @functools.lru_cache(maxsize=1024)  # a function is looked at again for each of its calls

@@ -24,8 +24,7 @@ class _Key(ISeedSequence):
     def __init__(self, *words: int) -> None:
         self._words = np.array([word & _WORD for word in words], np.uint64)
 
-    def generate_state(self, n_words: int, dtype: Any = np.uint64) -> NDArray[np.uint64]:  # noqa:
-    ARG002
+    def generate_state(self, n_words: int, dtype: Any = np.uint64) -> NDArray[np.uint64]:  # noqa: ARG002
         """Return the key."""
         return self._words
 
