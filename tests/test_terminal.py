@@ -1,5 +1,7 @@
 """Nothing that stands in a bag, a scenario file or a name controls the terminal it is shown on."""
 
+import contextlib
+import io
 import os
 import pty
 import subprocess
@@ -7,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,7 +17,7 @@ from hypothesis import strategies as st
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from oracle_pipeline.bags.terminal import printable
+from oracle_pipeline.bags.terminal import PlainTextGroup, printable
 
 pytestmark = pytest.mark.slow
 
@@ -120,3 +123,17 @@ def test_printable_text_holds_text_only_and_plain_text_stays(text: str) -> None:
     assert printable(made) == made
     if all(character.isprintable() or character in "\n\t" for character in text):
         assert made == text
+
+
+class _Ends(click.Command):
+    """Prints a line, and then what resets the colours of a terminal, as colorama does."""
+
+    def invoke(self, _context: click.Context) -> None:
+        click.echo("done")
+        sys.stdout.write("\x1b[0m")
+
+
+def test_the_end_of_colours_that_a_library_writes_is_not_shown_as_text() -> None:
+    with contextlib.redirect_stdout(io.StringIO()) as sink:
+        PlainTextGroup("told", commands=[_Ends("ends")]).main(["ends"], standalone_mode=False)
+    assert sink.getvalue() == "done\n"

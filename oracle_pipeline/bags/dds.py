@@ -36,8 +36,8 @@ try:
     from cyclonedds.qos import Qos as DdsQos
 except ImportError as error:
     raise DdsError(
-        "Eclipse Cyclone DDS is not installed; install it with "
-        "`python -m pip install 'ros2-behaviour-oracle[live]'`."
+        "Eclipse Cyclone DDS is not installed; in the checkout, install it with "
+        "`python -m pip install '.[live]'`."
     ) from error
 
 DOMAIN_VARIABLE = "ROS_DOMAIN_ID"  # of the environment: the domain that ROS 2 takes

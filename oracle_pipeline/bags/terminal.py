@@ -32,6 +32,7 @@ class _Printable(dict[int, str | int]):
 
 
 _PRINTABLE = _Printable()
+_RESET = "\x1b[0m"  # of a terminal's colours
 
 
 def printable(text: str) -> str:
@@ -54,6 +55,8 @@ class _Stream:
         self._wrapped = stream  # tqdm looks for a stream below another one by this name
 
     def write(self, text: str) -> int:
+        if text == _RESET:  # colorama, which Numba uses, ends every process with it
+            return len(text)
         return self._wrapped.write(printable(text))
 
     def __getattr__(self, name: str) -> Any:

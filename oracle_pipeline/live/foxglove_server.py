@@ -66,7 +66,7 @@ class FoxgloveServer:
             from foxglove.channels import LogChannel
         except ImportError as error:
             raise FoxgloveError(
-                "Foxglove's SDK is not installed: pip install 'ros2-behaviour-oracle[live]'."
+                "Foxglove's SDK is not installed; in the checkout: pip install '.[live]'."
             ) from error
         self._context = foxglove.Context()
         self._socket = listen(port)
