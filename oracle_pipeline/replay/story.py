@@ -7,6 +7,7 @@ is planar, so a point is a complex number [m] and a rotation a complex factor. D
 """
 
 import cmath
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.features.point_clouds import sliced
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.replay.scene import DrawnGrid, Moment, ReplayScene
@@ -32,6 +34,9 @@ from oracle_pipeline.robots.roles import (
     Roles,
 )
 
+MOST_MOMENTS = 20_000  # of a film
+FARTHEST_M = 1e8
+LONGEST_PAUSE_NS = 60_000_000_000  # without a message, of those that are shown
 MAP_FRAME = "map"  # REP 105; recipes are drawn in it
 ATTACKED = "/scan_fakeobject"  # of simulated runs
 BASES = ("base_footprint", "base_link")  # REP 105 and 120
@@ -81,7 +86,8 @@ class _Story:
         self._attack = attacked.attack if attacked else {}
         self._onset_s = attacked.onset_s if attacked else None
         self._has_odometry = bool(roles.found[ODOMETRY].topics)
-        self._now_ns = 0  # since the start of the recording
+        self._now_ns = 0  # since the start of the recording, without what was skipped
+        self._skipped_ns = 0  # long pauses, and jumps of the recorder's clock
         self._step_ns = round(1e9 / moments_per_s) if moments_per_s else None
         self._next_ns = 0  # when the next moment is
 
@@ -118,7 +124,9 @@ class _Story:
 
     def hear(self, topic: str, stamp_ns: int, message: Any) -> None:
         """Take one message in."""
-        self._now_ns = stamp_ns - self._run.bag.start_ns
+        pause_ns = stamp_ns - self._run.bag.start_ns - self._skipped_ns - self._now_ns
+        self._skipped_ns += pause_ns if pause_ns > LONGEST_PAUSE_NS else 0
+        self._now_ns = stamp_ns - self._run.bag.start_ns - self._skipped_ns
         while self._step_ns and self._next_ns < self._now_ns:
             self._remember(self._next_ns * 1e-9)
             self._next_ns += self._step_ns
@@ -135,14 +143,14 @@ class _Story:
         ground = None if self._map is None else self._grid(self._map)
         if self._map is not None and ground is None:
             raise ReportError(
-                f"{run.path} cannot be drawn: its bag has a map but no transform from "
-                f"{self._map.header.frame_id} to {self._root}; record /tf and /tf_static too."
+                f"{run.path} cannot be drawn: its bag has a map, but a broken one, or no transform "
+                f"from {self._map.header.frame_id} to {self._root}; record /tf and /tf_static too."
             )
         if self._step_ns:
-            self._remember(run.duration_s)
+            self._remember(max(run.duration_s - self._skipped_ns * 1e-9, self._now_ns * 1e-9))
         path = _xy(np.array(self._way))
         scene = ReplayScene(
-            title=run.path.resolve().name,
+            title=printable(run.path.resolve().name),
             frame=self._root,
             map=ground,
             path=path,
@@ -254,9 +262,13 @@ class _Story:
         if placed is None:
             return None
         info = message.info
-        corner, turn = _pose(info.origin.position, info.origin.orientation)
+        origin = _pose(info.origin.position, info.origin.orientation)
+        cells = np.asarray(message.data, dtype=np.int8)
+        if origin is None or not cells.size or cells.size != info.height * info.width:
+            return None
+        corner, turn = origin
         return DrawnGrid(
-            np.asarray(message.data, dtype=np.int8).reshape(info.height, info.width),
+            cells.reshape(info.height, info.width),
             info.resolution,
             _x_y_yaw((placed[0] + placed[1] * corner, placed[1] * turn)),
         )
@@ -283,6 +295,11 @@ class _Story:
     def _remember(self, time_s: float) -> None:
         if not self._way:
             return
+        if len(self._moments) >= MOST_MOMENTS:
+            raise ReportError(
+                f"{self._run.path} has more than {MOST_MOMENTS} frames (MOST_MOMENTS); lower "
+                "--frames, or cut the recording into shorter ones."
+            )
         attacked = self._onset_s is not None and time_s >= self._onset_s
         self._moments.append(
             Moment(
@@ -315,8 +332,9 @@ class _Frames:
             self.hang(heard, heard.child_frame_id, step.translation, step.rotation)
 
     def hang(self, stamped: Any, child: str, position: Any, orientation: Any) -> None:
-        """Hang a frame from that of a stamped message."""
-        self._parents[child] = (stamped.header.frame_id, _pose(position, orientation))
+        """Hang a frame from that of a stamped message; one that is nowhere stays where it was."""
+        if (placed := _pose(position, orientation)) is not None:
+            self._parents[child] = (stamped.header.frame_id, placed)
 
     def from_root(self, frame: str) -> tuple[str, _Placed]:
         """Return the frame from which a frame hangs in the end, and where it is in that.
@@ -332,9 +350,13 @@ class _Frames:
         return "", (at, turn)
 
 
-def _pose(position: Any, q: Any) -> _Placed:
-    turn = complex(1.0 - 2.0 * (q.y**2 + q.z**2), 2.0 * (q.w * q.z + q.x * q.y))
-    return complex(position.x, position.y), turn / abs(turn)
+def _pose(position: Any, q: Any) -> _Placed | None:
+    """Return a pose in the plane; None if it is no number, or farther than any robot gets."""
+    at = complex(position.x, position.y)
+    turn = complex(1.0 - 2.0 * (q.y * q.y + q.z * q.z), 2.0 * (q.w * q.z + q.x * q.y))
+    if not abs(at) < FARTHEST_M or not 0.0 < abs(turn) < math.inf:
+        return None
+    return at, turn / abs(turn)
 
 
 def _x_y_yaw(placed: _Placed) -> tuple[float, float, float]:

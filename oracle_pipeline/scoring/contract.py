@@ -82,13 +82,15 @@ class Observation:
     constants: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, run: OpenedRun, *, paced: bool = False) -> Self:
+    def of(cls, run: OpenedRun, duration_s: float | None = None, *, paced: bool = False) -> Self:
         """Observe an open recording.
 
-        Paces are for learning a contract. The bag is read once more for them.
+        Its duration is that of `KeptMessages`, without the jumps of its clock; by default there
+        are none. Paces are for learning a contract. The bag is read once more for them.
         """
+        length_s = run.duration_s if duration_s is None else duration_s
         topics = {
-            name: (topic.msgtype, qos_words(topic.qos), _rate(topic.count, run.duration_s))
+            name: (topic.msgtype, qos_words(topic.qos), _rate(topic.count, length_s))
             for name, topic in run.bag.topics.items()
         }
         graph = graph_elements(compose(each.graph for each in run.intervals))
