@@ -254,7 +254,7 @@ class KeptMessages:
                 self.notes += sorted(f"{topic.name}: {note.rstrip('.')}." for note in notes if note)
             else:
                 self.notes.append(
-                    f"{topic.name} ({topic.msgtype}, {len(rows) / max(1, len(of)):.0%} of the "
+                    f"{topic.name} ({topic.msgtype or 'no type'}, {len(rows) / max(1, len(of)):.0%} of the "
                     f"messages) is not decoded, only its times and sizes are used: "
                     f"{topic.undecodable}"
                 )
