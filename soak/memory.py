@@ -9,6 +9,7 @@ import argparse
 import multiprocessing
 import os
 import resource
+import sqlite3
 import struct
 import sys
 import tempfile
@@ -19,6 +20,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.mcap import MAGIC
@@ -91,16 +94,7 @@ def _peak_mib(path: Path) -> float:
 
 def scans(path: Path, size: int) -> None:
     """Write two scanners of 720 rays at 10 Hz, odometry and static transforms, not compressed."""
-    rng = np.random.default_rng(0)
-    ranges = rng.uniform(0.5, 8.0, (64, 720))
-    _write(
-        path,
-        size,
-        [("/tf_static", _mounts(["laser0", "laser1"]))]
-        + [("/odom", _odometry(n / 10)) for n in range(64)]
-        + [(f"/scan{n % 2}", _scan(ranges[n], f"laser{n % 2}")) for n in range(64)],
-        period_ns=33_000_000,
-    )  # fmt: skip
+    _write(path, size, _two_scanners(), period_ns=33_000_000)
 
 
 def scanners(path: Path, size: int) -> None:
@@ -114,6 +108,46 @@ def scanners(path: Path, size: int) -> None:
         + [(f"/{name}", _scan(rng.uniform(0.5, 8.0, 720), name)) for name in names],
         period_ns=4_000_000,
     )  # fmt: skip
+
+
+def database(path: Path, size: int) -> None:
+    """Write the two scanners to SQLite."""
+    published = _two_scanners()
+    with sqlite3.connect(path) as sink:
+        sink.execute(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format)"
+        )
+        sink.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
+            "data BLOB)"
+        )
+        numbers = {topic: number for number, topic in enumerate(dict(published), 1)}
+        kinds = {topic: message.__msgtype__ for topic, message in published}
+        sink.executemany(
+            "INSERT INTO topics VALUES (?, ?, ?, 'cdr')",
+            [(number, topic, kinds[topic]) for topic, number in numbers.items()],
+        )
+        sink.executemany(
+            "INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)",
+            ((numbers[topic], stamp_ns, data) for topic, stamp_ns, data in _stamped(
+                published, size, 33_000_000)),
+        )  # fmt: skip
+    sink.close()
+
+
+def ros1(path: Path, size: int) -> None:
+    """Write the two scanners to a bag of ROS 1, compressed."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    published = _two_scanners()
+    writer = Writer(path)
+    writer.set_compression(Writer.CompressionFormat.LZ4)
+    with writer:
+        connections = {
+            topic: writer.add_connection(topic, message.__msgtype__, typestore=store)
+            for topic, message in dict(published).items()
+        }
+        for topic, stamp_ns, data in _stamped(published, size, 33_000_000, _serialized_ros1):
+            writer.write(connections[topic], stamp_ns, data)
 
 
 def repetitive(path: Path, size: int) -> None:
@@ -178,6 +212,50 @@ def topics(path: Path, size: int) -> None:
     """Write scans on 5,000 topics."""
     scan = _scan(np.linspace(1.0, 3.0, 90), "laser")
     _write(path, size, [(f"/scan{number}", scan) for number in range(5_000)])
+
+
+def _two_scanners() -> list[tuple[str, Any]]:
+    ranges = np.random.default_rng(0).uniform(0.5, 8.0, (64, 720))
+    return (
+        [("/tf_static", _mounts(["laser0", "laser1"]))]
+        + [("/odom", _odometry(n / 10)) for n in range(64)]
+        + [(f"/scan{n % 2}", _scan(ranges[n], f"laser{n % 2}")) for n in range(64)]
+    )
+
+
+def _stamped(
+    published: list[tuple[str, Any]],
+    size: int,
+    period_ns: int,
+    serialized: Callable[[Any, str], bytes] = serialize,
+) -> Iterator[tuple[str, int, bytes]]:
+    """Yield messages, one after the other and again, until they are so large together [B]."""
+    bodies = [bytearray(serialized(each, each.__msgtype__)) for _, each in published]
+    total = number = 0
+    while total < size:
+        place = number % len(bodies)
+        if hasattr(published[place][1], "header"):
+            struct.pack_into("<iI", bodies[place], 4, *divmod(number * period_ns, 10**9))
+        yield published[place][0], number * period_ns, bytes(bodies[place])
+        total += len(bodies[place])
+        number += 1
+
+
+def _serialized_ros1(message: Any, msgtype: str) -> bytes:
+    """Return a message as ROS 1 has it: its headers have a number."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+
+    def converted(value: Any) -> Any:
+        if isinstance(value, list):
+            return [converted(each) for each in value]
+        if not hasattr(value, "__msgtype__"):
+            return value
+        fields = {name: converted(each) for name, each in vars(value).items()}
+        if value.__msgtype__ == "std_msgs/msg/Header":
+            fields["seq"] = 0
+        return store.types[value.__msgtype__](**fields)
+
+    return bytes(store.serialize_ros1(converted(message), msgtype))
 
 
 def _scan(ranges: NDArray[np.float64], frame: str) -> object:
@@ -288,7 +366,8 @@ def _text(text: str) -> bytes:
 RECORDINGS: dict[str, Callable[[Path, int], None]] = {
     each.__name__: each
     for each in (
-        scans, scanners, repetitive, large, images, clouds, small, chunk, kept, topics,
+        scans, scanners, database, ros1, repetitive, large, images, clouds, small, chunk, kept,
+        topics,
     )
 }  # fmt: skip
 

@@ -234,7 +234,8 @@ class BagReader:
             try:
                 return decode(data, msgtype)
             except Exception as error:  # whatever the generated decoder trips over
-                raise BagError(f"is not a {msgtype}: {error}") from error
+                reason = str(error).rstrip(".") or type(error).__name__
+                raise BagError(f"is not a {msgtype}: {reason}") from error
 
         return decoded
 

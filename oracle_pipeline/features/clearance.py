@@ -31,7 +31,8 @@ def clearance(blocked: NDArray[np.bool_]) -> NDArray[np.float32]:
     >>> clearance(np.array([[False, False, True], [False, False, False]])).round(2).tolist()
     [[2.0, 1.0, 0.0], [2.240000009536743, 1.409999966621399, 1.0]]
     """
-    return np.asarray(np.sqrt(_squared(blocked)), dtype=np.float32)
+    squared: NDArray[np.int64] = _squared(blocked)
+    return np.sqrt(squared).astype(np.float32)
 
 
 @jit

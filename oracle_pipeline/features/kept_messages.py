@@ -253,10 +253,10 @@ class KeptMessages:
             if not topic.undecodable:
                 self.notes += sorted(f"{topic.name}: {note.rstrip('.')}." for note in notes if note)
             else:
+                share = f"{len(rows) / max(1, len(of)):.0%} of the messages"
                 self.notes.append(
-                    f"{topic.name} ({topic.msgtype}, {len(rows) / max(1, len(of)):.0%} of the "
-                    f"messages) is not decoded, only its times and sizes are used: "
-                    f"{topic.undecodable}"
+                    f"{topic.name} ({topic.msgtype or 'no type'}, {share}) is not decoded, only "
+                    f"its times and sizes are used: {topic.undecodable}"
                 )
 
     def span(self, span: Span, graphs: Graphs) -> Window:

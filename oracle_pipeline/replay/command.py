@@ -75,6 +75,8 @@ def _draw(run_or_bag: Path, places: tuple[Path, ...], frames: float, speed: floa
 
     with open_run(run_or_bag) as run:
         scene = run_scene(run, frames)
+        for note in run.bag.losses:
+            click.echo(note, err=True)
     for place in places:
         if place.suffix == ".png":
             with replacing(place) as sink:

@@ -229,7 +229,9 @@ class _Words:
         self._scene = scene
         height_in = figure.get_size_inches()[1]
         first, second = 1.0 - 0.12 / height_in, 1.0 - 0.38 / height_in
-        figure.text(0.04, first, scene.title, size="large", weight="bold", va="top")
+        figure.text(
+            0.04, first, scene.title, size="large", weight="bold", va="top", parse_math=False
+        )
         self._clock = figure.text(0.96, first, "", size="large", ha="right", va="top")
         self._status = figure.text(0.04, second, "", va="top")
         self.moving: list[Artist] = [self._clock, self._status]

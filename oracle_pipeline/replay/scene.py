@@ -144,7 +144,7 @@ def top_down(scene: ReplayScene) -> bytes:
             x, y, radius = scene.obstacle
             axes.add_patch(Circle((x, y), radius, label="real obstacle", **OBSTACLE))
         axes.set(xlabel=f"x in {scene.frame} [m]", ylabel=f"y in {scene.frame} [m]")
-        axes.set_title(scene.title)
+        axes.set_title(scene.title, parse_math=False)  # a name of a bag may have a dollar sign
         axes.figure.legend(loc="outside lower center", ncols=3, fontsize="small", markerscale=0.8)
     return png.getvalue()
 

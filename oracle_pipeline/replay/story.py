@@ -6,6 +6,7 @@ a complex number [m] and a rotation a complex factor. ``oracle_pipeline.replay.s
 """
 
 import cmath
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.features.point_clouds import sliced
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.replay.scene import DrawnGrid, Moment, ReplayScene
@@ -31,6 +33,9 @@ from oracle_pipeline.robots.roles import (
     Roles,
 )
 
+MOST_MOMENTS = 20_000  # of a film
+FARTHEST_M = 1e8
+LONGEST_PAUSE_NS = 60_000_000_000  # without a message, in the film
 MAP_FRAME = "map"  # REP 105; the frame of recipes
 ATTACKED = "/scan_fakeobject"  # of simulated runs
 BASES = ("base_footprint", "base_link")  # REP 105 and 120
@@ -80,7 +85,8 @@ class _Story:
         self._attack = attacked.attack if attacked else {}
         self._onset_s = attacked.onset_s if attacked else None
         self._has_odometry = bool(roles.found[ODOMETRY].topics)
-        self._now_ns = 0  # since the start of the recording
+        self._now_ns = 0  # since the start of the recording, without what was skipped
+        self._skipped_ns = 0  # long pauses, and jumps of the recorder's clock
         self._step_ns = round(1e9 / moments_per_s) if moments_per_s else None
         self._next_ns = 0  # when the next moment is
 
@@ -117,7 +123,9 @@ class _Story:
 
     def update(self, topic: str, stamp_ns: int, message: Any) -> None:
         """Process one message."""
-        self._now_ns = stamp_ns - self._run.bag.start_ns
+        pause_ns = stamp_ns - self._run.bag.start_ns - self._skipped_ns - self._now_ns
+        self._skipped_ns += pause_ns if pause_ns > LONGEST_PAUSE_NS else 0
+        self._now_ns = stamp_ns - self._run.bag.start_ns - self._skipped_ns
         while self._step_ns and self._next_ns < self._now_ns:
             self._add_moment(self._next_ns * 1e-9)
             self._next_ns += self._step_ns
@@ -134,14 +142,14 @@ class _Story:
         ground = None if self._map is None else self._grid(self._map)
         if self._map is not None and ground is None:
             raise ReportError(
-                f"{run.path} cannot be drawn: its bag has a map but no transform from "
-                f"{self._map.header.frame_id} to {self._root}; record /tf and /tf_static too."
+                f"{run.path} cannot be drawn: its bag has a map, but a broken one, or no transform "
+                f"from {self._map.header.frame_id} to {self._root}; record /tf and /tf_static too."
             )
         if self._step_ns:
-            self._add_moment(run.duration_s)
+            self._add_moment(max(run.duration_s - self._skipped_ns * 1e-9, self._now_ns * 1e-9))
         path = _xy(np.array(self._path))
         scene = ReplayScene(
-            title=run.path.resolve().name,
+            title=printable(run.path.resolve().name),
             frame=self._root,
             map=ground,
             path=path,
@@ -253,9 +261,13 @@ class _Story:
         if pose is None:
             return None
         info = message.info
-        corner, turn = _pose(info.origin.position, info.origin.orientation)
+        origin = _pose(info.origin.position, info.origin.orientation)
+        cells = np.asarray(message.data, dtype=np.int8)
+        if origin is None or not cells.size or cells.size != info.height * info.width:
+            return None
+        corner, turn = origin
         return DrawnGrid(
-            np.asarray(message.data, dtype=np.int8).reshape(info.height, info.width),
+            cells.reshape(info.height, info.width),
             info.resolution,
             _x_y_yaw((pose[0] + pose[1] * corner, pose[1] * turn)),
         )
@@ -282,6 +294,11 @@ class _Story:
     def _add_moment(self, time_s: float) -> None:
         if not self._path:
             return
+        if len(self._moments) >= MOST_MOMENTS:
+            raise ReportError(
+                f"{self._run.path} has more than {MOST_MOMENTS} frames (MOST_MOMENTS); lower "
+                "--frames, or cut the recording into shorter ones."
+            )
         attacked = self._onset_s is not None and time_s >= self._onset_s
         self._moments.append(
             Moment(
@@ -314,8 +331,9 @@ class _Frames:
             self.attach(stamped, stamped.child_frame_id, step.translation, step.rotation)
 
     def attach(self, stamped: Any, child: str, position: Any, orientation: Any) -> None:
-        """Attach a frame to that of a stamped message."""
-        self._parents[child] = (stamped.header.frame_id, _pose(position, orientation))
+        """Attach a frame to that of a stamped message, unless its pose is invalid."""
+        if (pose := _pose(position, orientation)) is not None:
+            self._parents[child] = (stamped.header.frame_id, pose)
 
     def from_root(self, frame: str) -> tuple[str, _Pose]:
         """Return the root of a frame, and the frame's pose in it.
@@ -331,9 +349,13 @@ class _Frames:
         return "", (at, turn)
 
 
-def _pose(position: Any, q: Any) -> _Pose:
-    turn = complex(1.0 - 2.0 * (q.y**2 + q.z**2), 2.0 * (q.w * q.z + q.x * q.y))
-    return complex(position.x, position.y), turn / abs(turn)
+def _pose(position: Any, q: Any) -> _Pose | None:
+    """Return a planar pose, or None if it is not finite or beyond `FARTHEST_M`."""
+    at = complex(position.x, position.y)
+    turn = complex(1.0 - 2.0 * (q.y * q.y + q.z * q.z), 2.0 * (q.w * q.z + q.x * q.y))
+    if not abs(at) < FARTHEST_M or not 0.0 < abs(turn) < math.inf:
+        return None
+    return at, turn / abs(turn)
 
 
 def _x_y_yaw(pose: _Pose) -> tuple[float, float, float]:

@@ -82,13 +82,15 @@ class Observation:
     constants: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, run: OpenedRun, *, paced: bool = False) -> Self:
+    def of(cls, run: OpenedRun, duration_s: float | None = None, *, paced: bool = False) -> Self:
         """Observe an open recording.
 
-        Paces are needed to learn a contract only, and take another pass over the bag.
+        The duration is that of `KeptMessages`, without the jumps of the clock; by default there are
+        none. Paces are needed to learn a contract only, and take another pass over the bag.
         """
+        length_s = run.duration_s if duration_s is None else duration_s
         topics = {
-            name: (topic.msgtype, qos_words(topic.qos), _rate(topic.count, run.duration_s))
+            name: (topic.msgtype, qos_words(topic.qos), _rate(topic.count, length_s))
             for name, topic in run.bag.topics.items()
         }
         graph = graph_elements(compose(each.graph for each in run.intervals))

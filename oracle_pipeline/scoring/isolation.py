@@ -19,9 +19,10 @@ from typing import Any, NamedTuple, TypeVar
 
 from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.features import FeatureManager, FeatureTables, build_manager, extract
+from oracle_pipeline.features.kept_messages import KeptMessages
 from oracle_pipeline.features.manager import FOLDER_VARIABLE
-from oracle_pipeline.opened_run import open_run
-from oracle_pipeline.robots.robot import find_robots, of_robot
+from oracle_pipeline.opened_run import OpenedRun, open_run
+from oracle_pipeline.robots.robot import Robot, find_robots, of_robot
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.contract import Observation
 
@@ -97,14 +98,20 @@ def extracted(
     with open_run(path, strict=strict) as run:
         manager = build_manager(plugins)
         return [
-            Extracted(
-                of_robot(str(path), robot.name),
-                extract(run, manager, robot),
-                Observation.of(replace(run, bag=robot.bag), paced=paced),
-                run.manifest is not None,
-            )
+            _of_robot(str(path), run, robot, manager, paced=paced)
             for robot in find_robots(run.bag, choices)
         ]
+
+
+def _of_robot(
+    path: str, run: OpenedRun, robot: Robot, manager: FeatureManager, *, paced: bool
+) -> Extracted:
+    recording = KeptMessages.read(robot, manager.plugins)
+    tables = extract(run, manager, robot, recording)
+    length_s = (recording.duration_ns - 1) * 1e-9
+    del recording  # its arrays, before the bag is read again
+    seen = Observation.of(replace(run, bag=robot.bag), length_s, paced=paced)
+    return Extracted(of_robot(path, robot.name), tables, seen, run.manifest is not None)
 
 
 def run_isolated(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT_LIMITS) -> T:

@@ -175,6 +175,9 @@ def _judge_robot(extracted: Extracted, reference: CardSource) -> Verdict:
         return replace(verdict, notes=(*tables.notes, *verdict.notes))
     except (OracleError, OSError) as error:
         return Verdict(recording, "error", error=str(error))
+    except Exception as error:  # a defect of ours costs this verdict, not the others
+        told = f"{recording} cannot be judged: {type(error).__name__}: {error}. Please report it."
+        return Verdict(recording, "error", error=told)
 
 
 def judge(

@@ -19,6 +19,7 @@ from oracle_pipeline.scoring.comparable import join_first
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.isolation import extract_isolated
 from oracle_pipeline.scoring.verdict import ScoringError
+from oracle_pipeline.windows import MIN_WINDOW_S
 
 WINDOWS_FILE = "windows.parquet"  # beside the table of the runs, as feature_dataset writes both
 
@@ -97,12 +98,21 @@ def _extracted(
 ) -> Reference:
     """Compute the features of recordings, and of all recordings below folders."""
     tables, windows, observations, notes, unlabelled = [], [], [], [], 0
-    recordings = [recording for path in paths for recording in recordings_below(path)]
+    below = {path: list(recordings_below(path)) for path in paths}
+    notes += [f"{path} holds no recording; it is left out." for path in below if not below[path]]
+    recordings = list(dict.fromkeys(each for found in below.values() for each in found))
     for path in progress_bar(recordings, unit="recording", desc="reference"):
         try:
             robots = extract_isolated(path, manager, choices=choices, paced=True)
         except (OracleError, OSError) as error:
             notes.append(f"{path} is left out of the reference: {error}")
+            continue
+        robots = [each for each in robots if len(each.tables.windows)]
+        if not robots:
+            notes.append(
+                f"{path} is left out of the reference: it is shorter than {MIN_WINDOW_S:g} s, and "
+                "has no window."
+            )
             continue
         unlabelled += not robots[0].has_manifest
         for recording, both, observation, has_manifest in robots:

@@ -99,6 +99,8 @@ def mutate(
             _bar,
             attack.goals_s,
         )
+    for note in summary.losses:
+        click.echo(note, err=True)
     click.echo(
         f"{bag_out}: attack from {summary.onset_s:.1f} s on; of {summary.received} messages of "
         f"{program.input_topic}, {summary.touched} affected; {summary.published} published on "

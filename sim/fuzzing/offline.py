@@ -46,6 +46,7 @@ class Summary:
     changes: tuple[Change, ...]  # what was changed, and when
     topics: Mapping[str, TopicCount]  # of the mutant
     content_hash: str  # of the mutant
+    losses: tuple[str, ...] = ()  # what of the bag could not be read
 
 
 Track = Callable[[Iterable[RawMessage], int], Iterable[RawMessage]]
@@ -115,6 +116,7 @@ def mutate_bag(
         changes=in_bins(run.changes, reader.start_ns),
         topics=writer.topics,
         content_hash=writer.content_hash,
+        losses=tuple(reader.losses),
     )
 
 
@@ -251,10 +253,15 @@ def _check_topics(reader: BagReader, program: Program) -> None:
     for name, msgtype in needed.items():
         if name not in reader.topics:
             same = [topic.name for topic in reader.topics.values() if topic.msgtype == msgtype]
-            raise BagError(
-                f"{reader.path} has no topic {name}, which {program.scenario.id} subscribes to; of "
-                f"type {msgtype} it has {', '.join(same) or 'none'}. Name one of these with "
+            hint = (
+                f"of type {msgtype} it has {', '.join(same)}. Name one of these with "
                 "--topic, or in the scenario."
+                if same
+                else f"nor any other of type {msgtype}. Choose a scenario for what it has."
+            )
+            raise BagError(
+                f"{reader.path} has no topic {name}, which {program.scenario.id} subscribes to; "
+                f"{hint}"
             )
     spoken = {topic: kind.name for topic, kind in program.outlets.items()}
     for name, msgtype in {**needed, **spoken}.items():
