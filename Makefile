@@ -14,8 +14,12 @@ FIRST := lidar_passthrough|run000
 LAST := delayed_fakeobject|run002
 
 # Pins without the address of any registry.
-COMPILE := pip-compile --quiet --strip-extras --no-header --no-annotate \
+PIN := pip-compile --quiet --strip-extras --no-header --no-annotate \
 	--no-emit-index-url --no-emit-trusted-host --no-emit-find-links
+
+# pip compiles what it installs in one process, tests included, which takes half a minute.
+INSTALL = $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable
+BYTECODE = $(BIN)/python -m compileall -qq -j 0 -x '/tests?/' $(VENV)/lib || true
 
 .PHONY: help setup setup-dev demo demo-card run campaign ui test test-quick test-browser test-compiled lint types architecture docs \
 	pictures wheel install-check bench soak constraints requirements image sbom clean
@@ -28,11 +32,14 @@ setup: $(VENV)/.compiled ## Make .venv with what running needs, in pinned versio
 
 setup-dev: $(VENV)/.ready-dev ## Add what tests, types and benchmarks need
 
-$(VENV)/.ready: pyproject.toml constraints.txt
+$(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "This needs Python 3.11 or newer; say which with: make setup PYTHON=python3.12"; exit 1; }
 	$$($(PYTHON) scripts/choose_python.py $(if $(filter file,$(origin PYTHON)),,--only)) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+
+$(VENV)/.ready: pyproject.toml constraints.txt | $(BIN)/python
+	$(INSTALL) .
+	@$(BYTECODE)
 	@touch $@
 
 # What changes later is compiled when it is first called.
@@ -40,9 +47,11 @@ $(VENV)/.compiled: $(VENV)/.ready
 	$(BIN)/python scripts/compile_loops.py
 	@touch $@
 
-$(VENV)/.ready-dev: $(VENV)/.ready
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dask,dev,dg,docs,live,postgres,s3,search]'
-	@touch $@
+# With what running needs, so that it is installed at once where there is nothing yet.
+$(VENV)/.ready-dev: pyproject.toml constraints.txt | $(BIN)/python
+	$(INSTALL) '.[dask,dev,dg,docs,live,postgres,s3,search]'
+	@$(BYTECODE)
+	@touch $(VENV)/.ready $@
 
 demo: setup ## Record a normal and an attacked run, and judge both by the shipped reference card
 	python scripts/demo.py
@@ -69,15 +78,19 @@ campaign: setup ## Simulate 60 blocks of every mode and hard negative, and evalu
 ui: setup ## Open the pipeline in the browser, on 127.0.0.1
 	oracle-ui -w workspace.yaml
 
-test: setup-dev ## Check style and types, then run every test that needs only Python and PyPI
-	@$(MAKE) --no-print-directory --jobs=2 lint types $(VENV)/.compiled
+test: setup-dev ## Check style and types, and run every test that needs only Python and PyPI
+	@$(MAKE) --no-print-directory --jobs=2 types test-all
+
+# Tests begin once the style is right; types are checked beside them.
+.PHONY: test-all
+test-all: lint $(VENV)/.compiled
 	pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 test-quick: setup-dev ## Run the tests that take less than a second each: while you work
 	pytest -n 2 --dist worksteal -m "not slow"
 
 test-browser: setup-dev ## Look at the report in a headless Chromium, which has to be installed
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
+	$(INSTALL) '.[browser]'
 	pytest tests/browser
 
 test-compiled: setup-dev ## Build feature plugins in C++ and Rust and use them; needs cmake and a compiler, Rust is optional
@@ -99,7 +112,7 @@ docs: setup-dev ## Check words, spelling and links of the docs, and build their 
 	@echo "Site: $(CURDIR)/site/index.html (search needs a server: mkdocs serve)"
 
 pictures: setup-dev ## Draw the pictures of the docs; of a campaign's report with CAMPAIGN=data/campaign
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[browser]'
+	$(INSTALL) '.[browser]'
 	python docs/draw_worlds.py
 	python docs/pictures.py $(CAMPAIGN)
 
@@ -115,10 +128,10 @@ install-check: setup ## Install into fresh environments of the Python versions t
 	scripts/install_check.sh 3.11 3.12 3.13
 
 constraints: setup-dev ## Pin the newest versions that fit pyproject.toml
-	$(COMPILE) --upgrade --all-extras --output-file constraints.txt pyproject.toml
+	$(PIN) --upgrade --all-extras --output-file constraints.txt pyproject.toml
 
 requirements: setup-dev ## Write deploy/requirements.txt: what the image holds, with the hash of every file
-	$(COMPILE) --constraint constraints.txt --generate-hashes --allow-unsafe --build-deps-for wheel \
+	$(PIN) --constraint constraints.txt --generate-hashes --allow-unsafe --build-deps-for wheel \
 		--extra dask --extra postgres --extra s3 --output-file deploy/requirements.txt pyproject.toml
 
 image: requirements ## Build the image of deploy/ from files whose hashes are known

@@ -56,7 +56,14 @@ class _Group(PlainTextGroup):
 @click.group(cls=_Group)
 @version_option
 def main() -> None:
-    """Tell normal from anomalous behaviour of a ROS 2 system, using only recordings."""
+    """Tell normal from anomalous behaviour of a ROS 2 system, using only recordings.
+
+    \b
+    Examples:
+        oracle learn good_bags/ --output robot.card
+        oracle score tonight/* --reference robot.card --far 0.25
+        oracle replay my_robot_bag/
+    """  # noqa: D301 -- click reads the control character
 
 
 main.add_command(replay)

@@ -16,7 +16,7 @@ Navigation = Literal["tuned", "stock", "drawn"]
 # Drawn: block 0 is in the hexagon, 1 in a house, 2 in a random arena, 3 in the hexagon, ...
 ArenaChoice = Literal["drawn", "hexagon", "house", "random"]
 # What a run is to the runs of its block. Another relation changes the task, not what is right, so
-# that a run can be compared with others although nobody knows the right way: `relations`.
+# that a run can be compared with others although the right way is unknown: `relations`.
 Relation = Literal["same", "mirrored", "reordered", "shifted"]
 
 DEFAULT_SEED = 20260101
@@ -34,7 +34,7 @@ class Options:
     """
 
     # How the mode's node stands in the system. Additive: what it publishes is one more source of
-    # obstacles, as in the thesis. Replace: the collision monitor hears it instead of the LiDAR
+    # obstacles, as in the thesis. Replace: the collision monitor receives it instead of the LiDAR
     # that it mutates. Absent: there is no such node.
     wiring: Wiring = "additive"
     odometry_source: OdometrySource = "world"

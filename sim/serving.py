@@ -79,16 +79,16 @@ class ServedDomain:
 
     def _tell(self) -> None:
         """Publish which endpoints belong to which node, as every ROS 2 process does."""
-        heard: dict[str, list[object]] = {}
+        readers: dict[str, list[object]] = {}
         said: dict[str, list[object]] = {}
         for subscription, reader in self._readers.items():
-            heard.setdefault(subscription.node, []).append(_gid(reader.guid))
+            readers.setdefault(subscription.node, []).append(_gid(reader.guid))
         for publisher, writer in self._writers.items():
             said.setdefault(publisher.node, []).append(_gid(writer.guid))
         nodes = []
         for full_name in self._nodes:
             namespace, _, name = full_name.rpartition("/")
-            own = heard.get(full_name, []), said.get(full_name, [])
+            own = readers.get(full_name, []), said.get(full_name, [])
             nodes.append(_Node(namespace or "/", name, *own))
         message = _Participant(_gid(self._participant.guid.bytes), nodes)
         self._entities.write(serialize(message, ENTITIES_TYPE))

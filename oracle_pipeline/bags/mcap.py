@@ -342,6 +342,8 @@ def _extent(fields: _Fields, spans: list[tuple[int, int, int]]) -> Extent:
     in_order = chunks > 0 and all(
         end <= begin for (_, _, end), (_, begin, _) in itertools.pairwise(ordered)
     )
+    if end_ns >= 2**63:  # nanoseconds: the year 2262
+        raise ValueError("some stamps are beyond any recording")
     return Extent(+counts, start_ns, end_ns, in_order) if messages else Extent()
 
 

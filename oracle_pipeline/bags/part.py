@@ -49,16 +49,20 @@ class Extent:
     start_ns: int | None = None
     end_ns: int | None = None
     in_order: bool = True  # no batch begins before the one before it has ended
+    undated: int = 0  # messages whose stamps are negative or beyond the year 2262
 
     def add(self, batch: Batch) -> None:
         """Count a batch."""
-        if not len(batch.stamps_ns):
+        dated = np.flatnonzero(batch.stamps_ns >= 0)
+        self.undated += len(batch.stamps_ns) - len(dated)
+        if not len(dated):
             return
-        first, last = int(batch.stamps_ns.min()), int(batch.stamps_ns.max())
+        stamps_ns = batch.stamps_ns[dated]
+        first, last = int(stamps_ns.min()), int(stamps_ns.max())
         self.in_order &= self.end_ns is None or self.end_ns <= first
         self.start_ns = first if self.start_ns is None else min(self.start_ns, first)
         self.end_ns = last if self.end_ns is None else max(self.end_ns, last)
-        channels, counts = np.unique(batch.channels, return_counts=True)
+        channels, counts = np.unique(batch.channels[dated], return_counts=True)
         self.counts.update(dict(zip(channels.tolist(), counts.tolist(), strict=True)))
 
 

@@ -90,6 +90,10 @@ class BagReader:
         parts = self._files.parts
         self.notes, self.losses = list(self._files.notes), list(self._files.losses)
         self.losses += [loss(part) for part in parts if part.cut]
+        if undated := sum(part.extent.undated for part in parts):
+            self.notes.append(
+                f"{undated} messages were stamped before 1970 or after 2262; they are not used."
+            )
         if self.losses and (strict or not any(part.extent.counts.total() for part in parts)):
             self._files.close()
             raise BagError(
@@ -103,6 +107,8 @@ class BagReader:
         ]
         self.topics = self._join(channels)
         self.message_count = sum(topic.count for topic in self.topics.values())
+        if not self.message_count:
+            self.notes.append("It has no messages.")
         size = sum(part.path.stat().st_size for part in parts)
         self._most_messages = max(MOST_MESSAGES, size // SMALLEST_MESSAGE)
         starts = [part.extent.start_ns for part in parts if part.extent.start_ns is not None]

@@ -170,12 +170,14 @@ class SqlitePart:
         try:
             for number, count, first, last in database.execute(
                 "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages "  # noqa: S608 -- a constant
-                f"WHERE {_SOUND} GROUP BY topic_id"
+                f"WHERE {_SOUND} AND timestamp >= 0 GROUP BY topic_id"
             ):
                 self.extent.counts[number] = count
                 known = self.extent.start_ns, self.extent.end_ns
                 self.extent.start_ns = first if known[0] is None else min(known[0], first)
                 self.extent.end_ns = last if known[1] is None else max(known[1], last)
+            undated = "SELECT count(*) FROM messages WHERE timestamp < 0"
+            (self.extent.undated,) = database.execute(undated).fetchone()
         except sqlite3.DatabaseError as error:
             self.cut = f"the database is damaged: {error}"
             self.claims, self.extent = False, Extent()

@@ -21,6 +21,7 @@ from oracle_pipeline.bags.content import ContentHash
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.manifest import TopicCount
 from oracle_pipeline.bags.storage import METADATA_VERSION, Writer
+from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.bags.types import TypeDefinition
 
 _BATCH_BYTES = 2**18  # of messages are packed, stored and hashed at a time
@@ -79,6 +80,13 @@ class BagWriter:
         self._unfinished = path.with_name(f"{path.name}_0")
         if path.exists():
             raise BagError(f"{path} exists already; a bag is never written over another.")
+        try:
+            path.name.encode()
+        except UnicodeEncodeError as error:
+            raise BagError(
+                f"{printable(str(path))} cannot be the name of a bag: it is not UTF-8, as "
+                "metadata.yaml is, which holds it. Choose another."
+            ) from error
         with self._errors():
             self._writer = Writer(
                 self._unfinished,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.bags.limits import MOST_WINDOWS
 from oracle_pipeline.bags.manifest import UNKNOWN_WORLD
 from oracle_pipeline.bags.run_directory import RunDirectory
@@ -84,6 +84,7 @@ def extract(
     return measure(run, manager, robot, recording).frames()
 
 
+@np.errstate(all="ignore")  # recordings hold NaN and infinity; features of them are missing
 def measure(
     run: OpenedRun,
     manager: FeatureManager,
@@ -146,6 +147,7 @@ class WindowFeatures(NamedTuple):
     carried: Carried  # what the next window has to know
 
 
+@np.errstate(all="ignore")
 def extract_window(
     run: OpenedRun,
     manager: FeatureManager,
@@ -305,7 +307,11 @@ class _Extraction:
         """Log a plugin's first failure, called where it is handled."""
         if plugin not in self._failed:
             self._failed.add(plugin)
-            _log.error("Plugin %s failed on %s", plugin, self._run.path, exc_info=error)
+            told = isinstance(error, OracleError)  # in a line, and no defect
+            _log.error(
+                "Plugin %s failed on %s: %s", plugin, self._run.path, error,
+                exc_info=None if told else error,
+            )  # fmt: skip
         return Missing(f"{type(error).__name__}: {error}")
 
 

@@ -250,8 +250,9 @@ class KeptMessages:
                 kept.finish(times_ns, known.get((topic.name, key)))
                 for key, kept in topic.kept.items()
             }
-            self.notes += sorted(f"{topic.name}: {note}." for note in notes if note)
-            if topic.undecodable:
+            if not topic.undecodable:
+                self.notes += sorted(f"{topic.name}: {note.rstrip('.')}." for note in notes if note)
+            else:
                 self.notes.append(
                     f"{topic.name} ({topic.msgtype}, {len(rows) / max(1, len(of)):.0%} of the "
                     f"messages) is not decoded, only its times and sizes are used: "

@@ -171,7 +171,7 @@ class KeptRows:
         del self._numbers[:]
 
     def finish(self, times_ns: Integers, earlier: Rows | None) -> str | None:
-        """Make arrays of all that was kept, in time order; return what was left out, if it was.
+        """Make arrays of all that was kept, in time order; return what was not used, if any.
 
         Parameters
         ----------
@@ -187,7 +187,7 @@ class KeptRows:
             values = self._values()
         except (ValueError, TypeError, OverflowError) as error:
             self.error = f"what is kept of each message must have the same shape: {error}"
-            return None
+            return f"what needs it is missing: {self.error}"
         self._rows.clear()
         self._blocks.clear()
         kept_ns = times_ns[np.frombuffer(self._numbers, dtype=np.int64)]
@@ -199,7 +199,9 @@ class KeptRows:
             rows = earlier.followed_by(rows)
         self._times_ns = rows.times_ns
         self._series = Series(read_only(rows.times_ns / 1e9), read_only(rows.values))
-        if self.error or not self._broken:
+        if self.error:
+            return f"what needs it is missing: {self.error}"
+        if not self._broken:
             return None
         return f"{self._broken} of {tried} messages are left out as broken: {self._first_error}"
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.even_times import even_spans
 from oracle_pipeline.features.motion import (
     ANGLES,
     COMMAND,
@@ -269,8 +270,8 @@ def _comparison(quantity: str, first: Track, second: Track | Steps) -> Compariso
     else:
         # Spans that do not depend on when a recording begins.
         begin = math.ceil(max(first.stamps_s[0], second.stamps_s[0]) / SPAN_S) * SPAN_S
-        ends_s = np.arange(begin, min(first.stamps_s[-1], second.stamps_s[-1]), SPAN_S)
-        from_s, to_s = ends_s[:-1], ends_s[1:]
+        end_s = min(first.stamps_s[-1], second.stamps_s[-1])
+        from_s, to_s = even_spans(begin, end_s, SPAN_S, first.stamps_s, second.stamps_s)
         gained = gain(second, quantity, from_s, to_s)
     ours = gain(first, quantity, from_s, to_s)
     slopes = slope(first, quantity, from_s, to_s)

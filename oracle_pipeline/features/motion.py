@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from oracle_pipeline.features.even_times import even_spans
 from oracle_pipeline.features.parts import frame_names, header_stamps_s, poses_of
 from oracle_pipeline.features.plugin import Request, Series
 from oracle_pipeline.features.scan_geometry import SETUP_TOPICS, Planar, ScannerSetup
@@ -233,12 +234,14 @@ def wheels(topic: str, joints: Joints, references: Sequence[Track]) -> Track | N
     motion's whole scale is that of all of them, should all have turned alike.
     """
     times_s, at_s, angles = joints
-    ends_s = np.arange(at_s[0], at_s[-1], SPAN_S)
-    turned = np.diff(np.column_stack([np.interp(ends_s, at_s, a) for a in angles.T]), axis=0)
+    from_s, to_s = even_spans(at_s[0], at_s[-1], SPAN_S, at_s)
+    turned = np.column_stack(
+        [np.interp(to_s, at_s, a) - np.interp(from_s, at_s, a) for a in angles.T]
+    )
     gained: dict[str, Points] = {}
     for track in references:
         for quantity in sorted(track.gained.keys() - gained.keys()):
-            gains = gain(track, quantity, ends_s[:-1], ends_s[1:]).real
+            gains = gain(track, quantity, from_s, to_s).real
             direction = _explaining(turned, gains)
             if direction is not None:
                 gained[quantity] = _complex(angles @ direction)

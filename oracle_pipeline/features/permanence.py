@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.even_times import even_times
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -39,6 +40,8 @@ from oracle_pipeline.features.scans import Bools, Floats, Ints, Points, Recorded
 _EARLIER_S = 1.0  # between two scans that are compared
 _LATER_S = 1.0  # at least until the robot drives across what it saw
 _PATH_STEP_S = 0.05
+_FARTHEST = 2**26  # m from the origin; beyond it, a pose is no pose
+_WIDEST = 2**31  # cells from the corner of the path
 _CELL_M = 0.1  # of the robot's path; a robot is wider than that
 _FEWEST = 2  # returns on the path that count
 _SMALL_RAYS = (4, 80)  # rays that a compact thing takes
@@ -173,40 +176,69 @@ def _apart(stamps_s: Floats, earlier_s: float) -> tuple[Ints, Ints]:
 
 @dataclass(frozen=True, slots=True)
 class _Path:
-    """When the robot was last in each cell that it drove through."""
+    """When the robot was last in each cell that it drove through: a table, found by its hash."""
 
     corner: complex  # of cell (0, 0), in the odometry frame
-    last_s: Floats  # stamp, shape (rows, columns); -inf where it never was
+    cells: Ints  # both numbers of a cell as one, at its place; -1 at free places
+    last_s: Floats  # stamp
 
     @classmethod
     def of(cls, setup: ScannerSetup) -> "_Path":
         """Follow the robot while its scanners looked."""
         assert setup.motion is not None  # noqa: S101 -- checked before
         stamps_s = np.concatenate([scans.stamps_s for scans in setup.scanners.values()])
-        steps_s = np.arange(stamps_s.min(), stamps_s.max() + _PATH_STEP_S, _PATH_STEP_S)
+        end_s = stamps_s.max() + _PATH_STEP_S
+        steps_s = even_times(stamps_s.min(), end_s, _PATH_STEP_S, stamps_s)
         places = setup.motion.base(steps_s).shift
-        corner = complex(places.real.min(), places.imag.min())
-        cells = np.floor((places - corner).view(np.float64).reshape(-1, 2) / _CELL_M)
-        columns, rows = cells.astype(np.int64).T
-        last_s = np.full((int(rows.max()) + 1, int(columns.max()) + 1), -np.inf)
-        last_s[rows, columns] = steps_s  # of equal cells the last one stays
-        return cls(corner, last_s)
+        near = (np.abs(places.real) < _FARTHEST) & (np.abs(places.imag) < _FARTHEST)  # no NaN
+        places, steps_s = places[near], steps_s[near]
+        corner = complex(places.real.min(initial=np.inf), places.imag.min(initial=np.inf))
+        return cls(corner, *_followed((places - corner) / _CELL_M, steps_s))
 
     def crossed(self, world: Points, stamps_s: Floats) -> Bools:
         """Tell which scans saw something where the robot drove across later, shape (n,)."""
-        return _crossed((world - self.corner) / _CELL_M, stamps_s, self.last_s) >= _FEWEST
+        return _crossed(
+            (world - self.corner) / _CELL_M, stamps_s, self.cells, self.last_s
+        ) >= _FEWEST  # fmt: skip
 
 
 @jit
-def _crossed(world: Points, stamps_s: Floats, last_s: Floats) -> Ints:
+def _followed(places: Points, steps_s: Floats) -> tuple[Ints, Floats]:
+    size = 16
+    while size < 4 * len(places):
+        size *= 2
+    cells, last_s = np.full(size, -1, np.int64), np.full(size, -np.inf)
+    for i in range(len(places)):
+        cell = _cell(places[i])
+        place = _place(cell, cells)
+        cells[place], last_s[place] = cell, steps_s[i]
+    return cells, last_s
+
+
+@jit
+def _crossed(world: Points, stamps_s: Floats, cells: Ints, last_s: Floats) -> Ints:
     counts = np.zeros(len(world), np.int64)
-    rows, columns = last_s.shape
     for i in range(world.shape[0]):
         for j in range(world.shape[1]):
             x, y = world[i, j].real, world[i, j].imag
-            if 0.0 <= x < columns and 0.0 <= y < rows:  # false for NaN
-                counts[i] += last_s[int(y), int(x)] > stamps_s[i] + _LATER_S
+            if 0.0 <= x < _WIDEST and 0.0 <= y < _WIDEST:  # false for NaN
+                counts[i] += last_s[_place(_cell(world[i, j]), cells)] > stamps_s[i] + _LATER_S
     return counts
+
+
+@jit
+def _cell(point: complex) -> int:
+    """Return the cell of a point as one number; the point is not below the corner."""
+    return int(point.real) << 31 | int(point.imag)
+
+
+@jit
+def _place(cell: int, cells: Ints) -> int:
+    """Return where a cell is in the table, or the free place where it would be."""
+    place = (cell * 0x9E3779B97F4A7C1 >> 20) & (len(cells) - 1)
+    while cells[place] not in (cell, -1):
+        place = (place + 1) & (len(cells) - 1)
+    return place
 
 
 def _in_world(scans: RecordedScans, placed: Planar, path: _Path) -> tuple[Series, Floats]:

@@ -113,7 +113,9 @@ def _over_the_freshest(
     """
     freshest = min(held, key=lambda topic: (float(np.median(held[topic])), topic))
     times_s = arrivals[freshest].times_s
-    common = np.polynomial.Polynomial.fit(times_s, held[freshest], 1)(times_s)
+    common = held[freshest]
+    if len(np.unique(times_s)) > 1:
+        common = np.polynomial.Polynomial.fit(times_s, held[freshest], 1)(times_s)
     return {
         topic: each
         - (

@@ -98,7 +98,11 @@ class Metamorphic:
     def learn(self, normal: TracedRuns) -> _Judge:
         """Learn the spread of normal runs of the same task, for each relation.
 
-        A relation with fewer than `FEWEST` comparisons is ignored.
+        Raises
+        ------
+        KindError
+            Too few runs can be compared, or some have no follow-up run. Runs without one would
+            count as agreeing with it, which makes the p-values of the others too small.
         """
         differences = self.differences(normal).reshape(len(normal.traces), len(self._partners), -1)
         compared = np.isfinite(differences).any(axis=2).sum(axis=0)
@@ -107,6 +111,12 @@ class Metamorphic:
                 f"{compared.max()} normal runs have another run of the same task, {FEWEST} are "
                 "needed; record several runs of each block, or the blocks with --relation mirrored."
             )
+        for name, number in zip(self._partners, compared, strict=True):
+            if name != SAME and number < len(normal.traces):
+                raise KindError(
+                    f"{len(normal.traces) - number} of {len(normal.traces)} normal runs have no "
+                    f"{name} run of their block; record it for all blocks, or leave it out."
+                )
         spread = np.full(differences.shape[1:], np.inf)
         for relation in np.flatnonzero(compared >= FEWEST):
             known = np.isfinite(differences[:, relation]).any(axis=0)

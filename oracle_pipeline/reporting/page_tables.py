@@ -242,6 +242,11 @@ def of_evaluation(evaluation: Report) -> dict[str, PageTable]:
         "areas": grid("AUC of each attack", _areas(table, against), (*_SCORER, *areas)),
         "small_clusters": grid("Small clusters", more["small_clusters"], _SMALL_CLUSTERS),
     }
+    more = {
+        name: table
+        for name, table in more.items()
+        if name not in ("quadrants", "aspects_by_mode") or table["runs"].any()
+    }
     for name, title, columns in (
         ("quadrants", "Tampered and misbehaved runs", _QUADRANTS),
         ("aspects_by_mode", "The same, by mode", _ASPECTS_BY_MODE),

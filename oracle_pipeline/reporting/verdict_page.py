@@ -15,7 +15,7 @@ from oracle_pipeline.datasets import replacing
 from oracle_pipeline.features import FeatureManager
 from oracle_pipeline.reporting.page import template
 from oracle_pipeline.scoring.isolation import Limits, run_isolated
-from oracle_pipeline.scoring.output import HEADINGS, cells, family_as_text
+from oracle_pipeline.scoring.output import HEADINGS, beside, cells, family_as_text
 from oracle_pipeline.scoring.verdict import Judgement, Verdict
 
 _HEADLINES: dict[Judgement, str] = {
@@ -39,7 +39,7 @@ class _Judged(NamedTuple):
     name: str
     outcome: Judgement
     headline: str
-    sentence: str
+    sentences: Sequence[str]
     picture: str  # data URI; empty if it could not be drawn
     rows: Sequence[_Row]
     remarks: Sequence[str]
@@ -101,7 +101,7 @@ def _judged(
         verdict.recording,
         verdict.outcome,
         _HEADLINES[verdict.outcome],
-        _sentence(verdict, far),
+        [_sentence(verdict, far), *beside(verdict)],
         uri,
         [_Row(cells(each), meanings.get(each.feature, "")) for each in verdict.evidence],
         [*map(family_as_text, verdict.families), *remarks],
@@ -113,7 +113,10 @@ def _sentence(verdict: Verdict, far: float) -> str:
     if verdict.p_value is None or verdict.suite_p_value is None:
         return verdict.error
     farther = round(verdict.p_value * (verdict.normal_blocks + 1)) - 1
+    alone, suite = (f"{p:.3g}" for p in (verdict.p_value, verdict.suite_p_value))
+    adjusted = f", adjusted for the whole set to {suite}" if suite != alone else ""
     return (
-        f"Of {verdict.normal_blocks} normal recordings, {farther} are at least as unusual "
-        f"(p = {verdict.suite_p_value:.3g}; anomalous from {far:g} down)."
+        f"Of {verdict.normal_blocks} normal recordings, {farther or 'none'} "
+        f"{'is' if farther < 2 else 'are'} at least as unusual: p = {alone}{adjusted}. "
+        f"Anomalous means a p of {far:g} or less."
     )

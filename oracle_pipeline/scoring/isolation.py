@@ -179,7 +179,7 @@ def _work(sender: Connection, work: Callable[[Path], object], path: Path, limits
 @cache
 def _context() -> ForkServerContext:
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([__name__])
+    context.set_forkserver_preload([__name__, "oracle_pipeline.features.warm_start"])
     return context
 
 

@@ -170,11 +170,17 @@ def paragraph(verdict: Verdict, shared: Sequence[str] = ()) -> Iterator[str]:
         f"p = {verdict.suite_p_value:.3g}{suite}, score {verdict.score:.3g}"
     )
     yield from (f"    {breach}" for breach in verdict.contract)
-    yield from (f"    {line}" for line in (*_aspects(verdict), *_alarms(verdict)))
+    yield from (f"    {line}" for line in beside(verdict))
     if verdict.outcome != "normal":
         yield from aligned_lines([HEADINGS, *map(cells, verdict.evidence)], indent="    ")
         yield from (f"    {family_as_text(family)}" for family in verdict.families)
     yield from (f"    {remark}" for remark in _remarks(verdict) if remark not in shared)
+
+
+def beside(verdict: Verdict) -> Iterator[str]:
+    """Yield what is known beside the verdict: tampering or misbehaviour, and alarms over time."""
+    yield from _aspects(verdict)
+    yield from _alarms(verdict)
 
 
 def _aspects(verdict: Verdict) -> Iterator[str]:

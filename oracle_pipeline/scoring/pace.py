@@ -42,7 +42,13 @@ class Pace(NamedTuple):
         """
         gaps_ns = np.diff(stamps_ns, append=end_ns)
         first_end = int(stamps_ns[0]) + SPAN_S * _SECOND_NS
-        ends = np.arange(first_end, end_ns + 1, _SECOND_NS)  # once a second, as live
+        seconds = max(0, (end_ns - first_end) // _SECOND_NS + 1)  # as live: once a second
+        looks = np.arange(min(seconds, (SPAN_S + 2) * len(stamps_ns)))
+        if len(looks) < seconds:  # after a clock jump: counts change only near a message
+            after = np.arange(SPAN_S + 2)
+            looks = np.unique(((stamps_ns - first_end) // _SECOND_NS)[:, np.newaxis] + after)
+            looks = looks[(looks >= 0) & (looks < seconds)]
+        ends = first_end + looks * _SECOND_NS
         counts = np.subtract(
             *(np.searchsorted(stamps_ns, each) for each in (ends, ends - SPAN_S * _SECOND_NS))
         )

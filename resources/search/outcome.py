@@ -88,6 +88,8 @@ def picture(findings: Sequence[Finding], front: Sequence[Finding], far: float) -
         ("detected before it was run", INK, "x", screened),
     ]
     with drawing(6.0, 3.6) as (axes, png):
+        if findings and max(each.score for each in findings) > 100.0:
+            axes.set_xscale("symlog")  # before anything is drawn: margins are on this scale
         for label, color, marker, shown in groups:
             if shown:
                 axes.plot(
@@ -103,7 +105,5 @@ def picture(findings: Sequence[Finding], front: Sequence[Finding], far: float) -
             )  # fmt: skip
         axes.axhline(1.0, color=INK, linewidth=0.8, linestyle=":")
         axes.set(xlabel="score of the oracle", ylabel="effect on the task")
-        if findings and max(each.score for each in findings) > 100.0:
-            axes.set_xscale("symlog")
         axes.figure.legend(loc="outside upper right", ncols=2)
     return png.getvalue()

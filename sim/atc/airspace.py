@@ -1,8 +1,8 @@
-"""The physics: aircraft that fly their routes through the wind.
+"""The physics of air traffic: aircraft that fly their routes through the wind.
 
 An aircraft is a point with a speed through the air, a heading and a vertical speed, which all
 change at limited rates. It turns before a fix (fly-by), crabs into the wind and changes altitude
-and speed along the leg. Only the sensors' measurements come from here; no node sees it.
+and speed along the leg. Only the simulated sensors read it; no other node does.
 """
 
 import math
@@ -24,8 +24,8 @@ _BANK_ACCELERATION = 9.81 * math.tan(math.radians(25.0))  # across the flight pa
 _STANDARD_RATE = math.radians(3.0)  # the fastest turn [rad/s]
 _ACCELERATION = 0.5  # along the flight path [m/s^2]
 _VERTICAL_ACCELERATION = 1.0  # [m/s^2]
-_VERTICAL_SPEED = 12.0  # the most, up or down [m/s]
-_LONGEST_LEAD_M = 5_000.0  # the earliest turn before a fix
+_VERTICAL_SPEED = 12.0  # largest vertical speed, up or down [m/s]
+_LONGEST_LEAD_M = 5_000.0  # earliest start of a turn before a fix
 
 # Columns of the state.
 _X, _Y, _Z, _VX, _VY, _VZ, _AIRSPEED, _HEADING = range(8)
@@ -38,7 +38,7 @@ _wrap = jit(wrap_angle)
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """Where a flight goes, how high and how fast it is to be there."""
+    """A point of a route, with the altitude and speed that the flight should have there."""
 
     latitude: float  # [deg]
     longitude: float  # [deg]
@@ -48,7 +48,7 @@ class Waypoint:
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """One aircraft and its way: it appears at the first waypoint and is gone after the last."""
+    """One aircraft and its route: it appears at the first waypoint, and disappears at the last."""
 
     icao24: str
     callsign: str
@@ -58,7 +58,7 @@ class Flight:
 
 
 class State(NamedTuple):
-    """Where an aircraft is and how it moves over ground, in the airport's plane [m, m/s]."""
+    """Position and velocity over ground of an aircraft, in the airport's plane [m, m/s]."""
 
     x: float
     y: float
@@ -74,9 +74,9 @@ class AirSpace:
     Parameters
     ----------
     flights
-        Who flies.
+        The flights.
     wind
-        Where the air moves to, east and north [m/s].
+        Velocity of the air, east and north [m/s].
     """
 
     def __init__(self, flights: Sequence[Flight], wind: tuple[float, float]) -> None:
@@ -88,14 +88,14 @@ class AirSpace:
                 place = Place(point.latitude, point.longitude)
                 row[:] = *to_plane(*place), point.altitude_m, point.airspeed
         self._start_s = np.array([flight.start_s for flight in flights])
-        self._leg = np.zeros(len(flights), np.int64)  # 0: not there yet; > last: gone
+        self._leg = np.zeros(len(flights), np.int64)  # 0: not yet in the air; > last: has left
         self._states = np.zeros((len(flights), 8))
         self._stepped_ns = -STEP_NS
         self._now_ns = 0
         self.advance_to(0)
 
     def advance_to(self, time_ns: int) -> None:
-        """Fly on until a time [ns]."""
+        """Advance all flights to a time [ns]."""
         self._now_ns = time_ns
         while self._stepped_ns + STEP_NS <= time_ns:
             self._stepped_ns += STEP_NS
@@ -110,7 +110,7 @@ class AirSpace:
             )
 
     def state(self, flight: int) -> State | None:
-        """Return where the n-th flight is now; None while it is not in the air."""
+        """Return the state of the n-th flight now; None while it is not in the air."""
         if not 0 < self._leg[flight] <= self._last[flight]:
             return None
         x, y, z, vx, vy, vz = self._states[flight, :_AIRSPEED].tolist()
@@ -118,7 +118,7 @@ class AirSpace:
         return State(x + ahead_s * vx, y + ahead_s * vy, z + ahead_s * vz, vx, vy, vz)
 
     def in_the_air(self) -> tuple[Ints, Floats]:
-        """Return who is in the air now, and their states.
+        """Return the flights that are in the air now, and their states.
 
         Returns
         -------
@@ -141,7 +141,7 @@ def _step(
     wind_x: float,
     wind_y: float,
 ) -> None:
-    """Move every flight on by one step, to ``now_s``."""
+    """Advance every flight by one step, to ``now_s``."""
     dt = STEP_NS / SECOND
     for i in range(len(states)):
         state = states[i]
@@ -181,7 +181,7 @@ def _step(
 
 @jit
 def _in_the_air(states: Floats, leg: Ints, last: Ints, ahead_s: float) -> tuple[Ints, Floats]:
-    """Return who is in the air, and their states a moment after the last step."""
+    """Return the flights in the air, and their states extrapolated from the last step."""
     flights = np.flatnonzero((leg > 0) & (leg <= last))
     there = states[flights, :_AIRSPEED]
     there[:, :3] += ahead_s * there[:, 3:]
@@ -200,7 +200,7 @@ def _appear(state: Floats, route: Floats, wind_x: float, wind_y: float) -> None:
 
 @jit
 def _crab(course: float, airspeed: float, wind_x: float, wind_y: float) -> float:
-    """Return the angle from course to heading with which the wind does not push one off it."""
+    """Return the angle from course to heading that compensates the wind [rad]."""
     from_left = wind_x * math.cos(course) - wind_y * math.sin(course)
     return -math.asin(from_left / airspeed)
 

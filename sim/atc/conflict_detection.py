@@ -18,9 +18,9 @@ _Advisory = message_class(ADVISORY_TYPE)
 
 
 class ConflictDetection(Node):
-    """``/tracks`` in; ``/advisories`` out, one a pair and look while it is in force.
+    """Subscribes to ``/tracks``; publishes ``/advisories``, one for each pair in conflict.
 
-    When a pair is out of conflict, one advisory says so.
+    It repeats each at every check. One more advisory reports that a conflict has ended.
     """
 
     def __init__(self, domain: Domain, *, latency_ns: int = 0) -> None:
@@ -36,7 +36,7 @@ class ConflictDetection(Node):
         for own, intruder, level, tau_s in advisories(states):
             dx, dy, dz = (states[intruder] - states[own])[:3].tolist()
             pair = tracks[own].icao24, tracks[intruder].icao24
-            # Of two at the same height, the later in the order climbs.
+            # Of two at the same altitude, the later in the list climbs.
             climbs = dz < 0.0 or (dz == 0.0 and own > intruder)
             sense = 0 if level != RESOLUTION else 1 if climbs else -1
             warned[pair] = _Advisory(

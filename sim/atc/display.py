@@ -19,7 +19,7 @@ _TEN_KNOTS = 5.1444
 
 
 class ControllerDisplay(Node):
-    """``/tracks`` and ``/advisories`` in, ``/display_state`` out with every array of tracks."""
+    """Subscribes to ``/tracks`` and ``/advisories``; publishes ``/display_state``."""
 
     def __init__(self, domain: Domain, *, latency_ns: int = 0) -> None:
         super().__init__(domain, "/controller_display", latency_ns=latency_ns)
@@ -50,7 +50,7 @@ class ControllerDisplay(Node):
 
 
 def label(track: Any) -> str:
-    """Return a track's data block: who, flight level, ground speed in tens of knots.
+    """Return a track's data block: callsign, flight level, ground speed in tens of knots.
 
     >>> label(track)
     'ACA123 180 41'

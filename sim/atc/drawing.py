@@ -1,6 +1,6 @@
 """Draws the weather, flights and target of an air traffic run from the campaign's seed.
 
-Run i of every mode belongs to block i, and has the same of each.
+Run i of every mode belongs to block i, and has the same weather, flights and target.
 """
 
 import functools
@@ -21,7 +21,7 @@ from sim.testbed import Mode
 
 FLIGHTS = 10  # of a run
 
-_LOOK_S = 5  # how often it is looked who is in coverage
+_LOOK_S = 5  # interval at which coverage is checked
 
 
 def draw(mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any]) -> AtcRecipe:
@@ -30,7 +30,7 @@ def draw(mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any]
     Parameters
     ----------
     mode, run, campaign
-        Which run, of what.
+        Mode, number and campaign of the run.
     parameters
         Values of the scenario's parameters, in place of what the block has drawn or the default.
 
@@ -68,7 +68,7 @@ def _draw_flights(campaign: Campaign, block: int, wind: tuple[float, float]) -> 
 def _draw_target(
     campaign: Campaign, block: int, flights: tuple[Flight, ...], wind: tuple[float, float]
 ) -> Flight:
-    """Draw whom attacks are after: one that is in coverage all the first half of the recording."""
+    """Draw the target of attacks: a flight in coverage during the first half of the recording."""
     air = AirSpace(flights, wind)
     covered = set(range(len(flights)))
     begin_s, end_s = round(SETTLING_S), round(SETTLING_S + campaign.timeout_s / 2.0)

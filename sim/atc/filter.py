@@ -1,7 +1,7 @@
-"""A constant-velocity Kalman filter for what a track knows: place, and altitude.
+"""A constant-velocity Kalman filter for the position or the altitude of a track.
 
-A place is a complex number, east + i north: both have the same errors, so they share one
-covariance of position and velocity. An altitude is a real one.
+A position is a complex number, east + i north. Both axes have the same errors, so they share one
+covariance of position and velocity. An altitude is a real number.
 """
 
 from typing import Generic, TypeVar
@@ -10,7 +10,7 @@ Position = TypeVar("Position", complex, float)
 
 
 class MotionFilter(Generic[Position]):
-    """What is known of a position and its change.
+    """Estimate of a position and its velocity.
 
     Parameters
     ----------
@@ -47,12 +47,12 @@ class MotionFilter(Generic[Position]):
         return expected
 
     def distance_squared(self, time_ns: int, position: Position, position_sd: float) -> float:
-        """Return how far a measured position is from the expected one, in variances."""
+        """Return the squared distance of a measured from the expected position, in variances."""
         apart = abs(position - self.at(time_ns))
         return apart**2 / (self._variance(time_ns) + position_sd**2)
 
     def update(self, time_ns: int, position: Position, position_sd: float) -> None:
-        """Take a measured position in; one from before the last counts for its age."""
+        """Update with a measured position; an older one is compared at its own time."""
         innovation = position - self.at(time_ns)
         self._predict(time_ns)
         variance = self._pp + position_sd**2
@@ -64,7 +64,7 @@ class MotionFilter(Generic[Position]):
         self._pp *= 1.0 - gain_p
 
     def update_velocity(self, velocity: Position, velocity_sd: float) -> None:
-        """Take a velocity in that was measured when the last position was."""
+        """Update with a velocity that was measured together with the last position."""
         innovation = velocity - self.velocity
         variance = self._vv + velocity_sd**2
         gain_p, gain_v = self._pv / variance, self._vv / variance

@@ -1,9 +1,9 @@
 """The fusion node: one track for each aircraft, from ADS-B and both radars.
 
-A report with an address belongs to the track of that address; a primary echo to the nearest track
-that it fits. What does not fit its track is left out, unless it happens three times in a row with
-nothing that fits in between: then the track moves there. So the source that speaks most often,
-ADS-B, has the last word. What no sensor can say is not heard.
+A report with an address belongs to the track of that address. A primary echo belongs to the nearest
+track that it fits. A measurement that does not fit its track is ignored. After three such
+measurements in a row, the track moves there. So ADS-B, which reports most often, decides where a
+track is. Values that no sensor can measure are ignored.
 """
 
 import math
@@ -30,7 +30,7 @@ from sim.middleware.executor import SECOND
 from sim.middleware.node import Node
 from sim.middleware.stamps import header, stamp_ns
 
-ADSB_TOPIC = "/adsb_fuzzed"  # where the mode's node says what it makes of the receiver's reports
+ADSB_TOPIC = "/adsb_fuzzed"  # where the mode's node publishes the receiver's reports
 TRACKS_TYPE = "atc_msgs/msg/TrackArray"
 TRACKS_NS = 1 * SECOND
 
@@ -39,11 +39,11 @@ _TrackArray = message_class(TRACKS_TYPE)
 
 ADSB, PSR, SSR = 1, 2, 4  # as in atc_msgs/msg/Track
 
-GATE = 25.0  # variances; one in 300,000 right reports is outside
+GATE = 25.0  # variances; one of 300,000 correct reports is outside
 STRIKES = 3  # reports in a row that do not fit, after which the track moves
 CONFIRMED_AFTER = 3  # reports
-MEMORY_NS = round(2 * TURN_S * SECOND)  # for which a source that was heard counts
-LIFETIME_NS = round(3 * TURN_S * SECOND)  # of a track that nobody reports any more
+MEMORY_NS = round(2 * TURN_S * SECOND)  # how long a source counts after its last report
+LIFETIME_NS = round(3 * TURN_S * SECOND)  # of a track without new reports
 TENTATIVE_LIFETIME_NS = round(1.5 * TURN_S * SECOND)
 
 # What the fields of a squitter can hold.
@@ -63,7 +63,7 @@ _Start: TypeAlias = Callable[[int, Position, float], MotionFilter[Position]]  # 
 
 
 class _Estimate(Generic[Position]):
-    """A filter that starts anew when what it hears does not fit any more."""
+    """A filter that restarts when measurements no longer fit it."""
 
     def __init__(self, start: _Start[Position]) -> None:
         self._start: _Start[Position] = start
@@ -77,7 +77,7 @@ class _Estimate(Generic[Position]):
         return self.motion.distance_squared(time_ns, position, sd)
 
     def take(self, time_ns: int, position: Position, sd: float) -> bool:
-        """Take a measured position in; tell whether it counted."""
+        """Update with a measured position; return whether it was used."""
         motion = self.motion
         if motion is not None and motion.distance_squared(time_ns, position, sd) <= GATE:
             motion.update(time_ns, position, sd)
@@ -91,7 +91,7 @@ class _Estimate(Generic[Position]):
 
 
 class _Aircraft:
-    """A track at work."""
+    """A track with its filters and the state of its sources."""
 
     def __init__(self, track_id: int) -> None:
         self.track_id = track_id
@@ -99,7 +99,7 @@ class _Aircraft:
         self.callsign = ""
         self.squawk = ""
         self.reports = 0
-        self.heard_ns: dict[int, int] = {}  # by source
+        self.received_ns: dict[int, int] = {}  # by source
         self.place = _Estimate[complex](
             lambda time_ns, place, sd: MotionFilter(time_ns, place, 0j, sd, _ANY_SPEED, _TURNING)
         )
@@ -112,33 +112,33 @@ class _Aircraft:
         return self.reports >= CONFIRMED_AFTER
 
     def altitude_m(self, time_ns: int) -> float:
-        """Return the altitude at a time; NaN if no source has told it."""
+        """Return the altitude at a time [m]; NaN if no source has reported one."""
         return math.nan if self.height.motion is None else self.height.motion.at(time_ns)
 
     def take(self, source: int, time_ns: int, place: complex, sd: float) -> bool:
-        """Take a measured place in; tell whether it counted."""
+        """Update with a measured position; return whether it was used."""
         counted = self.place.take(time_ns, place, sd)
         if counted:
             self.reports += 1
-            self.heard_ns[source] = time_ns
+            self.received_ns[source] = time_ns
         return counted
 
     def moves(self, velocity: complex, sd: float) -> None:
-        """Take in the velocity that came with the last place."""
+        """Update with the velocity that came with the last position."""
         if self.place.motion is not None:
             self.place.motion.update_velocity(velocity, sd)
 
     def is_alive(self, now_ns: int) -> bool:
         lifetime_ns = LIFETIME_NS if self.is_confirmed else TENTATIVE_LIFETIME_NS
-        return now_ns - max(self.heard_ns.values()) <= lifetime_ns
+        return now_ns - max(self.received_ns.values()) <= lifetime_ns
 
     def message(self, now_ns: int) -> Any:
         motion, height = self.place.motion, self.height.motion
-        assert motion is not None  # noqa: S101 -- a track begins with a place
+        assert motion is not None  # noqa: S101 -- a track begins with a position
         place, velocity = motion.at(now_ns), motion.velocity
         latitude, longitude = to_geodetic(place.real, place.imag)
         track = math.atan2(velocity.real, velocity.imag) + convergence(latitude, longitude)
-        heard = (s for s, time_ns in self.heard_ns.items() if now_ns - time_ns <= MEMORY_NS)
+        recent = (s for s, time_ns in self.received_ns.items() if now_ns - time_ns <= MEMORY_NS)
         return _Track(
             self.track_id,
             self.icao24,
@@ -150,7 +150,7 @@ class _Aircraft:
             abs(velocity),
             math.degrees(track) % 360.0,
             0.0 if height is None else height.velocity,
-            sum(heard),
+            sum(recent),
         )
 
 
@@ -202,7 +202,7 @@ class Fusion(Node):
         if not _is_plot(plot):
             return
         time_ns = self._time_ns(plot)
-        best: tuple[bool, float] | None = None  # a confirmed track goes before any other
+        best: tuple[bool, float] | None = None  # a confirmed track takes precedence
         track, altitude_m = None, math.nan
         for candidate in self._tracks:
             height_m = candidate.altitude_m(time_ns)
@@ -215,7 +215,7 @@ class Fusion(Node):
         (track or self._begin()).take(PSR, time_ns, place, sd)
 
     def _addressed(self, icao24: str, time_ns: int, place: complex, sd: float) -> _Aircraft:
-        """Return the track of an address: that, one without an address that fits, or a new one."""
+        """Return the track of an address: its own, a fitting one without address, or a new one."""
         track = self._by_address.get(icao24)
         if track is None:
             nameless = (t for t in self._tracks if not t.icao24)
@@ -238,7 +238,7 @@ class Fusion(Node):
         self._publisher.publish(_TrackArray(header(self.now_ns, "wgs84"), confirmed))
 
     def _time_ns(self, report: Any) -> int:
-        """Return when a report was true; none is from the future."""
+        """Return when a report was measured, at the latest now [ns]."""
         return min(stamp_ns(report.header.stamp), self.now_ns)
 
 
@@ -252,7 +252,7 @@ def _is_plot(plot: Any) -> bool:
 
 
 def _located(plot: Any, altitude_m: float, errors: RadarErrors) -> tuple[complex, float]:
-    """Return the place of a plot in the plane, and the larger of its two standard deviations."""
+    """Return the position of a plot in the plane, and its larger standard deviation [m]."""
     if math.isnan(altitude_m):
         altitude_m = _USUAL_ALTITUDE_M
     ground_m = ground_range(plot.slant_range_m, altitude_m)

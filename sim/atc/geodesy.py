@@ -1,4 +1,4 @@
-"""Positions around the airport: WGS 84, a plane that touches it there, and what a radar measures.
+"""Positions around the airport: on WGS 84, in the plane tangent to it there, and as radar ranges.
 
 Great-circle maths comes from GeographicLib. What runs for every message is inlined here: the
 plane is the ellipsoid's orthographic projection (EPSG method 9840), whose two directions are
@@ -37,18 +37,18 @@ _RADIUS = _NU * math.sqrt((1.0 - _E2) / (1.0 - _E2 * _SIN_LAT**2))  # Gauss's me
 
 
 def destination(start: Place, azimuth_deg: float, distance_m: float) -> Place:
-    """Return where one comes to along a geodesic."""
+    """Return the end point of a geodesic of given start, azimuth and length."""
     there = Geodesic.WGS84.Direct(*start, azimuth_deg, distance_m)
     return Place(there["lat2"], there["lon2"])
 
 
 def distance(start: Place, end: Place) -> float:
-    """Return the length of the geodesic between two places [m]."""
+    """Return the length of the geodesic between two points [m]."""
     return float(Geodesic.WGS84.Inverse(*start, *end)["s12"])
 
 
 def between(start: Place, end: Place, share: float) -> Place:
-    """Return the place after a share of the geodesic from start to end."""
+    """Return the point after a share of the geodesic from start to end."""
     line = Geodesic.WGS84.InverseLine(*start, *end)
     there = line.Position(share * line.s13)
     return Place(there["lat2"], there["lon2"])

@@ -12,16 +12,16 @@ from sim.seeds import attack_seed, node_generator
 
 SETTLING_S = 15.0  # three turns of the radars, before the recording begins
 
-# Branches of the seed: what is drawn on one does not move what is drawn on another.
+# Branches of the seed: draws from one do not affect draws from another.
 SESSION, BLOCK, NODE, ATTACK, TARGET = range(5)
 
 
 @dataclass(frozen=True, slots=True)
 class AtcSession:
-    """What stays the same for a day and differs from the next."""
+    """Conditions that are constant within a session, and differ between sessions."""
 
     index: int
-    wind: tuple[float, float]  # where the air moves to, east and north [m/s]
+    wind: tuple[float, float]  # velocity of the air, east and north [m/s]
     range_bias_m: float  # of both radars, as they share an antenna
     azimuth_bias_deg: float
     latency_ms: float  # of every node that processes messages
@@ -29,7 +29,7 @@ class AtcSession:
 
 @dataclass(frozen=True, slots=True)
 class AtcRecipe:
-    """All that a run is a function of."""
+    """Everything that determines a run."""
 
     mode: str
     scenario: Mapping[str, Any]  # the document
@@ -44,11 +44,11 @@ class AtcRecipe:
     noise: str  # `Mode.noise`
 
     def generator(self, node: str) -> np.random.Generator:
-        """Return the randomness of one node; the same in every run of the block and its noise."""
+        """Return the generator of one node; equal in all runs of a block that share their noise."""
         return node_generator(self.seed, NODE, self.block, self.noise + node)
 
     def attack_seed(self) -> int:
-        """Return the key of the attack's own, counter-based randomness."""
+        """Return the key of the attack's counter-based generator."""
         return attack_seed(self.seed, ATTACK, self.block)
 
     def to_dict(self) -> dict[str, Any]:
@@ -77,7 +77,7 @@ class AtcRecipe:
         )
 
     def campaign(self) -> Campaign:
-        """Return the campaign that the run is of, as far as its block's draws depend on it."""
+        """Return the run's campaign, as far as the draws of its block depend on it."""
         return Campaign(
             self.seed, storage=self.storage, timeout_s=self.duration_s,
             session=self.session.index, noise_per_run=bool(self.noise),

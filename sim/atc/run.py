@@ -1,7 +1,6 @@
 """One air traffic run: flights, sensors, fusion and display, from start to run directory.
 
-The system runs for a while until its tracks stand, then the recorder starts; the run ends after
-the recipe's duration.
+The recorder starts when the tracks are established. The run ends after the recipe's duration.
 """
 
 from dataclasses import replace
@@ -33,16 +32,16 @@ from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.recording import GraphRecorder, Recorder
 
-NODE = "/adsb_relay"  # the mode's node, whatever it does
+NODE = "/adsb_relay"  # name of the mode's node in every mode
 
 
 class AtcRun:
-    """The testbed, and the one run that is made in it.
+    """The testbed, for one run.
 
     Parameters
     ----------
     recipe
-        What to make.
+        Recipe of the run.
     folder
         Existing and empty; gets ``bag`` and ``graphs``.
 
@@ -51,7 +50,7 @@ class AtcRun:
     domain : Domain
         The system's graph.
     node : ScenarioNode or None
-        The mode's node; None as long as it is not there.
+        The mode's node; None until it joins.
     """
 
     def __init__(self, recipe: AtcRecipe, folder: Path) -> None:
@@ -82,7 +81,7 @@ class AtcRun:
         ControllerDisplay(self.domain, latency_ns=self._latency_ns)
 
     def _start_node(self) -> None:
-        """Put the mode's node into the graph."""
+        """Add the mode's node to the graph."""
         execution = execute(self._program, self._recipe.attack_seed(), self._recipe.parameters)
         self.node = ScenarioNode(self.domain, NODE, execution, latency_ns=self._latency_ns)
         self.node.begin(self._onset_ns)
@@ -112,7 +111,7 @@ class AtcRun:
         )
 
     def go(self) -> None:
-        """Let the tracks settle, then record."""
+        """Wait until the tracks are established, then record."""
         executor = self._executor
         executor.run_until(self._start_ns)
         graphs = self._folder / GRAPHS_FOLDER
@@ -124,7 +123,7 @@ class AtcRun:
             graph.finish()
 
     def manifest(self, wall_s: float, software: schema.Software) -> Manifest:
-        """Return what the finished run was."""
+        """Return the facts of the finished run for its manifest."""
         recipe, scenario = self._recipe, self._program.scenario
         onset_s = (self._onset_ns - self._start_ns) / SECOND
         return Manifest(
@@ -144,7 +143,7 @@ class AtcRun:
             attack_seed=recipe.attack_seed(),
             scenario=scenario.id,
             scenario_hash=scenario.digest,
-            task_effect=None,  # there is no task that could come out otherwise
+            task_effect=None,  # there is no task that could fail
             changes=() if self.node is None else self.node.changes(self._start_ns),
             recording_s=recipe.duration_s,
             contacts=(),

@@ -1,9 +1,9 @@
 """The sensors: an ADS-B ground receiver, and two radars on one turning antenna at the airport.
 
-What they measure comes from callables, never from the air space itself. Figures are those of the
-standards: rates and accuracy categories of ADS-B from RTCA DO-260B (position and velocity squitters
-every 0.4 to 0.6 s, NACp 9: within 30 m in 95 %; NACv 2: within 3 m/s; altitude in steps of 25 ft),
-random errors and detection of the radars from EUROCONTROL's standard for radar surveillance
+Exact states come from callables; no sensor has access to the air space itself. Figures are those of
+the standards: rates and accuracy categories of ADS-B from RTCA DO-260B (position and velocity
+squitters every 0.4 to 0.6 s, NACp 9: within 30 m in 95 %; NACv 2: within 3 m/s; altitude in steps
+of 25 ft), random errors and detection of the radars from EUROCONTROL's standard for radar surveillance
 (SUR.ET1.ST01.1000-STD-01-01: primary 120 m, 0.15 deg, 90 %; secondary 70 m, 0.08 deg, 97 %).
 """
 
@@ -27,7 +27,7 @@ from sim.middleware.stamps import header, time_message
 
 CLOCK_NS = 100 * MILLISECOND
 TURN_S = 4.8  # of the antenna, usual in terminal areas (12.5 rpm)
-SECTORS = 16  # a radar hands on what it saw once a sector
+SECTORS = 16  # a radar reports once for each sector
 SECTOR_DEG = 360.0 / SECTORS
 SECTOR_NS = round(TURN_S * SECOND / SECTORS)
 RADAR_RANGE_M = 111_120.0  # 60 NM
@@ -53,7 +53,7 @@ _SPEED_SD = 3.0 / _EPU_IN_SD  # along one axis [m/s]
 
 @dataclass(frozen=True, slots=True)
 class Transponder:
-    """Who an aircraft says it is."""
+    """Identity that an aircraft transmits."""
 
     icao24: str
     callsign: str
@@ -62,11 +62,11 @@ class Transponder:
 
 @dataclass(frozen=True, slots=True)
 class RadarErrors:
-    """How a radar errs."""
+    """Random errors of a radar."""
 
     range_sd_m: float
     azimuth_sd_deg: float
-    detection: float  # probability that a turn finds an aircraft
+    detection: float  # probability that a turn detects an aircraft
     range_bias_m: float = 0.0
     azimuth_bias_deg: float = 0.0
 
@@ -93,7 +93,7 @@ class AdsbReceiver(Node):
     domain, rng
         As for `Node`.
     transponders
-        Of all aircraft that may come.
+        Those of all aircraft that may appear.
     measure
         Exact state of the n-th of them now; None while it is not in the air.
     """
@@ -174,18 +174,19 @@ class Plot(NamedTuple):
 
 
 class Radar(Node):
-    """A turning radar that hands on what it saw of a sector at the sector's end.
+    """A turning radar that reports the detections of a sector at the sector's end.
 
-    It sees nothing steeper than 45 degrees above it (the cone of silence).
+    It detects nothing more than 45 degrees above the horizon (the cone of silence).
 
     Parameters
     ----------
     domain, name, rng
         As for `Node`.
     measure
-        Who is in the air now (their numbers), and their exact states, columns as in `State`.
+        Returns the numbers of the flights in the air now, and their exact states, columns as in
+        `State`.
     errors
-        How it errs.
+        Its random errors.
     """
 
     def __init__(
@@ -203,11 +204,11 @@ class Radar(Node):
         self.create_timer(SECTOR_NS, self._end_sector)
 
     def on_sector(self, start_deg: float, plots: Sequence[Plot]) -> None:
-        """Publish what there was in the sector that has just ended."""
+        """Publish the detections of the sector that has just ended."""
         raise NotImplementedError
 
     def beam_time_ns(self, azimuth_deg: float, start_deg: float) -> int:
-        """Return when, in the sector that has just ended, the beam pointed there."""
+        """Return when the beam pointed to an azimuth in the sector that has just ended [ns]."""
         ago = SECTOR_DEG - (azimuth_deg - start_deg)
         return self.now_ns - round(ago / 360.0 * TURN_S * SECOND)
 
@@ -224,7 +225,7 @@ class Radar(Node):
         self.on_sector(start_deg, plots)
 
     def _look(self, flight: int, state: State, time_ns: int) -> Plot | None:
-        """Find an aircraft, now in ``state``, where the beam met it; or miss it."""
+        """Detect an aircraft, now in ``state``, where the beam passed it; None if it is missed."""
         errors = self._errors
         ago_s = (self.now_ns - time_ns) / SECOND
         x, y = state.x - ago_s * state.vx, state.y - ago_s * state.vy
@@ -253,7 +254,7 @@ def _passed(states: Floats, start_deg: float) -> list[tuple[int, float]]:
 
 
 class PrimaryRadar(Radar):
-    """``/psr``: echoes of aircraft, and of what is none."""
+    """``/psr``: echoes of aircraft, and clutter."""
 
     def __init__(
         self,
@@ -277,9 +278,9 @@ class PrimaryRadar(Radar):
 
 
 class SecondaryRadar(Radar):
-    """``/ssr``: the answers of transponders.
+    """``/ssr``: the replies of transponders.
 
-    ``transponders`` are those of all aircraft that may come.
+    ``transponders`` are those of all aircraft that may appear.
     """
 
     def __init__(

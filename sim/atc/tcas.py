@@ -1,4 +1,4 @@
-"""When two aircraft are a threat to each other, after TCAS II version 7.1.
+"""Threats between aircraft, by the rules of TCAS II version 7.1.
 
 The thresholds are those of FAA, "Introduction to TCAS II Version 7.1" (2011), table 2; the tests
 those of Munoz, Narkawicz and Chamberlain, "A TCAS-II Resolution Advisory Detection Algorithm"
@@ -17,8 +17,8 @@ CLEAR, TRAFFIC, RESOLUTION = 0, 1, 2  # as in atc_msgs/msg/Advisory
 _FT = 0.3048
 _NM = 1852.0
 
-# Own altitude from which a row holds; tau, DMOD and ZTHR of a traffic, then of a resolution
-# advisory. Below 1000 ft there are no resolution advisories: nothing is within -1.
+# Lowest own altitude of the row; tau, DMOD and ZTHR of a traffic, then of a resolution advisory.
+# Below 1000 ft there are no resolution advisories: no distance is below -1.
 _TABLE = np.array(
     [
         [-np.inf, 20.0, 0.30 * _NM, 850 * _FT, -1.0, -1.0, -1.0],
@@ -36,7 +36,7 @@ Floats = NDArray[np.float64]
 
 @jit
 def modified_tau(dx: float, dy: float, dvx: float, dvy: float, dmod_m: float) -> float:
-    """Return the time until the horizontal distance is down to about ``dmod_m`` [s].
+    """Return the time until the horizontal distance falls to about ``dmod_m`` [s].
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def is_threat(relative: Floats, tau_s: float, dmod_m: float, zthr_m: float) -> b
     Parameters
     ----------
     relative : ndarray of shape (6,)
-        Its position and velocity relative to the own [m, m/s].
+        Its position and velocity relative to the own aircraft [m, m/s].
     tau_s, dmod_m, zthr_m
         Thresholds of time, horizontal and vertical distance.
     """
@@ -90,7 +90,7 @@ def advisory(relative: Floats, altitude_m: float) -> tuple[int, float]:
 
 @jit
 def advisories(states: Floats) -> list[tuple[int, int, int, float]]:
-    """Return who is to be warned of whom.
+    """Return the pairs of which the first aircraft is to be warned of the second.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The second testbed: flights, radars, ADS-B and what a controller sees of them."""
+"""The second testbed: flights, radars, ADS-B and the controller's display."""
 
 from collections.abc import Mapping
 from pathlib import Path

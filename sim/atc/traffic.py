@@ -1,9 +1,9 @@
 """Air traffic: fixes and routes around Kingston, and the flights of a block.
 
-Fixes are the towns below them. Besides drawn arrivals, departures and overflights there is always
-the same small scene on the airway from Belleville to Brockville: a jet (``C07AB1``, ``ACA123``)
-overtakes three slower aircraft far below it. No flight is cleared that would, as planned, come
-near another one.
+Fixes have the names of towns. Besides drawn arrivals, departures and overflights, every block has
+the same scene on the airway from Belleville to Brockville: a jet (``C07AB1``, ``ACA123``)
+overtakes three slower aircraft far below it. A flight is only added if its plan stays clear of all
+others.
 """
 
 from collections.abc import Iterator, Sequence
@@ -47,9 +47,9 @@ FIRST_ICAO24, FIRST_CALLSIGN = "C07AB1", "ACA123"
 _AIRLINES = ("ACA", "DAL", "JBU", "JZA", "POE", "SKW", "UAL", "WJA")
 _LEVEL_M = 304.8  # from one flight level in use to the next, 1000 ft
 _OVERTAKEN_S = (130.0, 250.0, 370.0)  # when the jet is above the slower aircraft
-_DEEPER_M = 600.0  # how far each of these is below the one before
+_DEEPER_M = 600.0  # vertical distance from each of these to the next
 
-# What flow control keeps apart: 3 NM or (nearly) 1000 ft, now and for the next minute.
+# Separation that flow control ensures: 3 NM or (nearly) 1000 ft, now and for the next minute.
 _PLAN_TAU_S, _PLAN_DISTANCE_M, _PLAN_HEIGHT_M = 60.0, 5_556.0, 290.0
 _PLAN_STEP_S = 2
 _DRAWS = 400
@@ -65,11 +65,11 @@ def draw_traffic(
     rng
         The block's randomness.
     flights
-        How many; at least the four of the scene on the airway.
+        Number of flights; at least the four of the scene on the airway.
     duration_s
-        How long they are kept apart.
+        Time for which they are separated [s].
     wind
-        That they fly in, east and north [m/s].
+        Velocity of the air, east and north [m/s].
 
     Raises
     ------
@@ -101,7 +101,7 @@ def draw_traffic(
 
 
 def _identities(rng: np.random.Generator) -> Iterator[tuple[str, str, str]]:
-    """Yield address, callsign and squawk of one aircraft after another; no two have one alike."""
+    """Yield unique addresses, callsigns and squawks, one aircraft after another."""
     address, number, code = int(FIRST_ICAO24, 16), 100, 0o2001
     yield FIRST_ICAO24, FIRST_CALLSIGN, f"{code:04o}"
     while True:
@@ -129,7 +129,7 @@ def _on_the_airway(
 def _draw_route(rng: np.random.Generator, duration_s: float) -> tuple[float, tuple[Waypoint, ...]]:
     """Draw an arrival, a departure or an overflight, and when it appears [s].
 
-    Those who come from elsewhere may be on their way already at the beginning.
+    Arrivals and overflights may already be under way at the beginning.
     """
     kind = rng.choice(("arrival", "departure", "overflight"))
     start_s = float(rng.uniform(0.0, 0.8 * duration_s))
@@ -164,7 +164,7 @@ def _level(places: Sequence[Place], altitude_m: float, airspeed: float) -> tuple
 
 
 def _plan(flight: Flight, duration_s: float, wind: tuple[float, float]) -> Floats:
-    """Return the flight's states every two seconds, columns as in `State`; NaN while not there."""
+    """Return the flight's states every two seconds, columns as in `State`; NaN before and after."""
     air = AirSpace([flight], wind)
     absent = (np.nan,) * 6
     rows = []
@@ -176,7 +176,7 @@ def _plan(flight: Flight, duration_s: float, wind: tuple[float, float]) -> Float
 
 @jit
 def _meet(ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> bool:
-    """Tell whether two plans come nearer than flow control allows."""
+    """Tell whether two plans violate the separation of flow control."""
     for i in range(len(ours)):
         if is_threat(theirs[i] - ours[i], _PLAN_TAU_S, _PLAN_DISTANCE_M, _PLAN_HEIGHT_M):
             return True

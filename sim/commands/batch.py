@@ -26,6 +26,7 @@ from sim.campaigns import (
 )
 from sim.commands.progress import RunProgress, pace
 from sim.fan_out import fan_out, process_pool
+from sim.modes import modes
 
 J = TypeVar("J")
 Command = Callable[..., None]
@@ -37,6 +38,17 @@ seed_option = click.option(
 allow_actuation_option = click.option(
     "--allow-actuation", is_flag=True, help="Allow a scenario that sends commands to motors."
 )
+
+
+def mode_option(default: str | None = None) -> Callable[[Command], Command]:
+    """Return the option that chooses a mode; its help lists them, wrapped."""
+    names = list(modes())
+    return click.option(
+        "-m", "--mode", type=click.Choice(names), metavar="MODE", default=default,
+        show_default=default is not None, help=f"Which experiment: {', '.join(names)}.",
+    )  # fmt: skip
+
+
 workers_option = click.option(
     "--workers", default=lambda: os.cpu_count() or 1, type=click.IntRange(min=1),
     help="Number of runs at the same time.  [default: one for each core]",

@@ -34,7 +34,14 @@ class _LazyGroup(PlainTextGroup):
 @click.group(cls=_LazyGroup)
 @version_option
 def main() -> None:
-    """Record robot experiments in the simulated testbeds, as rosbag2, and look at them."""
+    """Record robot experiments in the simulated testbeds, as rosbag2, and look at them.
+
+    \b
+    Examples:
+        oracle-sim record -m lidar_passthrough -n 5 --goals 1 --out lab
+        oracle-sim scenario show random_noise > my_attack.yaml
+        oracle-sim mutate my_robot_bag/ attacked_bag/ my_attack.yaml --at 12
+    """  # noqa: D301 -- click reads the control character
 
 
 main.places |= {

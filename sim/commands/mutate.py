@@ -100,7 +100,7 @@ def mutate(
             attack.goals_s,
         )
     click.echo(
-        f"{bag_out}: attack from {summary.onset_s:.1f} s on; of {summary.heard} messages of "
+        f"{bag_out}: attack from {summary.onset_s:.1f} s on; of {summary.received} messages of "
         f"{program.input_topic}, {summary.touched} affected; {summary.published} published on "
         f"{program.output_topic}"
     )

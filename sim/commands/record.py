@@ -15,17 +15,18 @@ from sim.commands.batch import (
     campaign_options,
     home,
     make_runs,
+    mode_option,
     refresh_option,
     workers_option,
 )
 from sim.experiments import recipe_for, record_run
 from sim.fuzzing.scenario import ScenarioError
-from sim.modes import broken_scenarios, find_mode, modes
+from sim.modes import broken_scenarios, find_mode
 from sim.testbed import Mode
 
 
 @click.command()
-@click.option("-m", "--mode", type=click.Choice(list(modes())), help="Which experiment.")
+@mode_option()
 @click.option(
     "--scenario", metavar="FILE",
     help="An experiment of your own: a scenario file (FILE#NAME if it holds several), or a "
@@ -69,7 +70,7 @@ def record(
     modes. Existing runs are kept, so the same call again completes an interrupted one.
 
     \b
-    Example:
+    Examples:
         oracle-sim record -m fake_object -n 3 --out data
         oracle-sim record --scenario sensor_freeze
         oracle-sim record -m lidar_passthrough -n 14 --first-block 60 --sessions 2

@@ -2,7 +2,6 @@
 
 import json
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,9 @@ from sim.commands.batch import (
     errors_told,
 )
 from sim.commands.parameter_values import ranges
-from sim.fuzzing.compilation import MAX_COST, compile_scenario
-from sim.fuzzing.compile_context import Budget
-from sim.fuzzing.scenario import Scenario, ScenarioError, load_scenarios
+from sim.fuzzing.compilation import MAX_COST
+from sim.fuzzing.diagnosis import diagnose
+from sim.fuzzing.scenario import Scenario, ScenarioError
 from sim.modes import broken_scenarios, find_mode, modes
 from sim.scenarios import builtin_scenarios
 
@@ -26,7 +25,7 @@ def scenario() -> None:
     """Check, list and show scenarios, which alter messages.
 
     \b
-    Example:
+    Examples:
         oracle-sim scenario list
         oracle-sim scenario show random_noise > my_attack.yaml
         oracle-sim scenario check my_attack.yaml
@@ -41,7 +40,8 @@ def scenario() -> None:
 def check(files: tuple[Path, ...], allow_actuation: bool) -> None:
     """Check syntax, names, types and cost of scenario files.
 
-    Prints the file, line, key and expected value of every fault, and exits with 1 if there is one.
+    Prints the file, line, key and expected value of every fault, whatever its kind, and exits with
+    1 if there is one.
     Also prints the computation for one message in the worst case, as a share of the limit: 16.8
     million array elements, about a tenth of a second.
 
@@ -51,31 +51,17 @@ def check(files: tuple[Path, ...], allow_actuation: bool) -> None:
     """  # noqa: D301 -- click reads the control character
     failed = False
     for file in files:
-        for found in _checked(file, allow_actuation=allow_actuation):
-            failed |= isinstance(found, ScenarioError)
-            click.echo(found, err=isinstance(found, ScenarioError))
+        for found in diagnose(file, allow_actuation=allow_actuation):
+            if isinstance(found, ScenarioError):
+                failed = True
+                click.echo(found, err=True)
+                continue
+            click.echo(
+                f"{file}: {found.scenario.id} is correct; a message takes at most "
+                f"{found.cost / MAX_COST:.2%} of the computation that is allowed"
+            )
     if failed:
         sys.exit(1)
-
-
-def _checked(file: Path, *, allow_actuation: bool) -> Iterator[str | ScenarioError]:
-    """Yield a line about each scenario of a file, or what is wrong with it."""
-    try:
-        found = load_scenarios(file)
-    except ScenarioError as error:
-        yield error
-        return
-    budget = Budget()
-    for each in found:
-        try:
-            program = compile_scenario(each, allow_actuation=allow_actuation, budget=budget)
-        except ScenarioError as error:
-            yield error
-        else:
-            yield (
-                f"{file}: {each.id} is correct; a message takes at most "
-                f"{program.cost / MAX_COST:.2%} of the computation that is allowed"
-            )
 
 
 @scenario.command("list")

@@ -18,10 +18,10 @@ import click
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.run_directory import RunDirectory
 from sim.campaigns import Campaign
-from sim.commands.batch import seed_option
+from sim.commands.batch import mode_option, seed_option
 from sim.experiments import recipe_for, record_run
 from sim.middleware.executor import SECOND
-from sim.modes import find_mode, modes
+from sim.modes import find_mode
 from sim.testbed import TestbedRun
 
 if TYPE_CHECKING:
@@ -35,10 +35,7 @@ _HELP = "Type `attack NAME` (a mode or a scenario file), `attack off`, or Ctrl-C
 
 
 @click.command()
-@click.option(
-    "-m", "--mode", type=click.Choice(list(modes())), default=DEFAULT_MODE, show_default=True,
-    help="Which experiment.",
-)  # fmt: skip
+@mode_option(DEFAULT_MODE)
 @click.option(
     "--speed", default=1.0, show_default=True, type=click.FloatRange(0.0, min_open=True),
     help="Simulated seconds a second, as far as the machine can.",

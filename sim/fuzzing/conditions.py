@@ -19,7 +19,7 @@ from sim.middleware.parameters import NodeParameter
 
 OFFER_QOS = "offer_qos"  # the operation, in the ground truth
 _SILENT = ("passthrough", "shadow")  # controls, which work out what they do not do
-_LOST = 1.0  # magnitude of a subscriber that hears nothing any more
+_LOST = 1.0  # magnitude of a subscriber that no longer receives anything
 
 
 class _Change(NamedTuple):

@@ -141,7 +141,7 @@ class Execution:
         self._source_ns = self._shared.source_ns
         self._recent: deque[Any] = deque(maxlen=program.memory + 1)
         self._memory: dict[int, Any] = {}
-        self._heard = 0
+        self._received = 0
         self._published = 0
         self._frame_id = ""
         self._has_header = program.has_header
@@ -199,7 +199,7 @@ class Execution:
         """
         truth_ns = stamp_ns
         header = None
-        index = self._heard
+        index = self._received
         if self._has_header:
             header = message.header
             self._frame_id = header.frame_id
@@ -213,7 +213,7 @@ class Execution:
         )
         step.header = header
         step.message = sent
-        self._heard += 1
+        self._received += 1
         operation = PASSTHROUGH
         reason = self._reason_to_pass(step, t_s)
         if reason is None:
@@ -262,7 +262,7 @@ class Execution:
     def _step(self, stamp_ns: int, index: int, names: dict[str, Any]) -> Step:
         return Step(
             stamp_ns=stamp_ns,
-            heard=self._heard,
+            received=self._received,
             index=index,
             draws=self._draws,
             env={**self._known, **names, "now": stamp_ns / SECOND},
@@ -318,11 +318,11 @@ class Execution:
     def _missing_source(self, stamp_ns: int) -> tuple[str, str] | None:
         """Return what is not known of a source, and what is to be done then."""
         for name, source in self.program.sources.items():
-            heard_ns = self._source_ns.get(name)
-            if heard_ns is None:
+            received_ns = self._source_ns.get(name)
+            if received_ns is None:
                 return f"no {name} yet", source.on_missing
-            if source.max_age_ns is not None and stamp_ns - heard_ns > source.max_age_ns:
-                return f"{name} is {(stamp_ns - heard_ns) / SECOND:.3g} s old", source.on_missing
+            if source.max_age_ns is not None and stamp_ns - received_ns > source.max_age_ns:
+                return f"{name} is {(stamp_ns - received_ns) / SECOND:.3g} s old", source.on_missing
         return None
 
     def _transform(self, step: Step) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from sim.fuzzing.scenario import MAX_FAULTS, ScenarioError
+from sim.fuzzing.scenario import ScenarioError, together
 
 
 class TooMuchError(ScenarioError):
@@ -27,7 +27,7 @@ class Faults:
     two
     """
 
-    _found: list[str] = field(default_factory=list)
+    _found: list[ScenarioError] = field(default_factory=list)
 
     @contextmanager
     def gathered(self) -> Iterator[None]:
@@ -37,7 +37,7 @@ class Faults:
         except TooMuchError:
             raise
         except ScenarioError as error:
-            self._found.append(str(error))
+            self._found.append(error)
 
     def end(self) -> None:
         """Refuse the scenario if there was a fault; at what needs all parts before it.
@@ -48,4 +48,4 @@ class Faults:
             With a line for each of the first faults.
         """
         if self._found:
-            raise ScenarioError("\n".join(self._found[:MAX_FAULTS]))
+            raise together(self._found)

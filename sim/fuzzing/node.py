@@ -160,7 +160,7 @@ class ScenarioNode:
         return publisher.send_diverted if is_diverted else publisher.send
 
     @property
-    def _heard_ns(self) -> int:
+    def _received_ns(self) -> int:
         """Time at which the present message was published."""
         return self._executor.now_ns - self._latency_ns
 
@@ -169,24 +169,24 @@ class ScenarioNode:
         """From the onset to then."""
         if self._onset_ns is None:
             return -math.inf
-        return (self._heard_ns - self._onset_ns) / SECOND
+        return (self._received_ns - self._onset_ns) / SECOND
 
     def _on_source(self, source: str, message: Any) -> None:
         if source in self._execution.program.sources:  # it may have been switched to one with less
-            self._execution.on_source(source, message, self._heard_ns)
+            self._execution.on_source(source, message, self._received_ns)
 
     def _on_message(self, number: int, message: Any) -> None:
         lane = self._execution.lanes[number]
-        self._publish(lane.on_message(message, self._heard_ns, self._t_s))
+        self._publish(lane.on_message(message, self._received_ns, self._t_s))
 
     def _on_publication(self, number: int, publisher: Publisher, sample: Sample) -> None:
         """Alter a message at its source; an unchanged message keeps its bytes."""
         message = sample.message
         lane = self._execution.lanes[number]
-        result = lane.on_message(message, self._heard_ns, self._t_s)
+        result = lane.on_message(message, self._received_ns, self._t_s)
         if len(result.outputs) == 1 and result.outputs[0].message is message:
             output = result.outputs[0]
-            if output.due_ns == self._heard_ns:
+            if output.due_ns == self._received_ns:
                 publisher.send(message, sample.data)
                 result = result._replace(outputs=[])
         self._publish(result, publisher)
@@ -194,11 +194,11 @@ class ScenarioNode:
     def _on_link(self, number: int, publisher: Publisher, sample: Sample) -> None:
         """Alter a message on its way to some of its readers."""
         lane = self._execution.lanes[number]
-        result = lane.on_message(sample.message, self._heard_ns, self._t_s)
+        result = lane.on_message(sample.message, self._received_ns, self._t_s)
         self._publish(result, publisher)
 
     def _on_timer(self) -> None:
-        self._publish(self._execution.on_timer(self._heard_ns, self._t_s))
+        self._publish(self._execution.on_timer(self._received_ns, self._t_s))
 
     def _on_onset(self, conditions: Conditions) -> None:
         if conditions is self._conditions:  # else it was switched to another scenario
@@ -210,7 +210,7 @@ class ScenarioNode:
             send = self._outputs[topic]
             if source is not None and topic == source.topic:
                 send = self._sender(source)
-            if due_ns > self._heard_ns:
+            if due_ns > self._received_ns:
                 self._executor.call_at(due_ns + self._latency_ns, send, message)
             else:
                 send(message)
@@ -226,17 +226,17 @@ class ScenarioNode:
 
 def _check_topics(domain: Domain, program: Program) -> None:
     """Refuse a scenario that reads topics without a publisher."""
-    heard: list[tuple[Key, str, str]] = [
+    subscribed: list[tuple[Key, str, str]] = [
         (("sources", name), source.topic, source.type.name)
         for name, source in program.sources.items()
     ]
     names = ["main", *program.scenario.document.get("also", {})]
     keys: list[Key] = [(name,) if name == "main" else ("also", name) for name in names]
-    heard += [
+    subscribed += [
         ((*key, "input"), lane.input_topic, lane.type.name)
         for key, lane in zip(keys, program.lanes, strict=True)
     ]
-    for key, topic, msgtype in heard:
+    for key, topic, msgtype in subscribed:
         if domain.topics.get(topic) != msgtype:
             same = [name for name, kind in domain.topics.items() if kind == msgtype]
             raise program.scenario.error(

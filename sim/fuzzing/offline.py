@@ -40,7 +40,7 @@ class Summary:
     """A summary of the changes to a bag."""
 
     onset_s: float  # in seconds of the recording
-    heard: int  # messages of the input topic while the node was there
+    received: int  # messages of the input topic while the node was there
     touched: int  # of them, and of the timer's beats, those that were not just handed on
     published: int  # messages on the output topic
     changes: tuple[Change, ...]  # what was changed, and when
@@ -109,7 +109,7 @@ def mutate_bag(
             run.finish()
     return Summary(
         onset_s=(onset_ns - reader.start_ns) / SECOND,
-        heard=run.heard,
+        received=run.received,
         touched=run.touched,
         published=sum(writer.counts[lane.output_topic] for lane in program.lanes),
         changes=in_bins(run.changes, reader.start_ns),
@@ -138,7 +138,7 @@ class _Run:
         period_ns = execution.timer_period_ns
         self._beats = itertools.count(onset_ns + period_ns, period_ns) if period_ns else None
         self._beat_ns = next(self._beats) if self._beats else None
-        self.heard = 0
+        self.received = 0
         self.touched = 0
         self.changes: list[tuple[int, float]] = []  # when, and how much at most
         for topic in reader.topics.values():
@@ -163,7 +163,7 @@ class _Run:
         for name in self._source_names.get(raw.topic, ()):
             self._execution.on_source(name, self._decode(raw), raw.stamp_ns)
         if (lane := self._lanes.get(raw.topic)) is not None:
-            self.heard += 1
+            self.received += 1
             message = self._decode(raw)
             result = lane.on_message(message, raw.stamp_ns, self._t_s(raw.stamp_ns))
             self._publish(result, raw.stamp_ns, message, raw.data)
@@ -235,9 +235,9 @@ def _check_topics(reader: BagReader, program: Program) -> None:
     for lane in program.lanes:
         if lane.to:
             raise BagError(
-                f"{program.scenario.id} alters what {', '.join(lane.to)} hears of "
-                f"{lane.input_topic}. A bag shows what the recorder hears, which is not altered; "
-                "record the scenario in closed loop."
+                f"{program.scenario.id} alters what {', '.join(lane.to)} receives of "
+                f"{lane.input_topic}. A bag shows what the recorder receives, which is not "
+                "altered; record the scenario in closed loop."
             )
     if program.scenario.needs_simulator:
         raise BagError(
@@ -252,8 +252,8 @@ def _check_topics(reader: BagReader, program: Program) -> None:
         if name not in reader.topics:
             same = [topic.name for topic in reader.topics.values() if topic.msgtype == msgtype]
             raise BagError(
-                f"{reader.path} has no topic {name}, which {program.scenario.id} hears; of type "
-                f"{msgtype} it has {', '.join(same) or 'none'}. Name one of these with "
+                f"{reader.path} has no topic {name}, which {program.scenario.id} subscribes to; of "
+                f"type {msgtype} it has {', '.join(same) or 'none'}. Name one of these with "
                 "--topic, or in the scenario."
             )
     spoken = {topic: kind.name for topic, kind in program.outlets.items()}

@@ -111,13 +111,13 @@ class Playback:
     def __call__(self, step: Step) -> None:
         """Do it."""
         held = step.memory.get(self.number)
-        if held is None or held.last != step.heard - 1:
+        if held is None or held.last != step.received - 1:
             before = list(step.recent)[-1 - self.messages : -1]
-            oldest = step.heard - len(before)
-            held = _Held(before or [step.message], oldest, step.heard, step.heard)
-        step.memory[self.number] = held._replace(last=step.heard)
-        place = (step.heard - held.first) % len(held.messages)
-        ago = step.heard - held.oldest - place
+            oldest = step.received - len(before)
+            held = _Held(before or [step.message], oldest, step.received, step.received)
+        step.memory[self.number] = held._replace(last=step.received)
+        place = (step.received - held.first) % len(held.messages)
+        ago = step.received - held.oldest - place
         step.message = restamped(held.messages[place], step.header)
         step.note(float(ago), f"as {ago} messages before")
 

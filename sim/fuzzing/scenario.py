@@ -7,11 +7,10 @@ fields and expressions is checked in ``sim.fuzzing.program``.
 
 import dataclasses
 import hashlib
-import itertools
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from types import MappingProxyType
@@ -64,10 +63,18 @@ class ScenarioError(OracleError):
     The place is ``file:line:column``, as compilers write it and editors read it.
 
     Characters that a terminal would obey, or a log could not write, are shown by their codes.
+
+    Parameters
+    ----------
+    text
+        What is wrong.
+    found
+        Each fault by the key that it is at, if it is at one.
     """
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, found: Sequence[tuple[Key, str]] = ()) -> None:
         super().__init__("".join(map(_shown_character, text)))
+        self.found = tuple(found)
 
 
 def _shown_character(character: str) -> str:
@@ -196,30 +203,33 @@ def load_scenarios(path: Traversable) -> list[Scenario]:
     ScenarioError
         Naming file, line and key, and what was expected there.
     """
+    return parse_scenarios(read(path), str(path))
+
+
+def read(path: Traversable) -> bytes:
+    """Return the content of a file, at most a byte more than a scenario file may have.
+
+    Raises
+    ------
+    ScenarioError
+        If it cannot be read.
+    """
     try:
         if path.is_dir() or (isinstance(path, Path) and path.exists() and not path.is_file()):
             raise ScenarioError(f"{path}: expected a file, found a folder, a pipe or a device.")
-        with path.open("rb") as file:  # no more of it than is looked at
-            data = file.read(MAX_BYTES + 1)
+        with path.open("rb") as file:
+            return file.read(MAX_BYTES + 1)
     except OSError as error:
         raise ScenarioError(f"Could not read {path}: {error}. Check the path.") from error
-    return parse_scenarios(data, str(path))
 
 
 def parse_scenarios(data: bytes, file: str) -> list[Scenario]:
     """Return the scenarios in the text of a file; raises as ``load_scenarios`` does."""
-    if len(data) > MAX_BYTES:
-        raise ScenarioError(f"{file}: expected at most {MAX_BYTES} bytes, found more.")
-    try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise ScenarioError(
-            f"{file}: expected text, found {error}. Give a YAML file in UTF-8."
-        ) from error
+    text = as_text(data, file)
     scenarios: dict[str, Scenario] = {}
-    faults: list[str] = []
-    for document, places in _documents(text, file):
-        faults += _faults(document, places, file)
+    faults: list[ScenarioError] = []
+    for document, places in documents(text, file):
+        faults += structure_faults(document, places, file)
         if faults:
             continue
         scenario = Scenario(file, document, places)
@@ -227,15 +237,33 @@ def parse_scenarios(data: bytes, file: str) -> list[Scenario]:
             raise scenario.error(("id",), f"expected a new name, {scenario.id} stands above")
         scenarios[scenario.id] = scenario
     if faults:
-        raise ScenarioError("\n".join(faults[:MAX_FAULTS]))
+        raise together(faults)
     if not scenarios:
         raise ScenarioError(f"{file}:1:1: expected a scenario, found an empty file.")
     return list(scenarios.values())
 
 
+def as_text(data: bytes, file: str) -> str:
+    """Return the text of a file, within the bounds; raises as ``load_scenarios`` does."""
+    if len(data) > MAX_BYTES:
+        raise ScenarioError(f"{file}: expected at most {MAX_BYTES} bytes, found more.")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ScenarioError(
+            f"{file}: expected text, found {error}. Give a YAML file in UTF-8."
+        ) from error
+
+
+def together(faults: Sequence[ScenarioError]) -> ScenarioError:
+    """Return one error with a line for each of the first faults."""
+    shown = faults[:MAX_FAULTS]
+    return ScenarioError("\n".join(map(str, shown)), [each for e in shown for each in e.found])
+
+
 def _error(file: str, places: Mapping[Key, Place], key: Key, text: str) -> ScenarioError:
     place = next(places[key[:n]] for n in range(len(key), -1, -1) if key[:n] in places)
-    return ScenarioError(f"{file}:{place}: {_dotted(key)}: {text}.")
+    return ScenarioError(f"{file}:{place}: {_dotted(key)}: {text}.", [(key, text)])
 
 
 def _dotted(key: Key) -> str:
@@ -247,7 +275,7 @@ def _dotted(key: Key) -> str:
 # YAML: events to plain data, without recursion, under bounds.
 
 
-def _documents(text: str, file: str) -> Iterator[tuple[Any, dict[Key, Place]]]:
+def documents(text: str, file: str) -> Iterator[tuple[Any, dict[Key, Place]]]:
     """Yield each document with the places of its keys."""
     builder = _Builder(file)
     try:
@@ -361,11 +389,11 @@ class _Builder:
 # JSON Schema: its findings in words.
 
 
-def _faults(document: Any, places: dict[Key, Place], file: str) -> list[str]:
-    """Return what is wrong with a document, what comes first in it before the rest."""
+def structure_faults(document: Any, places: Mapping[Key, Place], file: str) -> list[ScenarioError]:
+    """Return what is wrong with the structure of a document, by place."""
     found = sorted(
         json_schema.faults(document, schema()),
         key=lambda error: (len(error.absolute_path), places[tuple(error.absolute_path)]),
     )
     told = (_error(file, places, *words) for error in found for words in in_words(error))
-    return list(itertools.islice(dict.fromkeys(map(str, told)), MAX_FAULTS))
+    return list({str(error): error for error in told}.values())[:MAX_FAULTS]

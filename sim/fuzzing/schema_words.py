@@ -1,8 +1,9 @@
 """The JSON Schema of a scenario, and its errors in words."""
 
+import difflib
 import functools
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from typing import Any, cast
 
@@ -30,14 +31,16 @@ def in_words(error: jsonschema.ValidationError) -> Iterator[tuple[tuple[str | in
         case "const":
             yield key, f"expected {value}, {found}"
         case "enum":
-            yield key, f"expected one of {', '.join(value)}, {found}"
+            yield key, f"expected one of {', '.join(value)}, {found}{_meant(instance, value)}"
         case "required":
             yield from ((key, f"expected the key {n}") for n in value if n not in instance)
         case "additionalProperties":
             known = list(rules.get("properties", ()))
             there = f"expected one of {', '.join(known)}" if known else "expected nothing"
             for unknown in (name for name in instance if name not in known):
-                yield (*key, unknown), f"{there}, found {_shown(unknown)}"
+                hint = _meant(unknown, known) or _unquoted(instance[unknown])
+                text = f"{there}, found {_shown(unknown)}{hint}"
+                yield (*key, unknown), text
         case "pattern":
             yield key, f"expected {_PATTERNS[value]}, {found}"
         case "minProperties" | "minItems" | "minLength":
@@ -52,6 +55,9 @@ def in_words(error: jsonschema.ValidationError) -> Iterator[tuple[tuple[str | in
             yield key, f"expected more than {value}, {found}"
         case "maximum":
             yield key, f"expected at most {value}, {found}"
+        case "oneOf" | "anyOf":
+            kinds = [_KINDS[kind] for each in value for kind in _types(each)]
+            yield key, f"expected {' or '.join(kinds) or 'another value'}, {found}"
         case _:
             yield key, f"not valid: {error.message[:200]}"
 
@@ -75,6 +81,23 @@ _PATTERNS = {
         "field": "a field such as pose.pose.position.x",
     }.items()
 }
+
+
+def _types(rules: dict[str, Any]) -> list[str]:
+    """Return the types that a rule allows, if it says so directly."""
+    types = rules.get("type", [])
+    return [types] if isinstance(types, str) else types
+
+
+def _meant(found: Any, known: Sequence[Any]) -> str:
+    """Return a question that names the most similar known word, if one is similar."""
+    near = difflib.get_close_matches(str(found), [str(word) for word in known], n=1)
+    return f" (did you mean {near[0]}?)" if near else ""
+
+
+def _unquoted(value: Any) -> str:
+    """Return a hint where YAML takes a part of an expression for a key without a value."""
+    return " (an expression with a comma needs quotes)" if value is None else ""
 
 
 def _shown(value: Any) -> str:

@@ -22,7 +22,7 @@ class Step:
     """One message, or one beat of a timer, on its way through a scenario."""
 
     stamp_ns: int  # when it was published
-    heard: int  # how many messages came before
+    received: int  # how many messages came before
     index: int  # what its draws go by
     draws: Draws
     env: dict[str, Any]  # the values of names

@@ -43,11 +43,11 @@ def check_topics(scenario: Scenario, faults: Faults, *, allow_actuation: bool) -
         spoken.append((("outputs", name, "topic"), spec["topic"], spec["type"]))
     topics = [topic for _, topic, _ in spoken]
     _check_altered(scenario, lanes, faults)
-    heard = sources | {spec["input"] for spec in lanes.values()}
+    inputs = sources | {spec["input"] for spec in lanes.values()}
     in_place = {(*key, "output"): s["input"] for key, s in lanes.items() if _is_in_place(s)}
     for place, (at, topic, kind) in enumerate(spoken):
         with faults.gathered():
-            if topic in sources or (topic in heard and topic != in_place.get(at)):
+            if topic in sources or (topic in inputs and topic != in_place.get(at)):
                 raise scenario.error(
                     at, f"expected a topic to which the scenario does not subscribe, found {topic}"
                 )
@@ -60,7 +60,7 @@ def check_topics(scenario: Scenario, faults: Faults, *, allow_actuation: bool) -
                     "move the robot; allow it with --allow-actuation",
                 )
     with faults.gathered():
-        if GROUND_TRUTH_TOPIC in heard | set(topics):
+        if GROUND_TRUTH_TOPIC in inputs | set(topics):
             raise scenario.error((MAIN,), f"expected no use of {GROUND_TRUTH_TOPIC}")
 
 

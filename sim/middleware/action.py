@@ -1,6 +1,6 @@
 """Actions: long tasks with feedback, result, cancellation, and their hidden topics.
 
-As in ROS 2, an action is two hidden topics (``_action/feedback``, ``_action/status``) and three
+As in ROS 2, an action has two hidden topics (``_action/feedback``, ``_action/status``) and three
 hidden services; the goal's state machine is that of ``action_msgs/msg/GoalStatus``.
 """
 
@@ -35,7 +35,7 @@ class Status(enum.IntEnum):
 
     @property
     def is_terminal(self) -> bool:
-        """Tell whether the goal is over."""
+        """Tell whether the goal has ended."""
         return self >= Status.SUCCEEDED
 
 
@@ -67,20 +67,20 @@ class GoalHandle:
         self._set(Status.EXECUTING)
 
     def succeed(self, result: Any = None) -> None:
-        """End well."""
+        """End with success."""
         self._end(Status.SUCCEEDED, result)
 
     def abort(self, result: Any = None) -> None:
-        """End because it cannot be done."""
+        """End with failure: the goal cannot be reached."""
         self._end(Status.ABORTED, result)
 
     def canceled(self, result: Any = None) -> None:
-        """End because somebody asked to stop."""
+        """End because a client asked to stop."""
         self._end(Status.CANCELED, result)
 
     def cancel(self) -> None:
         """Ask the server to stop; the client's side of the handle."""
-        if self.status is Status.ACCEPTED:  # not started, so there is nothing to wind up
+        if self.status is Status.ACCEPTED:  # not started, so there is nothing to stop
             self.canceled()
         elif self.status is Status.EXECUTING:
             self._set(Status.CANCELING)
@@ -98,7 +98,7 @@ class GoalHandle:
 
 
 class _Callbacks:
-    """What a client wants to hear about one goal."""
+    """Callbacks of a client about one goal."""
 
     def __init__(
         self, feedback: Callable[[Any], None], result: Callable[[Status, Any], None]
@@ -108,18 +108,18 @@ class _Callbacks:
 
 
 class ActionServer:
-    """Does the work of an action.
+    """The server of an action.
 
     Parameters
     ----------
     node, action_type, name
-        Who serves what (``nav2_msgs/action/Spin``) under which full name (``/spin``).
+        The serving node, the type (``nav2_msgs/action/Spin``) and the full name (``/spin``).
     on_goal
         Called with the handle of each new goal, when it is executing. A server that runs one
         goal at a time ends the one before itself.
     on_cancel
-        Called when a client asks to stop; answers, now or later, with ``handle.canceled()``.
-        A server with a loop needs none: it looks at the handle's status.
+        Called when a client asks to stop; calls ``handle.canceled()``, now or later.
+        A server with a loop needs none: it reads the handle's status.
     """
 
     def __init__(
@@ -150,7 +150,7 @@ class ActionServer:
         )
 
     def accept(self, goal: Any, goal_id: bytes, client: _Callbacks) -> GoalHandle:
-        """Take a goal on; its execution starts in the same instant, after the caller."""
+        """Accept a goal; its execution starts at the same time, after the caller has returned."""
         handle = GoalHandle(self, goal, goal_id, client)
         self._goals = [*[g for g in self._goals if g.is_active][-1:], handle]
         self.publish_status()
@@ -158,13 +158,13 @@ class ActionServer:
         return handle
 
     @property
-    def feedback_is_heard(self) -> bool:
-        """Tell whether anybody does something with the hidden feedback topic."""
-        return self._feedback.is_heard()
+    def feedback_is_received(self) -> bool:
+        """Tell whether a subscriber uses the hidden feedback topic."""
+        return self._feedback.has_receiver()
 
     def publish_feedback(self, handle: GoalHandle, feedback: Any) -> None:
-        """Publish on the hidden feedback topic if somebody listens."""
-        if self.feedback_is_heard:
+        """Publish on the hidden feedback topic if it has a subscriber."""
+        if self.feedback_is_received:
             self._feedback.publish(self._feedback_type(_uuid(handle.goal_id), feedback))
 
     def publish_status(self) -> None:
@@ -187,11 +187,11 @@ class ActionServer:
 
     @staticmethod
     def _direct(_request: Any) -> None:
-        """Answer a hidden service: goals travel through ``accept``, this only shows it."""
+        """Answer a hidden service; it only exists in the graph, because goals use ``accept``."""
 
 
 class ActionClient:
-    """One node's way to ask for an action."""
+    """A node's client of an action."""
 
     def __init__(self, node: Node, action_type: str, name: str) -> None:
         self._node = node
@@ -218,7 +218,7 @@ class ActionClient:
             If no node serves the action.
         """
         self._sent += 1
-        # A goal id that depends on nothing but who asks, for what, and how often before.
+        # The goal id depends only on the client, the action and the number of former goals.
         goal_id = uuid.uuid5(uuid.NAMESPACE_URL, f"{self._node.name}{self._name}#{self._sent}")
         server: ActionServer = self._node.domain.action_server(self._name)
         return server.accept(goal, goal_id.bytes, _Callbacks(on_feedback, on_result))

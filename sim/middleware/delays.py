@@ -1,4 +1,4 @@
-"""When messages reach a node's callbacks, on a computer that does other work as well."""
+"""When messages reach a node's callbacks on a computer that does other work as well."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ _AT_ONCE = 256  # draws
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """What makes one delivery later than the next."""
+    """Distribution of the delays of deliveries."""
 
     jitter_ms: float = 0.0  # mean of an exponentially distributed delay of the transport
     processor: float = 0.0  # share of the time in which another process has the processor
@@ -38,7 +38,7 @@ class Delays:
         self._last_ns = 0
 
     def due_ns(self, sent_ns: int, latency_ns: int) -> int:
-        """Return when a message is heard that was sent just now [ns]."""
+        """Return when a message that is sent now arrives [ns]."""
         self._last_ns = max(self._last_ns, sent_ns + latency_ns + next(self._draws))
         return self._last_ns
 

@@ -23,7 +23,7 @@ _Endpoint = TypeVar("_Endpoint")
 
 @dataclass(slots=True, eq=False)
 class Service:
-    """A named function of one node that others may call."""
+    """A service: a named function of one node that other nodes may call."""
 
     node: str
     name: str
@@ -51,7 +51,7 @@ class Offer(NamedTuple):
 
 
 class Domain:
-    """Everything that can see each other, as with one ``ROS_DOMAIN_ID``.
+    """All nodes that can discover each other, as with one ``ROS_DOMAIN_ID``.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class Domain:
         Simulated time.
     delays
         What is added to the latency of a node, by its name; None: nothing. A node without latency
-        hears everything at once.
+        receives everything at once.
     """
 
     def __init__(

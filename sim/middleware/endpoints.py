@@ -1,6 +1,7 @@
 """Publishers and subscriptions of a topic, and delivery between them.
 
-A sample is serialised at most once, whoever listens. Endpoints are made through ``node``.
+A sample is serialised at most once, however many subscribers it has. Endpoints are made through
+``node``.
 """
 
 from collections import deque
@@ -28,7 +29,7 @@ class Sample:
 
     @property
     def message(self) -> Any:
-        """The message object; shared by all receivers, so nobody writes to it."""
+        """The message object; all receivers share it, so no one may change it."""
         if self._message is None:
             self._message = deserialize(self.data, self.msgtype)
         return self._message
@@ -43,7 +44,7 @@ class Sample:
 
 @dataclass(slots=True, eq=False)
 class Subscription:
-    """One node's interest in a topic; without a callback it only counts."""
+    """A node's subscription to a topic; without a callback it only counts samples."""
 
     node: str
     topic: str
@@ -63,23 +64,23 @@ class Subscription:
 
     @property
     def message_bytes(self) -> int:
-        """Their CDR bytes, as far as a recorder listened."""
+        """Their CDR bytes, while a recorder was connected."""
         return sum(publisher.message_bytes - before for publisher, _, before in self.links)
 
     def due_ns(self, sent_ns: int) -> int:
-        """Return when a sample is heard that is sent now [ns]."""
+        """Return when a sample that is sent now arrives [ns]."""
         if self.delays is None:
             return sent_ns + self.latency_ns
         return self.delays.due_ns(sent_ns, self.latency_ns)
 
     def deliver(self, sample: Sample) -> None:
-        """Hand a sample to the callback."""
+        """Pass a sample to the callback."""
         if self.callback is not None:
             self.callback(sample.data if self.raw else sample.message)
 
 
 class _Listener(NamedTuple):
-    """A subscription that does something with what it hears, as the publisher looks at it."""
+    """A subscription with a callback, as the publisher sees it."""
 
     latency_ns: int
     delays: Delays | None
@@ -89,7 +90,7 @@ class _Listener(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class Publisher:
-    """One node's voice on a topic."""
+    """A node's publisher of a topic."""
 
     executor: Executor
     node: str
@@ -99,7 +100,9 @@ class Publisher:
     subscriptions: list[Subscription] = field(default_factory=list)
     retained: deque[Sample] | None = None  # for late subscribers, when latched
     messages: int = 0
-    message_bytes: int = 0  # sent while a recorder listened; else nothing need be serialised
+    message_bytes: int = (
+        0  # sent while a recorder was connected; without one, nothing need be serialised
+    )
     # Takes what is published, and sends what it likes instead; the graph does not show it.
     alter: Callable[[Sample], None] | None = None
     _recorders: list[Callable[[bytes], None]] = field(default_factory=list)
@@ -117,7 +120,7 @@ class Publisher:
             self.alter(Sample(self.msgtype, message, data))
 
     def send(self, message: Any, data: bytes | None = None) -> None:
-        """Send a message object as it is, even where what is published is altered."""
+        """Send a message object unaltered, even if an attack alters what is published."""
         self.messages += 1
         if self._recorders:
             if data is None:
@@ -135,7 +138,7 @@ class Publisher:
             self._links.alter(Sample(self.msgtype, message, data))
 
     def publish_serialized(self, data: bytes) -> None:
-        """Send CDR bytes; they become a message if somebody listens."""
+        """Send CDR bytes; they become a message only for subscribers that need one."""
         if self.alter is not None:
             self.alter(Sample(self.msgtype, data=data))
             return
@@ -150,10 +153,10 @@ class Publisher:
             self._links.alter(Sample(self.msgtype, data=data))
 
     def divert(self, nodes: Collection[str], alter: Callable[[Sample], None]) -> None:
-        """Let some nodes hear only what ``alter`` sends them, by `send_diverted`.
+        """Let some nodes receive only what ``alter`` sends them, by `send_diverted`.
 
-        All others hear what is published, and the graph and its traffic stay as they are: this is
-        what a transport does that delays, loses or alters samples on its way to a reader.
+        All others receive what is published, and the graph and its traffic do not change. A
+        transport acts like this that delays, loses or alters samples on the way to one reader.
         """
         self._links = _Links(frozenset(nodes), alter)
         subscriptions, self._listeners = self.subscriptions, []
@@ -161,9 +164,9 @@ class Publisher:
             self._listen(subscription)
 
     def send_diverted(self, message: Any) -> None:
-        """Send a message object to the nodes that are diverted, and to nobody else."""
+        """Send a message object only to the nodes that are diverted."""
         if self._links is None:
-            raise ValueError(f"nobody who hears {self.topic} is diverted; call divert first")
+            raise ValueError(f"no subscriber of {self.topic} is diverted; call divert first")
         now_ns, call_at = self.executor.now_ns, self.executor.call_at
         for latency_ns, delays, hear, _ in self._links.listeners:
             due_ns = now_ns + latency_ns if delays is None else delays.due_ns(now_ns, latency_ns)
@@ -178,9 +181,9 @@ class Publisher:
             call_at(due_ns, deliver, sample)
 
     def offer(self, qos: Qos) -> list[str]:
-        """Offer another profile, as a publisher that comes back; return who hears it no longer.
+        """Offer another profile, as a publisher that is restarted; return who receives nothing now.
 
-        Who taps, and who takes raw bytes, adapts to any offer, as rosbag2 does.
+        Taps, and subscriptions that take raw bytes, adapt to any offer, as rosbag2 does.
         """
         self.qos = qos
         if not is_latched(qos):
@@ -199,9 +202,9 @@ class Publisher:
         return deaf
 
     def tap(self, callback: Callable[[bytes], None]) -> None:
-        """Hand on the bytes of each message from now on, and of those that are kept for late ones.
+        """Pass the bytes of each message to a function, beginning with those kept for late joiners.
 
-        Who taps is no subscriber: nothing in the domain changes.
+        A tap is not a subscriber, so nothing in the domain changes.
         """
         self._recorders.append(callback)
         for sample in self.retained or ():
@@ -211,12 +214,12 @@ class Publisher:
         """Tell whether a sample would reach anyone (Nav2 skips costly messages otherwise)."""
         return bool(self.subscriptions)
 
-    def is_heard(self) -> bool:
-        """Tell whether any of the subscribers does something with a sample."""
+    def has_receiver(self) -> bool:
+        """Tell whether any subscriber has a callback for a sample."""
         return bool(self._recorders or self._listeners or self._links)
 
     def connect(self, subscription: Subscription) -> None:
-        """Send to a subscription from now on; if latched, what was sent last as well."""
+        """Send to a subscription from now on; if latched, also what was sent last."""
         self.subscriptions.append(subscription)
         callback = subscription.callback
         if callback is not None and subscription.raw:
@@ -235,7 +238,7 @@ class Publisher:
                 )
 
     def _listen(self, subscription: Subscription) -> None:
-        """Let a subscription hear messages, if it does something with them."""
+        """Let a subscription receive messages, if it has a callback for them."""
         callback, links = subscription.callback, self._links
         if callback is None or subscription.raw:
             return
@@ -248,7 +251,7 @@ class Publisher:
 
 @dataclass(frozen=True, slots=True)
 class _Links:
-    """The links of a publisher to nodes that hear something else than it publishes."""
+    """The links of a publisher to nodes that receive something else than it publishes."""
 
     nodes: frozenset[str]
     alter: Callable[[Sample], None]

@@ -1,7 +1,7 @@
 """Simulated time, and the order of events in it.
 
-Callbacks due at the same instant run in the order in which they were scheduled; nothing else
-decides, so a run depends on its inputs only.
+Callbacks that are due at the same time run in the order in which they were scheduled. Nothing else
+has an influence, so a run depends on its inputs only.
 """
 
 import heapq
@@ -21,7 +21,7 @@ class Executor:
     ----------
     on_advance
         Called with the new time [ns] whenever the clock moves, before any callback of that
-        instant: this is where the physics catches up.
+        time: the physics advances here.
     """
 
     def __init__(self, on_advance: Callable[[int], None] = lambda _: None) -> None:
@@ -38,7 +38,7 @@ class Executor:
         self._scheduled += 1
 
     def accompany(self, on_advance: Callable[[int], None]) -> None:
-        """Call another function, too, whenever the clock moves; it must not change what runs."""
+        """Also call this function whenever the clock moves; it must not change what runs."""
         first = self._on_advance
 
         def both(now_ns: int) -> None:
@@ -48,7 +48,7 @@ class Executor:
         self._on_advance = both
 
     def run_until(self, time_ns: int, stop: Callable[[], bool] | None = None) -> None:
-        """Run everything due up to and including ``time_ns``.
+        """Run all callbacks that are due up to and including ``time_ns``.
 
         Returns early, with the clock where it is, once ``stop()`` holds after a callback.
         """

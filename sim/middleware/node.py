@@ -42,7 +42,7 @@ class Timer:
         self._executor.call_at(first_ns, self._fire)
 
     def cancel(self) -> None:
-        """Stop for good."""
+        """Stop permanently."""
         self._active = False
 
     def _fire(self) -> None:
@@ -52,12 +52,12 @@ class Timer:
 
 
 class Node:
-    """A participant of the graph.
+    """A node of the ROS graph.
 
     Parameters
     ----------
     domain
-        Where the node lives.
+        The domain that the node belongs to.
     name
         Full name, with a leading ``/`` and the namespace.
     endpoints
@@ -122,7 +122,7 @@ class Node:
         *,
         raw: bool = False,
     ) -> Subscription:
-        """Listen to a topic; without a callback the endpoint exists but nothing is done.
+        """Subscribe to a topic; without a callback the endpoint exists, but nothing is done.
 
         With ``raw`` the callback gets CDR bytes instead of a message object, in the instant they
         are sent; it must not publish.
@@ -158,7 +158,7 @@ class Node:
         self.domain.add_parameter(parameter)
 
     def create_client(self, srvtype: str, name: str) -> "Client":
-        """Get ready to call a service."""
+        """Return a client of a service."""
         self.domain.add_client(self.name, name, srvtype)
         return Client(self, name)
 
@@ -185,14 +185,14 @@ class Node:
 
 
 class Client:
-    """One node's way to call one service."""
+    """A node's client of a service."""
 
     def __init__(self, node: Node, name: str) -> None:
         self._node = node
         self._name = name
 
     def call(self, request: Any, done: Callable[[Any], None] = lambda _: None) -> None:
-        """Send a request; ``done(response)`` runs when the answer is there.
+        """Send a request; ``done(response)`` runs when the answer arrives.
 
         Raises
         ------
@@ -204,4 +204,4 @@ class Client:
 
 
 def _no_parameters(_request: Any) -> None:
-    """Answer a parameter service: nodes here are configured when they are made."""
+    """Answer a parameter service with nothing: nodes here are configured when they are made."""

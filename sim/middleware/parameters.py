@@ -1,4 +1,4 @@
-"""Parameters that a node lets others set while it runs, and the event that tells of it."""
+"""Parameters of a node that others may set while it runs, and the event that reports it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,15 +24,15 @@ class NodeParameter:
     Parameters
     ----------
     node, name
-        Whose it is, and what it is called there.
+        The node, and the parameter's name there.
     value
-        What it is now.
+        The current value.
     checked
-        Returns a value as the parameter has it, or raises an `OracleError`.
+        Returns a value converted to the parameter's type, or raises an `OracleError`.
     changed
         Takes a new value.
     events
-        Where the node tells that a parameter was set.
+        The publisher that reports a parameter that was set.
     """
 
     node: str
@@ -43,7 +43,7 @@ class NodeParameter:
     events: Publisher
 
     def set(self, value: float) -> None:
-        """Set it, as its node's service ``set_parameters`` does, and tell so.
+        """Set it and publish the event, as its node's service ``set_parameters`` does.
 
         Raises
         ------

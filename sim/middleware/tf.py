@@ -1,6 +1,6 @@
 """Transforms between frames over time: buffer, listener, broadcaster (planar, REP 105 names).
 
-Every frame that navigation asks about moves in the plane, so a transform is kept as x, y and yaw.
+All frames that navigation looks up move in the plane, so a transform is kept as x, y and yaw.
 """
 
 import math
@@ -32,12 +32,12 @@ _TF_STATIC_QOS = qos.profile(100, latched=True)
 
 
 class TransformError(LookupError):
-    """A transform is unknown, or not known at that time."""
+    """A transform is unknown, or it is not known at that time."""
 
 
 @dataclass(slots=True)
 class _Link:
-    """A child frame in its parent over the last ten seconds."""
+    """The poses of a child frame in its parent over the last ten seconds."""
 
     parent: str
     static: bool
@@ -78,13 +78,13 @@ class _Link:
 
 
 class TransformBuffer:
-    """The tree of frames, as far as it was heard."""
+    """The tree of frames, from the transforms received so far."""
 
     def __init__(self) -> None:
         self._links: dict[str, _Link] = {}
 
     def receive(self, message: Any, *, static: bool) -> None:
-        """Take a ``tf2_msgs/msg/TFMessage`` in."""
+        """Store the transforms of a ``tf2_msgs/msg/TFMessage``."""
         for stamped in message.transforms:
             child = stamped.child_frame_id
             link = self._links.get(child)
@@ -139,7 +139,7 @@ class TransformBuffer:
     def _to_root(self, frame: str, time_ns: int | None) -> tuple[str, float, float, float]:
         """Return the root above a frame, and the frame's pose in it.
 
-        Composed as by `Pose2D.compose`, but without a pose a link: this is called most of all.
+        Composed as by `Pose2D.compose`, but without a pose for each link: it is called often.
         """
         links = self._links
         x = y = yaw = 0.0
@@ -153,9 +153,9 @@ class TransformBuffer:
 
 
 class TransformListener(Node):
-    """The node that tf2 makes for itself when it is given none; it fills a buffer.
+    """The node that tf2 makes when it is given none; it fills a buffer.
 
-    Listeners that share a buffer hear the same messages, so only the first of them feeds it.
+    Listeners that share a buffer receive the same messages, so only the first of them fills it.
     """
 
     def __init__(self, domain: Domain, suffix: str, buffer: TransformBuffer | None = None) -> None:
@@ -175,14 +175,14 @@ class TransformListener(Node):
 
 
 class TransformBroadcaster:
-    """A node's voice on ``/tf``, or on ``/tf_static``."""
+    """A node's publisher of transforms, on ``/tf`` or ``/tf_static``."""
 
     def __init__(self, node: Node, *, static: bool = False) -> None:
         topic, profile = ("/tf_static", qos.LATCHED) if static else ("/tf", qos.TF)
         self._publisher = node.create_publisher(_TF, topic, profile)
 
     def send(self, transforms: list[Any], data: bytes | None = None) -> None:
-        """Publish ``geometry_msgs/msg/TransformStamped`` messages in one go.
+        """Publish ``geometry_msgs/msg/TransformStamped`` messages together.
 
         ``data`` are the CDR bytes of the whole, if the caller has them.
         """

@@ -315,7 +315,7 @@ class BtNavigator(LifecycleNode):
             self._end(self._goals[0].succeed, "Goal succeeded")
         elif status is Status.FAILURE:
             self._end(self._goals[0].abort, "Goal failed")
-        elif changed or self._actions.feedback_is_heard:
+        elif changed or self._actions.feedback_is_received:
             self._wake()
 
     # -- feedback --------------------------------------------------------------------------

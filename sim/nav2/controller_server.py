@@ -252,7 +252,7 @@ class ControllerServer(LifecycleNode):
         else:
             self.warn("No valid trajectories out of the sampled ones!")
         twist = cycle.twist or (0.0, 0.0)
-        if self._actions.feedback_is_heard:
+        if self._actions.feedback_is_received:
             robot = from_path.inverse().compose(pose)
             distance = length_ahead(self._path, robot.x, robot.y)
             self._goals[0].publish_feedback(_Feedback(distance, abs(twist[0])))

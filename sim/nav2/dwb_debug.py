@@ -87,8 +87,8 @@ class DebugTopics:
     def publish(self, time_ns: int, frame: str, scoring: Scoring) -> None:
         """Show one cycle to whoever listens."""
         evaluation_is_heard, markers_are_heard = (
-            self._evaluation.is_heard(),
-            self._markers.is_heard(),
+            self._evaluation.has_receiver(),
+            self._markers.has_receiver(),
         )
         if not (evaluation_is_heard or markers_are_heard):
             return

@@ -64,11 +64,11 @@ class _StampedPoses(Sequence[Any]):
 @jit
 def _through_quaternions(poses: Poses) -> Poses:
     """Return poses with each yaw as it comes back from a message: `pose_yaw`."""
-    heard = poses.copy()
+    received = poses.copy()
     for i in range(len(poses)):
         z, w = math.sin(poses[i, 2] / 2.0), math.cos(poses[i, 2] / 2.0)
-        heard[i, 2] = math.atan2(2.0 * (w * z + 0.0), 1.0 - 2.0 * (z * z))
-    return heard
+        received[i, 2] = math.atan2(2.0 * (w * z + 0.0), 1.0 - 2.0 * (z * z))
+    return received
 
 
 def path_bytes(time_ns: int, frame: str, poses: Poses) -> bytes:

@@ -78,18 +78,18 @@ class DepthCamera(Node):
     def _shoot(self) -> None:
         stamped = header(self.now_ns, FRAME)
         for info in (self._colour_info, self._depth_info):
-            if info.is_heard():
+            if info.has_receiver():
                 info.publish(camera_info(stamped))
-        if not any(p.is_heard() for p in (self._colour, self._depth, self._points)):
+        if not any(p.has_receiver() for p in (self._colour, self._depth, self._points)):
             return
         view = self._look(self._rays, _FAR_M)
         # Along the optical axis, not along the ray.
         depth = in_depth_range(view.distances * self._rays[:, 0])
-        if self._colour.is_heard():
+        if self._colour.has_receiver():
             self._colour.publish(_image(stamped, "rgb8", view.colours))
-        if self._depth.is_heard():
+        if self._depth.has_receiver():
             self._depth.publish(_image(stamped, "32FC1", depth))
-        if self._points.is_heard():
+        if self._points.has_receiver():
             self._points.publish(_point_cloud(stamped, self._pixels, depth, view.colours))
 
 

@@ -1,9 +1,7 @@
 """A root for runs with a Dagster instance of its own, and the campaign that the tests share."""
 
-import multiprocessing
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +11,8 @@ import dagster as dg
 
 from oracle_pipeline.definitions import build_defs
 from resources.campaign import CampaignSettings
-from resources.fleet import Fleet, J, R
+from resources.fleet import Fleet
 from resources.store import RunStore
-from sim.fan_out import Outcome, fan_out
 
 CONTROL, ATTACKED = "lidar_passthrough", "random_noise"  # a pair of modes with short runs
 KEYS = [f"{mode}|run00{run}" for mode in (CONTROL, ATTACKED) for run in (0, 1)]
@@ -45,19 +42,6 @@ def dagster_home(home: Path) -> Iterator[dg.DagsterInstance]:
         yield instance
 
 
-# Workers are forked from a process that has imported what they need, which takes seconds.
-FORK_SERVER = multiprocessing.get_context("forkserver")
-FORK_SERVER.set_forkserver_preload(["assets.worker.run", "assets.worker.inspections"])
-
-
-class WarmFleet(Fleet):
-    """Worker processes that start immediately."""
-
-    def _fan_out(self, function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[Outcome[J, R]]:
-        workers = min(self.workers, len(jobs))
-        return fan_out(function, jobs, lambda: ProcessPoolExecutor(workers, FORK_SERVER))
-
-
 @dataclass
 class Laboratory:
     """A root for runs and a Dagster instance of its own, as a user has them."""
@@ -72,7 +56,7 @@ class Laboratory:
     def defs(self, **overrides: Any) -> dg.Definitions:
         resources = {
             "store": self.store,
-            "fleet": WarmFleet(workers=2),
+            "fleet": Fleet(workers=2),
             "campaign": CampaignSettings(goals_per_run=1),
         }
         return build_defs(**(resources | overrides))

@@ -18,7 +18,7 @@ import pytest
 
 from tests.assets.laboratory import ATTACKED, KEYS, ROOT, Laboratory, dagster_home
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(10)
 
 BIN = Path(sys.executable).parent
 MATERIALIZE = ["dagster", "asset", "materialize", "-m", "oracle_pipeline.definitions"]

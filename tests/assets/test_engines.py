@@ -23,7 +23,7 @@ from tests.assets.test_run_checks import ASSET_OF, evaluations
 from tests.manifests import rewrite
 from tests.servers import ROOT, dask_cluster, postgres_server, s3_server
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(5)
 
 STORE = RunStore(root="s3://oracle/campaign")
 OVER_ALL = ["feature_dataset", "bootstrapped_dataset"]

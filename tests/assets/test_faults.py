@@ -9,24 +9,23 @@ import pytest
 
 from assets.worker.run import process_run
 from sim.fan_out import fan_out, process_pool
-from soak.aggregates import AGGREGATES, compared, end, wait_for_step
+from soak.aggregates import AGGREGATES, compared, end, made, wait_for_step
 from soak.aggregates import start as start_asset
 from soak.aggregates import state as state_of_aggregates
-from soak.faults import disturbed, jobs, leftovers, start, state
+from soak.faults import complete, disturbed, jobs, leftovers, state
 from soak.full_disk import everything
 from tests.assets.laboratory import Laboratory
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(8)
 
 KILLS = 3  # of everything, of a worker and of the caller; `python -m soak.faults` makes 50
 
 
 def test_a_campaign_killed_at_random_times_ends_like_an_undisturbed_one(tmp_path: Path) -> None:
     quiet, other = tmp_path / "quiet", tmp_path / "disturbed"
-    undisturbed = start(quiet)
+    complete(quiet)
     wrong = list(disturbed(other, KILLS, seed=0))
     assert wrong == [[]] * (KILLS + 1)
-    assert undisturbed.wait() == 0
     assert state(other) == state(quiet)
     assert leftovers(other) == []
 
@@ -57,7 +56,7 @@ def test_a_killed_write_leaves_the_old_or_the_new_table_or_report(
             time.sleep(0.001)
         assert end(running, "kill all") == []
         assert state_of_aggregates(root) == expected
-    assert start_asset(tmp_path, list(written.values())).wait() == 0
+    assert all(made(root, asset).success for asset in written.values())
     assert compared(root, expected) == []
 
 

@@ -9,6 +9,7 @@ Dagster's commands: tests/test_commands.py runs those that the first tutorial sh
 import runpy
 import shutil
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -18,13 +19,14 @@ from click.testing import CliRunner
 
 from oracle_pipeline.cli import main as oracle
 from oracle_pipeline.datasets import feature_columns, read_table, write_table
+from sim.campaigns import Options
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.execution import execute
 from sim.fuzzing.scenario import parse_scenarios
 from tests.docs.pages import DOCS, LANGUAGES, PAGES, blocks, name
 from tests.docs.shell import NOT_RUN, Shell
 from tests.oracle_pipeline.datasets import synthetic
-from tests.recorded_runs import copied, linked
+from tests.recorded_runs import ONE_GOAL, copied, linked
 
 pytestmark = pytest.mark.slow
 
@@ -47,8 +49,10 @@ def reader(lab, recorded_run, tmp_path_factory):
     """A folder as the readers of how-to guides have it: a root with runs, and bags."""
     folder = tmp_path_factory.mktemp("reader")
     copied(recorded_run(ATTACKED), folder / "data")
+    mirrored = replace(ONE_GOAL, options=Options(relation="mirrored"))
+    copied(recorded_run(NORMAL, 0, mirrored), folder / "mirrored")
     shutil.copytree(lab / "runs" / NORMAL / "run000", folder / f"data/runs/{NORMAL}/run000")
-    for number in range(4):
+    for number in range(3):  # as few as a verdict with --far 0.25 takes
         shutil.copytree(lab / f"runs/{NORMAL}/run00{number}/bag", folder / f"good_bags/{number}")
     for build in ("old_build", "new_build"):
         shutil.copytree(folder / "good_bags", folder / build)

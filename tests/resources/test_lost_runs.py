@@ -15,7 +15,7 @@ import pytest
 from resources.run_processes import fail_lost_runs, hold
 from tests.servers import ROOT, process, wait_until
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(6)
 
 FAILED, STARTED = dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.STARTED
 MODULE = ["-m", "oracle_pipeline.definitions"]

@@ -100,6 +100,32 @@ def test_workers_do_many_jobs_each():
     assert len(found) <= 2
 
 
+def test_workers_get_the_environment_of_the_moment_in_which_they_start(monkeypatch):
+    for value in ("once", "again"):  # what they are forked from has started before
+        monkeypatch.setenv("ORACLE_MOMENT", value)
+        with process_pool(1) as pool:
+            assert pool.submit(os.getenv, "ORACLE_MOMENT").result() == value
+
+
+def test_workers_start_with_what_the_first_job_needs():
+    """All workers after the first one do without imports, which take more than a second."""
+    code = (
+        "import sys; from sim.fan_out import process_pool\n"
+        "from tests.sim.test_fan_out import is_loaded; from sim.experiments import remake_run\n"
+        "with process_pool(1) as pool: pool.submit(remake_run, None, None).exception()\n"
+        "with process_pool(1) as pool: print(pool.submit(is_loaded, 'sim.experiments').result())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=Path(__file__).parents[2], capture_output=True, text=True,
+        check=True,
+    )  # fmt: skip
+    assert done.stdout == "True\n"
+
+
+def is_loaded(module: str) -> bool:
+    return module in sys.modules
+
+
 @pytest.mark.parametrize("text", ["0", "-1", "soon", "nan"])
 def test_a_limit_that_is_no_time_is_refused(monkeypatch, text):
     monkeypatch.setenv(LIMIT, text)

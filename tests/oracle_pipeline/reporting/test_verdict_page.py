@@ -43,7 +43,7 @@ def test_a_verdict_stands_beside_the_picture_and_the_evidence(recorded_run, page
     html = unescape(page(anomalous(recorded_run("fake_object").path)))
     (png,) = re.findall(r'<img src="data:image/png;base64,([^"]+)"', html)
     assert base64.b64decode(png).startswith(b"\x89PNG")
-    assert "Of 19 normal recordings, 0 are at least as unusual (p = 0.05" in html
+    assert "Of 19 normal recordings, none is at least as unusual: p = 0.05." in html
     assert build_manager().features()[FEATURE].description in html
     assert "redundancy: 1 of 5 features outside their usual range" in html
 

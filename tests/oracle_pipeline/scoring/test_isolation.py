@@ -1,6 +1,8 @@
 """A recording that crashes its process costs only its own verdict."""
 
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -66,3 +68,22 @@ def test_memory_is_limited(bag, tmp_path):
     manager = manager_that("held = bytearray(8 * 2**30)", tmp_path / "plugins")
     ((_, tables, *_),) = extract_isolated(bag, manager, Limits(gibibytes=2.0))
     assert "MemoryError" in tables.run["missing"].iloc[0]  # the plugin's own; the rest is computed
+
+
+@pytest.mark.slow
+def test_a_process_begins_with_what_its_recording_would_make_it_load(bag):
+    """Otherwise a suite of many short recordings takes twice as long."""
+    code = (
+        "import sys; from pathlib import Path; from tests.oracle_pipeline.scoring.test_isolation "
+        "import loaded; from oracle_pipeline.scoring.isolation import apart\n"
+        f"print(apart(loaded, Path({str(bag)!r})))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=Path(__file__).parents[3], capture_output=True, text=True,
+        check=True,
+    )  # fmt: skip
+    assert done.stdout == "True\n"
+
+
+def loaded(_: Path) -> bool:
+    return "oracle_pipeline.features.warm_start" in sys.modules

@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from sim.fuzzing.diagnosis import diagnose
 from sim.fuzzing.scenario import MAX_BYTES, ScenarioError, load_scenarios
 from sim.modes import FOLDER, broken_scenarios, modes
 
@@ -55,6 +56,12 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / os.fsdecode(b"\xff\x1b[2J.yaml")).write_text("a: 1\n")
     (tmp_path / "good.yaml").write_text(GOOD)
     return tmp_path
+
+
+def test_every_file_that_is_no_scenario_has_a_diagnosis(folder):
+    for file in folder.iterdir():
+        for found in diagnose(file):
+            assert isinstance(found, ScenarioError) == (file.name != "good.yaml")
 
 
 def test_every_file_that_is_no_scenario_is_named_once_and_the_others_are_modes(folder):

@@ -115,5 +115,5 @@ def test_a_bag_cannot_show_what_happens_on_a_link(tmp_path):
     with BagWriter(tmp_path / "bag", "mcap") as bag:
         bag.add_topic("/scan", SCAN, [qos.DEFAULT])
         bag.write("/scan", 1, data(scan(0)))
-    with pytest.raises(BagError, match="A bag shows what the recorder hears"):
+    with pytest.raises(BagError, match="A bag shows what the recorder receives"):
         mutate_bag(tmp_path / "bag", tmp_path / "out", program(), 1)

@@ -1,0 +1,16 @@
+"""What the first recording makes a process load, to be imported where processes are forked from.
+
+A fork takes over what is loaded. Otherwise each fork loads it again for its own recording, which
+takes as long as the features of a short one.
+"""
+
+import scipy.ndimage
+import scipy.special  # noqa: F401
+from numba.core.registry import cpu_target
+
+from oracle_pipeline.bags.types import typestore
+
+# The functions that numba knows, which it collects when it first loads compiled code.
+cpu_target.typing_context.refresh()
+cpu_target.target_context.refresh()
+typestore()  # the definitions of ROS 2
