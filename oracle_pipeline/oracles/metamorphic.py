@@ -101,8 +101,8 @@ class Metamorphic:
         Raises
         ------
         KindError
-            Too few can be compared. Or some have no follow-up run: they would pass as if they had
-            agreed with it, so p-values of those that have one would be too small.
+            Too few runs can be compared, or some have no follow-up run. Runs without one would
+            count as agreeing with it, which makes the p-values of the others too small.
         """
         differences = self.differences(normal).reshape(len(normal.traces), len(self._partners), -1)
         compared = np.isfinite(differences).any(axis=2).sum(axis=0)

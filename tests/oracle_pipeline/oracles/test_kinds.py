@@ -73,7 +73,7 @@ def turning(relation, **altered):
     """Runs of tasks with different turns, no task twice; mirrored runs turn the other way."""
     runs = campaign(repeats=1, **altered)
     side = -1.0 if relation == "mirrored" else 1.0
-    drift = 1.0 if relation == "same" else 1.001  # another day: an exact repetition says nothing
+    drift = 1.0 if relation == "same" else 1.001  # differs a little: exact repetitions are ignored
     traces = tuple(
         drift * trace.assign(turn=trace["turn"] + side * np.sin(7.0 * block))
         for trace, block in zip(runs.traces, runs.block, strict=True)
@@ -97,7 +97,7 @@ def test_without_repeated_tasks_a_run_in_another_relation_detects_attacks(relati
     assert right < 0.1 < 1.0 < reversed_
 
 
-def test_follow_up_runs_are_there_for_all_blocks_or_for_none():
+def test_follow_up_runs_are_needed_for_all_blocks_or_none():
     runs, follow_ups = turning("same"), turning("mirrored")
     some = follow_ups.where(follow_ups.block < 22)
     with pytest.raises(KindError, match="2 of 24 normal runs have no mirrored run of their block"):
