@@ -75,8 +75,8 @@ def test_a_process_begins_with_what_its_recording_would_make_it_load(bag):
     """Otherwise a suite of many short recordings takes twice as long."""
     code = (
         "import sys; from pathlib import Path; from tests.oracle_pipeline.scoring.test_isolation "
-        "import loaded; from oracle_pipeline.scoring.isolation import apart\n"
-        f"print(apart(loaded, Path({str(bag)!r})))"
+        "import loaded; from oracle_pipeline.scoring.isolation import run_isolated\n"
+        f"print(run_isolated(loaded, Path({str(bag)!r})))"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=Path(__file__).parents[3], capture_output=True, text=True,
