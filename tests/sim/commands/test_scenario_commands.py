@@ -129,7 +129,10 @@ def test_mutate_points_a_scenario_at_a_topic_and_alters_it_in_place(foreign_bag,
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["random_noise", "--topic", "/none"], "has no topic /none, which random_noise subscribes to"),
+        (
+            ["random_noise", "--topic", "/none"],
+            "has no topic /none, which random_noise subscribes to",
+        ),
         (["random_noise", "--topic", "/reading"], "random_noise needs sensor_msgs/msg/LaserScan"),
         (
             ["fake_object", "--topic", "gps=/fix"],
