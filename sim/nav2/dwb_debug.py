@@ -86,16 +86,16 @@ class DebugTopics:
 
     def publish(self, time_ns: int, frame: str, scoring: Scoring) -> None:
         """Publish one cycle, on topics with a receiver."""
-        evaluation_is_heard, markers_are_heard = (
+        evaluation_is_received, markers_are_received = (
             self._evaluation.has_receiver(),
             self._markers.has_receiver(),
         )
-        if not (evaluation_is_heard or markers_are_heard):
+        if not (evaluation_is_received or markers_are_received):
             return
         evaluation = evaluate(scoring)
-        if evaluation_is_heard:
+        if evaluation_is_received:
             self._evaluation.publish_serialized(evaluation_bytes(time_ns, frame, evaluation))
-        if markers_are_heard:
+        if markers_are_received:
             self._markers.publish_serialized(marker_bytes(time_ns, frame, evaluation))
 
 

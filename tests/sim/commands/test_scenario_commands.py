@@ -100,7 +100,7 @@ def test_mutate_copies_what_it_does_not_touch_even_of_types_that_nobody_knows(
     [
         (["no_such"], "neither a scenario nor a file no_such"),
         (["random_noise", "-p", "level=2"], "level: expected 0.0 to 1.0, found 2.0"),
-        (["odometry_spoof"], "has no topic /odom, which odometry_spoof hears"),
+        (["odometry_spoof"], "has no topic /odom, which odometry_spoof subscribes to"),
         (["sensor_freeze"], "does not show when goal 1 was accepted"),
         (["command_injection"], "main.output: expected a topic that moves nothing"),
     ],
@@ -129,7 +129,10 @@ def test_mutate_points_a_scenario_at_a_topic_and_alters_it_in_place(foreign_bag,
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["random_noise", "--topic", "/none"], "has no topic /none, which random_noise hears"),
+        (
+            ["random_noise", "--topic", "/none"],
+            "has no topic /none, which random_noise subscribes to",
+        ),
         (["random_noise", "--topic", "/reading"], "random_noise needs sensor_msgs/msg/LaserScan"),
         (
             ["fake_object", "--topic", "gps=/fix"],
