@@ -6,6 +6,7 @@ the peak of both beside the goal of 1 GiB.
 """
 
 import argparse
+import functools
 import multiprocessing
 import os
 import resource
@@ -21,7 +22,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.rosbag1 import Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.mcap import MAGIC
@@ -137,7 +139,7 @@ def database(path: Path, size: int) -> None:
 
 def ros1(path: Path, size: int) -> None:
     """Write the two scanners to a bag of ROS 1, compressed."""
-    store = get_typestore(Stores.ROS1_NOETIC)
+    store = _noetic()
     published = _two_scanners()
     writer = Writer(path)
     writer.set_compression(Writer.CompressionFormat.LZ4)
@@ -241,9 +243,17 @@ def _stamped(
         number += 1
 
 
+@functools.cache
+def _noetic() -> Typestore:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    transforms = "geometry_msgs/TransformStamped[] transforms"
+    store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
+    return store
+
+
 def _serialized_ros1(message: Any, msgtype: str) -> bytes:
     """Return a message as ROS 1 has it: its headers have a number."""
-    store = get_typestore(Stores.ROS1_NOETIC)
+    store = _noetic()
 
     def converted(value: Any) -> Any:
         if isinstance(value, list):
