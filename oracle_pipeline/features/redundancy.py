@@ -83,7 +83,7 @@ class _Comparison:
 
 
 def prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
-    """Hold every scanner against every other one, over the whole recording."""
+    """Compare every scanner with every other one, over the whole recording."""
     setup = scanner_setup(window)
     if len(setup.scanners) < 2:
         return Missing("fewer than two laser scanners are recorded")
@@ -93,7 +93,7 @@ def prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
         if setup.mounts[suspect].root == setup.mounts[other].root
     ]
     return {
-        f"{suspect} against {other}": _held_against(setup, suspect, other, MOST_HITS // len(pairs))
+        f"{suspect} against {other}": _compared_with(setup, suspect, other, MOST_HITS // len(pairs))
         for suspect, other in pairs
     } or Missing("/tf_static joins no two level laser scanners")
 
@@ -173,7 +173,7 @@ def register_features() -> list[FeaturePlugin]:
     ]  # fmt: skip
 
 
-def _held_against(setup: ScannerSetup, suspect: str, other: str, most_hits: int) -> _Comparison:
+def _compared_with(setup: ScannerSetup, suspect: str, other: str, most_hits: int) -> _Comparison:
     scans, reference = setup.scanners[suspect], setup.scanners[other]
     rows, reference_rows = _simultaneous(scans.stamps_s, reference.stamps_s)
     placed = setup.placed(setup.mounts[suspect], scans.stamps_s[rows])
