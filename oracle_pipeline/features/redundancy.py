@@ -1,4 +1,4 @@
-"""Whether sensors that see the same scene agree: laser scanners and range sensors.
+"""Whether sensors that measure the same scene agree: laser scanners and range sensors.
 
 Every scanner is compared with every other one, given their mounts in ``/tf_static`` and the motion
 of the robot between their scans. A real object is seen by all of them. If another scanner measures
@@ -70,12 +70,12 @@ RANGE_FEATURES = (
     ),
 )  # fmt: skip
 
-_SIMULTANEOUS_S = 0.15  # at most between measurements that are compared
+_SIMULTANEOUS_S = 0.15  # most between compared measurements
 
 
 @dataclass(frozen=True, slots=True)
 class _Comparison:
-    """A scanner held against another, by the times of the first one's scans."""
+    """Comparison of a scanner with another, by the times of the first one's scans."""
 
     residual: Series  # median of each scan [m]
     contradicted: Series  # share of each scan
@@ -83,7 +83,7 @@ class _Comparison:
 
 
 def prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
-    """Compare every scanner with every other one, over the whole recording."""
+    """Compare every scanner with every other, over the whole recording."""
     setup = scanner_setup(window)
     if len(setup.scanners) < 2:
         return Missing("fewer than two laser scanners are recorded")
@@ -120,7 +120,7 @@ def compute_scanners(window: Window) -> Values:
 
 
 def prepare_ranges(window: Window) -> dict[str, Series] | Missing:
-    """Return how far each range is beyond the nearest return in its cone [m], by pair of topics."""
+    """Return each range minus the nearest return in its cone [m], by pair of topics."""
     setup = scanner_setup(window)
     ranges = window.topics["ranges"]
     mounts = {topic: setup.frames.mount(series.values[0][1]) for topic, series in ranges.items()}
@@ -219,7 +219,7 @@ def _beyond(setup: ScannerSetup, ranges: Series, mount: SensorMount, scanner: st
 
 
 def _simultaneous(stamps_s: Floats, others_s: Floats) -> tuple[Ints, Ints]:
-    """Return the indices of the stamps that have another one near, and of that one."""
+    """Return the indices of the stamps with a simultaneous one, and of that one."""
     order = np.argsort(others_s, kind="stable")
     nearest_other = order[nearest(others_s[order], stamps_s)]
     close = np.flatnonzero(np.abs(others_s[nearest_other] - stamps_s) <= _SIMULTANEOUS_S)
