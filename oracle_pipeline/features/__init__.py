@@ -1,4 +1,4 @@
-"""Features of runs: plugins, their manager, and the two tables they fill.
+"""Features of runs: the plugins, their manager, and the tables of features.
 
 A plugin needs only the names in this module.
 """

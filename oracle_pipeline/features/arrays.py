@@ -18,15 +18,15 @@ Floats: TypeAlias = NDArray[np.float64]
 
 STATISTICS = ("non_finite", "at_limit", "distinct", "autocorrelation", "roughness")
 
-_EVERY_S = 0.1  # between the arrays that are looked at
-_BLOCK = 2**16  # numbers that are worked on at once
-_SHORTEST, _LONGEST = 16, 2048  # numbers; fewer are channels rather than a row of equals
+_EVERY_S = 0.1  # between the sampled arrays
+_BLOCK = 2**16  # numbers per batch
+_SHORTEST, _LONGEST = 16, 2048  # numbers; shorter arrays are channels, not samples of one quantity
 
 
 def array_of(record: RawRecord) -> NDArray[np.floating[Any]] | None:
-    """Return the array of a message, of a long one the middle; None if it is no row of equals.
+    """Return the array of a message, or the middle of a long one; None if it is too short.
 
-    It is a copy as precise as the message, as a recording may be all arrays.
+    It is a copy of the same precision as the message, to save memory.
     """
     array = record.array
     if array is None or array.size < _SHORTEST:
@@ -42,14 +42,14 @@ ARRAYS = Request(
 
 
 def each(function: Callable[..., Any], *arrays: NDArray[np.object_]) -> list[Any]:
-    """Call a function of arrays, shape (n, m), for some equally long ones after the others.
+    """Call a function of arrays, shape (n, m), on batches of arrays of equal length.
 
     Parameters
     ----------
     function : callable
         Returns a result for each row of its arguments.
     *arrays : ndarray of arrays
-        For each argument, as many; those in one place are equally long.
+        The arguments, with equally many arrays; arrays at the same index are equally long.
     """
     lengths = np.array([array.size for array in arrays[0]])
     results: list[Any] = [None] * len(lengths)
@@ -89,7 +89,7 @@ def statistics(arrays: NDArray[np.floating[Any]]) -> Floats:
 def roughness(arrays: NDArray[np.floating[Any]]) -> Floats:
     """Return the median of abs(a[i-1] - 2 a[i] + a[i+1]) / abs(a[i]) of each row, shape (n,).
 
-    Zeros have none, nor has what is beside something that is not finite; NaN if nothing has.
+    Zeros and neighbours of non-finite numbers are left out; NaN if all numbers are.
     """
     arrays = arrays.astype(np.float64, copy=False)
     numbers = np.where(np.isfinite(arrays), arrays, np.nan)
@@ -99,7 +99,7 @@ def roughness(arrays: NDArray[np.floating[Any]]) -> Floats:
 
 
 def doubled_ranks(arrays: NDArray[np.floating[Any]]) -> NDArray[np.uint16]:
-    """Return twice the ranks in each row, from 2 on; ties share theirs, and NaN ranks as ``inf``.
+    """Return twice the ranks in each row, from 2 on, with averaged ties; NaN ranks as ``inf``.
 
     It is ``scipy.stats.rankdata``, whose import takes longer than most recordings.
     """
@@ -109,9 +109,9 @@ def doubled_ranks(arrays: NDArray[np.floating[Any]]) -> NDArray[np.uint16]:
 
 
 def standardised(doubled: NDArray[np.uint16]) -> Floats:
-    """Return ranks in each row, less their mean, as vectors of length one.
+    """Return the ranks in each row, centred and scaled to unit length.
 
-    The product of two is Spearman's correlation; equal numbers are all zero.
+    The dot product of two is Spearman's correlation; a constant row is all zero.
     """
     ranks = doubled / 2.0
     ranks -= ranks.mean(axis=1, keepdims=True)

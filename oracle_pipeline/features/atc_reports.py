@@ -2,8 +2,8 @@
 
 Reports are compared with the secondary radar's replies of the same address, and with each other: an
 aircraft's positions must follow from its reported velocity. Each topic of reports and each aircraft
-is judged by itself; a column has the worst of them. The place of the antenna is not recorded: it is
-estimated from most reports and replies together, so that a few false ones cannot move it.
+is judged separately; a column has the worst of them. The position of the antenna is not recorded;
+it is estimated robustly from all reports and replies, so that a few false ones do not shift it.
 """
 
 import math
@@ -61,12 +61,12 @@ REPORT_FEATURES = (
     ),
 )  # fmt: skip
 
-_LAG_S = 5.0  # over which positions are differenced
+_LAG_S = 5.0  # interval over which positions are differenced
 _ANTENNA_STEPS = 4
-_GAP_S = 4.0  # between reports, over which no position is interpolated
-_SILENT_S = 10.0  # after which an aircraft is gone
-# The middle of the air space: that far from its border, where aircraft come and go, and that far
-# above its lowest aircraft, where they take off and land.
+_GAP_S = 4.0  # longest gap between reports in which positions are interpolated
+_SILENT_S = 10.0  # without reports, after which an aircraft has left
+# The middle of the air space: this share of its radius, since aircraft come and go at the border,
+# and this height above its lowest aircraft, since aircraft take off and land below.
 _MIDDLE = 0.6
 _ALOFT_M = 600.0
 
@@ -110,7 +110,7 @@ class _Reports:
 
 @dataclass(frozen=True, slots=True)
 class Replies:
-    """What the secondary radar heard of one address."""
+    """The replies of one address to the secondary radar."""
 
     times_s: Floats  # recorded at
     stamps_s: Floats
@@ -119,12 +119,12 @@ class Replies:
     altitude_m: Floats
 
     def plots(self, up_m: Floats) -> Points:
-        """Return places, north + i east of the antenna [m], given how high above it they are."""
+        """Return positions, north + i east of the antenna [m], given heights above it."""
         return np.sqrt(np.maximum(self.slant_m**2 - up_m**2, 0.0)) * self.azimuth
 
 
 def prepare_radar(window: Window) -> dict[str, tuple[Series, Series]] | Missing:
-    """Return distance and difference of altitude of each reply, by topic and aircraft."""
+    """Return the residuals of distance and altitude of each reply, by topic and aircraft."""
     replies = _replies(window.topics["replies"])
     pairs = [
         (f"{topic} {address}", flight, replies[address])
@@ -159,7 +159,7 @@ def compute_radar(window: Window) -> Values:
 
 
 def find_antenna(replies: Sequence[tuple[Floats, Replies]]) -> Site:
-    """Return where the radar must be for most replies to come from the reported positions.
+    """Return the position of the radar that best explains most replies by reported positions.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def find_antenna(replies: Sequence[tuple[Floats, Replies]]) -> Site:
 
 
 def prepare_reports(window: Window) -> _Reports:
-    """Return how consistent each aircraft's reports are with each other."""
+    """Return the consistency of each aircraft's reports with each other."""
     velocity, intervals, begun, ended = {}, {}, {}, {}
     for topic, series in window.topics["reports"].items():
         aircraft = flights(series)
@@ -220,7 +220,7 @@ def compute_reports(window: Window) -> Values:
 
 
 def velocity_residual(flight: ReportedFlight) -> Series:
-    """Return how far the reported velocity is from that of the reported positions [m/s]."""
+    """Return the difference of reported velocity and that of reported positions [m/s]."""
     earlier_s = flight.stamps_s - _LAG_S
     before, _ = flight.at(earlier_s)
     place, _ = Site(flight.latitude, flight.longitude).seen(before)
@@ -229,14 +229,14 @@ def velocity_residual(flight: ReportedFlight) -> Series:
 
 
 def sudden(aircraft: Sequence[ReportedFlight], times_s: Floats) -> tuple[Floats, Floats]:
-    """Return when aircraft came into the middle of the air space, and went, out of nowhere [s].
+    """Return when aircraft first and last reported in the middle of the air space [s].
 
     Parameters
     ----------
     aircraft
         All of a topic.
     times_s
-        Of all messages on the topic; what is there at first or at last came or went unseen.
+        Of all messages on the topic; aircraft present at its start or end are not counted there.
     """
     latitude, longitude, altitude_m = (
         np.concatenate([getattr(flight, name) for flight in aircraft])
@@ -258,7 +258,7 @@ def sudden(aircraft: Sequence[ReportedFlight], times_s: Floats) -> tuple[Floats,
 
 
 def flights(series: Series) -> dict[str, ReportedFlight]:
-    """Sort the reports of a topic by address; what no aircraft can be is left out."""
+    """Group the reports of a topic by address, without invalid ones."""
     addresses, *columns = zip(*series.values, strict=True)
     table = np.array([series.times_s, *columns])
     of_aircraft = np.isfinite(table).all(axis=0) & (np.abs(table[2]) <= 90.0)
@@ -306,7 +306,7 @@ def register_features() -> list[FeaturePlugin]:
 
 
 def _replies(topics: Mapping[str, Series]) -> dict[str, Replies]:
-    """Sort the replies of all topics by address; an address on two topics has the last one's."""
+    """Group the replies of all topics by address; of an address on two topics, the last counts."""
     by_address = {}
     for series in topics.values():
         addresses, *columns = zip(*series.values, strict=True)

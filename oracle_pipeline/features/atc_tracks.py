@@ -1,7 +1,7 @@
 """Features of the tracks and warnings of the air traffic fusion.
 
-A track that one kind of sensor alone keeps alive is an aircraft that hides, or one that is not
-there; two tracks that fly as one are an aircraft that was seen in two places.
+A track that only one kind of sensor supports is an aircraft that hides or does not exist; two
+tracks that move together are one aircraft detected at two positions.
 """
 
 import math
@@ -67,12 +67,12 @@ _SHARES = ("adsb_only", "radar_only", "nameless")
 
 @dataclass(frozen=True, slots=True)
 class _Picture:
-    """What the messages of one topic show, by time."""
+    """Statistics of the messages of one topic, by time."""
 
     shares: dict[str, Series]  # of the tracks of each message
     longest_s: dict[str, float]
     distance_m: Series  # of the closest pair
-    speed: Series  # of one of that pair as the other sees it [m/s]
+    speed: Series  # of that pair relative to each other [m/s]
 
 
 def keep_tracks(message: Any) -> Floats:
@@ -92,7 +92,7 @@ def keep_tracks(message: Any) -> Floats:
 
 
 def prepare_tracks(window: Window) -> dict[str, _Picture]:
-    """Return what the messages of each topic show."""
+    """Return statistics of the messages of each topic."""
     return {topic: _picture(series) for topic, series in window.topics["tracks"].items()}
 
 
@@ -116,9 +116,9 @@ def compute_tracks(window: Window) -> Values:
 
 
 def closest(tracks: Floats) -> tuple[float, float]:
-    """Return the distance [m] and relative speed [m/s] of the two closest of tracks, or NaN.
+    """Return the distance [m] and relative speed [m/s] of the two closest tracks, or NaN.
 
-    Without an altitude, a track is taken to be at the height of every other.
+    A track without an altitude is assumed to be at the same height as every other.
     """
     if len(tracks) < 2:
         return math.nan, math.nan
@@ -133,7 +133,7 @@ def closest(tracks: Floats) -> tuple[float, float]:
 
 
 def longest_s(times_s: Floats, identifiers: Sequence[Floats], flags: Sequence[Bools]) -> float:
-    """Return for how long a track was flagged at most, from message to message [s].
+    """Return the longest time for which a track was flagged in consecutive messages [s].
 
     Parameters
     ----------
@@ -151,12 +151,12 @@ def longest_s(times_s: Floats, identifiers: Sequence[Floats], flags: Sequence[Bo
 
 
 def keep_advisory(message: Any) -> tuple[float, float]:
-    """Return whether an ``Advisory`` is one of traffic, and whether it is a resolution."""
+    """Return whether an ``Advisory`` is a traffic advisory, and whether a resolution advisory."""
     return float(message.level == _TRAFFIC), float(message.level == _RESOLUTION)
 
 
 def compute_advisories(window: Window) -> Values | Missing:
-    """Count over the window; where the topic is silent there are none."""
+    """Count over the window; a silent topic counts as none."""
     if not window.history["advisories"]:
         return Missing("no topic of advisories is recorded")
     counts = np.zeros(2)
@@ -188,8 +188,8 @@ def _picture(series: Series) -> _Picture:
     identifiers = [tracks[:, 0] for tracks in messages]
     sources = [tracks[:, 2].astype(np.int64) for tracks in messages]
     flags = {
-        "adsb_only": [heard == _ADSB for heard in sources],
-        "radar_only": [heard & _ADSB == 0 for heard in sources],
+        "adsb_only": [source == _ADSB for source in sources],
+        "radar_only": [source & _ADSB == 0 for source in sources],
         "nameless": [tracks[:, 1] == 0.0 for tracks in messages],
     }
     distance_m, speed = np.array([closest(tracks) for tracks in messages]).T
@@ -202,5 +202,5 @@ def _picture(series: Series) -> _Picture:
 
 
 def _means(flags: Sequence[Bools]) -> Floats:
-    """Return the share of each message's tracks that are flagged; NaN for a message of none."""
+    """Return the share of each message's tracks that are flagged; NaN without tracks."""
     return np.array([flag.mean() if flag.size else np.nan for flag in flags])

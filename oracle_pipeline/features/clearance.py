@@ -1,6 +1,6 @@
-"""How far each cell of a grid is from the next blocked one.
+"""Distance of each cell of a grid from the nearest blocked one.
 
-It is ``scipy.ndimage.distance_transform_edt``, whose import takes longer than most recordings.
+Like ``scipy.ndimage.distance_transform_edt``, whose import takes longer than most recordings.
 """
 
 from typing import Any
@@ -12,14 +12,14 @@ from oracle_pipeline.bags.jit import jit
 
 
 def clearance(blocked: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the distance from each cell's centre to that of the next blocked cell [cells].
+    """Return the distance from each cell's centre to that of the nearest blocked cell [cells].
 
     Exact, in two passes over the grid [1]_.
 
     Parameters
     ----------
     blocked : ndarray of shape (rows, columns)
-        At least one cell is.
+        At least one cell is blocked.
 
     References
     ----------
@@ -38,8 +38,10 @@ def clearance(blocked: NDArray[np.bool_]) -> NDArray[np.float32]:
 @jit
 def _squared(blocked: NDArray[np.bool_]) -> Any:
     rows, columns = blocked.shape
-    far = rows + columns  # farther than any cell
-    along = np.empty((rows, columns), np.int64)  # to the next blocked cell of the same column
+    far = rows + columns  # more than any distance
+    along = np.empty(
+        (rows, columns), np.int64
+    )  # distance to the nearest blocked cell of the column
     for x in range(columns):
         near = far
         for y in range(rows):
@@ -51,7 +53,7 @@ def _squared(blocked: NDArray[np.bool_]) -> Any:
     squared = np.empty((rows, columns), np.int64)
     nearest, begins = np.empty(columns, np.int64), np.empty(columns, np.int64)
     for y in range(rows):
-        # Column nearest[k] has the blocked cell that is next to columns from begins[k] on.
+        # Column nearest[k] has the nearest blocked cell for columns from begins[k] on.
         last = 0
         nearest[0] = begins[0] = 0
         for x in range(1, columns):

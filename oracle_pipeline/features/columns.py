@@ -1,8 +1,7 @@
-"""Many messages of one type as one object whose fields are arrays.
+"""Messages of one type as one object whose fields are arrays.
 
-The position of each field is computed for all messages together: after fields of fixed size it is
-the same, after a string or a sequence it differs by message. Only fields that are accessed are
-read.
+The offset of each field is computed for all messages together: after fields of fixed size it is
+the same, after a string or a sequence it differs by message. Only accessed fields are read.
 """
 
 from collections.abc import Sequence
@@ -16,12 +15,12 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 _Ints: TypeAlias = NDArray[np.int64]
-_Place: TypeAlias = "int | _Ints"  # behind the encapsulation [B]; of all messages, or of each
+_Place: TypeAlias = "int | _Ints"  # offset after the encapsulation [B]; of all messages, or of each
 
 _HEADER = "std_msgs/msg/Header"
-ENCAPSULATION = 4  # bytes before a message in CDR, from which it aligns
-_PADDING = 3  # bytes at most behind a message in CDR
-_READ_BEYOND = bytes(16)  # so that every place that is looked at is in the buffer
+ENCAPSULATION = 4  # bytes before a message in CDR; its alignment starts after them
+_PADDING = 3  # maximum of bytes after a message in CDR
+_READ_BEYOND = bytes(16)  # so that every read is inside the buffer
 
 _DTYPES = {
     "bool": "?", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "i2",
@@ -44,7 +43,7 @@ class _Numbers(NamedTuple):
     dtype: np.dtype[Any]
     at: _Place
     counts: _Place
-    is_fixed: bool  # the type says how many
+    is_fixed: bool  # the length is part of the type
 
 
 class _Parts(NamedTuple):
@@ -62,10 +61,10 @@ _Node: TypeAlias = _Number | _Text | _Numbers | _Parts | _Elements
 
 @dataclass(slots=True)
 class _Buffer:
-    """Bytes of messages, one behind the other."""
+    """Bytes of messages, concatenated."""
 
     data: bytes
-    starts: _Ints  # of each message, behind its encapsulation
+    starts: _Ints  # of each message, after its encapsulation
     sizes: _Ints  # of each message, without it
     is_cdr: bool
     store: Typestore
@@ -81,7 +80,7 @@ class _Buffer:
         return numbers
 
     def of(self, rows: _Ints) -> "_Buffer":
-        """Return the same of some messages, some perhaps several times."""
+        """Return a buffer of some messages, with repetitions if ``rows`` has them."""
         some = self.starts[rows], self.sizes[rows]
         return _Buffer(self.data, *some, self.is_cdr, self.store, self.views)
 
@@ -90,14 +89,14 @@ class Columns:
     """Messages of one type; an attribute for each field, with a row for each message.
 
     A number is an array of float64 or of whole numbers, shape (n,); a string an array of ``str``;
-    an array whose length the type says has shape (n, length); a sequence of numbers is an array of
-    n arrays, one of strings n tuples; a nested message is again ``Columns``. So is a sequence of
-    messages, which has a row for each element and ``owners``.
+    an array of fixed length has shape (n, length); a sequence of numbers is an array of n arrays,
+    a sequence of strings an array of n tuples; a nested message is again ``Columns``. So is a
+    sequence of messages, which has a row for each element and ``owners``.
 
     Attributes
     ----------
     owners : ndarray of shape (n,)
-        Of elements, numbers of the messages that they are in.
+        For elements, the indices of the messages that contain them.
     """
 
     def __init__(self, buffer: _Buffer, nodes: dict[str, _Node], owners: _Ints) -> None:
@@ -142,32 +141,32 @@ class Columns:
 
 
 class Messages(Protocol):
-    """Messages of one topic that can be looked at as columns."""
+    """Messages of one topic that are available as columns."""
 
     data: Sequence[bytes]  # of each message
 
     def columns(self) -> Any:
-        """Return them as though they were one."""
+        """Return the messages as columns."""
         ...
 
     def some(self, rows: _Ints) -> "Messages":
-        """Return some of them."""
+        """Return some of the messages."""
         ...
 
 
 class Batch:
-    """Messages of one type, one behind the other; `Messages`, if all are whole.
+    """Messages of one type, concatenated; implements `Messages` if all are whole.
 
     Parameters
     ----------
     data : list of bytes
         Of each message.
     store : Typestore
-        That has the type.
+        Has the definition of the type.
     msgtype : str
         Of the messages.
     is_cdr : bool
-        Or else ROS 1's encoding.
+        False for ROS 1's encoding.
     """
 
     def __init__(
@@ -205,7 +204,7 @@ class Batch:
         return Batch(data, buffer.store, self._kind[1], is_cdr=buffer.is_cdr)
 
     def columns(self) -> Columns:
-        """Return the messages as though they were one."""
+        """Return the messages as columns."""
         node, _ = self._walked
         assert isinstance(node, _Parts)  # noqa: S101 -- a message is no number
         return Columns(self._buffer, node.nodes, np.arange(len(self._buffer.starts)))
@@ -219,13 +218,13 @@ class _Walk:
         self.whole = np.ones(len(buffer.starts), dtype=np.bool_)
 
     def to(self, kind: Any, at: _Place) -> tuple[_Node, _Place]:
-        """Return where a field stands, and where it ends."""
+        """Return the location of a field, and the offset of its end."""
         what: Any
         of, what = kind
         if of == Nodetype.NAME:
             nodes: dict[str, _Node] = {}
             if what == _HEADER and not self._buffer.is_cdr:
-                at = at + 4  # ROS 1's number of the message
+                at = at + 4  # sequence number of ROS 1
             for name, each in self._buffer.store.fielddefs[what][1]:
                 nodes[name], at = self.to(each, at)
             return _Parts(nodes), at
@@ -259,7 +258,7 @@ class _Walk:
         return _Numbers(dtype, at, counts, count is not None), at + counts * dtype.itemsize
 
     def _elements(self, element: Any, counts: _Place, at: _Place) -> tuple[_Node, _Place]:
-        """Go from element to element, those of all messages side by side."""
+        """Go from element to element, in all messages at once."""
         count = counts + np.zeros_like(self._buffer.starts)
         ends = at + np.zeros_like(self._buffer.starts)
         starts, owners = [], []
@@ -281,7 +280,7 @@ class _Walk:
         return _Elements(element, start, owner[order]), _same(ends)
 
     def _count(self, at: _Place, size: int) -> tuple[_Place, _Place]:
-        """Read the number of elements of a sequence or a string that take so many bytes each."""
+        """Read the length of a sequence or string whose elements take at least ``size`` bytes."""
         at = self._aligned(at, 4)
         counts = self._buffer.read(np.dtype("<u4"), at).astype(np.int64)
         fits = at + 4 + counts * size <= self._buffer.sizes
@@ -293,21 +292,21 @@ class _Walk:
 
 
 def _same(places: _Ints) -> _Place:
-    """Return one number if all are equal."""
+    """Return one number if all offsets are equal."""
     if places.size and (places == places.flat[0]).all():
         return int(places.flat[0])
     return places
 
 
 def _wide(numbers: NDArray[Any]) -> NDArray[Any]:
-    """Return numbers as Python would compute with them."""
+    """Return numbers as float64, int64 or uint64."""
     if numbers.dtype.kind == "f":
         return numbers.astype(np.float64)
     return numbers.astype(np.uint64 if numbers.dtype == np.uint64 else np.int64)
 
 
 def _texts(data: bytes, starts: _Ints, sizes: _Ints) -> NDArray[np.object_]:
-    """Return strings; messages mostly have the same as the one before.
+    """Return strings; equal ones, which are common, are decoded once.
 
     Raises
     ------

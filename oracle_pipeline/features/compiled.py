@@ -1,8 +1,8 @@
-"""Feature plugins that are shared libraries, each in a process of its own.
+"""Feature plugins in shared libraries, each in its own process.
 
-The interface is ``oracle_plugin.h`` beside this module. Tables pass as Arrow files to the process
-and from there through the Arrow C data interface to the library. If the library crashes its
-process, only its own features of that recording are lost.
+The interface is ``oracle_plugin.h`` beside this module. The process gets tables as Arrow files and
+passes them to the library through the Arrow C data interface. If the library crashes, only its own
+features of that recording are lost.
 """
 
 import json
@@ -37,22 +37,22 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 SUFFIXES = (".so", ".dylib")
-SECONDS = 60.0  # that one call may take
-MEMORY = 4 * 2**30  # bytes of address space of its process
+SECONDS = 60.0  # limit for one call
+MEMORY = 4 * 2**30  # limit of the process's address space [B]
 
 _PROCESS = Path(__file__).with_name("compiled_process.py")
 _FIELD = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)*")
-_LARGEST = 1024 * 1024  # bytes of an answer
+_LARGEST = 1024 * 1024  # limit for an answer [B]
 
 
 class PluginProcess:
-    """One compiled plugin at work on one recording.
+    """The process of one compiled plugin for one recording.
 
     Parameters
     ----------
     library : Path
     seconds : float
-        That one call may take.
+        Limit for one call.
     """
 
     def __init__(self, library: Path, seconds: float = SECONDS) -> None:
@@ -70,12 +70,12 @@ class PluginProcess:
         Raises
         ------
         PluginError
-            The library cannot be used, refused, took too long, or took its process with it. After
-            the last two, every further request gets the same answer.
+            The library is invalid, returned an error, took too long or crashed. After the last two,
+            every further request raises the same error.
         """
         if self._dead:
             raise PluginError(self._dead)
-        assert self._process.stdin is not None  # noqa: S101 -- a pipe was asked for
+        assert self._process.stdin is not None  # noqa: S101 -- it is a pipe
         try:
             self._process.stdin.write(json.dumps(request).encode() + b"\n")
             answer: dict[str, Any] = json.loads(self._line())
@@ -91,7 +91,7 @@ class PluginProcess:
         return answer
 
     def _line(self) -> bytes:
-        assert self._process.stdout is not None  # noqa: S101 -- a pipe was asked for
+        assert self._process.stdout is not None  # noqa: S101 -- it is a pipe
         line, end_s = b"", time.monotonic() + self._seconds
         while not line.endswith(b"\n"):
             ready, _, _ = select.select(
@@ -113,12 +113,12 @@ class PluginProcess:
 
 
 def load_compiled(library: Path) -> FeaturePlugin:
-    """Return the feature plugin that a shared library holds.
+    """Return the feature plugin of a shared library.
 
     Raises
     ------
     PluginError
-        It is no plugin, one for another version, or its description has a fault.
+        The library is not a plugin, is for another version, or has an invalid description.
     """
     text = PluginProcess(library).ask({})["description"]
     try:
@@ -156,7 +156,7 @@ def _request(asked: Mapping[str, Any], fields: list[str]) -> Request:
 
 
 def _keeper(fields: Sequence[str]) -> Callable[[Any], tuple[Any, ...]]:
-    """Return what keeps some fields of a message: a number, or an array of numbers."""
+    """Return a function that extracts fields of a message, each a number or an array of numbers."""
     getters = [attrgetter(field) for field in fields]
     return lambda message: tuple(np.asarray(get(message), dtype=np.float64) for get in getters)
 
@@ -164,7 +164,7 @@ def _keeper(fields: Sequence[str]) -> Callable[[Any], tuple[Any, ...]]:
 def _compute(
     fields: Mapping[str, list[str]], names: tuple[str, ...], window: Window
 ) -> dict[str, float | Missing]:
-    """Hand the tables of a window to the process, and return what it makes of them."""
+    """Return the features that the process computes from the tables of a window."""
     import pyarrow as pa
 
     process: PluginProcess = window.prepared

@@ -1,9 +1,9 @@
-"""The process that runs one compiled plugin: a program of its own that imports nothing of ours.
+"""The process that runs one compiled plugin: a separate program without imports of the package.
 
 ``python compiled_process.py LIBRARY BYTES`` answers each line on standard input with one on
-standard output, both JSON. ``{}`` asks for the description; ``{"folder": ..., "start_s": ...,
-"end_s": ..., "tables": [...]}`` for the features of a window, whose tables are Arrow files in the
-folder. What the library itself prints goes to standard error.
+standard output, both JSON. ``{}`` requests the description; ``{"folder": ..., "start_s": ...,
+"end_s": ..., "tables": [...]}`` the features of a window, whose tables are Arrow files in the
+folder. The library's own output goes to standard error.
 """
 
 import ctypes
@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-VERSIONED = "oracle_plugin_v1"  # the entry function; another version of it has another name
+VERSIONED = "oracle_plugin_v1"  # the entry function; its name has the version of the interface
 SCHEMA_BYTES, ARRAY_BYTES = 72, 80  # of the structures of the Arrow C data interface
 ERROR_BYTES = 1024
 
@@ -50,7 +50,7 @@ def main(library: str, memory: int) -> None:
     """Serve requests until standard input ends."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what the library prints is no answer
+    os.dup2(2, 1)  # keeps the library's own output out of the answers
     plugin: Any = None
     for line in sys.stdin:
         asked = json.loads(line)
@@ -105,7 +105,7 @@ def _features(plugin: Any, asked: dict[str, Any]) -> dict[str, float | None]:
         ctypes.byref(window), ctypes.addressof(schema), ctypes.addressof(array),
         ctypes.addressof(reason), ERROR_BYTES,
     )  # fmt: skip
-    for own_schema, own_array in lent:  # what is imported again is released
+    for own_schema, own_array in lent:  # importing releases them
         pa.RecordBatch._import_from_c(ctypes.addressof(own_array), ctypes.addressof(own_schema))
     if failed:
         raise ValueError(reason.value.decode(errors="replace") or f"it returned {failed}")

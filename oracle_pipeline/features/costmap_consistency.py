@@ -1,8 +1,8 @@
-"""Whether the local costmap has the obstacles that the laser scanners see.
+"""Whether the local costmap has the obstacles that the laser scanners detect.
 
-A scanner's returns are laid into the costmap that was recorded with the scan, from where odometry
-has the robot. A costmap that lost its obstacles lets the robot drive into them, and no scan shows
-it.
+A scanner's returns are projected into the costmap recorded with the scan, using the pose from
+odometry. With obstacles missing from the costmap, the robot drives into them though its scans are
+correct.
 """
 
 import numpy as np
@@ -31,11 +31,11 @@ FEATURES = (
     ),
 )  # fmt: skip
 
-_FEWEST = 5  # returns inside the costmap from which on there is a share
+_FEWEST = 5  # returns inside the costmap; with fewer, the share is NaN
 
 
 def prepare(window: Window) -> dict[str, Series] | Missing:
-    """Lay the returns of every scanner into the costmaps, over the whole recording."""
+    """Project the returns of every scanner into the costmaps, over the whole recording."""
     ((times_s, grids),) = window.topics["grids"].values()
     setup = scanner_setup(window)
     if setup.motion is None:

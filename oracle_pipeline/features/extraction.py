@@ -1,7 +1,7 @@
-"""From a run to its two feature tables: one row for the run, one row for each window.
+"""Computes the two feature tables of a run: one row for the run, one row for each window.
 
 If a plugin raises an error, only its own columns are lost, and the column ``missing`` has the
-reason. Fields of the manifest become key columns, which no plugin sees.
+reason. Fields of the manifest become key columns, which are not passed to plugins.
 """
 
 import json
@@ -56,7 +56,7 @@ class _Row:
     missing: dict[str, str] = field(default_factory=dict)
 
     def put(self, column: str, value: Any) -> None:
-        """Keep a finite number; anything else is missing."""
+        """Store a finite number; anything else is missing."""
         if isinstance(value, Missing):
             reason = value.reason
         else:
@@ -79,7 +79,7 @@ def extract(
 ) -> FeatureTables:
     """Compute all features of one robot of a recording, as DataFrames.
 
-    As `measure`, errors included.
+    Like `measure`, including its errors.
     """
     return measure(run, manager, robot, recording).frames()
 
@@ -103,7 +103,7 @@ def measure(
     robot : Robot, optional
         One that ``find_robots`` found; by default the only one of the recording.
     recording : KeptMessages, optional
-        What was read of the robot's bag for the plugins, and perhaps for others; by default the bag
+        The messages of the robot's bag for the plugins, and perhaps for others; by default the bag
         is read.
 
     Raises
@@ -144,7 +144,7 @@ class WindowFeatures(NamedTuple):
     """The features of one window of a recording in progress."""
 
     row: "pd.DataFrame"  # one row, as in the table of windows
-    carried: Carried  # what the next window has to know
+    carried: Carried  # state for the next window
 
 
 @np.errstate(all="ignore")
@@ -169,7 +169,7 @@ def extract_window(
     carried : mapping
         Of the window before; empty for the first one.
     choices : RoleChoices, optional
-        What a roles file says of the robot and its topics.
+        From a roles file.
     """
     robot = only_robot(run, choices)
     run = replace(run, bag=robot.bag)
@@ -184,7 +184,7 @@ def extract_window(
 
 
 def window_spans(recording: KeptMessages) -> list[Span]:
-    """Return the windows that have a message; the end may cut the last one off."""
+    """Return the windows that have a message; the last one may be shorter."""
     windows = windows_ns(recording.duration_ns, recording.occupied())
     if len(windows) > MOST_WINDOWS:
         raise BagError(
@@ -242,9 +242,9 @@ class _Extraction:
     def add_thesis_columns(
         self, row: _Row, plugin: ThesisPlugin, span: Span, messages: MessageTable
     ) -> dict[str, dict[str, str]]:
-        """Add what a plugin in the thesis's form returns, and return what its columns mean.
+        """Add the result of a plugin in the thesis's form, and return the metadata of its columns.
 
-        How many there are is known only when it succeeds; a failure is kept under its own name.
+        The number of columns is known only on success; a failure is stored under the plugin's name.
         """
         import networkx as nx
 
@@ -261,7 +261,7 @@ class _Extraction:
         return _fields(features)
 
     def _graphs_of(self, span: Span) -> Graphs:
-        """Return the graph of a span; spans that have the same share it."""
+        """Return the graph of a span; spans with equal graphs share it."""
         known = known_in(self._run.intervals, span.start_s, span.end_s, self._whole.end_s)
         starts = tuple(interval.start_s for interval in known)
         if starts not in self._graphs:
@@ -275,7 +275,7 @@ class _Extraction:
         return self._recording.span(span, self._graphs_of(span))
 
     def _prepare(self, plugin: FeaturePlugin, window: Window | Missing) -> Any:
-        """Return what a plugin makes of the whole recording, or why it cannot."""
+        """Return what a plugin prepares from the whole recording, or why it cannot."""
         if plugin.prepare is None or isinstance(window, Missing):
             return None
         try:
@@ -284,13 +284,13 @@ class _Extraction:
             return self._failure(plugin.name, error)
 
     def _compute(self, plugin: FeaturePlugin, window: Window | Missing) -> Values:
-        """Call a plugin; whatever it does, there is an entry for each of its features."""
+        """Call a plugin; the result has an entry for each of its features, even after an error."""
         names = [feature.name for feature in plugin.features]
         prepared = self._prepared[plugin.name]
         for obstacle in (window, prepared):
             if isinstance(obstacle, Missing):
                 return dict.fromkeys(names, obstacle)
-        assert isinstance(window, Window)  # noqa: S101 -- the other case is dealt with
+        assert isinstance(window, Window)  # noqa: S101 -- the loop returned otherwise
         try:
             values = plugin.compute(replace(window, prepared=prepared))
             if isinstance(values, Missing):
@@ -304,7 +304,7 @@ class _Extraction:
             return dict.fromkeys(names, self._failure(plugin.name, error))
 
     def _failure(self, plugin: str, error: Exception) -> Missing:
-        """Log a plugin's first failure, called where it is handled."""
+        """Log a plugin's first failure; call it from the exception handler."""
         if plugin not in self._failed:
             self._failed.add(plugin)
             told = isinstance(error, OracleError)  # in a line, and no defect
@@ -346,7 +346,7 @@ def _table(
     rows: list[_Row],
     fields: dict[str, dict[str, str]],
 ) -> Table:
-    """Lay rows out: the keys, the columns as float64; where each was, what is missing, as JSON."""
+    """Return rows as a table: keys, features as float64, and as JSON their places and reasons."""
     data: dict[str, Any] = {key: [value] * len(rows) for key, value in keys.items()}
     data |= {key: np.array(values, dtype=np.float64) for key, values in more_keys.items()}
     data |= {c: np.array([row.values[c] for row in rows], dtype=np.float64) for c in columns}

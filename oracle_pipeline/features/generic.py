@@ -1,8 +1,8 @@
 """Features of any bag: arrival times of messages, and statistics of their bytes.
 
-Topics differ between systems, but columns must not. So each number is computed for every topic
-separately, and the table has the largest (with its topic), the smallest and the mean. Features that
-compare topics of one type are in ``pairs``.
+Topics differ between systems, but columns must not. Each number is computed for every topic, and
+the table has the largest (with its topic), the smallest and the mean. Features that compare topics
+of one type are in ``topic_pairs``.
 """
 
 import zlib
@@ -27,13 +27,13 @@ from oracle_pipeline.features.plugin import (
 )
 from oracle_pipeline.features.reduction import largest, row_medians, smallest, within
 
-_FEWEST = 20  # messages that make a rhythm
+_FEWEST = 20  # messages of a steady topic
 _STEADY_JITTER = 0.2  # largest jitter of a steady topic
-_STEADY_SHARE = 0.9  # of the recording that its messages fill at their median period
+_STEADY_SHARE = 0.9  # of the recording, which its messages cover at their median period
 
-_SAMPLED_S = 2.5  # between the messages whose bytes are looked at
-_SHORTEST, _LONGEST = 256, 2048  # bytes of a message that are worth it, and that are taken
-_STRIDE = 8  # bytes from a number to the next, or to the next but one if they are short
+_SAMPLED_S = 2.5  # between the sampled messages
+_SHORTEST, _LONGEST = 256, 2048  # bytes: shortest sampled message, and how much of one is used
+_STRIDE = 8  # bytes between compared numbers: one of 64 bits, or two of 32
 
 _OVER_TOPICS = {"max": "largest of the topics", "min": "smallest", "mean": "mean over the topics"}
 
@@ -86,15 +86,15 @@ ARRAY_FEATURES = (
 
 
 class _Rhythm(NamedTuple):
-    """How the messages of a topic follow each other."""
+    """Statistics of the times between the messages of a topic."""
 
-    period_s: float  # median of the times between them
-    jitter: float  # median absolute deviation of the same, over it
-    gap: float  # the longest, over it
+    period_s: float  # median
+    jitter: float  # median absolute deviation over the median
+    gap: float  # maximum over the median
 
 
 def prepare_timing(window: Window) -> dict[str, float]:
-    """Return the topics that send evenly all the time, and their periods [s]."""
+    """Return the steady topics and their periods [s]."""
     duration_s = window.end_s - window.start_s
     steady = {}
     for topic, arrivals in window.arrivals.items():
@@ -158,7 +158,7 @@ def compute_arrays(window: Window) -> Values:
 
 
 def keep_bytes(record: RawRecord) -> tuple[float, float] | None:
-    """Return entropy [bit] and compressibility of how bytes change; None if they are few."""
+    """Return entropy [bit] and compressibility of the bytes' changes; None if there are few."""
     if len(record.data) < _SHORTEST:
         return None
     data = np.frombuffer(record.data, np.uint8, min(len(record.data), _LONGEST))
@@ -191,7 +191,7 @@ def register_features() -> list[FeaturePlugin]:
 
 
 def _rhythm(times_s: NDArray[np.float64]) -> _Rhythm | None:
-    """Return the rhythm of three messages or more; None if half of them came at once."""
+    """Return the rhythm of at least three messages; None if the median time between them is 0."""
     if len(times_s) < 3:
         return None
     between = np.diff(times_s)
@@ -203,7 +203,7 @@ def _rhythm(times_s: NDArray[np.float64]) -> _Rhythm | None:
 
 
 def _out_of_order(stamps_ns: NDArray[np.int64]) -> float:
-    """Return the share of stamps before the one before; NaN without two stamps."""
+    """Return the share of stamps that are earlier than their predecessor; NaN without two."""
     return float(np.mean(np.diff(stamps_ns) < 0)) if len(stamps_ns) >= 2 else np.nan
 
 

@@ -1,4 +1,4 @@
-"""Duration and outcome of navigation, as Nav2 reports them.
+"""Duration and outcome of navigation, from Nav2's messages.
 
 The thesis takes the length of the bag, in nanoseconds. Here it is the time with a goal under way,
 from the action's status if it was recorded (``-a`` leaves that hidden topic out), else from the
@@ -47,7 +47,7 @@ _REPORTS = ("SUCCESS", "FAILURE")
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """One goal, in seconds of the recording; no end yet: it was still under way."""
+    """One goal, in seconds of the recording; without an end while it is active."""
 
     accepted_s: float
     ended_s: float | None = None
@@ -81,7 +81,7 @@ def goals_so_far(window: Window) -> list[Goal] | Missing:
 def goals_of_status(series: Series) -> list[Goal]:
     """Return the goals in messages of ``action_msgs/msg/GoalStatusArray``.
 
-    A goal that was over when first heard of belongs to the time before the recording.
+    A goal that had ended by its first message belongs to the time before the recording.
     """
     goals: dict[bytes, Goal] = {}
     for time_s, states in zip(series.times_s, series.values, strict=True):
@@ -97,9 +97,9 @@ def goals_of_status(series: Series) -> list[Goal]:
 def goals_of_log(series: Series) -> list[Goal]:
     """Return the goals in messages of ``nav2_msgs/msg/BehaviorTreeLog``.
 
-    A goal is under way while the root of the tree runs. The root is halted before it reports, so
-    a goal that ends has the changes ``RUNNING -> IDLE -> SUCCESS`` (or ``FAILURE``) in one message,
-    and one that is cancelled only the first.
+    A goal is active while the root of the tree runs. The root is halted before it reports, so a
+    goal that ends has the changes ``RUNNING -> IDLE -> SUCCESS`` (or ``FAILURE``) in one message;
+    a cancelled one has only the first change.
     """
     goals: list[Goal] = []
     for time_s, states in zip(series.times_s, series.values, strict=True):
@@ -110,7 +110,7 @@ def goals_of_log(series: Series) -> list[Goal]:
                 goals[-1] = Goal(goals[-1].accepted_s, time_s, state == "SUCCESS")
             elif not under_way and state == "RUNNING":
                 goals.append(Goal(time_s))
-            elif state in _REPORTS:  # ended in the tick that it began in
+            elif state in _REPORTS:  # began and ended in the same tick
                 goals.append(Goal(time_s, time_s, state == "SUCCESS"))
     return goals
 
@@ -121,7 +121,7 @@ def keep_status(message: Any) -> list[tuple[bytes, int]]:
 
 
 def keep_log(message: Any) -> list[str] | None:
-    """Return what the root of the tree became, one after the other; None if it did not change."""
+    """Return the states that the root of the tree changed to; None if it did not change."""
     return [c.current_status for c in message.event_log if c.node_name == _ROOT] or None
 
 
@@ -135,7 +135,7 @@ def keep_plans(messages: Any) -> NDArray[np.float64]:
     ])  # fmt: skip
 
 
-#: What tells goals; a robot may lack either.
+#: Topics with the states of goals; a robot may lack either.
 GOAL_TOPICS = {
     "status": Request(keep_status, role=GOAL_STATUS, dtype=object, optional=True, carried=True),
     "log": Request(keep_log, role=BEHAVIOR_TREE, dtype=object, optional=True, carried=True),

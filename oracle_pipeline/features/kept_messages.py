@@ -1,6 +1,6 @@
-"""One pass over a bag for all plugins, which returns as arrays what they keep of its messages.
+"""Reads a bag once for all plugins; what they keep of its messages is stored in arrays.
 
-Each message is decoded at most once, and only if a plugin asked for it. Windows are slices of the
+Each message is decoded at most once, and only if a plugin requested it. Windows are slices of the
 arrays.
 """
 
@@ -38,13 +38,13 @@ from oracle_pipeline.features.timeline import Timeline, epochs, timeline
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.robots.robot import Robot, find_robots
 
-_MOST_WAITING = 16 * 2**20  # bytes of messages that are kept together with later ones
+_MOST_WAITING = 16 * 2**20  # bytes of messages that wait to be decoded together
 _NONE: Integers = np.zeros(0, dtype=np.int64)
 _NO_STAMP = np.iinfo(np.int64).min  # of a message without a header
 
 
 class _Sampling:
-    """Which messages are due at one rate: of each topic the first in each span of its length."""
+    """Samples messages at one rate: the first of each topic in each span of that length."""
 
     def __init__(self, rate_ns: int, topics: list[KeptTopic]) -> None:
         self._rate_ns = rate_ns
@@ -52,7 +52,7 @@ class _Sampling:
         self._last = np.full(len(topics), -1)
 
     def due(self, topics: Integers, since_start_ns: Integers) -> Integers:
-        """Return which of messages, by topic and in order of time, are due."""
+        """Return the indices of the sampled messages; they are sorted by topic and time."""
         rows = np.flatnonzero(self._asks[topics])
         if not self._rate_ns or not len(rows):
             return rows
@@ -85,7 +85,7 @@ class _Headers:
 
 
 def decoded_topics(bag: BagReader, plugins: Iterable[FeaturePlugin]) -> frozenset[str]:
-    """Return the topics of a bag whose messages some plugins want decoded."""
+    """Return the topics of a bag whose decoded messages are requested by any plugin."""
     requests = [r for plugin in plugins for r in plugin.topics.values() if not r.raw]
     return frozenset(
         robot.bag.recorded(name)
@@ -96,7 +96,7 @@ def decoded_topics(bag: BagReader, plugins: Iterable[FeaturePlugin]) -> frozense
 
 
 class Graphs(NamedTuple):
-    """The ROS graph of a span, as every plugin sees it."""
+    """The ROS graphs of a span, the same for every plugin."""
 
     graph: RosGraph | None
     system: RosGraph | None
@@ -107,14 +107,14 @@ NO_GRAPH = Graphs(None, None, ())
 
 
 class KeptMessages:
-    """When the messages of a bag came, and what plugins kept of them.
+    """The times of the messages of a bag, and the values that plugins keep of them.
 
     Attributes
     ----------
     duration_ns : int
-        From the first message to a nanosecond after the last, jumps of the clock left out.
+        From the first message to a nanosecond after the last, without jumps of the clock.
     notes : list of str
-        What was not used, and why.
+        The messages that were not used, with the reasons.
     """
 
     def __init__(self, robot: Robot, plugins: tuple[FeaturePlugin, ...]) -> None:
@@ -143,15 +143,15 @@ class KeptMessages:
         plugins: tuple[FeaturePlugin, ...],
         carried: Carried | None = None,
     ) -> Self:
-        """Read what a robot sees of a bag, for some plugins.
+        """Read the messages of a robot for some plugins.
 
         Parameters
         ----------
         robot : Robot
         plugins : tuple of FeaturePlugin
         carried : mapping, optional
-            Of a bag that holds the end of a recording only: what `carried` returned before. Its
-            clock does not jump then, whatever is missing.
+            For a bag with only the end of a recording: the earlier result of `carried`. Gaps then
+            do not count as jumps of the clock.
         """
         bag = robot.bag
         recording = cls(robot, plugins)
@@ -194,7 +194,7 @@ class KeptMessages:
         return recording
 
     def carried(self) -> Carried:
-        """Return the rows that stay known when their messages are forgotten."""
+        """Return the rows that later windows need after their messages are dropped."""
         return {
             (topic.name, key): kept.last()
             for topic in self._topics.values()
@@ -203,7 +203,7 @@ class KeptMessages:
         }
 
     def occupied(self) -> Integers:
-        """Return when messages came, in order of time, since the start [ns]."""
+        """Return the sorted times of all messages since the start [ns]."""
         return np.sort(self._times_ns)
 
     def _finish(
@@ -215,7 +215,7 @@ class KeptMessages:
         all_sizes: list[Integers],
         all_headers: list[Integers],
     ) -> None:
-        """Make arrays of what was read in parts, which are let go of; say what was not used."""
+        """Join the parts into arrays, which empties them; note what was not used."""
         topics = list(self._topics.values())
         of = _joined(numbers).astype(np.int16)
         by_topic = np.argsort(of, kind="stable")  # in file order
@@ -260,7 +260,7 @@ class KeptMessages:
                 )
 
     def span(self, span: Span, graphs: Graphs) -> Window:
-        """Return what every plugin sees of a span."""
+        """Return the part of a span's window that is the same for every plugin."""
         arrivals = {name: self._within(name, span) for name in sorted(self._topics)}
         return Window(
             span.start_s, span.end_s, *graphs, arrivals, roles=self._roles,
@@ -274,7 +274,7 @@ class KeptMessages:
         return Arrivals(arrivals.msgtype, times_s[part], sizes[part], stamps_ns[part])
 
     def window(self, plugin: FeaturePlugin, span: Span, common: Window) -> Window | Missing:
-        """Return what one plugin sees of a span, or why it can see nothing."""
+        """Return the window of a span for one plugin, or the reason why it has none."""
         requests = self._kept[plugin.name]
         if plugin.needs_graph and common.graph is None:
             return Missing("no graph was recorded before its end")
@@ -295,14 +295,14 @@ class KeptMessages:
 def _by_topic(
     topics: list[KeptTopic], numbers: Integers, rows: Integers
 ) -> Iterator[tuple[KeptTopic, list[int]]]:
-    """Yield the topics of rows that are in order of the topic, and the rows of each."""
+    """Yield each topic with its rows; the rows are sorted by topic."""
     if len(rows):
         for some in np.split(rows, np.flatnonzero(np.diff(numbers[rows])) + 1):
             yield topics[numbers[some[0]]], some.tolist()
 
 
 def _joined(parts: list[Integers]) -> Integers:
-    """Return some arrays as one, and let go of them: of millions of messages, each copy counts."""
+    """Concatenate arrays, and clear the list: a copy for millions of messages takes much memory."""
     whole = np.concatenate([_NONE, *parts])
     parts.clear()
     return whole

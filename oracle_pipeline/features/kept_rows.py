@@ -1,4 +1,4 @@
-"""What one request keeps of the messages of one topic, as an array."""
+"""The rows that one request keeps of the messages of one topic, as an array."""
 
 from array import array
 from collections.abc import Mapping
@@ -15,16 +15,16 @@ from oracle_pipeline.features.plugin import Request, Series
 
 Integers: TypeAlias = NDArray[np.int64]
 
-CARRIED = 20  # last rows of a request that stay known
+CARRIED = 20  # last rows of a request that later windows can use
 _MESSAGE_BYTES = 40
-_OBJECT_BYTES = 64  # of a small Python object, and of an array besides its numbers
-_SAMPLE = 16  # rows of a batch whose size is looked at
-_BROKEN_SHARE = 0.1  # of the messages of a topic; if more are broken, it is the type that is wrong
+_OBJECT_BYTES = 64  # of a small Python object, and of an array without its numbers
+_SAMPLE = 16  # rows of a batch whose sizes are measured
+_BROKEN_SHARE = 0.1  # of the messages of a topic; if more are broken, its type is wrong
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A piece of a recording: from a nanosecond after its start to the one before another."""
+    """A half-open interval of a recording, in nanoseconds since its start."""
 
     start_ns: int
     end_ns: int
@@ -40,35 +40,35 @@ class Span:
         return self.end_ns / 1e9
 
     def of(self, times_ns: Integers) -> slice:
-        """Return which of ascending times are in the span."""
+        """Return the slice of ascending times that is in the span."""
         first, after = times_ns.searchsorted((self.start_ns, self.end_ns)).tolist()
         return slice(first, after)
 
 
 class Budget:
-    """What may be kept of all messages together."""
+    """The memory that the rows of all topics together may take."""
 
     def __init__(self) -> None:
         self._left = MOST_KEPT
 
     def count(self, messages: int) -> None:
-        """Take what is kept of any message: when it came, its size and stamp."""
+        """Subtract what is kept of every message: its time, size and stamp."""
         self._left -= messages * _MESSAGE_BYTES
 
     def take(self, size: int) -> bool:
-        """Tell whether there is still room, and take it."""
+        """Subtract a size; return False if the budget is exceeded."""
         self._left -= size
         return self._left >= 0
 
 
 class Rows(NamedTuple):
-    """Rows that were kept of one topic, in order of time."""
+    """The rows kept of one topic, sorted by time."""
 
     times_ns: Integers  # since the start of the recording, shape (n,)
     values: NDArray[Any]  # shape (n, ...)
 
     def followed_by(self, later: Self) -> "Rows":
-        """Return these rows as far as they are older than all later ones, and then those."""
+        """Return these rows, without any after the first of the later ones, and then those."""
         if not len(later.times_ns):
             return self
         older = slice(0, int(self.times_ns.searchsorted(later.times_ns[0])))
@@ -82,17 +82,17 @@ class Rows(NamedTuple):
         )
 
 
-#: The rows that stay known, by topic and by what makes two requests the same.
+#: Rows for later windows, by topic and key of the request.
 Carried: TypeAlias = Mapping[tuple[str, Any], Rows]
 
 
 class KeptRows:
-    """What one request keeps of one topic."""
+    """The rows that one request keeps of one topic."""
 
     def __init__(self, request: Request, budget: Budget) -> None:
         self.request = request
-        self.as_scan = False  # of a point cloud, what a planar scanner would have seen
-        self.error = ""  # why there is nothing to be had from this topic
+        self.as_scan = False  # a point cloud is converted to a planar scan
+        self.error = ""  # why this topic cannot be used
         self._budget = budget
         self._numbers = array("q")  # of the messages, in the whole recording
         self._rows: list[Any] = []
@@ -101,7 +101,7 @@ class KeptRows:
         self._first_error = ""
 
     def add(self, number: int, content: Any, size: int) -> None:
-        """Keep what is wanted of a message."""
+        """Keep the requested part of a message."""
         if self.error:
             return
         try:
@@ -109,14 +109,14 @@ class KeptRows:
         except Exception as error:  # foreign code
             self.skip(f"{type(error).__name__}: {error}")
             return
-        # Of an object nobody knows what it holds.
+        # The size of other objects is unknown.
         is_object = not isinstance(row, np.ndarray | tuple | float)
         if row is not None and self._has_room(max(_size(row), size if is_object else 0)):
             self._rows.append(row)
             self._numbers.append(number)
 
     def add_many(self, numbers: Integers, batch: Messages) -> None:
-        """Keep what is wanted of messages, all of which are whole."""
+        """Keep the requested part of messages, all of which are whole."""
         if self.error or not len(numbers):
             return
         try:
@@ -139,7 +139,7 @@ class KeptRows:
             self._numbers.extend(numbers)
 
     def _rows_of(self, kept: Any, count: int) -> Any:
-        """Return what was kept of many messages as an array of rows; objects as a list."""
+        """Return the kept part of many messages as an array of rows; objects as a list."""
         if np.dtype(self.request.dtype) != object:
             kept = np.column_stack(kept) if isinstance(kept, tuple) else np.asarray(kept)
             kept = kept.astype(self.request.dtype, copy=False)
@@ -164,21 +164,21 @@ class KeptRows:
         self._first_error = self._first_error or error
 
     def fail(self, error: str) -> None:
-        """Give the topic up."""
+        """Discard the topic's rows."""
         self.error = error
         self._rows.clear()
         self._blocks.clear()
         del self._numbers[:]
 
     def finish(self, times_ns: Integers, earlier: Rows | None) -> str | None:
-        """Make arrays of all that was kept, in time order; return what was not used, if any.
+        """Convert the rows to arrays sorted by time; return a note on messages left out, if any.
 
         Parameters
         ----------
         times_ns : ndarray of shape (n_messages,)
             Of all messages, since the start of the recording.
         earlier : Rows or None
-            Kept of messages that are no longer there.
+            Kept of messages that have been dropped.
         """
         tried = self._broken + len(self._numbers)
         if not self.error and self._broken > _BROKEN_SHARE * tried:
@@ -217,7 +217,7 @@ class KeptRows:
         return Rows(self._times_ns[-CARRIED:], self._series.values[-CARRIED:])
 
     def within(self, span: Span) -> Series:
-        """Return what came in a span."""
+        """Return the rows in a span."""
         part = span.of(self._times_ns)
         if part == slice(0, len(self._times_ns)):
             return self._series
@@ -225,7 +225,7 @@ class KeptRows:
 
 
 def _size(kept: Any) -> int:
-    """Return about how many bytes something takes in memory."""
+    """Return the approximate size of an object in memory [B]."""
     if isinstance(kept, np.ndarray) and kept.dtype != object:
         return int(kept.nbytes) + _OBJECT_BYTES
     if isinstance(kept, np.ndarray | tuple | list):
@@ -234,11 +234,11 @@ def _size(kept: Any) -> int:
 
 
 def _size_of_array(rows: NDArray[Any]) -> int:
-    return 2 * rows.nbytes  # while arrays are joined, they are there twice
+    return 2 * rows.nbytes  # concatenation needs a copy
 
 
 def _size_of_many(kept: Any, batch: Messages) -> int:
-    """Return about how many bytes rows take, given as columns or one by one."""
+    """Return the approximate size of rows [B], given as columns or one by one."""
     if isinstance(kept, tuple):
         return sum(_size_of_column(column) for column in kept)
     step = 1 + len(kept) // _SAMPLE

@@ -1,4 +1,4 @@
-"""What all requests keep of the messages of one topic, each decoded at most once."""
+"""The rows that all requests keep of one topic; each message is decoded at most once."""
 
 from typing import Any
 
@@ -14,20 +14,20 @@ from oracle_pipeline.features.plugin import RawRecord, Request
 from oracle_pipeline.features.point_clouds import CutClouds, sliced
 from oracle_pipeline.robots.roles import POINT_CLOUD, SCAN
 
-_MOST_WAITING = 2**22  # bytes of messages of a topic that are kept together with later ones
+_MOST_WAITING = 2**22  # bytes of messages of a topic that wait to be decoded together
 
 
 class KeptTopic:
-    """One topic of the bag, and who keeps what of its messages."""
+    """One topic of the bag, and the rows that requests keep of its messages."""
 
     def __init__(self, bag: BagReader, topic: Topic) -> None:
         self.name, self.msgtype = topic.name, topic.msgtype
         self.layout = MessageLayout(bag, topic.name)
-        self.kept: dict[Any, KeptRows] = {}  # by what makes two requests the same
+        self.kept: dict[Any, KeptRows] = {}  # by key of the request
         self.by_rate: dict[int, list[KeptRows]] = {}  # by time between messages [ns]
         self.undecodable = ""
         self._waiting: dict[int, list[tuple[int, bytes]]] = {}  # number and message, by rate
-        self._held = 0  # bytes of them
+        self._held = 0  # bytes of the waiting messages
         try:
             self._decode = bag.decoder(topic.name)
             self._store = bag.typestore(topic.msgtype)
@@ -35,7 +35,7 @@ class KeptTopic:
             self.undecodable = str(error)
 
     def ask(self, request: Request, budget: Budget) -> KeptRows:
-        """Return what keeps the rows of a request, one for all equal requests."""
+        """Return the store of a request's rows, which equal requests share."""
         as_scan = request.role == SCAN and self.msgtype == POINT_CLOUD
         key = (
             request.keep, np.dtype(request.dtype), request.raw, request.every_s, request.carried,
@@ -50,13 +50,13 @@ class KeptTopic:
         return self.kept[key]
 
     def has(self, rate_ns: int, *, many: bool) -> bool:
-        """Tell whether messages are asked for at a rate, one by one or many together."""
+        """Return whether messages are requested at a rate, one by one or in batches."""
         return any(
             kept.request.many == many and not kept.error for kept in self.by_rate.get(rate_ns, ())
         )
 
     def keep(self, number: int, data: bytes, rates_ns: list[int]) -> None:
-        """Keep what is wanted, by itself, of a message that is due at some rates."""
+        """Keep the requested part of a message that was sampled at some rates."""
         record = RawRecord(data, self.layout)
         content: Any = None
         scan: Any = None
@@ -77,7 +77,7 @@ class KeptTopic:
                     kept.add(number, scan if kept.as_scan else content, len(data))
 
     def wait(self, rate_ns: int, number: int, data: bytes) -> int:
-        """Take a message that is kept together with others; return how many bytes it holds."""
+        """Queue a message for decoding in a batch; return its size [B]."""
         if len(data) > LARGEST_DECODED:
             for kept in self.by_rate[rate_ns]:
                 if kept.request.many:
@@ -90,7 +90,7 @@ class KeptTopic:
         return len(data)
 
     def keep_waiting(self) -> None:
-        """Keep what is wanted of the messages that were taken."""
+        """Keep the requested part of the queued messages."""
         for rate_ns, messages in self._waiting.items():
             many = [kept for kept in self.by_rate[rate_ns] if kept.request.many]
             numbers = np.array([number for number, _ in messages], dtype=np.int64)
@@ -106,7 +106,7 @@ class KeptTopic:
         self._held = 0
 
     def _keep_odd(self, numbers: Integers, batch: Batch, many: list[KeptRows]) -> None:
-        """Keep messages that are broken, or written in another way; decoding tells which."""
+        """Decode messages one by one that are broken or encoded differently; keep valid ones."""
         written, good = [], []
         for number, data in zip(numbers.tolist(), batch.data, strict=True):
             try:

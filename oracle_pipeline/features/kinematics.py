@@ -1,10 +1,10 @@
 """Whether the streams that measure the robot's motion agree: odometry, IMU, wheels, scans.
 
 All sources measure the same motion, so they must agree. Each source is compared with every other
-source of the same quantity: the ratio of their gains (the scale), the delay (the lag), what neither
-explains (the residual), and what of that adds up (the drift). No stream is trusted. If one is
-altered, it disagrees with all others; if several are altered together, they disagree with those
-that are not.
+source of the same quantity: the ratio of their gains (the scale), the delay (the lag), the
+unexplained remainder (the residual), and its mean (the drift). No stream is trusted. If one is
+altered, it disagrees with all others; if several are altered together, they disagree with the
+unaltered ones.
 """
 
 import math
@@ -54,7 +54,7 @@ from oracle_pipeline.features.scans import Bools, Floats, Points
 
 
 class Pair(NamedTuple):
-    """Two kinds of sources that tell one quantity."""
+    """Two kinds of sources that measure one quantity."""
 
     quantity: str
     first: str
@@ -66,12 +66,12 @@ class Pair(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """How well the second source is explained by the first; NaN where nothing is known."""
+    """Agreement of the second source with the first; NaN where unknown."""
 
-    scale: float = math.nan  # ln of it
+    scale: float = math.nan  # logarithm of the ratio
     lag: float = math.nan  # [s]
-    residual: float = math.nan  # what is left [unit/s]
-    drift: float = math.nan  # mean of what is left [unit/s]
+    residual: float = math.nan  # root mean square of the remainder [unit/s]
+    drift: float = math.nan  # mean of the remainder [unit/s]
 
 
 #: From the more exact source to the other: the second is explained by the first.
@@ -94,11 +94,11 @@ PAIRS = (
 )
 
 _UNITS = {TURN: "rad/s", TRAVEL: "m/s", SPIN: "rad/s"}
-_FEWEST = 8  # spans that a comparison takes
-_LEAST = {TURN: 0.5, TRAVEL: 0.3, SPIN: 3.0}  # to be gained before a scale is known
-_OBEYED = 1.5  # times the least residual, up to which a command may be the one obeyed
-_EXACT = 5e-3  # residual that tells no command from another [unit/s]
-_OUTLYING = 4.0  # robust deviations from which on a span does not count for scale and lag
+_FEWEST = 8  # spans of a comparison
+_LEAST = {TURN: 0.5, TRAVEL: 0.3, SPIN: 3.0}  # total gain needed to estimate a scale
+_OBEYED = 1.5  # times the least residual: limit for a command that the robot may obey
+_EXACT = 5e-3  # residual below which commands cannot be distinguished [unit/s]
+_OUTLYING = 4.0  # robust deviations; spans beyond are left out of the fit of scale and lag
 
 
 def _features() -> Iterator[Feature]:
@@ -139,12 +139,12 @@ FEATURES = tuple(_features())
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What two sources gained, span by span; shape (n,) each."""
+    """The gains of two sources, span by span; shape (n,) each."""
 
-    times_s: Floats  # when the spans ended, in the recording [s]
+    times_s: Floats  # ends of the spans in the recording
     lengths_s: Floats
     first: Points
-    first_slope: Points  # growth of the first's gains if the spans were later [1/s]
+    first_slope: Points  # derivative of the first's gains by the time of the spans [1/s]
     second: Points
 
 
@@ -158,7 +158,7 @@ class Prepared:
 
 
 def prepare(window: Window) -> Prepared | Missing:
-    """Hold every source against every other one of its quantity."""
+    """Compare every source with every other source of its quantity."""
     found = sources(window.topics, scanner_setup(window))
     pairs = {pair: dict(_compared(found, pair)) for pair in PAIRS}
     if not any(pairs.values()) and not found.gravity:
@@ -199,14 +199,14 @@ def compute(window: Window) -> Values:
 
 @jit
 def fit(first: Points, slope: Points, second: Points) -> tuple[float, float, Bools]:
-    """Fit ``second = scale * (first - lag * slope)`` by least squares, outliers left out.
+    """Fit ``second = scale * (first - lag * slope)`` by least squares without outliers.
 
     Returns
     -------
     scale, lag : float
         NaN if nothing can be fitted.
     kept : ndarray of bool, shape (n,)
-        The spans that count.
+        The spans that are not outliers.
     """
     kept = np.ones(len(first), np.bool_)
     scale, lag = math.nan, math.nan
@@ -243,7 +243,7 @@ def register_features() -> list[FeaturePlugin]:
 
 
 def _compared(found: Sources, pair: Pair) -> Iterator[tuple[str, Comparison]]:
-    """Yield what each two topics of a pair of kinds gained, by place."""
+    """Yield the gains of each two topics of a pair of kinds, by place."""
     for first in found.tracks[pair.first]:
         if pair.quantity not in first.gained:
             continue
@@ -268,7 +268,7 @@ def _comparison(quantity: str, first: Track, second: Track | Steps) -> Compariso
     elif quantity not in second.gained:
         return None
     else:
-        # Spans that do not depend on when a recording begins.
+        # Spans are independent of the start of the recording.
         begin = math.ceil(max(first.stamps_s[0], second.stamps_s[0]) / SPAN_S) * SPAN_S
         end_s = min(first.stamps_s[-1], second.stamps_s[-1])
         from_s, to_s = even_spans(begin, end_s, SPAN_S, first.stamps_s, second.stamps_s)
@@ -283,7 +283,7 @@ def _comparison(quantity: str, first: Track, second: Track | Steps) -> Compariso
 
 
 def _fitted(pair: Pair, compared: Comparison, window: Window) -> Fit:
-    """Return how well a pair agrees in a window."""
+    """Return the agreement of a pair in a window."""
     part = within(compared.times_s, window)
     first, slopes, second = compared.first[part], compared.first_slope[part], compared.second[part]
     if len(first) < _FEWEST:
@@ -297,20 +297,20 @@ def _fitted(pair: Pair, compared: Comparison, window: Window) -> Fit:
     drift = float(left.real.sum() / lengths_s.sum())
     if float(np.abs(first[kept]).sum()) < _LEAST[pair.quantity] or scale <= 0.0:
         return Fit(residual=residual, drift=drift)
-    # A lag is the first term of a series, which tells nothing beyond a span.
+    # The lag is a first-order approximation, invalid beyond the length of a span.
     return Fit(math.log(scale), lag if abs(lag) < SPAN_S else math.nan, residual, drift)
 
 
 def _left(first: Points, slopes: Points, second: Points, scale: float, lag: float) -> Points:
-    """Return what scale and lag do not explain of the second's gains."""
+    """Return the second's gains minus those predicted by scale and lag."""
     return second - scale * (first - (0.0 if math.isnan(lag) else lag) * slopes)
 
 
 def _obeyed(fits: Mapping[str, Fit]) -> dict[str, Fit]:
-    """Return the commands that the robot may obey: those that explain its motion about best.
+    """Return the commands that the robot may obey: those with about the smallest residual.
 
-    Of a chain of commands the last one is obeyed. A copy of it that was altered explains the same
-    motion with another scale, so no single one is chosen.
+    Of a chain of commands, the last one is obeyed. An altered copy explains the same motion with
+    another scale, so no single command is chosen.
     """
     residuals = [each.residual for each in fits.values() if not math.isnan(each.residual)]
     limit = max(_OBEYED * min(residuals, default=math.inf), _EXACT)
@@ -318,7 +318,7 @@ def _obeyed(fits: Mapping[str, Fit]) -> dict[str, Fit]:
 
 
 def _furthest(by_place: Mapping[str, float], reason: str) -> Located | Missing:
-    """Return the number that is furthest from 0, and where it is."""
+    """Return the number that is furthest from 0, and its place."""
     places = {place: value for place, value in by_place.items() if not math.isnan(value)}
     if not places:
         return Missing(reason)

@@ -1,9 +1,9 @@
 """Ranges of the planar laser scanners, one scanner at a time.
 
-The thesis takes the variance of all ranges; one ray that hits nothing is ``inf`` (REP 117) and
-makes that NaN, then 0. Here rays without a valid range are counted instead, and the variance is
-that of the others. Robots differ in their scanners, so tables hold the mean and the largest over
-the scan topics: every run has the same columns.
+The thesis uses the variance of all ranges; one ray without a return is ``inf`` (REP 117), which
+makes the variance NaN and then 0. Here rays without a valid range are counted, and the variance is
+over the others. Robots differ in their scanners, so tables have the mean and the largest over the
+scan topics: every run has the same columns.
 """
 
 from typing import Any
@@ -22,7 +22,7 @@ from oracle_pipeline.features.plugin import (
 )
 from oracle_pipeline.robots.roles import SCAN
 
-NEAR = 5.0  # percentile over the scans that stands for the nearest return
+NEAR = 5.0  # percentile over the scans of the nearest return
 _VARIANCE = "variance of a scan's valid ranges, median over its scans, "
 _NON_FINITE = "share of a scan's rays that are inf or NaN, median over its scans, "
 
@@ -73,7 +73,7 @@ def compute(window: Window) -> Values | Missing:
         scanners = _of_scanners(window, column, 50.0)
         values[f"{name}_mean"] = float(np.mean(scanners)) if scanners else empty
         values[f"{name}_max"] = max(scanners, default=empty)
-    # Of the scanner that sees farthest: another may see a part of the robot.
+    # The largest of the scanners: others may detect a part of the robot.
     values["clearance"] = max(_of_scanners(window, 2, NEAR), default=empty)
     return values
 

@@ -1,6 +1,6 @@
-"""How fast obstacles appear and disappear in the local costmap.
+"""Rates at which obstacles appear and disappear in the local costmap.
 
-It rolls along with the robot, so two grids are compared where they overlap.
+The costmap moves with the robot, so two grids are compared where they overlap.
 """
 
 from itertools import pairwise
@@ -36,7 +36,7 @@ GRIDS = Request(keep_grids, role=LOCAL_COSTMAP, dtype=object, many=True)
 
 
 def changes(before: MapGrid, now: MapGrid) -> tuple[int, int]:
-    """Count the cells that became lethal, and those that are it no more, where both grids are."""
+    """Count the cells that became lethal, and those that ceased to be, where the grids overlap."""
     offset = complex(before.pose.inverse().apply(now.pose.shift) / before.resolution)
     rows = _shared(round(offset.imag), len(before.cells), len(now.cells))
     columns = _shared(round(offset.real), before.cells.shape[1], now.cells.shape[1])
@@ -48,7 +48,7 @@ def changes(before: MapGrid, now: MapGrid) -> tuple[int, int]:
 
 
 def prepare(window: Window) -> tuple[Series, Series] | Missing:
-    """Return the changes per second from one grid to the next: to lethal, and from it."""
+    """Return the changes per second between consecutive grids: to lethal, and from lethal."""
     ((times_s, grids),) = window.topics["grids"].values()
     if len(times_s) < 2:
         return Missing("fewer than two grids")
@@ -79,7 +79,7 @@ def register_features() -> list[FeaturePlugin]:
 
 
 def _shared(offset: int, before: int, now: int) -> tuple[slice, slice]:
-    """Return which cells of two rows are the same, the second one beginning at an offset."""
+    """Return the overlap of two rows of cells, as slices; the second begins at an offset."""
     start = max(0, offset)
     stop = max(start, min(before, offset + now))
     return slice(start, stop), slice(start - offset, stop - offset)

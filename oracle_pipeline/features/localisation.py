@@ -1,6 +1,6 @@
-"""How sure localisation was of itself, and how much it corrected odometry.
+"""Uncertainty of localisation, and its corrections of odometry.
 
-An attack on scans that localisation does not use leaves these as they are.
+An attack on scans that localisation does not use does not change these features.
 """
 
 from typing import Any
@@ -53,7 +53,7 @@ PLAN_FEATURES = (
 
 
 def keep_belief(messages: Any) -> tuple[Floats, ...]:
-    """Return poses and their covariances: stamp, x, y, yaw, position and yaw variance."""
+    """Return stamp, x, y, yaw, variance of the position and variance of the yaw of poses."""
     covariance = messages.pose.covariance
     return (
         header_stamps_s(messages), *poses_of(messages.pose.pose),
@@ -70,7 +70,7 @@ def compute_belief(window: Window) -> Values:
 
 
 def prepare_corrections(window: Window) -> tuple[Series, Series]:
-    """Return how far each pose is from the predicted one: distance [m] and yaw [rad]."""
+    """Return the difference of each pose from the predicted one: distance [m] and yaw [rad]."""
     (poses,) = window.topics["poses"].values()
     (odometry,) = window.topics["odometry"].values()
     stamps_s, x, y, yaw, *_ = poses.values.T
@@ -95,7 +95,7 @@ def compute_corrections(window: Window) -> Values | Missing:
 
 
 def keep_plan_starts(messages: Any) -> tuple[Floats, Floats, Floats]:
-    """Return stamp and first place of ``nav_msgs/msg/Path``s; NaN for an empty one."""
+    """Return stamp and first position of ``nav_msgs/msg/Path``s; NaN for an empty one."""
     first = np.searchsorted(messages.poses.owners, np.arange(len(messages)))
     empty = np.bincount(messages.poses.owners, minlength=len(messages)) == 0
     position = messages.poses.pose.position
@@ -107,7 +107,7 @@ def keep_plan_starts(messages: Any) -> tuple[Floats, Floats, Floats]:
 
 
 def prepare_plan_offsets(window: Window) -> Series:
-    """Return how far each plan begins from the robot [m]."""
+    """Return the distance from the robot to the start of each plan [m]."""
     (plans,), (poses,), (odometry,) = (
         window.topics[name].values() for name in ("plan", "poses", "odometry")
     )

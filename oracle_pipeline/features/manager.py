@@ -1,7 +1,7 @@
-"""Finds the feature plugins: built in, of other distributions, and of a folder.
+"""Finds the feature plugins: built-in ones, and those of other distributions and of a folder.
 
-Every test and worker builds its own with ``build_manager``. A file of the folder may hold both
-forms: a ``register_features`` hook, and classes in the thesis's form.
+Every test and worker builds its own manager with ``build_manager``. A file of the folder may have
+both forms: a ``register_features`` hook, and classes in the thesis's form.
 """
 
 import importlib.metadata
@@ -86,23 +86,23 @@ class FeatureManager:
 
     plugins: tuple[FeaturePlugin, ...]
     thesis: tuple[ThesisPlugin, ...] = ()
-    broken: dict[str, str] = field(default_factory=dict)  # what could not be loaded, and why
-    folder: Path | None = None  # that plugins were loaded from
+    broken: dict[str, str] = field(default_factory=dict)  # reasons by plugin that failed to load
+    folder: Path | None = None  # from which plugins were loaded
 
     def features(self) -> dict[str, Feature]:
-        """Return what is known of each column of the native plugins."""
+        """Return the feature of each column of the native plugins."""
         return {p.column(feature): feature for p in self.plugins for feature in p.features}
 
 
 def build_manager(folder: Path | None = None) -> FeatureManager:
     """Collect the plugins: built in, then entry points, then the files of a folder, by name.
 
-    What cannot be loaded is logged and kept in ``broken``; the others work without it.
+    Plugins that cannot be loaded are logged and listed in ``broken``.
 
     Parameters
     ----------
     folder : Path, optional
-        Folder of plugin files; by default the one that ``ORACLE_PLUGINS`` names, if it is set.
+        Folder of plugin files; by default the value of ``ORACLE_PLUGINS``, if it is set.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def build_manager(folder: Path | None = None) -> FeatureManager:
 
 
 def plugin_folder() -> Path | None:
-    """Return the folder that ``ORACLE_PLUGINS`` names, if it is set."""
+    """Return the folder in ``ORACLE_PLUGINS``, if it is set."""
     named = os.environ.get(FOLDER_VARIABLE)
     return Path(named) if named else None
 
@@ -137,7 +137,7 @@ def register_others(
     Returns
     -------
     tuple
-        The modules of the folder by name; and what could not be loaded, with the reason.
+        The modules of the folder by name, and the reasons for plugins that could not be loaded.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def _load_folder(
 ) -> dict[str, ModuleType]:
     if not folder.is_dir():
         raise PluginError(
-            f"There is no plugin folder {folder}; make it, or set {FOLDER_VARIABLE} to another."
+            f"There is no plugin folder {folder}; create it, or set {FOLDER_VARIABLE} to another."
         )
     modules: dict[str, ModuleType] = {}
     for path in sorted(folder.glob("*.py")):
@@ -177,7 +177,7 @@ def _load_folder(
 
 
 def _load(path: Path) -> ModuleType:
-    """Import a file under a name of its own; the thesis's files import ``plugin_interface``."""
+    """Import a file under a unique name; the thesis's files import ``plugin_interface``."""
     spec = importlib.util.spec_from_file_location(f"oracle_plugins.{path.stem}", path)
     assert spec is not None  # noqa: S101 -- a .py file has a loader
     assert spec.loader is not None  # noqa: S101
@@ -247,7 +247,7 @@ def _classes(module: ModuleType) -> list[type[FeatureExtractionPlugin]]:
 
 
 def _check_names(plugins: tuple[FeaturePlugin, ...]) -> None:
-    """Refuse what would overwrite or hide something: plugins and columns have one name each."""
+    """Raise `PluginError` if two plugins or two columns have the same name."""
     names = Counter(plugin.name for plugin in plugins)
     for name in (name for name, count in names.items() if count > 1):
         raise PluginError(f"{names[name]} plugins are called {name!r}; rename all but one.")

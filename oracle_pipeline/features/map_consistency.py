@@ -65,10 +65,10 @@ FEATURES = (
     ),
 )  # fmt: skip
 
-_OCCUPIED = 65  # from which on a cell is solid, of 100, as Nav2's default threshold
-_PERIOD_S = 0.35  # between scans that are looked at: neither the map nor a pose changes faster
-# A ray goes on for what is clear around its cell's centre, less half a diagonal of that cell and
-# of the one that blocks the way [cells].
+_OCCUPIED = 65  # of 100, least value of a solid cell; Nav2's default threshold
+_PERIOD_S = 0.35  # between the compared scans: neither the map nor a pose changes faster
+# A ray advances by the clearance of its cell's centre, less half a diagonal of that cell and half a
+# diagonal of the blocked one [cells].
 _DIAGONAL = math.sqrt(2.0)
 _SHORTEST_STEP = 0.35
 
@@ -79,28 +79,28 @@ class Map:
 
     pose: Planar  # of the outer corner of cell (0, 0), in the map frame
     resolution: float  # edge of a cell [m]
-    clearance: NDArray[np.float32]  # to the next solid or unknown cell, shape (rows, columns)
+    clearance: NDArray[np.float32]  # to the nearest solid or unknown cell, shape (rows, columns)
     solid: NDArray[np.bool_]
 
     @classmethod
     def of(cls, grid: "MapGrid") -> "Map":
-        """Prepare a grid; beyond its border is as unknown as unknown cells are."""
+        """Prepare a grid; everything outside its border is unknown."""
         cells = np.pad(grid.cells, 1, constant_values=-1)
         solid = cells >= _OCCUPIED
         return cls(grid.pose, grid.resolution, clearance(solid | (cells < 0)), solid)
 
     def cast(self, origins: Points, directions: Points) -> Floats:
-        """Return how far rays get to the first solid cell [m].
+        """Return the distances along rays to the first solid cell [m].
 
         Parameters
         ----------
         origins, directions : ndarray of shape (n, m)
-            Where rays start and their unit vectors, in the map frame.
+            Starting points and unit vectors of the rays, in the map frame.
 
         Returns
         -------
         ndarray of shape (n, m)
-            NaN for rays that come to a cell of which the map knows nothing.
+            NaN for rays that reach an unknown cell first.
         """
         inverse = self.pose.inverse()
         start = inverse.apply(origins) / self.resolution + (1.0 + 1.0j)  # the padding
@@ -118,7 +118,9 @@ def _march(start: Points, step: Points, clearance: NDArray[np.float32], solid: B
             while 0.0 <= x < columns and 0.0 <= y < rows:
                 free = clearance[int(y), int(x)]
                 if free == 0.0:
-                    if solid[int(y), int(x)] and distance > 0.0:  # a ray from within sees nothing
+                    if (
+                        solid[int(y), int(x)] and distance > 0.0
+                    ):  # a ray from inside a solid cell is invalid
                         reached[i, j] = distance
                     break
                 ahead = max(free - _DIAGONAL, _SHORTEST_STEP)
@@ -129,7 +131,7 @@ def _march(start: Points, step: Points, clearance: NDArray[np.float32], solid: B
 
 
 class MapGrid(NamedTuple):
-    """What is kept of a ``nav_msgs/msg/OccupancyGrid``."""
+    """The part of a ``nav_msgs/msg/OccupancyGrid`` that is kept."""
 
     pose: Planar  # of the outer corner of cell (0, 0)
     resolution: float  # [m]
@@ -138,7 +140,7 @@ class MapGrid(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _Consistency:
-    """Of each scan of a scanner that was looked at."""
+    """Comparison of each used scan of a scanner with the map."""
 
     residual: Series  # [m]
     unexpected: Series
@@ -147,7 +149,7 @@ class _Consistency:
 
 
 def prepare(window: Window) -> dict[str, _Consistency] | Missing:
-    """Hold every scanner against the map, over the whole recording."""
+    """Compare every scanner with the map, over the whole recording."""
     grids, poses = the_topic(window.topics["map"]), the_topic(window.topics["poses"])
     setup = scanner_setup(window)
     if grids is None or poses is None:
@@ -156,7 +158,7 @@ def prepare(window: Window) -> dict[str, _Consistency] | Missing:
         return Missing("no odometry")
     world = Map.of(grids.values[-1])
     correction = _Correction(poses, setup)
-    return {topic: _held_against(world, correction, setup, topic) for topic in setup.mounts}
+    return {topic: _compared_with_map(world, correction, setup, topic) for topic in setup.mounts}
 
 
 def compute(window: Window) -> Values:
@@ -180,7 +182,7 @@ def compute(window: Window) -> Values:
 
 
 def keep_grids(messages: Any) -> list[MapGrid]:
-    """Keep the cells of grids and where they are."""
+    """Keep the cells of grids and their poses."""
     info = messages.info
     columns = *poses_of(info.origin), info.resolution, info.height, info.width
     grids = []
@@ -194,7 +196,7 @@ def keep_grids(messages: Any) -> list[MapGrid]:
 
 
 class _Correction:
-    """Where the odometry frame is in the map, as localisation has it; between poses, in between."""
+    """Pose of the odometry frame in the map from localisation, interpolated between poses."""
 
     def __init__(self, poses: Series, setup: ScannerSetup) -> None:
         assert setup.motion is not None  # noqa: S101 -- checked before
@@ -205,7 +207,7 @@ class _Correction:
         self._columns = pose.shift.real, pose.shift.imag, np.unwrap(np.angle(pose.turn))
 
     def at(self, stamps_s: Floats) -> Planar:
-        """Return the odometry frame in the map, one pose a stamp."""
+        """Return the pose of the odometry frame in the map at each stamp."""
         x, y, yaw = (np.interp(stamps_s, self._stamps_s, column) for column in self._columns)
         return Planar(x + 1j * y, np.exp(1j * yaw))
 
@@ -225,7 +227,7 @@ def register_features() -> list[FeaturePlugin]:
     return [FeaturePlugin("map_consistency", "map", FEATURES, compute, topics, prepare=prepare)]
 
 
-def _held_against(
+def _compared_with_map(
     world: Map, correction: _Correction, setup: ScannerSetup, topic: str
 ) -> _Consistency:
     scans = setup.scanners[topic]

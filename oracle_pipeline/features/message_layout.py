@@ -1,8 +1,8 @@
 """Header stamp and array of a message, read from its bytes without decoding the rest.
 
-This runs for every topic of every bag, so it has to be cheap: an array is one ``numpy.frombuffer``
-behind a few skipped fields. Only sequences of floating-point numbers count: whole numbers are
-mostly codes (cells of a grid, pixels, identifiers).
+This runs for every topic of every bag, so it must be cheap: an array is one ``numpy.frombuffer``
+after a few skipped fields. Only sequences of floating-point numbers are used: integers are mostly
+codes (cells of a grid, pixels, identifiers).
 """
 
 import struct
@@ -17,8 +17,8 @@ from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.reader import BagReader
 
 _HEADER = "std_msgs/msg/Header"
-_ENCAPSULATION = 4  # bytes before a message in CDR, from which it aligns
-_LITTLE_ENDIAN = 1  # bit of the second of them
+_ENCAPSULATION = 4  # bytes before a message in CDR; its alignment starts after them
+_LITTLE_ENDIAN = 1  # bit of the second byte
 SHORTEST_WITH_HEADER = 12  # bytes of a message that has a stamp
 
 _SIZES = {
@@ -32,7 +32,7 @@ _BIG_STAMP, _LITTLE_STAMP = struct.Struct(">iI"), struct.Struct("<iI")
 
 
 class _Numbers(NamedTuple):
-    """Numbers of one size, one after the other."""
+    """Consecutive numbers of one size."""
 
     size: int
     times: int
@@ -43,7 +43,7 @@ class _Text(NamedTuple):
 
 
 class _Repeated(NamedTuple):
-    """The same fields again and again."""
+    """A repeated group of fields."""
 
     fields: "tuple[_Field, ...]"
     times: int | None  # None: given in the message
@@ -53,9 +53,9 @@ _Field: TypeAlias = _Numbers | _Text | _Repeated
 
 
 class MessageLayout:
-    """Where the messages of one topic have their header stamp and their first array.
+    """Locations of the header stamp and of the first array in the messages of one topic.
 
-    A type whose definition nobody knows has neither.
+    A type without a known definition has neither.
     """
 
     def __init__(self, bag: BagReader, topic: str) -> None:
@@ -82,7 +82,9 @@ class MessageLayout:
         if not self.has_header or len(data) < SHORTEST_WITH_HEADER:
             return None
         stamp = _BIG_STAMP if self.is_cdr and not data[1] & _LITTLE_ENDIAN else _LITTLE_STAMP
-        sec, nanosec = stamp.unpack_from(data, 4)  # behind the encapsulation or ROS 1's number
+        sec, nanosec = stamp.unpack_from(
+            data, 4
+        )  # after the encapsulation, or ROS 1's sequence number
         return int(sec) * 1_000_000_000 + int(nanosec)
 
     def array(self, data: bytes) -> NDArray[np.floating[Any]] | None:
@@ -104,7 +106,7 @@ class MessageLayout:
         return "<" if not self.is_cdr or data[1] & _LITTLE_ENDIAN else ">"
 
     def _seek(self, store: Typestore, msgtype: Any) -> np.dtype[Any] | None:
-        """Note what stands before the first array of a type; return the type of its elements."""
+        """Record the fields before the first array of a type; return the type of its elements."""
         if msgtype == _HEADER and not self.is_cdr:
             self._before.append(_Numbers(4, 1))
         for _, (kind, what) in store.fielddefs[msgtype][1]:
@@ -118,7 +120,7 @@ class MessageLayout:
         return None
 
     def _field(self, store: Typestore, kind: Nodetype, what: Any) -> _Field:
-        """Return how to get past a field."""
+        """Return the layout of a field, for skipping it."""
         if kind == Nodetype.BASE:
             return _Text() if what[0] == "string" else _Numbers(_SIZES[what[0]], 1)
         if kind == Nodetype.NAME:
@@ -140,12 +142,12 @@ def header_stamps_ns(data: bytes, offsets: NDArray[np.int64], *, is_cdr: bool) -
     data
         Holds the messages.
     offsets
-        Where each begins; it has `SHORTEST_WITH_HEADER` bytes or more.
+        Of the messages, each of which has `SHORTEST_WITH_HEADER` bytes or more.
     is_cdr
-        Whether they are encoded in CDR, or else by ROS 1.
+        Whether they are encoded in CDR; False for ROS 1's encoding.
     """
     buffer = np.frombuffer(data, np.uint8)
-    # Behind the encapsulation, or ROS 1's number of the message.
+    # After the encapsulation, or ROS 1's sequence number.
     fields = buffer[offsets[:, np.newaxis] + np.arange(4, SHORTEST_WITH_HEADER)]
     stamps_ns = _stamps_ns(fields, "<")
     if is_cdr and (is_big := buffer[offsets + 1] & _LITTLE_ENDIAN == 0).any():
@@ -154,14 +156,14 @@ def header_stamps_ns(data: bytes, offsets: NDArray[np.int64], *, is_cdr: bool) -
 
 
 def _stamps_ns(fields: NDArray[np.uint8], order: str) -> NDArray[np.int64]:
-    """Return seconds and nanoseconds, shape (n, 8), as one number."""
+    """Return stamps [ns] from the bytes of seconds and nanoseconds, shape (n, 8)."""
     parts = np.ascontiguousarray(fields).view(f"{order}u4")
     seconds = parts[:, 0].astype(np.uint32).view(np.int32).astype(np.int64)
     return seconds * 1_000_000_000 + parts[:, 1].astype(np.int64)
 
 
 class _Cursor:
-    """A place in the bytes of a message."""
+    """A position in the bytes of a message."""
 
     def __init__(self, data: bytes, order: str, *, is_cdr: bool) -> None:
         self.position = _ENCAPSULATION if is_cdr else 0
@@ -183,7 +185,7 @@ class _Cursor:
         return int(count)
 
     def skip(self, fields: "tuple[_Field, ...] | list[_Field]") -> None:
-        """Go past fields."""
+        """Skip fields."""
         for field in fields:
             if isinstance(field, _Text):
                 length = self.count()

@@ -53,7 +53,7 @@ FEATURES = (
 
 
 class _Change(NamedTuple):
-    """An interval against the one before."""
+    """Difference of an interval from the one before."""
 
     start_s: float
     shares: dict[Edge, float]  # by how much each edge's share of the messages changed
@@ -104,9 +104,9 @@ def register_features() -> list[FeaturePlugin]:
 def closeness(lengths: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the closeness of each vertex of a directed graph, shape (n,).
 
-    It is that of the paths that lead to a vertex, after Wasserman and Faust: the share of the
-    others that reach it, over their mean distance. Betweenness is left out on purpose: it tells
-    which nodes hear a topic, whatever goes over it.
+    It is over incoming paths, after Wasserman and Faust: the share of other vertices that reach a
+    vertex, over their mean distance. Betweenness is omitted: it depends on the subscriptions, not
+    on the traffic.
 
     Parameters
     ----------

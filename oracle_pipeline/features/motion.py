@@ -1,9 +1,9 @@
 """The motion of the robot according to each stream of a recording: distance and turn.
 
-Whatever tells motion becomes a `Track`: what was travelled and turned from the beginning on, by
-stamp. Two tracks are compared by what they gained over the same spans, so frames, starting points
-and drift of long ago do not matter. Sources are found by message type, not by topic name.
-``kinematics`` compares the tracks.
+Each source of motion becomes a `Track`: the distance and turn since the beginning, by stamp. Two
+tracks are compared by their gains over the same spans, so frames, starting points and earlier drift
+do not matter. Sources are found by message type, not by topic name. ``kinematics`` compares the
+tracks.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,17 +28,17 @@ ANGLES, RATES = "angles", "rates"  # of joints: their positions and their veloci
 
 TRAVEL, TURN, SPIN = "travel", "turn", "spin"  # quantities: [m], [rad], and [rad] of joints
 
-SPAN_S = 0.4  # over which gains are compared, unless a source has spans of its own
+SPAN_S = 0.4  # over which gains are compared, unless a source has its own spans
 _SLOPE_S = 0.1  # to each side of a time at which a rate is taken
-_HELD_S = 0.5  # that a command holds if none follows
-_EXPLAINED = 0.9  # share of the motion that joints have to tell to count as wheels
+_HELD_S = 0.5  # duration of a command if none follows
+_EXPLAINED = 0.9  # share of the motion that joints must explain to be wheels
 _SAMPLED_S = 0.05  # between the messages of an inertial unit that are read
 _GRAVITY = 9.80665  # [m/s^2]
 _POSITIONS, _VELOCITIES = 2, 3  # columns of what `keep_joints` keeps
 
 
 class Track(NamedTuple):
-    """What one source on one topic says; shape (n,) each, stamps ascending."""
+    """The motion from one source on one topic; shape (n,) each, stamps ascending."""
 
     topic: str
     times_s: Floats  # when recorded, since the start of the recording [s]
@@ -48,7 +48,7 @@ class Track(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """All tracks of a recording by kind, and what its scanners say."""
+    """All tracks of a recording by kind, and the motion from its scanners."""
 
     tracks: Mapping[str, Sequence[Track]]
     steps: Mapping[str, Steps]  # by topic of the scanner
@@ -57,7 +57,7 @@ class Sources:
 
 
 def gain(track: Track, quantity: str, from_s: Floats, to_s: Floats) -> Points:
-    """Return what a track gained over spans; NaN for spans that it does not cover."""
+    """Return the gains of a track over spans; NaN for spans that it does not cover."""
     stamps_s, values = track.stamps_s, track.gained[quantity]
     gained = np.interp(to_s, stamps_s, values) - np.interp(from_s, stamps_s, values)
     covered = (from_s >= stamps_s[0]) & (to_s <= stamps_s[-1])
@@ -65,7 +65,7 @@ def gain(track: Track, quantity: str, from_s: Floats, to_s: Floats) -> Points:
 
 
 def slope(track: Track, quantity: str, from_s: Floats, to_s: Floats) -> Points:
-    """Return by how much the gains over spans would grow if the spans were later, a second."""
+    """Return the derivative of the gains by the time of the spans [1/s]."""
     rates = [
         gain(track, quantity, at_s - _SLOPE_S, at_s + _SLOPE_S) / (2.0 * _SLOPE_S)
         for at_s in (from_s, to_s)
@@ -74,7 +74,7 @@ def slope(track: Track, quantity: str, from_s: Floats, to_s: Floats) -> Points:
 
 
 def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> Sources:
-    """Return what the messages on `MOTION_TOPICS` say."""
+    """Return the sources of motion in the messages on `MOTION_TOPICS`."""
     driven, inertial = topics["driven"], topics["inertial"]
     poses = [_posed(topic, series) for topic, series in _long(driven)]
     poses = poses or list(_transformed(topics["transforms"]))
@@ -167,7 +167,7 @@ def keep_transforms(messages: Any) -> list[list[tuple[tuple[str, str], tuple[flo
 
 
 def keep_command(messages: Any) -> tuple[Floats, Floats, Floats]:
-    """Return the velocities of ``Twist``s, whatever they are wrapped in."""
+    """Return the velocities of ``Twist``s, also of nested ones such as ``TwistStamped``."""
     twist = messages
     while hasattr(twist, "twist"):
         twist = twist.twist
@@ -191,7 +191,7 @@ MOTION_TOPICS = SETUP_TOPICS | {
 
 
 class Edge(NamedTuple):
-    """A transform between two frames as it changed; shape (n,) each, stamps ascending."""
+    """A transform between two frames over time; shape (n,) each, stamps ascending."""
 
     times_s: Floats
     stamps_s: Floats
@@ -219,7 +219,7 @@ def yaw_of(x: Floats, y: Floats, z: Floats, w: Floats) -> Floats:
 
 
 class Joints(NamedTuple):
-    """What the joints of one topic turned; stamps ascending."""
+    """The angles of the joints of one topic; stamps ascending."""
 
     times_s: Floats  # when recorded, since the start of the recording [s]; shape (n,)
     stamps_s: Floats  # when measured [s]; shape (n,)
@@ -227,11 +227,11 @@ class Joints(NamedTuple):
 
 
 def wheels(topic: str, joints: Joints, references: Sequence[Track]) -> Track | None:
-    """Return the motion that joints tell, in radians of a wheel; None if they tell none.
+    """Return the motion that joints measure, in radians of a wheel; None if they measure none.
 
-    Which joints are wheels, and which way they turn, is what explains best the motion that
-    another source tells; how large they are is left to the comparison. A joint that holds a
-    motion's whole scale is that of all of them, should all have turned alike.
+    The joints that are wheels, and their directions, are those that best explain the motion from
+    another source; their radius is left to the comparison. The weights of all joints sum to one in
+    magnitude, so that the result is the angle of one wheel if all turn equally.
     """
     times_s, at_s, angles = joints
     from_s, to_s = even_spans(at_s[0], at_s[-1], SPAN_S, at_s)
@@ -249,9 +249,9 @@ def wheels(topic: str, joints: Joints, references: Sequence[Track]) -> Track | N
 
 
 def _joints(series: Series, column: int) -> Joints | None:
-    """Return what joints turned by their positions, or by their summed velocities.
+    """Return the angles of joints from their positions, or from their integrated velocities.
 
-    None if the messages do not tell them for all joints.
+    None if the messages lack them for any joint.
     """
     names, told = series.values[0][1], [each[column] for each in series.values]
     whole = np.array(
@@ -268,16 +268,16 @@ def _joints(series: Series, column: int) -> Joints | None:
 
 
 def _spun(topic: str, joints: Joints) -> Track:
-    """Return what all joints together turned, as two sums, the second with alternating signs.
+    """Return two sums of the angles of all joints, the second with alternating signs.
 
-    No change of one or more joints cancels in both.
+    No change of joints cancels in both.
     """
     signs = 1.0 + 1j * (-1.0) ** np.arange(joints.angles.shape[1])
     return Track(topic, joints.times_s, joints.stamps_s, {SPIN: joints.angles @ signs})
 
 
 def _explaining(turned: Floats, gains: Floats) -> Floats | None:
-    """Return how much each joint counts for some gains, all together 1; None if they do not."""
+    """Return the weights of joints that explain some gains, in sum 1; None if they cannot."""
     known = np.isfinite(gains) & np.isfinite(turned).all(axis=1)
     power = float((gains[known] ** 2).sum())
     if known.sum() < 2 * turned.shape[1] or power < 1e-3:
@@ -290,7 +290,7 @@ def _explaining(turned: Floats, gains: Floats) -> Floats | None:
 
 
 def _long(topics: Mapping[str, Series]) -> Iterator[tuple[str, Series]]:
-    """Yield the topics that say something twice at least."""
+    """Yield the topics with at least two messages."""
     return ((topic, series) for topic, series in topics.items() if len(series.times_s) > 1)
 
 
@@ -307,7 +307,7 @@ def _of_poses(topic: str, times_s: Floats, stamps_s: Floats, place: Points, yaw:
 
 
 def _transformed(topics: Mapping[str, Series]) -> Iterator[Track]:
-    """Yield the motion of the transform that moves most often, if one does."""
+    """Yield the motion of the moving transform with most messages, if there is one."""
     moving = {
         frames: edge
         for frames, edge in edges(topics).items()
@@ -342,7 +342,7 @@ def _has_orientation(series: Series) -> bool:
 
 
 def _up(series: Series, mount: Planar) -> Floats:
-    """Return which way is up in a unit's frame, shape (n, 3); as mounted if it does not tell."""
+    """Return the vertical in a unit's frame, shape (n, 3); from its mount without orientation."""
     x, y, z, w = series.values[:, 1:5].T
     up = 2.0 * np.column_stack([x * z - w * y, y * z + w * x, 0.5 - x * x - y * y])
     told = (series.values[:, 11] != -1.0) & (x * x + y * y + z * z + w * w > 0.5)
@@ -357,9 +357,9 @@ def _oriented(topic: str, series: Series, mount: Planar) -> Track:
 
 
 def _commanded(topic: str, series: Series, clock: Track) -> Track:
-    """Return what would be gained if each command held until the next one.
+    """Return the gains if each command were executed until the next one.
 
-    A ``Twist`` has no stamp; the clock's track tells which stamps were recorded at that time.
+    A ``Twist`` has no stamp; it gets the one that the clock's track has at the recorded time.
     """
     stamps_s = np.interp(series.times_s, clock.times_s, clock.stamps_s)
     held_s = np.minimum(np.append(np.diff(stamps_s), _HELD_S), _HELD_S)
@@ -375,7 +375,7 @@ def _commanded(topic: str, series: Series, clock: Track) -> Track:
 
 
 def _complex(values: Any) -> Points:
-    """Return numbers as quantities are kept: the turn has no imaginary part."""
+    """Return numbers as complex ones; those of turns have no imaginary part."""
     return np.asarray(values, dtype=np.complex128)
 
 

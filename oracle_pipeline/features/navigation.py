@@ -75,15 +75,15 @@ DRIVE_FEATURES = (
 )  # fmt: skip
 
 _RECOVERIES = ("Spin", "BackUp", "Wait", "DriveOnHeading")  # in Nav2's behaviour trees
-_CLEARING = "Clear"  # what names of nodes that have a costmap cleared begin with
+_CLEARING = "Clear"  # prefix of the names of nodes that clear a costmap
 
 _STALLED_S, _STALLED_M = 5.0, 0.1
-_STEP_S = 0.2  # between looks at whether the robot stalled
+_STEP_S = 0.2  # between the times at which stalling is determined
 
 
 @dataclass(frozen=True, slots=True)
 class _Plans:
-    """Plans made while a goal was under way."""
+    """Plans made while a goal was active."""
 
     made: Series  # lengths [m]
     lengthening: Series  # of a plan against the one before to the same goal [m]
@@ -92,15 +92,15 @@ class _Plans:
 
 @dataclass(frozen=True, slots=True)
 class _Drive:
-    """How the robot drove to its goals."""
+    """Statistics of the robot's way to its goals."""
 
     efficiency: float | Missing
-    stalled: Series  # 1 where it was, 0 where not, at each step under way
-    without_goal: Series  # way since the message before [m], where no goal was under way
+    stalled: Series  # 1 or 0, at each step with an active goal
+    without_goal: Series  # way since the last message [m], at times without an active goal
 
 
 def keep_begun(message: Any) -> tuple[int, int]:
-    """Return how many recoveries and clearings began in a ``nav2_msgs/msg/BehaviorTreeLog``."""
+    """Return the numbers of recoveries and clearings that a ``BehaviorTreeLog`` begins."""
     begun = [
         change.node_name
         for change in message.event_log
@@ -113,7 +113,7 @@ def keep_begun(message: Any) -> tuple[int, int]:
 
 
 def compute_recoveries(window: Window) -> Values | Missing:
-    """Count over the window; a silent tree began nothing."""
+    """Count over the window; a silent tree counts as none."""
     if not window.history["log"]:
         return Missing("no behaviour tree's log is recorded")
     begun = sum(series.values.sum(axis=0) for series in window.topics["log"].values())
@@ -122,7 +122,7 @@ def compute_recoveries(window: Window) -> Values | Missing:
 
 
 def prepare_plans(window: Window) -> _Plans | Missing:
-    """Sort the plans by their goals."""
+    """Assign the plans to their goals."""
     accepted = _accepted(window)
     if isinstance(accepted, Missing):
         return accepted
@@ -152,7 +152,7 @@ def compute_plans(window: Window) -> Values:
 
 
 def prepare_drive(window: Window) -> _Drive | Missing:
-    """Follow the robot to its goals."""
+    """Compute the efficiency and stalls of the whole recording."""
     accepted = _accepted(window)
     if isinstance(accepted, Missing):
         return accepted
@@ -181,7 +181,7 @@ def compute_drive(window: Window) -> Values:
 
 
 def goal_at(accepted: Sequence[Goal], times_s: Floats) -> Ints:
-    """Return the number of the goal that was under way at each time, -1 if there was none."""
+    """Return the index of the active goal at each time, -1 without one."""
     starts = np.array([goal.accepted_s for goal in accepted])
     ends = np.array([math.inf if goal.ended_s is None else goal.ended_s for goal in accepted])
     number = np.searchsorted(starts, times_s, side="right") - 1
@@ -191,7 +191,7 @@ def goal_at(accepted: Sequence[Goal], times_s: Floats) -> Ints:
 def stalls(accepted: Sequence[Goal], driven: Series) -> Series:
     """Return, step by step, whether the robot made no progress towards its goal.
 
-    Values are 1 or 0, at steps that lie under way to one goal for `_STALLED_S` already.
+    Values are 1 or 0, at steps where the same goal has been active for `_STALLED_S`.
     """
     steps_s = np.arange(driven.times_s[0] + _STALLED_S, driven.times_s[-1], _STEP_S)
     goal = goal_at(accepted, steps_s)

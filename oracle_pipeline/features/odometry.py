@@ -1,7 +1,7 @@
-"""How the robot drove and turned, from its odometry.
+"""Speed and turning of the robot, from its odometry.
 
-The thesis takes the variance of yaw wrapped to (-pi, pi], which jumps when the robot faces -x;
-here it is the circular one, beside turning and the rate of it.
+The thesis uses the variance of yaw wrapped to (-pi, pi], which jumps when the robot faces -x; here
+it is the circular variance, with total turning and the yaw rate.
 """
 
 from typing import Any

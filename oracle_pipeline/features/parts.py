@@ -18,7 +18,7 @@ def header_stamps_s(messages: Any) -> Floats:
 
 
 def frame_names(texts: Iterable[str]) -> list[str]:
-    """Return the names of frames; old drivers put a slash before them."""
+    """Return the names of frames without the leading slash of old drivers."""
     return [text.lstrip("/") for text in texts]
 
 
@@ -30,5 +30,5 @@ def poses_of(poses: Any) -> tuple[Floats, Floats, Floats]:
 
 
 def arc_tangents(y: Floats, x: Floats) -> Floats:
-    """Return ``atan2`` as the C library has it; numpy's differs from processor to processor."""
+    """Return the C library's ``atan2``; numpy's differs between processors."""
     return np.array(list(map(math.atan2, y.tolist(), x.tolist())))

@@ -1,10 +1,9 @@
-"""Whether objects that one laser scanner sees stay in place while the robot drives past.
+"""Whether objects that one laser scanner detects stay in place while the robot drives past.
 
-No second sensor and no map is needed: the scanner's own earlier scans say what stood there and
-where there was free space, odometry says how it moved since. An object has appeared if it is where
-the scanner saw free space before, and it has vanished if the scanner now sees through it. An object
-that moves with the robot is loose. A place that the robot drives across cannot have contained an
-object.
+No second sensor and no map is needed: the scanner's own earlier scans have the objects and the free
+space, and odometry the motion since. An object has appeared if it is in space that was free before,
+and has vanished if the scanner now measures through it. An object that moves with the robot is
+loose. A place that the robot drives across later cannot contain an object.
 """
 
 import math
@@ -37,19 +36,19 @@ from oracle_pipeline.features.scan_geometry import (
 )
 from oracle_pipeline.features.scans import Bools, Floats, Ints, Points, RecordedScans, in_blocks
 
-_EARLIER_S = 1.0  # between two scans that are compared
-_LATER_S = 1.0  # at least until the robot drives across what it saw
+_EARLIER_S = 1.0  # between two compared scans
+_LATER_S = 1.0  # least time until the robot drives across a return
 _PATH_STEP_S = 0.05
 _FARTHEST = 2**26  # m from the origin; beyond it, a pose is no pose
 _WIDEST = 2**31  # cells from the corner of the path
 _CELL_M = 0.1  # of the robot's path; a robot is wider than that
-_FEWEST = 2  # returns on the path that count
-_SMALL_RAYS = (4, 80)  # rays that a compact thing takes
-_STEP_M = 0.15  # from ray to ray on one thing, at most
-_GAP_RAYS = 2.5  # that are missing at most from a scan that closes around
-_NEXT_S = 0.4  # between two scans in which it is looked for
+_FEWEST = 2  # returns on the path of a scan that counts
+_SMALL_RAYS = (4, 80)  # least and most rays on a compact object
+_STEP_M = 0.15  # largest step from ray to ray on one object
+_GAP_RAYS = 2.5  # most rays missing from a scan of 360 degrees
+_NEXT_S = 0.4  # between two scans in which an object is compared
 _STILL_M = 1e-6  # below the resolution of a range (float32): rounding of poses, not motion
-_FAR_M = 0.6  # that it may have moved between two scans to be the same
+_FAR_M = 0.6  # largest motion of the same object between two scans
 
 _SCANS = "largest of the scanners"
 FEATURES = (
@@ -83,7 +82,7 @@ FEATURES = (
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Of each scan of a scanner that has an earlier one."""
+    """Changes in each scan of a scanner since an earlier one."""
 
     appeared: Series
     vanished: Series
@@ -92,7 +91,7 @@ class Seen:
 
 
 def prepare(window: Window) -> dict[str, Seen] | Missing:
-    """Hold each scan against the same scanner's earlier one, over the whole recording."""
+    """Compare each scan with an earlier one of the same scanner, over the whole recording."""
     setup = scanner_setup(window)
     if setup.motion is None:
         return Missing("no odometry")
@@ -126,7 +125,7 @@ def compute(window: Window) -> Values:
 
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
-    """Offer the features of things that stay where they are."""
+    """Offer the features of the permanence of objects."""
     return [
         FeaturePlugin("permanence", "permanence", FEATURES, compute, SETUP_TOPICS, prepare=prepare)
     ]
@@ -164,7 +163,7 @@ def _peak(seen: Seen, window: Window) -> float:
 
 
 def _apart(stamps_s: Floats, earlier_s: float) -> tuple[Ints, Ints]:
-    """Return the indices of scans, and of those that are about so much older."""
+    """Return the indices of scans, and of scans that are older by about ``earlier_s``."""
     if len(stamps_s) < 2:
         return np.empty(0, np.int64), np.empty(0, np.int64)
     order = np.argsort(stamps_s, kind="stable")
@@ -184,7 +183,7 @@ class _Path:
 
     @classmethod
     def of(cls, setup: ScannerSetup) -> "_Path":
-        """Follow the robot while its scanners looked."""
+        """Return the path of the robot during its scans."""
         assert setup.motion is not None  # noqa: S101 -- checked before
         stamps_s = np.concatenate([scans.stamps_s for scans in setup.scanners.values()])
         end_s = stamps_s.max() + _PATH_STEP_S
@@ -196,7 +195,7 @@ class _Path:
         return cls(corner, *_followed((places - corner) / _CELL_M, steps_s))
 
     def crossed(self, world: Points, stamps_s: Floats) -> Bools:
-        """Tell which scans saw something where the robot drove across later, shape (n,)."""
+        """Return which scans have returns where the robot drove across later, shape (n,)."""
         return _crossed(
             (world - self.corner) / _CELL_M, stamps_s, self.cells, self.last_s
         ) >= _FEWEST  # fmt: skip
@@ -242,9 +241,9 @@ def _place(cell: int, cells: Ints) -> int:
 
 
 def _in_world(scans: RecordedScans, placed: Planar, path: _Path) -> tuple[Series, Floats]:
-    """Return how far the fastest compact thing went from one scan to the next [m].
+    """Return the distance that the fastest compact object moved between scans [m].
 
-    And which of all scans the robot drives across, 1 or 0.
+    Also return, for all scans, whether the robot drives across a return later, 1 or 0.
     """
     around = 2.0 * np.pi / np.abs(scans.angle_increment.ravel())
     closed = np.abs(around - scans.rays) < _GAP_RAYS
@@ -263,7 +262,7 @@ def _in_world(scans: RecordedScans, placed: Planar, path: _Path) -> tuple[Series
 
 @jit
 def _centres(ranges: Floats, world: Points, closed: Bools) -> tuple[Ints, Points]:
-    """Return how many compact things each scan has, and where they are, one after the other."""
+    """Return the number of compact objects in each scan, and the centres of all."""
     size = ranges.shape[1]
     counts = np.zeros(len(ranges), np.int64)
     centres = np.empty(ranges.size, np.complex128)
@@ -302,9 +301,9 @@ def _fastest(centres: Points, begins: Ints, ends: Ints, now: Ints, before: Ints)
 
 @jit
 def _compact(ranges: Floats, closed: bool) -> Ints:
-    """Return first and one past last ray of the things that stand free in a scan, shape (n, 2).
+    """Return first and one past last ray of the compact objects in a scan, shape (n, 2).
 
-    In a scan that closes around, rays are counted on past its end.
+    In a scan of 360 degrees, ray numbers continue past its end.
     """
     fewest, most = _SMALL_RAYS
     size = len(ranges)

@@ -2,7 +2,7 @@
 
 A plugin registers through pluggy: a hook returns its description, the manager does the rest. The
 bag is read once for all plugins, so a plugin declares what to keep of each message, and its
-function gets that as arrays, already cut to a window. The thesis's own contract is in
+function gets that as arrays for one window. The thesis's own contract is in
 ``oracle_pipeline.features.thesis``.
 """
 
@@ -36,14 +36,14 @@ class PluginError(OracleError):
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """Replaces a number that this window does not give; the reason is kept."""
+    """Replaces a value that cannot be computed for a window, with the reason."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class Located:
-    """A number, and where in the system it was attained: a topic, a pair of topics, an edge."""
+    """A number, and its place in the system: a topic, a pair of topics, an edge."""
 
     value: float
     where: str
@@ -55,36 +55,36 @@ class Feature:
 
     name: str
     unit: str  # "1" for a pure number
-    floor: float  # the smallest difference that means something, in the unit; scalers use it
+    floor: float  # the smallest meaningful difference, in the unit; scalers use it
     description: str
     origin: Origin = "generic"  # generic: any bag; domain: needs a sensor; navigation: needs Nav2
     shortcut: bool = False  # identifies a run by its nodes and topics, not by its behaviour
-    behaviour: bool = False  # tells what the robot did, not whether messages agree
+    behaviour: bool = False  # measures the robot's behaviour, not the consistency of messages
     per_window: bool = True  # False: makes sense for a whole run only
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """The topics that a plugin wants to read, and what it keeps of each message.
+    """The topics that a plugin reads, and what it keeps of each message.
 
     Parameters
     ----------
     keep : callable
         Takes a decoded message and returns a number, a tuple of numbers or an array of the same
         shape each time; with ``dtype=object`` anything; None leaves the message out. Called once
-        a message, even if several plugins ask with the same ``Request``.
+        a message, even if several plugins have the same ``Request``.
     many : bool
-        ``keep`` takes many messages as though they were one: `Columns`, whose fields are arrays
-        with a row for each message. It returns an array with a row for each, or a tuple of such
-        columns; with ``dtype=object`` a list is one of rows. Many times faster. Should it raise,
-        it is called for one message after the other.
+        ``keep`` takes many messages at once, as `Columns`, whose fields are arrays with a row for
+        each message. It returns an array with a row for each, or a tuple of such columns; with
+        ``dtype=object`` a list is one of rows. Many times faster. If it raises an error, it is
+        called for one message after the other.
     name, msgtype : str
         Globs over topic names and message types; a topic must match both. A robot's topics are
         named without its namespace.
     role : str
-        Only topics of this role, one of ``oracle_pipeline.robots.roles.ROLES``: those that a robot
-        has for it, whatever their names are. A point cloud in the role ``scan`` is shown as the
-        ``LaserScan`` that is cut out of it.
+        Only topics that the robot has in this role, one of ``oracle_pipeline.robots.roles.ROLES``,
+        regardless of their names. A point cloud in the role ``scan`` is converted to a
+        ``LaserScan``.
     dtype : dtype
         Of the array that the kept values become.
     optional : bool
@@ -97,8 +97,8 @@ class Request:
     needs_array : bool
         Only topics whose messages have an array of floating-point numbers (``RawRecord.array``).
     carried : bool
-        What is kept stays known: a window of a running robot gets the last rows however old they
-        are, such as the goal that was accepted minutes ago. Other rows are of the last seconds.
+        A window of a running robot gets the last rows regardless of their age, such as the goal
+        that was accepted minutes ago. Without it, rows are of the last seconds.
     """
 
     keep: Callable[[Any], Any]
@@ -121,7 +121,7 @@ class Request:
             )
 
     def matches(self, topic: Topic, layout: MessageLayout, roles: Roles) -> bool:
-        """Return whether this requests a topic of a robot."""
+        """Return whether a topic of a robot matches this request."""
         return (
             (not self.role or roles.has(self.role, topic.name))
             and fnmatchcase(topic.name, self.name)
@@ -135,7 +135,7 @@ class Request:
 
 
 class RawRecord(NamedTuple):
-    """A message as it was recorded, and what can be read from it without decoding."""
+    """A message as recorded, with the parts that can be read without decoding."""
 
     data: bytes
     layout: MessageLayout
@@ -161,7 +161,7 @@ class Arrivals(NamedTuple):
 
 
 class Series(NamedTuple):
-    """What a plugin kept of the messages of one topic; read-only."""
+    """The values that a plugin kept of the messages of one topic; read-only."""
 
     times_s: NDArray[np.float64]  # shape (n,), recorded at, since the start of the recording [s]
     values: NDArray[Any]  # shape (n, ...)
@@ -169,7 +169,7 @@ class Series(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A span of a recording, as one plugin sees it: no label, no mode, no ground truth.
+    """A span of a recording for one plugin, without label, mode and ground truth.
 
     Attributes
     ----------
@@ -183,18 +183,18 @@ class Window:
         The graphs that it was composed of, in order of time: of the intervals of the span that
         ended before it did, or else the newest one before them.
     arrivals : mapping of str to Arrivals
-        When messages came within the span, on every topic of the bag, silent ones included.
+        The times of the messages in the span, for every topic of the bag, including silent ones.
     topics : mapping of str to (mapping of str to Series)
         By name of the request, then of the topic: the messages within the span. Topics that are
         silent in it are left out; if all are, ``compute`` is only called for optional requests.
     history : mapping of str to (mapping of str to Series)
         The same from the start of the recording to the end of the span, silent topics included.
     prepared
-        What the plugin's ``prepare`` made of the whole recording; None if it has none.
+        The result of the plugin's ``prepare`` for the whole recording; None without one.
     roles : Roles
-        What the robot's topics are for.
+        Of the robot's topics.
     shared : dict
-        What plugins of one recording make for each other, by keys of their own.
+        Results that the plugins of one recording share, by keys of their choice.
     """
 
     start_s: float
@@ -224,17 +224,17 @@ class FeaturePlugin:
     family : str
         Columns are named ``<family>.<feature>``.
     features : tuple of Feature
-        What ``compute`` returns, all of it and nothing else.
+        Exactly those that ``compute`` returns.
     compute : callable
         Takes a window and returns a number, ``Located`` or ``Missing`` by feature name; or one
         ``Missing`` for all.
     topics : mapping of str to Request
-        What to read from the bag, under names of the plugin's own.
+        The requests, by names of the plugin's choice.
     needs_graph : bool
         Without a graph, ``compute`` is not called and the features are missing.
     prepare : callable, optional
-        Takes the window of the whole recording and returns what all calls of ``compute`` share.
-        Called once a recording; a ``Missing``, or an exception, is the reason for all features
+        Takes the window of the whole recording and returns a result for all calls of ``compute``.
+        Called once per recording; a ``Missing``, or an exception, is the reason for all features
         of the plugin.
     """
 
@@ -256,4 +256,4 @@ class Hooks:
 
     @hookspec
     def register_features(self) -> list[FeaturePlugin]:  # type: ignore[empty-body]
-        """Return the feature plugins that a module offers."""
+        """Return the feature plugins of a module."""

@@ -1,4 +1,4 @@
-"""Converts point clouds to the scans of a planar scanner in the same place.
+"""Converts point clouds to the scans of a planar scanner at the same position.
 
 A cloud is cut at the height of its sensor, in the sensor's own frame (x forward, y left, z up). Of
 the points near that plane, the nearest in each direction is a return. A direction without a point
@@ -19,13 +19,13 @@ from oracle_pipeline.features.columns import Messages
 RAYS: Final = 360
 HEIGHT_M: Final = 0.05  # from the plane, or, further away:
 ELEVATION: Final = math.tan(math.radians(1.5))  # over the distance; sensors have a layer each 2 deg
-NEAREST_M, FARTHEST_M = 0.05, 200.0  # of returns that count
+NEAREST_M, FARTHEST_M = 0.05, 200.0  # limits of returns
 
 _FLOATS = {7: "f4", 8: "f8"}  # by sensor_msgs/msg/PointField
 
 
 class PlanarScan(NamedTuple):
-    """The fields of a ``sensor_msgs/msg/LaserScan`` that tell ranges; or of many, as columns."""
+    """The fields of a ``sensor_msgs/msg/LaserScan`` with ranges; or of many, as columns."""
 
     header: Any
     ranges: NDArray[Any]  # shape (RAYS,) [m]; NaN: nothing is known
@@ -37,7 +37,7 @@ class PlanarScan(NamedTuple):
 
 
 class CutClouds:
-    """Point clouds as the scans that are cut out of them; `Messages`."""
+    """Point clouds converted to scans; implements `Messages`."""
 
     def __init__(self, clouds: Messages, decode: Callable[[bytes], Any]) -> None:
         self.data = clouds.data
@@ -53,7 +53,7 @@ class CutClouds:
         return PlanarScan(self._clouds.columns().header, ranges, *numbers)
 
     def columns(self) -> PlanarScan:
-        """Return the scans as though they were one."""
+        """Return the scans as columns."""
         return self._columns
 
     def some(self, rows: NDArray[np.int64]) -> "CutClouds":
@@ -62,7 +62,7 @@ class CutClouds:
 
 
 def sliced(cloud: Any) -> PlanarScan:
-    """Return the scan that is cut out of a ``sensor_msgs/msg/PointCloud2``.
+    """Return the scan of a ``sensor_msgs/msg/PointCloud2``.
 
     Raises
     ------

@@ -26,7 +26,7 @@ _LEVEL = 1e-6  # |y/x| below which the sign of zero may tell the bearing
 
 @jit_unchecked
 def distances(x: _Floats, y: _Floats, out: _Floats) -> None:
-    """Write how far points are: ``hypot``, by the algorithm of the C library.
+    """Write the distances of points: ``hypot``, by the algorithm of the C library.
 
     It does without scaling, so that the squares of the coordinates have to be numbers.
 
@@ -45,7 +45,7 @@ def distances(x: _Floats, y: _Floats, out: _Floats) -> None:
 
 @jit
 def rays(x: _Floats, y: _Floats, start: float, increment: float, out: _Ints) -> None:
-    """Write the number of the ray nearest to each point, as if rays went on around and around.
+    """Write the number of the ray nearest to each point, as if rays continued in circles.
 
     It is ``round((atan2(y, x) - start) / increment)``. A polynomial tells as much, unless a point
     is about half-way between two rays. What is written for NaN means nothing.
@@ -67,7 +67,7 @@ def rays(x: _Floats, y: _Floats, start: float, increment: float, out: _Ints) -> 
 
 @jit_unchecked
 def _place(x: _Floats, y: _Floats, start: float, increment: float, out: _Floats) -> None:
-    """Write about how many rays points are from the first one; NaN without a direction."""
+    """Write the approximate ray number of points; NaN without a direction."""
     for j in range(len(x)):
         large, small = max(abs(x[j]), abs(y[j])), min(abs(x[j]), abs(y[j]))
         r = small / large

@@ -14,7 +14,7 @@ from oracle_pipeline.features.plugin import Located, Missing, Series, Window
 
 
 def within(times_s: NDArray[np.float64], window: Window) -> slice:
-    """Return which of ascending times lie in a window."""
+    """Return the slice of ascending times that is in a window."""
     first, after = times_s.searchsorted((window.start_s, window.end_s)).tolist()
     return slice(first, after)
 
@@ -41,7 +41,7 @@ def mean(series: Series, window: Window) -> float:
 
 
 def largest(by_place: Mapping[str, float], reason: str) -> Located | Missing:
-    """Return the largest number and where it is; NaN counts as none, and none is missing."""
+    """Return the largest number and its place, ignoring NaN; `Missing` without any."""
     places = {place: value for place, value in by_place.items() if not math.isnan(value)}
     if not places:
         return Missing(reason)
@@ -50,7 +50,7 @@ def largest(by_place: Mapping[str, float], reason: str) -> Located | Missing:
 
 
 def smallest(by_place: Mapping[str, float], reason: str) -> Located | Missing:
-    """Return the smallest number and where it is; NaN counts as none, and none is missing."""
+    """Return the smallest number and its place, ignoring NaN; `Missing` without any."""
     negated = largest({place: -value for place, value in by_place.items()}, reason)
     return Located(-negated.value, negated.where) if isinstance(negated, Located) else negated
 

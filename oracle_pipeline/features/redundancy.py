@@ -1,4 +1,4 @@
-"""Whether sensors that see the same scene agree: laser scanners and range sensors.
+"""Whether sensors that measure the same scene agree: laser scanners and range sensors.
 
 Every scanner is compared with every other one, given their mounts in ``/tf_static`` and the motion
 of the robot between their scans. A real object is seen by all of them. If another scanner measures
@@ -70,12 +70,12 @@ RANGE_FEATURES = (
     ),
 )  # fmt: skip
 
-_SIMULTANEOUS_S = 0.15  # at most between measurements that are compared
+_SIMULTANEOUS_S = 0.15  # most between compared measurements
 
 
 @dataclass(frozen=True, slots=True)
 class _Comparison:
-    """A scanner held against another, by the times of the first one's scans."""
+    """Comparison of a scanner with another, by the times of the first one's scans."""
 
     residual: Series  # median of each scan [m]
     contradicted: Series  # share of each scan
@@ -83,7 +83,7 @@ class _Comparison:
 
 
 def prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
-    """Hold every scanner against every other one, over the whole recording."""
+    """Compare every scanner with every other, over the whole recording."""
     setup = scanner_setup(window)
     if len(setup.scanners) < 2:
         return Missing("fewer than two laser scanners are recorded")
@@ -93,7 +93,7 @@ def prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
         if setup.mounts[suspect].root == setup.mounts[other].root
     ]
     return {
-        f"{suspect} against {other}": _held_against(setup, suspect, other, MOST_HITS // len(pairs))
+        f"{suspect} against {other}": _compared_with(setup, suspect, other, MOST_HITS // len(pairs))
         for suspect, other in pairs
     } or Missing("/tf_static joins no two level laser scanners")
 
@@ -120,7 +120,7 @@ def compute_scanners(window: Window) -> Values:
 
 
 def prepare_ranges(window: Window) -> dict[str, Series] | Missing:
-    """Return how far each range is beyond the nearest return in its cone [m], by pair of topics."""
+    """Return each range minus the nearest return in its cone [m], by pair of topics."""
     setup = scanner_setup(window)
     ranges = window.topics["ranges"]
     mounts = {topic: setup.frames.mount(series.values[0][1]) for topic, series in ranges.items()}
@@ -173,7 +173,7 @@ def register_features() -> list[FeaturePlugin]:
     ]  # fmt: skip
 
 
-def _held_against(setup: ScannerSetup, suspect: str, other: str, most_hits: int) -> _Comparison:
+def _compared_with(setup: ScannerSetup, suspect: str, other: str, most_hits: int) -> _Comparison:
     scans, reference = setup.scanners[suspect], setup.scanners[other]
     rows, reference_rows = _simultaneous(scans.stamps_s, reference.stamps_s)
     placed = setup.placed(setup.mounts[suspect], scans.stamps_s[rows])
@@ -219,7 +219,7 @@ def _beyond(setup: ScannerSetup, ranges: Series, mount: SensorMount, scanner: st
 
 
 def _simultaneous(stamps_s: Floats, others_s: Floats) -> tuple[Ints, Ints]:
-    """Return the indices of the stamps that have another one near, and of that one."""
+    """Return the indices of the stamps with a simultaneous one, and of that one."""
     order = np.argsort(others_s, kind="stable")
     nearest_other = order[nearest(others_s[order], stamps_s)]
     close = np.flatnonzero(np.abs(others_s[nearest_other] - stamps_s) <= _SIMULTANEOUS_S)

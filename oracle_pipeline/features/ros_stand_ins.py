@@ -20,7 +20,7 @@ from oracle_pipeline.bags.types import deserialize
 
 @contextlib.contextmanager
 def stand_ins() -> Iterator[None]:
-    """Offer the modules that are not installed, for the time of the block."""
+    """Replace modules that are not installed, inside the block."""
     absent = {
         name: module
         for name, module in _modules().items()

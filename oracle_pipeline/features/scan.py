@@ -45,12 +45,12 @@ FEATURES = (
     ),
 )  # fmt: skip
 
-_LONGEST_GAP_S = 1.0  # between scans that are compared
+_LONGEST_GAP_S = 1.0  # between compared scans
 
 
 @dataclass(frozen=True, slots=True)
 class _Scanner:
-    """Of each scan of a topic."""
+    """Noise of each scan of a topic."""
 
     roughness: Series
     innovation: Series | None  # [m]

@@ -1,4 +1,4 @@
-"""Where laser scanners were, and how well one scan agrees with another.
+"""Poses of laser scanners, and the agreement of one scan with another.
 
 Points are complex numbers, x + iy [m], so that to move them is to multiply and add. What the
 agreement is used for stands in ``redundancy`` (two sensors), ``scan`` (one sensor, two times) and
@@ -23,8 +23,8 @@ from oracle_pipeline.robots.roles import ODOMETRY, STATIC_TRANSFORMS
 CLOSER_M = 0.3  # by which a return must be nearer than another to contradict it
 CELL_M = 0.25  # edge of the cells in which contradictions are counted
 _FARTHEST_CELL = 2**30
-MOST_HITS = 2**23  # that one plugin keeps of a recording
-_NEIGHBOURS = 2  # bearings to each side of a point's own that may explain it
+MOST_HITS = 2**23  # limit for one plugin and recording
+_NEIGHBOURS = 2  # rays on each side of a point's own that may explain it
 
 _MOST_SCANNERS = 24  # of one robot; each is compared with every other one
 _TILTED = 0.99  # determinant of a rotation's upper left block below which a scan plane is tilted
@@ -66,12 +66,12 @@ class Planar(NamedTuple):
 
 
 class Agreement(NamedTuple):
-    """How points fit what another sensor saw; shape (n, m)."""
+    """Agreement of points with another sensor's returns; shape (n, m)."""
 
     residual: Floats  # from the point to the nearest return within two bearings [m]; NaN: none
     signed: Floats  # point less return at its own bearing [m]; NaN: none
-    contradicted: Bools  # the other sensor looked through the point
-    compared: Bools  # the other sensor looked there
+    contradicted: Bools  # the other sensor measured through the point
+    compared: Bools  # the other sensor has a ray there
 
     def contradicted_share(self) -> Floats:
         """Return the share of each scan's compared points that are contradicted, shape (n,)."""
@@ -133,13 +133,13 @@ def _agree(
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """Which cells of a grid scans hit: each pair of scan and cell once."""
+    """The cells of a grid that scans hit: each pair of scan and cell once."""
 
     scans: NDArray[np.int32]  # in order
     cells: NDArray[np.int32]  # any numbering
 
     def persistence(self, scans: slice) -> float:
-        """Return the share of some scans that hit the cell most of them hit; NaN for no scan."""
+        """Return the largest share of some scans that hit the same cell; NaN without scans."""
         if scans.start == scans.stop:
             return math.nan
         first, after = np.searchsorted(self.scans, (scans.start, scans.stop))
@@ -161,7 +161,7 @@ class HitCounter:
         self._left = most
 
     def add(self, points: Points, chosen: Bools, first: int) -> None:
-        """Take chosen ones of points, both of shape (n, m), the first row of which is a scan's."""
+        """Count chosen points, both of shape (n, m); the first row belongs to scan ``first``."""
         scans, _ = np.nonzero(chosen)
         where = np.floor(points[chosen].view(np.float64).reshape(-1, 2) / CELL_M)
         cells = np.clip(where, -_FARTHEST_CELL, _FARTHEST_CELL)
@@ -176,7 +176,7 @@ class HitCounter:
             self._blocks.clear()
 
     def hits(self) -> Hits | Missing:
-        """Return the hits, if they are not too many."""
+        """Return the hits; `Missing` if there are too many."""
         if self._left < 0:
             return Missing("too many returns are contradicted (MOST_HITS)")
         rows = np.concatenate([np.zeros((0, 3), np.int32), *self._blocks])
@@ -190,14 +190,14 @@ def _joined(x: NDArray[np.int32], y: NDArray[np.int32]) -> Ints:
 
 
 class SensorMount(NamedTuple):
-    """Where a sensor is on the robot; without a pose if its plane is tilted."""
+    """The pose of a sensor on the robot; None if its plane is tilted."""
 
     root: str  # of the tree of frames
     pose: Planar | None
 
 
 class Frames:
-    """The tree of frames that static transforms describe."""
+    """The tree of frames from static transforms."""
 
     def __init__(self, topics: Mapping[str, Series]) -> None:
         self._joints: dict[str, tuple[str, Floats]] = {
@@ -208,7 +208,7 @@ class Frames:
         }
 
     def mount(self, frame: str) -> SensorMount:
-        """Return the root that a frame hangs on, and its pose there."""
+        """Return the root of a frame's tree, and the frame's pose in it."""
         pose = np.eye(4)
         for _ in self._joints:  # a loop in a broken tree ends too
             if frame not in self._joints:
@@ -226,7 +226,7 @@ class Frames:
 
 
 class Motion:
-    """Where the robot's frames were in the odometry frame, from ``nav_msgs/msg/Odometry``."""
+    """Poses of the robot's frames in the odometry frame, from ``nav_msgs/msg/Odometry``."""
 
     def __init__(self, series: Series, frames: Frames) -> None:
         stamps, children, *pose = zip(*series.values, strict=True)
@@ -242,7 +242,7 @@ class Motion:
         return Planar(x + 1j * y, np.exp(1j * yaw))
 
     def at(self, mount: SensorMount, stamps_s: Floats) -> Planar:
-        """Return the poses of a sensor, one a stamp."""
+        """Return the poses of a sensor, one for each stamp."""
         base = self.base(stamps_s)
         if self._base.root == mount.root and self._base.pose is not None:
             base = base.compose(self._base.pose.inverse())
@@ -251,7 +251,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class ScannerSetup:
-    """The scanners of a robot, how they are mounted on it, and how it moved."""
+    """The scanners of a robot, their mounts, and the robot's motion."""
 
     scanners: Mapping[str, RecordedScans]  # by topic
     mounts: Mapping[
@@ -261,7 +261,7 @@ class ScannerSetup:
     motion: Motion | None
 
     def placed(self, mount: SensorMount, stamps_s: Floats) -> Planar:
-        """Return where a sensor was: in the odometry frame, or on the robot if that is missing."""
+        """Return the poses of a sensor in the odometry frame, or on the robot without odometry."""
         if self.motion is not None:
             return self.motion.at(mount, stamps_s)
         count = len(stamps_s)
@@ -270,7 +270,7 @@ class ScannerSetup:
 
 
 def scanner_setup(window: Window) -> ScannerSetup:
-    """Return the setup from the messages on `SETUP_TOPICS`, made once for all plugins."""
+    """Return the setup from the messages on `SETUP_TOPICS`, computed once for all plugins."""
     used = {name: window.topics[name] for name in SETUP_TOPICS}
     key = tuple((n, t, id(series.values)) for n, of in used.items() for t, series in of.items())
     if key not in window.shared:
@@ -303,7 +303,7 @@ def the_topic(topics: Mapping[str, Series]) -> Series | None:
 
 
 def keep_odometry(messages: Any) -> tuple[Any, ...]:
-    """Return what `Motion` is made of from ``nav_msgs/msg/Odometry``."""
+    """Return the values for `Motion` from ``nav_msgs/msg/Odometry``."""
     frames = frame_names(messages.child_frame_id)
     return header_stamps_s(messages), frames, *poses_of(messages.pose.pose)
 

@@ -1,4 +1,4 @@
-"""Estimates how a robot moved between two of its laser scans, from the scans alone.
+"""Estimates the motion of a robot between two of its laser scans, from the scans alone.
 
 Point-to-line registration of a scan against an earlier one of the same scanner, after Censi's
 PL-ICP, with the association along bearings. The turn to begin with comes from sliding one range
@@ -15,28 +15,28 @@ from oracle_pipeline.features.polar import rays
 from oracle_pipeline.features.scan_geometry import Planar, SensorMount
 from oracle_pipeline.features.scans import Floats, Ints, Points, RecordedScans, Scans, in_blocks
 
-SPACING_S = 0.35  # at least between two scans that are matched
-_LONGEST_S = 1.0  # between them at most
+SPACING_S = 0.35  # least time between two matched scans
+_LONGEST_S = 1.0  # most time between them
 
-_STEEPEST_RAD = 0.7  # turn between two scans that is looked for
-_PROFILE = 60  # rays, about, that are compared to find it
-_SAMPLE = 180  # rays, about, that are matched
-_REACH = 2  # bearings to each side of a point's own at which its counterpart is looked for
-_SURFACE = 3  # rays to each side of a return that tell its surface's direction
+_STEEPEST_RAD = 0.7  # largest turn between two scans
+_PROFILE = 60  # approximate number of rays compared to find the turn
+_SAMPLE = 180  # approximate number of matched rays
+_REACH = 2  # rays on each side of a point's own that may have its counterpart
+_SURFACE = 3  # rays on each side of a return, from which its surface's direction is estimated
 _ITERATIONS = 12
-_SETTLED = 1e-4  # change of the estimate [m, rad] at which it has settled
+_SETTLED = 1e-4  # change of the estimate [m, rad] at which it has converged
 _WEIGHT_M = 0.03  # distance from the surface at which a point counts half
-_RIDGE = 1e-3  # against a corridor, along which nothing tells how far it went
-_FEWEST = 20  # points that have to meet a surface
-_LEAST_SHARE = 0.3  # of the points that have to meet a surface
+_RIDGE = 1e-3  # for corridors, along which the motion cannot be determined
+_FEWEST = 20  # points that must match a surface
+_LEAST_SHARE = 0.3  # of the points, which must match a surface
 
 
 class Steps(NamedTuple):
-    """What a scanner's scans say of the motion of the robot's base; a row a pair of scans."""
+    """The motion of the robot's base from a scanner's scans; a row for each pair of scans."""
 
     from_s: Floats  # stamps of the earlier scan [s]
     to_s: Floats  # and of the later one [s]
-    travelled: Points  # along and across the robot, on the way [m]; NaN where nothing matched
+    travelled: Points  # along and across the robot [m]; NaN without a match
     turned: Floats  # [rad]
 
 
@@ -66,7 +66,7 @@ def steps(scans: RecordedScans | Scans, mount: SensorMount) -> Steps:
 
 
 def along_arc(turn: Floats) -> Points:
-    """Return what makes of the chord of an arc the way along it, in the robot's own directions."""
+    """Return the factor from the chord of an arc to the path along it, in the robot's frame."""
     half = turn / 2.0
     with np.errstate(invalid="ignore"):  # of scans that did not match
         way: Points = np.exp(-1j * half) / np.sinc(half / np.pi)
@@ -74,7 +74,7 @@ def along_arc(turn: Floats) -> Points:
 
 
 def _pairs(stamps_s: Floats) -> tuple[Ints, Ints]:
-    """Return the indices of scans and of those that they are matched with, one after the other."""
+    """Return the indices of scans, and those of the scans that they are matched with."""
     before: list[int] = []
     after: list[int] = []
     last = 0
@@ -199,7 +199,7 @@ def _match(
 def _surfaces(
     ranges: Floats, start: float, increment: float
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return points on the surfaces that a scan saw, and their normals; NaN where there is none."""
+    """Return points on the surfaces in a scan, and their normals; NaN where there is none."""
     n = len(ranges)
     x, y = np.full(n, np.nan), np.full(n, np.nan)
     for i in range(n):

@@ -1,4 +1,4 @@
-"""Whether a laser scanner's noise is the same everywhere and always, as for a real sensor.
+"""Whether a laser scanner's noise is uniform over rays and time, as for a real sensor.
 
 Ranges that were inserted or processed rarely have the noise of the sensor: they are too smooth, too
 rough, or equal to an earlier scan. One scanner is enough to see this.
@@ -61,18 +61,18 @@ FEATURES = (
     ),
 )  # fmt: skip
 
-_STRETCH = 4  # bends in a row that make a stretch
-_LONG = 8  # and a long one, of which even noise has none in a thousand scans
+_STRETCH = 4  # consecutive bends of a stretch
+_LONG = 8  # of a long one; uniform noise has none in a thousand scans
 _SMOOTH, _ROUGH = 0.25, 4.0  # of the scan's median bend
-_FINEST_M = 1e-4  # a bend that is none
+_FINEST_M = 1e-4  # smaller bends count as zero
 _MAD_TO_DEVIATION = 1.4826
-_STILL_M, _STILL_RAD = 2e-3, 2e-3  # that a robot moves between two scans if it stands
-_NEXT_S = 0.5  # between scans of a robot that stands
+_STILL_M, _STILL_RAD = 2e-3, 2e-3  # most motion between two scans of a standing robot
+_NEXT_S = 0.5  # most time between scans of a standing robot
 
 
 @dataclass(frozen=True, slots=True)
 class _Noise:
-    """Of each scan of a topic."""
+    """Noise of each scan of a topic."""
 
     smooth: Series
     smooth_short: Series
@@ -131,7 +131,7 @@ def uneven(ranges: Floats) -> tuple[float, float, float]:
 
 @jit
 def _in_stretches(flags: NDArray[np.bool_], shortest: int) -> int:
-    """Count the true flags in runs of a length at least."""
+    """Count the true flags in runs of at least some length."""
     total = run = 0
     for flag in flags:
         run = run + 1 if flag else 0
@@ -177,7 +177,7 @@ def _noise(setup: ScannerSetup, topic: str, scans: RecordedScans) -> _Noise:
 
 
 def _repeated(ranges: Floats, seen: set[bytes]) -> Floats:
-    """Return 1 for scans whose ranges were seen, 0 for others; NaN if nothing returned.
+    """Return 1 for scans whose ranges repeat earlier ones, 0 for others; NaN without returns.
 
     Digests of all of them are added to what was seen.
     """
@@ -210,7 +210,7 @@ def _standing(setup: ScannerSetup, topic: str, scans: RecordedScans) -> tuple[Se
 
 
 def _changes(before: Floats, now: Floats) -> tuple[Floats, Floats]:
-    """Return how far ranges differ [m], and the share of those that differ much, of each scan."""
+    """Return the difference of ranges [m] and the share of large differences, for each scan."""
     with np.errstate(invalid="ignore"):  # inf less inf
         change = np.abs(now - before)
     deviation, share = np.full(len(change), np.nan), np.full(len(change), np.nan)

@@ -1,4 +1,4 @@
-"""Laser scans: what is kept of their messages, and how they are laid out as arrays.
+"""Laser scans: the values kept of their messages, and their arrays.
 
 A range is NaN where nothing is known and ``inf`` where the ray met nothing (REP 117). A recording
 may be all scans, so it is never laid out whole: `in_blocks` takes some scans after the others.
@@ -20,7 +20,7 @@ Ints: TypeAlias = NDArray[np.int64]
 Bools: TypeAlias = NDArray[np.bool_]
 Points: TypeAlias = NDArray[np.complex128]  # x + iy [m]
 
-_BLOCK_RAYS: Final = 2**16  # that are laid out at once: they stay in the processor's cache
+_BLOCK_RAYS: Final = 2**16  # rays per batch, which fits into the processor's cache
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Scans:
 
     @property
     def rays(self) -> int:
-        """How many rays a scan has."""
+        """Number of rays of a scan."""
         return int(self.ranges.shape[1])
 
     def rows(self, index: Ints | slice) -> "Scans":
@@ -72,14 +72,14 @@ class Scans:
         return start + step * np.arange(self.rays)
 
     def points(self) -> Points:
-        """Return where rays ended, in the sensor's frame, shape (n, m); NaN if nowhere."""
+        """Return the ends of rays in the sensor's frame, shape (n, m); NaN without a return."""
         finite = np.where(np.isfinite(self.ranges), self.ranges, np.nan)
         ended: Points = finite * np.exp(1j * self.bearings())
         return ended
 
 
 class RecordedScans:
-    """The scans of one topic as they were kept: `Scans` without ranges, and `rows` with them.
+    """The scans of one topic as kept: `Scans` without ranges; `rows` returns them with ranges.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class RecordedScans:
         self._ranges[:] = ranges
 
     def rows(self, index: Ints | slice) -> Scans:
-        """Return some of the scans, laid out."""
+        """Return some of the scans, with their ranges as one array."""
         return Scans(
             self.times_s[index], self.stamps_s[index], self.frame, self.angle_min[index],
             self.angle_increment[index], self.range_max, self._laid_out(self._ranges[index]),
@@ -119,7 +119,7 @@ class RecordedScans:
 def in_blocks(
     count: int, rays: int, work: Callable[[slice], tuple[NDArray[Any], ...]]
 ) -> list[NDArray[Any]]:
-    """Do some work on a few scans at a time, and join its results.
+    """Call a function on a few scans at a time, and join its results.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def in_blocks(
 
 
 def keep_scans(messages: Any) -> tuple[Any, ...]:
-    """Return what `RecordedScans` is made of from ``sensor_msgs/msg/LaserScan``s."""
+    """Return the values for `RecordedScans` from ``sensor_msgs/msg/LaserScan``s."""
     return (
         header_stamps_s(messages), frame_names(messages.header.frame_id), messages.angle_min,
         messages.angle_increment, messages.range_max, _valid(messages),

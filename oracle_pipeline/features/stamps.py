@@ -1,4 +1,4 @@
-"""Whether a sensor's messages arrive as long after their stamps as those of other sensors.
+"""Whether a sensor's messages have the same delay after their stamps as those of other sensors.
 
 Messages that are held back, processed or stamped again arrive later, earlier or less regularly.
 Latencies are relative to the freshest sensor of the recording, so the start of the recorder's clock
@@ -59,7 +59,7 @@ FEATURES = (
     ),
 )  # fmt: skip
 
-_FEWEST = 5  # messages that a topic has to have
+_FEWEST = 5  # messages of a compared topic
 
 
 def compute(window: Window) -> Values | Missing:
@@ -96,7 +96,7 @@ def register_features() -> list[FeaturePlugin]:
 
 
 def _sensor(topic: str, window: Window) -> str:
-    """Return what sensor a topic is of; empty if of none."""
+    """Return the kind of sensor of a topic; empty without one."""
     if window.roles.has(SCAN, topic):
         return "scan"
     msgtype = window.arrivals[topic].msgtype
@@ -106,7 +106,7 @@ def _sensor(topic: str, window: Window) -> str:
 def _over_the_freshest(
     held: Mapping[str, Floats], arrivals: Mapping[str, Arrivals]
 ) -> dict[str, Floats]:
-    """Return the times from stamp to recording less those of the freshest sensor just then.
+    """Return the delays from stamp to recording minus those of the freshest sensor at that time.
 
     The recorder's clock may run otherwise than that of the stamps, as with a slow simulator; it
     does so for all sensors. The freshest one itself is told against an even clock.
@@ -128,13 +128,13 @@ def _over_the_freshest(
 
 
 def _held_s(arrivals: Arrivals) -> Floats:
-    """Return the time from stamp to recording, but for one constant of the recording [s]."""
+    """Return the delay from stamp to recording, up to a constant of the recording [s]."""
     stamps_ns = arrivals.header_stamps_ns
     return arrivals.times_s - stamps_ns.astype(np.float64) / 1e9
 
 
 def _period(arrivals: Arrivals) -> tuple[float, float]:
-    """Return the median time between stamps [s], and its deviation over it; NaN if it is 0."""
+    """Return the median time between stamps [s], and its relative deviation; NaN if it is 0."""
     steps_s = np.diff(arrivals.header_stamps_ns) / 1e9
     period_s = float(np.median(steps_s))
     if period_s <= 0.0:

@@ -150,7 +150,7 @@ def test_an_edited_manifest_and_a_dropped_bag_are_distinguished_from_other_messa
     run = campaign.store.run(KEYS[0])
     manifest = run.manifest()
     edited = dataclasses.replace(manifest, content_hash="0" * 64)
-    assert judge(run, edited, run).first_difference.startswith("none: the bags hold the same")
+    assert judge(run, edited, run).first_difference.startswith("none: the bags are equal")
     measured = dataclasses.replace(manifest.measured, kept="recipe")
     dropped = dataclasses.replace(edited, measured=measured)
     assert judge(run, dropped, run).first_difference.startswith("unknown: the previous bag")
