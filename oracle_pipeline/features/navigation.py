@@ -69,7 +69,7 @@ DRIVE_FEATURES = (
         per_window=False, behaviour=True,
     ),
     Feature(
-        "driven_without_goal", "m", 0.02, "way driven while no goal was under way", "navigation",
+        "driven_without_goal", "m", 0.02, "way driven without an active goal", "navigation",
         behaviour=True,
     ),
 )  # fmt: skip
