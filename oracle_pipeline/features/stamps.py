@@ -108,8 +108,8 @@ def _over_the_freshest(
 ) -> dict[str, Floats]:
     """Return the delays from stamp to recording minus those of the freshest sensor at that time.
 
-    The recorder's clock may run otherwise than that of the stamps, as with a slow simulator; it
-    does so for all sensors. The freshest one itself is told against an even clock.
+    The clocks of recorder and stamps may differ in rate, as with a slow simulator, but equally for
+    all sensors. The freshest sensor itself is compared with a linear fit.
     """
     freshest = min(held, key=lambda topic: (float(np.median(held[topic])), topic))
     times_s = arrivals[freshest].times_s

@@ -81,7 +81,7 @@ def compute(window: Window) -> Values | Missing:
 
 
 def compute_raw(window: Window) -> Values | Missing:
-    """Compute the shape of the whole graph, observers included."""
+    """Compute the shape of the whole graph, including observers."""
     return _compute(window.graph)
 
 
@@ -117,7 +117,7 @@ def _shape(
 
 
 def _mean_betweenness(graph: RosGraph) -> float:
-    """Return it from distances alone: a shortest path of k edges has k - 1 vertices inside."""
+    """Return the mean betweenness from distances: a path of k edges has k - 1 inner vertices."""
     n = graph.number_of_nodes()
     bit = {vertex: 1 << place for place, vertex in enumerate(graph)}
     within = dict(bit)  # what can be reached from a vertex in so many steps, a bit for each

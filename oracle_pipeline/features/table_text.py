@@ -1,4 +1,4 @@
-"""A table of features as text, for people to read in a terminal."""
+"""Formats a table of features as text for the terminal."""
 
 import json
 from collections import Counter
@@ -19,7 +19,7 @@ _PLAIN_UNIT = "1"  # of a share, a ratio or a count
 
 
 def as_text(table: pd.DataFrame, notes: Sequence[str] = ()) -> str:
-    """Return the features of each robot of a recording, a line each.
+    """Return the features of each robot of a recording, one per line.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The tables of features: columns first, and DataFrames for those who analyse them.
+"""The tables of features, as columns and as DataFrames.
 
 pandas takes longer to import than a short recording takes to read, so who only prints does without.
 """
@@ -27,13 +27,13 @@ class FeatureTables(NamedTuple):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What of the recording is missing, could not be read or was not used."""
+        """Parts of the recording that are missing, could not be read or were not used."""
         return tuple(self.run.attrs["notes"])
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Columns of one length, by name, and what is declared of each feature."""
+    """Columns of one length, by name, and the metadata of each feature."""
 
     columns: dict[str, Any]  # numbers as float64, others as lists
     fields: dict[str, dict[str, str]]
@@ -64,7 +64,7 @@ class Measured(NamedTuple):
 
     run: Table  # one row for each robot
     windows: Table  # one row for each window, by robot and start
-    notes: tuple[str, ...]  # what of the recording is missing, could not be read or was not used
+    notes: tuple[str, ...]  # parts that are missing, could not be read or were not used
 
     def frames(self) -> FeatureTables:
         """Return the tables as DataFrames."""
@@ -86,7 +86,7 @@ def together(robots: Sequence[Measured]) -> Measured:
 
 
 def families(measured: Measured) -> dict[str, dict[str, Any]]:
-    """Return by family how many features could be computed, and what is missing, of all robots."""
+    """Return, for each family, the number of computed features and the reasons for missing ones."""
     summary: dict[str, dict[str, Any]] = {}
     reasons = [json.loads(text) for text in measured.run.columns[MISSING]]
     features = [column for column in measured.run.columns if "." in column]
@@ -103,7 +103,7 @@ def families(measured: Measured) -> dict[str, dict[str, Any]]:
 
 
 def _below(tables: Sequence[Table]) -> Table:
-    """Return the rows of all tables; a feature that only some of them have is NaN in others."""
+    """Concatenate tables; a feature that a table lacks is NaN in its rows."""
     names = dict.fromkeys(name for table in tables for name in table.columns)
     columns: dict[str, Any] = {}
     for name in names:

@@ -1,4 +1,4 @@
-"""The thesis's plugin contract, kept alive: ``extract_features(self, G, cur)``.
+"""The thesis's plugin contract: ``extract_features(self, G, cur)``.
 
 ``G`` is the graph of the whole run, ``cur`` an ``sqlite3`` cursor over the bag's messages with the
 tables of rosbag2 (``topics``, ``messages``), whatever the bag's format; ground truth is never in
@@ -32,18 +32,18 @@ class FeatureExtractionPlugin(ABC):
 
     @abstractmethod
     def extract_features(self, G: RosGraph, cur: sqlite3.Cursor) -> list[float]:
-        """Return the features of a run, as many of them and in the same order each time."""
+        """Return the features of a run, always the same number and order."""
 
 
 @dataclass(frozen=True, slots=True)
 class ThesisPlugin:
-    """One plugin in the thesis's form, and the file it was found in."""
+    """One plugin in the thesis's form, with its file."""
 
     name: str
     plugin: FeatureExtractionPlugin
 
     def extract(self, graph: RosGraph, cursor: sqlite3.Cursor) -> list[float]:
-        """Call it.
+        """Call the plugin.
 
         Raises
         ------
@@ -59,16 +59,16 @@ class ThesisPlugin:
 
     @property
     def column(self) -> str:
-        """What its columns' names begin with."""
+        """Prefix of its columns' names."""
         return f"thesis.{self.name}"
 
     def feature(self, index: int) -> Feature:
-        """Describe a column; the contract has no place for units."""
+        """Describe a column; the contract has no units."""
         return Feature(f"{self.name}_{index}", "", 0.0, f"number {index} of plugin {self.name}")
 
 
 class MessageTable:
-    """The messages of a bag as a temporary SQLite database; it spills to disk by itself."""
+    """The messages of a bag as a temporary SQLite database, which SQLite moves to disk if large."""
 
     def __init__(self, bag: BagReader) -> None:
         self._database = sqlite3.connect("")
@@ -88,7 +88,7 @@ class MessageTable:
 
     @contextmanager
     def cursor(self) -> Iterator[sqlite3.Cursor]:
-        """Give a cursor that can read and not write."""
+        """Yield a read-only cursor."""
         self._database.commit()
         self._database.execute("PRAGMA query_only = ON")
         cursor = self._database.cursor()
@@ -98,5 +98,5 @@ class MessageTable:
             cursor.close()
 
     def close(self) -> None:
-        """Drop the database."""
+        """Delete the database."""
         self._database.close()

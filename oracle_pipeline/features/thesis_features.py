@@ -1,4 +1,4 @@
-"""The ten numbers that the thesis's code computes for a run, used by its variant of the method.
+"""The ten features that the thesis's code computes for a run, used by its variant of the method.
 
 They differ from what their names say. Corrected features are in ``structural``, ``odometry``,
 ``laser_ranges`` and ``goals``; docs/explanation/thesis.md lists the differences. As in the thesis's

@@ -1,4 +1,4 @@
-"""The clock of a recording, with its jumps taken out.
+"""The clock of a recording without its jumps.
 
 A recorder's clock may be set while it records: from 0 to the simulation's time, by NTP, by a month
 when the robot finds a network. A recording is then a sequence of spans. Features see the spans one
@@ -16,14 +16,14 @@ Stamps: TypeAlias = NDArray[np.int64]
 _SECOND_NS = 1_000_000_000
 #: A silence of all topics that is longer is a jump, unless the recording is as sparse throughout.
 _JUMP_NS = 60 * _SECOND_NS
-_SPARSE = 100  # median silences that make a jump
+_SPARSE = 100  # median silences; longer ones are jumps
 _BACK_NS = _SECOND_NS  # that a topic goes back when the clock was set; threads differ by less
 _FEWEST = 10  # messages of a topic that is asked whether the clock went back
 
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """Where each span of a recording lies, in order of time within each epoch."""
+    """The spans of a recording, in order of time within each epoch."""
 
     epochs: tuple[int, ...]  # of each span: how often the clock had been set back before
     starts_ns: tuple[int, ...]  # stamp of the first message
@@ -31,11 +31,11 @@ class Timeline:
 
     @property
     def duration_ns(self) -> int:
-        """From the start to a nanosecond after the end, jumps left out."""
+        """From the start to a nanosecond after the end, without jumps."""
         return sum(self._lengths())
 
     def times_ns(self, stamps_ns: Stamps, epochs_of: list[Stamps]) -> Stamps:
-        """Return when messages came, since the start of the recording [ns].
+        """Return the times of messages since the start of the recording [ns].
 
         Parameters
         ----------
@@ -58,7 +58,7 @@ class Timeline:
         return times_ns
 
     def note(self) -> str | None:
-        """Say where the clock jumps; None if it does not."""
+        """Return a note on the jumps of the clock; None without any."""
         if len(self.starts_ns) == 1:
             return None
         spans = ", ".join(
@@ -85,7 +85,7 @@ def timeline(stamps_ns: list[Stamps], epochs: list[Stamps], start_ns: int, end_n
         Stamps of the first and the last message, other topics' included.
     """
     last = max((int(of.max(initial=0)) for of in epochs), default=0)
-    # A clock that was set back says nothing of what is first and last.
+    # If the clock was set back, stamps do not give the order of messages.
     ends_ns = np.array([] if last else [start_ns, end_ns], dtype=np.int64)
     spans: list[tuple[int, int, int]] = []
     for epoch in range(last + 1):
@@ -109,7 +109,7 @@ def timeline(stamps_ns: list[Stamps], epochs: list[Stamps], start_ns: int, end_n
 
 
 def epochs(stamps_ns: list[Stamps]) -> list[Stamps]:
-    """Tell for each message how often the clock had been set back before it was recorded.
+    """Return how often the clock had been set back before each message.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def epochs(stamps_ns: list[Stamps]) -> list[Stamps]:
 
 
 def _spans(stamps_ns: list[Stamps], counted: list[Stamps], jumps: int) -> list[tuple[int, int]]:
-    """Return first and last stamp of each epoch, by the topics that went through all of them."""
+    """Return first and last stamp of each epoch, from topics with messages in all of them."""
     whole = [
         (stamps, epoch)
         for stamps, epoch in zip(stamps_ns, counted, strict=True)
@@ -147,7 +147,7 @@ def _spans(stamps_ns: list[Stamps], counted: list[Stamps], jumps: int) -> list[t
 
 
 def _nearest(stamps: Stamps, spans: list[tuple[int, int]]) -> Stamps:
-    """Return the epoch in whose span each stamp lies, or to which it is nearest."""
+    """Return the epoch that contains each stamp, or the nearest one."""
     apart = [np.maximum(np.maximum(start - stamps, stamps - end), 0) for start, end in spans]
     nearest: Stamps = np.argmin(np.stack(apart), axis=0).astype(np.int64)
     return nearest

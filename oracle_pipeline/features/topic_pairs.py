@@ -1,4 +1,4 @@
-"""How two topics of one type differ, such as redundant sensors, or a topic and its relay.
+"""Differences of two topics of one type, such as redundant sensors, or a topic and its relay.
 
 Only messages with an array of floating-point numbers can be compared. An array is compared with
 the one on the other topic that was recorded closest in time, index by index. Sensors that look
@@ -47,16 +47,16 @@ FEATURES = (
     ),
 )  # fmt: skip
 
-_ALL_COMPARED = 20  # topics of a type at most that are all compared with each other
-_NEIGHBOURS = 4  # topics that each is compared with if they are more
-_APART_S = 0.1  # from an array to the one that it is compared with
+_ALL_COMPARED = 20  # most topics of a type of which all pairs are compared
+_NEIGHBOURS = 4  # topics that each is compared with if there are more
+_APART_S = 0.1  # most time between two compared arrays
 _BINS = 128
 _LOOKED_AT = 100  # arrays of a topic, about, to find the range of its numbers
-_TAILS = (1e-3, 1.0 - 1e-3)  # quantiles that the histograms reach to
+_TAILS = (1e-3, 1.0 - 1e-3)  # quantiles at the ends of the histograms
 
 
 class _Counts(NamedTuple):
-    """How often numbers came, by array and bin."""
+    """Cumulative histograms of the numbers in arrays."""
 
     times_s: NDArray[np.float64]  # shape (n,), of the arrays
     before: NDArray[np.int32]  # shape (n + 1, _BINS): in each bin, in all arrays before the i-th
@@ -70,7 +70,7 @@ class _Counts(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _Prepared:
-    """All arrays reduced one by one, and each compared with its counterparts."""
+    """Statistics of all arrays, and comparisons with their counterparts."""
 
     pairs: dict[str, tuple[str, str]]  # topics, by the pair's name
     rank_difference: dict[str, Series]  # by pair, as is identity
@@ -80,7 +80,7 @@ class _Prepared:
 
 
 def prepare(window: Window) -> _Prepared | Missing:
-    """Reduce the arrays of topics that have another of their type."""
+    """Reduce the arrays of topics of which there are several of one type."""
     prepared = _Prepared({}, {}, {}, {}, {})
     for group in _groups(window):
         low, high = _range(list(group.values()))
@@ -148,7 +148,7 @@ def _groups(window: Window) -> Iterator[dict[str, Series]]:
 
 
 def _compared(group: Mapping[str, Series]) -> Iterator[tuple[str, str]]:
-    """Yield the pairs of topics that are compared: all, or of many those that look most alike."""
+    """Yield the pairs of topics to compare: all, or of many topics the most similar ones."""
     if len(group) <= _ALL_COMPARED:
         yield from combinations(group, 2)
         return
@@ -159,7 +159,7 @@ def _compared(group: Mapping[str, Series]) -> Iterator[tuple[str, str]]:
 
 
 def _look(series: Series) -> tuple[float, ...]:
-    """Return how long the arrays of a topic are, how many came, and what is in the first."""
+    """Return the length of a topic's arrays, their number, and the content of the first."""
     first = series.values[0].astype(np.float64)
     finite = first[np.isfinite(first)]
     return (
@@ -169,7 +169,7 @@ def _look(series: Series) -> tuple[float, ...]:
 
 
 def _range(group: list[Series]) -> tuple[float, float]:
-    """Return the range of the numbers on some topics, without what is far out."""
+    """Return the range of the numbers on some topics, without their tails."""
     some = [array for s in group for array in s.values[:: 1 + len(s.values) // _LOOKED_AT]]
     numbers = np.concatenate(some, dtype=np.float64)
     numbers = numbers[np.isfinite(numbers)]
@@ -202,7 +202,7 @@ def _identities(ours: NDArray[Any], theirs: NDArray[Any]) -> NDArray[np.bool_]:
 def _met(
     ours: Series, theirs: Series
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the times of our arrays that meet one of theirs, and the numbers of both."""
+    """Return the times of the first topic's arrays with a counterpart, and the numbers of both."""
     after = np.searchsorted(theirs.times_s, ours.times_s)
     either = np.stack([np.maximum(after - 1, 0), np.minimum(after, len(theirs.times_s) - 1)])
     apart_s = np.abs(theirs.times_s[either] - ours.times_s)

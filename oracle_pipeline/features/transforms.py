@@ -1,4 +1,4 @@
-"""Whether transforms, odometry and localisation put the robot in the same place.
+"""Whether transforms, odometry and localisation agree on the robot's pose.
 
 Odometry is published twice, as a message and as a transform. A localisation's pose must equal the
 combination of its transform and that of odometry. The frames in a message determine which
@@ -56,20 +56,20 @@ FEATURES = (
     Feature("odometry_yaw_jump", "rad", 5e-3, "the same of the yaw", "domain"),
 )  # fmt: skip
 
-_SAME_S = 0.02  # between the stamps of a pose and of the transform that it is compared with
+_SAME_S = 0.02  # most time between the stamps of a compared pose and transform
 _TOGETHER_S = 0.3  # between the times when a pose and a localisation's transform were recorded
 _MANY = 0.95  # quantile
 
 
 class _Apart(NamedTuple):
-    """How far two statements of one pose are apart, one a message."""
+    """Differences of two sources of one pose, for each message."""
 
     position: Series  # [m]
     yaw: Series  # [rad]
 
 
 class _Prepared(NamedTuple):
-    """What is told twice, by place."""
+    """Differences of poses with two sources, by place."""
 
     odometry: Mapping[str, _Apart]
     localisation: Mapping[str, _Apart]
@@ -83,7 +83,7 @@ def keep_poses(messages: Any) -> tuple[Any, ...]:
 
 
 def prepare(window: Window) -> _Prepared:
-    """Compare what is told twice, over the whole recording."""
+    """Compare poses with two sources, over the whole recording."""
     moving = edges(window.topics["transforms"])
     odometry, jumps = {}, {}
     for topic, series in window.topics["odometry"].items():
@@ -130,7 +130,7 @@ def compute(window: Window) -> Values | Missing:
 
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
-    """Offer the features of what is told as message and as transform."""
+    """Offer the features of poses that are both messages and transforms."""
     topics = {
         "odometry": Request(
             keep_odometry, msgtype="nav_msgs/msg/Odometry", dtype=object, optional=True, many=True
@@ -156,7 +156,7 @@ def _apart(times_s: Floats, one: Planar, other: Planar) -> _Apart:
 
 
 def _jumps(times_s: Floats, pose: Planar) -> _Apart:
-    """Return how far each pose is from the middle of its neighbours."""
+    """Return the distance of each pose from the mean of its neighbours."""
     shift, yaw = pose.shift, np.unwrap(np.angle(pose.turn))
     place, turn = (np.abs(v[1:-1] - 0.5 * (v[:-2] + v[2:])) for v in (shift, yaw))
     return _Apart(Series(times_s[1:-1], place), Series(times_s[1:-1], turn))

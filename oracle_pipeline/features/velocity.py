@@ -1,4 +1,4 @@
-"""Velocity commands, and how much of them the collision monitor let pass.
+"""Velocity commands, and the share of them that the collision monitor passed.
 
 Nav2's collision monitor takes the requested command (``/cmd_vel_raw`` in Humble,
 ``/cmd_vel_smoothed`` since Iron) and answers each on ``/cmd_vel``. After the robot has stood still
@@ -55,9 +55,9 @@ COMMAND_FEATURES = (
     ),
 )  # fmt: skip
 
-_STILL = 1e-3  # below which a speed [m/s] or a turn [rad/s] is none
-_ANSWER_S = 0.1  # within which the monitor answers
-_SLOWED = 0.95  # share of a command below which it was slowed down
+_STILL = 1e-3  # smaller speeds [m/s] and turns [rad/s] count as zero
+_ANSWER_S = 0.1  # longest delay of the monitor's output
+_SLOWED = 0.95  # share of a command; with less, it was slowed down
 
 
 def keep(messages: Any) -> tuple[Floats, Floats]:

@@ -21,7 +21,8 @@ GENERATED = {"deploy/requirements.txt"}  # by make, and not committed
 GLOSSARY = DOCS / "reference" / "glossary.md"
 CHECKED_PACKAGES = (
     "assets", "resources", "oracle_pipeline/clustering", "oracle_pipeline/comparison",
-    "oracle_pipeline/detectors", "oracle_pipeline/evaluation", "oracle_pipeline/graphs",
+    "oracle_pipeline/detectors", "oracle_pipeline/evaluation", "oracle_pipeline/features",
+    "oracle_pipeline/graphs",
     "oracle_pipeline/oracles", "oracle_pipeline/replay", "oracle_pipeline/reporting",
     "oracle_pipeline/robots", "oracle_pipeline/scoring",
 )  # fmt: skip
