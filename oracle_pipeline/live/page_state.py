@@ -1,6 +1,6 @@
 """The state that a live page shows: the newest messages and verdicts, in bounded memory.
 
-The watch adds events, and a page asks for the changes since its last request. So a slow page does
+The watch adds events, and a page requests the changes since the last ones. So a slow page does
 not slow the watch.
 """
 

@@ -22,7 +22,7 @@ GLOSSARY = DOCS / "reference" / "glossary.md"
 CHECKED_PACKAGES = (
     "assets", "resources", "oracle_pipeline/clustering", "oracle_pipeline/comparison",
     "oracle_pipeline/detectors", "oracle_pipeline/evaluation", "oracle_pipeline/features",
-    "oracle_pipeline/graphs",
+    "oracle_pipeline/graphs", "oracle_pipeline/live",
     "oracle_pipeline/oracles", "oracle_pipeline/replay", "oracle_pipeline/reporting",
     "oracle_pipeline/robots", "oracle_pipeline/scoring",
 )  # fmt: skip
