@@ -1,5 +1,9 @@
 """The base classes of all errors that this distribution raises on purpose."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 
 class OracleError(Exception):
     """Root of the tree; its message states what is wrong, where, and what to do next."""
@@ -23,3 +27,29 @@ class GraphError(OracleError):
 
 class DdsError(OracleError):
     """A DDS domain cannot be joined, or a topic there cannot be read or published."""
+
+
+@contextmanager
+def as_bag_error(path: Path, file: Path) -> Iterator[None]:
+    """Turn whatever opening or reading a foreign file raises into a `BagError`.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+    file : Path
+        The file of it that is read; the error names it.
+    """
+    try:
+        yield
+    except BagError as error:
+        if str(path) in str(error):
+            raise
+        raise BagError(f"{file}: {error}.") from error
+    except MemoryError as error:
+        raise BagError(f"{file} needs more memory than is free; split it.") from error
+    except Exception as error:  # parsers of corrupt files raise anything
+        reason = str(error).rstrip(".") or type(error).__name__
+        raise BagError(
+            f"{file} is corrupt: {reason}. Copy it again, or record it again."
+        ) from error

@@ -11,7 +11,6 @@ import itertools
 import os
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -25,7 +24,7 @@ from rosbags.typesys.store import Typestore
 from oracle_pipeline.bags import qos_profiles, types
 from oracle_pipeline.bags.content import ContentHash
 from oracle_pipeline.bags.definitions import BagTypes
-from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.errors import BagError, as_bag_error
 from oracle_pipeline.bags.limits import MOST_MESSAGES, SMALLEST_MESSAGE
 from oracle_pipeline.bags.merging import Messages, in_time_order
 from oracle_pipeline.bags.part import Batch, Channel, Part, loss
@@ -310,7 +309,7 @@ class BagReader:
         """Yield what a part holds of some channels, and compare the numbers with its claims."""
         if not wanted:
             return
-        with _errors(self.path, part.path):
+        with as_bag_error(self.path, part.path):
             keys = np.array(sorted(wanted), dtype=np.int64)
             numbers = np.array([wanted[key] for key in sorted(wanted)], dtype=np.int64)
             read = np.zeros(len(keys), dtype=np.int64)
@@ -386,28 +385,8 @@ def _is_in_order(parts: list[Part]) -> bool:
     )
 
 
-# Opening and reading foreign files: their many ways to fail, turned into one.
-
-
 def _open(path: Path) -> Parts:
     if not os.path.lexists(path):
         raise BagError(f"There is no bag {path}; check the path.")
-    with _errors(path, path):
+    with as_bag_error(path, path):
         return open_parts(path)
-
-
-@contextmanager
-def _errors(path: Path, file: Path) -> Iterator[None]:
-    try:
-        yield
-    except BagError as error:
-        if str(path) in str(error):
-            raise
-        raise BagError(f"{file}: {error}.") from error
-    except MemoryError as error:
-        raise BagError(f"{file} needs more memory than is free; split it.") from error
-    except Exception as error:  # parsers of corrupt files raise anything
-        reason = str(error).rstrip(".") or type(error).__name__
-        raise BagError(
-            f"{file} is corrupt: {reason}. Copy it again, or record it again."
-        ) from error
