@@ -131,7 +131,7 @@ Damage = Callable[[RunDirectory], None]
         (
             "every_interval_has_a_graph",
             lambda run: bit_flipped(run.graphs),
-            "not what was recorded",
+            "changed since it was recorded",
         ),
         (PAIR_CHECK, lambda run: bit_flipped(run.graphs), "damaged"),
         ("every_interval_has_a_graph", last_graph_lost, "no graph"),

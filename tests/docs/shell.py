@@ -24,6 +24,7 @@ from sim.modes import modes
 from tests.docs.pages import REPOSITORY
 
 COMMANDS: dict[str, click.Group] = {"oracle": oracle, "oracle-sim": oracle_sim}
+DAGSTER = {"dagster", "dg"}  # their arguments are checked; tests/assets runs assets and jobs
 SHELL = {"cp", "for", "mkdir"}  # simple enough to be run by the shell
 
 # Simulations that take minutes, and what ends with Ctrl-C. Their options are checked here;
@@ -83,7 +84,7 @@ class Shell:
     def _command(self, words: list[str], line: str, variables: dict[str, str]) -> tuple[int, str]:
         if words[0] in COMMANDS:
             return self._ours(words, variables)
-        if words[0] == "dagster":
+        if words[0] in DAGSTER:
             check_dagster(words, self.folder)
         elif words[0] == "make":
             check_make(words)
@@ -149,16 +150,16 @@ def check_make(words: list[str]) -> None:
 
 
 def check_dagster(words: list[str], folder: Path) -> None:
-    """Check options, partitions, selection and configuration of a Dagster command."""
+    """Check options, partitions, selection and configuration of a command of Dagster."""
     options = dict(itertools.pairwise(words))
-    (script,) = importlib.metadata.entry_points(group="console_scripts", name="dagster")
+    (script,) = importlib.metadata.entry_points(group="console_scripts", name=words[0])
     command = script.load().__globals__["cli"]
     rest = words[1:]
     while isinstance(command, click.Group):
         context, (step, rest) = click.Context(command), (rest[0], rest[1:])
         found = command.get_command(context, step)
         if found is None:
-            raise PageError(f"dagster has no command {step}.")
+            raise PageError(f"{words[0]} has no command {step}.")
         command = found
     command.make_context(words[0], list(rest))
     if "--partition" in options or "--partition-range" in options:
@@ -167,10 +168,12 @@ def check_dagster(words: list[str], folder: Path) -> None:
             match = _KEY.fullmatch(key)
             if match is None or match[1] not in modes():
                 raise PageError(f"{key} is no partition.")
-    if "--select" in options:
-        selection = dg.AssetSelection.from_coercible(options["--select"].split(","))
+    if selected := options.get("--select") or options.get("--assets"):
+        selection = dg.AssetSelection.from_coercible(selected.split(","))
         if not selection.resolve(defs.resolve_asset_graph()):
-            raise PageError(f"{options['--select']} selects nothing.")
+            raise PageError(f"{selected} selects nothing.")
+    if "--job" in options:
+        defs.resolve_job_def(options["--job"])  # or an error
     config = None
     if "--config" in options:
         config = yaml.safe_load((folder / options["--config"]).read_text("utf-8"))

@@ -24,8 +24,9 @@ TIMING = (
     "stamps.",
     "traffic.",
     "kinematics.turn_residual",
-    "kinematics.spin_",  # joint messages are sampled by when they came
+    "kinematics.spin_",  # joint messages are sampled by their time of arrival
     "kinematics.turn_drift_gyro",
+    "kinematics.gravity_residual",  # so are inertial ones
     "navigation.command_",
     "navigation.lethal_",  # pairs each local costmap with the pose that came last
 )

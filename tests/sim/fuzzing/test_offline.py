@@ -86,7 +86,7 @@ def test_a_mutated_bag_has_all_that_was_recorded_and_the_output_besides(any_bag,
         kept = {name: topic for name, topic in after.topics.items() if name not in ours}
         assert kept == before.topics
         assert after.topics[program.output_topic].count == summary.published
-        assert before.topics[program.input_topic].count == summary.heard == summary.touched
+        assert before.topics[program.input_topic].count == summary.received == summary.touched
     truth = read_ground_truth(tmp_path / "mutant")
     assert Counter(message.operation for _, message in truth) == {"noise": summary.touched}
 
@@ -150,7 +150,7 @@ def test_offline_gives_the_bytes_that_the_node_gave(name, tmp_path):
     mutate_bag(tmp_path / "online", tmp_path / "offline", program, 1, at_s=ONSET_S)
     online, offline = (on(tmp_path / bag, program.output_topic) for bag in ("online", "offline"))
     assert len(online) > 20
-    # The node heard it a moment later; what was under way at the end is in one of them only.
+    # The node received it a moment later; what was under way at the end is in one of them only.
     end = min(len(online), len(offline))
     assert [data for _, data in offline[:end]] == [data for _, data in online[:end]]
     assert {late - at for (at, _), (late, _) in zip(offline, online, strict=False)} == {LATENCY_NS}
@@ -172,10 +172,10 @@ def test_passthrough_over_a_run_is_what_its_node_published(run_bag, tmp_path):
     program = builtin("lidar_passthrough_odom")
     mutate_bag(bag, tmp_path / "mutant", program, 1)
     published = [data for _, data in on(bag, program.output_topic)]
-    heard = [data for _, data in on(tmp_path / "mutant", program.output_topic)]
+    received = [data for _, data in on(tmp_path / "mutant", program.output_topic)]
     assert len(published) > 20
-    assert heard[: len(published)] == published
-    assert len(heard) - len(published) <= 1  # one may have been under way at the end
+    assert received[: len(published)] == published
+    assert len(received) - len(published) <= 1  # one may have been under way at the end
 
 
 def test_a_run_shows_when_its_goal_was_accepted(run_bag, tmp_path):
