@@ -97,10 +97,7 @@ def _area(df: pd.DataFrame, doubts: Sequence[IntegrityCheck]) -> list[OpenClaim]
         needs = [_need(check.name, df) for check in lacks]
         modes = tuple(dict.fromkeys(mode for of_check, _ in needs for mode in of_check))
         blocks = max(blocks for _, blocks in needs)
-        reason = (
-            "It tells how well scores separate attacked from normal runs. These checks lack runs: "
-            f"{', '.join(map(_named, lacks))}."
-        )
+        reason = f"These checks lack runs: {', '.join(map(_named, lacks))}."
         everything = tuple(dict.fromkeys([*df["mode"], *modes]))
         claims.append(OpenClaim("An AUC", reason, everything, blocks))
     if failed := [check for check in doubts if check.status == "red"]:
