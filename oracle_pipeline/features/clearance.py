@@ -39,9 +39,7 @@ def clearance(blocked: NDArray[np.bool_]) -> NDArray[np.float32]:
 def _squared(blocked: NDArray[np.bool_]) -> Any:
     rows, columns = blocked.shape
     far = rows + columns  # more than any distance
-    along = np.empty(
-        (rows, columns), np.int64
-    )  # distance to the nearest blocked cell of the column
+    along = np.empty((rows, columns), np.int64)  # to the nearest blocked cell of the column
     for x in range(columns):
         near = far
         for y in range(rows):

@@ -307,10 +307,12 @@ class _Extraction:
         """Log a plugin's first failure; call it from the exception handler."""
         if plugin not in self._failed:
             self._failed.add(plugin)
-            told = isinstance(error, OracleError)  # in a line, and no defect
+            is_expected = isinstance(
+                error, OracleError
+            )  # needs no traceback
             _log.error(
                 "Plugin %s failed on %s: %s", plugin, self._run.path, error,
-                exc_info=None if told else error,
+                exc_info=None if is_expected else error,
             )  # fmt: skip
         return Missing(f"{type(error).__name__}: {error}")
 

@@ -1,6 +1,6 @@
 """The tables of features, as columns and as DataFrames.
 
-pandas takes longer to import than a short recording takes to read, so who only prints does without.
+pandas takes longer to import than a short recording takes to read, so printing avoids it.
 """
 
 import json

@@ -4,8 +4,6 @@ A fork takes over what is loaded. Otherwise each fork loads it again for its own
 takes as long as the features of a short one.
 """
 
-import scipy.ndimage
-import scipy.special  # noqa: F401
 from numba.core.registry import cpu_target
 
 from oracle_pipeline.bags.types import typestore
