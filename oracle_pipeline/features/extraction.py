@@ -307,9 +307,7 @@ class _Extraction:
         """Log a plugin's first failure; call it from the exception handler."""
         if plugin not in self._failed:
             self._failed.add(plugin)
-            is_expected = isinstance(
-                error, OracleError
-            )  # needs no traceback
+            is_expected = isinstance(error, OracleError)  # needs no traceback
             _log.error(
                 "Plugin %s failed on %s: %s", plugin, self._run.path, error,
                 exc_info=None if is_expected else error,
