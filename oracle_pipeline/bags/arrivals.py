@@ -1,4 +1,4 @@
-"""Finds recordings that arrive in a folder, and tells whether they are still being written.
+"""Finds recordings that arrive in a folder, and whether they are still being written.
 
 Only names, sizes and the last bytes of MCAP files are read, no messages.
 """
@@ -18,8 +18,8 @@ from oracle_pipeline.bags.parts import METADATA, is_recording
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
 from oracle_pipeline.bags.terminal import printable
 
-_LAST = (METADATA, MANIFEST_FILE, RECORDING_FILE)  # written when all else is there
-MOST_FILES = 10_000  # of one recording that are looked at; rosbag2 splits into far fewer
+_LAST = (METADATA, MANIFEST_FILE, RECORDING_FILE)  # written after all other files
+MOST_FILES = 10_000  # inspected of one recording; rosbag2 writes far fewer
 _PLAIN = re.compile(r"[A-Za-z0-9_](?:\.?[A-Za-z0-9_-])*")
 _OTHER = re.compile(r"[^A-Za-z0-9_]+")
 _DIGEST = re.compile(r"-[0-9a-f]{12}")
@@ -33,12 +33,12 @@ class Arrival:
     path: Path
     key: str  # see `key_of`
     fingerprint: str  # of names, sizes and times of its files
-    finished: bool  # as far as its files tell; a recorder that was killed never finishes
-    changed_s: float  # when a file of it changed last [s since 1970]
+    finished: bool  # judged by its files; never true if the recorder was killed
+    changed_s: float  # when one of its files last changed [s since 1970]
 
     @property
     def name(self) -> str:
-        """Its name, for people."""
+        """Name for messages to the user."""
         return printable(self.path.name)
 
 
@@ -46,7 +46,7 @@ class Arrivals(NamedTuple):
     """The recordings found by one scan of the folder."""
 
     found: list[Arrival]  # by name
-    faults: list[str]  # why some entries could not be looked at
+    faults: list[str]  # why some entries could not be inspected
 
 
 def arrivals(folder: Path) -> Arrivals:
@@ -59,16 +59,16 @@ def arrivals(folder: Path) -> Arrivals:
     OSError
         If the folder itself cannot be listed.
     """
-    looked = Arrivals([], [])
+    result = Arrivals([], [])
     for path in sorted(folder.iterdir(), key=os.fsencode):
         try:
-            if not path.name.startswith(".") and (arrival := _looked_at(path)):
-                looked.found.append(arrival)
+            if not path.name.startswith(".") and (arrival := _inspected(path)):
+                result.found.append(arrival)
         except FileNotFoundError:
-            continue  # removed in this moment
+            continue  # removed meanwhile
         except OSError as error:
-            looked.faults.append(f"{printable(path.name)} cannot be looked at: {error.strerror}.")
-    return looked
+            result.faults.append(f"{printable(path.name)} cannot be inspected: {error.strerror}.")
+    return result
 
 
 def key_of(name: str) -> str:
@@ -91,7 +91,7 @@ def key_of(name: str) -> str:
     return f"{readable}-{hashlib.sha256(os.fsencode(name)).hexdigest()[:12]}"
 
 
-def _looked_at(path: Path) -> Arrival | None:
+def _inspected(path: Path) -> Arrival | None:
     """Return the recording at a path; None if there is none."""
     status = path.stat()
     if stat.S_ISDIR(status.st_mode):
@@ -115,13 +115,13 @@ def _looked_at(path: Path) -> Arrival | None:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Yield the files of a recording, links to folders not followed."""
+    """Yield the files of a recording, without following links to folders."""
     walk = (Path(place, name) for place, _, names in os.walk(folder) for name in names)
     yield from itertools.islice(walk, MOST_FILES)
 
 
 def _ends(file: Path) -> bool:
-    """Tell whether an MCAP file has its end."""
+    """Return whether a file is a complete MCAP file, by its last bytes."""
     if file.suffix != ".mcap" or not file.is_file():
         return False
     with file.open("rb") as source:

@@ -48,7 +48,7 @@ class BatchMcapWriter(McapWriter):
     def write_many(
         self, channels: Sequence[int], stamps: Sequence[int], payloads: Sequence[bytes]
     ) -> None:
-        """Append messages; a chunk ends behind the message that makes it too large."""
+        """Append messages; a chunk ends after the message that makes it too large."""
         count = len(payloads)
         sizes = np.fromiter(map(len, payloads), np.int64, count)
         heads = np.zeros(count, _HEADS)
@@ -76,7 +76,7 @@ class BatchMcapWriter(McapWriter):
         self.write_many([connection.id], [timestamp], [bytes(data)])
 
     def _note(self, channels: _Integers, stamps: _Integers, offsets: _Integers) -> None:
-        """Remember where in the open chunk messages are."""
+        """Record the positions of messages in the open chunk."""
         first, last = int(stamps.min()), int(stamps.max())
         for times in (self, self.chunk):
             times.message_start_time = min(first, times.message_start_time)
@@ -84,7 +84,7 @@ class BatchMcapWriter(McapWriter):
         self._index.append((channels, stamps, offsets))
 
     def close_chunk(self) -> None:
-        """Write the open chunk with its checksum, and behind it the index of its messages."""
+        """Write the open chunk with its checksum, followed by the index of its messages."""
         chunk = self.chunk
         records: Any = chunk.bio.getbuffer()  # compressors take any buffer
         packed, size = self.compressor(records), len(records)
@@ -109,13 +109,13 @@ class BatchMcapWriter(McapWriter):
         summary += struct.pack("<Q", at - end) + name
         summary += struct.pack("<QQ", len(packed), size)
         record = BytesIO()
-        record.write(summary)  # rosbags asks where its end is
+        record.write(summary)  # rosbags reads its length with tell()
         self.chunks.append(record)
         self._index.clear()
         self.chunk = PendingChunk(2**63 - 1, 0, BytesIO(), {})
 
     def close(self, version: int, metadata: str) -> None:
-        """Write what is behind the chunks, and the checksums of the two sections."""
+        """Write the records after the chunks, and the checksums of the two sections."""
         super().close(version, metadata)
         mcap_checksums.write_of_sections(self.path)
 
@@ -150,7 +150,7 @@ class BatchSqlite3Writer(Sqlite3Writer):
 
 
 def interleaved(heads: bytes, payloads: Sequence[bytes]) -> list[bytes]:
-    """Return each payload behind its head; all heads are of one size."""
+    """Return heads and payloads alternately; all heads have the same size."""
     size = len(heads) // max(len(payloads), 1)
     parts = [b""] * (2 * len(payloads))
     parts[0::2] = [heads[at : at + size] for at in range(0, len(heads), size)]
@@ -159,5 +159,5 @@ def interleaved(heads: bytes, payloads: Sequence[bytes]) -> list[bytes]:
 
 
 def _sized(text: bytes) -> bytes:
-    """Return a string as MCAP has it: its length before it."""
+    """Return a string in the format of MCAP: its length, then its bytes."""
     return struct.pack("<I", len(text)) + text

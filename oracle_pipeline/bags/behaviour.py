@@ -1,4 +1,4 @@
-"""Quantities of what a robot did in one run, from the ground truth in its manifest.
+"""Quantities that describe the behaviour of a robot in one run, from its manifest's ground truth.
 
 The simulator uses them to compare an attacked run with its control, the evaluation to compare any
 run with the others of its block.
@@ -22,9 +22,9 @@ UNITS: Mapping[str, str] = {
 def behaviour(run: Manifest) -> dict[str, float]:
     """Return the quantities of a run; empty for a system that does not drive.
 
-    The way driven and the time under way, to all goals together; the least distance of the base
-    from any surface; goals that were reached; recoveries that Nav2 tried; and the share of the
-    commands to move that the collision monitor slowed down or stopped.
+    They are the distance driven and the time with an active goal, over all goals; the smallest
+    distance of the base from any surface; the goals reached; the recoveries that Nav2 tried; and
+    the share of non-zero velocity commands that the collision monitor slowed down or stopped.
     """
     if run.drive is None:
         return {}

@@ -10,14 +10,14 @@ _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class _Text(yaml.SafeLoader):
-    """Only for its rules of what a plain word is: a number, a truth value, a text."""
+    """Only for its rules on plain scalars: number, boolean or string."""
 
     def __init__(self) -> None:
         super().__init__("")
 
 
 def load(text: str) -> Any:
-    """Return mappings, lists, numbers and texts.
+    """Return mappings, lists, numbers and strings.
 
     Raises
     ------
@@ -28,14 +28,14 @@ def load(text: str) -> Any:
         raise ValueError(f"it is longer than {LARGEST_YAML} characters (LARGEST_YAML)")
     scalars = _Text()
     stack: list[Any] = []
-    keys: list[Any] = []  # of the mapping at each depth: what waits for its value
+    keys: list[Any] = []  # of the mapping at each depth: the key that waits for its value
     document: Any = None
     values = 0
     nothing = object()
     try:
         for event in yaml.parse(text, Loader=_LOADER):
             if isinstance(event, yaml.AliasEvent):
-                raise ValueError("it has an alias, which is not read here")
+                raise ValueError("it has an alias, which is not supported")
             if isinstance(event, yaml.MappingStartEvent | yaml.SequenceStartEvent):
                 _refuse_tag(event.tag)
                 value: Any = {} if isinstance(event, yaml.MappingStartEvent) else []
@@ -74,7 +74,7 @@ def load(text: str) -> Any:
 
 def _refuse_tag(tag: str | None) -> None:
     if tag not in (None, "!"):
-        raise ValueError(f"it has a tag, {tag}, which is not read here")
+        raise ValueError(f"it has a tag, {tag}, which is not supported")
 
 
 def _scalar(rules: _Text, event: yaml.ScalarEvent) -> Any:

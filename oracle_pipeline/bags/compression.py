@@ -1,4 +1,4 @@
-"""Bounded decompression: it stops at the declared size, and at the end of a cut file."""
+"""Bounded decompression: it stops at the declared size, or at the end of a truncated file."""
 
 import bz2
 import shutil
@@ -36,12 +36,12 @@ _DECOMPRESSORS: dict[str, Callable[[], Any]] = {
 
 
 def decompress(packed: bytes, compression: str, size: int) -> bytes:
-    """Return the content of a chunk; of a cut chunk, as much as exists.
+    """Return the content of a chunk; of a truncated chunk, as much as exists.
 
     Parameters
     ----------
     packed
-        As in the file.
+        The bytes in the file.
     compression
         ``zstd``, ``lz4`` or ``bz2``; empty or ``none`` for none.
     size
@@ -67,12 +67,14 @@ def decompress(packed: bytes, compression: str, size: int) -> bytes:
 
 
 def decompress_message(packed: bytes) -> bytes:
-    """Return a message that was compressed by itself with zstd; one that only looks so, as it is.
+    """Return a message that was compressed individually with zstd.
+
+    A message that only begins like compressed bytes is returned unchanged.
 
     Raises
     ------
     BagError
-        If it becomes larger than any chunk does.
+        If it becomes larger than the limit for chunks.
     """
     decompressor = zstd.ZstdDecompressor()
     try:
@@ -87,12 +89,12 @@ def decompress_message(packed: bytes) -> bytes:
 
 
 def unpacked_file(path: Path, folder: Path) -> Path:
-    """Decompress a file that is one zstd stream, into a folder; a cut one as far as it goes.
+    """Decompress a zstd file into a folder; a truncated one as far as possible.
 
     Raises
     ------
     BagError
-        If it becomes larger than any recording does.
+        If it becomes larger than the limit for recordings.
     """
     limit = max(_SMALLEST_LIMIT, LARGEST_EXPANSION * path.stat().st_size)
     with path.open("rb") as source, tempfile.NamedTemporaryFile(dir=folder, delete=False) as sink:
@@ -106,7 +108,7 @@ def _copy(path: Path, source: IO[bytes], sink: IO[bytes], limit: int) -> None:
         while True:
             try:
                 block = stream.read1(_BLOCK)
-            except (EOFError, zstd.ZstdError):  # cut or broken: what is there is looked at
+            except (EOFError, zstd.ZstdError):  # truncated or corrupt: use the part before
                 return
             if not block:
                 return

@@ -17,7 +17,7 @@ class ContentHash:
         self._pack = struct.Struct("<qQ").pack
 
     def add(self, prefix: bytes, stamp_ns: int, data: bytes) -> None:
-        """Add one message; ``prefix`` is what ``prefix`` returned for its topic."""
+        """Add one message; ``prefix`` is the result of `ContentHash.prefix` for its topic."""
         self._update(prefix + self._pack(stamp_ns, len(data)) + data)
 
     def add_many(
@@ -26,7 +26,7 @@ class ContentHash:
         stamps: Sequence[int] | NDArray[np.int64],
         payloads: Sequence[bytes],
     ) -> None:
-        """Add messages in turn, as ``add`` does."""
+        """Add several messages, in the order given."""
         tails = np.empty((len(payloads), 2), "<i8")
         tails[:, 0] = stamps
         tails[:, 1] = np.fromiter(map(len, payloads), np.int64, len(payloads))

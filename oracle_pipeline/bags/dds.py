@@ -40,7 +40,7 @@ except ImportError as error:
         "`python -m pip install '.[live]'`."
     ) from error
 
-DOMAIN_VARIABLE = "ROS_DOMAIN_ID"  # of the environment: the domain that ROS 2 takes
+DOMAIN_VARIABLE = "ROS_DOMAIN_ID"  # environment variable with ROS 2's domain
 
 Participant: TypeAlias = domain.DomainParticipant
 
@@ -60,7 +60,7 @@ _PRIMITIVES: dict[str, Any] = {
     "uint32": idl.uint32,
     "uint64": idl.uint64,
 }
-_IDL: Any = idl  # what its types make of brackets, type checkers do not know
+_IDL: Any = idl  # type checkers do not know the subscripts of its types
 _joined: weakref.WeakSet[Participant] = weakref.WeakSet()
 _EVERYTHING = core.SampleState.Any | core.ViewState.Any | core.InstanceState.Any
 _INFINITE_NS = 2**63 - 1
@@ -69,12 +69,12 @@ _MOST_AT_ONCE = 256  # samples of a reader that are taken in one call
 
 
 def default_domain() -> int:
-    """Return the domain that ROS 2 would take.
+    """Return the domain that ROS 2 would use.
 
     Raises
     ------
     DdsError
-        If ``ROS_DOMAIN_ID`` is no number.
+        If ``ROS_DOMAIN_ID`` is not a number.
     """
     text = os.environ.get(DOMAIN_VARIABLE) or "0"
     if not text.isdecimal():
@@ -102,7 +102,7 @@ def join(number: int) -> Participant:
 
 
 def leave(participant: Participant) -> None:
-    """Leave a domain: delete a participant with all that lives there."""
+    """Leave a domain: delete a participant and its endpoints."""
     if participant in _joined:
         _joined.remove(participant)
         participant.__del__()
@@ -146,7 +146,7 @@ def _member(kind: Nodetype, what: Any, store: Typestore) -> Any:
     if base == "string":
         return _IDL.bounded_str[bound] if bound else str
     if base not in _PRIMITIVES:
-        raise DdsError(f"A field of type {base} cannot travel on DDS here.")
+        raise DdsError(f"A field of type {base} is not supported on DDS.")
     return _PRIMITIVES[base]
 
 
@@ -182,14 +182,14 @@ class RawReader:
     Parameters
     ----------
     participant
-        Where it lives.
+        Participant that owns the reader.
     name : str
         DDS name of the topic.
     msgtype : str
     qos : Qos
-        What it requests.
+        The requested QoS.
     store : Typestore, optional
-        Defines the type; ours by default.
+        Defines the type; by default the built-in one.
     """
 
     def __init__(
@@ -210,7 +210,7 @@ class RawReader:
         return bytes(self.entity.guid.bytes)
 
     def take(self) -> list[Raw]:
-        """Return some of the messages that have come; none if there is none."""
+        """Return some of the received messages; an empty list if there is none."""
         taken = _clayer.ddspy_take(self.entity._ref, _EVERYTHING, _MOST_AT_ONCE)
         if isinstance(taken, int):
             raise DdsError(f"Could not take messages of {self.topic.name}: code {taken}.")
@@ -249,12 +249,12 @@ class RawWriter:
 
 
 class ReadyReaders:
-    """Waits until any of its readers has messages, and tells which."""
+    """Waits until any of its readers has messages, and returns those that have."""
 
     def __init__(self, participant: Participant) -> None:
         self._waitset = core.WaitSet(participant)
         self._readers: dict[int, RawReader] = {}  # by the address that DDS gives back
-        self._kept: list[Any] = []  # what must not be freed while DDS knows its address
+        self._kept: list[Any] = []  # must not be freed while DDS knows its address
 
     def add(self, reader: RawReader) -> None:
         """Wait for a reader too; may be called while another thread waits."""
@@ -276,7 +276,7 @@ class ReadyReaders:
 
 
 def dds_qos(qos: Qos) -> "DdsQos":
-    """Return a profile as DDS knows it."""
+    """Return a QoS profile as DDS policies."""
     depth = max(1, qos.depth)
     kept = Policy.History.KeepLast(depth)
     if qos.history is QosHistory.KEEP_ALL:
@@ -300,7 +300,7 @@ def dds_qos(qos: Qos) -> "DdsQos":
 
 
 def ros_qos(qos: "DdsQos") -> Qos:
-    """Return the profile that an endpoint told others; some do not tell their history."""
+    """Return the profile that an endpoint announced; some do not announce their history."""
     history, depth = QosHistory.UNKNOWN, 0
     if isinstance(kept := qos[Policy.History], Policy.History.KeepLast):
         history, depth = QosHistory.KEEP_LAST, kept.depth
@@ -323,7 +323,7 @@ def ros_qos(qos: "DdsQos") -> Qos:
 
 
 def _nanoseconds(time: QosTime) -> int:
-    """Return a duration; what a bag has as 0 is no limit."""
+    """Return a duration; 0 in a bag means unlimited."""
     return min(time.sec * _SECOND_NS + time.nsec, _INFINITE_NS) or _INFINITE_NS
 
 
@@ -332,10 +332,10 @@ def _time(duration_ns: int) -> QosTime:
 
 
 class Discovered(NamedTuple):
-    """What a built-in topic of DDS says of a participant or an endpoint."""
+    """A participant or an endpoint, as described on a built-in topic of DDS."""
 
     handle: int
-    alive: bool  # if not, only the handle is told
+    alive: bool  # if not, only the handle is known
     guid: bytes = b""
     participant: bytes = b""
     topic: str = ""
@@ -388,7 +388,7 @@ def _endpoints(reader: Any) -> Iterator[Discovered]:
 
 
 def _taken(reader: Any) -> Iterator[tuple[Any, int, bool]]:
-    """Yield samples of a built-in topic, each with its handle and whether it is still there."""
+    """Yield samples of a built-in topic, each with its handle and whether it still exists."""
     while samples := reader.take(_MOST_AT_ONCE):
         for sample in samples:
             info = sample.sample_info

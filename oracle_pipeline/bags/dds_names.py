@@ -10,7 +10,7 @@ References
 
 import re
 
-ENTITIES_TOPIC = "ros_discovery_info"  # of DDS: which endpoints are whose node's
+ENTITIES_TOPIC = "ros_discovery_info"  # on DDS: lists the endpoints of each node
 ENTITIES_TYPE = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 
 _TOPIC_PREFIX = "rt"
@@ -54,7 +54,7 @@ def ros_type(name: str) -> str | None:
 
 
 def to_wire(data: bytes) -> bytes:
-    r"""Return CDR bytes as a DDS payload: a multiple of four, which tells its padding.
+    r"""Return CDR bytes as a DDS payload: padded to four bytes, with the padding in its header.
 
     Examples
     --------
@@ -68,7 +68,7 @@ def to_wire(data: bytes) -> bytes:
 
 
 def from_wire(data: bytes) -> bytes:
-    """Return the CDR bytes in a payload, without padding if the payload tells how much it has."""
+    """Return the CDR bytes in a payload, without the padding that its header declares."""
     padding = data[_HEADER - 1] & 3 if len(data) >= _HEADER else 0
     if not padding:
         return data

@@ -36,16 +36,16 @@ _SEPARATOR = "=" * 80 + "\n"  # between the files of a definition
 
 
 class BagTypes:
-    """How to decode each type of a recording.
+    """Decoders for each type of a recording.
 
     Parameters
     ----------
     path : Path
-        Of the recording, for messages.
+        Of the recording, for error messages.
     channels : iterable of Channel
-        All that its files describe.
+        All channels in its files.
     type_hashes : mapping of str to str
-        By type, for files that do not keep them.
+        By type, for files that do not store them.
     """
 
     def __init__(
@@ -76,13 +76,13 @@ class BagTypes:
         return self._decoders[msgtype]
 
     def definition(self, msgtype: str) -> TypeDefinition:
-        """Return what the bag says of a type, or else we."""
+        """Return a type's definition from the bag, or else the built-in one."""
         channel = self._channels[msgtype]
         text = channel.definition
         if not text and msgtype in types.typestore().fielddefs:
             return TypeDefinition(types.definition(msgtype), types.type_hash(msgtype))
         if channel.definition_format == "idl" and not text.startswith(_SEPARATOR):
-            text = f"{_SEPARATOR}IDL: {msgtype}\n{text}"  # without it, IDL is taken for .msg
+            text = f"{_SEPARATOR}IDL: {msgtype}\n{text}"  # or it would be parsed as .msg
         return TypeDefinition(text, channel.type_hash or self._type_hashes.get(msgtype, ""))
 
     def store(self, msgtype: str) -> Typestore:
@@ -117,7 +117,7 @@ class BagTypes:
         if channel.definition:
             try:
                 return self._registered(channel, msgtype)
-            except Exception as error:  # a definition is a foreign text
+            except Exception as error:  # the text of a definition may be anything
                 if known:  # genpy broke comments that have a backslash
                     return types.typestore()
                 reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
@@ -136,7 +136,7 @@ class BagTypes:
         )
 
     def _registered(self, channel: Channel, msgtype: str) -> Typestore:
-        """Take the definition of a type; return the store that has it then."""
+        """Register the definition of a type; return the store that contains it."""
         if len(channel.definition) > LARGEST_DEFINITION:
             raise ValueError(f"it is longer than {LARGEST_DEFINITION} (LARGEST_DEFINITION)")
         parsed = _parse(channel, msgtype)
@@ -148,13 +148,13 @@ class BagTypes:
         return self._wide[next(iter(ENCODINGS))]
 
     def _with_known(self, parsed: dict[str, Any], store: Typestore) -> dict[str, Any]:
-        """Return definitions with those of ours that they use and a store lacks."""
+        """Return definitions plus the built-in ones that they use and a store lacks."""
         used = _used(parsed) - parsed.keys() - store.fielddefs.keys()
         ours = types.typestore().fielddefs
         return parsed | {name: ours[name] for name in sorted(used & ours.keys())}
 
     def _filled(self, store: Typestore, parsed: dict[str, Any], msgtype: str) -> Typestore:
-        """Return a store with a type, and what else it uses."""
+        """Return a store with a type and all types that it uses."""
         parsed = self._with_known(parsed, store)
         if any(parsed[name] != store.fielddefs.get(name, parsed[name]) for name in parsed):
             store = get_typestore(Stores.EMPTY)  # another topic's type of the same name differs
@@ -167,7 +167,7 @@ class BagTypes:
 def _parse(channel: Channel, msgtype: str) -> dict[str, Any]:
     definition = channel.definition.lstrip("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     if channel.definition_format != "idl":
-        # The parser knows no names of services.
+        # The parser does not accept the names of services.
         name = msgtype.replace("/srv/", "/msg/")
         parsed = dict(get_types_from_msg(unbounded(definition), name))
         return {msgtype: parsed.pop(name), **parsed}
@@ -182,7 +182,7 @@ def _parse(channel: Channel, msgtype: str) -> dict[str, Any]:
 
 
 def _plain(name: str) -> str:
-    """Return the name of a type without what ROS puts into it for DDS, ``p/msg/dds_/A_``."""
+    """Return the name of a type without the parts that ROS adds for DDS, ``p/msg/dds_/A_``."""
     return name.replace("/dds_/", "/").removesuffix("_") if "/dds_/" in name else name
 
 
@@ -201,7 +201,7 @@ def _undecorated(name: str, defined: Any) -> Any:
 
 
 def _kinds(fields: Any) -> Iterable[tuple[Any, int | None]]:
-    """Yield base type or type name of each field, and how often: None if the message says."""
+    """Yield base type or type name of each field, and its count; None if it varies by message."""
     for _, (kind, what) in fields:
         if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
             yield what[0], what[1] if kind == Nodetype.ARRAY else None

@@ -1,4 +1,4 @@
-"""The base classes of all errors that this distribution raises on purpose."""
+"""The base classes of all errors that this distribution raises itself."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,14 +31,14 @@ class DdsError(OracleError):
 
 @contextmanager
 def as_bag_error(path: Path, file: Path) -> Iterator[None]:
-    """Turn whatever opening or reading a foreign file raises into a `BagError`.
+    """Turn any error while opening or reading a foreign file into a `BagError`.
 
     Parameters
     ----------
     path : Path
         The recording.
     file : Path
-        The file of it that is read; the error names it.
+        Its file that is read; the error names it.
     """
     try:
         yield

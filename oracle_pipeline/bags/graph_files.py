@@ -50,7 +50,7 @@ def add_traffic(graph: RosGraph, source: str, target: str, messages: int, size: 
 def write_gexf(graph: RosGraph, path: Path) -> None:
     """Write GEXF 1.2, which Gephi and NetworkX open.
 
-    A run has one every 10 s, so it is put together as text; a tree of elements takes much longer.
+    A run has one every 10 s, so it is assembled as text; a tree of elements takes much longer.
     """
     nodes = [
         f"      <node id={_quoted(vertex)} label={_quoted(graph.nodes[vertex]['label'])}>\n"
@@ -101,7 +101,7 @@ def _listed(name: str, elements: Sequence[str]) -> str:
 _ENTITIES = {'"': "&quot;", "\r": "&#13;", "\n": "&#10;", "\t": "&#09;"}
 
 
-@functools.lru_cache(maxsize=4096)  # names come again in every interval
+@functools.lru_cache(maxsize=4096)  # names repeat in every interval
 def _quoted(text: str) -> str:
     """Return an attribute's value, in quotes."""
     return f'"{escape(text, _ENTITIES)}"'
@@ -161,7 +161,7 @@ def _refuse_document_type(*_declaration: object) -> None:
 
 
 class _Xml:
-    """Goes through a file's elements; refuses those within others beyond the limit."""
+    """Visits a file's elements; refuses those that are nested too deeply."""
 
     def __init__(self) -> None:
         self._depth = 0
@@ -175,7 +175,7 @@ class _Xml:
         self._depth -= 1
 
     def graph(self, data: bytes) -> RosGraph:
-        """Return the graph, once all elements were gone through."""
+        """Return the graph, after all elements were visited."""
         raise NotImplementedError
 
 
@@ -187,7 +187,7 @@ class _GraphMl(_Xml):
 
 
 class _Gexf(_Xml):
-    """Takes the graph from the elements; a run has one every 10 s, so no tree is built first."""
+    """Builds the graph from the elements; a run has one every 10 s, so no tree is built first."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -215,7 +215,7 @@ class _Gexf(_Xml):
         elif name == "graph" and attributes["defaultedgetype"] != "directed":
             raise GraphError("its edges are not directed")
 
-    def graph(self, data: bytes) -> RosGraph:  # noqa: ARG002 -- it was gone through
+    def graph(self, data: bytes) -> RosGraph:  # noqa: ARG002 -- already visited
         import networkx as nx
 
         graph: RosGraph = nx.DiGraph()
@@ -245,7 +245,7 @@ def _read(path: Path, kind: type[_Xml]) -> RosGraph:
         return elements.graph(data)
     except (OSError, expat.ExpatError, nx.NetworkXError, GraphError, KeyError, ValueError) as error:
         raise GraphError(
-            f"Could not read the graph {path}: {error}. Take the graph from the run again."
+            f"Could not read the graph {path}: {error}. Restore the file, or record the run again."
         ) from error
 
 

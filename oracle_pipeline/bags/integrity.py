@@ -34,23 +34,23 @@ def hashes_of_files(run: Path, *parts: str) -> dict[str, str]:
 
 
 def damaged_files(run: Path, manifest: Manifest, *parts: str) -> list[str]:
-    """Return the files that are missing, changed or not the run's, by path in the run directory.
+    """Return the files that are missing, changed or unexpected, by path in the run directory.
 
     Parameters
     ----------
     run
         The run directory.
     manifest
-        Its manifest; if that holds no hashes, nothing can be told, and the list is empty.
+        Its manifest; without hashes nothing can be compared, and the list is empty.
     parts
         ``bag``, ``graphs``; by default both.
     """
     if not manifest.measured.files:
         return []
-    looked_at = parts or PARTS
+    checked = parts or PARTS
     recorded = manifest.measured.files.items()
-    expected = {file: digest for file, digest in recorded if file.split("/")[0] in looked_at}
-    found = hashes_of_files(run, *looked_at)
+    expected = {file: digest for file, digest in recorded if file.split("/")[0] in checked}
+    found = hashes_of_files(run, *checked)
     return sorted(name for name in expected | found if expected.get(name) != found.get(name))
 
 
@@ -60,12 +60,12 @@ def require_undamaged(run: Path, manifest: Manifest, *parts: str) -> None:
     Raises
     ------
     RunDirectoryError
-        Naming the files that are missing, changed or not the run's.
+        Naming the files that are missing, changed or unexpected.
     """
     if damaged := damaged_files(run, manifest, *parts):
         raise RunDirectoryError(
             f"{run} is damaged: {', '.join(damaged)} {'is' if len(damaged) == 1 else 'are'} not "
-            f"what was recorded. Make the run again, with `oracle-sim remake {run}` or by "
+            f"as recorded. Simulate the run again, with `oracle-sim remake {run}` or by "
             "materializing it with `refresh: true`, or restore the files."
         )
 

@@ -1,6 +1,6 @@
-"""Where the built-in message types come from: ROS's own interface files.
+"""Parses the built-in message types from ROS's own interface files.
 
-Humble's are those of rosbags. The ones that it lacks stand below ``msg/`` beside this module:
+Humble's are those of rosbags. The ones that it lacks are below ``msg/`` beside this module:
 ``<package>/msg/*.msg``, ``<package>/srv/*.srv`` and ``<package>/action/*.action``; a service or
 action file yields the messages that ROS derives from it (``NavigateToPose_Goal``,
 ``NavigateToPose_FeedbackMessage``).
@@ -37,13 +37,13 @@ def parsed() -> dict[str, Any]:
 
 
 def as_text(fields: dict[str, Any]) -> str:
-    """Return the fields of types as JSON, one type a line."""
+    """Return the fields of types as JSON, one type per line."""
     lines = [f"{json.dumps(name)}: {json.dumps(fields[name])}" for name in sorted(fields)]
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def _messages_of(package: str, folder: str, file: Traversable) -> Iterator[tuple[str, str]]:
-    """Yield name and text of every message that one interface file stands for."""
+    """Yield name and text of every message that one interface file defines."""
     name = f"{package}/{folder}/{file.name.partition('.')[0]}"
     parts = [part.strip() + "\n" for part in f"\n{file.read_text('utf8')}\n".split("\n---\n")]
     parts = [_EMPTY if part == "\n" else part for part in parts]
@@ -66,7 +66,7 @@ def _messages_of(package: str, folder: str, file: Traversable) -> Iterator[tuple
 
 
 def _parse(msgtype: str, text: str) -> dict[str, Any]:
-    """Parse one message; the parser knows no ``srv`` names, so those go in as ``msg``."""
+    """Parse one message; the parser rejects ``srv`` names, so they are passed as ``msg``."""
     (fields,) = get_types_from_msg(text, msgtype.replace("/srv/", "/msg/")).values()
     return {msgtype: fields}
 

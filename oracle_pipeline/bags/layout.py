@@ -11,12 +11,12 @@ Table = Literal["run", "window"]
 TABLES: tuple[Table, ...] = ("run", "window")
 
 RUNS, FEATURES, DATASETS, REPORT, GRIDS = "runs", "features", "datasets", "report", "grids"
-FOREIGN = "foreign"  # what is known of recordings that others made
+FOREIGN = "foreign"  # results for recordings from elsewhere
 SEARCHES = "searches"  # for attacks that the oracle misses
 FINDINGS, FRONT = "findings.json", "front.png"  # of a search
 VERDICT = "verdict.json"
 GRID_INDEX = "grid.json"  # of a grid: what was changed in each of its runs
-REFRESHED = "refreshed"  # a root of runs that were simulated again and differ without a reason
+REFRESHED = "refreshed"  # a root of runs that differ unexpectedly when simulated again
 
 
 def run_folder(root: Path, mode: str, run_id: str) -> Path:

@@ -21,20 +21,20 @@ from oracle_pipeline.bags.protocol import run_key
 UNKNOWN_WORLD = "unknown"  # of runs of older releases
 
 SCHEMA_VERSION = 5
-# What older versions did not have, or told otherwise, and what is taken for it.
-_NOT_TOLD: dict[str, Any] = {
+# Fields that older versions lack or define differently, with their default values.
+_DEFAULTS: dict[str, Any] = {
     "attack_seed": None,
     "drive": None,
     "task_effect": None,
     "world": UNKNOWN_WORLD,
 }
-_ADDED_SINCE = {2: {"changes": [], **_NOT_TOLD}, 3: _NOT_TOLD, 4: _NOT_TOLD}
+_ADDED_SINCE = {2: {"changes": [], **_DEFAULTS}, 3: _DEFAULTS, 4: _DEFAULTS}
 _SEALED_SINCE = 4
 _SEAL = "seal"  # a key of the file; a manifest in memory has none
 
 Label: TypeAlias = Literal["malicious", "normal", "control"]
 Outcome: TypeAlias = Literal["succeeded", "aborted", "timeout"]
-Kept: TypeAlias = Literal["full", "trimmed", "recipe"]  # what is left of a run's bag
+Kept: TypeAlias = Literal["full", "trimmed", "recipe"]  # how much is kept of a run's bag
 
 LABELS: tuple[Label, ...] = ("malicious", "normal", "control")
 KEPT: tuple[Kept, ...] = ("full", "trimmed", "recipe")  # from most to least
@@ -56,7 +56,7 @@ class GoalResult:
     accepted_s: float
     ended_s: float | None  # None: the run ended first
     outcome: Outcome
-    driven_m: float  # length of the way there
+    driven_m: float  # distance driven to it
     recoveries: int  # that Nav2 tried on it, costmap clearings included
 
 
@@ -73,18 +73,18 @@ class Drive:
     """Ground truth on how the robot drove, which no feature sees."""
 
     clearance_m: float | None  # least distance of its base from any surface; None: no goal was sent
-    commands: int  # to move, that the collision monitor was asked to pass on
-    commands_altered: int  # of these, slowed down or stopped
+    commands: int  # non-zero velocity commands to the collision monitor
+    commands_altered: int  # of these, those that it slowed down or stopped
 
 
 CHANGE_BIN_S = 5.0  # length of the bins in which changes are counted [s]
 
 
 class Change(NamedTuple):
-    """Changes that the mode's node made in one bin of time, by its own log."""
+    """Changes that the mode's node made in one bin of time, from its log."""
 
     start_s: float  # a multiple of `CHANGE_BIN_S`
-    messages: int  # changed, dropped, delayed or made up
+    messages: int  # changed, dropped, delayed or fabricated
     largest: float | None  # in the unit of what was changed; None: a number was no longer finite
 
 
@@ -126,7 +126,7 @@ class Manifest:
     run: int
     block: int  # runs of one block share start, goals and nuisance
     session: int
-    world: str  # where it was made: equal for equal worlds
+    world: str  # identifies the arena; equal for equal worlds
     seed: int
     start: Pose
     goals: tuple[Pose, ...]
@@ -143,12 +143,12 @@ class Manifest:
     contacts: tuple[Contact, ...]
     topics: Mapping[str, TopicCount]
     content_hash: str  # BagWriter.content_hash
-    recipe: Mapping[str, Any]  # all that the run is a function of
+    recipe: Mapping[str, Any]  # everything that determines the run
     software: Software
     measured: Measured
     drive: Drive | None = None  # None: not measured, as of a system that does not drive
-    changes: tuple[Change, ...] = ()  # the five seconds in which anything was changed
-    attack_seed: int | None = None  # the key of the attack's own draws; None: an older release's
+    changes: tuple[Change, ...] = ()  # bins in which anything was changed
+    attack_seed: int | None = None  # seed of the attack's random numbers; None: older release
     schema_version: int = SCHEMA_VERSION
 
     @property
@@ -162,7 +162,7 @@ class Manifest:
         Raises
         ------
         ManifestError
-            If a value is not what the schema allows; nothing is written then.
+            If a value violates the schema; nothing is written then.
         """
         document = {**dataclasses.asdict(self), _SEAL: seals.BLANK}
         try:
@@ -181,8 +181,8 @@ class Manifest:
         Raises
         ------
         ManifestError
-            Naming the file and the field, if it is missing, broken, of another schema version, not
-            what the schema says, or was changed after it was written.
+            Naming the file and the field, if it is missing, broken, of another schema version,
+            invalid by the schema, or was changed after it was written.
         """
         try:
             content = path.read_bytes()
@@ -226,7 +226,7 @@ def schema() -> dict[str, Any]:
 
 
 def _is_older(document: Any) -> bool:
-    """Tell whether this is a manifest of an older version, the oldest of which had no seals."""
+    """Return whether this is a manifest of an older version, the oldest of which had no seals."""
     if not isinstance(document, dict) or document.get("schema_version") not in _ADDED_SINCE:
         return False
     return bool((_SEAL in document) == (document["schema_version"] >= _SEALED_SINCE))

@@ -1,4 +1,4 @@
-"""Read any MCAP file: chunked or not, with or without a summary, complete or cut.
+"""Read any MCAP file: chunked or not, with or without a summary, complete or truncated.
 
 The specification is at mcap.dev. A summary is used to open a file fast. Messages are always read
 from the data section, record by record, so a missing or incomplete index loses none.
@@ -22,6 +22,7 @@ from oracle_pipeline.bags.part import (
     Extent,
     add_channel,
     measure,
+    ros2_name,
     unpacked,
     written_size,
 )
@@ -31,8 +32,8 @@ from oracle_pipeline.bags.records import (
     MCAP_SCHEMA,
     MOST_AT_ONCE,
     SMALLEST_RECORD,
+    complete_size,
     mcap_records,
-    whole,
 )
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -52,7 +53,7 @@ class _Schema(NamedTuple):
 
 
 class _Stretch(NamedTuple):
-    """Records, decompressed, and where in the file they stood."""
+    """Decompressed records, and their position in the file."""
 
     data: bytes
     at: int
@@ -97,7 +98,7 @@ class McapPart:
     Raises
     ------
     BagError
-        If it is corrupt; not if it was cut.
+        If it is corrupt; a truncated file is read up to its end.
     """
 
     def __init__(self, file: Path, path: Path) -> None:
@@ -162,7 +163,7 @@ class McapPart:
             if opcode in (MCAP_SCHEMA, MCAP_CHANNEL, MCAP_MESSAGE):
                 data = self._messages(at, length)
                 if not data:
-                    self._stop(at, f"the record at byte {at} is not whole")
+                    self._stop(at, f"the record at byte {at} is incomplete")
                     return
                 yield _Stretch(data, at, is_chunk=False)
                 at += len(data)
@@ -176,7 +177,7 @@ class McapPart:
                     self._stop(at, reason)
                     return
             if end > self._end:
-                self._stop(at, f"the record at byte {at} is not whole")
+                self._stop(at, f"the record at byte {at} is incomplete")
                 return
             at = end
 
@@ -185,7 +186,7 @@ class McapPart:
         return wanted is None or not known or not known.isdisjoint(wanted)
 
     def _messages(self, at: int, length: int) -> bytes:
-        """Return complete records from a place on that stand in no chunk."""
+        """Return complete records outside of chunks, from a position on."""
         size = max(_BLOCK, _HEAD.size + min(length, self._end))
         if length > LARGEST_CHUNK and at + length <= self._end:
             raise self._corrupt(
@@ -193,14 +194,14 @@ class McapPart:
                 "(LARGEST_CHUNK)"
             )
         data = self._read(at, min(size, LARGEST_CHUNK))
-        return data[: whole(mcap_records(data, only_messages=True))]
+        return data[: complete_size(mcap_records(data, only_messages=True))]
 
     def _chunk(self, at: int, length: int) -> tuple[bytes, str]:
-        """Return the records of a chunk; of a cut one those that are there, and the reason."""
+        """Return the records of a chunk; of a truncated one the complete ones, and the reason."""
         begin = at + _HEAD.size
         head = self._read(begin, _CHUNK_HEAD.size)
         if len(head) < _CHUNK_HEAD.size:
-            return b"", f"the chunk at byte {at} is not whole"
+            return b"", f"the chunk at byte {at} is incomplete"
         *_, size, checksum, name_size = _CHUNK_HEAD.unpack(head)
         begin += _CHUNK_HEAD.size
         name = self._read(begin, min(name_size, 64)).decode("utf-8", "replace")
@@ -208,7 +209,7 @@ class McapPart:
         packed_size = int.from_bytes(self._read(begin, 8), "little")
         begin += 8
         if begin > self._end:
-            return b"", f"the chunk at byte {at} is not whole"
+            return b"", f"the chunk at byte {at} is incomplete"
         if begin + packed_size > at + _HEAD.size + length:
             return self._broken(at, "is longer than its record")
         packed = self._read(begin, min(packed_size, LARGEST_CHUNK))
@@ -216,18 +217,19 @@ class McapPart:
             data = decompress(packed, name, size)
         except BagError as error:
             raise self._corrupt(f"at byte {at}, {error}") from error
-        except Exception as error:  # of any of three decompressors
+        except Exception as error:  # raised by any of three decompressors
             return self._broken(at, f"cannot be decompressed: {error}")
         if len(packed) < packed_size and self._is_cut:
-            return data[: whole(mcap_records(data))], f"the chunk at byte {at} is not whole"
+            size = complete_size(mcap_records(data))
+            return data[:size], f"the chunk at byte {at} is incomplete"
         if len(data) != size:
-            return self._broken(at, f"should hold {size} bytes and does not")
+            return self._broken(at, f"does not have the declared size of {size} bytes")
         if checksum and zlib.crc32(data) != checksum:
             return self._broken(at, "differs from its checksum (CRC-32)")
         return data, ""
 
     def _broken(self, at: int, what: str) -> tuple[bytes, str]:
-        """Say what is wrong with a chunk: the end of a cut file, or an error."""
+        """Report a broken chunk: as the end of a truncated file, or as an error."""
         if self._is_cut:
             return b"", f"the chunk at byte {at} {what}"
         raise self._corrupt(f"the chunk at byte {at} {what}")
@@ -268,7 +270,7 @@ class McapPart:
             raise self._corrupt(str(error)) from error
 
     def _summary_start(self) -> int | None:
-        """Return where the summary begins, 0 without one; None if the file was cut."""
+        """Return where the summary begins, 0 without one; None if the file is truncated."""
         size = _HEAD.size + 20 + len(MAGIC)
         tail = self._read(max(0, self._size - size), size)
         if self._size < len(MAGIC) + size or not tail.endswith(MAGIC):
@@ -286,7 +288,7 @@ class McapPart:
             raise self._corrupt(str(error)) from error
 
     def _read_summary(self, start: int) -> bool:
-        """Take channels, counts and times from the summary; False if it does not tell them."""
+        """Read channels, counts and times from the summary; False if it lacks them."""
         data = self._read(start, min(self._size - start, LARGEST_CHUNK))
         statistics: _Fields | None = None
         spans: list[tuple[int, int, int]] = []
@@ -307,16 +309,16 @@ class McapPart:
             if statistics is None:
                 return False
             self.extent = _extent(statistics, spans)
-            # A chunk that is given in parts may have them in any order.
+            # A chunk that is read in several parts may have them in any order.
             self.extent.in_order &= largest <= MOST_AT_ONCE * SMALLEST_RECORD
         except (ValueError, struct.error, BagError):
             return False
         return self.extent.counts.keys() <= self.channels.keys()
 
     def _chunk_index(self, fields: _Fields) -> tuple[tuple[int, int, int], int]:
-        """Keep which channels a chunk holds; return where it is, first and last stamp, and size.
+        """Store the channels of a chunk; return its position, first and last stamp, and size.
 
-        The size is that of what it holds, decompressed.
+        The size is that of the decompressed content.
         """
         first, last, chunk = fields.number(8), fields.number(8), fields.number(8)
         fields.number(8)
@@ -355,20 +357,3 @@ def _metadata(fields: _Fields) -> dict[str, str]:
         except ValueError:
             return found
         found[key] = fields.text()
-
-
-def ros2_name(name: str) -> str:
-    """Return a type's name as ROS 2 writes it, sensor_msgs/msg/LaserScan.
-
-    It may be of ROS 1's form, of IDL's, or of DDS's.
-
-    Examples
-    --------
-    >>> ros2_name("std_msgs/String"), ros2_name("std_msgs::msg::dds_::String_")
-    ('std_msgs/msg/String', 'std_msgs/msg/String')
-    """
-    if "::" in name:
-        name = name.removesuffix("_") if "::dds_::" in name else name
-        name = name.replace("::dds_::", "/").replace("::", "/").strip("/")
-    package, slash, rest = name.partition("/")
-    return f"{package}/msg/{rest}" if slash and "/" not in rest else name

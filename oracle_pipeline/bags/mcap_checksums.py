@@ -24,7 +24,7 @@ _AT_ONCE = 2**20  # bytes
 
 
 def write_of_sections(path: Path) -> None:
-    """Write the checksums of the two sections into a file that is finished."""
+    """Write the checksums of the two sections into a finished file."""
     with path.open("r+b") as file:
         footer_start, summary_start = _footer(file)[:2]
         data_end = summary_start - _DATA_END.size

@@ -19,7 +19,7 @@ _NEVER = np.iinfo(np.int64).max
 
 
 class Messages(NamedTuple):
-    """Messages of a stretch of a file, in file order; a row each."""
+    """Messages of a stretch of a file, in file order; one row per message."""
 
     data: bytes
     topics: NDArray[np.int64]  # number of the topic, in the order of ``BagReader.topics``
@@ -42,19 +42,19 @@ class Messages(NamedTuple):
 def in_time_order(
     read: Callable[[], Iterator[Messages]], *, is_in_order: bool
 ) -> Iterator[tuple[Messages, Rows]]:
-    """Yield batches and those of their rows whose turn it is, in order of time.
+    """Yield batches and the rows of them that are due, in order of time.
 
     Parameters
     ----------
     read : callable
         Reads the messages from the beginning, the same each time.
     is_in_order : bool
-        No batch begins before the one before it has ended; one pass is enough.
+        No batch begins before the end of the previous one, so one pass is enough.
 
     Notes
     -----
-    What waits is bounded (``LARGEST_DISORDER``). Where a recording is more out of order than that,
-    it comes in the order of what could be held.
+    The messages held are bounded (``LARGEST_DISORDER``). Messages that are further out of order
+    than this are yielded late.
     """
     if is_in_order:
         for batch in read():
@@ -75,7 +75,7 @@ def in_time_order(
 def _split(
     waiting: list[tuple[Messages, Rows]], due_ns: int
 ) -> tuple[list[tuple[Messages, Rows]], list[tuple[Messages, Rows]]]:
-    """Part what still has to wait from what is not younger than what may come."""
+    """Separate the rows that must wait from those that no later message can precede."""
     still, due = [], []
     for batch, rows in waiting:
         place = int(np.searchsorted(batch.stamps_ns[rows], due_ns, side="right"))

@@ -24,7 +24,7 @@ class Channel(NamedTuple):
 
     topic: str
     msgtype: str  # sensor_msgs/msg/LaserScan
-    encoding: str  # of the messages: cdr, ros1, or what nobody here decodes
+    encoding: str  # of the messages: cdr, ros1, or one that is not supported
     definition: str  # empty: not in the file
     definition_format: str  # msg, idl, or empty
     type_hash: str
@@ -32,7 +32,7 @@ class Channel(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Messages of a stretch of a file; a row each, in file order."""
+    """Messages of a stretch of a file, in file order; one row per message."""
 
     data: bytes
     channels: NDArray[np.int64]  # keys of the part's channels
@@ -48,7 +48,7 @@ class Extent:
     counts: Counter[int] = field(default_factory=Counter)  # messages by channel
     start_ns: int | None = None
     end_ns: int | None = None
-    in_order: bool = True  # no batch begins before the one before it has ended
+    in_order: bool = True  # no batch begins before the end of the previous one
     undated: int = 0  # messages whose stamps are negative or beyond the year 2262
 
     def add(self, batch: Batch) -> None:
@@ -74,7 +74,7 @@ class Part(Protocol):
     extent: Extent
     claims: bool  # the extent is what the file claims; it was not counted
     cut: str  # why the end could not be read; empty: it was
-    unread: int  # bytes behind the last message that could be read
+    unread: int  # bytes after the last message that could be read
 
     def batches(self, wanted: Collection[int] | None = None) -> Iterator[Batch]:
         """Yield all messages; those of other channels than the wanted ones may be left out."""
@@ -102,7 +102,7 @@ def written_size(file: BinaryIO) -> int:
 
 
 def measure(part: Part) -> None:
-    """Count what a part holds."""
+    """Count the messages of a part."""
     part.extent = Extent()
     for batch in part.batches():
         part.extent.add(batch)
@@ -119,7 +119,7 @@ def add_channel(channels: dict[int, Channel], number: int, channel: Channel) -> 
 def unpacked(data: bytes, records: Records) -> Iterator[Batch]:
     """Yield records as a batch; messages that were compressed one by one are decompressed.
 
-    A message in CDR begins with a zero, so that zstd's magic number is no such message.
+    A message in CDR begins with a zero, so it cannot begin with zstd's magic number.
     """
     batch = Batch(data, *records[:4])
     buffer = np.frombuffer(data, np.uint8)
@@ -156,7 +156,7 @@ def _joined(parts: list[bytes], batch: Batch, first: int) -> Batch:
 
 
 def loss(part: Part) -> str:
-    """Say how much of a file could be read, and up to when."""
+    """Describe how much of a file could be read, and up to when."""
     read, extent = part.extent.counts.total(), part.extent
     if extent.start_ns is None or extent.end_ns is None:
         return f"{part.path.name} was not finished ({part.cut}): no message could be read."
@@ -173,3 +173,20 @@ def _utc(stamp_ns: int) -> str:
         return f"{datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC):%Y-%m-%d %H:%M:%S} UTC"
     except (OverflowError, ValueError, OSError):
         return "beyond any calendar"
+
+
+def ros2_name(name: str) -> str:
+    """Return a type's name as ROS 2 writes it, sensor_msgs/msg/LaserScan.
+
+    The given name may have the form of ROS 1, IDL or DDS.
+
+    Examples
+    --------
+    >>> ros2_name("std_msgs/String"), ros2_name("std_msgs::msg::dds_::String_")
+    ('std_msgs/msg/String', 'std_msgs/msg/String')
+    """
+    if "::" in name:
+        name = name.removesuffix("_") if "::dds_::" in name else name
+        name = name.replace("::dds_::", "/").replace("::", "/").strip("/")
+    package, slash, rest = name.partition("/")
+    return f"{package}/msg/{rest}" if slash and "/" not in rest else name

@@ -1,7 +1,7 @@
 """Finds the files of one recording: a single file, or the parts in a folder.
 
-The names and the first bytes of the files in a folder decide. ``metadata.yaml`` is used only to
-find out which parts are missing. Nothing outside the folder is read, whatever its files refer to.
+Files are recognised by their names and first bytes. ``metadata.yaml`` is used only to
+find missing parts. Nothing outside the folder is read, whatever its files refer to.
 """
 
 import re
@@ -33,13 +33,13 @@ _NAME = re.compile(
 
 @dataclass(slots=True)
 class Parts:
-    """The files of a recording, open, first ones first."""
+    """The open files of a recording, in order of time."""
 
     parts: list[Part] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     losses: list[str] = field(default_factory=list)  # what is missing or could not be read
     qos: dict[str, str] = field(default_factory=dict)  # by topic, where only metadata.yaml has it
-    type_hashes: dict[str, str] = field(default_factory=dict)  # by message type, the same
+    type_hashes: dict[str, str] = field(default_factory=dict)  # by message type, likewise
     folders: list[tempfile.TemporaryDirectory[str]] = field(default_factory=list)
 
     def close(self) -> None:
@@ -71,7 +71,7 @@ def open_parts(path: Path) -> Parts:
 
 
 def is_recording(path: Path) -> bool:
-    """Tell whether a path looks like one recording: a file, or a folder of its parts."""
+    """Return whether a path looks like one recording: a file, or a folder of its parts."""
     if not path.is_dir():
         return _NAME.fullmatch(path.name) is not None
     files = [entry for entry in path.iterdir() if _NAME.fullmatch(entry.name)]
@@ -83,10 +83,10 @@ def _open_folder(folder: Path, found: Parts) -> None:
     found.notes += metadata.notes
     found.qos, found.type_hashes = metadata.qos, metadata.type_hashes
     files = [entry for entry in sorted(folder.iterdir()) if _NAME.fullmatch(entry.name)]
-    files = _without_doubles(files)
+    files = _without_duplicates(files)
     listed = {name: folder / name for name in metadata.files}
     found.losses += [
-        f"{METADATA} names {name}, which is not there: its messages are missing."
+        f"{METADATA} names {name}, which does not exist: its messages are missing."
         for name, file in listed.items()
         if not any(each.name in (name, name.removesuffix(".zstd")) for each in files)
         and not file.exists()
@@ -100,7 +100,7 @@ def _open_folder(folder: Path, found: Parts) -> None:
                 f"{', ...' if len(files) > 5 else ''}. Name one of them."
             )
         strangers = [each.name for each in files if each not in named[0]]
-        found.notes.append(f"{', '.join(strangers)}: another recording's; left out.")
+        found.notes.append(f"{', '.join(strangers)}: of another recording; not read.")
         files = named[0]
     if not files:
         raise BagError(
@@ -111,8 +111,8 @@ def _open_folder(folder: Path, found: Parts) -> None:
     for file in files:
         if file.resolve().parent != folder.resolve():
             raise BagError(
-                f"{file} leads outside the bag's folder; such a bag is not read. Name the file "
-                "that it leads to."
+                f"{file} is a link out of the bag's folder; such a bag is not read. Name the "
+                "linked file."
             )
         try:
             found.parts.append(_open_file(file, file, found))
@@ -153,17 +153,17 @@ def _open_file(file: Path, path: Path, found: Parts) -> Part:
 
 
 def _groups(files: list[Path]) -> dict[tuple[str, str], list[Path]]:
-    """Put the parts of each recording together: one stem, one format, numbered."""
+    """Group the parts of each recording: one stem, one format, numbered."""
     groups: dict[tuple[str, str], list[Path]] = {}
     for file in files:
         match = _NAME.fullmatch(file.name)
-        assert match is not None  # noqa: S101 -- it was asked for before
+        assert match is not None  # noqa: S101 -- checked before
         groups.setdefault((match["stem"], match["suffix"]), []).append(file)
     return groups
 
 
-def _without_doubles(files: list[Path]) -> list[Path]:
-    """Leave out a compressed file whose original is there: its compression was broken off."""
+def _without_duplicates(files: list[Path]) -> list[Path]:
+    """Leave out a compressed file whose original exists: its compression was interrupted."""
     names = {file.name for file in files}
     return [
         file
@@ -173,7 +173,7 @@ def _without_doubles(files: list[Path]) -> list[Path]:
 
 
 class _Metadata:
-    """What ``metadata.yaml`` says that the files do not: names of parts, and old bags' QoS."""
+    """Content of ``metadata.yaml`` that the files lack: names of parts, and old bags' QoS."""
 
     def __init__(self, folder: Path) -> None:
         self.files: list[str] = []
@@ -183,7 +183,7 @@ class _Metadata:
         file = folder / METADATA
         if not file.is_file():
             self.notes.append(
-                f"There is no {METADATA}: the recorder was not ended properly, or it was lost."
+                f"There is no {METADATA}: the recorder did not end properly, or the file was lost."
             )
             return
         try:
@@ -194,7 +194,7 @@ class _Metadata:
             self.notes.append(f"{METADATA} is not used: {_one_line(error)}")
 
     def _read(self, information: Any) -> None:
-        # Of a name only its last part counts, so that it cannot lead out of the folder.
+        # Only the last part of a name is used, so that it cannot leave the folder.
         names = [PurePosixPath(str(each)).name for each in information["relative_file_paths"]]
         self.files = [name for name in names if name]
         for topic in information.get("topics_with_message_count") or ():

@@ -8,14 +8,14 @@ PAIRS: tuple[tuple[str, str], ...] = (
 """Modes whose graphs are equal by construction: the control, and the attack."""
 
 INTERVAL_S = 10
-"""Length of the intervals of which graphs are taken, from the start of the recording [s]."""
+"""Length of the intervals for which graphs are taken, from the start of the recording [s]."""
 
 MIN_INTERVAL_S = 5
 """A last, partial interval shorter than this is dropped [s]."""
 
 
 def is_hidden(topic: str) -> bool:
-    """Tell whether a name is hidden by the ROS convention (a token starts with ``_``)."""
+    """Return whether a name is hidden by the ROS convention (a token starts with ``_``)."""
     return "/_" in topic
 
 

@@ -1,6 +1,6 @@
 """QoS profiles: their compatibility, and their form in a bag.
 
-In a bag they are YAML in a text, of numbers (Humble) or words (Jazzy and later).
+In a bag they are a YAML string with numbers (Humble) or words (Jazzy and later).
 A bag has sixty topics and a handful of distinct profiles, so each text is parsed once.
 """
 
@@ -35,22 +35,22 @@ def parse(profiles: str) -> tuple[Qos, ...]:
         return ()
     listed = bounded_yaml.load(profiles)
     if not isinstance(listed, list) or not all(isinstance(each, dict) for each in listed):
-        raise ValueError("QoS profiles are no list of profiles")
+        raise ValueError("QoS profiles are not a list of profiles")
     return tuple(_profile(each) for each in listed)
 
 
 def is_latched(qos: Qos) -> bool:
-    """Tell whether a late subscriber gets the last samples."""
+    """Return whether a late subscriber gets the last samples."""
     return qos.durability is QosDurability.TRANSIENT_LOCAL
 
 
 def is_reliable(qos: Qos) -> bool:
-    """Tell whether lost samples are sent again."""
+    """Return whether lost samples are sent again."""
     return qos.reliability is not QosReliability.BEST_EFFORT
 
 
 def compatible(offered: Qos, requested: Qos) -> bool:
-    """Tell whether a publisher's offer meets a subscriber's request (the DDS rule)."""
+    """Return whether a publisher's offer meets a subscriber's request (the DDS rule)."""
     too_lossy = is_reliable(requested) and not is_reliable(offered)
     return not too_lossy and (is_latched(offered) or not is_latched(requested))
 
@@ -58,7 +58,7 @@ def compatible(offered: Qos, requested: Qos) -> bool:
 def _profile(given: dict[Any, Any]) -> Qos:
     return Qos(
         _member(QosHistory, given.get("history")),
-        _whole(given.get("depth")),
+        _integer(given.get("depth")),
         _member(QosReliability, given.get("reliability")),
         _member(QosDurability, given.get("durability")),
         _time(given.get("deadline")),
@@ -80,8 +80,8 @@ def _member(kind: type[_E], value: object) -> _E:
 def _time(value: object) -> QosTime:
     if not isinstance(value, dict):
         return QosTime(0, 0)
-    return QosTime(_whole(value.get("sec")), _whole(value.get("nsec")))
+    return QosTime(_integer(value.get("sec")), _integer(value.get("nsec")))
 
 
-def _whole(value: object) -> int:
+def _integer(value: object) -> int:
     return value if isinstance(value, int) else 0

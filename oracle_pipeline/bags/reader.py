@@ -1,6 +1,6 @@
 """Read recordings of any origin: rosbag2 (SQLite, MCAP, split, compressed) and ROS 1.
 
-The files of a recording decide what it holds, not its ``metadata.yaml``. `BagReader` has the same
+The content is taken from the files themselves, not from ``metadata.yaml``. `BagReader` has the same
 view of topics for every format. It yields messages in order of time or, faster, as arrays in file
 order, and lists what could not be read. Ground truth about an attack is dropped, by topic name and
 by type; only ``read_ground_truth`` returns it.
@@ -97,7 +97,7 @@ class BagReader:
             self._files.close()
             raise BagError(
                 f"{path} is incomplete. {' '.join(self.losses)}"
-                f"{' Without --strict, what is there is read.' if strict else ''}"
+                f"{' Without --strict, the readable part is read.' if strict else ''}"
             )
         channels = [
             (channel, part.extent.counts[number])
@@ -232,14 +232,14 @@ class BagReader:
         def decoded(data: bytes) -> Any:
             try:
                 return decode(data, msgtype)
-            except Exception as error:  # whatever the generated decoder trips over
+            except Exception as error:  # the generated decoder may raise any error
                 reason = str(error).rstrip(".") or type(error).__name__
                 raise BagError(f"is not a {msgtype}: {reason}") from error
 
         return decoded
 
     def definition(self, msgtype: str) -> TypeDefinition:
-        """Return what the bag says of a type, or else we, to copy its messages as they are."""
+        """Return a type's definition from the bag, or else the built-in one, to copy messages."""
         return self._types.definition(msgtype)
 
     def typestore(self, msgtype: str) -> Typestore:
@@ -306,7 +306,7 @@ class BagReader:
             return ()
 
     def _read(self, part: Part, wanted: dict[int, int], *, is_all: bool) -> Iterator[Messages]:
-        """Yield what a part holds of some channels, and compare the numbers with its claims."""
+        """Yield a part's messages on some channels, and compare their number with its claims."""
         if not wanted:
             return
         with as_bag_error(self.path, part.path):
@@ -331,7 +331,7 @@ class BagReader:
 
 
 class _OpenReader(BagReader):
-    """Hides nothing; and what it reads is whole."""
+    """Reads hidden topics too; refuses an incomplete bag."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, strict=True)
@@ -343,17 +343,17 @@ class _OpenReader(BagReader):
 def read_ground_truth(path: Path) -> list[tuple[int, Any]]:
     """Return the ground truth of the attacking node: stamps [ns] and ``GroundTruth`` messages."""
     with _OpenReader(path) as bag:
-        confessing = [t.name for t in bag.topics.values() if t.msgtype == GROUND_TRUTH_TYPE]
+        topics = [t.name for t in bag.topics.values() if t.msgtype == GROUND_TRUTH_TYPE]
         return [
             (message.stamp_ns, types.deserialize(message.data, GROUND_TRUTH_TYPE))
-            for message in bag.messages(confessing)
+            for message in bag.messages(topics)
         ]
 
 
 def content_hash(path: Path) -> str:
     """Return the hash that ``BagWriter.content_hash`` had when the bag was written.
 
-    Messages of a bag are read in time order, so it is the writer's order if that was too.
+    Messages are read in order of time, so the hash is equal if they were written in that order.
     """
     digest = ContentHash()
     with _OpenReader(path) as bag:
@@ -374,7 +374,7 @@ def _selected(batch: Batch, topics: NDArray[np.int64], rows: NDArray[np.int64]) 
 
 
 def _is_in_order(parts: list[Part]) -> bool:
-    """Tell whether no stretch of any file begins before the one before it has ended."""
+    """Return whether no stretch of any file begins before the end of the previous one."""
     spans = [
         (part.extent.start_ns, part.extent.end_ns)
         for part in parts

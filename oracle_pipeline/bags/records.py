@@ -2,8 +2,8 @@
 
 A record of an MCAP file is an opcode, a length and that many bytes. A record of a ROS 1 bag is a
 header (named fields) and data, each behind its length. Both functions stop where the bytes end or
-make no sense, and say where that was. A chunk may hold millions of small messages, so they are
-given some after the others.
+are invalid, and return that position. A chunk may hold millions of small messages, so they are
+returned in parts.
 """
 
 from collections.abc import Callable, Iterator
@@ -24,14 +24,14 @@ _ROS1_MESSAGE, _ROS1_CONNECTION = 0x02, 0x07
 
 
 class Records(NamedTuple):
-    """What a part of some bytes holds; the first four have a row for each message."""
+    """The records in a part of some bytes; the first four have a row for each message."""
 
     channels: NDArray[np.int64]  # as numbered in the file
     stamps_ns: NDArray[np.int64]
     offsets: NDArray[np.int64]  # of the message's own bytes
     sizes: NDArray[np.int64]  # [B]
     described: NDArray[np.int64]  # where records begin that describe channels and types
-    end: int  # behind the last complete record of the part
+    end: int  # of the last complete record of the part
 
 
 def mcap_records(data: bytes, *, only_messages: bool = False) -> Iterator[Records]:
@@ -54,13 +54,13 @@ def ros1_records(data: bytes) -> Iterator[Records]:
     return _parts(lambda at: Records(*_index_ros1(buffer, at, MOST_AT_ONCE)))
 
 
-def whole(parts: Iterator[Records]) -> int:
-    """Return how many bytes are complete records."""
+def complete_size(parts: Iterator[Records]) -> int:
+    """Return the number of bytes of complete records."""
     return max(records.end for records in parts)
 
 
 def _parts(index: Callable[[int], Records]) -> Iterator[Records]:
-    """Yield what is found from a place on, and from where that ended; once at least."""
+    """Yield records part by part, each from the end of the previous one; at least once."""
     at, goes_on = 0, True
     while goes_on:
         records = index(at)
@@ -130,7 +130,7 @@ def _ros1_head(data: Bytes, at: int, end: int) -> Any:
         at += 4
         if size > end - at:
             return np.int64(-1), connection, stamp
-        # The names that are asked for differ in their first letter and length.
+        # The names that are needed differ in their first letter and length.
         if size == 4 and data[at] == 111 and data[at + 1] == 112:  # op=
             opcode = np.int64(data[at + 3])
         elif size == 9 and data[at] == 99 and data[at + 4] == 61:  # conn=

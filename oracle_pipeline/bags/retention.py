@@ -33,7 +33,7 @@ Wanted = Callable[[BagReader], Collection[str]]  # returns the topics of a bag t
 
 
 def retain(run: RunDirectory, kept: Kept, wanted: Wanted) -> Manifest:
-    """Reduce the bag of a complete run to ``kept``, in one step.
+    """Reduce the bag of a complete run to ``kept``, atomically.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def retain(run: RunDirectory, kept: Kept, wanted: Wanted) -> Manifest:
     Raises
     ------
     OracleError
-        If the bag cannot be read, or the disk is full; the run is as it was then.
+        If the bag cannot be read, or the disk is full; the run is unchanged then.
     """
     former = run.manifest()
     measured = former.measured
@@ -86,9 +86,9 @@ def retain(run: RunDirectory, kept: Kept, wanted: Wanted) -> Manifest:
 
 
 def _hashes(scratch: Path, former: Mapping[str, str]) -> Mapping[str, str]:
-    """Return the hashes of the new bag, and of what stays those that are known of it."""
+    """Return the hashes of the new bag, and the known hashes of the other files."""
     if not former:
-        return former  # recorded by an older release: what stays may be damaged
+        return former  # recorded by an older release: the other files may be damaged
     stays = {file: digest for file, digest in former.items() if file.split("/")[0] != BAG_FOLDER}
     return {**hashes_of_files(scratch, BAG_FOLDER), **stays}
 
@@ -110,8 +110,8 @@ def _trim(bag: BagReader, path: Path, wanted: Collection[str]) -> None:
     heavy = HEAVY * payload.total()
     topics = [t for t in bag.topics.values() if t.name in wanted or payload[t.name] < heavy]
     truth = [
-        RawMessage(GROUND_TRUTH_TOPIC, stamp_ns, types.serialize(confession, GROUND_TRUTH_TYPE))
-        for stamp_ns, confession in read_ground_truth(bag.path)
+        RawMessage(GROUND_TRUTH_TOPIC, stamp_ns, types.serialize(truth_message, GROUND_TRUTH_TYPE))
+        for stamp_ns, truth_message in read_ground_truth(bag.path)
     ]
     storage: Literal["mcap", "sqlite3"] = "sqlite3" if any(bag.path.glob("*.db3")) else "mcap"
     with BagWriter(path, storage) as trimmed:

@@ -1,4 +1,4 @@
-"""Read a ROS 1 bag, format 2.0: by its index; if it has none or was cut, from the beginning."""
+"""Read a ROS 1 bag, format 2.0: by its index, or without a usable one from the beginning."""
 
 import itertools
 import struct
@@ -10,17 +10,17 @@ from typing import BinaryIO, TypeAlias
 from oracle_pipeline.bags.compression import decompress
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import LARGEST_CHUNK, MOST_CHANNELS
-from oracle_pipeline.bags.mcap import ros2_name
 from oracle_pipeline.bags.part import (
     Batch,
     Channel,
     Extent,
     add_channel,
     measure,
+    ros2_name,
     unpacked,
     written_size,
 )
-from oracle_pipeline.bags.records import MOST_AT_ONCE, ros1_records, whole
+from oracle_pipeline.bags.records import MOST_AT_ONCE, complete_size, ros1_records
 
 MAGIC = b"#ROSBAG V2.0\n"
 
@@ -37,12 +37,12 @@ class Rosbag1Part:
     Parameters
     ----------
     file, path : Path
-        To read, and as the user knows it.
+        File to read, and its path for messages to the user.
 
     Raises
     ------
     BagError
-        If it is corrupt; not if it was cut or has no index.
+        If it is corrupt; a truncated file, or one without index, is read up to its end.
     """
 
     def __init__(self, file: Path, path: Path) -> None:
@@ -68,14 +68,14 @@ class Rosbag1Part:
         """Close the file."""
         self._file.close()
 
-    def batches(self, wanted: Collection[int] | None = None) -> Iterator[Batch]:  # noqa: ARG002 -- of a chunk nobody knows what it holds
+    def batches(self, wanted: Collection[int] | None = None) -> Iterator[Batch]:  # noqa: ARG002 -- the channels of a chunk are not known
         """Yield all messages, chunk by chunk."""
         at = len(MAGIC)
         self.cut, self.unread = "", 0
         while at < self._end:
             record = self._record(at)
             if record is None:
-                self._stop(at, f"the record at byte {at} is not whole")
+                self._stop(at, f"the record at byte {at} is incomplete")
                 return
             header, begin, size = record
             is_whole = begin + size <= self._end
@@ -89,7 +89,7 @@ class Rosbag1Part:
             elif opcode in (_CONNECTION, _MESSAGE) and is_whole:  # in no chunk
                 yield from self._batches(self._read(at, begin + size - at), at, is_whole=True)
             if not is_whole:
-                self._stop(at, f"the record at byte {at} is not whole")
+                self._stop(at, f"the record at byte {at} is incomplete")
                 return
             at = begin + size
         if self._is_cut:
@@ -107,7 +107,7 @@ class Rosbag1Part:
             raise self._corrupt(f"a record in the chunk at byte {at} ends beyond the chunk")
 
     def _chunk(self, header: _Header, begin: int, size: int) -> tuple[bytes, str]:
-        """Return the records of a chunk; of a cut one those that are there, and the reason."""
+        """Return the records of a chunk; of a truncated one the complete ones, and the reason."""
         where = f"the chunk at byte {begin}"
         compression = header.get("compression", b"none").decode("utf-8", "replace")
         packed = self._read(begin, min(size, LARGEST_CHUNK))
@@ -116,15 +116,15 @@ class Rosbag1Part:
             data = decompress(packed, compression, declared)
         except BagError as error:
             raise self._corrupt(f"at byte {begin}, {error}") from error
-        except Exception as error:  # of any of the decompressors
+        except Exception as error:  # raised by any of the decompressors
             if self._is_cut:
                 return b"", f"{where} cannot be decompressed: {error}"
             raise self._corrupt(f"{where} cannot be decompressed: {error}") from error
         if len(data) == declared:
             return data, ""
         if not self._is_cut:
-            raise self._corrupt(f"{where} should hold {declared} bytes and does not")
-        return data[: whole(ros1_records(data))], f"{where} is not whole"
+            raise self._corrupt(f"{where} does not have the declared size of {declared} bytes")
+        return data[: complete_size(ros1_records(data))], f"{where} is incomplete"
 
     def _stop(self, at: int, reason: str) -> None:
         if not self._is_cut:
@@ -139,7 +139,7 @@ class Rosbag1Part:
         return self._file.read(max(0, min(size, self._size - at)))
 
     def _record(self, at: int) -> tuple[_Header, int, int] | None:
-        """Return header, place and size of a record's data; None if the header is not whole."""
+        """Return header, place and size of a record's data; None if the header is incomplete."""
         head = self._read(at, 4)
         length = int.from_bytes(head, "little")
         if len(head) < 4 or length > _LARGEST_HEADER:
@@ -153,7 +153,7 @@ class Rosbag1Part:
         return header, at + 8 + length, int.from_bytes(data[length:], "little")
 
     def _describe(self, data: bytes, at: int) -> bool:
-        """Keep a connection that a record describes; False if it does not."""
+        """Store the connection that a record describes; False if the record is invalid."""
         length = int.from_bytes(data[at : at + 4], "little")
         header = _header(data[at + 4 : at + 4 + length])
         at += 4 + length
@@ -172,7 +172,7 @@ class Rosbag1Part:
         return True
 
     def _read_index(self) -> bool:
-        """Take connections, counts and times from the index; False if there is none."""
+        """Read connections, counts and times from the index; False if there is none."""
         record = self._record(len(MAGIC))
         if record is None or _number(record[0], "op") != _BAG_HEADER:
             raise self._corrupt("it does not begin with the header of a bag")
@@ -212,7 +212,7 @@ class Rosbag1Part:
                     spans.append((_number(header, "chunk_pos"), first, last))
             at = begin + size
         self._set_extent(counts, spans)
-        # A chunk that is given in parts may have them in any order.
+        # A chunk that is read in several parts may have them in any order.
         self.extent.in_order &= largest <= MOST_AT_ONCE
         return counts.keys() <= self.channels.keys()
 

@@ -1,9 +1,9 @@
-"""The directory of one run, and how it gets there in one piece.
+"""The directory of one run, and its atomic publication.
 
 ``<root>/runs/<mode>/run003`` holds ``manifest.json``, ``bag/`` and ``graphs/``. A run is written in
 a scratch directory beside its place (``.run003.<token>``), which its writer keeps locked, and
-renamed into place (``scratch``). Whatever moment a process dies at, no half-written run is ever at
-its place.
+renamed into place (``scratch``). So an incomplete run is never at its place, even if a process
+dies.
 """
 
 import contextlib
@@ -101,7 +101,7 @@ class RunDirectory:
 
     @property
     def graphs(self) -> Path:
-        """Folder of its graphs: one a 10 s interval, ``run.gexf`` and ``run.graphml``."""
+        """Folder of its graphs: one per 10 s interval, ``run.gexf`` and ``run.graphml``."""
         return self.path / GRAPHS_FOLDER
 
     def feature_table(self, table: Table) -> Path:
@@ -109,7 +109,7 @@ class RunDirectory:
         return feature_table(self.root, table, self.mode, self.run_id)
 
     def is_complete(self) -> bool:
-        """Return whether the run is there."""
+        """Return whether the run exists and is complete."""
         return self.manifest_path.is_file()
 
     def manifest(self) -> Manifest:
@@ -117,19 +117,19 @@ class RunDirectory:
         return Manifest.load(self.manifest_path)
 
     def amend(self, **found: Any) -> None:
-        """Change fields of the manifest of a complete run, in one step.
+        """Change fields of the manifest of a complete run, atomically.
 
         Raises
         ------
         RunDirectoryError
-            If the run is not there, or the manifest cannot be written; the former one stays.
+            If the run does not exist, or the manifest cannot be written; the former one stays.
         """
-        if not is_local(self.path):  # an object is replaced in one step anyway
+        if not is_local(self.path):  # an object is always replaced atomically
             dataclasses.replace(self.manifest(), **found).save(self.manifest_path)
             return
         scratch = beside(self.manifest_path)
         try:
-            with lock(self.path.parent):  # nobody else amends it or puts another run here
+            with lock(self.path.parent):  # excludes other writers of this run
                 dataclasses.replace(self.manifest(), **found).save(scratch)
                 sync(scratch)
                 scratch.replace(self.manifest_path)
@@ -143,7 +143,7 @@ class RunDirectory:
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Hold this run, so that other workers wait; leftovers of killed workers are removed.
+        """Lock this run, so that other workers wait; leftovers of killed workers are removed.
 
         In an object store there is no lock. Two workers may then publish the same run, with equal
         messages.
@@ -167,11 +167,10 @@ class RunDirectory:
 
     @contextlib.contextmanager
     def staged(self) -> Iterator[Path]:
-        """Give a scratch directory that becomes the run when the block ends.
+        """Yield a scratch directory that becomes the run when the block ends.
 
-        It takes the place of a run that is there already. When the block raises, the scratch
-        directory is removed and the place is left as it was. What dead writers of this run left
-        behind is removed first.
+        It replaces an existing run. If the block raises, the scratch directory is removed and the
+        place is left unchanged. Leftovers of killed writers of this run are removed first.
 
         Yields
         ------
@@ -193,12 +192,12 @@ class RunDirectory:
             self._put_in_place(scratch)
 
     def replace_with(self, made: Self) -> None:
-        """Put a complete run that was made elsewhere on this disk here, in one step.
+        """Replace this run with a complete one from elsewhere on this disk, atomically.
 
         Raises
         ------
         RunDirectoryError
-            If it cannot be moved; both are where they were then.
+            If it cannot be moved; both are left in place then.
         """
         self._put_in_place(made.path)
 
@@ -209,14 +208,14 @@ class RunDirectory:
             leftover.unlink(missing_ok=True)
 
     def _salvage(self, leftover: Path) -> None:
-        """Put back a whole run whose writer died while it moved it."""
+        """Restore a complete run whose writer died while moving it."""
         if not self.path.exists() and (leftover / MANIFEST_FILE).is_file():
             leftover.rename(self.path)
 
     def _put_in_place(self, scratch: Path) -> None:
-        """Rename; a former run is moved aside first, so that it is whole or gone."""
+        """Rename; a former run is moved aside first, so that it is complete or absent."""
         if not (scratch / MANIFEST_FILE).is_file():
-            raise RunDirectoryError(f"{self.key} was left without its {MANIFEST_FILE}.")
+            raise RunDirectoryError(f"{self.key} was written without its {MANIFEST_FILE}.")
         former = beside(self.path)
         try:
             sync_tree(scratch)
@@ -263,7 +262,7 @@ def find_runs(root: Path) -> list[RunDirectory]:
 
 
 def _hold_file(path: Path) -> int:
-    """Make and hold a file that its holder removes in the end; return its descriptor."""
+    """Create and lock a file that its holder removes at the end; return its descriptor."""
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         fcntl.flock(descriptor, fcntl.LOCK_EX)

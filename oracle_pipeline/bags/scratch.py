@@ -47,12 +47,12 @@ def scratch_beside(
 
 @contextlib.contextmanager
 def replaced_folder(place: Path) -> Iterator[Path]:
-    """Give an empty folder that takes the place of another, in one step, when the block ends."""
+    """Yield an empty folder that atomically replaces another when the block ends."""
     with scratch_beside(place, Path.mkdir) as scratch:
         new, old = scratch / "new", scratch / "old"
         new.mkdir()
         yield new
-        with lock(place.parent):  # against somebody who makes the same folder
+        with lock(place.parent):  # excludes other writers of the same folder
             if place.exists():
                 place.rename(old)
             new.rename(place)
@@ -74,7 +74,7 @@ def remove_left(place: Path, salvage: Callable[[Path], object] = lambda _: None)
 
 
 def remove(path: Path) -> None:
-    """Remove a file or a folder, if it is there."""
+    """Remove a file or a folder, if it exists."""
     if path.is_dir():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -83,7 +83,7 @@ def remove(path: Path) -> None:
 
 @contextlib.contextmanager
 def lock(path: Path, *, wait: bool = True) -> Iterator[None]:
-    """Hold a file or folder; raises ``BlockingIOError`` if it is held and this is not to wait."""
+    """Lock a file or folder; raises ``BlockingIOError`` if it is locked and ``wait`` is false."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -93,7 +93,7 @@ def lock(path: Path, *, wait: bool = True) -> Iterator[None]:
 
 
 def sync(path: Path) -> None:
-    """Have a file or folder written to the disk."""
+    """Flush a file or folder to the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -102,7 +102,7 @@ def sync(path: Path) -> None:
 
 
 def sync_tree(directory: Path) -> None:
-    """Have a folder and all in it written to the disk."""
+    """Flush a folder and everything in it to the disk."""
     for folder, _, names in os.walk(directory):
         for name in names:
             sync(Path(folder, name))

@@ -1,8 +1,8 @@
-"""A hash inside the file that it is about: no bit of the file changes without being noticed.
+"""A hash inside the file that it protects, so that any change of the file is noticed.
 
 The writer puts ``BLANK`` somewhere into the file, then fills in the SHA-256 of the whole file as it
-is then. Whoever reads the file computes that hash again, with zeros in the place of the seal. So
-the file and its hash are replaced in one step, and are copied together.
+is then. A reader computes that hash again, with zeros in the place of the seal. So the
+file and its hash are replaced in one step, and are copied together.
 """
 
 import hashlib
@@ -24,7 +24,7 @@ def seal(content: bytearray) -> None:
 
 
 def check(content: bytes) -> State:
-    """Tell whether a file is the one that was sealed; ``absent`` if it has no seal."""
+    """Return whether a file is unchanged since it was sealed; ``absent`` if it has no seal."""
     place = _place(content)
     if place is None:
         return "absent"

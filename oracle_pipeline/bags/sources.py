@@ -28,18 +28,18 @@ def code_hash(
     within: Collection[str] = PACKAGES,
     root: Path = ROOT,
 ) -> str:
-    """Return a hash over the files that modules depend on, and over what counts besides.
+    """Return a hash over the files that modules depend on, and over additional content.
 
     Parameters
     ----------
     modules
-        Dotted names of modules of ours.
+        Dotted names of our modules.
     others
-        Texts that count besides.
+        Additional texts.
     folders
-        Folders whose files all count besides.
+        Additional folders, with all their files.
     within
-        Packages whose modules are followed; imports of all others do not count.
+        Packages whose imports are followed; all others are ignored.
     root
         The folder of the packages.
 

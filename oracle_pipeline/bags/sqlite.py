@@ -1,7 +1,7 @@
-"""Read a rosbag2 in SQLite, of any of its schemas; a database that was not closed as well.
+"""Read a rosbag2 in SQLite, of any schema version, even if the database was not closed.
 
 The database itself is never opened for writing: one with a journal or a write-ahead log beside it
-is copied to a temporary folder and finished there.
+is copied to a temporary folder and recovered there.
 """
 
 import os
@@ -18,7 +18,7 @@ import numpy as np
 
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import LARGEST_CHUNK, LARGEST_DEFINITION
-from oracle_pipeline.bags.part import Batch, Channel, Extent, add_channel, unpacked
+from oracle_pipeline.bags.part import Batch, Channel, Extent, add_channel, ros2_name, unpacked
 from oracle_pipeline.bags.records import Records
 
 MAGIC = b"SQLite format 3\0"
@@ -26,7 +26,7 @@ MAGIC = b"SQLite format 3\0"
 _BATCH_BYTES, _BATCH_ROWS = 4 * 2**20, 10_000
 _FORMATS = {"ros2msg": "msg", "ros2idl": "idl"}
 _NOTHING = np.zeros(0, dtype=np.int64)
-# SQLite keeps whatever it is given in any column.
+# SQLite stores values of any type in any column.
 _SOUND = "typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
 
 
@@ -36,7 +36,7 @@ class SqlitePart:
     Parameters
     ----------
     file, path : Path
-        To read, and as the user knows it.
+        File to read, and its path for messages to the user.
 
     Raises
     ------
@@ -79,7 +79,7 @@ class SqlitePart:
             self._folder.cleanup()
 
     def batches(self, wanted: Collection[int] | None = None) -> Iterator[Batch]:
-        """Yield all messages in order of time; of a damaged database as they were stored."""
+        """Yield all messages in order of time; of a damaged database in order of storage."""
         assert self._database is not None  # noqa: S101 -- as long as it is open
         topics = self.channels if wanted is None else wanted
         numbers = ",".join(str(number) for number in sorted(topics))
@@ -111,7 +111,7 @@ class SqlitePart:
     def _open(self, file: Path) -> sqlite3.Connection:
         """Open the database, or a copy of one that was not closed."""
         if self._size % (page := _page_size(file)):
-            # Read as it is, the page that was cut would be filled up with zeros.
+            # SQLite would fill up the truncated page with zeros.
             copy = self._copy(file)
             os.truncate(copy, self._size - self._size % page)
             file = copy
@@ -161,8 +161,9 @@ class SqlitePart:
         for number, name, msgtype, encoding, profiles in database.execute(topics):
             text, form, type_hash = definitions.get(msgtype, ("", "", ""))
             channel = Channel(
-                str(name), str(msgtype), str(encoding), text, form, type_hash, str(profiles)
-            )
+                str(name), ros2_name(str(msgtype)), str(encoding), text, form, type_hash,
+                str(profiles),
+            )  # fmt: skip
             add_channel(self.channels, number, channel)
 
     def _measure(self, database: sqlite3.Connection) -> None:

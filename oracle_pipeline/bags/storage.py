@@ -1,8 +1,8 @@
-"""rosbags' writer of rosbag2, with what is done once a message or a topic made short.
+"""rosbags' writer of rosbag2, with less work for each message and topic.
 
 A run has a hundred thousand small messages and sixty topics with a handful of QoS profiles: packing
-messages in batches (``batch_storage``), and printing each profile once, decide what writing a bag
-costs. These two modules use what rosbags does not document, so its version is limited in
+messages in batches (``batch_storage``), and formatting each profile once, saves most of the time.
+These two modules use what rosbags does not document, so its version is limited in
 ``pyproject.toml``.
 """
 
@@ -85,7 +85,7 @@ class Writer(RosbagsWriter):
         self.write_many([connection.id], [timestamp], [bytes(data)])
 
     def close(self) -> None:
-        """Write what is behind the messages, and ``metadata.yaml``."""
+        """Write the records after the messages, and ``metadata.yaml``."""
         storage = self._open_storage()
         information = self._information(storage.path.name)
         storage.close(METADATA_VERSION, _yaml(information).strip())

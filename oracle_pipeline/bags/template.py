@@ -21,8 +21,8 @@ STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 """The fields of a header's stamp, which differs in every message."""
 
 _NUMPY_NAMES = {"byte": "int8", "char": "uint8", "octet": "uint8"}  # others are numpy's own
-_ARRAY = 64  # numbers from which on numpy writes a row sooner than struct
-_HEADER = 4  # bytes of CDR's encapsulation; alignment counts from behind them
+_ARRAY = 64  # from this many numbers on, numpy writes a row faster than struct
+_HEADER = 4  # bytes of CDR's encapsulation; alignment counts from their end
 
 
 class Template:
@@ -35,8 +35,8 @@ class Template:
     msgtype
         Its type.
     fields
-        What differs: a number (``header.stamp.sec``), or an array or a message of numbers of one
-        type (``orientation``, ``pose.pose``), which is then a row of numbers.
+        The fields that differ: a number (``header.stamp.sec``), or an array or a message of numbers
+        of one type (``orientation``, ``pose.pose``), which is then a row of numbers.
 
     Raises
     ------
@@ -64,7 +64,7 @@ class Template:
     def _fillers(
         self, numbers: Sequence[tuple[tuple[str, tuple[int, ...]], int]]
     ) -> Iterator[Callable[[Sequence[Any]], None]]:
-        """Yield what writes values into the buffer: numbers side by side at once, and each row."""
+        """Yield functions that write adjacent numbers, or a row, into the buffer."""
         number = 0
         while number < len(numbers):
             (kind, shape), offset = numbers[number]
@@ -85,7 +85,7 @@ class Template:
             yield _numbers_filler(pack, begin, number)
 
     def data(self, *values: Any) -> bytes:
-        """Return one message: a value a field, or its row of numbers."""
+        """Return one message, from one value or row of numbers for each field."""
         if len(values) != self._count:
             raise ValueError(f"expected {self._count} values, found {len(values)}")
         for fill in self._fill:
@@ -93,7 +93,7 @@ class Template:
         return bytes(self._buffer)
 
     def rows(self, count: int) -> NDArray[np.void]:
-        """Return ``count`` copies, as a structured array with a column a field, to write to."""
+        """Return ``count`` copies, as a structured array with one column per field, to write to."""
         return np.tile(self._row, count).view(self._dtype)
 
 

@@ -1,8 +1,8 @@
-"""What reaches a terminal: text whose control characters are written out.
+"""Output to a terminal, with control characters escaped.
 
-Names and strings of a bag, a manifest or a scenario file are whatever somebody put there. As a
-control sequence they would set a terminal's title, move its cursor, or hide and forge lines. All
-that our commands print passes here, and all that Dagster logs.
+Names and strings of a bag, a manifest or a scenario file may contain control sequences, which could
+set a terminal's title, move its cursor, or hide and forge lines. Everything that our commands print
+and that Dagster logs passes through this module.
 """
 
 import contextlib
@@ -36,7 +36,7 @@ _RESET = "\x1b[0m"  # of a terminal's colours
 
 
 def printable(text: str) -> str:
-    """Return text without control, format and lone surrogate characters, which are written out."""
+    """Return text with control, format and lone surrogate characters escaped."""
     return text if text.isprintable() else text.translate(_PRINTABLE)
 
 
@@ -52,7 +52,7 @@ class _Stream:
     """A text stream that takes no control characters."""
 
     def __init__(self, stream: TextIO) -> None:
-        self._wrapped = stream  # tqdm looks for a stream below another one by this name
+        self._wrapped = stream  # tqdm finds the wrapped stream by this name
 
     def write(self, text: str) -> int:
         if text == _RESET:  # colorama, which Numba uses, ends every process with it
@@ -64,7 +64,7 @@ class _Stream:
 
 
 class PlainTextGroup(click.Group):
-    """A group of commands none of which can send a terminal anything but text."""
+    """A group of commands that can send only plain text to a terminal."""
 
     def main(self, *arguments: Any, **settings: Any) -> Any:
         """Run a command, with its errors, on streams that take no control characters."""
@@ -83,15 +83,15 @@ def progress_bar(
     Parameters
     ----------
     items
-        What to count; nothing if the caller counts.
+        Items to count; empty if the caller counts.
     unit
-        What one of them is called.
+        Name of one item.
     total
-        How many there are, if the items do not tell.
+        Number of items, if they have no length.
     desc
-        What the bar begins with.
+        Text before the bar.
     leave
-        Whether the bar stays when all are done.
+        Whether the bar stays after the last item.
     """
     from tqdm import tqdm  # not every command has a bar
 
@@ -102,7 +102,7 @@ def progress_bar(
 
 
 def escape_logs() -> None:
-    """Write out the control characters of every message that this process logs from now on."""
+    """Escape the control characters of every message that this process logs from now on."""
     make = logging.getLogRecordFactory()
     if getattr(make, "escapes", False):
         return

@@ -1,7 +1,7 @@
 """ROS 2 message types: Humble's, and those that Humble's type store lacks.
 
-Their fields stand in ``fields.json``, which ``interfaces`` beside this module makes: parsing all of
-them takes longer than reading a short recording. Bytes are CDR with its four-byte encapsulation
+Their fields are in ``fields.json``, which the module ``interfaces`` writes: parsing all interface
+files takes longer than reading a short recording. Bytes are CDR with its four-byte encapsulation
 header, as in a bag.
 """
 
@@ -22,14 +22,14 @@ _FIELDS = "fields.json"
 
 
 class TypeDefinition(NamedTuple):
-    """What a bag says of a message type."""
+    """The definition of a message type in a bag."""
 
-    text: str  # that of .msg or .idl files, with all that the type uses; empty: not in the bag
+    text: str  # of .msg or .idl files, with all types that it uses; empty: not in the bag
     type_hash: str  # RIHS01_...; empty: not in the bag
 
 
 class _BuiltIn(Typestore):
-    """Knows the fields of all types, and makes the class of one when it is asked for."""
+    """Has the fields of all types, and creates the class of a type on first use."""
 
     def __init__(self, fielddefs: dict[str, Any]) -> None:
         super().__init__()
@@ -108,7 +108,7 @@ def definition(msgtype: str) -> str:
     """Return the definition of a type and all it uses, as rosbag2 stores it in a bag.
 
     References between types have no middle part in this format (``nav2_msgs/Spin_Goal``), which
-    the type store can only write for ``/msg/`` types; so it is asked about a renamed copy.
+    the type store can only write for ``/msg/`` types; so a renamed copy is used.
     """
     message_class(msgtype)
     text, _ = _renamed().generate_msgdef(_as_msg(msgtype), ros_version=2)

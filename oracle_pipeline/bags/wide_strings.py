@@ -1,8 +1,8 @@
-"""Fields of type ``wstring``, which the type store does not know.
+"""Fields of type ``wstring``, which the type store does not support.
 
-There are two encodings, and nothing in a bag says which: up to ROS 2 Iron the number of characters
-and 4 bytes for each, since Jazzy (DDS-XTypes) the number of bytes and UTF-16. A message is of that
-encoding whose end is the message's end.
+There are two encodings, and a bag does not state which it has: up to ROS 2 Iron the number of
+characters and 4 bytes for each, since Jazzy (DDS-XTypes) the number of bytes and UTF-16. Its
+encoding is the one that decodes to exactly the length of the message.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ def unbounded(text: str) -> str:
 
 
 def with_wide_strings(parsed: Mapping[str, Any], encoding: str) -> dict[str, Any]:
-    """Return definitions of types in which wide strings are of an encoding."""
+    """Return definitions with wide strings replaced by those of one encoding."""
 
     def known(kind: Nodetype, what: Any) -> tuple[Nodetype, Any]:
         if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
@@ -45,7 +45,7 @@ def with_wide_strings(parsed: Mapping[str, Any], encoding: str) -> dict[str, Any
 
 
 def has_wide_strings(parsed: Mapping[str, Any]) -> bool:
-    """Tell whether one of some types has a wide string of its own."""
+    """Return whether one of some types has a field that is a wide string."""
     return any(
         _is_wide(*(what[0] if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else (kind, what)))
         for _, fields in parsed.values()
@@ -61,7 +61,7 @@ def either(*decoders: Callable[[bytes, str], Any]) -> Callable[[bytes, str], Any
         for decoder in decoders[:-1]:
             try:
                 return _as_text(decoder(data, msgtype), order)
-            except Exception:  # noqa: S112 -- whatever a generated decoder trips over
+            except Exception:  # noqa: S112 -- a generated decoder may raise any error
                 continue
         return _as_text(decoders[-1](data, msgtype), order)
 

@@ -1,4 +1,4 @@
-"""Write a rosbag2, as ``ros2 bag record`` would have left it.
+"""Write a rosbag2, as ``ros2 bag record`` would.
 
 rosbags writes the storage and ``metadata.yaml``; here are the hash of the content, the rule for QoS
 profiles, and errors that name the bag. Nothing depends on the clock: equal calls make equal bytes.
@@ -25,11 +25,11 @@ from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.bags.types import TypeDefinition
 
 _BATCH_BYTES = 2**18  # of messages are packed, stored and hashed at a time
-_NO_HASH = f"RIHS01_{'0' * 64}"  # rosbags insists on one; ROS compares it only where both have one
+_NO_HASH = f"RIHS01_{'0' * 64}"  # rosbags requires one; ROS compares it only where both have one
 
 
 class _Topic:
-    """A topic on its way into the bag; ``connection`` is set from its first message on."""
+    """A topic of the bag in progress; ``connection`` is set from its first message on."""
 
     __slots__ = ("channel", "connection", "count", "definition", "msgtype", "prefix", "qos")
 
@@ -59,8 +59,8 @@ class BagWriter:
     Raises
     ------
     BagError
-        If the path exists, a topic is unknown or has two types, or the disk is full: that shows
-        with a later message, or at the end, since messages are stored in batches.
+        If the path exists, a topic is unknown or has two types, or the disk is full. The latter is
+        raised by a later message, or at the end, since messages are stored in batches.
 
     Examples
     --------
@@ -73,7 +73,7 @@ class BagWriter:
         self.path = path
         self._hash = ContentHash()
         self._topics: dict[str, _Topic] = {}
-        self._pending: list[tuple[_Topic, int, bytes]] = []  # written, but not yet handed on
+        self._pending: list[tuple[_Topic, int, bytes]] = []  # written, but not yet stored
         self._pending_bytes = self._stored_bytes = 0
         # rosbags names the file after the folder, rosbag2 adds "_0": so it is written as
         # "<name>_0" and the folder is renamed at the end.
@@ -84,8 +84,8 @@ class BagWriter:
             path.name.encode()
         except UnicodeEncodeError as error:
             raise BagError(
-                f"{printable(str(path))} cannot be the name of a bag: it is not UTF-8, as "
-                "metadata.yaml is, which holds it. Choose another."
+                f"{printable(str(path))} cannot be the name of a bag: metadata.yaml holds "
+                "it, so it must be UTF-8. Choose another."
             ) from error
         with self._errors():
             self._writer = Writer(
@@ -110,7 +110,7 @@ class BagWriter:
 
     @property
     def topics(self) -> dict[str, TopicCount]:
-        """What the bag holds of each topic so far, for the manifest."""
+        """Type and message count of each topic so far, for the manifest."""
         self._flush()
         return {
             name: TopicCount(topic.msgtype, topic.count) for name, topic in self._topics.items()
@@ -136,10 +136,10 @@ class BagWriter:
         name, msgtype : str
             ``/scan`` and ``sensor_msgs/msg/LaserScan``.
         qos : sequence of Qos
-            What the publisher offers. Profiles of all publishers are kept until the topic's first
-            message; what comes later is not in the bag, as with ``ros2 bag record``.
+            Profiles that the publisher offers. Those of all publishers are stored until the topic's
+            first message; later ones are not in the bag, as with ``ros2 bag record``.
         definition : TypeDefinition, optional
-            Goes into the bag; by default ours, for which the type must be one that we know.
+            Definition to store; by default the built-in one, which must exist.
         """
         known = self._topics.get(name)
         if known is None:
@@ -176,7 +176,7 @@ class BagWriter:
             self._flush()
 
     def _begin(self, topic: str) -> _Topic:
-        """Make a topic ready for its first message."""
+        """Prepare a topic for its first message."""
         try:
             entry = self._topics[topic]
         except KeyError:
@@ -187,7 +187,7 @@ class BagWriter:
         return entry
 
     def _flush(self) -> None:
-        """Hand what was written so far to the storage and to the hash."""
+        """Pass the messages written so far to the storage and to the hash."""
         if not self._pending:
             return
         entries, stamps, payloads = zip(*self._pending, strict=True)
@@ -235,7 +235,7 @@ class BagWriter:
         topic.channel = topic.connection.id
 
     def _discard(self) -> None:
-        # Closing flushes: on a full disk it fails as the write did, and that error is on its way.
+        # Closing flushes: on a full disk it fails as the write did, whose error is raised already.
         with suppress(OSError, sqlite3.Error):
             self._writer.abort()
         shutil.rmtree(self._unfinished, ignore_errors=True)

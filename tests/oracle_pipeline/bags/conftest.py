@@ -65,7 +65,7 @@ def write_bag(qos: Callable[..., Qos]) -> Callable[..., Path]:
 
 @pytest.fixture(params=[*FOREIGN_BAGS, "own mcap", "own sqlite3"], ids=lambda p: str(p)[-40:])
 def any_bag(request: pytest.FixtureRequest, write_bag: Callable[..., Path], tmp_path: Path) -> Path:
-    """Each bag at hand: those that others recorded, where there are any, and two of our own."""
+    """Each available bag: foreign ones, if there are any, and two of our own."""
     if isinstance(request.param, Path):
         return request.param.parent
     return write_bag(tmp_path / "bag", request.param.split()[1])

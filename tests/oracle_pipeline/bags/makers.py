@@ -23,7 +23,7 @@ Message = tuple[str, int, bytes]  # topic, stamp [ns], data
 
 @dataclass(frozen=True)
 class McapOptions:
-    """What writers of MCAP do differently."""
+    """Options in which writers of MCAP differ."""
 
     chunk_bytes: int = 1000  # 0: unchunked, as rosbag2's `fastwrite`
     compression: str = ""
@@ -123,6 +123,7 @@ class McapChannel:
     definition_format: str | None = "ros2msg"  # None: no schema
     encoding: str = "cdr"
     metadata: Mapping[str, str] = field(default_factory=dict)
+    stamps_ns: Sequence[int] = ()  # by default 1, 2, ...
 
 
 def write_channels(path: Path, channels: Sequence[McapChannel], more: bytes = b"") -> None:
@@ -138,7 +139,8 @@ def write_channels(path: Path, channels: Sequence[McapChannel], more: bytes = b"
         pairs = b"".join(_text(key) + _text(value) for key, value in channel.metadata.items())
         names = _text(channel.topic) + _text(channel.encoding)
         out += _record(4, _u(2, number) + _u(2, schema) + names + _block(pairs))
-        for stamp, data in enumerate(channel.data, start=1):
+        stamps_ns = channel.stamps_ns or range(1, len(channel.data) + 1)
+        for stamp, data in zip(stamps_ns, channel.data, strict=True):
             out += _message(number, stamp, data)
     out += more + _record(15, _u(4, 0)) + _record(2, bytes(20)) + MAGIC
     path.write_bytes(out)
@@ -151,8 +153,13 @@ def attachment() -> bytes:
     return _record(9, content) + _record(12, _text("about") + _block(b""))
 
 
-def write_db3(path: Path, messages: Sequence[Message], schema: int = 3) -> None:
-    """Write a database of Foxy (1), Galactic and Humble (3), or Iron and later (4)."""
+def write_db3(
+    path: Path, messages: Sequence[Message], schema: int = 3, types: Mapping[str, str] | None = None
+) -> None:
+    """Write a database of Foxy (1), Galactic and Humble (3), or Iron and later (4).
+
+    Messages are strings, unless ``types`` has their topics.
+    """
     qos = "" if schema < 2 else ", offered_qos_profiles TEXT NOT NULL"
     more = "" if schema < 4 else ", type_description_hash TEXT NOT NULL"
     database = sqlite3.connect(path)
@@ -177,7 +184,10 @@ def write_db3(path: Path, messages: Sequence[Message], schema: int = 3) -> None:
         )
     topics = list(dict.fromkeys(topic for topic, _, _ in messages))
     for number, topic in enumerate(topics, start=1):
-        values = [number, topic, STRING, "cdr", "", "RIHS01_0"][: 4 + (schema >= 2) + (schema >= 4)]
+        msgtype = (types or {}).get(topic, STRING)
+        values = [number, topic, msgtype, "cdr", "", "RIHS01_0"][
+            : 4 + (schema >= 2) + (schema >= 4)
+        ]
         places = ",".join("?" * len(values))
         database.execute(f"INSERT INTO topics VALUES ({places})", values)  # noqa: S608
     database.executemany(

@@ -1,4 +1,4 @@
-"""Recordings in a folder: every name has a key of its own, and unfinished ones are known."""
+"""Recordings in a folder: every name has a unique key, and unfinished ones are detected."""
 
 import os
 import re
@@ -44,7 +44,7 @@ def test_two_names_have_two_keys(one: str, other: str) -> None:
 
 
 @given(names)
-def test_a_name_that_is_another_ones_key_has_a_key_of_its_own(name: str) -> None:
+def test_a_name_that_equals_the_key_of_another_has_a_different_key(name: str) -> None:
     key = key_of(name)
     assert key == name or key_of(key) != key
 
@@ -89,7 +89,7 @@ def test_any_change_to_a_file_changes_the_fingerprint(inbox: Path, change: str) 
     assert after.fingerprint != before.fingerprint
 
 
-def test_what_is_no_recording_is_left_out_and_nothing_blocks(inbox: Path) -> None:
+def test_files_that_are_no_recordings_are_left_out_without_blocking(inbox: Path) -> None:
     write_bag(inbox / ".copying", drive())
     (inbox / "notes.txt").write_text("no recording")
     (inbox / "empty").mkdir()
@@ -101,10 +101,10 @@ def test_what_is_no_recording_is_left_out_and_nothing_blocks(inbox: Path) -> Non
     looked = arrivals(inbox)
     assert [arrival.name for arrival in looked.found] == ["folder"]  # the reader will refuse it
     assert len(looked.faults) == 1
-    assert looked.faults[0].startswith("loop.mcap cannot be looked at")
+    assert looked.faults[0].startswith("loop.mcap cannot be inspected")
 
 
-def test_a_name_that_is_no_utf8_is_told_in_plain_text(inbox: Path) -> None:
+def test_a_name_that_is_not_utf8_is_reported_in_plain_text(inbox: Path) -> None:
     name = b"bag\xff\x1b[2J"
     write_bag(inbox / "bag", drive())
     (inbox / "bag").rename(inbox / os.fsdecode(name))

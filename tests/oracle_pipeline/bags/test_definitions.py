@@ -1,4 +1,4 @@
-"""Definitions as other tools write them: decoded, or told in one line why not."""
+"""Definitions of other tools are decoded, or refused with a reason in one line."""
 
 import struct
 
@@ -68,7 +68,7 @@ DECODED = {
 
 
 @pytest.mark.parametrize("name", DECODED)
-def test_what_others_write_is_decoded(name, tmp_path):
+def test_definitions_of_other_tools_are_decoded(name, tmp_path):
     write_channels(tmp_path / "a.mcap", [DECODED[name]])
     with BagReader(tmp_path / "a.mcap") as bag:
         (message,) = bag.messages()
@@ -94,16 +94,16 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_be_decoded_is_told_in_a_line_and_costs_its_topic_only(name, tmp_path):
+def test_an_undecodable_type_is_reported_in_one_line_and_affects_its_topic_only(name, tmp_path):
     refused, reason = REFUSED[name]
     good = McapChannel("/good", "q/msg/B", INT, [FIVE])
     write_channels(tmp_path / "a.mcap", [refused, good])
     with open_run(tmp_path / "a.mcap") as run:
         raw = {message.topic: message for message in run.bag.messages()}
         assert run.bag.deserialize(raw["/good"]).a == 5
-        with pytest.raises(BagError, match=reason) as told:
+        with pytest.raises(BagError, match=reason) as refused:
             run.bag.deserialize(raw["/t"])
-        assert "\n" not in str(told.value)
+        assert "\n" not in str(refused.value)
         notes = extract(run, build_manager()).notes
         assert reason == "encapsulation" or any(reason in note for note in notes)
         assert not any("\n" in note for note in notes)
@@ -128,7 +128,7 @@ def test_topics_may_use_types_of_one_name_that_differ(tmp_path):
         assert (a.x, b.x, b.y) == (5, 5, 6)
 
 
-def test_a_known_type_needs_no_definition_that_can_be_read(tmp_path):
+def test_a_known_type_needs_no_readable_definition(tmp_path):
     """Bags of ROS 1 have comments whose backslashes became line ends."""
     broken = channel("#rief x\note what this is\nstring data\n", text("hi"), "std_msgs/msg/String")
     write_channels(tmp_path / "a.mcap", [broken])

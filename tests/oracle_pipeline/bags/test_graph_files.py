@@ -34,7 +34,7 @@ def graphs(draw):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("write", "read"), FORMATS)
-def test_what_is_written_is_read(write, read, tmp_path):
+def test_written_files_are_read_back(write, read, tmp_path):
     @settings(max_examples=25)
     @given(graphs())
     def check(graph):
@@ -48,7 +48,7 @@ def test_what_is_written_is_read(write, read, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("write", "_read"), FORMATS)
-def test_equal_graphs_make_equal_bytes(write, _read, tmp_path):
+def test_equal_graphs_give_equal_bytes(write, _read, tmp_path):
     @settings(max_examples=25)
     @given(graphs(), st.randoms())
     def check(graph, random):
@@ -102,7 +102,7 @@ def test_entities_are_refused(write, read, tmp_path):
     [("</", "<"), ("node:/amcl", "amcl"), ("topic", "chart"), ("460", "many"), ("460", ""),
      ("messages", "letters")],
 )  # fmt: skip
-def test_what_is_no_graph_of_ours_is_told(write, read, old, new, tmp_path):
+def test_a_file_that_is_no_graph_is_an_error(write, read, old, new, tmp_path):
     write(small(), tmp_path / "graph")
     text = (tmp_path / "graph").read_text()
     (tmp_path / "graph").write_text(text.replace(old, new))
@@ -110,7 +110,7 @@ def test_what_is_no_graph_of_ours_is_told(write, read, old, new, tmp_path):
         read(tmp_path / "graph")
 
 
-def test_an_absent_or_empty_file_is_told(tmp_path):
+def test_a_missing_or_empty_file_is_an_error(tmp_path):
     (tmp_path / "empty").touch()
     for name in ("empty", "absent"):
         with pytest.raises(GraphError, match=name):

@@ -1,4 +1,4 @@
-"""The files of a run are those that its manifest has the hashes of, or they are not used."""
+"""The files of a run are used only if they have the hashes in its manifest."""
 
 import json
 import logging
@@ -62,11 +62,11 @@ def test_a_file_that_is_changed_lost_or_added_is_named_before_it_is_used(run, da
     assert damaged_files(run.path, run.manifest()) == [name]
     other = "bag" if name.startswith("graphs") else "graphs"
     assert damaged_files(run.path, run.manifest(), other) == []
-    with pytest.raises(RunDirectoryError, match=f"damaged: {name} is not what was recorded"):
+    with pytest.raises(RunDirectoryError, match=f"damaged: {name} is not as recorded"):
         open_run(run.path)
 
 
-def test_a_damaged_bag_is_not_trimmed_into_a_sound_one(run):
+def test_a_damaged_bag_is_not_trimmed(run):
     append(run.bag / "bag_0.mcap")
     with pytest.raises(OracleError, match="damaged"):
         retain(run, "trimmed", lambda _bag: ())
@@ -74,7 +74,7 @@ def test_a_damaged_bag_is_not_trimmed_into_a_sound_one(run):
 
 
 @pytest.mark.parametrize("kept", ["trimmed", "recipe"])
-def test_what_stays_of_a_run_keeps_its_hashes(run, kept):
+def test_the_remaining_files_of_a_run_keep_their_hashes(run, kept):
     append(run.graphs / "run.gexf")
     retain(run, kept, lambda _bag: ())
     assert damaged_files(run.path, run.manifest()) == ["graphs/run.gexf"]
@@ -115,7 +115,7 @@ def test_any_flipped_bit_of_a_sealed_file_breaks_its_seal(before, after, positio
     assert seals.check(content) == ("absent" if position in mark else "wrong")
 
 
-def test_what_has_no_blank_seal_is_not_sealed():
+def test_a_file_without_a_blank_seal_is_not_sealed():
     for content in (b"", seals.BLANK.encode()[:-64], b"text"):
         with pytest.raises(ValueError, match="no blank seal"):
             seals.seal(bytearray(content))

@@ -1,4 +1,4 @@
-"""The layout of a root: every file that a run has is known to be that run's."""
+"""The layout of a root: every file of a run is assigned to it."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What a broken or hostile file claims costs neither memory nor time, and the error names it."""
+"""The claims of a broken or hostile file cost neither memory nor time; the error names it."""
 
 import os
 import resource
@@ -45,7 +45,7 @@ def peak_mib(path):
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device", "socket"])
-def test_what_is_no_file_is_refused(kind, tmp_path):
+def test_a_path_that_is_no_file_is_refused(kind, tmp_path):
     path = tmp_path / "a.mcap"
     if kind == "pipe":
         os.mkfifo(path)

@@ -77,7 +77,7 @@ def example() -> Manifest:
 
 @settings(max_examples=30)
 @given(manifests)
-def test_what_is_saved_is_loaded(tmp_path_factory, manifest):
+def test_a_saved_value_is_loaded_unchanged(tmp_path_factory, manifest):
     path = tmp_path_factory.mktemp("run") / "manifest.json"
     manifest.save(path)
     assert Manifest.load(path) == manifest
@@ -115,7 +115,7 @@ def test_a_wrong_field_is_named(field, value, tmp_path):
 
 
 @pytest.mark.parametrize("change", ["missing", "unknown"])
-def test_fields_are_all_there_and_no_others(change, tmp_path):
+def test_fields_are_complete_and_no_others(change, tmp_path):
     path = tmp_path / "manifest.json"
     example().save(path)
     document = json.loads(path.read_text())
@@ -128,7 +128,7 @@ def test_fields_are_all_there_and_no_others(change, tmp_path):
         Manifest.load(path)
 
 
-def test_another_schema_version_is_told(tmp_path):
+def test_another_schema_version_is_an_error(tmp_path):
     path = tmp_path / "manifest.json"
     path.write_text('{"schema_version": 7}')
     with pytest.raises(ManifestError, match="schema version 7, this release reads 5"):
@@ -136,7 +136,7 @@ def test_another_schema_version_is_told(tmp_path):
 
 
 @pytest.mark.parametrize(("version", "lacks"), [(3, ("world",)), (2, ("world", "changes"))])
-def test_a_run_of_an_older_version_is_read_as_one_that_does_not_tell(version, lacks, tmp_path):
+def test_fields_that_an_older_version_lacks_have_defaults(version, lacks, tmp_path):
     path = tmp_path / "manifest.json"
     example().save(path)
     document = json.loads(path.read_text())
@@ -170,7 +170,7 @@ def test_a_manifest_that_lost_its_seal_is_not_taken_for_an_older_one(tmp_path):
         Manifest.load(path)
 
 
-def test_an_edited_manifest_is_told(tmp_path):
+def test_an_edited_manifest_is_an_error(tmp_path):
     path = tmp_path / "manifest.json"
     example().save(path)
     path.write_text(path.read_text().replace("malicious", "normal"))
@@ -179,7 +179,7 @@ def test_an_edited_manifest_is_told(tmp_path):
 
 
 def test_no_flipped_bit_of_a_manifest_gives_another(tmp_path):
-    """Not one, wherever it is; of all of them, as many as there is time for."""
+    """At any place; a sample of all bits, as far as time permits."""
     path = tmp_path / "manifest.json"
     example().save(path)
     content = path.read_bytes()
@@ -192,7 +192,7 @@ def test_no_flipped_bit_of_a_manifest_gives_another(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "null", "\udcff"])
-def test_what_is_no_manifest_is_told(text, tmp_path):
+def test_a_file_that_is_no_manifest_is_an_error(text, tmp_path):
     path = tmp_path / "manifest.json"
     path.write_bytes(text.encode("utf-8", "surrogateescape"))
     with pytest.raises(ManifestError, match=str(path)):

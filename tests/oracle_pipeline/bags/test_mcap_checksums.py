@@ -1,4 +1,4 @@
-"""An MCAP file carries every checksum there is, and what does not fit its own is an error."""
+"""An MCAP file has every possible checksum, and content that differs from it is an error."""
 
 import zlib
 
@@ -49,7 +49,7 @@ def test_no_flipped_bit_of_a_bag_gives_other_messages(file):
             refused += 1
         else:
             assert found == expected, f"bit {at}"
-    assert refused > 100  # the others are where nobody looks: an index of messages, for example
+    assert refused > 100  # the others are in unused parts, such as an index of messages
 
 
 def test_a_file_without_checksums_is_read(file):

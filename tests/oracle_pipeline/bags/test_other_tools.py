@@ -1,4 +1,4 @@
-"""What tools that are not ours find in our bags: the mcap package, and sqlite3 by itself."""
+"""The content of our bags as read by other tools: the mcap package, and sqlite3 by itself."""
 
 import sqlite3
 from contextlib import closing

@@ -54,6 +54,6 @@ def test_profiles_of_real_bags_are_read_as_rosbags_does():
 @pytest.mark.parametrize(
     "text", ["{", "1", "- 1", "&a [*a]", "- !!python/name:os.system x", "[" * 100, "- ? [a]\n  : b"]
 )
-def test_what_is_no_profile_is_told(text):
+def test_a_text_that_is_no_profile_is_an_error(text):
     with pytest.raises(ValueError, match="."):
         qos_profiles.parse(text)

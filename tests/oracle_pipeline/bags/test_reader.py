@@ -53,7 +53,7 @@ def test_every_message_of_every_bag_at_hand_is_decoded(any_bag):
     assert (bag.start_ns, bag.end_ns) == (stamps[0], stamps[-1])
 
 
-def test_only_the_topics_asked_for_are_read(write_bag, tmp_path):
+def test_only_the_requested_topics_are_read(write_bag, tmp_path):
     with BagReader(write_bag(tmp_path / "bag")) as bag:
         assert {m.topic for m in bag.messages(["/clock", "/absent"])} == {"/clock"}
         assert list(bag.messages([])) == []
@@ -153,7 +153,7 @@ def test_metadata_does_not_decide_what_is_read(write_bag, tmp_path):
         assert [len(topic.qos) for topic in read.topics.values()] == [1, 2]
 
 
-def test_what_is_no_bag_is_told(tmp_path):
+def test_a_file_that_is_no_bag_is_an_error(tmp_path):
     with pytest.raises(BagError, match=r"There is no bag .*absent"):
         BagReader(tmp_path / "absent")
     with pytest.raises(BagError, match=r"is not a bag: it holds no \.mcap"):
@@ -167,7 +167,7 @@ def test_what_is_no_bag_is_told(tmp_path):
 @pytest.mark.parametrize(
     "text", ["a: [1", "", "rosbag2_bagfile_information: 1", "&a [*a]", "[" * 99]
 )
-def test_broken_metadata_is_told_and_costs_nothing(text, write_bag, tmp_path):
+def test_broken_metadata_is_reported_and_loses_nothing(text, write_bag, tmp_path):
     bag = write_bag(tmp_path / "bag")
     (bag / "metadata.yaml").write_text(text)
     with BagReader(bag, strict=True) as read:
@@ -190,12 +190,12 @@ def test_a_link_cannot_lead_out_of_the_folder(write_bag, tmp_path):
     bag = write_bag(tmp_path / "bag")
     (bag / "bag_0.mcap").rename(tmp_path / "elsewhere.mcap")
     (bag / "bag_0.mcap").symlink_to(tmp_path / "elsewhere.mcap")
-    with pytest.raises(BagError, match="outside the bag's folder"):
+    with pytest.raises(BagError, match="out of the bag's folder"):
         BagReader(bag)
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-def test_a_damaged_bag_raises_bag_error_or_reads_whole(storage, write_bag, tmp_path):
+def test_a_damaged_bag_raises_bag_error_or_is_read_completely(storage, write_bag, tmp_path):
     bag = write_bag(tmp_path / "bag", storage)
     file = next(path for path in bag.iterdir() if path.stem == "bag_0")
     whole = file.read_bytes()
@@ -214,7 +214,7 @@ def test_a_damaged_bag_raises_bag_error_or_reads_whole(storage, write_bag, tmp_p
 
 
 def write_custom(path: Path, msgtype: str, definition: str, *values: object, **stored: str) -> None:
-    """Write one message of a type that is defined here and, unless told otherwise, in the bag."""
+    """Write one message of a type that is defined here and, by default, in the bag."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(definition, msgtype))
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
@@ -231,7 +231,7 @@ def test_types_that_only_the_bag_knows_are_decoded(tmp_path):
         assert bag.deserialize(message).b == "three"
 
 
-def test_the_definition_in_the_bag_wins_over_ours(tmp_path):
+def test_the_definition_in_the_bag_has_precedence(tmp_path):
     # Jazzy's form has one field more than Humble's.
     definition = (
         "builtin_interfaces/Time timestamp\nstring node_name\nuint16 uid\n"
@@ -247,7 +247,7 @@ def test_the_definition_in_the_bag_wins_over_ours(tmp_path):
         assert bag.deserialize(message).uid == 9
 
 
-def test_messages_of_unknown_type_are_raw_and_told(tmp_path):
+def test_messages_of_unknown_type_are_raw_and_reported(tmp_path):
     write_custom(tmp_path / "bag", "my_msgs/msg/Pair", "int32 a\n", 3, msgdef="")
     with BagReader(tmp_path / "bag") as bag:
         (message,) = bag.messages()
@@ -256,7 +256,7 @@ def test_messages_of_unknown_type_are_raw_and_told(tmp_path):
             bag.deserialize(message)
 
 
-def test_a_bad_definition_costs_its_own_topic(tmp_path):
+def test_a_bad_definition_affects_only_its_own_topic(tmp_path):
     write_custom(tmp_path / "bag", "my_msgs/msg/Pair", "int32 a\n", 3, msgdef="int32 = = 3\n")
     with BagReader(tmp_path / "bag") as bag:
         (message,) = bag.messages()
@@ -264,7 +264,7 @@ def test_a_bad_definition_costs_its_own_topic(tmp_path):
             bag.deserialize(message)
 
 
-def test_bytes_of_another_type_are_told(tmp_path):
+def test_bytes_of_another_type_are_an_error(tmp_path):
     with BagWriter(tmp_path / "bag") as writer:
         writer.add_topic("/chatter", STRING, [])
         writer.write("/chatter", 7, b"\0\1\0\0\xff\xff\xff\x7f")

@@ -1,4 +1,4 @@
-"""Whoever wrote a recording, with whatever options: all its messages are read, in time order."""
+"""All messages of a recording by any writer with any options are read, in order of time."""
 
 import os
 import shutil
@@ -75,7 +75,7 @@ def test_every_ros1_bag_is_read(compression, tmp_path):
 
 @pytest.mark.parametrize("name", ["a b.mcap", "a#1.db3", "50%.db3", "what?.db3", "x.db3.zstd",
                                   "x.mcap.zstd", "x.bag.active"])  # fmt: skip
-def test_any_name_is_read(name, tmp_path):
+def test_any_file_name_is_read(name, tmp_path):
     path = tmp_path / name
     plain = path.with_suffix("") if name.endswith(".zstd") else path
     if ".mcap" in name:
@@ -100,7 +100,7 @@ def test_names_that_are_not_utf8_are_read(tmp_path):
 
 @pytest.mark.parametrize("folder", ["bag", "folder.bag", "folder.mcap"])
 def test_a_folder_is_one_recording_whatever_metadata_says(folder, tmp_path, write_bag):
-    """Parts that it does not list and topics that it does not name are read; others' are not."""
+    """Parts and topics that it does not list are read; those of other recordings are not."""
     bag = write_bag(tmp_path / folder)
     (bag / "metadata.yaml").unlink()
     next(bag.glob("*.mcap")).unlink()
@@ -112,12 +112,12 @@ def test_a_folder_is_one_recording_whatever_metadata_says(folder, tmp_path, writ
     shutil.copy(tmp_path / "other" / "metadata.yaml", bag)  # of another recording
     messages, losses = read(bag)
     assert messages == MESSAGES
-    assert "other_0.mcap, which is not there" in losses[0]
+    assert "other_0.mcap, which does not exist" in losses[0]
     with pytest.raises(BagError, match=r"incomplete.*other_0\.mcap"):
         BagReader(bag, strict=True)
 
 
-def test_a_part_that_cannot_be_read_is_named_and_costs_no_other(tmp_path):
+def test_a_part_that_cannot_be_read_is_named_and_the_others_are_read(tmp_path):
     for part in range(3):
         write_mcap(tmp_path / f"x_{part}.mcap", MESSAGES[20 * part : 20 * part + 20], McapOptions())
     (tmp_path / "x_1.mcap").write_bytes(bytes(1000))
@@ -144,7 +144,7 @@ def test_a_half_compressed_part_gives_way_to_its_original(tmp_path):
     assert read(tmp_path) == (MESSAGES, [])
 
 
-def test_the_smaller_half_of_a_topic_with_two_types_is_told(tmp_path, write_bag):
+def test_the_rarer_type_of_a_topic_with_two_types_is_reported(tmp_path, write_bag):
     write_mcap(tmp_path / "a_0.mcap", [("/clock", m[1], m[2]) for m in MESSAGES], McapOptions())
     shutil.copy(next(write_bag(tmp_path / "bag").glob("*.mcap")), tmp_path / "a_1.mcap")
     shutil.rmtree(tmp_path / "bag")
@@ -169,7 +169,7 @@ def test_any_order_of_stamps_is_sorted_and_equal_ones_stay(
 
 
 @pytest.mark.parametrize("indexed", [True, False])
-def test_a_chunk_of_many_small_messages_is_read_whole_and_sorted(indexed, tmp_path):
+def test_a_chunk_of_many_small_messages_is_read_completely_and_sorted(indexed, tmp_path):
     path, count = tmp_path / "a.mcap", MOST_AT_ONCE + 10
     messages = [("/t", count - number, b"\0\1\0\0\1\0\0\0\0") for number in range(count)]
     write_mcap(path, messages, McapOptions(2**30, "zstd", statistics=indexed))

@@ -33,7 +33,7 @@ def test_an_mcap_file_that_is_cut_anywhere(options, share, zeros, place):
     data = path.read_bytes()
     cut = int(share * len(data))
     path.write_bytes(data[:cut] + bytes(1000 if zeros else 0))  # a disk that was full ends so
-    # Zeros at the end of the last message cannot be told from those of the disk.
+    # Zeros at the end of the last message cannot be distinguished from those of the disk.
     before = max(0, sum(end <= cut for end in complete) - zeros)
     try:
         messages, (loss,) = read(path)

@@ -37,14 +37,14 @@ def test_a_mode_cannot_lead_out_of_the_root(mode):
     assert directory.path.resolve() == Path("/root/runs", mode, "run000")
 
 
-def test_bad_names_are_told(tmp_path):
+def test_bad_names_are_errors(tmp_path):
     with pytest.raises(RunDirectoryError, match=r"'\.\./evil'"):
         RunDirectory(tmp_path, "../evil", 0)
     with pytest.raises(RunDirectoryError, match="negative"):
         RunDirectory(tmp_path, "a", -1)
 
 
-def test_a_staged_run_is_there_when_it_is_done_and_not_before(tmp_path):
+def test_a_staged_run_appears_only_when_it_is_complete(tmp_path):
     directory = RunDirectory(tmp_path, "a", 0)
     with directory.staged() as scratch:
         (scratch / MANIFEST_FILE).write_text("{}")
@@ -86,13 +86,13 @@ def test_a_run_that_was_being_replaced_when_its_writer_died_is_not_lost(tmp_path
 
 def test_a_run_without_manifest_is_refused(tmp_path):
     directory = RunDirectory(tmp_path, "a", 0)
-    without = pytest.raises(RunDirectoryError, match=r"a\|run000 was left without its manifest")
+    without = pytest.raises(RunDirectoryError, match=r"a\|run000 was written without its manifest")
     with without, directory.staged():
         pass
     assert list(directory.path.parent.iterdir()) == []
 
 
-def test_a_root_that_cannot_be_written_to_is_told(tmp_path):
+def test_a_root_that_cannot_be_written_to_is_an_error(tmp_path):
     (tmp_path / "file").touch()
     directory = RunDirectory(tmp_path / "file", "a", 0)
     told = pytest.raises(RunDirectoryError, match=r"a\|run000 below .*file.*Choose a root")
@@ -130,7 +130,7 @@ def start_writer(root: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 
-def test_whenever_a_writer_is_killed_the_place_holds_a_whole_run_or_none(tmp_path):
+def test_whenever_a_writer_is_killed_the_place_holds_a_complete_run_or_none(tmp_path):
     for number in range(4):
         with start_writer(tmp_path) as writer:
             writer.stdout.readline()
@@ -142,7 +142,7 @@ def test_whenever_a_writer_is_killed_the_place_holds_a_whole_run_or_none(tmp_pat
     assert [path.name for path in place.parent.iterdir()] == ["run000"]
 
 
-def test_what_a_living_writer_works_on_is_left_alone(tmp_path):
+def test_the_scratch_of_a_running_writer_is_not_removed(tmp_path):
     directory = RunDirectory(tmp_path, "a", 0)
     with directory.staged() as scratch:
         (scratch / MANIFEST_FILE).write_text("first")
@@ -151,13 +151,13 @@ def test_what_a_living_writer_works_on_is_left_alone(tmp_path):
     assert directory.manifest_path.read_text() == "first"
 
 
-def test_who_holds_a_run_is_alone_and_leaves_no_lock_behind(tmp_path):
+def test_only_one_process_can_lock_a_run_and_no_lock_is_left(tmp_path):
     directory = RunDirectory(tmp_path, "a", 0)
     assert order_of_two(directory.held) == ["first", "second"]
     assert list(directory.path.parent.iterdir()) == []
 
 
-def test_who_holds_a_run_first_puts_back_what_a_killed_writer_moved_aside(tmp_path):
+def test_locking_a_run_restores_the_one_that_a_killed_writer_moved_aside(tmp_path):
     directory = RunDirectory(tmp_path, "a", 0)
     stage(directory, "former")
     directory.path.rename(directory.path.with_name(".run000.0badcafe"))  # and then: kill -9

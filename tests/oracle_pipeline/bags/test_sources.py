@@ -1,4 +1,4 @@
-"""What a module depends on is what its imports say, read without importing anything."""
+"""The dependencies of a module are read from its imports, without importing anything."""
 
 import ast
 import subprocess
@@ -88,7 +88,7 @@ def test_imports_in_functions_package_files_and_data_count_and_nothing_else(tree
     ]
 
 
-def test_the_hash_goes_by_names_and_contents_not_by_the_place(tree):
+def test_the_hash_depends_on_names_and_contents_and_not_on_the_place(tree):
     before = code_hash(["sim.run"], root=tree)
     moved = tree.with_name("moved")
     tree.rename(moved)
@@ -113,7 +113,7 @@ def test_a_module_that_is_not_there_is_named(tree):
 
 
 @pytest.mark.slow
-def test_what_a_module_really_loads_is_among_its_dependencies():
+def test_the_modules_that_are_loaded_are_among_the_dependencies():
     listing = (
         "import sys, sim.turtlebot3.run\n"
         f"ours = [m for m in sys.modules.values() if m.__name__.split('.')[0] in {PACKAGES}]\n"

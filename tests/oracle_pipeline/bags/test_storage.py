@@ -1,4 +1,4 @@
-"""What is written faster than with rosbags is the same, byte by byte; rosbags stays as it is."""
+"""Faster writing gives the same bytes as rosbags, which is not changed."""
 
 import subprocess
 import sys
@@ -51,7 +51,7 @@ def test_a_bag_is_the_one_that_rosbags_writes(storage, qos, tmp_path):
         assert without_checksums(ours["bag.mcap"]) == theirs["bag.mcap"]
 
 
-def test_importing_reader_and_writer_leaves_rosbags_as_it_was():
+def test_importing_reader_and_writer_does_not_change_rosbags():
     subprocess.run([sys.executable, "-c", UNPATCHED], check=True)
 
 

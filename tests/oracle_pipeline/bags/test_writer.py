@@ -23,7 +23,7 @@ recordings = st.lists(
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_what_was_written_is_read_back_in_order(storage, tmp_path_factory):
+def test_written_messages_are_read_back_in_order(storage, tmp_path_factory):
     @settings(max_examples=25)
     @given(recordings)
     def check(recording):
@@ -49,7 +49,7 @@ def test_what_was_written_is_read_back_in_order(storage, tmp_path_factory):
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_equal_calls_make_equal_bytes(storage, write_bag, tmp_path):
+def test_equal_calls_give_equal_bytes(storage, write_bag, tmp_path):
     once, again = write_bag(tmp_path / "a" / "bag", storage), write_bag(tmp_path / "bag", storage)
     names = sorted(path.name for path in once.iterdir())
     assert names == [f"bag_0.{'mcap' if storage == 'mcap' else 'db3'}", "metadata.yaml"]
@@ -59,7 +59,7 @@ def test_equal_calls_make_equal_bytes(storage, write_bag, tmp_path):
 
 @settings(max_examples=30)
 @given(recordings, recordings)
-def test_hash_tells_recordings_apart(tmp_path_factory, one, other):
+def test_the_hash_distinguishes_recordings(tmp_path_factory, one, other):
     def digest(recording):
         with BagWriter(tmp_path_factory.mktemp("bag") / "bag") as bag:
             for name, stamp_ns, data in recording:
@@ -130,7 +130,7 @@ def run_python(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_a_full_disk_is_told_and_leaves_nothing(storage, tmp_path):
+def test_a_full_disk_is_reported_and_leaves_nothing(storage, tmp_path):
     code = """
         import os, resource, signal, sys
         from pathlib import Path
