@@ -76,7 +76,7 @@ class CampaignEvaluation:
     """The results of the evaluation of one campaign."""
 
     campaign: JudgedRuns
-    left_out: int  # attacked runs that ended before their attack
+    left_out: int  # runs that ended before their onset
     seed: int  # of splits, detectors and resamples
     headline: HeldOutScores  # of the headline's scorer
     table: pd.DataFrame  # a row for each scorer, split and comparison, the headline first
@@ -138,17 +138,17 @@ def evaluate(
         )
     steps = _Steps(JudgedRuns.of(features, windows, truth), seed, progress)
     with threadpool_limits(1, user_api="blas"):  # threads are slower on matrices this small
-        return _evaluated(steps, len(features), graph_differences, grid, bounds)
+        return _evaluated(steps, truth, graph_differences, grid, bounds)
 
 
 def _evaluated(
     steps: "_Steps",
-    runs: int,
+    truth: pd.DataFrame,
     graph_differences: Sequence[str] | None,
     grid: MeasuredRuns | None,
     bounds: Sequence[str],
 ) -> CampaignEvaluation:
-    """Run all steps; `runs` includes those that ended before their attack."""
+    """Run all steps; `truth` includes runs that ended before their onset."""
     steps.progress(", ".join(HEADLINE))
     headline = _supported(steps.score(HEADLINE, steps.folds))
     table = steps.table(headline, bounds)
@@ -165,9 +165,10 @@ def _evaluated(
     if grid is not None:
         steps.progress("kill matrix")
         kills = kill_matrix(steps.campaign, grid, steps.seed)
+    in_evaluation = truth["run_id"].isin(steps.campaign.features["run_id"])
     return CampaignEvaluation(
         campaign=steps.campaign,
-        left_out=runs - len(steps.campaign.features),
+        left_out=int((~in_evaluation & truth["onset_s"].isna()).sum()),
         seed=steps.seed,
         headline=headline,
         table=table,

@@ -88,7 +88,7 @@ def compare_kinds(
     if len(verdicts) > 1:
         progress(UNION)
         verdicts[UNION] = union(list(verdicts.values()), runs)
-        rows.append({"oracle": UNION, "asks": "all of members"})
+        rows.append({"oracle": UNION, "asks": "what its members need"})
     for name, other in (others or {}).items():
         verdicts[name] = other
         rows.append({"oracle": name, "asks": "normal recordings"})
@@ -143,7 +143,7 @@ def _rates(verdict: Judged, runs: TracedRuns, rate: float, rng: np.random.Genera
     if not supported:
         row["note"] = (
             f"{_blocks(runs)} blocks of normal runs cannot support a false positive rate of "
-            f"{rate:g}; {runs_needed(rate) + 1} are needed"
+            f"{rate:g}: record {runs_needed(rate) + 1}, or allow a higher rate"
         )
     return row
 

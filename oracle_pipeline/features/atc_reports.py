@@ -32,32 +32,35 @@ from oracle_pipeline.features.wgs84 import Site, cartesian
 RADAR_FEATURES = (
     Feature(
         "position_residual", "m", 20.0,
-        "distance of ADS-B from the secondary radar's plot, median, largest of the aircraft",
+        "distance between ADS-B and secondary radar positions, median, maximum over the aircraft",
         "domain",
     ),
     Feature(
         "altitude_residual", "m", 8.0,
-        "difference of ADS-B and the altitude in the radar's replies, median, largest of the "
+        "absolute difference between ADS-B and secondary radar altitudes, median, maximum over the "
         "aircraft", "domain",
     ),
 )  # fmt: skip
 REPORT_FEATURES = (
     Feature(
         "velocity_residual", "m/s", 0.5,
-        "difference of the reported velocity over ground and that of the reported positions "
-        "over 5 s, median, largest of the aircraft", "domain",
+        "difference between the reported ground velocity and that of the positions reported over "
+        "5 s, median, maximum over the aircraft", "domain",
     ),
     Feature(
-        "report_interval", "s", 0.05, "mean time between reports, longest of the aircraft", "domain"
+        "report_interval", "s", 0.05, "mean time between reports, maximum over the aircraft",
+        "domain",
     ),
     Feature("report_gap", "s", 0.5, "longest time between two reports of an aircraft", "domain"),
     Feature(
         "appearances", "1", 0.5,
-        "aircraft whose first report is from the middle of the air space", "domain",
+        "aircraft that first report far inside the airspace, not at its border or take-off",
+        "domain",
     ),
     Feature(
         "disappearances", "1", 0.5,
-        "aircraft whose last report is from the middle of the air space", "domain",
+        "aircraft that last report far inside the airspace, not at its border or landing",
+        "domain",
     ),
 )  # fmt: skip
 
@@ -133,7 +136,7 @@ def prepare_radar(window: Window) -> dict[str, tuple[Series, Series]] | Missing:
         if address in replies
     ]
     if not pairs:
-        return Missing("no aircraft both reports and replies")
+        return Missing("no aircraft has both ADS-B reports and radar replies")
     compared = [(where, *flight.at(reply.stamps_s), reply) for where, flight, reply in pairs]
     antenna = find_antenna([(position, reply) for _, position, _, reply in compared])
     residuals = {}
@@ -149,7 +152,7 @@ def prepare_radar(window: Window) -> dict[str, tuple[Series, Series]] | Missing:
 def compute_radar(window: Window) -> Values:
     """Reduce to the window."""
     residuals: dict[str, tuple[Series, Series]] = window.prepared
-    none = "no aircraft both reported and replied in this window"
+    none = "no aircraft has both ADS-B reports and radar replies in this window"
     return {
         name: largest(
             {w: quantile(both[column], window, 0.5) for w, both in residuals.items()}, none
@@ -198,7 +201,7 @@ def prepare_reports(window: Window) -> _Reports:
 def compute_reports(window: Window) -> Values:
     """Reduce to the window."""
     reports: _Reports = window.prepared
-    alone = "no aircraft reported twice in this window"
+    alone = "no aircraft has two ADS-B reports in this window"
     counts = (
         {topic: float(len(s[within(s, window)])) for topic, s in events.items()}
         for events in (reports.begun_s, reports.ended_s)

@@ -26,34 +26,34 @@ from oracle_pipeline.features.scans import Bools, Floats
 from oracle_pipeline.features.wgs84 import Site, cartesian
 
 TRACK_FEATURES = (
-    Feature("adsb_only", "1", 0.01, "share of the tracks that no radar sees, mean", "domain"),
+    Feature("adsb_only", "1", 0.01, "share of the tracks without radar, mean", "domain"),
     Feature("radar_only", "1", 0.01, "share of the tracks without ADS-B, mean", "domain"),
-    Feature("nameless", "1", 0.01, "share of the tracks without an address, mean", "domain"),
+    Feature("nameless", "1", 0.01, "share of the tracks without ICAO address, mean", "domain"),
     Feature(
-        "longest_adsb_only", "s", 5.0, "longest time that a track went on without a radar",
+        "longest_adsb_only", "s", 5.0, "longest time that a track had ADS-B but no radar",
         "domain", per_window=False,
     ),
     Feature(
-        "longest_radar_only", "s", 5.0, "longest time that a track went on without ADS-B",
+        "longest_radar_only", "s", 5.0, "longest time that a track had no ADS-B",
         "domain", per_window=False,
     ),
     Feature(
-        "closest_pair", "m", 50.0, "smallest distance of two tracks, 5th percentile", "domain",
+        "closest_pair", "m", 50.0, "distance of the two closest tracks, 5th percentile", "domain",
         behaviour=True,
     ),
     Feature(
         "closest_pair_speed", "m/s", 2.0,
-        "speed, relative to each other, of the two closest tracks, median", "domain",
+        "relative speed of the two closest tracks, median", "domain",
         behaviour=True,
     ),
 )  # fmt: skip
 ADVISORY_FEATURES = (
     Feature(
-        "traffic_advisories", "1/min", 0.5, "traffic advisories to an aircraft, a minute", "domain",
+        "traffic_advisories", "1/min", 0.5, "traffic advisories to aircraft per minute", "domain",
         behaviour=True,
     ),
     Feature(
-        "resolution_advisories", "1/min", 0.5, "resolution advisories to an aircraft, a minute",
+        "resolution_advisories", "1/min", 0.5, "resolution advisories to aircraft per minute",
         "domain", behaviour=True,
     ),
 )  # fmt: skip
@@ -99,7 +99,7 @@ def prepare_tracks(window: Window) -> dict[str, _Picture]:
 def compute_tracks(window: Window) -> Values:
     """Reduce to the window."""
     pictures: dict[str, _Picture] = window.prepared
-    none, single = "there was no track in this window", "there were no two tracks in this window"
+    none, single = "no track in this window", "fewer than two tracks in this window"
     values: dict[str, Any] = {}
     for name in _SHARES:
         shares = {topic: mean(picture.shares[name], window) for topic, picture in pictures.items()}
@@ -158,7 +158,7 @@ def keep_advisory(message: Any) -> tuple[float, float]:
 def compute_advisories(window: Window) -> Values | Missing:
     """Count over the window; a silent topic counts as none."""
     if not window.history["advisories"]:
-        return Missing("no topic of advisories is recorded")
+        return Missing("no advisory topic is recorded")
     counts = np.zeros(2)
     for series in window.topics["advisories"].values():
         counts += series.values.sum(axis=0)

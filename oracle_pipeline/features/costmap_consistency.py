@@ -21,13 +21,13 @@ from oracle_pipeline.features.plugin import (
 )
 from oracle_pipeline.features.reduction import largest, mean
 from oracle_pipeline.features.scan_geometry import SETUP_TOPICS, ScannerSetup, scanner_setup
-from oracle_pipeline.features.scans import Bools, Floats, Points, in_blocks
+from oracle_pipeline.features.scans import Bools, Floats, Ints, Points, in_blocks
 
 FEATURES = (
     Feature(
         "unmarked", "1", 0.02,
-        "share of a scan's returns inside the local costmap that are not within a cell of a lethal "
-        "one, mean, largest of the scanners", "navigation",
+        "share of a scan's returns inside the local costmap with no lethal cell at or next to "
+        "them, mean, maximum over the scanners", "navigation",
     ),
 )  # fmt: skip
 
@@ -81,21 +81,22 @@ def unmarked(grid: MapGrid, returns: Points) -> float:
     inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     if inside.sum() < _FEWEST:
         return np.nan
-    return float(1.0 - _widened(grid.cells == LETHAL)[row[inside], column[inside]].mean())
+    return float(1.0 - _touching(grid.cells == LETHAL, row[inside], column[inside]).mean())
 
 
 def compute(window: Window) -> Values:
     """Reduce to the window."""
     shares: dict[str, Series] = window.prepared
     means = {topic: mean(series, window) for topic, series in shares.items()}
-    return {"unmarked": largest(means, "no level scanner saw something inside the costmap")}
+    return {"unmarked": largest(means, "no horizontal laser scanner has returns in the costmap")}
 
 
-def _widened(lethal: Bools) -> Bools:
-    """Return which cells are lethal or touch a lethal one."""
+def _touching(lethal: Bools, row: Ints, column: Ints) -> Bools:
+    """Return which of some cells are lethal or touch a lethal one."""
     rows, columns = lethal.shape
-    padded = np.pad(lethal, 1)
-    around = [padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)]
+    framed = np.zeros((rows + 2, columns + 2), dtype=np.bool_)
+    framed[1:-1, 1:-1] = lethal
+    around = [framed[row + i, column + j] for i in range(3) for j in range(3)]
     touching: Bools = np.logical_or.reduce(around)
     return touching
 

@@ -25,7 +25,7 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.reduction import largest, row_medians, smallest, within
+from oracle_pipeline.features.reduction import largest, median, row_medians, smallest, within
 
 _FEWEST = 20  # messages of a steady topic
 _STEADY_JITTER = 0.2  # largest jitter of a steady topic
@@ -35,7 +35,11 @@ _SAMPLED_S = 2.5  # between the sampled messages
 _SHORTEST, _LONGEST = 256, 2048  # bytes: shortest sampled message, and how much of one is used
 _STRIDE = 8  # bytes between compared numbers: one of 64 bits, or two of 32
 
-_OVER_TOPICS = {"max": "largest of the topics", "min": "smallest", "mean": "mean over the topics"}
+_OVER_TOPICS = {
+    "max": "maximum over topics",
+    "min": "minimum over topics",
+    "mean": "mean over topics",
+}
 
 
 def _features(
@@ -48,40 +52,40 @@ def _features(
 
 
 TIMING_FEATURES = (
-    Feature("message_rate", "1/s", 1.0, "messages of all topics over time"),
-    Feature("byte_rate", "B/s", 100.0, "bytes of all topics over time"),
-    Feature("silent_topics", "1", 0.01, "share of the topics that have no message"),
+    Feature("message_rate", "1/s", 1.0, "messages of all topics per second"),
+    Feature("byte_rate", "B/s", 100.0, "bytes of all topics per second"),
+    Feature("silent_topics", "1", 0.01, "share of the topics without messages"),
     Feature(
         "steady_topics", "1", 0.01,
-        "share of the topics that send from beginning to end at an even period", per_window=False,
+        "share of the topics that publish at a steady rate from start to end", per_window=False,
     ),
     *_features(
         "jitter", "1", 0.01,
-        "median abs deviation of the time between messages over its median, steady topics",
+        "median absolute deviation of the time between messages over its median, steady topics",
         per_window=False,
     ),
     Feature(
         "gap_max", "1", 0.1,
-        "longest time between messages over the topic's median, largest of the steady topics",
+        "longest time between messages over the topic's median, maximum over the steady topics",
         per_window=False,
     ),
     Feature(
         "out_of_order_max", "1", 1e-3,
-        "share of header stamps before that of the last message, largest of the topics",
+        "share of header stamps earlier than the previous message's, maximum over topics",
     ),
 )  # fmt: skip
 
 BYTE_FEATURES = (
-    *_features("byte_entropy", "bit", 0.02, "entropy of a byte's change over 8 bytes, median"),
-    *_features("zlib_ratio", "1", 2e-3, "compressed over raw size of bytes' changes, median"),
+    *_features("byte_entropy", "bit", 0.02, "entropy of the differences of bytes 8 apart, median"),
+    *_features("zlib_ratio", "1", 2e-3, "zlib ratio of the differences of bytes 8 apart, median"),
 )
 
 ARRAY_FEATURES = (
     *_features("non_finite", "1", 1e-3, "share of inf and NaN in an array, median"),
-    *_features("at_limit", "1", 1e-3, "share of an array at its largest or smallest, median"),
-    *_features("distinct", "1", 1e-3, "distinct numbers in an array over all, median"),
-    *_features("autocorrelation", "1", 1e-3, "of an array's numbers with the next ones, median"),
-    *_features("roughness", "1", 1e-3, "second difference along an array over its numbers, median"),
+    *_features("at_limit", "1", 1e-3, "share of an array equal to its maximum or minimum, median"),
+    *_features("distinct", "1", 1e-3, "share of distinct numbers in an array, median"),
+    *_features("autocorrelation", "1", 1e-3, "lag-1 autocorrelation along an array, median"),
+    *_features("roughness", "1", 1e-3, "second difference along an array over its values, median"),
 )
 
 
@@ -194,17 +198,19 @@ def _rhythm(times_s: NDArray[np.float64]) -> _Rhythm | None:
     """Return the rhythm of at least three messages; None if the median time between them is 0."""
     if len(times_s) < 3:
         return None
-    between = np.diff(times_s)
-    period_s = float(np.median(between))
+    between = times_s[1:] - times_s[:-1]
+    period_s = median(between)
     if period_s <= 0.0:
         return None
-    jitter = float(np.median(np.abs(between - period_s))) / period_s
+    jitter = median(np.abs(between - period_s)) / period_s
     return _Rhythm(period_s, jitter, float(between.max()) / period_s)
 
 
 def _out_of_order(stamps_ns: NDArray[np.int64]) -> float:
     """Return the share of stamps that are earlier than their predecessor; NaN without two."""
-    return float(np.mean(np.diff(stamps_ns) < 0)) if len(stamps_ns) >= 2 else np.nan
+    if len(stamps_ns) < 2:
+        return np.nan
+    return int(np.count_nonzero(stamps_ns[1:] < stamps_ns[:-1])) / (len(stamps_ns) - 1)
 
 
 def _medians(

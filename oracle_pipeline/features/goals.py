@@ -26,14 +26,14 @@ from oracle_pipeline.features.scan_geometry import the_topic
 from oracle_pipeline.robots.roles import BEHAVIOR_TREE, GOAL_STATUS, PLAN
 
 FEATURES = (
-    Feature("duration", "s", 0.1, "time with a goal under way", "navigation", behaviour=True),
+    Feature("duration", "s", 0.1, "time with an active goal", "navigation", behaviour=True),
     Feature(
-        "goals_reached", "1", 0.01, "share of the goals that were reached", "navigation",
+        "goals_reached", "1", 0.01, "share of the accepted goals that were reached", "navigation",
         per_window=False, behaviour=True,
     ),
     Feature(
         "time_per_planned_metre", "s/m", 0.1,
-        "duration of the ended goals over the lengths of their first plans", "navigation",
+        "duration of the goals that ended over the total length of their first plans", "navigation",
         per_window=False, behaviour=True,
     ),
 )  # fmt: skip
@@ -74,7 +74,7 @@ def goals_so_far(window: Window) -> list[Goal] | Missing:
         return goals_of_status(status)
     log = the_topic(window.history["log"])
     if log is None:
-        return Missing("neither a goal's status nor a behaviour tree's log is recorded")
+        return Missing("neither a goal status nor a behaviour tree log is recorded")
     return goals_of_log(log)
 
 

@@ -4,7 +4,8 @@ Each message is decoded at most once, and only if a plugin requested it. Windows
 arrays.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple, Self
 
@@ -84,6 +85,23 @@ class _Headers:
         return stamps_ns
 
 
+class _History(Mapping[str, Mapping[str, Series]]):
+    """What was kept up to a time, by key of the request; cut on access, as few plugins use it."""
+
+    def __init__(self, requests: Mapping[str, Mapping[str, KeptRows]], end_ns: int) -> None:
+        self._requests = requests
+        self._span = Span(0, end_ns)
+
+    def __getitem__(self, key: str) -> Mapping[str, Series]:
+        return {name: kept.within(self._span) for name, kept in self._requests[key].items()}
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._requests)
+
+    def __len__(self) -> int:
+        return len(self._requests)
+
+
 def decoded_topics(bag: BagReader, plugins: Iterable[FeaturePlugin]) -> frozenset[str]:
     """Return the topics of a bag whose decoded messages are requested by any plugin."""
     requests = [r for plugin in plugins for r in plugin.topics.values() if not r.raw]
@@ -142,6 +160,7 @@ class KeptMessages:
         robot: Robot,
         plugins: tuple[FeaturePlugin, ...],
         carried: Carried | None = None,
+        see: Callable[[Messages], None] | None = None,
     ) -> Self:
         """Read the messages of a robot for some plugins.
 
@@ -152,6 +171,8 @@ class KeptMessages:
         carried : mapping, optional
             For a bag with only the end of a recording: the earlier result of `carried`. Gaps then
             do not count as jumps of the clock.
+        see : callable, optional
+            Is given the messages too, batch by batch.
         """
         bag = robot.bag
         recording = cls(robot, plugins)
@@ -162,6 +183,8 @@ class KeptMessages:
         columns: list[list[Integers]] = [[], [], [], []]
         count = waiting = 0
         for batch in bag.batches():
+            if see is not None:
+                see(batch)
             recording._budget.count(len(batch.topics))
             stamps_ns = batch.stamps_ns
             order = np.lexsort((stamps_ns, batch.topics))
@@ -230,6 +253,11 @@ class KeptMessages:
         self.duration_ns = clock.duration_ns
         if note := clock.note():
             self.notes.append(note)
+        if len(of) > 1 and self.duration_ns == 1:
+            self.notes.append(
+                f"All {len(of)} messages were recorded at the same time: the recorder's clock "
+                "stood still, as simulated time does without /clock."
+            )
         times_ns = np.empty(len(of), dtype=np.int64)
         times_ns[by_topic] = clock.times_ns(ordered_ns, epoch_of)
         self._times_ns = times_ns
@@ -277,19 +305,25 @@ class KeptMessages:
         """Return the window of a span for one plugin, or the reason why it has none."""
         requests = self._kept[plugin.name]
         if plugin.needs_graph and common.graph is None:
-            return Missing("no graph was recorded before its end")
+            return Missing("no ROS graph was recorded before the end of the window")
         for key, request in plugin.topics.items():
             for name, kept in requests[key].items():
                 if kept.error:
                     return Missing(f"{name} cannot be used: {kept.error}")
             if not request.optional and not requests[key]:
                 return Missing(f"no topic {request} is recorded")
-        topics = _cut(requests, span, silent=False)
+        topics = {
+            key: {
+                name: series
+                for name, kept in by_topic.items()
+                if len((series := kept.within(span)).times_s)
+            }
+            for key, by_topic in requests.items()
+        }
         for key, request in plugin.topics.items():
             if not request.optional and not topics[key]:
                 return Missing(f"no message on {', '.join(requests[key])} in this window")
-        history = _cut(requests, Span(0, span.end_ns), silent=True)
-        return replace(common, topics=topics, history=history)
+        return replace(common, topics=topics, history=_History(requests, span.end_ns))
 
 
 def _by_topic(
@@ -297,8 +331,10 @@ def _by_topic(
 ) -> Iterator[tuple[KeptTopic, list[int]]]:
     """Yield each topic with its rows; the rows are sorted by topic."""
     if len(rows):
-        for some in np.split(rows, np.flatnonzero(np.diff(numbers[rows])) + 1):
-            yield topics[numbers[some[0]]], some.tolist()
+        of = numbers[rows]
+        begins = [0, *(np.flatnonzero(of[1:] != of[:-1]) + 1).tolist(), len(rows)]
+        for begin, end in itertools.pairwise(begins):
+            yield topics[of[begin]], rows[begin:end].tolist()
 
 
 def _joined(parts: list[Integers]) -> Integers:
@@ -306,16 +342,3 @@ def _joined(parts: list[Integers]) -> Integers:
     whole = np.concatenate([_NONE, *parts])
     parts.clear()
     return whole
-
-
-def _cut(
-    requests: Mapping[str, Mapping[str, KeptRows]], span: Span, *, silent: bool
-) -> dict[str, dict[str, Series]]:
-    return {
-        key: {
-            name: series
-            for name, kept in topics.items()
-            if len((series := kept.within(span)).times_s) or silent
-        }
-        for key, topics in requests.items()
-    }

@@ -2,11 +2,13 @@
 
 All sources measure the same motion, so they must agree. Each source is compared with every other
 source of the same quantity: the ratio of their gains (the scale), the delay (the lag), the
-unexplained remainder (the residual), and its mean (the drift). No stream is trusted. If one is
+unexplained remainder (the residual), and its mean (the drift). Sources of the direction of travel
+are compared in it, too (the bearing). No stream is trusted. If one is
 altered, it disagrees with all others; if several are altered together, they disagree with the
 unaltered ones.
 """
 
+import cmath
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -64,6 +66,16 @@ class Pair(NamedTuple):
         """Return the name of one of the pair's features."""
         return f"{self.quantity}_{statistic}_{self.first}_{self.second}"
 
+    @property
+    def is_directed(self) -> bool:
+        """Whether both sources measure the direction of travel."""
+        return self in _DIRECTED
+
+    @property
+    def statistics(self) -> tuple[str, ...]:
+        """The names of the pair's statistics, the first of `Fit`."""
+        return Fit._fields if self.is_directed else Fit._fields[:-1]
+
 
 class Fit(NamedTuple):
     """Agreement of the second source with the first; NaN where unknown."""
@@ -72,6 +84,7 @@ class Fit(NamedTuple):
     lag: float = math.nan  # [s]
     residual: float = math.nan  # root mean square of the remainder [unit/s]
     drift: float = math.nan  # mean of the remainder [unit/s]
+    bearing: float = math.nan  # direction of travel of the second in that of the first [rad]
 
 
 #: From the more exact source to the other: the second is explained by the first.
@@ -93,11 +106,13 @@ PAIRS = (
     Pair(SPIN, ANGLES, RATES),
 )
 
+_DIRECTED = {Pair(TRAVEL, POSE, TWIST), Pair(TRAVEL, POSE, SCAN)}
 _UNITS = {TURN: "rad/s", TRAVEL: "m/s", SPIN: "rad/s"}
 _FEWEST = 8  # spans of a comparison
 _LEAST = {TURN: 0.5, TRAVEL: 0.3, SPIN: 3.0}  # total gain needed to estimate a scale
 _OBEYED = 1.5  # times the least residual: limit for a command that the robot may obey
 _EXACT = 5e-3  # residual below which commands cannot be distinguished [unit/s]
+_MAD_TO_DEVIATION = 1.4826
 _OUTLYING = 4.0  # robust deviations; spans beyond are left out of the fit of scale and lag
 
 
@@ -105,32 +120,37 @@ def _features() -> Iterator[Feature]:
     for pair in PAIRS:
         loose = COMMAND in pair
         floor = 5e-3 if loose or SCAN in pair else 2e-3
-        what = f"{pair.quantity} by {pair.first} and by {pair.second}"
+        what = f"{pair.quantity} from {pair.second} relative to {pair.first}"
         yield Feature(
             pair.column("scale"), "1", floor,
-            f"ln of the second over the first: {what}; furthest from 0 of the topics", "domain",
+            f"ln of the scale of {what}; value furthest from 0 over the topics", "domain",
         )  # fmt: skip
         yield Feature(
             pair.column("lag"), "s", 0.02 if loose else 5e-3,
-            f"how much later the second is: {what}; furthest from 0 of the topics", "domain",
+            f"delay of {what}; value furthest from 0 over the topics", "domain",
         )  # fmt: skip
         yield Feature(
             pair.column("residual"), _UNITS[pair.quantity], 0.02 if loose else 2e-3,
-            "root mean square of what scale and lag do not explain of the second: "
-            f"{what}; largest of the topics", "domain",
+            f"root mean square of the residual, after scale and lag, of {what}; "
+            "maximum over the topics", "domain",
         )  # fmt: skip
         yield Feature(
             pair.column("drift"), _UNITS[pair.quantity], 5e-3 if loose or SCAN in pair else 1e-3,
-            "mean of what scale and lag do not explain of the second: "
-            f"{what}; furthest from 0 of the topics", "domain",
+            f"mean of the residual, after scale and lag, of {what}; "
+            "value furthest from 0 over the topics", "domain",
         )  # fmt: skip
+        if pair.is_directed:
+            yield Feature(
+                pair.column("bearing"), "rad", 5e-3,
+                f"direction of {what}; value furthest from 0 over the topics", "domain",
+            )  # fmt: skip
     yield Feature(
-        "gravity", "m/s^2", 0.02, "median length of the measured acceleration, largest of the "
-        "topics", "domain",
+        "gravity", "m/s^2", 0.02, "median magnitude of an IMU's linear acceleration; maximum over "
+        "the topics", "domain",
     )  # fmt: skip
     yield Feature(
-        "gravity_residual", "m/s^2", 0.02, "length of the mean of the measured accelerations less "
-        "gravity, along the vertical that the orientation tells; largest of the topics", "domain",
+        "gravity_residual", "m/s^2", 0.02, "magnitude of an IMU's mean linear acceleration minus "
+        "gravity, with the vertical from its orientation; maximum over the topics", "domain",
     )  # fmt: skip
 
 
@@ -162,7 +182,7 @@ def prepare(window: Window) -> Prepared | Missing:
     found = sources(window.topics, scanner_setup(window))
     pairs = {pair: dict(_compared(found, pair)) for pair in PAIRS}
     if not any(pairs.values()) and not found.gravity:
-        return Missing("fewer than two sources tell how the robot moved")
+        return Missing("fewer than two sources measure the robot's motion")
     return Prepared(pairs, found.gravity, found.unexplained)
 
 
@@ -173,26 +193,26 @@ def compute(window: Window) -> Values:
     for pair, places in prepared.pairs.items():
         fits = {place: _fitted(pair, each, window) for place, each in places.items()}
         if not places:
-            why = Missing(f"not both of {pair.first} and {pair.second} tell the {pair.quantity}")
-            values |= {pair.column(statistic): why for statistic in Fit._fields}
+            why = Missing(f"no {pair.quantity} from both {pair.first} and {pair.second}")
+            values |= {pair.column(statistic): why for statistic in pair.statistics}
             continue
         if COMMAND in pair:
             fits = _obeyed(fits)
-        still = f"too little {pair.quantity} was told in this window"
-        for number, statistic in enumerate(Fit._fields):
+        still = f"too little {pair.quantity} was measured in this window"
+        for number, statistic in enumerate(pair.statistics):
             reduced = largest if statistic == "residual" else _furthest
             values[pair.column(statistic)] = reduced(
                 {place: fit[number] for place, fit in fits.items()}, still
             )
     lengths = {topic: quantile(series, window, 0.5) for topic, series in prepared.gravity.items()}
-    values["gravity"] = largest(lengths, "no inertial unit")
+    values["gravity"] = largest(lengths, "no IMU")
     values["gravity_residual"] = largest(
         {
             topic: float(np.linalg.norm(series.values[part].mean(axis=0)))
             for topic, series in prepared.unexplained.items()
             if (part := within(series.times_s, window)).stop > part.start
         },
-        "no inertial unit whose mount is known",
+        "no IMU with orientation and a known mount",
     )
     return values
 
@@ -229,7 +249,7 @@ def fit(first: Points, slope: Points, second: Points) -> tuple[float, float, Boo
         else:
             scale, g, lag = ba / bb, 0.0, math.nan
         left = np.abs(second - scale * first - g * slope)
-        limit = max(_OUTLYING * 1.4826 * np.median(left), 1e-9)
+        limit = max(_OUTLYING * _MAD_TO_DEVIATION * np.median(left), 1e-9)
         kept = left <= limit
     return scale, lag, kept
 
@@ -297,8 +317,10 @@ def _fitted(pair: Pair, compared: Comparison, window: Window) -> Fit:
     drift = float(left.real.sum() / lengths_s.sum())
     if float(np.abs(first[kept]).sum()) < _LEAST[pair.quantity] or scale <= 0.0:
         return Fit(residual=residual, drift=drift)
+    bearing = cmath.phase(complex((second[kept] * first[kept].conj()).sum()))
     # The lag is a first-order approximation, invalid beyond the length of a span.
-    return Fit(math.log(scale), lag if abs(lag) < SPAN_S else math.nan, residual, drift)
+    lag = lag if abs(lag) < SPAN_S else math.nan
+    return Fit(math.log(scale), lag, residual, drift, bearing)
 
 
 def _left(first: Points, slopes: Points, second: Points, scale: float, lag: float) -> Points:

@@ -20,22 +20,23 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
+from oracle_pipeline.features.reduction import quantile_of
 from oracle_pipeline.robots.roles import SCAN
 
 NEAR = 5.0  # percentile over the scans of the nearest return
-_VARIANCE = "variance of a scan's valid ranges, median over its scans, "
-_NON_FINITE = "share of a scan's rays that are inf or NaN, median over its scans, "
+_VARIANCE = "variance of the valid ranges in a scan, median over the scans, "
+_NON_FINITE = "share of the ranges in a scan that are inf or NaN, median over the scans, "
 
 FEATURES = (
     Feature("range_variance_mean", "m^2", 1e-3, f"{_VARIANCE}mean over the scanners", "domain"),
-    Feature("range_variance_max", "m^2", 1e-3, f"{_VARIANCE}largest of the scanners", "domain"),
+    Feature("range_variance_max", "m^2", 1e-3, f"{_VARIANCE}maximum over the scanners", "domain"),
     Feature("non_finite_mean", "1", 1e-3, f"{_NON_FINITE}mean over the scanners", "domain"),
-    Feature("non_finite_max", "1", 1e-3, f"{_NON_FINITE}largest of the scanners", "domain"),
+    Feature("non_finite_max", "1", 1e-3, f"{_NON_FINITE}maximum over the scanners", "domain"),
     Feature(
         "clearance",
         "m",
         0.02,
-        "distance of a scan's nearest return, 5th percentile over its scans, largest of the "
+        "range of the nearest return in a scan, 5th percentile over the scans, maximum over the "
         "scanners",
         "domain",
         behaviour=True,
@@ -81,7 +82,7 @@ def compute(window: Window) -> Values | Missing:
 def _of_scanners(window: Window, column: int, percentile: float) -> list[float]:
     """Return a percentile over the scans of each scanner that has a value."""
     return [
-        float(np.percentile(kept, percentile))
+        quantile_of(kept, percentile / 100.0)
         for series in window.topics["scans"].values()
         if (kept := series.values[~np.isnan(series.values[:, column]), column]).size
     ]

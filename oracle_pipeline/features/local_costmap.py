@@ -24,10 +24,11 @@ from oracle_pipeline.robots.roles import LOCAL_COSTMAP
 FEATURES = (
     Feature(
         "lethal_appearing", "1/s", 1.0,
-        "cells of the local costmap that become lethal, a second", "navigation",
+        "cells of the local costmap that become lethal per second, mean", "navigation",
     ),
     Feature(
-        "lethal_vanishing", "1/s", 1.0, "lethal cells that are it no more, a second", "navigation"
+        "lethal_vanishing", "1/s", 1.0, "cells that cease to be lethal per second, mean",
+        "navigation",
     ),
 )  # fmt: skip
 
@@ -51,7 +52,7 @@ def prepare(window: Window) -> tuple[Series, Series] | Missing:
     """Return the changes per second between consecutive grids: to lethal, and from lethal."""
     ((times_s, grids),) = window.topics["grids"].values()
     if len(times_s) < 2:
-        return Missing("fewer than two grids")
+        return Missing("fewer than two costmaps")
     counts = np.array([changes(*pair) for pair in pairwise(grids)])
     passed_s = np.diff(times_s)
     rates = np.full(counts.shape, np.nan)
@@ -64,7 +65,7 @@ def compute(window: Window) -> Values | Missing:
     """Reduce to the window."""
     appearing, vanishing = (mean(series, window) for series in window.prepared)
     if np.isnan(appearing):
-        return Missing("no two grids in this window")
+        return Missing("no two costmaps in this window")
     return {"lethal_appearing": appearing, "lethal_vanishing": vanishing}
 
 

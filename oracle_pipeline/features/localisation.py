@@ -31,7 +31,7 @@ from oracle_pipeline.robots.roles import ODOMETRY, PLAN, POSE
 BELIEF_FEATURES = (
     Feature(
         "position_spread", "m", 0.01,
-        "standard deviation of the position (square root of the covariance's trace), median",
+        "standard deviation of the estimated position (square root of var x + var y), median",
         "navigation",
     ),
     Feature("yaw_spread", "rad", 0.01, "standard deviation of the yaw, median", "navigation"),
@@ -39,14 +39,17 @@ BELIEF_FEATURES = (
 CORRECTION_FEATURES = (
     Feature(
         "position_correction", "m", 0.01,
-        "distance of a pose from where odometry leads from the one before, median", "navigation",
+        "distance of a pose from the previous pose propagated by odometry, median", "navigation",
     ),
-    Feature("yaw_correction", "rad", 0.005, "the same of the yaw, median", "navigation"),
+    Feature(
+        "yaw_correction", "rad", 0.005,
+        "yaw of a pose relative to the previous pose propagated by odometry, median", "navigation",
+    ),
 )  # fmt: skip
 PLAN_FEATURES = (
     Feature(
         "plan_offset", "m", 0.02,
-        "distance from where the robot believed to be to where its plan begins, median",
+        "distance from the robot's estimated position to the start of its plan, median",
         "navigation",
     ),
 )  # fmt: skip
@@ -90,7 +93,7 @@ def compute_corrections(window: Window) -> Values | Missing:
     """Reduce to the window."""
     position, yaw = (quantile(series, window, 0.5) for series in window.prepared)
     if np.isnan(position):
-        return Missing("localisation gave no two poses")
+        return Missing("fewer than two poses of localisation")
     return {"position_correction": position, "yaw_correction": yaw}
 
 

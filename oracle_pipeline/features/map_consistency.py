@@ -45,23 +45,23 @@ from oracle_pipeline.robots.roles import MAP, POSE
 FEATURES = (
     Feature(
         "residual", "m", 5e-3,
-        "distance from a return to the map's nearest one about its bearing, median, largest of "
-        "the scanners", "navigation",
+        "distance from a return to the nearest obstacle of the map at its bearing, median, maximum "
+        "over the scanners", "navigation",
     ),
     Feature(
         "unexpected", "1", 5e-3,
-        f"share of a scan's returns {CLOSER_M} m and more in front of the map's, 95th percentile, "
-        "largest of the scanners", "navigation",
+        f"share of a scan's returns {CLOSER_M} m or more in front of the map's obstacles, 95th "
+        "percentile, maximum over the scanners", "navigation",
     ),
     Feature(
         "unexpected_persistence", "1", 0.01,
-        f"share of the scans with such returns in one and the same cell of {CELL_M} m, largest of "
-        "the cells and scanners", "navigation",
+        f"share of the scans with returns as in unexpected in the same {CELL_M} m grid cell, "
+        "maximum over the cells and scanners", "navigation",
     ),
     Feature(
         "looked_through", "1", 5e-3,
-        f"share of the map's returns that a scan goes on behind for {CLOSER_M} m, 95th "
-        "percentile, largest of the scanners", "navigation",
+        f"share of the map's visible obstacles for which a scan measures {CLOSER_M} m or more "
+        "behind them, 95th percentile, maximum over the scanners", "navigation",
     ),
 )  # fmt: skip
 
@@ -172,7 +172,7 @@ def compute(window: Window) -> Values:
             scans_within = within(each.residual.times_s, window)
             persistence[topic] = each.hits.persistence(scans_within)
         through[topic] = quantile(each.looked_through, window, 0.95)
-    reason = "no level scanner looked where the map knows something"
+    reason = "no horizontal laser scanner measured in the known part of the map"
     return {
         "residual": largest(residual, reason),
         "unexpected": largest(unexpected, reason),

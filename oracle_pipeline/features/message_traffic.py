@@ -28,27 +28,37 @@ Edge: TypeAlias = tuple[str, str]
 Flows: TypeAlias = Mapping[Edge, int]  # messages or bytes by edge
 
 FEATURES = (
-    Feature("flow_entropy", "nat", 0.01, "entropy of the edges' shares of all messages"),
-    Feature("byte_flow_entropy", "nat", 0.01, "entropy of the edges' shares of all bytes"),
-    Feature("flow_variance", "1", 0.01, "variance of the edges' messages over their mean squared"),
-    Feature("largest_flow", "1", 1e-3, "largest share of all messages that one edge carries"),
-    Feature("largest_byte_flow", "1", 1e-3, "largest share of all bytes that one edge carries"),
+    Feature("flow_entropy", "nat", 0.01, "Shannon entropy of the edges' shares of all messages"),
+    Feature("byte_flow_entropy", "nat", 0.01, "Shannon entropy of the edges' shares of all bytes"),
+    Feature("flow_variance", "1", 0.01, "variance of the edges' message counts / squared mean"),
+    Feature("largest_flow", "1", 1e-3, "largest share of all messages on a single edge"),
+    Feature("largest_byte_flow", "1", 1e-3, "largest share of all bytes on a single edge"),
     Feature(
         "closeness_mean", "1", 1e-3,
-        "closeness to a vertex, an edge being as long as mean messages over its own, mean",
+        "closeness centrality by incoming paths, mean over the vertices; the length of an edge is "
+        "the mean message count over its own",
     ),
-    Feature("closeness_max", "1", 1e-3, "the same, largest of the vertices"),
+    Feature(
+        "closeness_max", "1", 1e-3,
+        "closeness centrality by incoming paths, maximum over the vertices; the length of an edge "
+        "is the mean message count over its own",
+    ),
     Feature(
         "imbalance", "1", 1e-3,
-        "sum over ROS nodes of abs(in - out) over that of all their messages",
+        "sum over the ROS nodes of abs(received - published messages), over the messages of all "
+        "edges",
     ),
-    Feature("imbalance_max", "1", 1e-3, "largest abs(in - out) of a ROS node over the same"),
+    Feature(
+        "imbalance_max", "1", 1e-3,
+        "largest abs(received - published messages) of a ROS node, over the messages of all edges",
+    ),
     Feature(
         "flow_change", "1", 1e-3,
-        "total variation of the edges' shares against the interval before, mean of the intervals",
+        "total variation distance of the edges' message shares from those of the previous "
+        "interval, mean over the intervals",
     ),
-    Feature("appeared_edges", "1", 1.0, "edges that the interval before did not have"),
-    Feature("vanished_edges", "1", 1.0, "edges that only the interval before had"),
+    Feature("appeared_edges", "1", 1.0, "edges that the previous interval did not have"),
+    Feature("vanished_edges", "1", 1.0, "edges that only the previous interval had"),
 )  # fmt: skip
 
 
@@ -77,7 +87,7 @@ def compute(window: Window) -> Values | Missing:
     assert graph is not None  # noqa: S101 -- the plugin needs a graph
     messages, data = _flows(graph, "messages"), _flows(graph, "bytes")
     if not any(messages.values()):
-        return Missing("no message went over an edge")
+        return Missing("no edge has a message")
     starts = {interval.start_s for interval in window.intervals}
     changes = [each for each in window.prepared if each.start_s in starts]
     return {
@@ -195,7 +205,7 @@ def _imbalance(graph: RosGraph, flows: Flows) -> dict[str, float | Located]:
 
 def _over_time(changes: list[_Change]) -> dict[str, float | Located | Missing]:
     if not changes:
-        first = Missing("there is no interval before")
+        first = Missing("there is no previous interval")
         return dict.fromkeys(("flow_change", "appeared_edges", "vanished_edges"), first)
     size: dict[Edge, float] = {}
     for change in changes:

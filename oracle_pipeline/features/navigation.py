@@ -31,45 +31,45 @@ from oracle_pipeline.robots.roles import BEHAVIOR_TREE, ODOMETRY
 
 RECOVERY_FEATURES = (
     Feature(
-        "recoveries", "1/min", 0.5, "recovery behaviours (spin, back up, wait, drive) begun, a "
+        "recoveries", "1/min", 0.5, "recovery behaviours (spin, back up, wait, drive) per "
         "minute", "navigation", behaviour=True,
     ),
     Feature(
-        "costmap_clearings", "1/min", 0.5, "times that the tree had a costmap cleared, a minute",
+        "costmap_clearings", "1/min", 0.5, "costmap clearings by the behaviour tree per minute",
         "navigation", behaviour=True,
     ),
 )  # fmt: skip
 PLAN_FEATURES = (
     Feature(
-        "replans", "1/min", 1.0, "plans made to the goals, a minute", "navigation", behaviour=True,
+        "replans", "1/min", 1.0, "plans to active goals per minute", "navigation", behaviour=True,
     ),
     Feature(
         "plan_lengthening", "m", 0.05,
-        "by how much a plan is longer than the one before it to the same goal, 95th percentile",
+        "increase in length from one plan to the next to the same goal, 95th percentile",
         "navigation", behaviour=True,
     ),
     Feature(
-        "progress", "m/s", 0.01, "how fast the plan to a goal becomes shorter, median",
+        "progress", "m/s", 0.01, "decrease in plan length to a goal per second, median",
         "navigation", behaviour=True,
     ),
 )  # fmt: skip
 DRIVE_FEATURES = (
     Feature(
         "path_efficiency", "1", 0.01,
-        "length of the first plan over the way driven, of all goals that ended", "navigation",
+        "length of the first plans over the distance driven, for goals that ended", "navigation",
         per_window=False, behaviour=True,
     ),
     Feature(
         "stalled", "1", 0.01,
-        "share of the time under way in which the robot came less than 0.1 m from where it was "
-        "5 s before", "navigation", behaviour=True,
+        "share of the time with an active goal in which the robot is less than 0.1 m from where "
+        "it was 5 s earlier", "navigation", behaviour=True,
     ),
     Feature(
-        "longest_stall", "s", 1.0, "longest time without interruption of the same", "navigation",
+        "longest_stall", "s", 1.0, "longest continuous stall, as in stalled", "navigation",
         per_window=False, behaviour=True,
     ),
     Feature(
-        "driven_without_goal", "m", 0.02, "way driven without an active goal", "navigation",
+        "driven_without_goal", "m", 0.02, "distance driven without an active goal", "navigation",
         behaviour=True,
     ),
 )  # fmt: skip
@@ -115,7 +115,7 @@ def keep_begun(message: Any) -> tuple[int, int]:
 def compute_recoveries(window: Window) -> Values | Missing:
     """Count over the window; a silent tree counts as none."""
     if not window.history["log"]:
-        return Missing("no behaviour tree's log is recorded")
+        return Missing("no behaviour tree log is recorded")
     begun = sum(series.values.sum(axis=0) for series in window.topics["log"].values())
     recoveries, clearings = np.broadcast_to(begun, 2) * 60.0 / (window.end_s - window.start_s)
     return {"recoveries": float(recoveries), "costmap_clearings": float(clearings)}
@@ -167,7 +167,7 @@ def prepare_drive(window: Window) -> _Drive | Missing:
 def compute_drive(window: Window) -> Values:
     """Reduce to the window."""
     drive: _Drive = window.prepared
-    idle = Missing(f"no goal was under way for {_STALLED_S:g} s")
+    idle = Missing(f"no goal was active for {_STALLED_S:g} s")
     stalled = mean(drive.stalled, window)
     inside = drive.stalled.values[within(drive.stalled.times_s, window)]
     return {
@@ -235,7 +235,7 @@ def _accepted(window: Window) -> list[Goal] | Missing:
 
 def _efficiency(accepted: Sequence[Goal], plans: Series | None, driven: Series) -> float | Missing:
     if plans is None:
-        return Missing("no plan")
+        return Missing("no plan is recorded")
     planned_m = driven_m = 0.0
     places = driven.values[:, 0] + 1j * driven.values[:, 1]
     for goal in accepted:

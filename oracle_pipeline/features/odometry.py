@@ -23,22 +23,23 @@ from oracle_pipeline.robots.roles import ODOMETRY
 
 FEATURES = (
     Feature(
-        "yaw_variance", "1", 1e-3, "circular variance of yaw, 1 - abs(mean exp(i yaw))", "domain",
+        "yaw_variance", "1", 1e-3, "circular variance of yaw, 1 - abs(mean(exp(i yaw)))", "domain",
         behaviour=True,
     ),
     Feature(
-        "total_turning", "rad", 0.05, "sum of the absolute changes of yaw", "domain",
+        "total_turning", "rad", 0.05, "sum of the absolute yaw changes", "domain",
         behaviour=True,
     ),
     Feature(
-        "turning_per_metre", "rad/m", 0.05, "total turning over the path length", "domain",
+        "turning_per_metre", "rad/m", 0.05, "sum of the absolute yaw changes over the path length",
+        "domain",
         behaviour=True,
     ),
     Feature(
-        "yaw_rate_variance", "rad^2/s^2", 1e-4, "variance of the measured yaw rate", "domain",
+        "yaw_rate_variance", "rad^2/s^2", 1e-4, "variance of the yaw rate from odometry", "domain",
         behaviour=True,
     ),
-    Feature("speed", "m/s", 0.01, "path length over time", "domain", behaviour=True),
+    Feature("speed", "m/s", 0.01, "path length divided by time", "domain", behaviour=True),
 )  # fmt: skip
 
 _SHORTEST_PATH_M = 0.1  # shorter ones are noise of the odometry

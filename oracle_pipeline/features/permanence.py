@@ -50,31 +50,31 @@ _NEXT_S = 0.4  # between two scans in which an object is compared
 _STILL_M = 1e-6  # below the resolution of a range (float32): rounding of poses, not motion
 _FAR_M = 0.6  # largest motion of the same object between two scans
 
-_SCANS = "largest of the scanners"
+_SCANS = "maximum over the scanners"
 FEATURES = (
     Feature(
         "appeared", "1", 2e-3,
-        f"share of a scan's returns that the scan {_EARLIER_S:g} s before looks through by "
-        f"{CLOSER_M} m, 95th percentile, {_SCANS}", "domain",
+        f"share of a scan's returns for which the scan {_EARLIER_S:g} s earlier measures "
+        f"{CLOSER_M} m or more behind them, 95th percentile, {_SCANS}", "domain",
     ),
     Feature(
         "vanished", "1", 2e-3,
-        f"share of the returns of {_EARLIER_S:g} s before that a scan looks through by "
-        f"{CLOSER_M} m, 95th percentile, {_SCANS}", "domain",
+        f"share of the returns {_EARLIER_S:g} s earlier for which a scan measures {CLOSER_M} m or "
+        f"more behind them, 95th percentile, {_SCANS}", "domain",
     ),
     Feature(
         "changed_peak", "1", 5e-3,
-        f"share that appeared or vanished, largest that three scans in a row keep up, {_SCANS}",
+        f"share that appeared or vanished, largest held over three consecutive scans, {_SCANS}",
         "domain",
     ),
     Feature(
         "loose", "m", 0.01,
-        "way that the fastest compact thing seems to go between two scans, the robot's motion "
-        f"taken out, 90th percentile, {_SCANS}", "domain",
+        "apparent displacement of the fastest compact object between two scans after motion "
+        f"compensation, 90th percentile, {_SCANS}", "domain",
     ),
     Feature(
         "driven_across", "1", 0.01,
-        f"share of the scans with returns where the robot drives across later, {_SCANS}", "domain",
+        f"share of the scans with returns where the robot drives later, {_SCANS}", "domain",
         per_window=False,
     ),
 )  # fmt: skip
@@ -97,7 +97,7 @@ def prepare(window: Window) -> dict[str, Seen] | Missing:
         return Missing("no odometry")
     path = _Path.of(setup)
     return {topic: _seen(setup, topic, path) for topic in setup.mounts} or Missing(
-        "no level laser scanner"
+        "no horizontal laser scanner"
     )
 
 
@@ -115,7 +115,7 @@ def compute(window: Window) -> Values:
         "changed_peak": largest({t: _peak(s, window) for t, s in seen.items()}, alone),
         "loose": largest(
             {t: quantile(s.loose, window, 0.9) for t, s in seen.items()},
-            "no compact thing was seen twice",
+            "no compact object in two consecutive scans",
         ),
         "driven_across": largest(
             {t: mean(s.across, window) for t, s in seen.items()}, "no scan in this window"

@@ -43,29 +43,30 @@ from oracle_pipeline.features.scans import Floats, Ints, in_blocks
 SCANNER_FEATURES = (
     Feature(
         "scan_residual", "m", 1e-3,
-        "distance from a return to the nearest one of another scanner, median, largest of the "
+        "distance from a return to the nearest return of another scanner, median, maximum over the "
         "pairs of scanners", "domain",
     ),
     Feature(
         "scan_contradicted", "1", 2e-3,
-        f"share of a scan's returns that another scanner looks through by {CLOSER_M} m, 95th "
-        "percentile, largest of the pairs", "domain",
+        f"share of a scan's returns for which another scanner measures {CLOSER_M} m or more behind "
+        "them, 95th percentile, maximum over the pairs of scanners", "domain",
     ),
     Feature(
         "scan_persistence", "1", 0.01,
-        f"share of the scans with such returns in one and the same cell of {CELL_M} m, largest "
-        "of the cells and pairs", "domain",
+        f"share of the scans with returns as in scan_contradicted in the same {CELL_M} m grid "
+        "cell, maximum over the cells and the pairs of scanners", "domain",
     ),
 )  # fmt: skip
 RANGE_FEATURES = (
     Feature(
         "range_residual", "m", 5e-3,
-        "difference of a range sensor and the nearest return of a scanner within its cone, "
-        "median, largest of the pairs", "domain",
+        "absolute difference between a Range sensor and the nearest return of a laser scanner in "
+        "its field of view, median, maximum over the pairs", "domain",
     ),
     Feature(
         "range_contradicted", "1", 5e-3,
-        f"share of ranges that differ from it by more than {CLOSER_M} m, largest of the pairs",
+        f"share of the Range messages whose range_residual is above {CLOSER_M} m, maximum over "
+        "the pairs",
         "domain",
     ),
 )  # fmt: skip
@@ -95,13 +96,13 @@ def prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
     return {
         f"{suspect} against {other}": _compared_with(setup, suspect, other, MOST_HITS // len(pairs))
         for suspect, other in pairs
-    } or Missing("/tf_static joins no two level laser scanners")
+    } or Missing("/tf_static connects no two horizontal laser scanners")
 
 
 def compute_scanners(window: Window) -> Values:
     """Reduce the comparisons to the window."""
     comparisons: dict[str, _Comparison] = window.prepared
-    apart = "no two scanners saw the same at the same time"
+    apart = "no two scanners measured the same area at the same time"
     residual, contradicted, persistence = {}, {}, {}
     reason = apart
     for pair, comparison in comparisons.items():
@@ -128,7 +129,7 @@ def prepare_ranges(window: Window) -> dict[str, Series] | Missing:
         f"{topic} against {scanner}": _beyond(setup, ranges[topic], mount, scanner)
         for (topic, mount), scanner in product(mounts.items(), setup.mounts)
         if mount.pose is not None and mount.root == setup.mounts[scanner].root
-    } or Missing("/tf_static joins no level range sensor and laser scanner")
+    } or Missing("/tf_static connects no horizontal range sensor and laser scanner")
 
 
 def compute_ranges(window: Window) -> Values:
@@ -140,7 +141,7 @@ def compute_ranges(window: Window) -> Values:
         beyond = np.where(np.isnan(size), np.nan, size > CLOSER_M)
         residual[pair] = quantile(Series(times_s, size), window, 0.5)
         contradicted[pair] = mean(Series(times_s, beyond), window)
-    silent = "no scan looked where and when a range was measured"
+    silent = "no laser scan covers the field of view of a range sensor at the same time"
     return {
         "range_residual": largest(residual, silent),
         "range_contradicted": largest(contradicted, silent),

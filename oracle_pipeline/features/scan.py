@@ -30,18 +30,18 @@ from oracle_pipeline.features.scans import Floats, RecordedScans, in_blocks
 FEATURES = (
     Feature(
         "roughness", "1", 1e-3,
-        "second difference of neighbouring ranges over the range, median, largest of the "
-        "scanners", "domain",
+        "absolute second difference of neighbouring ranges over the range, median, maximum over "
+        "the scanners", "domain",
     ),
     Feature(
         "innovation", "m", 1e-3,
-        "distance from a return to the nearest one of the scan before, the robot's motion taken "
-        "out, median, largest of the scanners", "domain",
+        "distance from a return to the nearest return of the previous scan after motion "
+        "compensation, median, maximum over the scanners", "domain",
     ),
     Feature(
         "innovation_whiteness", "1", 0.02,
-        "one less the correlation, from ray to ray, of how far the scan lies beyond the one "
-        "before, median, largest of the scanners", "domain",
+        "1 - lag-1 autocorrelation along the rays of the range change since the previous scan, "
+        "after motion compensation, median, maximum over the scanners", "domain",
     ),
 )  # fmt: skip
 
@@ -71,9 +71,9 @@ def compute(window: Window) -> Values:
         t: quantile(s.innovation, window, 0.5) for t, s in scanners.items() if s.innovation
     }
     whiteness = {t: quantile(s.whiteness, window, 0.5) for t, s in scanners.items() if s.whiteness}
-    alone = "no two scans with odometry between them"
+    alone = "no two consecutive scans with odometry"
     return {
-        "roughness": largest(roughness, "no scan has three valid ranges side by side"),
+        "roughness": largest(roughness, "no scan has three neighbouring valid ranges"),
         "innovation": largest(innovation, alone),
         "innovation_whiteness": largest(whiteness, alone),
     }

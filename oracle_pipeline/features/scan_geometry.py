@@ -178,7 +178,7 @@ class HitCounter:
     def hits(self) -> Hits | Missing:
         """Return the hits; `Missing` if there are too many."""
         if self._left < 0:
-            return Missing("too many returns are contradicted (MOST_HITS)")
+            return Missing("too many contradicted returns for the limit MOST_HITS")
         rows = np.concatenate([np.zeros((0, 3), np.int32), *self._blocks])
         _, cells = np.unique(_joined(rows[:, 1], rows[:, 2]), return_inverse=True)
         return Hits(rows[:, 0].copy(), cells.reshape(-1).astype(np.int32))

@@ -29,35 +29,41 @@ from oracle_pipeline.features.scan_geometry import (
 )
 from oracle_pipeline.features.scans import Floats, RecordedScans, in_blocks
 
-_OF = "of the scanners"
+_OF = "over the scanners"
 FEATURES = (
     Feature(
         "smooth", "1", 1e-3,
-        "share of a scan's returns in long stretches that bend much less from ray to ray than the "
-        f"scan does, 95th percentile, largest {_OF}", "domain",
+        "share of a scan's returns in long runs of rays that are much smoother (third difference) "
+        f"than the scan, 95th percentile, maximum {_OF}", "domain",
     ),
     Feature(
         "smooth_mean", "1", 1e-3,
-        f"the same in stretches half as long, mean of the scans, largest {_OF}", "domain",
+        "share of a scan's returns in shorter runs of rays that are much smoother (third "
+        f"difference) than the scan, mean over the scans, maximum {_OF}", "domain",
     ),
     Feature(
         "rough", "1", 2e-3,
-        "share of a scan's returns in stretches that bend much more from ray to ray than the scan "
-        f"does, 95th percentile, largest {_OF}", "domain",
+        "share of a scan's returns in runs of rays that are much rougher (third difference) than "
+        f"the scan, 95th percentile, maximum {_OF}", "domain",
     ),
     Feature(
         "repeated", "1", 5e-3,
-        f"share of the scans that have the very ranges of an earlier one, largest {_OF}", "domain",
+        f"share of the scans with exactly the ranges of an earlier scan, maximum {_OF}", "domain",
     ),
     Feature(
         "still_noise_max", "m", 1e-3,
-        f"standard deviation of a range while the robot stands, median, largest {_OF}", "domain",
+        f"standard deviation of ranges while the robot stands still, median, maximum {_OF}",
+        "domain",
     ),
-    Feature("still_noise_min", "m", 1e-3, f"the same, smallest {_OF}", "domain"),
+    Feature(
+        "still_noise_min", "m", 1e-3,
+        f"standard deviation of ranges while the robot stands still, median, minimum {_OF}",
+        "domain",
+    ),
     Feature(
         "still_flicker", "1", 2e-3,
-        f"share of the ranges that change by more than {CLOSER_M} m while the robot stands, mean, "
-        f"largest {_OF}", "domain",
+        f"share of the ranges that change by more than {CLOSER_M} m while the robot stands still, "
+        f"mean, maximum {_OF}", "domain",
     ),
 )  # fmt: skip
 
@@ -91,8 +97,8 @@ def prepare(window: Window) -> dict[str, _Noise]:
 def compute(window: Window) -> Values:
     """Reduce to the window."""
     scanners: dict[str, _Noise] = window.prepared
-    empty = "no scan has a few valid ranges side by side"
-    moving = "the robot did not stand between two scans"
+    empty = "no scan has enough neighbouring valid ranges"
+    moving = "the robot did not stand still between two scans"
     still = {topic: quantile(noise.still, window, 0.5) for topic, noise in scanners.items()}
     return {
         "smooth": largest(

@@ -20,7 +20,7 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.reduction import largest
+from oracle_pipeline.features.reduction import largest, median
 from oracle_pipeline.features.scans import Floats
 from oracle_pipeline.robots.roles import SCAN
 
@@ -34,28 +34,28 @@ FEATURES = (
     *(
         Feature(
             f"{name}_latency", "s", 5e-3,
-            f"time from stamp to recording of {msgtype.rpartition('/')[2]} messages, median, over "
-            "that of the freshest sensor, largest of the topics", "domain",
+            f"latency, from stamp to recording, of {msgtype.rpartition('/')[2]} messages relative "
+            "to the sensor with the lowest latency, median, maximum over the topics", "domain",
         )
         for name, msgtype in SENSORS.items()
     ),
     *(
         Feature(
             f"{name}_jitter", "s", 2e-3,
-            f"median absolute deviation of that time of {msgtype.rpartition('/')[2]} messages, "
-            "largest of the topics", "domain",
+            f"median absolute deviation of the latency of {msgtype.rpartition('/')[2]} messages, "
+            "maximum over the topics", "domain",
         )
         for name, msgtype in SENSORS.items()
     ),
     Feature(
         "period_jitter", "1", 0.01,
-        "median absolute deviation of the time between stamps over its median, largest of the "
-        "sensors' topics", "domain",
+        "median absolute deviation of the time between stamps over its median, maximum over the "
+        "topics of sensors", "domain",
     ),
     Feature(
         "late", "1", 5e-3,
-        "share of the messages that come a period and more later than the topic's others, largest "
-        "of the sensors' topics", "domain",
+        "share of the messages whose latency is a period or more above the topic's median, maximum "
+        "over the topics of sensors", "domain",
     ),
 )  # fmt: skip
 
@@ -70,21 +70,23 @@ def compute(window: Window) -> Values | Missing:
         if _sensor(topic, window) and len(each.header_stamps_ns) >= _FEWEST
     }
     if not held:
-        return Missing("no sensor's messages with stamps")
+        return Missing("too few messages of sensors with header stamps")
     held = _over_the_freshest(held, window.arrivals)
-    usual = {topic: float(np.median(each)) for topic, each in held.items()}
-    jitter = {t: float(np.median(np.abs(each - usual[t]))) for t, each in held.items()}
+    usual = {topic: median(each) for topic, each in held.items()}
+    jitter = {t: median(np.abs(each - usual[t])) for t, each in held.items()}
     values: dict[str, float | Located | Missing] = {}
     for name, msgtype in SENSORS.items():
         topics = [topic for topic in held if _sensor(topic, window) == name]
-        none = f"no {msgtype} with stamps"
+        none = f"too few {msgtype} messages with header stamps"
         values[f"{name}_latency"] = largest({t: usual[t] for t in topics}, none)
         values[f"{name}_jitter"] = largest({t: jitter[t] for t in topics}, none)
     periods = {topic: _period(window.arrivals[topic]) for topic in held}
-    values["period_jitter"] = largest({t: each[1] for t, each in periods.items()}, "equal stamps")
+    values["period_jitter"] = largest(
+        {t: each[1] for t, each in periods.items()}, "the header stamps do not increase"
+    )
     values["late"] = largest(
         {t: float(np.mean(each - usual[t] >= periods[t][0])) for t, each in held.items()},
-        "equal stamps",
+        "the header stamps do not increase",
     )
     return values
 
@@ -111,10 +113,10 @@ def _over_the_freshest(
     The clocks of recorder and stamps may differ in rate, as with a slow simulator, but equally for
     all sensors. The freshest sensor itself is compared with a linear fit.
     """
-    freshest = min(held, key=lambda topic: (float(np.median(held[topic])), topic))
+    freshest = min(held, key=lambda topic: (median(held[topic]), topic))
     times_s = arrivals[freshest].times_s
     common = held[freshest]
-    if len(np.unique(times_s)) > 1:
+    if times_s[-1] > times_s[0]:
         common = np.polynomial.Polynomial.fit(times_s, held[freshest], 1)(times_s)
     return {
         topic: each
@@ -136,7 +138,7 @@ def _held_s(arrivals: Arrivals) -> Floats:
 def _period(arrivals: Arrivals) -> tuple[float, float]:
     """Return the median time between stamps [s], and its relative deviation; NaN if it is 0."""
     steps_s = np.diff(arrivals.header_stamps_ns) / 1e9
-    period_s = float(np.median(steps_s))
+    period_s = median(steps_s)
     if period_s <= 0.0:
         return math.inf, math.nan
-    return period_s, float(np.median(np.abs(steps_s - period_s)) / period_s)
+    return period_s, median(np.abs(steps_s - period_s)) / period_s

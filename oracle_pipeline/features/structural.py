@@ -23,28 +23,28 @@ from oracle_pipeline.features.plugin import (
 )
 
 FEATURES = (
-    Feature("max_degree", "1", 1.0, "largest number of edges at one vertex"),
-    Feature("max_in_degree", "1", 1.0, "largest number of edges into one vertex"),
-    Feature("max_out_degree", "1", 1.0, "largest number of edges out of one vertex"),
-    Feature("average_degree", "1", 0.01, "mean number of edges at a vertex, 2m/n"),
-    Feature("density", "1", 1e-4, "edges among all conceivable ones, m/(n(n-1))"),
+    Feature("max_degree", "1", 1.0, "largest degree (number of edges) of a vertex"),
+    Feature("max_in_degree", "1", 1.0, "largest in-degree of a vertex"),
+    Feature("max_out_degree", "1", 1.0, "largest out-degree of a vertex"),
+    Feature("average_degree", "1", 0.01, "mean degree of n vertices with m edges, 2m/n"),
+    Feature("density", "1", 1e-4, "edges over all ordered pairs of vertices, m/(n(n-1))"),
     Feature(
         "bipartite_density",
         "1",
         1e-3,
-        "edges among the possible ones, m/(2 nodes topics): nodes only meet topics",
+        "edges over all possible node-topic edges, m/(2 x nodes x topics)",
     ),
-    Feature("degree_entropy", "nat", 0.01, "entropy of the distribution of degrees"),
+    Feature("degree_entropy", "nat", 0.01, "Shannon entropy of the degree distribution"),
     Feature(
         "node_entropy",
         "1",
         1e-3,
-        "entropy of a vertex drawn by its degree, over that of an even draw (ln n)",
+        "Shannon entropy of the vertices' shares of the total degree, over its maximum ln n",
     ),
     Feature("degree_variance", "1", 0.1, "variance of the degrees"),
-    Feature("degree_cv", "1", 0.01, "standard deviation of the degrees over their mean"),
-    Feature("max_in_degree_centrality", "1", 1e-3, "largest in-degree over n-1"),
-    Feature("mean_betweenness", "1", 1e-5, "mean share of shortest paths through a vertex"),
+    Feature("degree_cv", "1", 0.01, "coefficient of variation of the degrees"),
+    Feature("max_in_degree_centrality", "1", 1e-3, "largest in-degree divided by n-1"),
+    Feature("mean_betweenness", "1", 1e-5, "mean betweenness centrality"),
 )
 
 
@@ -88,7 +88,10 @@ def compute_raw(window: Window) -> Values | Missing:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the structural features."""
-    shortcuts = tuple(replace(feature, shortcut=True) for feature in FEATURES)
+    shortcuts = tuple(
+        replace(each, shortcut=True, description=f"{each.description}; graph with observers")
+        for each in FEATURES
+    )
     return [
         FeaturePlugin("structural", "structural", FEATURES, compute, needs_graph=True),
         FeaturePlugin("structural_raw", "structural_raw", shortcuts, compute_raw, needs_graph=True),

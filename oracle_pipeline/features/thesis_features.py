@@ -32,21 +32,21 @@ def _of_run(name: str, unit: str, floor: float, description: str, **more: Any) -
 
 
 STRUCTURAL = (
-    _of_run("max_degree", "1", 1.0, "most frequent number of edges at a vertex, least if tied"),
-    _of_run("avg_degree", "1", 0.01, "vertices over largest degree plus one, n/(D+1)"),
-    _of_run("density", "1", 1e-4, "edges among all conceivable ones, m/(n(n-1))"),
-    _of_run("entropy", "nat", 0.01, "entropy of a vertex drawn by its degree; 0 if one has none"),
-    _of_run("max_centrality", "1", 1e-3, "largest in-degree over n-1"),
+    _of_run("max_degree", "1", 1.0, "most frequent degree, the smallest if tied"),
+    _of_run("avg_degree", "1", 0.01, "number of vertices over the largest degree plus one"),
+    _of_run("density", "1", 1e-4, "edges over all ordered pairs of vertices, m/(n(n-1))"),
+    _of_run("entropy", "nat", 0.01, "entropy of the degrees' shares; 0 if a degree is 0"),
+    _of_run("max_centrality", "1", 1e-3, "largest in-degree divided by n-1"),
     _of_run("avg_centrality", "1", 1e-4, "mean in-degree over n-1, which equals the density"),
-    _of_run("variance", "1", 0.1, "variance of the degrees, observers included"),
+    _of_run("variance", "1", 0.1, "variance of the degrees, including observers"),
 )
 CONTEXTUAL = (
     _of_run("yaw_variance", "rad^2", 1e-3, "variance of yaw wrapped to (-pi, pi]", origin="domain"),
     _of_run(
-        "range_variance", "m^2", 1e-3, "mean over scans of the variance of ranges; 0 if a ray of "
-        "any scan is inf or NaN", origin="domain",
+        "range_variance", "m^2", 1e-3, "mean over the scans of the variance of their ranges; 0 "
+        "if any range is inf or NaN", origin="domain",
     ),
-    _of_run("duration_ns", "ns", 1e8, "last message less first, of the whole bag"),
+    _of_run("duration_ns", "ns", 1e8, "time from the first to the last message of the bag"),
 )  # fmt: skip
 
 #: Columns in the order of the thesis's vectors.
@@ -112,7 +112,7 @@ def compute_contextual(window: Window) -> Values | Missing:
     """Compute from the robot's odometry and scans; the thesis names topics instead."""
     duration_ns = round((window.end_s - window.start_s) * 1e9) - 1  # the end is exclusive
     if duration_ns == 0:
-        return Missing("the bag has no two messages")
+        return Missing("the bag has fewer than two messages")
     yaws, variances = (
         np.concatenate([np.empty(0), *(series.values for series in window.topics[name].values())])
         for name in ("odometry", "scans")

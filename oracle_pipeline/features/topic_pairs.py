@@ -30,19 +30,23 @@ from oracle_pipeline.features.reduction import largest, mean, quantile, smallest
 FEATURES = (
     Feature(
         "rank_difference_max", "1", 1e-3,
-        "1 - Spearman's correlation of two arrays, mean, of the pair that differs most",
+        "1 - Spearman's correlation between the arrays of two topics, mean, maximum over the pairs",
     ),
-    Feature("rank_difference_min", "1", 1e-3, "the same, of the pair that differs least"),
+    Feature(
+        "rank_difference_min", "1", 1e-3,
+        "1 - Spearman's correlation between the arrays of two topics, mean, minimum over the pairs",
+    ),
     Feature(
         "histogram_distance", "1", 1e-3,
-        "Wasserstein-1 distance of the histograms of the numbers, over the range of the type's",
+        "Wasserstein-1 distance between the numbers of two topics, over the range of all numbers "
+        "of the type, maximum over the pairs",
     ),
     Feature(
-        "roughness_ratio", "1", 0.01, "abs(ln) of the ratio of the arrays' median roughness"
+        "roughness_ratio", "1", 0.01, "abs(ln) of two topics' ratio of median roughness, maximum"
     ),
-    Feature("rate_ratio", "1", 0.01, "abs(ln) of the ratio of the numbers of messages"),
+    Feature("rate_ratio", "1", 0.01, "abs(ln) of two topics' ratio of messages, maximum"),
     Feature(
-        "identity", "1", 0.01, "share of arrays that the other topic repeats bit by bit",
+        "identity", "1", 0.01, "share of arrays that are equal on two topics, maximum",
         shortcut=True,
     ),
 )  # fmt: skip
@@ -99,7 +103,7 @@ def prepare(window: Window) -> _Prepared | Missing:
             )
             met = group[a].values[ours], group[b].values[theirs]
             prepared.identity[pair] = Series(times_s, np.array(each(_identities, *met), np.float64))
-    return prepared if prepared.pairs else Missing("no two topics of one type have arrays")
+    return prepared if prepared.pairs else Missing("no two topics of the same type have arrays")
 
 
 def compute(window: Window) -> Values:
@@ -113,14 +117,14 @@ def compute(window: Window) -> Values:
     difference = {p: mean(series, window) for p, series in prepared.rank_difference.items()}
     identity = {pair: mean(series, window) for pair, series in prepared.identity.items()}
     apart = f"no two arrays within {_APART_S} s of each other"
-    silent = "one of two topics is silent"
+    silent = "one topic of each pair has no messages"
     return {
         "rank_difference_max": largest(difference, apart),
         "rank_difference_min": smallest(difference, apart),
         "histogram_distance": largest(distance, silent),
         "roughness_ratio": largest(
             {pair: _log_ratio(rough[a], rough[b]) for pair, (a, b) in pairs},
-            "one of two topics has no rough array",
+            "one topic of each pair has no array with a roughness above 0",
         ),
         "rate_ratio": largest(
             {pair: _log_ratio(number[a], number[b]) for pair, (a, b) in pairs}, silent

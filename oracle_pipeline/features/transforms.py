@@ -30,30 +30,38 @@ from oracle_pipeline.features.scan_geometry import (
 )
 from oracle_pipeline.features.scans import Floats
 
-_TOPICS = "of the topics and transforms"
+_TOPICS = "over the topics and transforms"
 FEATURES = (
     Feature(
         "odometry_position", "m", 1e-3,
-        "distance between odometry's pose and its transform at the same stamp, 95th percentile, "
-        f"largest {_TOPICS}", "domain",
+        "distance between the pose of odometry and its transform with the same stamp, 95th "
+        f"percentile, maximum {_TOPICS}", "domain",
     ),
     Feature(
-        "odometry_yaw", "rad", 1e-3, f"the same of the yaw, largest {_TOPICS}", "domain",
+        "odometry_yaw", "rad", 1e-3,
+        "yaw difference between odometry and its transform with the same stamp, 95th percentile, "
+        f"maximum {_TOPICS}", "domain",
     ),
     Feature(
         "localisation_position", "m", 5e-3,
-        "distance between localisation's pose and where the transforms lead, 95th percentile, "
-        f"largest {_TOPICS}", "domain",
+        "distance between the pose of localisation and that of the chained transforms, 95th "
+        f"percentile, maximum {_TOPICS}", "domain",
     ),
     Feature(
-        "localisation_yaw", "rad", 5e-3, f"the same of the yaw, largest {_TOPICS}", "domain",
+        "localisation_yaw", "rad", 5e-3,
+        "yaw difference between localisation and the chained transforms, 95th percentile, "
+        f"maximum {_TOPICS}", "domain",
     ),
     Feature(
         "odometry_jump", "m", 5e-3,
-        "distance of odometry's pose from where its two neighbours' middle is, largest of the "
-        "window and the topics", "domain",
+        "distance of a pose of odometry from the midpoint of its two neighbours, maximum over the "
+        "messages and topics", "domain",
     ),
-    Feature("odometry_yaw_jump", "rad", 5e-3, "the same of the yaw", "domain"),
+    Feature(
+        "odometry_yaw_jump", "rad", 5e-3,
+        "yaw difference of a pose of odometry from the middle of its two neighbours, maximum over "
+        "the messages and topics", "domain",
+    ),
 )  # fmt: skip
 
 _SAME_S = 0.02  # most time between the stamps of a compared pose and transform
@@ -112,8 +120,8 @@ def compute(window: Window) -> Values | Missing:
     prepared: _Prepared = window.prepared
     values = {}
     for name, statements, reason in (
-        ("odometry", prepared.odometry, "no odometry and transform of the same frames"),
-        ("localisation", prepared.localisation, "no localisation's pose and transform"),
+        ("odometry", prepared.odometry, "no odometry with a transform between the same frames"),
+        ("localisation", prepared.localisation, "no pose of localisation with its transforms"),
     ):
         for part in ("position", "yaw"):
             sizes = {
@@ -124,7 +132,7 @@ def compute(window: Window) -> Values | Missing:
         sizes = {
             p: quantile(getattr(apart, part), window, 1.0) for p, apart in prepared.jumps.items()
         }
-        values[name] = largest(sizes, "fewer than three messages of odometry")
+        values[name] = largest(sizes, "fewer than three odometry messages")
     return values
 
 

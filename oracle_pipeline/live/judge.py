@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TypeAlias
@@ -92,7 +93,8 @@ class Judge:
         self._process = context.Process(
             target=_work, args=(theirs, card, alarms_per_h, plugins), name="judge", daemon=True
         )
-        self._process.start()
+        with _without_interrupts():
+            self._process.start()
         theirs.close()
 
     def add_topic(self, name: str, msgtype: str, qos: tuple[Qos, ...]) -> None:
@@ -161,13 +163,21 @@ class Judge:
         )
 
 
+@contextlib.contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Block Ctrl-C in processes that are started meanwhile: the watch ends, and ends them."""
+    resource_tracker.ensure_running()  # its start would unblock the signal
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _work(pipe: Connection, card: Path, alarms_per_h: float | None, plugins: Path | None) -> None:
     """Judge windows in the other process, until the end is requested."""
     # A thread empties the pipe while a window is judged, so that the watch need not wait.
     inbox = _Inbox(pipe)
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # Ctrl-C ends the watch, which then ends this process
     try:
         manager = build_manager(plugins)
         reference = ReferenceCard.load(card)

@@ -276,9 +276,8 @@ def evidence(material: Material, run: str) -> list[str]:
     for kind in input_kinds(material):
         judge = kind.learn(runs.where(runs.normal))
         usual = np.quantile(judge.score(runs.where(runs.normal)), 0.95)
-        lines.append(
-            f"{kind.name}: {judge.score(chosen)[0]:.3g}; 95 % of normal runs are below {usual:.3g}"
-        )
+        score = judge.score(chosen)[0]
+        lines.append(f"{kind.name}: {score:z.3g}; 95 % of normal runs have at most {usual:z.3g}")
     return lines
 
 

@@ -117,13 +117,13 @@ class LearnedInvariants:
             name = str(about).replace(" - ", ".minus.")
             if about.second and 0.0 <= self.low[n] < about.floor:  # one signal is never smaller
                 formula = f"always ({about.first} >= {about.second})"
-                yield Requirement(f"{name}.low", formula, float(self.low_scale[n]), says)
+                yield Requirement(f"{name}.low", formula, _scale(self.low_scale[n]), says)
             elif np.isfinite(self.low[n]):
                 formula = f"always ({about} >= {_text(np.floor, self.low[n])})"
-                yield Requirement(f"{name}.low", formula, float(self.low_scale[n]), says)
+                yield Requirement(f"{name}.low", formula, _scale(self.low_scale[n]), says)
             if np.isfinite(self.high[n]):
                 formula = f"always ({about} <= {_text(np.ceil, self.high[n])})"
-                yield Requirement(f"{name}.high", formula, float(self.high_scale[n]), says)
+                yield Requirement(f"{name}.high", formula, _scale(self.high_scale[n]), says)
 
 
 class Invariants:
@@ -172,6 +172,11 @@ def _spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
     deviation = np.abs(values[:, known] - np.nanmedian(values[:, known], axis=0))
     spread[known] = MAD_TO_DEVIATION * np.nanmedian(deviation, axis=0)
     return spread
+
+
+def _scale(spread: float) -> float:
+    """Return a scale as a person would write it."""
+    return float(f"{spread:.4g}")
 
 
 def _text(rounded: np.ufunc, bound: float) -> str:

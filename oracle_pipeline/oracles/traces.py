@@ -52,27 +52,27 @@ class Signal(NamedTuple):
 
 #: All signals, by name.
 SIGNALS: Mapping[str, Signal] = {
-    "command_speed": Signal("m/s", 0.005, "commanded speed, forwards"),
-    "command_turn": Signal("rad/s", 0.02, "commanded turn, to the left"),
-    "speed": Signal("m/s", 0.005, "speed by odometry"),
-    "turn": Signal("rad/s", 0.02, "turn by odometry"),
+    "command_speed": Signal("m/s", 0.005, "commanded linear velocity, forwards"),
+    "command_turn": Signal("rad/s", 0.02, "commanded yaw rate, to the left"),
+    "speed": Signal("m/s", 0.005, "linear velocity by odometry"),
+    "turn": Signal("rad/s", 0.02, "yaw rate by odometry"),
     "travelled": Signal("m", 0.02, "path length so far, by odometry"),
-    "gyro_turn": Signal("rad/s", 0.02, "turn by the first inertial unit"),
-    "acceleration": Signal("m/s^2", 0.05, "length of its acceleration"),
+    "gyro_turn": Signal("rad/s", 0.02, "yaw rate of the first IMU"),
+    "acceleration": Signal("m/s^2", 0.05, "magnitude of that IMU's acceleration"),
     "pose_spread": Signal("m", 0.01, "standard deviation of the position, by localisation"),
     "pose_jump": Signal(
         "m", 0.02, "difference between the last step of localisation and of odometry"
     ),
-    "nearest_min": Signal("m", 0.02, "nearest return, of the scanner that has the smallest"),
-    "nearest_max": Signal("m", 0.02, "nearest return, of the scanner that has the largest"),
-    "no_return_min": Signal("1", 0.005, "share of rays without a return, smallest of the scanners"),
-    "no_return_max": Signal("1", 0.005, "share of rays without a return, largest of the scanners"),
-    "uneven_min": Signal("m", 0.002, "unevenness of neighbouring ranges, smallest of the scanners"),
-    "uneven_max": Signal("m", 0.002, "unevenness of neighbouring ranges, largest of the scanners"),
-    "goal_time": Signal("s", 0.5, "time since the goal was accepted; 0: none is under way"),
+    "nearest_min": Signal("m", 0.02, "nearest return of a scan, minimum over the scanners"),
+    "nearest_max": Signal("m", 0.02, "nearest return of a scan, maximum over the scanners"),
+    "no_return_min": Signal("1", 0.005, "share of rays without a return, minimum over scanners"),
+    "no_return_max": Signal("1", 0.005, "share of rays without a return, maximum over scanners"),
+    "uneven_min": Signal("m", 0.002, "unevenness of neighbouring ranges, minimum over scanners"),
+    "uneven_max": Signal("m", 0.002, "unevenness of neighbouring ranges, maximum over scanners"),
+    "goal_time": Signal("s", 0.5, "time since the goal was accepted; 0: no goal is active"),
     "goals_failed": Signal("1", 0.5, "goals so far that ended without success"),
     "errors": Signal("1", 0.5, "messages so far at level ERROR or FATAL in the log"),
-    "non_finite": Signal("1", 0.5, "messages so far on motion with a number that is not finite"),
+    "non_finite": Signal("1", 0.5, "messages on motion so far that contain a non-finite number"),
     "quiet_topics": Signal("1", 0.5, "periodic topics that have been silent for too long"),
 }
 

@@ -59,7 +59,7 @@ class Role:
     accepts: Callable[[Topic], bool] = lambda _topic: True
 
 
-def _is_static(topic: Topic) -> bool:
+def is_static(topic: Topic) -> bool:
     """Return whether transforms are static, by the topic's name or because they are latched."""
     latched = {profile.durability for profile in topic.qos} == {QosDurability.TRANSIENT_LOCAL}
     return "static" in topic.name or latched
@@ -96,8 +96,8 @@ ROLES: Final[Mapping[str, Role]] = {
         only_usual=True,
     ),
     BEHAVIOR_TREE: Role(("nav2_msgs/msg/BehaviorTreeLog",)),
-    TRANSFORMS: Role(TRANSFORM_TYPES, several=True, accepts=lambda topic: not _is_static(topic)),
-    STATIC_TRANSFORMS: Role(TRANSFORM_TYPES, several=True, accepts=_is_static),
+    TRANSFORMS: Role(TRANSFORM_TYPES, several=True, accepts=lambda topic: not is_static(topic)),
+    STATIC_TRANSFORMS: Role(TRANSFORM_TYPES, several=True, accepts=is_static),
 }  # fmt: skip
 
 

@@ -1,82 +1,162 @@
 """Finds the fields of a topic's messages that never change within a recording.
 
-Examples are the frame, angles and limits of a scanner, or the names of joints. Few features would
-notice a change in such a field, and it needs no statistics to report one.
+Examples are the frame, angles and limits of a scanner, the names of joints, the corners of a safety
+zone, or the mount of a sensor in the static transforms. Few features would notice a change in such
+a field, and it needs no statistics to report one.
 """
 
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.merging import Messages
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.features.columns import Batch, Columns
+from oracle_pipeline.features.parts import frame_names
+from oracle_pipeline.robots.first_messages import TRANSFORM_TYPES
+from oracle_pipeline.robots.roles import is_static
 from oracle_pipeline.scoring.pace import FEWEST
 
 MOST_MESSAGES = 50  # sampled per topic, spread over the recording
 MOST_BYTES = 4_000_000  # sampled per topic
+MOST_ELEMENTS = 64  # of a sequence; longer ones are measurements
+_DECIMALS = 6  # of a static transform
 _TIME = "builtin_interfaces/msg/Time"
 
 
-def constants(bag: BagReader) -> dict[str, dict[str, str]]:
-    """Return the fields that are equal in all sampled messages, by topic, and their values.
+class Samples:
+    """Messages of each topic of a bag, spread evenly, taken while the bag is read.
 
-    Numbers, strings and arrays of fixed length count; sequences and stamps do not. Topics with
-    fewer than `FEWEST` messages, or of an unknown type, are left out.
+    Topics with fewer than `FEWEST` messages are left out, except for static transforms. Of these,
+    all messages are taken.
+
+    Attributes
+    ----------
+    taken : dict of str to list of bytes
+        The sampled messages, by topic.
     """
-    found = {}
-    for topic, data in _sampled(bag).items():
-        kind = bag.topics[topic]
-        try:
-            store = bag.typestore(kind.msgtype)
-        except BagError:
-            continue
-        batch = Batch(data, store, kind.msgtype, is_cdr=kind.encoding != "ros1")
-        if len(data) >= 2 and batch.whole.all():
-            found[topic] = dict(_equal(batch.columns(), store, kind.msgtype))
-    return found
 
+    def __init__(self, bag: BagReader) -> None:
+        self._bag = bag
+        self._static = {
+            name
+            for name, topic in bag.topics.items()
+            if topic.msgtype in TRANSFORM_TYPES and is_static(topic)
+        }
+        self.taken: dict[str, list[bytes]] = {
+            name: []
+            for name, topic in bag.topics.items()
+            if topic.count >= FEWEST or name in self._static
+        }
+        counts = np.array([topic.count for topic in bag.topics.values()], dtype=np.int64)
+        self._names = list(bag.topics)
+        every = -(-counts // MOST_MESSAGES)
+        self._every = np.where([name in self._static for name in self._names], 1, every)
+        self._passed = np.zeros(len(counts), dtype=np.int64)
+        self._left = np.full(len(counts), MOST_BYTES, dtype=np.int64)
 
-def _sampled(bag: BagReader) -> dict[str, list[bytes]]:
-    """Return messages of each topic, spread evenly."""
-    names = list(bag.topics)
-    counts = np.array([bag.topics[name].count for name in names], dtype=np.int64)
-    every = -(-counts // MOST_MESSAGES)
-    taken: dict[str, list[bytes]] = {
-        name: [] for name, topic in bag.topics.items() if topic.count >= FEWEST
-    }
-    passed = np.zeros(len(names), dtype=np.int64)
-    left = np.full(len(names), MOST_BYTES, dtype=np.int64)
-    for batch in bag.batches(taken):
+    def add(self, batch: Messages) -> None:
+        """Sample the next messages of the bag."""
         for number in np.unique(batch.topics).tolist():
+            taken = self.taken.get(self._names[number])
+            if taken is None:
+                continue
             rows = np.flatnonzero(batch.topics == number)
-            for row in rows[-passed[number] % every[number] :: every[number]].tolist():
-                if left[number] > 0:
-                    taken[names[number]].append(batch.message(row))
-                    left[number] -= batch.sizes[row]
-            passed[number] += len(rows)
-    return taken
+            every = self._every[number]
+            for row in rows[-self._passed[number] % every :: every].tolist():
+                if self._left[number] > 0:
+                    taken.append(batch.message(row))
+                    self._left[number] -= batch.sizes[row]
+            self._passed[number] += len(rows)
+
+    def constants(self) -> dict[str, dict[str, str]]:
+        """Return the fields that are equal in all sampled messages, by topic, and their values.
+
+        Stamps do not count, nor do sequences whose length varies or exceeds `MOST_ELEMENTS`. A
+        static transform counts as two fields, named after its frames. Topics of an unknown type are
+        left out.
+        """
+        found = {}
+        for topic, data in self.taken.items():
+            kind = self._bag.topics[topic]
+            try:
+                store = self._bag.typestore(kind.msgtype)
+            except BagError:
+                continue
+            batch = Batch(data, store, kind.msgtype, is_cdr=kind.encoding != "ros1")
+            if not batch.whole.all():
+                continue
+            if topic in self._static:
+                found[topic] = dict(_transforms(batch.columns()))
+            elif len(data) >= 2:
+                found[topic] = dict(_equal(batch.columns(), store, kind.msgtype))
+        return found
+
+
+def _transforms(messages: Columns) -> Iterator[tuple[str, str]]:
+    """Yield translation and rotation of the transforms that are always published with one value."""
+    each = messages.transforms
+    shift, q = each.transform.translation, each.transform.rotation
+    parents, children = frame_names(each.header.frame_id), frame_names(each.child_frame_id)
+    rows: dict[str, list[NDArray[np.float64]]] = {}
+    numbers = np.column_stack([shift.x, shift.y, shift.z, q.x, q.y, q.z, q.w])
+    for parent, child, row in zip(parents, children, numbers.round(_DECIMALS) + 0.0, strict=True):
+        rows.setdefault(f"{parent} -> {child}", []).append(row)
+    for frames, published in rows.items():
+        values = np.array(published)
+        yield from _constant(f"{frames} translation", values[:, :3])
+        yield from _constant(f"{frames} rotation", values[:, 3:])
 
 
 def _equal(
-    messages: Columns, store: Typestore, msgtype: str, path: str = ""
+    messages: Columns, store: Typestore, msgtype: str, path: str = "", shape: tuple[int, ...] = ()
 ) -> Iterator[tuple[str, str]]:
-    """Yield the fields of a type that are equal in all messages, and their values."""
+    """Yield the fields of a type that are equal in all messages, and their values.
+
+    If the messages are elements of a sequence, its length is the shape.
+    """
     for name, (kind, what) in store.fielddefs[msgtype][1]:
-        if kind == Nodetype.NAME and what != _TIME:
-            yield from _equal(getattr(messages, name), store, str(what), f"{path}{name}.")
+        if kind == Nodetype.NAME:
+            if what != _TIME:
+                nested = getattr(messages, name)
+                yield from _equal(nested, store, str(what), f"{path}{name}.", shape)
         elif kind == Nodetype.BASE or (kind == Nodetype.ARRAY and what[0][0] == Nodetype.BASE):
-            values = getattr(messages, name)
-            first, is_nan = values[0], values != values
-            if ((values == first) | (is_nan & is_nan[0])).all():
-                yield path + name, _text(first)
+            values = np.asarray(getattr(messages, name))
+            yield from _constant(path + name, values.reshape(-1, *shape, *values.shape[1:]))
+        elif shape:  # sequences of sequences are measurements
+            continue
+        elif what[0][0] == Nodetype.BASE:
+            sequences = getattr(messages, name)
+            if _common_length([len(each) for each in sequences]):
+                yield from _constant(path + name, np.array([[*each] for each in sequences], object))
+        elif what[0][1] != _TIME:
+            elements = getattr(messages, name)
+            length = _common_length(np.bincount(elements.owners, minlength=len(messages)))
+            if length:
+                element = str(what[0][1])
+                yield from _equal(elements, store, element, f"{path}{name}.", (length,))
+
+
+def _common_length(lengths: ArrayLike) -> int:
+    """Return the length of all sequences; 0 if it varies or is too large."""
+    shortest, longest = np.min(lengths), np.max(lengths)
+    return int(longest) if shortest == longest <= MOST_ELEMENTS else 0
+
+
+def _constant(path: str, values: NDArray[Any]) -> Iterator[tuple[str, str]]:
+    """Yield a field and its value if it is equal in all messages, shape (n_messages, ...)."""
+    first, is_nan = values[0], values != values
+    if ((values == first) | (is_nan & is_nan[0])).all():
+        yield path, _text(first)
 
 
 def _text(value: Any) -> str:
-    """Return a string, a number or an array of numbers as text."""
+    """Return a string, a number or an array of them as text."""
     if isinstance(value, str):
         return repr(value)
     if np.ndim(value):

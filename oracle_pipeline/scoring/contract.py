@@ -12,13 +12,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple, Self
 
+import numpy as np
 from rosbags.interfaces import Qos
 
 from oracle_pipeline.bags.graph_files import RosGraph
+from oracle_pipeline.bags.merging import Messages
+from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.graphs.intervals import compose
 from oracle_pipeline.opened_run import OpenedRun
-from oracle_pipeline.scoring.constants import constants
-from oracle_pipeline.scoring.pace import FEWEST, SPAN_S, Pace, merged_paces, paces
+from oracle_pipeline.scoring.constants import Samples
+from oracle_pipeline.scoring.pace import FEWEST, SPAN_S, Pace, Stamped, merged_paces, paces
 
 STEADY = 1.5  # largest ratio between the rates of normal recordings at which a rate is steady
 MARGIN = 0.05  # relative margin on the rates of normal recordings
@@ -81,21 +84,49 @@ class Observation:
     paces: Mapping[str, Pace] = field(default_factory=dict)
     constants: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
-    @classmethod
-    def of(cls, run: OpenedRun, duration_s: float | None = None, *, paced: bool = False) -> Self:
-        """Observe an open recording.
 
-        The duration is that of `KeptMessages`, without the jumps of the clock; by default there are
-        none. Paces are needed to learn a contract only, and take another pass over the bag.
+class Observer:
+    """Observes a recording while the caller reads its bag.
+
+    Parameters
+    ----------
+    bag : BagReader
+        The bag that is read.
+    paced : bool
+        Whether to measure paces too, which are needed to learn a contract only.
+
+    Attributes
+    ----------
+    samples : Samples
+        Of the messages seen.
+    """
+
+    def __init__(self, bag: BagReader, *, paced: bool = False) -> None:
+        self.samples = Samples(bag)
+        self._bag = bag
+        self._paced = paced
+        self._seen: list[Stamped] = []
+
+    def see(self, batch: Messages) -> None:
+        """Take note of the next messages of the bag."""
+        self.samples.add(batch)
+        if self._paced:
+            self._seen.append(Stamped(batch.topics.astype(np.int16), batch.stamps_ns))
+
+    def observation(self, run: OpenedRun, duration_s: float) -> Observation:
+        """Return the observation of the recording, once its bag was read.
+
+        The duration is that of `KeptMessages`, without the jumps of the clock.
         """
-        length_s = run.duration_s if duration_s is None else duration_s
         topics = {
-            name: (topic.msgtype, qos_words(topic.qos), _rate(topic.count, length_s))
-            for name, topic in run.bag.topics.items()
+            name: (topic.msgtype, qos_words(topic.qos), _rate(topic.count, duration_s))
+            for name, topic in self._bag.topics.items()
         }
         graph = graph_elements(compose(each.graph for each in run.intervals))
-        pace_of = paces(run.bag) if paced else {}
-        return cls(topics, graph if run.intervals else None, pace_of, constants(run.bag))
+        pace_of = paces(self._bag, self._seen)
+        return Observation(
+            topics, graph if run.intervals else None, pace_of, self.samples.constants()
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,11 +226,13 @@ class Contract:
             if path not in seen:
                 yield Breach(
                     name,
-                    f"Field {path} of topic {name} changes; in normal recordings it is constant.",
+                    f"Field {path} of topic {name} changes or is missing; in normal recordings it "
+                    "is constant.",
                 )
             elif usual is not None and seen[path] != usual:
                 now, usual = (textwrap.shorten(text, 40) for text in (seen[path], usual))
-                yield Breach(name, f"Field {path} of topic {name} is {now} instead of {usual}.")
+                instead = f"is {now} instead of {usual}" if now != usual else "has another value"
+                yield Breach(name, f"Field {path} of topic {name} {instead}.")
 
     def _of_graph(self, graph: frozenset[str] | None) -> list[Breach]:
         if graph is None or not self.ever:

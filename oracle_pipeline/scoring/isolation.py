@@ -9,7 +9,7 @@ import os
 import resource
 import signal
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext
@@ -24,7 +24,7 @@ from oracle_pipeline.features.manager import FOLDER_VARIABLE
 from oracle_pipeline.opened_run import OpenedRun, open_run
 from oracle_pipeline.robots.robot import Robot, find_robots, of_robot
 from oracle_pipeline.robots.roles_file import RoleChoices
-from oracle_pipeline.scoring.contract import Observation
+from oracle_pipeline.scoring.contract import Observation, Observer
 
 T = TypeVar("T")
 
@@ -106,11 +106,12 @@ def extracted(
 def _of_robot(
     path: str, run: OpenedRun, robot: Robot, manager: FeatureManager, *, paced: bool
 ) -> Extracted:
-    recording = KeptMessages.read(robot, manager.plugins)
+    observer = Observer(robot.bag, paced=paced)
+    recording = KeptMessages.read(robot, manager.plugins, see=observer.see)
     tables = extract(run, manager, robot, recording)
     length_s = (recording.duration_ns - 1) * 1e-9
-    del recording  # its arrays, before the bag is read again
-    seen = Observation.of(replace(run, bag=robot.bag), length_s, paced=paced)
+    del recording  # its arrays, before those of the observation are made
+    seen = observer.observation(run, length_s)
     return Extracted(of_robot(path, robot.name), tables, seen, run.manifest is not None)
 
 

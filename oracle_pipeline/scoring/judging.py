@@ -206,9 +206,9 @@ def _scored(
     that was not fitted on the block, and the block has no vote. So a run of a campaign gets the
     same verdict as in the evaluation.
     """
+    measured = _measured(tables, card)
     columns, notes = shared_features(tables.run, card.runs, card.scorer.design.run_features)
     block = _known_block(tables.run, card)
-    measured = _measured(tables, card)
     headline = _aspect_score(card.scorer, measured, block)
     votes = len(np.unique(card.scorer.block_)) - (block is not None)
     alarms, per_hour = _alarms(card.scorer, measured, block)

@@ -27,6 +27,7 @@ RATES = (0.05, 0.01)  # false positive rates for which missing blocks are report
 
 _MOST_OUTLIERS = 5  # recordings of a card that are listed
 
+_ROUNDING = 1e-12  # below all that features resolve
 HEADINGS = ("feature", "value", "usual (5-95 %)", "z", "window", "where")
 
 
@@ -214,8 +215,8 @@ def cells(evidence: Evidence) -> tuple[str, ...]:
     window = "" if evidence.window_start_s is None else f"from {evidence.window_start_s:g} s"
     return (
         evidence.feature,
-        f"{evidence.value:.4g}{unit}",
-        f"{evidence.usual_low:.4g} to {evidence.usual_high:.4g}",
+        f"{_number(evidence.value)}{unit}",
+        f"{_number(evidence.usual_low)} to {_number(evidence.usual_high)}",
         _z(evidence.z, capped=evidence.capped),
         window,
         evidence.where or "",
@@ -228,6 +229,17 @@ def family_as_text(family: FamilyDeviation) -> str:
         f"{family.family}: {family.unusual} of {family.compared} features outside their usual "
         f"range, {family.feature} farthest (z {_z(family.z, capped=family.capped)})"
     )
+
+
+def _number(value: float) -> str:
+    """Return a value with four digits; a rounding error around zero is 0.
+
+    Examples
+    --------
+    >>> [_number(value) for value in (0.0123456, 8.3e-18, -1e-16)]
+    ['0.01235', '0', '0']
+    """
+    return f"{value:.4g}" if abs(value) > _ROUNDING else "0"
 
 
 def _z(z: float, *, capped: bool) -> str:

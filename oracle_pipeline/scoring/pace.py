@@ -4,7 +4,7 @@
 recordings, and an unusual number of messages in ten seconds.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,13 @@ from oracle_pipeline.bags.reader import BagReader
 SPAN_S = 10  # over which messages are counted [s]
 FEWEST = 10  # messages of a topic; with fewer (for example latched topics) it has no pace
 _SECOND_NS = 1_000_000_000
+
+
+class Stamped(NamedTuple):
+    """The topics and stamps of some messages; shape (n,) each."""
+
+    topics: NDArray[np.int16]  # numbers, in the order of the bag's topics
+    stamps_ns: NDArray[np.int64]
 
 
 class Pace(NamedTuple):
@@ -59,12 +66,18 @@ class Pace(NamedTuple):
         )
 
 
-def paces(bag: BagReader) -> dict[str, Pace]:
-    """Return the pace of each topic with at least `FEWEST` messages."""
-    batches = [(batch.topics, batch.stamps_ns) for batch in bag.batches()]
-    if not batches:
+def paces(bag: BagReader, messages: Sequence[Stamped]) -> dict[str, Pace]:
+    """Return the pace of each topic of a bag with at least `FEWEST` messages.
+
+    Parameters
+    ----------
+    bag : BagReader
+    messages : sequence of Stamped
+        All messages of the bag, by batch.
+    """
+    if not messages:
         return {}
-    topics, stamps_ns = (np.concatenate(column) for column in zip(*batches, strict=True))
+    topics, stamps_ns = (np.concatenate(column) for column in zip(*messages, strict=True))
     order = np.lexsort((stamps_ns, topics))
     topics, stamps_ns = topics[order], stamps_ns[order]
     names = list(bag.topics)

@@ -18,11 +18,10 @@ from oracle_pipeline.bags.behaviour import behaviour
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.detectors.explain import UsualRanges
-from oracle_pipeline.features import FeatureTables, build_manager, extract
-from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.comparable import shared_features
-from oracle_pipeline.scoring.contract import Observation
+from oracle_pipeline.scoring.isolation import Extracted, extracted
 from oracle_pipeline.scoring.judging import judge
 from oracle_pipeline.scoring.verdict import Verdict
 from sim.campaigns import Campaign
@@ -189,8 +188,10 @@ class _Judged:
 
     @classmethod
     def of(cls, setting: Setting, directory: RunDirectory) -> "_Judged":
-        tables, seen = _features(directory)
-        return cls(tables, judge(directory.key, tables, _card(setting.card), setting.far, seen))
+        ours = _extracted(directory)
+        card = _card(setting.card)
+        verdict = judge(directory.key, ours.tables, card, setting.far, ours.observation)
+        return cls(ours.tables, verdict)
 
 
 def _finding(
@@ -243,7 +244,7 @@ def _scaled(row: pd.DataFrame, ranges: UsualRanges) -> NDArray[np.float64]:
 
 @functools.cache
 def _scaled_control(control: RunDirectory, card: Path) -> NDArray[np.float64]:
-    return _scaled(_features(control)[0].run, _ranges(card))
+    return _scaled(_extracted(control).tables.run, _ranges(card))
 
 
 @functools.cache
@@ -253,9 +254,9 @@ def _ranges(card: Path) -> UsualRanges:
     return UsualRanges(known.runs, columns)
 
 
-def _features(directory: RunDirectory) -> tuple[FeatureTables, Observation]:
-    with open_run(directory.path) as run:
-        return extract(run, build_manager(None)), Observation.of(run)
+def _extracted(directory: RunDirectory) -> Extracted:
+    (robot,) = extracted(directory.path, None, strict=False, choices=None, paced=False)
+    return robot
 
 
 @functools.cache

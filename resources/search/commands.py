@@ -11,7 +11,7 @@ from sim.commands.batch import (
     allow_actuation_option,
     campaign,
     campaign_options,
-    errors_told,
+    short_errors,
     workers_option,
 )
 
@@ -135,7 +135,7 @@ def search(
 
     if (template is None) == (not topics):
         raise click.UsageError("Give either a TEMPLATE or --topic to vary.")
-    with errors_told():
+    with short_errors():
         limit, settings = Budget.parse(budget), campaign(options)
         plan = Plan(
             card, settings, objective=objective, sampler=sampler, blocks=blocks,

@@ -1,4 +1,4 @@
-"""Permutation tests: exact for one feature, and right about all of them together."""
+"""Permutation tests: exact for one feature, with family-wise error control over all."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Campaigns of a few runs with windows and ground truth defined by hand."""
+"""Campaigns of a few runs with given windows and ground truth."""
 
 import numpy as np
 import pandas as pd

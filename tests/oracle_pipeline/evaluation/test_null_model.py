@@ -17,7 +17,7 @@ def test_without_a_signal_the_thesis_s_method_reaches_its_headline(rates):
     assert medians["fpr"] == pytest.approx(medians["recall"], abs=0.03)
 
 
-def test_without_very_long_runs_it_does_not(rates):
+def test_without_very_long_runs_duration_does_not_dominate(rates):
     alike = best_cluster_rates(0.0, repetitions=20, seed=0).median()
     assert alike["recall"] < 0.85 < rates["recall"].median()
     assert 0.45 <= alike["auc"] <= 0.55

@@ -1,4 +1,4 @@
-"""Small run directories, with all that features are made of."""
+"""Small run directories, with all inputs of features."""
 
 import os
 from collections.abc import Callable
@@ -174,8 +174,8 @@ def make_run(tmp_path: Path) -> Callable[..., RunDirectory]:
             write_gexf(compose(graphs), scratch / "graphs" / "run.gexf")
             write_graphml(compose(graphs), scratch / "graphs" / "run.graphml")
             measured = Measured(1.0, {"bag": 1}, files=hashes_of_files(scratch))
-            told = {"measured": measured, **changes}
-            manifest_of(directory, bag, **told).save(scratch / "manifest.json")
+            fields = {"measured": measured, **changes}
+            manifest_of(directory, bag, **fields).save(scratch / "manifest.json")
         return directory
 
     return make
@@ -194,7 +194,7 @@ def bag_of(tmp_path: Path) -> Callable[[list[Recorded]], Path]:
 
 @pytest.fixture(params=[*FOREIGN_BAGS, "own"], ids=lambda p: str(p)[-40:])
 def foreign_bag(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """Each bag at hand without manifest and graphs."""
+    """Each available bag without manifest and graphs."""
     if isinstance(request.param, Path):
         return request.param.parent
     write_bag(tmp_path / "robot", drive())

@@ -22,13 +22,13 @@ RANGE_MAX_M = 10.0
 
 @dataclass(frozen=True)
 class World:
-    """What a scanner is shown: walls, and discs as (x, y, radius) [m]."""
+    """Surroundings of a scanner: walls, and discs as (x, y, radius) [m]."""
 
     discs: tuple[tuple[float, float, float], ...] = ()
     room_m: float = ROOM_M
 
     def cast(self, origin: complex, bearings: np.ndarray) -> np.ndarray:
-        """Distance from a place to what a ray in each direction meets."""
+        """Distance from a place to the first surface in each direction."""
         ray = np.exp(1j * bearings)
         with np.errstate(divide="ignore", over="ignore"):
             walls = [
@@ -48,7 +48,7 @@ class World:
 
 @dataclass(frozen=True)
 class Scanner:
-    """A scanner ahead of the robot's base by ``x_m``; upside down if so said."""
+    """A scanner ahead of the robot's base by ``x_m``; optionally upside down."""
 
     topic: str
     x_m: float = 0.0

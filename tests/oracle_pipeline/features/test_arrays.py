@@ -35,13 +35,13 @@ def test_roughness_is_the_second_difference_over_the_number():
     assert roughness(numbers).tolist() == [1.0, 0.0]
 
 
-def test_autocorrelation_tells_a_slope_from_an_alternation():
+def test_autocorrelation_distinguishes_a_slope_from_an_alternation():
     assert of(list(range(100)))["autocorrelation"] == pytest.approx(1.0, abs=0.02)
     assert of([1.0, -1.0] * 50)["autocorrelation"] == pytest.approx(-1.0)
 
 
 @pytest.mark.parametrize("numbers", [[np.inf] * 20, [np.nan] * 20])
-def test_what_is_not_finite_has_no_statistics(numbers):
+def test_non_finite_numbers_have_no_statistics(numbers):
     found = of(numbers)
     assert found.pop("non_finite") == 1.0
     assert np.isnan(list(found.values())).all()

@@ -98,7 +98,7 @@ def test_up_is_the_altitude_overhead():
 
 
 @given(st.floats(-80, 80), st.floats(-179, 179), st.floats(0, 359), st.floats(1, 50_000))
-def test_moving_leads_where_one_looked(latitude, longitude, azimuth, distance):
+def test_moving_a_site_by_an_offset_puts_it_at_that_offset(latitude, longitude, azimuth, distance):
     step = distance * np.exp(1j * np.radians(azimuth))
     there = Site(latitude, longitude).moved(complex(step))
     seen, _ = Site(latitude, longitude).seen(
@@ -149,7 +149,7 @@ def test_a_false_altitude_is_found(extracted):
     assert where["altitude_residual"] == "/adsb A00001"
 
 
-def test_who_vanishes_in_the_middle_is_counted(extracted):
+def test_aircraft_that_vanish_inside_the_airspace_are_counted(extracted):
     def vanish(message):
         return None if message.icao24 == "A00004" and seconds_of(message) > 30 else message
 
@@ -186,7 +186,7 @@ def test_each_topic_of_reports_is_judged_by_itself(extracted):
     assert where["altitude_residual"].startswith("/adsb_fuzzed ")
 
 
-def test_reports_that_nothing_can_be_are_left_out(extracted):
+def test_invalid_reports_are_left_out(extracted):
     def absurd(message):
         nowhere = message.icao24 == "A00004"
         return replace(message, latitude=float("nan")) if nowhere else message
@@ -240,7 +240,7 @@ def test_tracks_that_fly_as_one(extracted):
 def test_one_track_has_no_pair(extracted):
     values, _, missing = extracted([tracks(float(t), track(1, 7)) for t in range(10)])
     assert values["adsb_only"] == 0.0
-    assert "no two tracks" in missing["closest_pair"]
+    assert "fewer than two tracks" in missing["closest_pair"]
 
 
 def test_advisories_are_counted(extracted):

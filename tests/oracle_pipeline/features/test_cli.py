@@ -37,7 +37,7 @@ def test_features_of_any_bag_are_json_with_reasons(foreign_bag):
     rows = json.loads(done.stdout)["rows"]
     assert [row["window_start_s"] for row in rows[:3]] == [0.0, 2.5, 5.0]
     assert rows[0]["structural.density"] is None
-    assert "no graph" in rows[0]["missing"]["structural.density"]
+    assert "no ROS graph" in rows[0]["missing"]["structural.density"]
 
 
 def test_text_has_a_line_for_each_feature_and_the_reasons_for_the_rest(foreign_bag):
@@ -64,7 +64,7 @@ def test_text_on_windows_has_the_smallest_median_and_largest_value(foreign_bag):
 
 
 @pytest.mark.slow
-def test_a_terminal_gets_text(foreign_bag):
+def test_a_terminal_gets_only_plain_text(foreign_bag):
     ours, theirs = pty.openpty()
     with subprocess.Popen([ORACLE, "features", foreign_bag], stdout=theirs) as child:
         os.close(theirs)

@@ -55,20 +55,20 @@ def check(columns: Columns, decoded: list[Any]) -> None:
     """Compare all fields of columns with those of the decoded messages."""
     msgtype = decoded[0].__msgtype__
     for name, (of, what) in typestore().fielddefs[msgtype][1]:
-        found, told = getattr(columns, name), [getattr(each, name) for each in decoded]
+        found, expected = getattr(columns, name), [getattr(each, name) for each in decoded]
         if of == Nodetype.NAME:
-            check(found, told)
+            check(found, expected)
         elif isinstance(found, Columns):
-            assert found.owners.tolist() == [i for i, each in enumerate(told) for _ in each]
-            if flat := [each for of_message in told for each in of_message]:
+            assert found.owners.tolist() == [i for i, each in enumerate(expected) for _ in each]
+            if flat := [each for of_message in expected for each in of_message]:
                 check(found, flat)
         elif of == Nodetype.BASE:
-            assert found.tolist() == told
+            assert found.tolist() == expected
         elif what[0][1][0] == "string":
-            assert found.tolist() == [tuple(each) for each in told]
+            assert found.tolist() == [tuple(each) for each in expected]
         else:
-            assert len(found) == len(told)
-            for one, other in zip(found, told, strict=True):
+            assert len(found) == len(expected)
+            for one, other in zip(found, expected, strict=True):
                 np.testing.assert_array_equal(one, other)
 
 
@@ -85,13 +85,13 @@ def decodes(data: bytes, msgtype: str) -> bool:
     try:
         typestore().deserialize_cdr(data, msgtype)
     except Exception as error:
-        return "codec" in str(error)  # what a string says is not looked at
+        return "codec" in str(error)  # strings are not compared
     return True
 
 
 @given(some_messages(), st.data())
 @settings(max_examples=60, deadline=None)
-def test_a_message_is_whole_exactly_if_it_can_be_decoded(messages, data):
+def test_a_message_is_complete_exactly_if_it_can_be_decoded(messages, data):
     msgtype = messages[0].__msgtype__
     whole = serialize(messages[0], msgtype)
     cut = whole[: data.draw(st.integers(0, len(whole)))]
@@ -105,6 +105,6 @@ def test_a_message_is_whole_exactly_if_it_can_be_decoded(messages, data):
         assert batch.whole.tolist() == [True, decodes(odd, msgtype)]
 
 
-def test_a_field_that_is_not_there_is_told():
+def test_a_missing_field_is_an_error():
     with pytest.raises(AttributeError, match="no field 'speed'"):
         _ = columns_of(message_class("std_msgs/msg/Bool")(True)).speed

@@ -1,4 +1,4 @@
-"""What can be said of compiled plugins without a compiler; tests/compiled builds and runs them."""
+"""Laws of compiled plugins that need no compiler; tests/compiled builds and runs them."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ def test_a_file_that_is_no_library_is_left_out_with_the_reason(tmp_path):
     assert manager.plugins
 
 
-def test_a_library_that_is_no_plugin_is_refused_in_words():
+def test_a_library_that_is_no_plugin_is_refused_with_an_error():
     library = next(path for path in _libraries() if path.suffix == ".so")
     with pytest.raises(PluginError, match="no function oracle_plugin_v1; it is no plugin, or one"):
         load_compiled(library)

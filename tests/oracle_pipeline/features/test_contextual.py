@@ -32,7 +32,7 @@ def turned(yaws, rates=None, x=None, y=None) -> dict:
     return odometry.compute(Window(0.0, 10.0, None, None, (), {}, topics, topics))
 
 
-def test_yaw_variance_does_not_jump_at_the_back():
+def test_yaw_variance_does_not_jump_at_plus_minus_pi():
     assert turned([3.1, -3.1])["yaw_variance"] == pytest.approx(0.00086, abs=1e-5)
     assert turned([3.1, -3.1])["total_turning"] == pytest.approx(2 * np.pi - 6.2)
 
@@ -99,7 +99,7 @@ def test_clearance_is_that_of_the_scanner_that_sees_farthest(bag_of, messages):
     assert of_run(bag_of([*own_mast, *free, *near]))["clearance"] == pytest.approx(0.7)
 
 
-def test_a_scanner_that_sees_nothing_is_no_zero(bag_of, messages):
+def test_a_scanner_without_returns_has_no_value_instead_of_zero(bag_of, messages):
     values = of_run(bag_of([(t, "/scan", messages.scan(t, [np.inf, np.inf])) for t in range(3)]))
     assert values["range_variance_mean"] == "no scan has a valid range"
     assert values["non_finite_mean"] == 1.0
@@ -150,7 +150,7 @@ def test_times_of_goals_come_from_the_tree_if_the_status_is_hidden(bag_of, messa
         ([(0, "IDLE")], []),
     ],
 )  # fmt: skip
-def test_goals_are_what_the_root_of_the_tree_says(states, expected):
+def test_goals_are_those_of_the_root_of_the_tree(states, expected):
     times = np.array([time for time, *_ in states], dtype=float)
     log = np.fromiter((rest for _, *rest in states), dtype=object, count=len(states))
     goals = goals_of_log(Series(times, log))
@@ -180,7 +180,7 @@ def test_times_of_goals_come_from_the_status_if_it_is_recorded(bag_of, messages)
 
 def test_without_navigation_there_is_a_reason(bag_of, messages):
     values = of_run(bag_of([(0, "/scan", messages.scan(0, [1.0]))]))
-    assert "neither a goal's status nor a behaviour tree's log" in values["duration"]
+    assert "neither a goal status nor a behaviour tree log" in values["duration"]
     assert values["total_turning"] == "no topic for the role odometry is recorded"
 
 

@@ -76,6 +76,6 @@ def test_a_return_counts_as_marked_within_a_cell_of_a_lethal_one(row, column, do
     assert unmarked(grid(cells), returns) == float(max(abs(down), abs(right)) > 1)
 
 
-def test_too_few_returns_inside_the_costmap_say_nothing():
+def test_too_few_returns_inside_the_costmap_give_no_value():
     returns = np.array([0.1 + 0.1j] * 4 + [9.0 + 9.0j] * 9 + [np.nan])
     assert np.isnan(unmarked(grid(np.zeros((10, 10))), returns))

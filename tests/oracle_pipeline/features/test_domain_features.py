@@ -1,4 +1,4 @@
-"""The features of domains together, on bags that nobody made for them."""
+"""The features of domains together, on bags that were not made for them."""
 
 import json
 

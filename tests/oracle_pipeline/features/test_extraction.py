@@ -75,7 +75,7 @@ def test_a_run_of_ours_gives_every_feature_of_graphs_and_of_the_thesis(make_run)
     assert not always & {column.split(".")[0] for column in missing}
 
 
-def test_features_do_not_depend_on_what_the_manifest_says(make_run):
+def test_features_do_not_depend_on_the_manifest(make_run):
     ours = extract(make_run().path)
     theirs = extract(
         make_run(
@@ -95,7 +95,7 @@ def test_storage_does_not_matter(make_run):
         pd.testing.assert_frame_equal(mine[columns], other[columns])
 
 
-def test_a_window_has_the_newest_graph_that_was_there_when_it_ended(make_run):
+def test_a_window_has_the_newest_graph_at_its_end(make_run):
     windows = extract(make_run().path).windows.set_index("window_start_s")
     edges = windows["structural.average_degree"]
     # Without the recorder: 4 edges and 5 vertices, in the second interval 1 edge and 2 more.
@@ -111,7 +111,7 @@ def test_a_foreign_bag_gives_what_it_can(foreign_bag):
     assert tables.run["mode"].tolist() == ["foreign"]
     assert tables.run["label"].tolist() == ["unknown"]
     missing = json.loads(tables.run["missing"].iloc[0])
-    assert missing["structural.density"] == "no graph was recorded before its end"
+    assert missing["structural.density"] == "no ROS graph was recorded before the end of the window"
     assert len(tables.windows) >= 4
 
 
@@ -128,7 +128,7 @@ def test_tables_are_written_where_others_look_for_them(make_run):
     assert len(feature_dataset([read_table(of_run)])) == 1
 
 
-def test_equal_runs_make_equal_bytes(make_run):
+def test_equal_runs_give_equal_bytes(make_run):
     directory = make_run()
     once = [path.read_bytes() for path in features.write(extract(directory.path), directory)]
     again = [path.read_bytes() for path in features.write(extract(directory.path), directory)]
@@ -142,12 +142,12 @@ def test_a_recording_too_short_for_a_window_has_none(bag_of, messages):
     assert tables.run["contextual.range_variance_max"].tolist() == [0.25]
 
 
-def test_an_empty_bag_has_no_features_and_says_why(bag_of):
+def test_an_empty_bag_has_no_features_but_reasons(bag_of):
     table = extract(bag_of([])).run
     assert table[feature_columns(table)].isna().all(axis=None)
 
 
-def test_a_corrupt_bag_is_no_missing_feature(make_run):
+def test_a_corrupt_bag_is_an_error_and_not_a_missing_feature(make_run):
     directory = make_run()
     (file,) = directory.bag.glob("*.mcap")
     data = bytearray(file.read_bytes())

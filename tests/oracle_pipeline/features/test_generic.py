@@ -165,4 +165,4 @@ def test_of_many_topics_those_that_look_alike_are_compared(bag_of, messages):
 def test_a_topic_alone_makes_no_pair(bag_of, messages):
     row = extract(bag_of(scans(messages, "/scan", smooth(20, np.random.default_rng(5)))))
     assert pd.isna(row["pairs.identity"])
-    assert row["missing"]["pairs.identity"] == "no two topics of one type have arrays"
+    assert row["missing"]["pairs.identity"] == "no two topics of the same type have arrays"

@@ -1,4 +1,4 @@
-"""A robot whose odometry, gyroscope, wheels and scanner tell one motion, unless one is altered."""
+"""A robot whose odometry, gyroscope, wheels and scanner measure one motion unless altered."""
 
 from typing import Any
 
@@ -11,6 +11,7 @@ from oracle_pipeline.bags.types import message_class
 from oracle_pipeline.features import kinematics
 from oracle_pipeline.features.kinematics import fit
 from tests.oracle_pipeline.features.scenery import (
+    RAYS,
     Scanner,
     World,
     extract,
@@ -51,20 +52,22 @@ def motion(time_s: float) -> tuple[complex, float]:
 def robot(
     *, odometry: float = 1.0, twist: float = 1.0, gyro: float = 1.0, wheels: float = 1.0,
     rates: float = 1.0, command: float = 1.0, push: float = 0.0, drift: float = 0.0,
-    late_s: float = 0.0, scan: float = 1.0,
+    late_s: float = 0.0, scan: float = 1.0, rotated_rays: int = 0,
 ) -> list[tuple[float, str, Any]]:  # fmt: skip
-    """All messages; what is said of one stream is multiplied by a factor, or told late."""
+    """Return all messages; one stream can be multiplied by a factor, or delayed."""
     vector = message_class("geometry_msgs/msg/Vector3")
     recorded = [m for m in recording([SCANNER], motion, SECONDS) if m[1] != "/odom"]
     for _, topic, message in recorded:
         if topic == "/scan":
-            message.ranges = np.asarray(message.ranges * scan, dtype=np.float32)
+            message.ranges = np.asarray(
+                np.roll(message.ranges * scan, rotated_rays), dtype=np.float32
+            )
     forward = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(PLACE)))])
     for time_s in TIMES_S:
         place, yaw = motion(time_s)
         speed, rate = speeds(time_s)
-        told = odometry_message(time_s, odometry * place, yaw)
-        told.twist.twist = message_class("geometry_msgs/msg/Twist")(
+        reported = odometry_message(time_s, odometry * place, yaw)
+        reported.twist.twist = message_class("geometry_msgs/msg/Twist")(
             vector(twist * speed, 0.0, 0.0), vector(0.0, 0.0, twist * rate)
         )
         past = motion(max(0.0, time_s - late_s))[1], speeds(max(0.0, time_s - late_s))[1]
@@ -85,7 +88,7 @@ def robot(
             for factor in (1.0, command)
         )
         recorded += [
-            (time_s, "/odometry", told), (time_s, "/inertia", inertial),
+            (time_s, "/odometry", reported), (time_s, "/inertia", inertial),
             (time_s, "/joints", joints), (time_s, "/wanted", wanted), (time_s, "/obeyed", obeyed),
         ]  # fmt: skip
     return sorted(recorded, key=lambda each: each[0])
@@ -115,6 +118,14 @@ def test_streams_of_one_motion_agree(honest):
         assert values[pair.column("drift")] == pytest.approx(0.0, abs=2e-3), pair
     assert values["gravity"] == pytest.approx(9.80665)
     assert values["gravity_residual"] == pytest.approx(0.0, abs=1e-9)
+    assert values["travel_bearing_pose_twist"] == pytest.approx(0.0, abs=1e-3)
+    assert values["travel_bearing_pose_scan"] == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_scanner_that_is_mounted_askew_travels_in_another_direction(extracted, honest):
+    values, *_ = extracted(rotated_rays=3)
+    bearing = values["travel_bearing_pose_scan"] - honest[0]["travel_bearing_pose_scan"]
+    assert bearing == pytest.approx(3 * 2.0 * np.pi / RAYS, rel=0.2)
 
 
 def test_the_radius_of_the_wheels_and_their_distance_are_estimated(honest):
@@ -137,7 +148,7 @@ def test_the_radius_of_the_wheels_and_their_distance_are_estimated(honest):
         ("scan", ("travel_scale_pose_scan", "travel_scale_joints_scan"), ()),
     ],
 )
-def test_five_per_cent_in_one_stream_are_five_per_cent_in_its_pairs(
+def test_five_per_cent_in_one_stream_are_measured_in_its_pairs(
     extracted, honest, altered, larger, smaller
 ):
     before, *_ = honest
@@ -168,14 +179,14 @@ def test_an_orientation_that_drifts_away_from_another_source_drifts(
     assert where[column] == place
 
 
-def test_a_push_that_the_orientation_does_not_explain_is_measured(extracted):
+def test_an_acceleration_that_the_orientation_does_not_explain_is_measured(extracted):
     values, where, _ = extracted(push=0.4)
     assert values["gravity_residual"] == pytest.approx(0.4)
     assert where["gravity_residual"] == "/inertia"
 
 
-@pytest.mark.parametrize("is_told", [True, False])
-def test_a_tilted_unit_is_pushed_only_if_it_does_not_say_how_it_is_tilted(tmp_path, is_told):
+@pytest.mark.parametrize("is_known", [True, False])
+def test_a_tilted_imu_has_a_gravity_residual_only_without_its_orientation(tmp_path, is_known):
     tilt, tilted = 0.3, robot()
     half = message_class("geometry_msgs/msg/Quaternion")(
         0.0, np.sin(tilt / 2), 0.0, np.cos(tilt / 2)
@@ -185,19 +196,19 @@ def test_a_tilted_unit_is_pushed_only_if_it_does_not_say_how_it_is_tilted(tmp_pa
             message.linear_acceleration.x = -9.80665 * np.sin(tilt)
             message.linear_acceleration.z = 9.80665 * np.cos(tilt)
             message.orientation = half
-            if not is_told:
+            if not is_known:
                 message.orientation_covariance[0] = -1.0
     values, *_ = extract(PLUGINS, tilted, tmp_path)
-    expected = 0.0 if is_told else 9.80665 * 2.0 * np.sin(tilt / 2)
+    expected = 0.0 if is_known else 9.80665 * 2.0 * np.sin(tilt / 2)
     assert values["gravity_residual"] == pytest.approx(expected, abs=1e-6)
 
 
-def test_without_odometry_the_others_are_still_held_against_each_other(tmp_path):
+def test_without_odometry_the_others_are_still_compared(tmp_path):
     kept = [m for m in robot(gyro=1.05) if m[1] not in ("/odometry", "/odom")]
     values, _, missing = extract(PLUGINS, kept, tmp_path)
     assert values["turn_scale_gyro_scan"] == pytest.approx(-np.log(1.05), abs=0.012)
     assert np.isfinite(values["turn_scale_gyro_joints"])
-    assert missing["travel_scale_pose_twist"] == "not both of pose and twist tell the travel"
+    assert missing["travel_scale_pose_twist"] == "no travel from both pose and twist"
 
 
 complex_rows = st.lists(

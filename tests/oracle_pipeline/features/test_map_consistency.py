@@ -70,7 +70,7 @@ def test_a_turned_map_is_the_same_map():
     assert reached == pytest.approx(2.0, abs=0.02)
 
 
-def test_rays_into_the_unknown_say_nothing():
+def test_rays_into_unknown_space_are_invalid():
     cells = room(2.0).astype(np.int8)
     cells[len(cells) // 2 - 5 : len(cells) // 2 + 5, -11] = 0  # a door; unknown behind it
     pose = Planar(np.asarray(corner(cells)), np.asarray(1.0 + 0j))
@@ -79,7 +79,7 @@ def test_rays_into_the_unknown_say_nothing():
     assert reached[0, 1] == pytest.approx(2.0, abs=0.02)
 
 
-def test_rays_from_within_a_wall_or_from_nowhere_say_nothing():
+def test_rays_from_inside_a_wall_or_off_the_map_are_invalid():
     starts = np.array([[2.01 + 0j], [50.0 + 0j]])
     assert np.isnan(world().cast(starts, np.array([[1j]]))).all()
 
@@ -101,7 +101,7 @@ def test_an_object_that_the_map_lacks_is_unexpected(extracted):
     assert where["unexpected"] == "/scan"
 
 
-def test_a_return_from_behind_a_wall_is_told(extracted):
+def test_a_return_from_behind_a_wall_is_detected(extracted):
     values, *_ = extracted(with_map(Scanner("/scan", world=World(room_m=3.0)), room(2.0)))
     assert values["looked_through"] == pytest.approx(1.0, abs=0.05)
     assert values["unexpected"] == 0.0
@@ -111,7 +111,7 @@ def test_a_return_from_behind_a_wall_is_told(extracted):
     ("lacking", "reason"),
     [("/map", "no map"), ("/amcl_pose", "no pose of localisation"), ("/odom", "no odometry")],
 )
-def test_what_is_lacking_is_said(extracted, lacking, reason):
+def test_missing_requirements_are_reported(extracted, lacking, reason):
     recorded = [each for each in with_map(Scanner("/scan"), room(2.0)) if each[1] != lacking]
     _, _, missing = extracted(recorded)
     assert missing["residual"] == reason

@@ -62,13 +62,20 @@ def test_a_window_has_its_start_and_not_its_end():
     assert largest({"b": np.nan}, "nothing").reason == "nothing"
 
 
-def test_what_the_monitor_let_pass_is_told_by_command():
+def test_the_share_that_the_monitor_passed_is_known_by_command():
     asked = series((0.0, (0.2, 0.0)), (1.0, (0.2, 0.1)), (2.0, (0.0, 0.0)), (3.0, (0.2, 0.0)),
                    (4.0, (0.2, 0.0)))  # fmt: skip
     answers = series((0.01, (0.2, 0.0)), (1.01, (0.06, 0.03)), (2.01, (0.0, 0.0)), (3.01, (0, 0)))
-    passed = velocity.passed(asked, answers)
-    assert passed.times_s.tolist() == [0.0, 1.0, 3.0, 4.0]
-    assert passed.values == pytest.approx([1.0, 0.3, 0.0, 0.0])  # the last got no answer
+    share, altered = velocity.answers_of(asked, answers)
+    assert share.times_s.tolist() == [0.0, 1.0, 3.0, 4.0]
+    assert share.values == pytest.approx([1.0, 0.3, 0.0, 0.0])  # the last got no answer
+    assert not altered.values.any()
+
+
+@pytest.mark.parametrize("sent", [(0.2, 0.3), (0.22, 0.0), (-0.1, 0.0)])
+def test_an_output_that_is_no_fraction_of_the_command_is_altered(sent):
+    asked, answers = series((0.0, (0.2, 0.0))), series((0.01, sent))
+    assert velocity.answers_of(asked, answers).altered.values.tolist() == [1.0]
 
 
 def test_stops_and_slowdowns_of_the_collision_monitor(extracted):
@@ -166,7 +173,7 @@ def test_without_goals_there_is_no_navigation(extracted):
     assert "behaviour tree" in missing["stalled"]
 
 
-def test_localisation_is_held_against_odometry(extracted):
+def test_localisation_is_compared_with_odometry(extracted):
     # Odometry drives along x at 0.5 m/s; localisation finds it 0.1 m to the left a second.
     odometry = [(t / 10, "/odom", odometry_message(t / 10, 0.05 * t + 0j, 0.0)) for t in range(90)]
     believed = [
@@ -189,7 +196,7 @@ def plan_message(seconds, places):
 
 
 @pytest.mark.parametrize("aside_m", [0.0, 0.3])
-def test_a_plan_begins_where_the_robot_believes_to_be(extracted, aside_m):
+def test_a_plan_begins_at_the_estimated_pose(extracted, aside_m):
     # Localisation has the robot 2 m to the left of where odometry has it.
     odometry = [(t / 10, "/odom", odometry_message(t / 10, 0.05 * t + 0j, 0.0)) for t in range(90)]
     believed = [

@@ -1,4 +1,4 @@
-"""Messages that real robots and broken ones send: each costs what it must, and is told."""
+"""Unusual messages of real and broken robots lose only the affected values, with a reason."""
 
 import logging
 import tracemalloc
@@ -115,7 +115,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_a_topic_of_broken_messages_is_told_and_costs_no_other(name, tmp_path):
+def test_a_topic_of_broken_messages_is_reported_and_affects_no_other(name, tmp_path):
     with BagWriter(tmp_path / "bag") as bag:
         for seconds, topic, message in drive():
             data = serialize(message, message.__msgtype__)
@@ -132,11 +132,18 @@ def test_a_topic_of_broken_messages_is_told_and_costs_no_other(name, tmp_path):
     assert row["contextual.total_turning"] > 1.0  # of /odom
 
 
-def test_a_recording_without_messages_is_told(tmp_path):
+def test_a_recording_without_messages_is_reported(tmp_path):
     with BagWriter(tmp_path / "bag") as bag:
         bag.add_topic("/scan", "sensor_msgs/msg/LaserScan", [])
     with open_run(tmp_path / "bag") as run:
         assert measure(run, MANAGER).notes == ("It has no messages.",)
+
+
+def test_a_clock_that_stood_still_is_told(tmp_path):
+    write_bag(tmp_path / "bag", ODD["all at once"])
+    with open_run(tmp_path / "bag") as run:
+        (note,) = measure(run, MANAGER).notes
+    assert "were recorded at the same time: the recorder's clock stood still" in note
 
 
 @given(st.lists(st.floats(0.0, 1e3), min_size=2), st.floats(0.05, 1.0))

@@ -29,7 +29,7 @@ def test_a_foreign_bag_has_neither_manifest_nor_graphs(foreign_bag):
         assert run.bag.message_count > 0
 
 
-def test_what_is_neither_is_told(tmp_path):
+def test_a_path_that_is_neither_run_nor_bag_is_an_error(tmp_path):
     with pytest.raises(BagError, match="not a bag"):
         open_run(tmp_path)
     with pytest.raises(BagError, match="no bag"):
@@ -47,7 +47,7 @@ def test_what_is_neither_is_told(tmp_path):
         ("bag/bag_0.mcap", RunDirectoryError, r"damaged: bag/bag_0\.mcap is"),
     ],
 )
-def test_a_run_directory_without_a_part_is_told(part, error, text, make_run):
+def test_a_run_directory_without_a_part_is_an_error(part, error, text, make_run):
     directory = make_run()
     path = directory.path / part
     if path.is_dir():
@@ -59,14 +59,14 @@ def test_a_run_directory_without_a_part_is_told(part, error, text, make_run):
 
 
 @pytest.mark.parametrize("part", ["manifest.json", "graphs/000010.gexf", "bag/bag_0.mcap"])
-def test_a_run_directory_with_a_broken_part_is_told(part, make_run):
+def test_a_run_directory_with_a_broken_part_is_an_error(part, make_run):
     directory = make_run()
     (directory.path / part).write_text("{")
     with pytest.raises((ManifestError, RunDirectoryError), match=part.split("/")[-1]):
         open_run(directory.path)
 
 
-def test_a_trimmed_bag_is_not_taken_for_the_whole(make_run):
+def test_a_trimmed_bag_is_not_taken_for_the_complete_one(make_run):
     directory = make_run()
     more = {"/map": {"type": "nav_msgs/msg/OccupancyGrid", "messages": 1}}
     rewrite(directory, lambda document: document["topics"].update(more))

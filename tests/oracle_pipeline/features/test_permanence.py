@@ -38,7 +38,7 @@ def changing(before: Scanner, after: Scanner, at_s: float, seconds: float = 8.0)
     ]
 
 
-def test_things_that_stand_still_stay_where_they_are(extracted):
+def test_static_objects_do_not_move(extracted):
     values, _, missing = extracted(recording([Scanner("/scan", 0.1, FURNISHED)], driving, 8.0))
     assert missing == {}
     assert values["appeared"] == values["vanished"] == values["changed_peak"] == 0.0
@@ -83,7 +83,7 @@ def test_rounding_of_the_pose_moves_nothing(extracted):
     assert values["loose"] == 0.0
 
 
-def test_what_the_robot_drives_across_was_not_there(extracted):
+def test_returns_where_the_robot_drives_later_are_counted(extracted):
     real, *_ = extracted(recording([Scanner("/scan", world=FURNISHED)], driving, 8.0))
     fake, *_ = extracted(recording([Scanner("/scan", world=World((AHEAD,)))], driving, 8.0))
     assert real["driven_across"] == 0.0
@@ -103,6 +103,6 @@ def test_the_scanner_that_contradicts_itself_is_named(extracted):
     assert where["driven_across"] == "/liar"
 
 
-def test_without_odometry_nothing_can_be_told(extracted):
+def test_without_odometry_there_is_no_value(extracted):
     _, _, missing = extracted(recording([Scanner("/scan")], odometry=False))
     assert set(missing.values()) == {"no odometry"}

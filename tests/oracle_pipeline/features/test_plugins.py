@@ -59,7 +59,7 @@ def plugin_of(compute, name="odd", topics=None, **options) -> FeaturePlugin:
     return FeaturePlugin(name, name, (feature,), compute, topics or {}, **options)
 
 
-def test_every_built_in_feature_says_what_it_is():
+def test_every_built_in_feature_has_a_description():
     manager = features.build_manager()
     assert len(manager.features()) > 20
     for column, feature in manager.features().items():
@@ -97,12 +97,12 @@ def test_the_folder_can_come_from_the_environment(folder, monkeypatch):
     assert "my_lab.messages" in features.build_manager().features()
 
 
-def test_a_missing_folder_is_told(tmp_path):
+def test_a_missing_folder_is_an_error(tmp_path):
     with pytest.raises(features.PluginError, match=r"no plugin folder .*absent"):
         features.build_manager(tmp_path / "absent")
 
 
-def test_a_column_offered_twice_is_told(folder):
+def test_a_column_offered_twice_is_an_error(folder):
     write(folder, "one.py", PLUGIN)
     write(folder, "two.py", PLUGIN.replace('"counter"', '"other"'))
     with pytest.raises(features.PluginError, match=r"'my_lab.messages' .*by counter and by other"):
@@ -125,8 +125,8 @@ def test_a_column_offered_twice_is_told(folder):
 def test_a_file_that_cannot_be_loaded_is_kept_as_a_reason(code, reason, folder, make_run, caplog):
     write(folder, "broken.py", code)
     manager = features.build_manager(folder)
-    (told,) = manager.broken.values()
-    assert reason in told
+    (text,) = manager.broken.values()
+    assert reason in text
     assert reason in caplog.text
     tables = extract(make_run().path, manager)
     assert set(manager.broken.items()) <= set(reasons(tables.run).items())
@@ -153,7 +153,7 @@ def raises(_window):
         (lambda w: {"value": (w.graph or NO_NODES).add_node("x")}, "Frozen graph"),
     ],
 )
-def test_a_plugin_that_fails_costs_its_own_columns(compute, reason, make_run, caplog):
+def test_a_plugin_that_fails_loses_only_its_own_columns(compute, reason, make_run, caplog):
     good = plugin_of(lambda _: {"value": 1.0}, "good")
     manager = FeatureManager((plugin_of(compute), good))
     with caplog.at_level(logging.ERROR):
@@ -168,7 +168,7 @@ def test_a_plugin_that_fails_costs_its_own_columns(compute, reason, make_run, ca
     assert len(caplog.records) <= 1  # once a run, not once a window
 
 
-def test_what_a_plugin_keeps_is_cut_to_the_window(make_run):
+def test_values_that_a_plugin_keeps_are_cut_to_the_window(make_run):
     def compute(window):
         (series,) = window.topics["odometry"].values()
         (past,) = window.history["odometry"].values()
@@ -200,7 +200,7 @@ def test_where_a_value_was_attained_stands_beside_it(make_run, tmp_path):
     assert feature_dataset([tables.run])["where"].tolist() == ['{"odd.value": "/scan"}']
 
 
-def test_what_is_prepared_is_shared_by_all_windows(make_run):
+def test_prepared_results_are_shared_by_all_windows(make_run):
     whole = []
 
     def prepare(window):
@@ -225,7 +225,7 @@ def test_a_plugin_without_preparation_finds_none(make_run):
     ("prepare", "reason"),
     [(raises, "ValueError: no good"), (lambda _: Missing("nothing to compare"), "nothing to com")],
 )
-def test_a_preparation_that_fails_costs_the_plugin_its_columns(prepare, reason, make_run):
+def test_a_plugin_whose_preparation_fails_loses_only_its_own_columns(prepare, reason, make_run):
     plugin = plugin_of(lambda _: {"value": 1.0}, prepare=prepare)
     for table in extract(make_run().path, FeatureManager((plugin,))):
         assert table["odd.value"].isna().all()
@@ -256,14 +256,14 @@ def test_a_request_may_take_the_first_message_of_each_span(make_run):
     assert reasons(table) == {}
 
 
-def test_what_is_kept_as_none_is_left_out(make_run):
+def test_values_that_are_none_are_left_out(make_run):
     odd = iter(range(136))
     topics = {"scans": Request(lambda _: 1.0 if next(odd) % 2 else None, "/scan")}
     plugin = plugin_of(lambda w: {"value": len(w.topics["scans"]["/scan"].times_s)}, topics=topics)
     assert extract(make_run().path, FeatureManager((plugin,))).run["odd.value"].tolist() == [68.0]
 
 
-def test_only_topics_with_arrays_are_asked_if_so_wished(make_run):
+def test_a_request_can_be_limited_to_topics_with_arrays(make_run):
     topics = {"arrays": Request(lambda _: 0.0, raw=True, needs_array=True)}
     seen = []
     plugin = plugin_of(
@@ -307,7 +307,7 @@ def test_each_message_is_decoded_once_for_all_plugins(make_run):
     assert len(kept) == 136  # all ask with the same request
 
 
-def test_a_request_can_fail_for_good_reasons(make_run):
+def test_a_request_that_fails_gives_a_reason(make_run):
     def computes(_):
         return {"value": 1.0}
 
@@ -329,10 +329,10 @@ def test_a_request_can_fail_for_good_reasons(make_run):
     )
     assert missing.keys() == {"absent.value", "raising.value", "ragged.value"}
     missing = reasons(extract(run.bag, manager).run)
-    assert missing["graph.value"] == "no graph was recorded before its end"
+    assert missing["graph.value"] == "no ROS graph was recorded before the end of the window"
 
 
-def test_kept_values_of_different_shapes_are_told(make_run):
+def test_kept_values_of_different_shapes_are_an_error(make_run):
     count = iter(range(1000))
     topics = {"r": Request(lambda _: [0.0] * next(count), "/scan")}
     manager = FeatureManager((plugin_of(lambda _: {"value": 1.0}, topics=topics),))

@@ -1,4 +1,4 @@
-"""A point cloud as a planar scanner: the same scene, told as points."""
+"""A point cloud as a planar scanner: the same scene as points."""
 
 import numpy as np
 import pytest
@@ -68,14 +68,14 @@ def test_a_cloud_has_the_features_of_the_scan_in_its_plane(tmp_path):
     world = World(((1.0, 0.7, 0.2), (-1.2, 0.4, 0.3)))
     scanners = [Scanner("/scan_a", 0.05, world), Scanner("/scan_b", -0.05, world)]
     recorded = recording(scanners, driving)
-    told, *_ = extract(PLUGINS, recorded, tmp_path / "scans")
+    from_scans, *_ = extract(PLUGINS, recorded, tmp_path / "scans")
     read, _, missing = extract(PLUGINS, as_clouds(recorded), tmp_path / "clouds")
     assert "scan_latency" not in missing
     for name in (
         "range_variance_mean", "non_finite_max", "scan_residual", "scan_contradicted",
         "innovation", "scan_latency", "travel_residual_pose_scan", "turn_scale_pose_scan",
     ):  # fmt: skip
-        assert read[name] == pytest.approx(told[name], rel=0.02, abs=2e-3, nan_ok=True), name
+        assert read[name] == pytest.approx(from_scans[name], rel=0.02, abs=2e-3, nan_ok=True), name
 
 
 @given(

@@ -34,15 +34,15 @@ def test_distances_are_those_of_the_c_library(points):
 )
 @example([(-1.0, -0.0), (-1.0, 0.0), (0.0, 0.0)], 0.0, math.radians(1.0))
 @example([(math.cos(0.5), math.sin(0.5))], 0.0, 1.0)
-def test_a_point_is_nearest_to_the_ray_that_its_bearing_tells(points, start, increment):
+def test_a_point_is_nearest_to_the_ray_of_its_bearing(points, start, increment):
     x, y = columns(points)
     found = np.empty(len(x), np.int64)
     rays(x, y, start, increment, found)
-    told = [
+    expected = [
         round((math.atan2(b, a) - start) / increment)
         for a, b in zip(x.tolist(), y.tolist(), strict=True)
     ]
-    assert found.tolist() == told
+    assert found.tolist() == expected
 
 
 def test_a_point_half_way_between_two_rays_goes_where_rounding_takes_it():

@@ -55,7 +55,7 @@ def seen(ranges, **changes):
     return replace(scans, **changes)
 
 
-def test_a_point_is_held_against_the_nearest_of_five_bearings():
+def test_a_point_is_compared_with_the_nearest_of_five_bearings():
     # Eight rays, 45 degrees apart; the point is at bearing 0, 2 m away.
     found = agreement(np.array([[2.0 + 0j]]), seen([5.0, 5.0, 2.1, 5, 5, 5, 5, 5]))
     assert found.residual == pytest.approx(0.1)
@@ -75,13 +75,15 @@ def test_a_point_is_held_against_the_nearest_of_five_bearings():
         ([5, 5, np.nan, 5, 5, 5, 5, 5], False, False),  # unknown
     ],
 )
-def test_a_point_is_contradicted_by_who_looks_through_it(around, contradicted, compared):
+def test_a_point_is_contradicted_by_a_scanner_that_measures_behind_it(
+    around, contradicted, compared
+):
     found = agreement(np.array([[2.0 + 0j]]), seen(around))
     assert found.contradicted.item() == contradicted
     assert found.compared.item() == compared
 
 
-def test_nobody_contradicts_what_is_out_of_its_sight():
+def test_a_scanner_does_not_contradict_points_outside_its_view():
     point = np.array([[2.0 + 0j]])
     assert not agreement(point, seen([np.inf] * 8, range_max=2.2)).contradicted.any()
     # A scanner of the left half only knows nothing of the right.
@@ -105,7 +107,7 @@ def test_poses_compose_and_invert(one, other):
     assert one.compose(one.inverse()).apply(points) == pytest.approx(points)
 
 
-def test_frames_hang_together_up_to_their_root():
+def test_frames_are_connected_up_to_their_root():
     joints = keep_frames(transforms(("base", "arm", 1.0, False), ("arm", "lidar", 0.5, True)))
     frames = Frames({"/tf_static": Series(np.zeros(1), np.fromiter([joints], dtype=object))})
     root, pose = frames.mount("lidar")
@@ -136,7 +138,7 @@ def test_cells_beyond_the_limit_are_not_counted_at_all():
 
 
 @given(st.lists(st.floats(-5, 5), min_size=1, max_size=8, unique=True), st.floats(-9, 9))
-def test_nearest_is_nearest(times, wanted):
+def test_nearest_returns_the_nearest_point(times, wanted):
     times = np.sort(times)
     (index,) = nearest(times, np.array([wanted]))
     assert abs(times[index] - wanted) == np.abs(times - wanted).min()
@@ -236,12 +238,12 @@ def test_scans_may_differ_in_length(extracted):
 
 
 def with_range(measured, world=World()):  # noqa: B008 -- frozen
-    """A scanner at the base, and a range sensor 0.1 m ahead of it that looks at the wall."""
+    """A scanner at the base, and a range sensor 0.1 m ahead of it that faces the wall."""
     ranges = [(t / 5, "/range", range_message(t / 5, "nose", measured)) for t in range(1, 30)]
     return sorted(recording([replace(BACK, world=world)]) + ranges, key=lambda each: each[0])
 
 
-def test_a_range_is_held_against_the_scans_in_its_cone(extracted):
+def test_a_range_is_compared_with_the_scans_in_its_cone(extracted):
     near = World(room_m=1.0)
     agreed, *_ = extracted(with_range(0.9, near))
     assert agreed["range_residual"] == pytest.approx(0.0, abs=1e-3)
@@ -273,4 +275,4 @@ def test_scans_without_a_ray_or_a_partner_give_reasons(extracted):
         or each[1] == "/tf_static"
     ]  # fmt: skip
     _, _, missing = extracted(late)
-    assert missing["scan_residual"] == "no two scanners saw the same at the same time"
+    assert missing["scan_residual"] == "no two scanners measured the same area at the same time"

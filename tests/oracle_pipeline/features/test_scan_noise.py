@@ -44,11 +44,11 @@ def test_a_stretch_without_noise_is_smooth_and_one_with_more_is_rough():
     assert uneven(rough)[2] > uneven(ranges)[2] + 0.05
 
 
-def test_a_scan_without_a_few_returns_side_by_side_says_nothing():
+def test_a_scan_without_neighbouring_returns_has_no_value():
     assert np.isnan(uneven(np.where(np.arange(100) % 3, np.inf, 1.0))).all()
 
 
-def test_scans_that_were_there_before_are_repeated(extracted):
+def test_repeated_scans_are_detected(extracted):
     recorded = recording([SCANNER], driving, 8.0)
     before, *_ = extracted(recorded)
     scans = [message for _, topic, message in recorded if topic == "/scan"]
@@ -69,6 +69,6 @@ def test_noise_is_measured_while_the_robot_stands(extracted):
     assert loud["still_noise_max"] > 4.0 * quiet["still_noise_max"]
 
 
-def test_a_robot_that_drives_does_not_tell_its_noise(extracted):
+def test_noise_is_not_measured_while_the_robot_drives(extracted):
     _, _, missing = extracted(recording([SCANNER], driving))
-    assert missing["still_noise_max"] == "the robot did not stand between two scans"
+    assert missing["still_noise_max"] == "the robot did not stand still between two scans"

@@ -62,7 +62,7 @@ def test_features_keep_their_bounds(graph):
 
 
 @given(bipartite_graphs(), st.randoms())
-def test_names_do_not_matter(graph, random):
+def test_features_do_not_depend_on_names(graph, random):
     names = list(range(len(graph)))
     random.shuffle(names)
     renamed = nx.relabel_nodes(graph, dict(zip(graph, names, strict=True)))

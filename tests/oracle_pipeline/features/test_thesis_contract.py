@@ -109,7 +109,7 @@ def test_a_foreign_bag_has_messages_and_an_empty_graph(foreign_bag, extract):
         ("return [cur.execute('DELETE FROM messages')]", "readonly"),
     ],
 )
-def test_a_plugin_that_fails_costs_its_own_columns(body, reason, make_run, extract):
+def test_a_plugin_that_fails_loses_only_its_own_columns(body, reason, make_run, extract):
     code = f"""
         from plugin_interface import FeatureExtractionPlugin
 

@@ -74,7 +74,7 @@ def test_the_graph_is_that_of_the_whole_run_with_its_observers(make_run):
     assert numbers["density"] == pytest.approx(6 / (8 * 7))  # the recorder's edge is the sixth
 
 
-def test_yaw_jumps_at_the_back(bag_of, messages):
+def test_the_thesis_s_yaw_jumps_at_plus_minus_pi(bag_of, messages):
     turns = [(t, "/odom", messages.odometry(t, 0, 0, yaw, 0)) for t, yaw in ((0, 3.1), (1, -3.1))]
     assert numbers_of(bag_of(turns))["yaw_variance"] == pytest.approx(9.61)
 
@@ -108,7 +108,7 @@ def test_scans_are_known_by_their_type_and_not_by_their_name(bag_of, messages):
     assert numbers_of(bag_of(recorded))["range_variance"] == pytest.approx(1.0)
 
 
-def test_a_quaternion_longer_than_one_costs_the_contextual_three(bag_of, messages):
+def test_a_quaternion_longer_than_one_loses_the_three_contextual_features(bag_of, messages):
     steep = messages.odometry(0, 0, 0, 0, 0)
     q = steep.pose.pose.orientation
     q.x = q.z = 0.7072  # with rounding, the sine of the pitch comes out above 1

@@ -1,4 +1,4 @@
-"""A clock that jumps splits a recording into spans; what is within a span stays as it was."""
+"""A clock that jumps splits a recording into spans; times within a span are unchanged."""
 
 import json
 

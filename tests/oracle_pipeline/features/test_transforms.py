@@ -56,7 +56,7 @@ def extracted(tmp_path_factory):
     return lambda **off: extract(PLUGINS, robot(**off), tmp_path_factory.mktemp("bag"))
 
 
-def test_what_is_told_twice_is_equal(extracted):
+def test_consistent_poses_have_no_difference(extracted):
     values, where, missing = extracted()
     assert missing == {}
     for name in (f"{a}_{b}" for a in ("odometry", "localisation") for b in ("position", "yaw")):
@@ -65,7 +65,7 @@ def test_what_is_told_twice_is_equal(extracted):
     assert where["localisation_position"] == "/pose against map -> odom -> base"
 
 
-def test_five_centimetres_are_five_centimetres(extracted):
+def test_a_shift_of_five_centimetres_is_measured_as_such(extracted):
     values, *_ = extracted(tf=0.05)
     assert values["odometry_position"] == pytest.approx(0.05)
     assert values["localisation_position"] == pytest.approx(0.0, abs=1e-9)
@@ -81,8 +81,8 @@ def test_odometry_that_jumps_is_far_from_its_neighbours(extracted):
     assert jumped["odometry_jump"] == pytest.approx(0.025, abs=2e-3)
 
 
-def test_a_robot_without_transforms_says_what_is_missing(tmp_path):
+def test_a_robot_without_transforms_reports_what_is_missing(tmp_path):
     kept = [message for message in robot() if message[1] == "/odom"]
     values, _, missing = extract(PLUGINS, kept, tmp_path)
     assert values["odometry_jump"] < 2e-3
-    assert missing["odometry_position"] == "no odometry and transform of the same frames"
+    assert missing["odometry_position"] == "no odometry with a transform between the same frames"

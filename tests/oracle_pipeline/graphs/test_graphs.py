@@ -63,7 +63,7 @@ def test_a_span_has_the_intervals_that_ended_in_it_or_else_the_newest_before():
 
 
 @given(st.floats(0.0, 60.0), st.floats(0.1, 20.0), st.floats(0.0, 20.0))
-def test_what_is_known_of_graphs_does_not_depend_on_what_comes_later(start_s, length_s, more_s):
+def test_graphs_do_not_depend_on_later_messages(start_s, length_s, more_s):
     intervals = tuple(Interval(10.0 * n, nx.DiGraph()) for n in range(10))
     end_s = start_s + length_s
     ended = tuple(each for each in intervals if each.start_s + 10.0 <= end_s)

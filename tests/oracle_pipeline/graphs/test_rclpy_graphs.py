@@ -171,7 +171,7 @@ def test_namespaces_unknown_nodes_hidden_topics_and_our_own_node() -> None:
     assert edges == {
         ("node:/a/driver", "topic:/a/scan"): (1, 100),
         ("node:/b/driver", "topic:/b/scan"): (2, 200),
-        ("topic:/b/scan", "node:/_NODE_NAME_UNKNOWN_"): (0, 0),  # asks for more than is offered
+        ("topic:/b/scan", "node:/_NODE_NAME_UNKNOWN_"): (0, 0),  # requests more than is offered
     }
 
 

@@ -1,4 +1,4 @@
-"""What a watch tells of a short drive: messages of a robot, a graph, verdicts, an alarm, a note."""
+"""Events of a watch during a short drive: messages, a graph, verdicts, an alarm, a note."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""`oracle watch` says what it lacks and how to get it."""
+"""`oracle watch` reports missing requirements and how to install them."""
 
 import subprocess
 import sys

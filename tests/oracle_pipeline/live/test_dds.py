@@ -1,4 +1,4 @@
-"""Bytes and names on a DDS domain: what is sent comes as it was sent."""
+"""Bytes and names on a DDS domain: messages arrive unchanged."""
 
 import subprocess
 import sys
@@ -30,7 +30,7 @@ def test_the_name_of_a_topic_comes_back(topic):
 
 
 @pytest.mark.parametrize("name", ["rq/add_twoRequest", "rr/add_twoReply", "DCPSTopic", "rt", "rt/"])
-def test_what_is_no_ros_topic_has_no_name(name):
+def test_a_dds_topic_that_is_not_of_ros_has_no_name(name):
     assert ros_topic(name) is None
 
 
@@ -75,7 +75,7 @@ def test_a_profile_comes_back_from_dds():
         assert dds.ros_qos(dds.dds_qos(profile)) == profile
 
 
-def test_a_domain_that_cannot_be_is_refused(monkeypatch):
+def test_an_invalid_domain_is_refused(monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", "seven")
     with pytest.raises(DdsError, match="seven"):
         dds.default_domain()

@@ -1,4 +1,4 @@
-"""The picture of a domain: nodes, topics and profiles of those who are there, and of no others."""
+"""The picture of a domain: nodes, topics and profiles of exactly the existing participants."""
 
 import multiprocessing
 
@@ -81,9 +81,7 @@ def _robot_that_is_killed(domain, ready):
 
 
 @pytest.mark.slow
-def test_a_node_that_vanishes_without_goodbye_is_gone_when_its_lease_ends(
-    domain, discovery, eventually
-):
+def test_a_node_that_dies_is_removed_when_its_lease_ends(domain, discovery, eventually):
     context = multiprocessing.get_context("spawn")
     ready = context.Event()
     process = context.Process(target=_robot_that_is_killed, args=(domain, ready), daemon=True)

@@ -92,7 +92,7 @@ def subscribed(server: FoxgloveServer, client: Client, topic: str, show: object)
             return data
 
 
-def test_a_message_comes_as_it_was_on_dds_with_its_definition(
+def test_a_message_keeps_its_bytes_from_dds_and_has_its_definition(
     server: FoxgloveServer, client: Client
 ) -> None:
     scan = next(message for message in messages() if message.topic == "/scan")
@@ -149,14 +149,14 @@ def test_clients_cannot_publish_or_set_anything(client: Client) -> None:
     assert client.until("serverInfo")["capabilities"] == ["connectionGraph"]
 
 
-def test_it_listens_on_loopback_and_says_so_if_the_port_is_taken(server: FoxgloveServer) -> None:
+def test_it_listens_on_loopback_and_reports_a_port_in_use(server: FoxgloveServer) -> None:
     assert server.address.startswith("ws://127.0.0.1:")
     port = int(server.address.rpartition(":")[2])
     with pytest.raises(PortError, match=str(port)):
         FoxgloveServer(port)
 
 
-def test_who_comes_later_gets_all_transforms_so_that_scans_have_a_place_on_the_map(
+def test_a_late_subscriber_gets_all_transforms_so_scans_can_be_placed_on_the_map(
     server: FoxgloveServer, client: Client, recorded_run: Callable[..., RunDirectory]
 ) -> None:
     with open_run(recorded_run("lidar_passthrough").path) as run:
@@ -210,7 +210,7 @@ def test_foxglove_itself_can_connect(server: FoxgloveServer, origin: str) -> Non
     assert answer(server.address, {"Origin": origin}).startswith("HTTP/1.1 101")
 
 
-def test_nobody_connects_without_the_guard(server: FoxgloveServer) -> None:
+def test_connections_need_the_guard(server: FoxgloveServer) -> None:
     port = server._server.port
     with pytest.raises(ssl.SSLCertVerificationError):
         connect(f"wss://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"])  # type: ignore[list-item]

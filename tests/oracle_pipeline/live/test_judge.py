@@ -1,6 +1,9 @@
 """Windows are judged as they end, as the finished recording would be."""
 
 import json
+import multiprocessing
+import os
+import signal
 
 import numpy as np
 import pandas as pd
@@ -36,6 +39,15 @@ def card(recorded_run, tmp_path_factory):
     path = tmp_path_factory.mktemp("card") / "robot.card"
     learn(read_reference(paths, build_manager(None))).save(path)
     return path
+
+
+def test_an_interrupt_of_the_whole_terminal_does_not_end_the_judge_while_it_starts(card):
+    judge = Judge(card, PER_HOUR)
+    (process,) = (each for each in multiprocessing.active_children() if each.name == "judge")
+    os.kill(process.pid, signal.SIGINT)
+    process.join(2.0)
+    assert process.is_alive()
+    assert not judge.close()
 
 
 def judged(card, run):
@@ -129,7 +141,7 @@ def test_the_roles_that_a_card_was_learned_with_count(recorded_run):
     assert "role odometry" in json.loads(chosen["missing"].iloc[0])["contextual.speed"]
 
 
-def test_what_live_windows_cannot_know_yet_changes_little(both):
+def test_values_that_live_windows_lack_change_little(both):
     live, whole, features = both
     for column in feature_columns(whole):
         if column.startswith(LATER):
@@ -138,7 +150,7 @@ def test_what_live_windows_cannot_know_yet_changes_little(both):
             assert apart.median() <= 3.0, column
 
 
-def test_what_was_said_once_on_a_latched_topic_is_kept_however_old_it_is(recorded_run):
+def test_a_message_on_a_latched_topic_is_kept_regardless_of_its_age(recorded_run):
     with open_run(recorded_run(NORMAL).path) as run:
         topics, messages = run.bag.topics, list(run.bag.messages())
         start_ns, end_ns = run.bag.start_ns, run.bag.end_ns
@@ -153,7 +165,7 @@ def test_what_was_said_once_on_a_latched_topic_is_kept_however_old_it_is(recorde
     assert scans.stamps_ns.min() >= end_ns - 5 * SECOND_NS
 
 
-def test_graphs_older_than_what_is_kept_are_forgotten(recorded_run):
+def test_graphs_older_than_the_limit_are_dropped(recorded_run):
     with open_run(recorded_run(NORMAL).path) as run:
         graph = run.intervals[0].graph
     recent = RecentMessages(20.0)
@@ -164,12 +176,12 @@ def test_graphs_older_than_what_is_kept_are_forgotten(recorded_run):
     assert len(recent.until(0, 1001 * SECOND_NS).intervals) == 3
 
 
-def test_a_card_that_is_not_there_is_told_at_once(tmp_path):
+def test_a_missing_card_is_reported_at_once(tmp_path):
     with pytest.raises(OracleError, match="oracle learn"):
         Judge(tmp_path / "none.card", None)
 
 
-def test_the_death_of_the_process_that_judges_is_told(card, eventually):
+def test_the_death_of_the_judging_process_is_reported(card, eventually):
     judge = Judge(card, PER_HOUR)
     judge._process.kill()
     judge._process.join()

@@ -40,7 +40,7 @@ def parts(answer: http.client.HTTPResponse, count: int) -> dict[str, object]:
     return found
 
 
-def test_the_page_asks_for_nothing_but_itself(served: LivePage) -> None:
+def test_the_page_requests_no_other_file(served: LivePage) -> None:
     answer = ask(served)
     text = answer.read().decode()
     assert answer.status == 200
@@ -79,7 +79,7 @@ def test_nothing_can_be_sent_to_it(served: LivePage) -> None:
     assert connection.getresponse().status == 405
 
 
-def test_it_listens_on_loopback_only_and_says_so_if_the_port_is_taken(served: LivePage) -> None:
+def test_it_listens_on_loopback_only_and_reports_a_port_in_use(served: LivePage) -> None:
     assert served.address.startswith("http://127.0.0.1:")
     port = int(served.address.rpartition(":")[2])
     with pytest.raises(PortError, match=str(port)):
@@ -88,7 +88,7 @@ def test_it_listens_on_loopback_only_and_says_so_if_the_port_is_taken(served: Li
         pass
 
 
-def test_the_page_is_told_that_the_watch_has_ended() -> None:
+def test_the_page_is_notified_of_the_end_of_the_watch() -> None:
     with LivePage(0) as page:
         page.show(verdict(0))
         answer = ask(page, "/events")

@@ -1,4 +1,4 @@
-"""`oracle-sim serve` and `oracle watch`, each a process of its own, on one domain."""
+"""`oracle-sim serve` and `oracle watch`, as separate processes on one domain."""
 
 import signal
 import subprocess
@@ -96,7 +96,7 @@ def test_features_are_those_of_the_testbeds_own_recording(recordings, tmp_path):
 
 
 def _cut_to(own, live, path):
-    """Write of a live recording what was said during the testbed's own, latched messages first."""
+    """Cut a live recording to the time of the testbed's own; latched messages come first."""
     early_ns = 20_000_000
     latched = {(m.topic, m.data) for m in own.messages() if m.stamp_ns == own.start_ns}
     with BagWriter(path) as bag:

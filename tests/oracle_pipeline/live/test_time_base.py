@@ -52,7 +52,7 @@ def test_stamps_never_run_back_whatever_the_clock_says(said):
     assert stamps == sorted(stamps)
 
 
-def test_a_clock_that_stands_stops_time():
+def test_time_stops_with_the_clock():
     time = SimulatedTime()
     time.tick(at(0, tick(0)))
     time.tick(at(SECOND_NS, tick(SECOND_NS)))
@@ -60,7 +60,7 @@ def test_a_clock_that_stands_stops_time():
     assert time.stamp_ns(at(200 * SECOND_NS)) == time.stamp_ns(at(300 * SECOND_NS))
 
 
-def test_one_tick_does_not_tell_the_speed():
+def test_one_tick_does_not_determine_the_speed():
     time = SimulatedTime()
     assert not time.is_ready
     time.tick(at(0, tick(0)))
@@ -70,7 +70,7 @@ def test_one_tick_does_not_tell_the_speed():
 
 
 @given(st.integers(0, SECOND_NS))
-def test_a_message_has_the_time_at_which_it_was_sent_however_late_it_comes(later_ns):
+def test_a_message_has_the_time_at_which_it_was_sent_even_if_it_is_late(later_ns):
     time = SimulatedTime()
     for number in range(10):
         time.tick(at(number * TEN_NS, tick(number * SECOND_NS), later_ns=later_ns))

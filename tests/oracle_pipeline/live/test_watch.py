@@ -115,7 +115,7 @@ def test_messages_that_arrive_too_fast_are_dropped_counted_and_reported(domain, 
 
 
 @pytest.mark.slow
-def test_a_topic_of_an_unknown_type_is_reported_once_and_costs_no_other(domain, speaker):
+def test_a_topic_of_an_unknown_type_is_reported_once_and_affects_no_other(domain, speaker):
     other = Robot(domain)
     stranger = dds.topic.Topic(other.participant, "rt/odd", _unknown_type())
     writer = dds.pub.DataWriter(other.participant, stranger)

@@ -146,5 +146,7 @@ def large_page():
 
 @cache
 def poor_page():
-    """Return the page of two blocks, which support next to nothing."""
-    return page_of(*campaign(2))
+    """Return the page of two blocks, which support next to nothing, and of a run without onset."""
+    df, windows, truth = campaign(2)
+    short = truth.iloc[:1].assign(run_id="delayed_fakeobject|run099", onset_s=float("nan"))
+    return page_of(df, windows, pd.concat([truth, short], ignore_index=True))

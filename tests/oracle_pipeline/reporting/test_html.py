@@ -151,6 +151,11 @@ def test_the_first_screen_describes_the_campaign_and_links_every_run(page):
     assert "At a nominal false positive rate of 5%" in first
 
 
+def test_the_first_screen_says_how_many_runs_are_left_out(page, poor):
+    assert "1 more run ended before the onset: left out." in poor.split("<nav")[0]
+    assert "before the onset" not in page.split("<nav")[0]
+
+
 def test_the_page_of_840_runs_is_small_and_marks_every_run():
     page = large_page()
     assert len(page.encode()) < LARGEST

@@ -31,9 +31,12 @@ def test_page_and_terminal_show_a_row_for_each_kind_and_a_column_in_the_table_of
 def test_few_runs_give_no_rate_but_the_number_that_is_needed():
     runs = campaign(4, errors=2.0)
     assert answered_by_labels(Material(runs.where(runs.block < 0), []), 5).answers == {}
-    comparison = compare_kinds([Implicit()], runs)
+    comparison = compare_kinds([Implicit(), Invariants()], runs)
     assert "4 blocks of normal runs cannot support" in comparison.oracles["note"].iloc[0]
-    assert "n/a" in as_text(comparison, 0.05)
+    text = as_text(comparison, 0.05)
+    assert "n/a" in text
+    assert "implicit, invariants, union: 4 blocks of normal runs cannot support" in text
+    assert text.count("record 20, or allow a higher rate") == 1
 
 
 def test_without_a_comparison_the_report_has_no_section():

@@ -1,4 +1,4 @@
-"""The page of `oracle score --page` shows every verdict, and trusts no recording."""
+"""The page of `oracle score --page` shows every verdict, and escapes the recordings' texts."""
 
 import base64
 import re

@@ -1,4 +1,4 @@
-"""Recordings of robots: whole ones, and empty topics that only have names and types."""
+"""Recordings of robots: complete ones, and empty topics with names and types only."""
 
 from pathlib import Path
 

@@ -2,10 +2,15 @@ import numpy as np
 import pytest
 
 from oracle_pipeline.bags.reader import BagReader
-from oracle_pipeline.scoring.constants import MOST_MESSAGES, constants
+from oracle_pipeline.scoring.constants import MOST_MESSAGES, Samples
 from oracle_pipeline.scoring.pace import FEWEST
-from tests.oracle_pipeline.features.conftest import write_bag
-from tests.oracle_pipeline.features.scenery import odometry_message, scan_message
+from tests.oracle_pipeline.features.conftest import message_class, write_bag
+from tests.oracle_pipeline.features.scenery import (
+    header,
+    odometry_message,
+    scan_message,
+    transforms,
+)
 
 
 def scans(count, alter=None):
@@ -23,7 +28,10 @@ def constants_of(tmp_path):
     def read(recorded):
         write_bag(tmp_path / "robot", recorded)
         with BagReader(tmp_path / "robot") as bag:
-            return constants(bag)
+            samples = Samples(bag)
+            for batch in bag.batches():
+                samples.add(batch)
+            return samples.constants()
 
     return read
 
@@ -58,3 +66,58 @@ def test_a_field_that_is_always_nan_is_constant(constants_of):
         message.range_max = np.nan
 
     assert constants_of(scans(FEWEST, alter))["/scan"]["range_max"] == "nan"
+
+
+def safety_zones(count, alter=None):
+    polygon = message_class("geometry_msgs/msg/PolygonStamped")
+    shape, point = (message_class(f"geometry_msgs/msg/{name}") for name in ("Polygon", "Point32"))
+    for number in range(count):
+        corners = [(0.3, 0.2), (0.3, -0.2), (-0.3, 0.0)]
+        if alter:
+            corners = alter(corners, number)
+        zone = shape(points=[point(x=x, y=y, z=0.0) for x, y in corners])
+        yield float(number), "/stop_zone", polygon(header=header(number, "base"), polygon=zone)
+
+
+def test_a_sequence_of_fixed_length_is_constant_if_all_its_elements_are(constants_of):
+    found = constants_of(list(safety_zones(FEWEST)))["/stop_zone"]
+    assert found["polygon.points.y"] == "[0.200000003, -0.200000003, 0]"
+
+
+@pytest.mark.parametrize(
+    "alter",
+    [
+        lambda corners, number: [*corners[:2], (-0.3, 0.01 * number)],
+        lambda corners, number: corners[: 3 - number % 2],
+    ],
+)
+def test_a_sequence_whose_elements_or_length_change_is_not_constant(constants_of, alter):
+    found = constants_of(list(safety_zones(FEWEST, alter)))["/stop_zone"]
+    assert "polygon.points.y" not in found
+
+
+def test_names_of_joints_are_constant(constants_of):
+    joints = message_class("sensor_msgs/msg/JointState")
+    recorded = [
+        (float(i), "/joints", joints(
+            header=header(i, ""), name=["left", "right"], position=np.array([0.1 * i, 1.0]),
+            velocity=np.zeros(0), effort=np.zeros(2),
+        ))
+        for i in range(FEWEST)
+    ]  # fmt: skip
+    found = constants_of(recorded)["/joints"]
+    assert found["name"] == "['left', 'right']"
+    assert found["effort"] == "[0, 0]"
+    assert not {"position", "velocity"} & found.keys()
+
+
+def test_the_mount_of_a_sensor_is_constant_though_it_is_published_once(constants_of):
+    mount = transforms(("base", "laser", 0.1, False))
+    found = constants_of([(0.0, "/tf_static", mount), *scans(FEWEST)])["/tf_static"]
+    assert found["base -> laser translation"] == "[0.1, 0, 0]"
+    assert found["base -> laser rotation"] == "[0, 0, 0, 1]"
+
+
+def test_a_transform_that_is_published_with_two_values_is_not_constant(constants_of):
+    mounts = [(float(i), "/tf_static", transforms(("base", "nose", i, False))) for i in range(2)]
+    assert constants_of(mounts)["/tf_static"].keys() == {"base -> nose rotation"}

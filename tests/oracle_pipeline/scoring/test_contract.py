@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.opened_run import open_run
-from oracle_pipeline.scoring.contract import FEWEST_RECORDINGS, Contract, Observation
+from oracle_pipeline.scoring.contract import FEWEST_RECORDINGS, Contract, Observation, Observer
 from oracle_pipeline.scoring.pace import Pace
 
 names = st.sampled_from(["/scan", "/odom", "/tf", "/cmd_vel", "/rosout"])
@@ -59,7 +59,10 @@ def test_no_recording_breaches_the_contract_learned_from_it(normal):
         ({"frame": "'laser'", "range": "4"}, []),
         (
             {"range": "3"},
-            ["Field frame of topic /scan changes; in normal recordings it is constant."],
+            [
+                "Field frame of topic /scan changes or is missing; in normal recordings it is "
+                "constant."
+            ],
         ),
         (
             {"frame": "'spy'", "range": "3"},
@@ -172,7 +175,14 @@ def test_a_topic_with_few_messages_in_a_normal_recording_has_no_pace():
 
 def test_a_recording_shows_the_pace_of_its_topics(recorded_run):
     with open_run(recorded_run("lidar_passthrough").path) as run:
-        seen = Observation.of(run, paced=True).paces
+        paced, unpaced = Observer(run.bag, paced=True), Observer(run.bag)
+        for batch in run.bag.batches():
+            paced.see(batch)
+        for batch in run.bag.batches(unpaced.samples.taken):
+            unpaced.see(batch)
+        observation = paced.observation(run, run.duration_s)
+        assert replace(observation, paces={}) == unpaced.observation(run, run.duration_s)
+        seen = observation.paces
     assert seen["/scan"].longest_gap_s == pytest.approx(0.2, abs=0.1)
     assert 49 <= seen["/scan"].fewest <= seen["/scan"].most <= 51
     assert "/map" not in seen

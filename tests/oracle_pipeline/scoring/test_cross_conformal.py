@@ -87,7 +87,7 @@ def test_with_three_sessions_no_session_is_split(blocks, sessions):
     assert len(scorer.scorers_) == min(10, len(np.unique(unit)))
 
 
-def test_blocks_of_two_joined_campaigns_stay_whole():
+def test_blocks_of_two_joined_campaigns_are_not_split():
     of = runs(9, 0, {**NORMAL, "lidar_passthrough_odom": "normal"})
     session = of.block % 3 + 3 * (of.features["mode"] == "lidar_passthrough")  # of two days each
     scorer = learned(replace(of, features=of.features.assign(session=session)), detector="max_z")
@@ -101,7 +101,7 @@ def test_a_run_of_a_known_block_is_judged_by_the_model_that_left_the_block_out(n
     np.testing.assert_allclose(p, ranks)
 
 
-def test_a_block_has_one_vote_however_many_runs_it_has(normal, scorer):
+def test_a_block_has_the_same_weight_for_any_number_of_runs(normal, scorer):
     p = scorer.p_values(scorer.scores(normal))
     copied = np.r_[np.arange(20), np.full(5, 3)]
     scorer_of_copies = learned(normal)

@@ -1,4 +1,4 @@
-"""A recording that crashes its process costs only its own verdict."""
+"""A recording that crashes its process loses only its own verdict."""
 
 import signal
 import subprocess
@@ -64,14 +64,14 @@ def test_a_process_that_dies_is_an_error_with_its_reason(what, limits, reason, b
         extract_isolated(bag, manager_that(what, tmp_path / "plugins"), limits)
 
 
-def test_memory_is_limited(bag, tmp_path):
+def test_memory_of_a_process_is_limited(bag, tmp_path):
     manager = manager_that("held = bytearray(8 * 2**30)", tmp_path / "plugins")
     ((_, tables, *_),) = extract_isolated(bag, manager, Limits(gibibytes=2.0))
     assert "MemoryError" in tables.run["missing"].iloc[0]  # the plugin's own; the rest is computed
 
 
 @pytest.mark.slow
-def test_a_process_begins_with_what_its_recording_would_make_it_load(bag):
+def test_a_process_begins_with_the_modules_that_its_recording_needs(bag):
     """Otherwise a suite of many short recordings takes twice as long."""
     code = (
         "import sys; from pathlib import Path; from tests.oracle_pipeline.scoring.test_isolation "

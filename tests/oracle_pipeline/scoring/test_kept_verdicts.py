@@ -1,4 +1,4 @@
-"""A verdict on a recording that arrived is read as it was kept."""
+"""A verdict on a recording that arrived is read as it was stored."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""What is no recording, or a broken one: each command names it in a line, and the others go on."""
+"""Invalid recordings: each command names them in one line, and continues with the others."""
 
 import json
 import os
@@ -73,6 +73,7 @@ def place(tmp_path_factory):
     for name, (make, _) in (REFUSED | NAMED_ONLY).items():
         make(root / name)
     cut(root / "half", 0.6)
+    write_bag(root / "silent", [])
     write_bag(root / "short", [each for each in drive() if each[0] < 1.0])
     return root
 
@@ -85,7 +86,7 @@ def done_by(command, *arguments, expect):
 
 
 @pytest.mark.parametrize("name", REFUSED | NAMED_ONLY)
-def test_who_reads_one_recording_refuses_it_in_a_line(name, place, tmp_path):
+def test_a_refused_recording_is_an_error_of_one_line(name, place, tmp_path):
     reason = (REFUSED | NAMED_ONLY)[name][1]
     mutate = (sim_main, "mutate", place / name, tmp_path / "out", "random_noise")
     for program, expect in (
@@ -99,32 +100,34 @@ def test_who_reads_one_recording_refuses_it_in_a_line(name, place, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_who_reads_many_names_each_and_uses_the_others(place, tmp_path):
+def test_refused_recordings_are_named_and_the_others_are_used(place, tmp_path):
     card = tmp_path / "robot.card"
     odd = [place / name for name in REFUSED]
     more = (place / "half", place / "short")
-    told = done_by(main, "learn", place / "good", *odd, *more, "--output", card, expect=0).stdout
-    assert "Learned from 5 normal recordings" in told
+    output = done_by(main, "learn", place / "good", *odd, *more, "--output", card, expect=0).stdout
+    assert "Learned from 5 normal recordings" in output
     for name, (_, reason) in REFUSED.items():
-        assert any(f"{name}" in line and reason in line for line in told.splitlines())
-    assert "short is left out of the reference: it is shorter than 2.5 s" in told
+        assert any(f"{name}" in line and reason in line for line in output.splitlines())
+    assert "short is left out of the reference: it is shorter than 2.5 s" in output
 
-    named = [*odd, *(place / name for name in NAMED_ONLY), *more, place / "good" / "a"]
+    named = [*odd, *(place / name for name in NAMED_ONLY), *more]
+    named += [place / "silent", place / "good" / "a"]
     arguments = ("score", *named, "--reference", card, "--far", 0.2, "--format", "json")
     junit = tmp_path / "verdicts.xml"
     done = done_by(main, *arguments, "--junit", junit, expect=2)
-    *bad, half, short, good = json.loads(done.stdout)["recordings"]
+    *bad, half, short, silent, good = json.loads(done.stdout)["recordings"]
     assert len(bad) == len(REFUSED | NAMED_ONLY)
     for verdict, (_, reason) in zip(bad, (REFUSED | NAMED_ONLY).values(), strict=True):
         assert verdict["outcome"] == "error"
         assert reason in verdict["error"]
     assert "too short to judge" in short["error"]
+    assert "too short to judge" in silent["error"]
     assert any("was not finished" in note for note in half["notes"])
     assert good["p_value"] is not None
     assert junit.read_text().count("<testcase") == len(named)
 
 
-def test_comparing_says_what_was_left_out(place):
+def test_comparing_reports_what_was_left_out(place):
     write_bag(place / "spinning", spinning())
     text = done_by(main, "compare", place / "good", place, expect=0).stdout
     for name in REFUSED:

@@ -1,4 +1,4 @@
-"""What the search of the guide found, and the repository keeps: modes of the next campaign."""
+"""Attacks that the search of the guide found, kept in the repository: modes of a campaign."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from sim.modes import modes
 FOUND = Path(__file__).parents[3] / "examples" / "found_attacks"
 
 
-def test_what_a_search_found_is_an_attack_in_place_without_which_runs_are_normal(
+def test_found_attacks_alter_topics_in_place_and_have_a_normal_control(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     names = {path.stem for path in FOUND.glob("*.yaml")}
