@@ -1,4 +1,4 @@
-"""What all runs of a campaign have in common, whatever their testbed."""
+"""Settings that all runs of a campaign share, on any testbed."""
 
 import os
 from collections.abc import Mapping
@@ -11,12 +11,12 @@ Storage = Literal["mcap", "sqlite3"]
 Wiring = Literal["additive", "replace", "absent"]
 OdometrySource = Literal["world", "encoder"]  # gazebo_ros_diff_drive's two
 # Tuned to the narrow gaps of the hexagon, or as Nav2 ships them. Drawn: stock in a house, where it
-# leaves the robot enough room, and tuned elsewhere; a recipe holds what was drawn.
+# leaves the robot enough room, and tuned elsewhere; a recipe holds the result.
 Navigation = Literal["tuned", "stock", "drawn"]
 # Drawn: block 0 is in the hexagon, 1 in a house, 2 in a random arena, 3 in the hexagon, ...
 ArenaChoice = Literal["drawn", "hexagon", "house", "random"]
-# What a run is to the runs of its block. Another relation changes the task, not what is right, so
-# that a run can be compared with others although the right way is unknown: `relations`.
+# How a run is related to the runs of its block (see `relations`). A relation changes the task, but
+# not how well it should be done, so runs can be compared without a reference.
 Relation = Literal["same", "mirrored", "reordered", "shifted"]
 
 DEFAULT_SEED = 20260101
@@ -33,7 +33,7 @@ class Options:
     A testbed ignores settings that do not apply to it.
     """
 
-    # How the mode's node stands in the system. Additive: what it publishes is one more source of
+    # How the mode's node is connected. Additive: its output is one more source of
     # obstacles, as in the thesis. Replace: the collision monitor receives it instead of the LiDAR
     # that it mutates. Absent: there is no such node.
     wiring: Wiring = "additive"
@@ -41,26 +41,26 @@ class Options:
     arena: ArenaChoice = "drawn"
     nav2: Navigation = "tuned"
     relation: Relation = "same"
-    # Values of Nav2's parameters that are otherwise, by full name: see ``sim.nav2.parameters``.
+    # Changed values of Nav2's parameters, by full name: see ``sim.nav2.parameters``.
     nav2_params: Mapping[str, float] = field(default_factory=dict, hash=False)
-    cameras: bool = False  # images and points of the depth camera, 15 MB a second
-    debug_topics: bool = False  # /evaluation and /marker, 20 MB a second while driving
+    cameras: bool = False  # images and points of the depth camera, 15 MB per second
+    debug_topics: bool = False  # /evaluation and /marker, 20 MB per second while driving
     hidden_topics: bool = False  # feedback and status of actions
     receive_stamps: bool = False  # bag stamps are the recorder's wall clock, not simulated time
 
 
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """What all runs of a campaign have in common."""
+    """Settings that all runs of a campaign share."""
 
     seed: int = DEFAULT_SEED
     goals_per_run: int = 8  # 1 is the thesis's protocol
     storage: Storage = "mcap"
-    timeout_s: float = 600.0  # of simulated time; air traffic has no goals and always takes it all
+    timeout_s: float = 600.0  # of simulated time; the duration of all runs of air traffic
     options: Options = field(default_factory=Options)
-    sessions: int | None = None  # so many take turns; None: every block has one of its own
+    sessions: int | None = None  # number of sessions that take turns; None: one per block
     session: int | None = None  # of all blocks
-    noise_per_run: bool = False  # of sensors and latencies; otherwise a block's runs share it
+    noise_per_run: bool = False  # draw noise of sensors and latencies per run; else per block
 
     @classmethod
     def from_environment(cls) -> Self:
@@ -96,7 +96,7 @@ def _count(variable: str) -> int | None:
 
 
 def is_set(variable: str) -> bool:
-    """Return whether an environment variable is 1; it is 0 if nobody set it.
+    """Return whether an environment variable is 1; an unset one counts as 0.
 
     Raises
     ------

@@ -30,11 +30,11 @@ def recipe_for(
     Parameters
     ----------
     mode
-        One of ``modes`` by its name, or any other.
+        One of ``modes`` by its name, or any other mode.
     run, campaign
-        Which run, of what.
+        Number of the run, and its campaign.
     parameters
-        Values of the scenario's parameters, in place of what the block has drawn or the default.
+        Values of the scenario's parameters, in place of those drawn for the block or the defaults.
 
     Raises
     ------
@@ -60,11 +60,11 @@ def record_run(
     Parameters
     ----------
     recipe
-        What to make.
+        Recipe of the run.
     directory
-        Where; its mode and run are the recipe's.
+        Place of the run; its mode and run are the recipe's.
     refresh
-        Simulate again what is there already.
+        Simulate an existing run again.
     accompany
         Called when the testbed has come up, before the run is made.
 
@@ -91,21 +91,20 @@ def remake_run(former: Manifest, directory: RunDirectory) -> Manifest:
     Parameters
     ----------
     former
-        What is known of the run.
+        Manifest of the run.
     directory
-        Where the run belongs; what is there is replaced.
+        Place of the run, which is replaced.
 
     Returns
     -------
     Manifest
-        Of the run as it is now. With the same software its messages are what they were; with other
-        software it is a new generation of the run, and its features have to be made anew.
+        Of the rebuilt run. With the same software, its messages are equal; with other software it
+        is a new generation of the run, and its features must be computed again.
 
     Raises
     ------
     RunDirectoryError
-        If the manifest holds no recipe that can be followed, or the same software makes other
-        messages.
+        If the manifest holds no usable recipe, or the same software gives other messages.
     OracleError
         If the run cannot be written; its place is left as it was.
     """
@@ -125,15 +124,16 @@ def recipe_of(manifest: Manifest) -> Recipe:
         testbed = next(bed for bed in TESTBEDS.values() if bed.made(recipe))
         return testbed.recipe.from_dict(recipe)
     except (StopIteration, KeyError, TypeError) as error:
-        reason = error if str(error) else "no testbed has a recipe with its keys"
+        reason = error if str(error) else "no testbed has a recipe with these keys"
         raise RunDirectoryError(
-            f"Run {manifest.run} of {manifest.mode} cannot be made from its recipe: {reason}. It "
-            "was derived from another run's bag, or is of another release; make it as it was made."
+            f"Run {manifest.run} of {manifest.mode} cannot be simulated from its recipe: {reason}. "
+            "It was derived from another run's bag, or is of another release; repeat the command "
+            "that made it."
         ) from error
 
 
-def can_be_made_again(manifest: Manifest) -> bool:
-    """Tell whether this software makes the same run from the recipe in its manifest."""
+def can_be_rebuilt(manifest: Manifest) -> bool:
+    """Return whether this software gives the same run from the recipe in its manifest."""
     if manifest.software != software():
         return False
     try:
@@ -144,7 +144,7 @@ def can_be_made_again(manifest: Manifest) -> bool:
 
 
 def compared(former: Manifest, again: Manifest) -> Comparison:
-    """Tell whether a rebuilt run equals the former one, and if not, why."""
+    """Return whether a rebuilt run equals the former one, and if not, why."""
     if again.content_hash == former.content_hash:
         return "same messages"
     if again.software != former.software:
@@ -161,7 +161,7 @@ def _make(
     """Make a run, completely or not at all; it replaces an existing one."""
     testbed = next(bed for bed in TESTBEDS.values() if isinstance(recipe, bed.recipe))
     with directory.staged() as scratch:
-        started = time.perf_counter()  # only for ``measured``: nothing that is recorded sees it
+        started = time.perf_counter()  # only for ``measured``: nothing recorded depends on it
         run = testbed.bring_up(recipe, scratch)
         accompany(run)
         run.go()
@@ -200,6 +200,6 @@ def _verified(directory: RunDirectory, recipe: Recipe) -> Manifest:
             f"{directory.path} is damaged: its parts should have {dict(found.measured.bytes)} "
             f"bytes and have {sizes}; simulate it again with --refresh."
         )
-    if is_local(directory.path):  # from an object store, who uses a file compares it
+    if is_local(directory.path):  # in an object store, files are compared when they are used
         require_undamaged(directory.path, found)
     return found

@@ -30,7 +30,7 @@ class Outcome(Generic[J, R]):
 
 
 def process_pool(workers: int) -> WorkerPool:
-    """Return an executor of fresh interpreters, whose jobs may take what the environment says."""
+    """Return an executor of fresh interpreters, with the job timeout of the environment."""
     return WorkerPool(workers, limit_from_environment())
 
 
@@ -48,7 +48,7 @@ def fan_out(
     jobs
         In the order in which they start.
     make_executor
-        Gives an executor to run them on, and another one if that breaks.
+        Creates an executor for the jobs, and a new one if that breaks.
     """
     unfinished = list(jobs)
     for _ in range(_ROUNDS_TOGETHER):
@@ -75,13 +75,13 @@ def _together(
             except BrokenExecutor:
                 unfinished.append(index)
         for future in as_completed(futures):
-            index = futures.pop(future)  # and with it what it holds: there may be thousands
+            index = futures.pop(future)  # frees its result: there may be thousands
             outcome = _outcome(jobs[index], future)
             if outcome is None:
                 unfinished.append(index)
             else:
                 yield outcome
-    finally:  # also when the consumer stops early: what has not started never will
+    finally:  # also when the consumer stops early: cancel jobs that have not started
         executor.shutdown(cancel_futures=True)
     return [jobs[index] for index in sorted(unfinished)]
 
@@ -93,6 +93,6 @@ def _outcome(job: J, future: Future[R]) -> Outcome[J, R] | None:
         return Outcome(job, result=future.result())
     if isinstance(error, BrokenExecutor):
         return None
-    if isinstance(error, OracleError):  # says what, where and what to do; no need of a traceback
+    if isinstance(error, OracleError):  # its text is enough, without a traceback
         return Outcome(job, error=str(error))
     return Outcome(job, error="".join(traceback.format_exception(error)))

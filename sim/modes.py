@@ -19,8 +19,8 @@ from sim.scenarios import builtin_scenarios
 from sim.testbed import Mode
 from sim.testbeds import TESTBEDS, which_testbed
 
-FOLDER = "ORACLE_SCENARIOS"  # the environment's name of the user's folder of scenario files
-ACTUATION = "ORACLE_ALLOW_ACTUATION"  # 1: they may send commands to motors
+FOLDER = "ORACLE_SCENARIOS"  # environment variable: the user's folder of scenario files
+ACTUATION = "ORACLE_ALLOW_ACTUATION"  # 1: scenarios may send commands to motors
 SUFFIXES = (".yaml", ".yml")  # of scenario files
 
 

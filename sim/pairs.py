@@ -1,6 +1,6 @@
 """The effect of an attack on the robot's task: an attacked run compared with its control.
 
-Only the evaluation can tell from many runs whether an effect is more than chance.
+Whether an effect is more than chance is decided by the evaluation, over many runs.
 """
 
 import contextlib
@@ -16,15 +16,15 @@ CONTROL = "lidar_passthrough_odom"  # of attacks that have no pair of their own
 
 
 def judge_pair(directory: RunDirectory) -> None:
-    """Note ``task_effect`` in attacked runs that this run is the control of, or in itself.
+    """Store ``task_effect`` in this attacked run, or in those that this run is the control of.
 
-    Whichever of the two is finished last does it; runs of different campaigns, conditions, wirings
-    or noise are not compared. So where each run has noise of its own, the control is the shadow.
+    The later of the two runs does it. Runs of different campaigns, conditions, wirings or noise are
+    not compared. So if noise is drawn per run, the control is the shadow.
     """
     for path in sorted(directory.root.glob(f"runs/*/{directory.run_id}")):
         if path == directory.path:
             continue
-        # A folder that is no mode's, or a manifest that cannot be read, is not this run's trouble.
+        # A folder that is no mode's, or a manifest that cannot be read, does not concern this run.
         with contextlib.suppress(RunDirectoryError, ManifestError):
             other = RunDirectory(directory.root, path.parent.name, directory.run)
             for attack, control in ((directory, other), (other, directory)):
@@ -53,7 +53,7 @@ def _judge(attack: RunDirectory, control: RunDirectory) -> None:
 
 
 def _setting(run: Manifest) -> dict[str, Any]:
-    """Return what a run was made from, but for what its mode's node does and how it was stored."""
+    """Return the recipe of a run without its mode's scenario and storage."""
     aside = ("mode", "scenario", "parameters", "storage")
     return {key: value for key, value in run.recipe.items() if key not in aside}
 
@@ -61,7 +61,7 @@ def _setting(run: Manifest) -> dict[str, Any]:
 def task_effect(attacked: Manifest, control: Manifest) -> dict[str, float] | None:
     """Return how much more an attacked run has of each quantity of behaviour than its control.
 
-    None if what the robot did was not measured in both.
+    None if the behaviour was not measured in both.
     """
     ours, theirs = behaviour(attacked), behaviour(control)
     return {name: ours[name] - theirs[name] for name in ours if name in theirs} or None

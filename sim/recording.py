@@ -32,7 +32,7 @@ from sim.middleware.node import Node
 
 INTERVAL_NS = INTERVAL_S * SECOND
 SHORTEST_INTERVAL_NS = MIN_INTERVAL_S * SECOND
-DEBUG_TOPICS = ("/evaluation", "/marker")  # of the controller: 20 MB a second while it drives
+DEBUG_TOPICS = ("/evaluation", "/marker")  # of the controller: 20 MB per second while it drives
 _DISCOVERY_NS = 100 * MILLISECOND  # rosbag2 looks for new topics this often
 
 
@@ -42,7 +42,7 @@ class Recorder(Node):
     Parameters
     ----------
     domain
-        What to record.
+        The domain to record.
     writer
         Open bag.
     leave_out
@@ -68,7 +68,7 @@ class Recorder(Node):
         self._hidden_topics = hidden_topics
         self._receive_clock = receive_clock
         self._endpoints: dict[str, int] = {}  # topic -> publishers whose QoS is in the bag
-        self._revision = 0  # of the domain when it was last looked through
+        self._revision = 0  # of the domain at the last search for topics
         self.create_publisher("rosbag2_interfaces/msg/WriteSplitEvent", "/events/write_split")
         self._discover()
         self.create_timer(_DISCOVERY_NS, self._discover)
@@ -127,7 +127,7 @@ class ReceiveClock:
         self._last_ns = 0
 
     def stamp_ns(self, now_ns: int) -> int:
-        """Return the stamp of a message that is sent now; never before the last one."""
+        """Return the stamp of a message that is sent now; never earlier than the last one."""
         delay_ns = int(self._rng.exponential(self._MEAN_DELAY_NS))
         self._last_ns = max(self._last_ns, self._offset_ns + now_ns + delay_ns)
         return self._last_ns
@@ -139,7 +139,7 @@ class GraphRecorder:
     Parameters
     ----------
     domain
-        Whose graph.
+        The domain whose graph is written.
     folder
         An existing, empty folder.
     """
@@ -151,7 +151,7 @@ class GraphRecorder:
         self._interval_ns = self._start_ns
         self._run: RosGraph = nx.DiGraph()
         self._seen: dict[Publisher | Subscription, tuple[int, int]] = {}
-        for endpoint in self._endpoints():  # what was sent before the recording does not count
+        for endpoint in self._endpoints():  # messages before the recording do not count
             self._traffic(endpoint)
         domain.executor.call_at(self._start_ns + INTERVAL_NS, self._end_interval)
 
@@ -193,8 +193,8 @@ class GraphRecorder:
     def _full(self) -> RosGraph:
         """Return the graph of the run with services and actions.
 
-        Edges run from who asks to the service or action, and on to who offers it. Requests travel
-        inside the process, so their traffic is 0.
+        Edges run from the client to the service or action, and from there to its server. Requests
+        stay inside the process, so their traffic is 0.
         """
         graph: RosGraph = self._run.copy()
         kinds: tuple[tuple[Kind, Iterator[Offer]], ...] = (
@@ -203,7 +203,7 @@ class GraphRecorder:
         )
         for kind, offers in kinds:
             for offer in offers:
-                if is_hidden(offer.name):  # the three services of an action: it stands for them
+                if is_hidden(offer.name):  # the services of an action, which has a vertex itself
                     continue
                 vertex = vertex_id(kind, offer.name)
                 graph.add_node(vertex, kind=kind, type=offer.type, label=offer.name)
@@ -217,7 +217,7 @@ class GraphRecorder:
         yield from (s for s in self._domain.subscriptions() if not is_hidden(s.topic))
 
     def _traffic(self, endpoint: Publisher | Subscription) -> tuple[int, int]:
-        """Return messages and bytes since the last look."""
+        """Return messages and bytes since the last call."""
         messages, size = self._seen.get(endpoint, (0, 0))
         self._seen[endpoint] = (endpoint.messages, endpoint.message_bytes)
         return endpoint.messages - messages, endpoint.message_bytes - size

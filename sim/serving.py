@@ -1,7 +1,7 @@
 """Mirrors a testbed's domain on a real DDS domain: its nodes, endpoints and messages.
 
-It accompanies a run and changes nothing in it. Requests of services travel inside the simulation
-only, so services are not on DDS; neither is the ground truth.
+It accompanies a run and changes nothing in it. Service requests stay inside the
+simulation, so services are not on DDS; neither is the ground truth.
 """
 
 import numpy as np
@@ -11,6 +11,7 @@ from oracle_pipeline.bags.dds_names import ENTITIES_TOPIC, ENTITIES_TYPE, dds_to
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, message_class, serialize
 from sim.fuzzing.compilation import compile_document
 from sim.fuzzing.execution import execute
+from sim.fuzzing.scenario import ScenarioError
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.endpoints import Publisher, Subscription
@@ -18,8 +19,8 @@ from sim.middleware.executor import MILLISECOND
 from sim.recording import DEBUG_TOPICS
 from sim.testbed import Recipe, TestbedRun
 
-_LOOK_NS = 100 * MILLISECOND  # how often it is looked for new endpoints
-_GID_BYTES = 24  # of an identifier on Humble, 16 of which DDS gives
+_PERIOD_NS = 100 * MILLISECOND  # period of the search for new endpoints
+_GID_BYTES = 24  # of an identifier on Humble; DDS gives 16 of them
 
 _Gid = message_class("rmw_dds_common/msg/Gid")
 _Node = message_class("rmw_dds_common/msg/NodeEntitiesInfo")
@@ -29,9 +30,9 @@ _Participant = message_class("rmw_dds_common/msg/ParticipantEntitiesInfo")
 class ServedDomain:
     """Puts the nodes, endpoints and messages of a domain on DDS.
 
-    Each publisher has a writer with its profile there, and each subscription a reader that nobody
-    reads. As in a ROS 2 container, all nodes share one participant. The controller's debug topics
-    are there without their messages, as they are in no bag.
+    Each publisher has a writer with its profile there, and each subscription a reader that is never
+    read. As in a ROS 2 container, all nodes share one participant. The controller's debug topics
+    exist without their messages, which are in no bag either.
 
     Parameters
     ----------
@@ -54,7 +55,7 @@ class ServedDomain:
 
     def look(self, now_ns: int) -> None:
         """Mirror what is new; call it whenever simulated time advances."""
-        if self._looked_ns is not None and now_ns - self._looked_ns < _LOOK_NS:
+        if self._looked_ns is not None and now_ns - self._looked_ns < _PERIOD_NS:
             return
         self._looked_ns = now_ns
         before = len(self._writers), len(self._readers), self._nodes
@@ -75,20 +76,20 @@ class ServedDomain:
                     subscription.qos,
                 )
         if (len(self._writers), len(self._readers), self._nodes) != before:
-            self._tell()
+            self._publish_entities()
 
-    def _tell(self) -> None:
+    def _publish_entities(self) -> None:
         """Publish which endpoints belong to which node, as every ROS 2 process does."""
         readers: dict[str, list[object]] = {}
-        said: dict[str, list[object]] = {}
+        writers: dict[str, list[object]] = {}
         for subscription, reader in self._readers.items():
             readers.setdefault(subscription.node, []).append(_gid(reader.guid))
         for publisher, writer in self._writers.items():
-            said.setdefault(publisher.node, []).append(_gid(writer.guid))
+            writers.setdefault(publisher.node, []).append(_gid(writer.guid))
         nodes = []
         for full_name in self._nodes:
             namespace, _, name = full_name.rpartition("/")
-            own = readers.get(full_name, []), said.get(full_name, [])
+            own = readers.get(full_name, []), writers.get(full_name, [])
             nodes.append(_Node(namespace or "/", name, *own))
         message = _Participant(_gid(self._participant.guid.bytes), nodes)
         self._entities.write(serialize(message, ENTITIES_TYPE))
@@ -106,7 +107,7 @@ def switch(run: TestbedRun, recipe: Recipe) -> None:
     """
     program = compile_document(recipe.mode, recipe.scenario)
     if run.node is None:
-        raise program.scenario.error((), "expected the mode's node to be there; it is not yet")
+        raise ScenarioError("The mode's node has not started yet; try again in a few seconds.")
     run.node.switch(execute(program, recipe.attack_seed(), recipe.parameters))
 
 

@@ -23,7 +23,7 @@ class Mode:
     """One experiment."""
 
     scenario: Scenario
-    conditions: Mapping[str, Any] = field(default_factory=dict)  # otherwise in its testbed
+    conditions: Mapping[str, Any] = field(default_factory=dict)  # changes of its testbed
 
     @property
     def id(self) -> str:
@@ -32,12 +32,12 @@ class Mode:
 
     @property
     def label(self) -> Label:
-        """How its runs are labelled."""
+        """Label of its runs."""
         return self.scenario.label
 
     @property
     def title(self) -> str:
-        """What it does, in a line."""
+        """Its purpose, in one line."""
         return self.scenario.title
 
     def noise(self, campaign: Campaign) -> str:
@@ -55,21 +55,21 @@ class Mode:
     ) -> dict[str, Any]:
         """Return a value for every parameter.
 
-        That given, else the block's, else one that is drawn for the run, else the default.
+        In this order: the given value, the block's, one drawn for the run, the default.
 
         Parameters
         ----------
         block
-            What the block has drawn.
+            Values drawn for the block.
         given
-            Values by name of parameter; whether they fit is seen when the scenario is run.
+            Values by name of parameter; they are checked when the scenario is executed.
         run_seed
-            What the scenario's own draws go by.
+            Seed of the scenario's own draws.
 
         Raises
         ------
         ScenarioError
-            If a parameter asks for what a block of this testbed has not.
+            If a parameter needs a value that a block of this testbed does not have.
         """
         defaults = {
             name: spec["default"]
@@ -79,7 +79,7 @@ class Mode:
             if what not in block:
                 raise self.scenario.error(
                     ("parameters", name, "drawn"),
-                    f"expected what a block of this testbed has, {', '.join(block)}, found {what}",
+                    f"expected a value that blocks have ({', '.join(block)}), found {what}",
                 )
         of_block = {name: block[what] for name, what in self.scenario.drawn.items()}
         return {**defaults, **drawn_values(self.scenario, run_seed), **of_block, **given}
@@ -109,40 +109,40 @@ class Recipe(Protocol):
         """Return the key of the attack's own, counter-based randomness."""
 
     def campaign(self) -> Campaign:
-        """Return the campaign that the run is of, as far as its block's draws depend on it."""
+        """Return the run's campaign, as far as the draws of its block depend on it."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the recipe as JSON knows it."""
+        """Return the recipe as JSON values."""
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:
-        """Return the recipe that ``to_dict`` gave."""
+        """Return the recipe from the result of ``to_dict``."""
 
 
 class TestbedRun(Protocol):
-    """A testbed that has started, and the one run that is made in it.
+    """A testbed that has started, and its one run.
 
     Attributes
     ----------
     domain : Domain
         The system's graph.
     node : ScenarioNode or None
-        The mode's node; None as long as it is not there.
+        The mode's node; None until it exists.
     """
 
     domain: Domain
     node: ScenarioNode | None
 
     def go(self) -> None:
-        """Make the run; write bag and graphs."""
+        """Execute the run; write bag and graphs."""
 
     def manifest(self, wall_s: float, software: Software) -> Manifest:
-        """Return what the finished run was."""
+        """Return the facts of the finished run for its manifest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Testbed:
-    """Where runs are made.
+    """A testbed: how its runs are drawn and executed.
 
     Parameters
     ----------
@@ -159,9 +159,9 @@ class Testbed:
     draw
         Draws the recipe of a mode's run of a campaign, given values for parameters.
     bring_up
-        Brings the system up to make one run, which is written into an existing and empty folder.
+        Starts the system for one run, which is written into an existing and empty folder.
     made_by
-        The module that ``bring_up`` gets the run from: with what it imports, a run's software.
+        The module with the class of runs. It and its imports are the software of a run.
     """
 
     experiments: tuple[str, ...]
@@ -173,5 +173,5 @@ class Testbed:
     made_by: str
 
     def made(self, recipe: Mapping[str, Any]) -> bool:
-        """Tell whether a recorded recipe is one of this testbed's, by its keys."""
+        """Return whether a recorded recipe is one of this testbed's, by its keys."""
         return recipe.keys() == {item.name for item in fields(self.recipe)}

@@ -1,11 +1,11 @@
 """A pool of worker processes that names the job which killed its worker or hangs.
 
 ``ProcessPoolExecutor`` breaks as a whole when one worker dies, and waits indefinitely for one that
-hangs. Here each worker has one job at a time and a pipe of its own, so the loss of one does not
+hangs. Here each worker has one job at a time and a separate pipe, so the loss of one does not
 affect the others.
 
 Workers are forked from one fresh interpreter, the fork server of ``multiprocessing``. It imports
-what the first job needs, which takes more than a second; its forks need milliseconds.
+the modules of the first job, which takes more than a second; a fork takes milliseconds.
 """
 
 import concurrent.futures
@@ -27,10 +27,10 @@ from oracle_pipeline.bags.errors import OracleError
 
 R = TypeVar("R")
 
-LIMIT = "ORACLE_JOB_TIMEOUT"  # of the environment: seconds
+LIMIT = "ORACLE_JOB_TIMEOUT"  # environment variable [s]
 DEFAULT_LIMIT_S = 3600.0  # a run of ten simulated minutes takes less than one
 
-_PATIENCE_S = 10.0  # for an idle worker to end
+_END_TIMEOUT_S = 10.0  # of an idle worker
 
 
 class JobTimeoutError(OracleError):
@@ -42,12 +42,12 @@ class WorkerDied(BrokenExecutor):
 
 
 def limit_from_environment() -> float:
-    """Return how long a job may take [s]: ``ORACLE_JOB_TIMEOUT``, or an hour.
+    """Return the time limit of a job [s]: ``ORACLE_JOB_TIMEOUT``, or an hour.
 
     Raises
     ------
     OracleError
-        If it is no number above 0.
+        If it is not a number above 0.
     """
     text = os.environ.get(LIMIT) or str(DEFAULT_LIMIT_S)
     try:
@@ -55,7 +55,7 @@ def limit_from_environment() -> float:
     except ValueError:
         limit_s = 0.0
     if not limit_s > 0.0:
-        raise OracleError(f"{LIMIT} is {text!r}; give the seconds that a job may take, above 0.")
+        raise OracleError(f"{LIMIT} is {text!r}; give the time limit of a job in seconds, above 0.")
     return limit_s
 
 
@@ -65,9 +65,9 @@ class WorkerPool(ThreadPoolExecutor):
     Parameters
     ----------
     workers
-        How many there are at most; each is started with its first job.
+        Largest number of workers; each is started with its first job.
     limit_s
-        How long a job may take [s]; after that its worker is ended, and another one goes on.
+        Time limit of a job [s]; after that its worker is ended and replaced.
     """
 
     def __init__(self, workers: int, limit_s: float) -> None:
@@ -78,11 +78,11 @@ class WorkerPool(ThreadPoolExecutor):
         self._workers: list[_Worker] = []
 
     def submit(self, fn: Callable[..., R], /, *args: Any, **kwargs: Any) -> Future[R]:
-        """Hand a job to the next free worker; function, arguments and result must be picklable."""
+        """Give a job to the next free worker; function, arguments and result must be picklable."""
         return super().submit(self._do, fn, args, kwargs)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the workers when the jobs that have begun are over."""
+        """End the workers after the jobs that have begun."""
         super().shutdown(wait, cancel_futures=cancel_futures)
         for worker in self._workers if wait else ():
             worker.dismiss()
@@ -98,12 +98,12 @@ class WorkerPool(ThreadPoolExecutor):
 
 
 class LentPool(Executor):
-    """A pool for one of several uses: shut down, its workers stay, and what they know.
+    """A view of a pool for one of several uses; its shutdown keeps the workers running.
 
     Parameters
     ----------
     pool
-        Whoever made it ends its workers.
+        Its creator ends the workers.
     """
 
     def __init__(self, pool: WorkerPool) -> None:
@@ -111,7 +111,7 @@ class LentPool(Executor):
         self._futures: list[Future[Any]] = []
 
     def submit(self, fn: Callable[..., R], /, *args: Any, **kwargs: Any) -> Future[R]:
-        """Hand a job to the next free worker of the pool."""
+        """Submit a job to the next free worker of the pool."""
         future = self._pool.submit(fn, *args, **kwargs)
         self._futures.append(future)
         return future
@@ -130,14 +130,14 @@ class _Worker:
     Parameters
     ----------
     module
-        What the fork server imports if it is not running yet.
+        Module that the fork server imports if it is not running yet.
     """
 
     def __init__(self, module: str) -> None:
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload([module])
         self._pipe, theirs = context.Pipe()
-        arguments = (theirs, dict(os.environ))  # the server has those of its own start
+        arguments = (theirs, dict(os.environ))  # the fork server has those of its own start
         self._process = context.Process(target=_work, args=arguments, daemon=True)
         with _no_program():
             self._process.start()
@@ -155,8 +155,8 @@ class _Worker:
             if not self._pipe.poll(limit_s):
                 self._end()
                 raise JobTimeoutError(
-                    f"It was not finished after {limit_s:g} s, so its worker was ended. If it "
-                    f"needs longer, set {LIMIT} to more seconds."
+                    f"It exceeded the limit of {limit_s:g} s, so its worker was ended. If it "
+                    f"needs longer, increase {LIMIT}."
                 )
             is_done, result = self._pipe.recv()
         except (EOFError, ConnectionError) as error:
@@ -169,7 +169,7 @@ class _Worker:
     def dismiss(self) -> None:
         """End it when it is idle."""
         self._pipe.close()
-        self._process.join(_PATIENCE_S)
+        self._process.join(_END_TIMEOUT_S)
         self._end()
 
     def _end(self) -> None:
@@ -196,7 +196,7 @@ def _module_of(function: Callable[..., Any]) -> str:
 
 
 def _work(pipe: Connection, environment: Mapping[str, str]) -> None:
-    """Do jobs until there are no more to come."""
+    """Do jobs until the pipe is closed."""
     os.environ.clear()
     os.environ.update(environment)
     _end_with_caller()
@@ -205,7 +205,7 @@ def _work(pipe: Connection, environment: Mapping[str, str]) -> None:
             function, args, kwargs = pipe.recv()
         except (EOFError, OSError, KeyboardInterrupt):
             return
-        except BaseException as error:  # what cannot be unpickled is the job's failure
+        except BaseException as error:  # an error while unpickling is a failure of the job
             answer = False, _portable(error)
         else:
             answer = _answer(function, args, kwargs)
@@ -225,18 +225,18 @@ def _answer(function: Callable[..., Any], args: Any, kwargs: Any) -> tuple[bool,
 
 
 def _portable(error: BaseException) -> BaseException:
-    """Return an error with its traceback in a note, as one that survives the way to the caller."""
+    """Return a picklable error, with its traceback in a note."""
     text = "".join(traceback.format_exception(error))
     error.add_note(f"In the worker:\n{text}")
     try:
-        pickle.loads(pickle.dumps(error))  # noqa: S301 -- our own, made a line before
+        pickle.loads(pickle.dumps(error))  # noqa: S301 -- pickled in this line
     except Exception:
         return RuntimeError(text)
     return error
 
 
 def _end_with_caller() -> None:
-    """Let this worker die with its caller; a busy one would notice it only after its job."""
+    """End this worker with its caller, even during a job."""
     caller = multiprocessing.parent_process()
 
     def watch() -> None:

@@ -52,7 +52,7 @@ class AtcRecipe:
         return attack_seed(self.seed, ATTACK, self.block)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the recipe as JSON knows it."""
+        """Return the recipe as JSON values."""
         document = asdict(self)
         document["session"]["wind"] = list(self.session.wind)
         document["flights"] = [
@@ -62,7 +62,7 @@ class AtcRecipe:
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:
-        """Return the recipe that ``to_dict`` gave."""
+        """Return the recipe from the result of ``to_dict``."""
         session = document["session"]
         flights = (
             Flight(**{**flight, "route": tuple(Waypoint(**point) for point in flight["route"])})

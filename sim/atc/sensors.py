@@ -67,14 +67,14 @@ class RadarErrors:
 
     range_sd_m: float
     azimuth_sd_deg: float
-    detection: float  # probability that a turn detects an aircraft
+    detection: float  # probability of detection per turn
     range_bias_m: float = 0.0
     azimuth_bias_deg: float = 0.0
 
 
 PRIMARY = RadarErrors(120.0, 0.15, 0.90)
 SECONDARY = RadarErrors(70.0, 0.08, 0.97)
-FALSE_PLOTS = 2.0  # of the primary, mean number a turn; the standard allows 20
+FALSE_PLOTS = 2.0  # of the primary radar, mean number per turn; the standard allows 20
 
 
 class AirspaceClock(Node):

@@ -59,7 +59,7 @@ def modified_tau(dx: float, dy: float, dvx: float, dvy: float, dmod_m: float) ->
 
 @jit
 def is_threat(relative: Floats, tau_s: float, dmod_m: float, zthr_m: float) -> bool:
-    """Tell whether an aircraft is, or will soon be, too near both horizontally and vertically.
+    """Return whether an aircraft is, or will soon be, too near both horizontally and vertically.
 
     Parameters
     ----------

@@ -176,7 +176,7 @@ def _plan(flight: Flight, duration_s: float, wind: tuple[float, float]) -> Float
 
 @jit
 def _meet(ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> bool:
-    """Tell whether two plans violate the separation of flow control."""
+    """Return whether two plans violate the separation of flow control."""
     for i in range(len(ours)):
         if is_threat(theirs[i] - ours[i], _PLAN_TAU_S, _PLAN_DISTANCE_M, _PLAN_HEIGHT_M):
             return True

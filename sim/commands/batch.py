@@ -122,12 +122,12 @@ _CAMPAIGN_OPTIONS = (
         "--relation", default="same", show_default=True, type=click.Choice(get_args(Relation)),
         help="The task of the runs, compared with that of their blocks: the same; in a mirrored "
         "world; with start and goals in reverse order; or from a start up to 0.3 m away. `oracle "
-        "kinds` knows that all of these should be done alike.",
+        "kinds` expects the same behaviour in all of them.",
     ),
-    click.option("--cameras", is_flag=True, help="Switch the depth camera on: 15 MB a second."),
+    click.option("--cameras", is_flag=True, help="Switch the depth camera on: 15 MB per second."),
     click.option(
         "--debug-topics", is_flag=True,
-        help="Record the controller's /evaluation and /marker: 20 MB a second while it drives.",
+        help="Record the controller's /evaluation and /marker: 20 MB per second while it drives.",
     ),
     click.option(
         "--include-hidden-topics", "hidden_topics", is_flag=True,
@@ -141,7 +141,7 @@ _CAMPAIGN_OPTIONS = (
 
 
 @contextmanager
-def errors_told() -> Iterator[None]:
+def short_errors() -> Iterator[None]:
     """Show an error of this project in one line, and exit with code 1."""
     try:
         yield
@@ -191,9 +191,9 @@ def make_runs(
     jobs
         One for each run.
     place
-        Where a job's run goes.
+        Returns the directory of a job's run.
     workers
-        How many at a time.
+        Number of runs at the same time.
     """
     failed = 0
     with RunProgress(len(jobs)) as progress:
@@ -204,20 +204,20 @@ def make_runs(
                 click.echo(f"{directory.key}: {outcome.error}", err=True)
                 continue
             progress.done(outcome.result.recording_s)
-            progress.say(f"{directory.path}: {_summary(outcome.result)}")
+            progress.write_line(f"{directory.path}: {_summary(outcome.result)}")
     if failed:
         click.echo(f"{failed} of {len(jobs)} runs failed; call again to complete them.", err=True)
         sys.exit(1)
 
 
 def _summary(manifest: Manifest) -> str:
-    told = str(manifest.outcome)
+    result = str(manifest.outcome)
     if manifest.goals:
         reached = sum(result.outcome == "succeeded" for result in manifest.goal_results)
-        told += f", {reached} of {len(manifest.goals)} goals"
+        result += f", {reached} of {len(manifest.goals)} goals"
     speed = pace(manifest.recording_s, manifest.measured.wall_s)
     megabytes = sum(manifest.measured.bytes.values()) / 1e6
     return (
-        f"{told}, {manifest.recording_s:.0f} s at {speed}, "
-        f"{megabytes:.1f} MB ({megabytes / manifest.recording_s * 60:.1f} MB a minute)"
+        f"{result}, {manifest.recording_s:.0f} s at {speed}, "
+        f"{megabytes:.1f} MB ({megabytes / manifest.recording_s * 60:.1f} MB per minute)"
     )

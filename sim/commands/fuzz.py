@@ -13,10 +13,10 @@ from sim.commands.batch import (
     allow_actuation_option,
     campaign,
     campaign_options,
-    errors_told,
     home,
     make_runs,
     refresh_option,
+    short_errors,
     workers_option,
 )
 from sim.commands.parameter_values import draw
@@ -59,16 +59,16 @@ def fuzz(
 ) -> None:
     """Record runs of a scenario with randomly drawn parameters.
 
-    Every number with a min and a max is drawn uniformly between them; what was drawn is in the
+    Every number with a min and a max is drawn uniformly between them; the values are in the
     run's manifest. Run i has start, goals and nuisance of block i. Existing runs are kept.
 
     \b
     Example:
         oracle-sim fuzz --scenario-template my_scenario.yaml -n 20 --seed 1
     """  # noqa: D301 -- click reads the control character
-    with errors_told():
+    with short_errors():
         mode = find_mode(scenario, allow_actuation=allow_actuation)
-        draw(mode, node_generator(0, _PARAMETERS, 0, mode.id))  # is there anything to draw?
+        draw(mode, node_generator(0, _PARAMETERS, 0, mode.id))  # fails if there is nothing to draw
     job = functools.partial(_record_drawn, mode, campaign(options), out, refresh)
     make_runs(job, range(number), functools.partial(RunDirectory, out, mode.id), workers)
 

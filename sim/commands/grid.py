@@ -14,10 +14,10 @@ from sim.commands.batch import (
     allow_actuation_option,
     campaign,
     campaign_options,
-    errors_told,
     home,
     make_runs,
     refresh_option,
+    short_errors,
     workers_option,
 )
 from sim.commands.kill_matrix import (
@@ -97,7 +97,7 @@ def grid(
     """  # noqa: D301 -- click reads the control character
     if (scenario is None) != all_attacks or (all_attacks and texts):
         raise click.UsageError("Name a SCENARIO, or give --all without --over.")
-    with errors_told():
+    with short_errors():
         names = [scenario] if scenario else _attacks(controls, allow_actuation=allow_actuation)
         modes = [find_mode(name, allow_actuation=allow_actuation) for name in names]
         grids = [_grid(mode, texts, blocks, _root(out, mode, all_attacks)) for mode in modes]

@@ -47,7 +47,7 @@ class Variant(Protocol):
 
     @property
     def given(self) -> Mapping[str, Any]:
-        """The parameters that are not left to the block or the scenario."""
+        """The parameters whose values are chosen here."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class Mutant:
 
     @property
     def given(self) -> Mapping[str, float]:
-        """The parameters that are not left to the block or the scenario."""
+        """The parameters whose values are chosen here."""
         return {self.parameter: self.value}
 
 
@@ -80,7 +80,7 @@ def mutants(sweeps: Sequence[Sweep], blocks: int) -> list[Mutant]:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """The mutants of one scenario, and where they go."""
+    """The mutants of one scenario, and their folder."""
 
     mode: Mode
     root: Path
@@ -101,7 +101,7 @@ class Job:
 
     @property
     def directory(self) -> RunDirectory:
-        """Where the mutant goes."""
+        """Run directory of the mutant."""
         return RunDirectory(self.root, self.mode.id, self.mutant.run)
 
 
@@ -121,7 +121,7 @@ def derive_mutant(controls: Path, refresh: bool, job: Job) -> Manifest:
     RunDirectoryError
         If the place holds another mutant.
     OracleError
-        If the run is not there, does not have what the scenario hears, or cannot be mutated.
+        If the run does not exist, lacks a topic of the scenario, or cannot be mutated.
     """
     mode, mutant = job.mode, job.mutant
     control = controls / f"run{mutant.block:03d}"

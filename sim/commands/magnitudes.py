@@ -7,7 +7,7 @@ from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.value_types import Number
 from sim.testbed import Mode
 
-# Of the built-in attacks, from what hardly shows to what is plain. The smallest ranges are below
+# Of the built-in attacks, from hardly visible to obvious. The smallest ranges are below
 # the noise of the sensor, or the jitter of the topic.
 BUILT_IN: Mapping[str, str] = {
     "fake_object": "radius=0.02:0.4:8:log",
@@ -36,7 +36,7 @@ BUILT_IN: Mapping[str, str] = {
     "atc_gps_alteration": "drift_m_s=0.5:100:8:log",
     "atc_follow_closest": "gap_m=50:10000:8:log",
 }
-# Of these there is nothing that could be more or less: it is done, or not.
+# These have no magnitude: they happen or not.
 WITHOUT = ("sensor_freeze", "sensor_replay", "atc_delete_by_id", "atc_ghost_static",
            "tf_best_effort")  # fmt: skip
 

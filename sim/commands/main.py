@@ -1,4 +1,4 @@
-"""``oracle-sim``: the group of all commands that make or look at runs."""
+"""``oracle-sim``: the group of all commands that record or inspect runs."""
 
 import pkgutil
 from typing import Any
@@ -9,12 +9,12 @@ from oracle_pipeline.bags.terminal import PlainTextGroup, version_option
 
 
 class _LazyGroup(PlainTextGroup):
-    """Commands whose modules are imported when they are asked for, so that each starts at once.
+    """Commands whose modules are imported only when needed, so that each starts quickly.
 
     Attributes
     ----------
     places : dict of str to str
-        Where each command is, by its name: ``module:attribute``.
+        Location of each command, by its name: ``module:attribute``.
     """
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
@@ -34,7 +34,7 @@ class _LazyGroup(PlainTextGroup):
 @click.group(cls=_LazyGroup)
 @version_option
 def main() -> None:
-    """Record robot experiments in the simulated testbeds, as rosbag2, and look at them.
+    """Record robot experiments in the simulated testbeds, as rosbag2, and alter recordings.
 
     \b
     Examples:

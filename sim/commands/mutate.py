@@ -15,7 +15,7 @@ from oracle_pipeline.bags.terminal import progress_bar
 from sim.campaigns import DEFAULT_SEED
 from sim.commands.batch import (
     allow_actuation_option,
-    errors_told,
+    short_errors,
 )
 from sim.commands.parameter_values import typed
 from sim.experiments import recipe_of
@@ -79,13 +79,13 @@ def mutate(
         oracle-sim mutate my_robot_bag fooled fake_object --at 9 \\
             --topic /front/scan --topic odom=/wheel/odom
     """  # noqa: D301 -- click reads the control character
-    with errors_told():
+    with short_errors():
         attack = _Attack() if like is None else _Attack.of(like)
         chosen = attack.scenario
         if scenario is not None:
             chosen = find_mode(scenario, allow_actuation=allow_actuation).scenario
         if chosen is None:
-            raise click.UsageError("Say what to apply: a SCENARIO, or --like RUN.")
+            raise click.UsageError("Give a SCENARIO or --like RUN.")
         program = compile_scenario(chosen, allow_actuation=allow_actuation)
         program = retargeted(program, _by_name(topics), allow_actuation=allow_actuation)
         known = {name: v for name, v in attack.parameters.items() if name in program.parameters}
@@ -151,6 +151,6 @@ class _Attack:
 
 
 def _bar(messages: Iterable[RawMessage], total: int) -> Iterable[RawMessage]:
-    """Show how many messages are done, on a terminal."""
+    """Show a progress bar over messages, on a terminal."""
     bar: Iterable[RawMessage] = progress_bar(messages, total=total, unit=" messages", leave=False)
     return bar

@@ -27,7 +27,7 @@ class ParameterError(OracleError):
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """The values that one parameter takes, while the others keep theirs."""
+    """The values of one parameter; the others keep theirs."""
 
     parameter: str
     values: tuple[float, ...]
@@ -65,9 +65,9 @@ def _typed(parameter: Parameter, text: str) -> Any:
 
 
 def draw(mode: Mode, rng: np.random.Generator) -> dict[str, Any]:
-    """Draw a value for every number that has bounds, uniformly; whole ones with both ends.
+    """Draw a value uniformly for every number that has bounds; integers include both bounds.
 
-    What the block draws, and what has no bounds, keeps its value.
+    Parameters that the block draws, or that have no bounds, keep their values.
 
     Raises
     ------
@@ -102,12 +102,12 @@ def sweep(mode: Mode, text: str) -> Sweep:
     Raises
     ------
     ParameterError
-        If the text is something else, or a value is none that the parameter may have.
+        If the text has another form, or the parameter cannot have a value.
     """
     match = _SWEEP.fullmatch(text)
     if match is None:
         raise ParameterError(
-            f"expected name=low:high:count, with :log behind it for equal ratios, found {text!r}."
+            f"expected name=low:high:count, followed by :log for equal ratios, found {text!r}."
         )
     name, low, high, count = match[1], float(match[2]), float(match[3]), int(match[4])
     program = compile_scenario(mode.scenario, allow_actuation=True)
@@ -131,7 +131,7 @@ def sweep(mode: Mode, text: str) -> Sweep:
 
 
 def ranges(document: Mapping[str, Any]) -> dict[str, str]:
-    """Return what each parameter of a scenario may be, in words: ``0.1 (0 to 1 m)``."""
+    """Return default and range of each parameter of a scenario as text: ``0.1 (0 to 1 m)``."""
     return {name: _range(spec) for name, spec in document.get("parameters", {}).items()}
 
 

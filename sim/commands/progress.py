@@ -11,7 +11,7 @@ from oracle_pipeline.bags.terminal import progress_bar
 
 
 def pace(simulated_s: float, wall_s: float) -> str:
-    """Return how fast a simulation was, in words; a slow one with a decimal place."""
+    """Return the speed of a simulation as text; a slow one with a decimal place."""
     factor = simulated_s / wall_s
     return f"{factor:.{0 if factor >= 2.0 else 1}f}x real time"
 
@@ -22,7 +22,7 @@ class RunProgress:
     Parameters
     ----------
     total_runs
-        How many runs there are to do.
+        Number of runs.
     """
 
     def __init__(self, total_runs: int) -> None:
@@ -37,7 +37,7 @@ class RunProgress:
         self._bar.set_postfix_str(speed, refresh=False)
         self._bar.update()
 
-    def say(self, text: str) -> None:
+    def write_line(self, text: str) -> None:
         """Print a line to standard output, above the bar."""
         self._bar.write(text, file=sys.stdout)
 

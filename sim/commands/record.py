@@ -29,7 +29,7 @@ from sim.testbed import Mode
 @mode_option()
 @click.option(
     "--scenario", metavar="FILE",
-    help="An experiment of your own: a scenario file (FILE#NAME if it holds several), or a "
+    help="Your own experiment: a scenario file (FILE#NAME if it holds several), or a "
     "built-in scenario that is not a mode, by its name.",
 )  # fmt: skip
 @allow_actuation_option
@@ -86,7 +86,7 @@ def record(
 
 def _experiment(mode: str | None, scenario: str | None, *, allow_actuation: bool) -> Mode:
     if (mode is None) == (scenario is None):
-        raise click.UsageError("Say what to record: either --mode or --scenario.")
+        raise click.UsageError("Give either --mode or --scenario.")
     try:
         return find_mode(mode or scenario or "", allow_actuation=allow_actuation)
     except ScenarioError as error:

@@ -27,10 +27,10 @@ from sim.testbed import TestbedRun
 if TYPE_CHECKING:
     from sim.serving import ServedDomain
 
-DEFAULT_MODE = "lidar_passthrough_odom"  # its node can be switched to every built-in attack on it
+DEFAULT_MODE = "lidar_passthrough_odom"  # its node can be switched to every built-in attack
 _TIMEOUT_S = 120.0  # of simulated time, for each goal
-_HEAD_START_S = 4.0  # that others get to find the nodes before anything is said
-_PATIENCE_S = 0.002  # that simulated time may be ahead; shorter sleeps cost more than they are
+_HEAD_START_S = 4.0  # time for other programs to discover the nodes before the first message
+_LEAD_S = 0.002  # by which simulated time may be ahead; shorter sleeps are not worth their cost
 _HELP = "Type `attack NAME` (a mode or a scenario file), `attack off`, or Ctrl-C."
 
 
@@ -38,7 +38,7 @@ _HELP = "Type `attack NAME` (a mode or a scenario file), `attack off`, or Ctrl-C
 @mode_option(DEFAULT_MODE)
 @click.option(
     "--speed", default=1.0, show_default=True, type=click.FloatRange(0.0, min_open=True),
-    help="Simulated seconds a second, as far as the machine can.",
+    help="Real-time factor, limited by the speed of the machine.",
 )  # fmt: skip
 @click.option(
     "--domain", type=click.IntRange(0, 232),
@@ -50,7 +50,7 @@ _HELP = "Type `attack NAME` (a mode or a scenario file), `attack off`, or Ctrl-C
               help="Goals of the patrol; it ends after the last.")  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
-    help="Root to keep the run in, as `oracle-sim record` does.  [default: it is not kept]",
+    help="Root to store the run in, as `oracle-sim record` does.  [default: it is not kept]",
 )  # fmt: skip
 @seed_option
 def serve(
@@ -114,7 +114,7 @@ class _Session:
         self._started = 0.0
 
     def begin(self, run: TestbedRun) -> None:
-        """Go along with a run from now on."""
+        """Start to accompany a run."""
         from sim.serving import ServedDomain
 
         self._run = run
@@ -137,7 +137,7 @@ class _Session:
         while not self._typed.empty():
             self._do(self._typed.get(), now_ns)
         ahead_s = now_ns / SECOND / self._speed - (time.monotonic() - self._started)
-        if ahead_s > _PATIENCE_S:
+        if ahead_s > _LEAD_S:
             time.sleep(ahead_s)
 
     def _do(self, line: str, now_ns: int) -> None:
@@ -150,7 +150,7 @@ class _Session:
             click.echo(_HELP, err=True)
             return
         if self._is_kept:
-            click.echo("A run that is kept is what its recipe says; serve without --out.", err=True)
+            click.echo("A run that is kept must follow its recipe; serve without --out.", err=True)
             return
         assert self._run is not None  # noqa: S101 -- `begin` was called with it
         name = self._mode if words[1] == "off" else words[1]
@@ -159,6 +159,4 @@ class _Session:
         except OracleError as error:
             click.echo(str(error), err=True)
         else:
-            click.echo(
-                f"At {now_ns / SECOND:.3f} s the node does what it does in {name}.", err=True
-            )
+            click.echo(f"At {now_ns / SECOND:.3f} s the node runs {name}.", err=True)

@@ -35,7 +35,7 @@ _TYPES = re.compile(
 
 
 def moves_something(topic: str, msgtype: str) -> bool:
-    """Tell whether a message on a topic may move a robot, or change where it goes.
+    """Return whether a message on a topic may move a robot, or change where it goes.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the operations of an expression compute."""
+"""The operations of an expression."""
 
 import ast
 import operator
@@ -13,7 +13,7 @@ ARITHMETIC: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
-    # The operators of NumPy's scalars round otherwise than its loops over arrays do.
+    # The operators of NumPy's scalars round differently from its loops over arrays.
     ast.FloorDiv: np.floor_divide,
     ast.Mod: np.remainder,
     ast.Pow: np.power,
@@ -38,14 +38,14 @@ UNARY: Mapping[type[ast.unaryop], Callable[[Any], Any]] = {
 
 
 def int64(value: Any) -> Any:
-    """Take whole numbers of any kind as int64; what does not fit wraps."""
+    """Convert integers of any type to int64; larger ones wrap."""
     if isinstance(value, np.ndarray):
         return value.astype(np.int64, copy=False)
     return np.int64((int(value) + 2**63) % 2**64 - 2**63)
 
 
 def float64s(values: Any) -> Any:
-    """Take numbers of any kind as float64."""
+    """Convert numbers of any type to float64."""
     return np.asarray(values, np.float64)
 
 

@@ -62,17 +62,16 @@ def compile_scenario(
     Parameters
     ----------
     scenario
-        What ``load_scenarios`` returned.
+        A result of ``load_scenarios``.
     allow_actuation
         Whether it may publish commands to motors.
     budget
-        What may still be compiled for its file; by default the scenario has a whole one.
+        Number of operations left for its file; by default the full budget.
 
     Raises
     ------
     ScenarioError
-        Naming file, line, key and what was expected there, for each fault that is no consequence
-        of another one.
+        Naming file, line, key and expected value of each fault that does not follow from another.
     """
     document = scenario.document
     main = document["main"]
@@ -89,7 +88,7 @@ def compile_scenario(
     parameters = _parameters(scenario, faults)
     constants = _constants(scenario, faults)
     state_types, state, lifetimes_ns = _state(scenario, faults)
-    faults.end()  # what follows would only repeat them
+    faults.end()  # later stages would only repeat them
     check_topics(scenario, faults, allow_actuation=allow_actuation)
     given: dict[str, Type] = {
         "p": Record("p", {name: parameter.type for name, parameter in parameters.items()}),
@@ -180,7 +179,7 @@ def compile_scenario(
 def _node_parameters(
     scenario: Scenario, context: CompileContext, *, allow_actuation: bool
 ) -> Iterator[ParameterChange]:
-    """Yield what is set at the onset; whether nodes have such parameters is seen when it is run."""
+    """Yield the parameters that are set at the onset; their nodes are checked at execution."""
     for number, spec in enumerate(scenario.document.get(SET_PARAMETERS, ())):
         key: Key = (SET_PARAMETERS, number)
         with context.faults.gathered():
@@ -248,8 +247,9 @@ def _parameters(scenario: Scenario, faults: Faults) -> dict[str, Parameter]:
         with faults.gathered():
             _check_draw(scenario, spec, key)
         parameter = Parameter(
-            name, _scalar(spec), spec["default"], spec.get("min"), spec.get("max")
-        )
+            name, _scalar(spec), spec["default"], spec.get("min"), spec.get("max"),
+            spec.get("unit", ""),
+        )  # fmt: skip
         with faults.gathered():
             default = _default(scenario, key, parameter)
             parameters[name] = dataclasses.replace(parameter, default=default)
@@ -257,7 +257,7 @@ def _parameters(scenario: Scenario, faults: Faults) -> dict[str, Parameter]:
 
 
 def _check_draw(scenario: Scenario, spec: Mapping[str, Any], key: Key) -> None:
-    """Refuse a parameter that says it is drawn and not from what."""
+    """Refuse a drawn parameter without a valid range."""
     how = spec.get("draw")
     if how is None:
         return
@@ -309,7 +309,7 @@ def _constants(scenario: Scenario, faults: Faults) -> dict[str, tuple[Type, Any]
 def _state(
     scenario: Scenario, faults: Faults
 ) -> tuple[dict[str, Type], dict[str, Any], dict[str, int]]:
-    """Return the types of what is kept, what it begins with, and how long rows of tables live."""
+    """Return types and initial values of the state, and the lifetimes of rows of tables."""
     types: dict[str, Type] = {}
     values: dict[str, Any] = {}
     lifetimes_ns = {}
@@ -348,7 +348,7 @@ def _sources(scenario: Scenario, context: CompileContext) -> dict[str, Source]:
 
 
 def compile_file(path: Path, *, allow_actuation: bool = False) -> Iterator[Program]:
-    """Compile the scenarios of a file one by one, as far as they are right.
+    """Compile the scenarios of a file one by one, as far as they are valid.
 
     Parameters
     ----------
@@ -359,7 +359,7 @@ def compile_file(path: Path, *, allow_actuation: bool = False) -> Iterator[Progr
     Raises
     ------
     ScenarioError
-        Naming the file, whatever is wrong with it.
+        Naming the file, for any fault.
     """
     budget = Budget()
     try:
@@ -367,10 +367,9 @@ def compile_file(path: Path, *, allow_actuation: bool = False) -> Iterator[Progr
             yield compile_scenario(scenario, allow_actuation=allow_actuation, budget=budget)
     except ScenarioError:
         raise
-    except Exception as error:  # a defect of ours must not cost the user's other files
+    except Exception as error:  # a defect here must not affect the user's other files
         raise ScenarioError(
-            f"{path}: could not be understood, which is a defect; please report it: "
-            f"{type(error).__name__}: {error}"
+            f"{path}: internal error; please report it: {type(error).__name__}: {error}"
         ) from error
 
 
@@ -380,7 +379,7 @@ def compile_document(mode: str, document: Mapping[str, Any]) -> Program:
     Raises
     ------
     ScenarioError
-        If this release's language is no longer that of the recipe.
+        If the language has changed since the recipe's release.
     """
     scenario = Scenario(f"recipe of {mode}", document, NO_FILE)
     return compile_scenario(scenario, allow_actuation=True)

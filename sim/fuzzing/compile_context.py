@@ -33,7 +33,7 @@ class Budget:
 
 
 class Numbers(Iterator[int]):
-    """Consecutive numbers of operations, from any first one."""
+    """Consecutive numbers of operations, from a given first one."""
 
     def __init__(self, upcoming: int) -> None:
         self.upcoming = upcoming
@@ -46,20 +46,20 @@ class Numbers(Iterator[int]):
 
 @dataclass(frozen=True, slots=True)
 class CompileContext:
-    """What operators are compiled against.
+    """The context in which operators are compiled.
 
     Parameters
     ----------
     scenario
         For the places of errors.
     scope
-        What expressions may name.
+        Names that expressions may use.
     root
-        What paths of fields begin at.
+        Type at which paths of fields begin.
     outputs
         Where messages can be emitted: name -> topic and type; the main output has no name.
     state
-        What is kept from message to message.
+        Values that are kept from message to message.
     longest
         Elements that an array may have.
     numbers
@@ -71,7 +71,7 @@ class CompileContext:
 
     Notes
     -----
-    An expression has a bound of its own, so the budget is overdrawn by that at most.
+    The size of an expression is limited, so the budget is exceeded by at most that size.
     """
 
     scenario: Scenario
@@ -101,7 +101,7 @@ class CompileContext:
                     self.scenario.error(
                         key,
                         f"expected at most {MAX_OPERATIONS} operations in all expressions of the "
-                        "file, functions counted at each call; split the file, or do less",
+                        "file, functions counted at each call; split or simplify the file",
                     )
                 )
             )
@@ -111,7 +111,7 @@ class CompileContext:
         return Term(expression, next(self.numbers))
 
     def error(self, key: Key, error: ExpressionError) -> ScenarioError:
-        """Return what is wrong with an expression, with its place in the file."""
+        """Return the error of an expression, with its place in the file."""
         return self.scenario.error(key, str(error).removesuffix("."))
 
     def let(
@@ -137,7 +137,7 @@ class CompileContext:
         return context, names
 
     def with_local(self, key: Key, name: str, kind: Type, *, is_vector: bool) -> "CompileContext":
-        """Return a context whose expressions may name something more."""
+        """Return a context with further names for expressions."""
         if name in self.scope.locals:
             raise self.scenario.error(key, f"expected a new name, {name} is taken")
         vectors = (*self.scope.vectors, name) if is_vector else self.scope.vectors
@@ -238,7 +238,7 @@ class Target:
 
 
 def fits(value: Type, target: Type) -> bool:
-    """Tell whether a value of one type can be stored as another."""
+    """Return whether a value of one type can be stored as another."""
     match value, target:
         case (Number(), Number()) | (Boolean(), Boolean()) | (Text(), Text()):
             return True

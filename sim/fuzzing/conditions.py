@@ -1,7 +1,7 @@
-"""What a scenario changes beside messages, from its onset to its end: parameters of nodes, and QoS.
+"""Changes of a scenario other than messages, from onset to end: parameters of nodes, and QoS.
 
-It is done as others in the domain could do it: by a node's service ``set_parameters``, and by a
-publisher that comes back with another profile.
+They use what any node in the domain can do: a node's service ``set_parameters``, and a publisher
+that restarts with another profile.
 """
 
 from collections.abc import Callable, Iterator
@@ -18,26 +18,26 @@ from sim.middleware.domain import Domain
 from sim.middleware.parameters import NodeParameter
 
 OFFER_QOS = "offer_qos"  # the operation, in the ground truth
-_SILENT = ("passthrough", "shadow")  # controls, which work out what they do not do
+_SILENT = ("passthrough", "shadow")  # controls, which compute changes without applying them
 _LOST = 1.0  # magnitude of a subscriber that no longer receives anything
 
 
 class _Change(NamedTuple):
-    """One thing that is changed."""
+    """One change."""
 
     topic: str
     operation: str
-    apply: Callable[[], tuple[float, str]]  # returns how much, and the words
+    apply: Callable[[], tuple[float, str]]  # returns magnitude and description
     undo: Callable[[], None]
 
 
 class Conditions:
-    """What a scenario changes beside messages.
+    """Changes of a scenario other than messages.
 
     Parameters
     ----------
     domain
-        Where the nodes are.
+        Domain of the nodes.
     execution
         One run of a program.
 
@@ -55,11 +55,11 @@ class Conditions:
         self._are_applied = False
 
     def __bool__(self) -> bool:
-        """Tell whether there is anything to change."""
+        """Return whether there is anything to change."""
         return bool(self._changes)
 
     def apply(self) -> Iterator[GroundTruth]:
-        """Change all of it; yield what was done."""
+        """Apply all changes; yield their ground truth."""
         if self._are_applied:
             return
         self._are_applied = True
@@ -69,7 +69,7 @@ class Conditions:
             yield GroundTruth(now_ns, change.topic, number, change.operation, magnitude, text)
 
     def undo(self) -> None:
-        """Change all of it back."""
+        """Undo all changes."""
         if self._are_applied:
             for change in reversed(self._changes):
                 change.undo()

@@ -1,8 +1,8 @@
 """Finds all faults of a scenario file: of its YAML, its structure, its types and its expressions.
 
-Compilation stops at the first stage that has faults, because later stages build on it. Here, what
-is faulty is taken out of a copy of the document, and the rest is checked again, until no more is
-found. What names something that was taken out is no fault of its own.
+Compilation stops at the first stage that has faults, because later stages build on it. Here, faulty
+parts are removed from a copy of the document, and the rest is checked again, until no more faults
+are found. A reference to a removed part does not count as a fault.
 """
 
 import json
@@ -29,16 +29,16 @@ from sim.fuzzing.scenario import (
 
 _STAND_INS: Mapping[str, Any] = {"schema": "mutant/v1", "id": "scenario", "label": "malicious"}
 _VALUES: Mapping[str, Any] = {"float": 0.0, "int": 0, "bool": False, "string": ""}
-MAX_BAD_LINES = 5  # that are left out of a text that is not YAML
-MAX_SLIPS = 20  # lines of it that are tried
+MAX_BAD_LINES = 5  # lines that may be left out of invalid YAML
+MAX_SLIPS = 20  # lines that are tried
 _PREFIXES = {"parameters": "p", "constants": "c", "state": "state", "sources": "src"}
-_ABSENT = "expected the key "  # how faults begin that report a missing key
-_EMPTY = "found null"  # how they end
+_ABSENT = "expected the key "  # prefix of faults that report a missing key
+_EMPTY = "found null"  # suffix of such faults
 _Document = tuple[Any, dict[Key, Place]]
 
 
 def diagnose(path: Path, *, allow_actuation: bool = False) -> Iterator[Program | ScenarioError]:
-    """Yield the program of each scenario in a file, or all that is wrong with it.
+    """Yield the program of each scenario in a file, or all of its faults.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def diagnose(path: Path, *, allow_actuation: bool = False) -> Iterator[Program |
 
 
 def _read(text: str, file: str) -> tuple[list[ScenarioError], list[_Document]]:
-    """Return what of a text is not YAML, and its documents without the lines that are not."""
+    """Return the YAML faults of a text, and its documents without the invalid lines."""
     lines, faults = text.split("\n"), list[ScenarioError]()
     while len(faults) < MAX_BAD_LINES:
         try:
@@ -105,7 +105,7 @@ def _read(text: str, file: str) -> tuple[list[ScenarioError], list[_Document]]:
 
 
 def _read_up_to(lines: Sequence[str], without: int, file: str) -> int:
-    """Return the line up to which a text is YAML if one line is left out."""
+    """Return the line up to which a text is valid YAML if one line is left out."""
     rest = [*lines[:without], "", *lines[without + 1 :]]
     try:
         list(documents("\n".join(rest), file))
@@ -115,7 +115,7 @@ def _read_up_to(lines: Sequence[str], without: int, file: str) -> int:
 
 
 def _slip(line: str) -> str:
-    """Return what is probably wrong with a line of YAML; empty if that is not obvious."""
+    """Return the probable fault of a line of YAML; empty if it is not obvious."""
     if "\t" in line[: len(line) - len(line.lstrip())]:
         return "found a tab in the indentation; use spaces"
     pairs = (line.count("{") - line.count("}"), line.count("[") - line.count("]"))
@@ -132,7 +132,7 @@ def _faults(
     allow_actuation: bool,
     whole: bool = True,
 ) -> list[ScenarioError]:
-    """Return the faults of a document, by line; if lines of it are missing, not what is absent."""
+    """Return the faults of a document by line; no missing keys if lines were left out."""
     scenario = Scenario(file, document, places)
     found: dict[Key, list[str]] = {}
     structure: dict[Key, None] = {}
@@ -142,7 +142,7 @@ def _faults(
             if whole or not (text.startswith(_ABSENT) or text.endswith(_EMPTY)):
                 found.setdefault(key, []).append(text)
     taken = _Taken(document)
-    ready = all([taken.without(key) for key in structure])  # noqa: C419 -- each is taken out
+    ready = all([taken.without(key) for key in structure])  # noqa: C419 -- all must be removed
     while ready and len(found) < MAX_FAULTS:
         before = taken.size
         rest, keys = taken.rest()
@@ -159,11 +159,11 @@ def _faults(
                 if not taken.concerns(key) and text not in found.get(key, []):
                     found.setdefault(key, []).append(text)
                 ready &= taken.without(key)
-            ready &= taken.size > before  # or else the next round would find the same
-        except Exception:  # what is left need not be a scenario
+            ready &= taken.size > before  # else the next round would find the same
+        except Exception:  # the rest may not be a scenario
             break
-    told = [scenario.error(key, text) for key, texts in found.items() for text in texts]
-    return sorted(told, key=_place)
+    errors = [scenario.error(key, text) for key, texts in found.items() for text in texts]
+    return sorted(errors, key=_place)
 
 
 def _place(error: ScenarioError) -> Place:
@@ -173,7 +173,7 @@ def _place(error: ScenarioError) -> Place:
 
 
 class _Taken:
-    """A document of which faulty parts were taken out or replaced by something harmless."""
+    """A document whose faulty parts were removed or replaced by valid ones."""
 
     def __init__(self, document: Any) -> None:
         self._document = document
@@ -182,11 +182,11 @@ class _Taken:
         self._unknown: set[str] = set()  # patterns of names that are undefined now
 
     def without(self, key: Key) -> bool:
-        """Take out what has a fault; tell whether the rest can still be checked."""
+        """Remove a faulty part; return whether the rest can still be checked."""
         if not isinstance(self._document, dict):
             return False
         match key:
-            case ():  # a key that is required is not there
+            case ():  # a required key is missing
                 self._instead |= {(k,): v for k, v in _STAND_INS.items() if k not in self._document}
                 return "main" in self._document
             case (str(name), *_) if name in _STAND_INS:
@@ -216,11 +216,11 @@ class _Taken:
 
     @property
     def size(self) -> int:
-        """How much was taken out."""
+        """Number of removed parts."""
         return len(self._out) + len(self._instead) + len(self._unknown)
 
     def concerns(self, key: Key) -> bool:
-        """Tell whether something names what was taken out."""
+        """Return whether a part refers to a removed one."""
         value = self._document
         for part in key:
             try:
@@ -231,7 +231,7 @@ class _Taken:
         return any(re.search(pattern, text) for pattern in self._unknown)
 
     def rest(self) -> tuple[Any, dict[Key, Key]]:
-        """Return what is left, and where each of its keys was in the document."""
+        """Return the rest, and the place of each of its keys in the document."""
         keys: dict[Key, Key] = {}
         return self._copy(self._document, (), (), keys), keys
 
@@ -247,7 +247,7 @@ class _Taken:
             self._unknown.add(rf"\b{_PREFIXES[group]}\.{re.escape(str(name))}\b")
 
     def _of_transform(self, key: Key) -> None:
-        """Take out the operator that a fault is in, or else the smallest part around it."""
+        """Remove the operator that contains a fault, or else the smallest part around it."""
         match key:
             case (*_, "let", name) | (*_, "let", name, _):
                 self._unknown.add(rf"\b{re.escape(str(name))}\b")

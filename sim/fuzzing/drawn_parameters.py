@@ -15,9 +15,9 @@ _PARAMETERS = -1  # the operation that draws them; those of messages count from 
 
 
 def drawn_values(scenario: Scenario, run_seed: int) -> dict[str, Any]:
-    """Return a value for each parameter with ``draw``: evenly spread, or so is its logarithm.
+    """Return a value for each parameter with ``draw``, uniform or log-uniform.
 
-    Whole numbers include both bounds.
+    Integers include both bounds.
     """
     draws = Draws(run_seed, scenario.seed)
     values: dict[str, Any] = {}

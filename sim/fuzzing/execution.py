@@ -54,7 +54,7 @@ def execute(
     Parameters
     ----------
     program
-        What is executed.
+        The program to execute.
     run_seed
         With the scenario's own seed, the key of all draws.
     parameters
@@ -80,14 +80,14 @@ def execute(
 
 @dataclass(slots=True)
 class _Shared:
-    """What the topics of a scenario that are altered together have in common."""
+    """State shared by the topics of a scenario that are altered together."""
 
     state: dict[str, Any]
     sources: dict[str, Any]
     source_ns: dict[str, int]
     acted: int = 0  # messages and timer ticks so far
     ends_s: float = math.inf
-    index: int = 0  # what the draws of the last main message went by
+    index: int = 0  # draw index of the last main message
     main_ns: int | None = None  # when it was published
 
 
@@ -97,13 +97,13 @@ class Execution:
     Parameters
     ----------
     program
-        What is executed.
+        The program to execute.
     draws
         Its randomness.
     parameters
         A checked value for each of them.
     main
-        The execution of the main topic, if this is that of a further one.
+        The execution of the main topic, if this one is for a further topic.
 
     Attributes
     ----------
@@ -179,7 +179,7 @@ class Execution:
 
     @_QUIETLY
     def on_message(self, message: Any, stamp_ns: int, t_s: float) -> Result:
-        """Return what becomes of a message of the main topic.
+        """Process a message of the main topic.
 
         Parameters
         ----------
@@ -223,7 +223,7 @@ class Execution:
                 reason = str(refused)
         self._shared.acted += operation != PASSTHROUGH
         if reason is None and self.program.scenario.control != "shadow":
-            if step.message is sent:  # it keeps its identity and its bytes
+            if step.message is sent:  # unchanged, with the same identity and bytes
                 step.message = message
             outputs = self._outputs(step)
         else:
@@ -234,7 +234,7 @@ class Execution:
 
     @_QUIETLY
     def on_timer(self, now_ns: int, t_s: float) -> Result:
-        """Return what the timer publishes.
+        """Process a tick of the timer.
 
         Parameters
         ----------
@@ -273,7 +273,7 @@ class Execution:
 
     @_QUIETLY
     def constant(self, term: Term) -> float:
-        """Return the value of what depends on no message."""
+        """Return the value of an expression that depends on no message."""
         return float(term(self._step(0, 0, {})))
 
     def _period_ns(self) -> int | None:
@@ -307,7 +307,7 @@ class Execution:
         return activation.messages is None or self._shared.acted < activation.messages
 
     def _synchronised(self, index: int, stamp_ns: int) -> int:
-        """Return what the draws go by: on a further topic, those of the main message before."""
+        """Return the draw index: on a further topic, that of the previous main message."""
         shared = self._shared
         if self._is_main:
             shared.index, shared.main_ns = index, stamp_ns
@@ -316,7 +316,7 @@ class Execution:
         return index
 
     def _missing_source(self, stamp_ns: int) -> tuple[str, str] | None:
-        """Return what is not known of a source, and what is to be done then."""
+        """Return why a source is not usable, and the action for this case."""
         for name, source in self.program.sources.items():
             received_ns = self._source_ns.get(name)
             if received_ns is None:
@@ -326,7 +326,7 @@ class Execution:
         return None
 
     def _transform(self, step: Step) -> str:
-        """Do all that applies; return the names of it."""
+        """Apply all matching actions; return their names."""
         program = self.program
         if missing := self._missing_source(step.stamp_ns):
             text, on_missing = missing
@@ -348,7 +348,7 @@ class Execution:
         return "+".join(applied) or PASSTHROUGH
 
     def _forget(self, now_ns: int) -> None:
-        """Remove the rows of tables that are too old; the oldest stand first."""
+        """Remove the expired rows of tables; the oldest come first."""
         for name, lifetime_ns in self.program.lifetimes_ns.items():
             rows = self._state[name]
             while rows:

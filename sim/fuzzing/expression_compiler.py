@@ -1,4 +1,4 @@
-"""Expressions compiled: each node of the grammar checked against types, and made a closure."""
+"""Compiles expressions: each node of the grammar is type-checked and becomes a closure."""
 
 import ast
 import functools
@@ -33,7 +33,7 @@ from sim.fuzzing.value_types import (
 MAX_DEPTH = 40  # operations inside operations, functions included
 MAX_OPERATIONS = 2000  # of one expression, functions included
 
-Frame = dict[str, Any]  # the values of names, and of calls that were computed already
+Frame = dict[str, Any]  # values of names, and results of calls
 Evaluate = Callable[[Frame], Any]
 
 
@@ -48,24 +48,24 @@ class _Node:
 
 
 class ExpressionCompiler(ast.NodeVisitor):
-    """Compiles one text; the functions that it calls get compilers of their own.
+    """Compiles one text; each function that it calls gets a separate compiler.
 
     Parameters
     ----------
     text
-        What is compiled, for messages.
+        The text, for error messages.
     scope
-        Its names, functions and vectors; the locals are those of the two next instead.
+        Its names, functions and vectors; locals are given by the next two parameters.
     local
-        The types of what this text alone sees.
+        The types of names that only this text can use.
     vectors
         Which of them are vectors.
     elements
-        How long vectors may be.
+        Largest length of vectors.
     depth
-        Of the call.
+        Nesting depth of the call.
     budget
-        How many operations are left, as the only element of a list that all compilers share.
+        Number of operations left, in a list of one element that all compilers share.
     """
 
     def __init__(
@@ -210,7 +210,7 @@ class ExpressionCompiler(ast.NodeVisitor):
         )
 
     def visit_IfExp(self, node: ast.IfExp) -> _Node:
-        """Compile a choice: of the elements if anything is a vector, else of one value."""
+        """Compile a choice: per element if anything is a vector, else of one value."""
         test, then, other = (self.visit(part) for part in (node.test, node.body, node.orelse))
         self._expect(node.test, Boolean, [test])
         kind = self._common(node, then, other)
@@ -343,7 +343,7 @@ class ExpressionCompiler(ast.NodeVisitor):
         return one.type
 
     def _as(self, kind: Type, part: _Node) -> _Node:
-        """Take whole numbers as float64 where ``kind`` is that."""
+        """Convert integers to float64 if ``kind`` is float64."""
         if kind != FLOAT or part.type == FLOAT:
             return part
         return _Node(FLOAT, part.vector, part.cost, lambda frame: np.float64(part.run(frame)))
@@ -362,7 +362,7 @@ class ExpressionCompiler(ast.NodeVisitor):
                 return self._node(Text(len(value)), [], lambda _: value)
 
     def _load(self, kind: Type, vector: bool, cost: int, read: Evaluate) -> _Node:
-        """Take what the environment holds into the expression, numbers as int64 or float64."""
+        """Load a value from the environment, numbers as int64 or float64."""
         convert: Callable[[Any], Any]
         match kind:
             case Number() if kind.is_integer:

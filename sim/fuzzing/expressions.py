@@ -5,8 +5,8 @@ defines what they mean; Python never evaluates the text. Every expression is tot
 costs at most ``cost``, and has a value of its type for any data.
 
 Numbers are int64, which wraps, and float64, by IEEE 754: ``/`` and ``**`` give float64, a whole
-number divided by 0 with ``//`` or ``%`` is 0. Outside an array's bounds and without a row in a
-table is NaN, 0, false, the empty text or a record of these.
+number divided by 0 with ``//`` or ``%`` is 0. An element outside an array's bounds, or a
+missing row of a table, is NaN, 0, false, the empty text or a record of these.
 """
 
 from collections.abc import Mapping
@@ -36,9 +36,9 @@ class Expression:
     cost
         Elements that one evaluation computes, at most.
     names
-        The names it uses, ``fn`` aside; ``DRAWS`` among them if it draws.
+        The names it uses, without ``fn``; with ``DRAWS`` if it draws.
     operations
-        That were compiled for it, those of the functions that it calls included.
+        Number of its operations, including those of the functions that it calls.
     """
 
     text: str
@@ -50,7 +50,7 @@ class Expression:
     _run: Evaluate = field(repr=False)
 
     def __call__(self, env: Mapping[str, Any]) -> Any:
-        """Return the value; NumPy warns of NaN and overflow as its ``errstate`` has it.
+        """Return the value; NumPy's ``errstate`` decides about warnings of NaN and overflow.
 
         Parameters
         ----------
@@ -78,14 +78,14 @@ def compile_expression(text: str, scope: Scope, *, elements: int = 1) -> Express
     text
         The expression.
     scope
-        What it may name.
+        Names that it may use.
     elements
-        How long the scope's vectors may be, for the cost.
+        Largest length of the scope's vectors, for the cost.
 
     Raises
     ------
     ExpressionError
-        If it is not of the language or its types do not fit.
+        If it is not valid in the language, or its types do not fit.
     """
     vectors = {name: name in scope.vectors for name in scope.locals}
     compiler = ExpressionCompiler(text, scope, scope.locals, vectors, elements)

@@ -8,12 +8,12 @@ from sim.fuzzing.scenario import ScenarioError, together
 
 
 class TooMuchError(ScenarioError):
-    """The limit of compilation is reached, so further faults are not looked for."""
+    """The limit of compilation is reached, so the search for faults ends."""
 
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """Gathers what is wrong with parts that do not depend on each other.
+    """Gathers the faults of parts that do not depend on each other.
 
     Examples
     --------
@@ -31,7 +31,7 @@ class Faults:
 
     @contextmanager
     def gathered(self) -> Iterator[None]:
-        """Keep the fault of one part, and go on behind it."""
+        """Store the fault of one part, and continue after it."""
         try:
             yield
         except TooMuchError:
@@ -40,7 +40,7 @@ class Faults:
             self._found.append(error)
 
     def end(self) -> None:
-        """Refuse the scenario if there was a fault; at what needs all parts before it.
+        """Refuse the scenario if there was a fault; called before a stage that needs all parts.
 
         Raises
         ------

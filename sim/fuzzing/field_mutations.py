@@ -64,10 +64,10 @@ class FieldMutator:
         return cls(tuple(leaves), tuple(mutations))
 
     def __call__(self, message: Any, rng: np.random.Generator) -> tuple[Any, float, str]:
-        """Return a mutant, by how much it differs, and what was done to which field.
+        """Return a mutant, the size of its difference, and a description of the change.
 
-        A message in which there is nothing to change, all of its sequences being empty, comes
-        back as it is.
+        A message without anything to change, since all of its sequences are empty, is returned
+        unchanged.
         """
         for number in rng.permutation(len(self.leaves)):
             leaf, kind = self.leaves[number]
@@ -179,5 +179,5 @@ def _with_character(old: str, rng: np.random.Generator, change: Callable[[int], 
         return chr(change(0))
     place = int(rng.integers(len(old)))
     code = ord(old[place])
-    # Beyond ASCII only bits below the eighth change, so that it stays a character.
+    # Outside ASCII only the lower seven bits change, so that it stays a character.
     return f"{old[:place]}{chr(code & ~127 | change(code & 127) & 127)}{old[place + 1 :]}"

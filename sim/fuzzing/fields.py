@@ -26,8 +26,8 @@ _INT64 = np.iinfo(np.int64)
 _LARGEST_WHOLE = float(2**63 - 1024)  # the last float64 before 2**63
 
 
-class RefusedMessage(Exception):  # noqa: N818 -- a verdict on a message, not a failure
-    """A message is forwarded unchanged; the text says why."""
+class RefusedMessage(Exception):  # noqa: N818 -- a result for a message, not a failure
+    """A message is forwarded unchanged; the text states the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ def replaced(value: Any, way: Sequence[str | int], new: Any) -> Any:
     way
         Names of fields and indices of elements.
     new
-        What is to stand there.
+        The new value.
     """
     if not way:
         return new
@@ -179,8 +179,8 @@ def zero(kind: Type) -> Any:
 def converter(kind: Type, overflow: Overflow = "wrap") -> Convert:
     """Return the function that converts a computed value for a field.
 
-    Whole numbers are rounded to; where something is not finite, they stay as they were. Texts are
-    cut. One number for an array goes into all of its elements.
+    Values are rounded for integer fields; a non-finite value leaves the old one. Texts are
+    truncated. One number for an array goes into all of its elements.
     """
     match kind:
         case Number() if kind.is_integer:
@@ -203,7 +203,7 @@ def converter(kind: Type, overflow: Overflow = "wrap") -> Convert:
 
 
 def _spread(new: Any, old: NDArray[Any]) -> NDArray[Any]:
-    """Return an array as it is, and a number as often as there are elements."""
+    """Return an array unchanged, or a number repeated for each element."""
     return new if isinstance(new, np.ndarray) else np.full(old.shape, new)
 
 
@@ -237,12 +237,12 @@ def _wholes(limits: Any, overflow: Overflow, value: Any, old: NDArray[Any]) -> N
 
 
 def difference(path: str, old: Any, new: Any) -> tuple[float, str]:
-    """Return by how much a field changed, and in words.
+    """Return the size of a field's change, and a description.
 
     Returns
     -------
     float
-        The largest change of a number; for what is no number 1 if it changed, else 0.
+        The largest change of a number; for other types 1 if it changed, else 0.
     str
         ``12 of 360 ranges`` for an array, ``altitude_m 1500.0 -> 1200.0`` for one value.
     """

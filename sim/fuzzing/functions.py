@@ -30,7 +30,7 @@ from sim.middleware.geometry import quaternion_yaw, wrap_angle
 
 EARTH_RADIUS_M = 6_371_008.8  # mean radius of the WGS 84 ellipsoid
 
-Floats = Any  # a float64 or an array of them: what comes in decides what goes out
+Floats = Any  # a float64 or an array of them; the result is of the same kind
 Types = Sequence[Type]
 
 
@@ -52,7 +52,7 @@ class Builtin:
     draws
         Whether ``evaluate`` gets a generator and a count (None for one value) before the arguments.
     work
-        How many elements it computes for one element of its value.
+        Number of elements that it computes for one element of its value.
     """
 
     usage: str
@@ -89,7 +89,7 @@ def bearing_deg(
     turn = np.radians(np.subtract(to_longitude, longitude))
     eastward = np.sin(turn) * np.cos(to_north)
     northward = np.cos(north) * np.sin(to_north) - np.sin(north) * np.cos(to_north) * np.cos(turn)
-    # The second remainder takes what rounds up to 360 back to 0.
+    # The second remainder turns a value that rounds up to 360 into 0.
     return np.remainder(np.remainder(np.degrees(np.arctan2(eastward, northward)), 360.0), 360.0)
 
 
@@ -120,7 +120,7 @@ def offset_lon(latitude: Floats, longitude: Floats, bearing: Floats, distance: F
 
 
 def ray_circle(bearing: Floats, x: Floats, y: Floats, radius: Floats) -> Floats:
-    """Return how far a ray from the origin goes until it meets a circle about (x, y).
+    """Return the distance from the origin along a ray to a circle around (x, y).
 
     Returns
     -------
@@ -133,7 +133,7 @@ def ray_circle(bearing: Floats, x: Floats, y: Floats, radius: Floats) -> Floats:
 
 @elementwise
 def _first_crossing(along: float, across: float, radius: float) -> float:
-    """Return where a line first meets a circle whose centre is so far along it and beside it."""
+    """Return where a line first meets a circle, given its centre along and beside the line."""
     half_chord_squared = radius * radius - across * across
     if not half_chord_squared >= 0.0:  # it passes by
         return math.inf
@@ -142,7 +142,7 @@ def _first_crossing(along: float, across: float, radius: float) -> float:
 
 
 def ray_segment(bearing: Floats, x1: Floats, y1: Floats, x2: Floats, y2: Floats) -> Floats:
-    """Return how far a ray from the origin goes until it meets a wall.
+    """Return the distance from the origin along a ray to a wall.
 
     Returns
     -------
@@ -183,8 +183,8 @@ def nearest(
 ) -> Mapping[str, Any] | None:
     """Return the row nearest to a position [deg], other than that of the key ``exclude``.
 
-    The rows have ``lat`` and ``lon`` [deg]. Of rows equally far the one with the first key counts;
-    None if no row has a position.
+    The rows have ``lat`` and ``lon`` [deg]. Of equally distant rows, the one with the first key is
+    returned; None if no row has a position.
     """
     keys = sorted(table.keys() - {strip_padding(exclude)})
     positions = np.array([(table[key]["lat"], table[key]["lon"]) for key in keys], np.float64)

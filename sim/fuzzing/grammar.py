@@ -1,6 +1,6 @@
 """The grammar of expressions: a closed list of nodes of Python's grammar.
 
-What the nodes mean, and whether types fit, is decided in ``sim.fuzzing.expressions``.
+``sim.fuzzing.expressions`` defines the meaning of the nodes and checks their types.
 """
 
 import ast
@@ -35,9 +35,9 @@ class ExpressionError(OracleError):
     """An expression, a function or a name is invalid; the text states where and what is wrong."""
 
 
-@functools.lru_cache(maxsize=1024)  # a function is looked at again for each of its calls
+@functools.lru_cache(maxsize=1024)  # a function is parsed again for each of its calls
 def parse(text: str) -> ast.expr:
-    """Return the tree of a text; what its names mean and whether types fit is left open.
+    """Return the tree of a text; names and types are not checked.
 
     The same text gives the same tree, which must not be changed.
 
@@ -57,7 +57,7 @@ def parse(text: str) -> ast.expr:
         )
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # what Python only frowns upon is refused
+            warnings.simplefilter("error")  # Python's warnings are errors here
             tree = ast.parse(text.strip(), mode="eval").body
     except SyntaxError as error:
         raise ExpressionError(
@@ -76,7 +76,7 @@ def parse(text: str) -> ast.expr:
 
 
 def _wrong_with(node: ast.AST) -> str | None:
-    """Return why a node is not of the language, or None."""
+    """Return why a node is not valid in the language, or None."""
     match node:
         case ast.Name(name) | ast.Attribute(attr=name) if name.startswith("_"):
             return f"{name!r} is private"
@@ -161,7 +161,7 @@ def error_at(text: str, node: ast.AST, what: str) -> ExpressionError:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Return names as messages list them."""
+    """Return names as a list for messages."""
     return ", ".join(names) or "none"
 
 

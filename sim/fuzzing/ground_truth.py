@@ -10,20 +10,20 @@ from oracle_pipeline.bags.types import GROUND_TRUTH_TYPE, message_class
 from sim.middleware.executor import SECOND
 from sim.middleware.stamps import time_message
 
-_BIN_NS = 5 * SECOND  # of the account of what was changed
+_BIN_NS = 5 * SECOND  # length of the bins in which changes are counted
 
 _GroundTruth = message_class(GROUND_TRUTH_TYPE)
 
 
 @dataclass(frozen=True, slots=True)
 class GroundTruth:
-    """What was done to one message, or by a timer."""
+    """The change of one message, or the action of a timer."""
 
     stamp_ns: int  # of the message's header, else when it was published
     topic: str
     index: int  # how many messages had been published on the topic before
     operation: str
-    magnitude: float  # the largest change, in the operation's own unit; 0 for nothing
+    magnitude: float  # the largest change, in the operation's own unit; 0 if there is none
     detail: str
 
     def message(self) -> Any:
@@ -39,7 +39,7 @@ class GroundTruth:
 
 
 def in_bins(changes: Iterable[tuple[int, float]], start_ns: int) -> tuple[Change, ...]:
-    """Return what was changed, in bins of five seconds from the start of the recording.
+    """Return the changes in bins of five seconds from the start of the recording.
 
     Parameters
     ----------

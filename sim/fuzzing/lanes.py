@@ -34,9 +34,9 @@ def compile_actions(
     topic
         ``main``, or the name of a further topic.
     context
-        What they are compiled against; it gathers their faults.
+        The context of compilation; it gathers their faults.
     numbers
-        As this function returned for the main topic; empty for the main topic itself.
+        Result of this function for the main topic; empty for the main topic itself.
     """
     actions, first = [], {}
     specs = context.scenario.document.get("transform", {}).get("actions", [])
@@ -45,7 +45,7 @@ def compile_actions(
             continue
         numbered = context
         if topic != MAIN:
-            alone = (place + 1) * _OF_AN_ACTION  # where nothing of it is done to the main topic
+            alone = (place + 1) * _OF_AN_ACTION  # if it does nothing on the main topic
             numbered = dataclasses.replace(context, numbers=Numbers(numbers.get(place, alone)))
         first[place] = numbered.numbers.upcoming
         with context.faults.gathered():
@@ -77,7 +77,7 @@ def with_further_topics(
     program
         That of the main topic.
     on_main
-        What operators on the main topic were compiled against.
+        The context in which operators on the main topic were compiled.
     numbers
         Of the actions on the main topic (`compile_actions`).
     """
@@ -113,7 +113,7 @@ def with_further_topics(
 
 
 def playback(parts: Sequence[Action]) -> int:
-    """Return how many messages have to be kept to be played back."""
+    """Return the number of messages to keep for playback."""
     operators = [operator for part in parts for operator in part.do]
     return max((o.messages for o in operators if isinstance(o, Playback)), default=0)
 

@@ -58,7 +58,7 @@ class ScenarioNode:
         self._execution = execution
         self._onset_ns: int | None = None
         self._timer: Timer | None = None
-        self._changes: list[tuple[int, float]] = []  # when, and how much at most
+        self._changes: list[tuple[int, float]] = []  # time and largest change
         self._latency_ns = 0 if program.is_in_place else latency_ns
         self._outputs: dict[str, Callable[[Any], None]] = {}
         self._diverted = {lane.output_topic for lane in program.lanes if lane.to}
@@ -73,14 +73,14 @@ class ScenarioNode:
         for topic, kind in program.outlets.items():
             if topic not in self._outputs:
                 self._outputs[topic] = self._publisher(topic, kind.name)
-        self._tell = self._publisher(GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE)
+        self._publish_truth = self._publisher(GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE)
         self._conditions = Conditions(domain, execution)
         for source, spec in program.sources.items():
-            self._hear(spec.topic, spec.type.name, functools.partial(self._on_source, source))
+            self._subscribe(spec.topic, spec.type.name, functools.partial(self._on_source, source))
         for number, lane in enumerate(program.lanes):
             if not program.is_in_place:
-                hear = functools.partial(self._on_message, number)
-                self._hear(lane.input_topic, lane.type.name, hear)
+                receive = functools.partial(self._on_message, number)
+                self._subscribe(lane.input_topic, lane.type.name, receive)
                 continue
             for publisher in domain.publishers(lane.input_topic):
                 if lane.to:
@@ -141,13 +141,13 @@ class ScenarioNode:
         self.begin(self._executor.now_ns)
 
     def changes(self, start_ns: int) -> tuple[Change, ...]:
-        """Return what was changed since ``start_ns``, in bins of five seconds from there."""
+        """Return the changes since ``start_ns``, in bins of five seconds from there."""
         return in_bins(self._changes, start_ns)
 
     def _publisher(self, topic: str, msgtype: str) -> Any:
         return self._domain.add_publisher(self._owner, msgtype, topic, qos.DEFAULT).publish
 
-    def _hear(self, topic: str, msgtype: str, callback: Any) -> None:
+    def _subscribe(self, topic: str, msgtype: str, callback: Any) -> None:
         self._domain.add_subscription(
             Subscription(
                 self._owner, topic, msgtype, qos.SENSOR_DATA, callback, False, self._latency_ns
@@ -166,13 +166,13 @@ class ScenarioNode:
 
     @property
     def _t_s(self) -> float:
-        """From the onset to then."""
+        """Time from the onset to that time."""
         if self._onset_ns is None:
             return -math.inf
         return (self._received_ns - self._onset_ns) / SECOND
 
     def _on_source(self, source: str, message: Any) -> None:
-        if source in self._execution.program.sources:  # it may have been switched to one with less
+        if source in self._execution.program.sources:  # after a switch, the scenario may have fewer
             self._execution.on_source(source, message, self._received_ns)
 
     def _on_message(self, number: int, message: Any) -> None:
@@ -201,9 +201,9 @@ class ScenarioNode:
         self._publish(self._execution.on_timer(self._received_ns, self._t_s))
 
     def _on_onset(self, conditions: Conditions) -> None:
-        if conditions is self._conditions:  # else it was switched to another scenario
+        if conditions is self._conditions:  # else the node was switched to another scenario
             for truth in conditions.apply():
-                self._told(truth)
+                self._report(truth)
 
     def _publish(self, result: Result, source: Publisher | None = None) -> None:
         for due_ns, message, topic in result.outputs:
@@ -215,11 +215,11 @@ class ScenarioNode:
             else:
                 send(message)
         if result.truth is not None:
-            self._told(result.truth)
+            self._report(result.truth)
 
-    def _told(self, truth: GroundTruth) -> None:
-        """Tell what was done, and keep it for the manifest."""
-        self._tell(truth.message())
+    def _report(self, truth: GroundTruth) -> None:
+        """Publish the ground truth, and keep it for the manifest."""
+        self._publish_truth(truth.message())
         if truth.magnitude > 0.0:
             self._changes.append((self._executor.now_ns, truth.magnitude))
 
@@ -241,7 +241,7 @@ def _check_topics(domain: Domain, program: Program) -> None:
             same = [name for name, kind in domain.topics.items() if kind == msgtype]
             raise program.scenario.error(
                 key,
-                f"expected a topic of type {msgtype} that is there ({', '.join(same) or 'none'}), "
+                f"expected an existing topic of type {msgtype} ({', '.join(same) or 'none'}), "
                 f"found {topic}",
             )
     for key, lane in zip(keys, program.lanes, strict=True):

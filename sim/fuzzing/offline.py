@@ -2,7 +2,7 @@
 
 The mutant is the bag with the output topic added, or in place of the one that was recorded, and
 with the scenario's own ground truth. All other topics keep their messages, stamps and QoS. A
-scenario that is pointed at a topic (``retargeting``) alters it in place.
+scenario that is retargeted to a topic (``retargeting``) alters it in place.
 """
 
 import dataclasses
@@ -40,13 +40,13 @@ class Summary:
     """A summary of the changes to a bag."""
 
     onset_s: float  # in seconds of the recording
-    received: int  # messages of the input topic while the node was there
-    touched: int  # those of them, and of the timer's ticks, that were altered
+    received: int  # messages of the input topic while the node existed
+    touched: int  # altered messages, including ticks of the timer
     published: int  # messages on the output topic
-    changes: tuple[Change, ...]  # what was changed, and when
+    changes: tuple[Change, ...]  # changes over time
     topics: Mapping[str, TopicCount]  # of the mutant
     content_hash: str  # of the mutant
-    losses: tuple[str, ...] = ()  # what of the bag could not be read
+    losses: tuple[str, ...] = ()  # parts of the bag that could not be read
 
 
 Track = Callable[[Iterable[RawMessage], int], Iterable[RawMessage]]
@@ -73,18 +73,18 @@ def mutate_bag(
     bag_in : Path
         A rosbag2 of either storage; it is only read.
     bag_out : Path
-        Where the mutant goes, in the same storage; must not exist.
+        Path of the mutant, in the same storage; must not exist.
     program : Program
-        What is done.
+        The program to apply.
     run_seed : int
-        The key of its draws, together with the scenario's seed.
+        Seed of its draws, together with the scenario's seed.
     at_s : float, optional
         Onset in seconds of the recording; by default that of the scenario, for which the bag
         may have to show when a goal was accepted.
     parameters : mapping, optional
         Values in place of those drawn by the seed, or of the defaults.
     track : callable, optional
-        Gets the bag's messages and their number, and gives them back one by one: a progress bar.
+        Takes the bag's messages and their number, and yields the messages: a progress bar.
     goals_s : sequence of float, optional
         When each goal was accepted, in seconds of the recording; by default as the bag shows.
 
@@ -121,7 +121,7 @@ def mutate_bag(
 
 
 class _Run:
-    """One bag on its way into another, in time order."""
+    """The conversion of one bag into another, in order of time."""
 
     def __init__(
         self, reader: BagReader, writer: BagWriter, execution: Execution, onset_ns: int
@@ -131,7 +131,7 @@ class _Run:
         self._execution = execution
         self._program = program = execution.program
         self._onset_ns = onset_ns
-        self._due: list[tuple[int, int, str, bytes]] = []  # what is still to be written
+        self._due: list[tuple[int, int, str, bytes]] = []  # messages still to be written
         self._order = itertools.count()
         self._decoded: set[str] = set()
         self._source_names: dict[str, list[str]] = {}
@@ -142,7 +142,7 @@ class _Run:
         self._beat_ns = next(self._beats) if self._beats else None
         self.received = 0
         self.touched = 0
-        self.changes: list[tuple[int, float]] = []  # when, and how much at most
+        self.changes: list[tuple[int, float]] = []  # time and largest change
         for topic in reader.topics.values():
             defined = reader.definition(topic.msgtype)
             writer.add_topic(topic.name, topic.msgtype, topic.qos, defined)
@@ -160,7 +160,7 @@ class _Run:
             self._writer.write(*raw)
         if raw.stamp_ns < self._onset_ns and self._program.activation.before == "absent":
             if self._program.is_in_place and raw.topic in self._lanes:
-                self._writer.write(*raw)  # by publisher, while it is not altered
+                self._writer.write(*raw)  # unaltered
             return
         for name in self._source_names.get(raw.topic, ()):
             self._execution.on_source(name, self._decode(raw), raw.stamp_ns)
@@ -172,11 +172,11 @@ class _Run:
             self._write_due(raw.stamp_ns)
 
     def finish(self) -> None:
-        """Write what is due until the end of the recording."""
+        """Write the messages that are due until the end of the recording."""
         self._advance(self._reader.end_ns)
 
     def _advance(self, now_ns: int) -> None:
-        """Run the timer, and write what is due, up to a time."""
+        """Run the timer, and write the messages that are due, up to a time."""
         while self._beats is not None and self._beat_ns is not None and self._beat_ns <= now_ns:
             self._write_due(self._beat_ns)
             result = self._execution.on_timer(self._beat_ns, self._t_s(self._beat_ns))
@@ -211,8 +211,9 @@ class _Run:
             msgtype = self._reader.topics[raw.topic].msgtype
             if not _is_alike(message, msgtype):
                 raise BagError(
-                    f"{self._reader.path} defines {msgtype} otherwise than we do, so {raw.topic} "
-                    "cannot be mutated; put its definition into oracle_pipeline/bags/msg."
+                    f"{self._reader.path} defines {msgtype} differently from the "
+                    f"built-in type, so {raw.topic} cannot be mutated; put its "
+                    "definition into oracle_pipeline/bags/msg."
                 )
         return message
 
@@ -221,7 +222,7 @@ class _Run:
 
 
 def _is_alike(message: Any, msgtype: str) -> bool:
-    """Tell whether a message decoded by the bag's definition has the built-in type's fields."""
+    """Return whether a message decoded by the bag's definition has the built-in type's fields."""
     theirs, ours = type(message), message_class(msgtype)
     if theirs is ours:
         return True

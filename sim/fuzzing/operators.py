@@ -1,4 +1,4 @@
-"""The operators of the scenario language by name, and how those of an action are compiled.
+"""The operators of the scenario language by name, and the compilation of an action's operators.
 
 An operator is compiled once against the message type and then called with each message's ``Step``.
 """
@@ -30,7 +30,7 @@ from sim.fuzzing.value_types import Boolean, Message
 
 @dataclass(frozen=True, slots=True)
 class ForEach:
-    """Do something to every message in an array of messages."""
+    """Apply operators to every message in an array of messages."""
 
     target: Target
     names: tuple[str, ...]
@@ -141,5 +141,5 @@ def _check_unchanged(
             raise context.scenario.error(
                 key,
                 f"expected a field that no operator above changes, {other} is changed there: "
-                "all read the original, so give it an action of its own with match: all",
+                "all read the original, so put it into a separate action with match: all",
             )

@@ -1,4 +1,4 @@
-"""Operators that decide what is published, when and how often."""
+"""Operators that decide which messages are published, when and how often."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class Drop:
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """Forward later, by a minute at most."""
+    """Forward later, by at most a minute."""
 
     seconds: Term
 
@@ -83,12 +83,12 @@ class Duplicate:
 
 
 class _Held(NamedTuple):
-    """The messages that are replayed, and since when."""
+    """The messages that are replayed, and the start of the replay."""
 
     messages: Sequence[Any]
-    oldest: int  # how many messages came before the first of them
-    first: int  # and before the one at which it began
-    last: int  # and before the latest
+    oldest: int  # number of messages before the first of them
+    first: int  # number of messages before the start
+    last: int  # number of messages before the latest
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from sim.fuzzing.scenario import Scenario
 from sim.fuzzing.step import Operator, Step, Term
+from sim.fuzzing.units import readings
 from sim.fuzzing.value_types import Boolean, Message, Number, Record, Text, Type, has_header
 
 
@@ -20,6 +21,7 @@ class Parameter:
     default: Any
     low: float | None
     high: float | None
+    unit: str = ""
 
     def checked(self, value: Any) -> Any:
         """Return a value converted to its type.
@@ -34,6 +36,7 @@ class Parameter:
                 kinds = int if self.type.is_integer else int | float
                 fits = isinstance(value, kinds) and not isinstance(value, bool)
                 what = "a whole number" if self.type.is_integer else "a number"
+                what += f" in {self.unit}" if self.unit else ""
             case Boolean():
                 fits, what = isinstance(value, bool), "true or false"
             case Text(max_len):
@@ -42,14 +45,35 @@ class Parameter:
             case _:
                 raise TypeError(self.type)
         if not fits:
-            raise ValueError(f"expected {what}, found {value!r}")
+            raise ValueError(f"expected {what}, found {value!r}{self._hint(value)}")
         if isinstance(self.type, Number):
-            low = -np.inf if self.low is None else self.low
-            high = np.inf if self.high is None else self.high
-            if not low <= value <= high:
-                raise ValueError(f"expected {low} to {high}, found {value}")
+            if not self._includes(value):
+                low, high = self._bounds
+                within = f"{low} to {high} {self.unit}".strip()
+                raise ValueError(f"expected {within}, found {value}{self._hint(value)}")
             return value if self.type.is_integer else float(value)
         return value
+
+    @property
+    def _bounds(self) -> tuple[float, float]:
+        return (
+            -np.inf if self.low is None else self.low,
+            np.inf if self.high is None else self.high,
+        )
+
+    def _includes(self, value: float) -> bool:
+        low, high = self._bounds
+        return low <= value <= high
+
+    def _hint(self, value: object) -> str:
+        """Return what a value is in the parameter's unit, if it was written in another one."""
+        if not isinstance(self.type, Number) or self.type.is_integer:
+            return ""
+        meant = readings(value, self.unit)
+        fitting = (
+            f"{words} is {n:.4g} {self.unit}".strip() for words, n in meant if self._includes(n)
+        )
+        return next((f" ({words})" for words in fitting), "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +83,7 @@ class Source:
     topic: str
     type: Message
     as_sent: Callable[[Any], Any]
-    let: tuple[tuple[str, Term], ...]  # what is kept of a message; nothing: the message itself
+    let: tuple[tuple[str, Term], ...]  # values kept of a message; empty: the message itself
     value: Record
     max_age_ns: int | None
     on_missing: Literal["forward", "drop"]
@@ -79,13 +103,13 @@ class Activation:
     """When a scenario acts."""
 
     after: Literal["start", "goal_accepted"] = "start"
-    goal: int = 1  # which one, counted from 1
+    goal: int = 1  # number of the goal, counted from 1
     seconds: float | tuple[float, float] = 0.0  # from then to the onset; two: drawn between them
     before: Literal["forward", "absent"] = "forward"  # absent: the node appears at the onset
     duration_s: float | None = None  # None: to the end
     messages: int | None = None  # number of messages that it acts on, including ticks of the timer
-    until_goal: int | None = None  # it ends when this one is accepted
-    probability: float = 1.0  # that a message is touched
+    until_goal: int | None = None  # number of the goal whose acceptance ends it
+    probability: float = 1.0  # probability that a message is altered
 
     def delay_s(self, run_seed: int) -> float:
         """Return the time to the onset, which runs of the same seed share."""
@@ -94,7 +118,7 @@ class Activation:
         return self.seconds
 
     def includes(self, t_s: float) -> bool:
-        """Tell whether the scenario acts so long after its onset."""
+        """Return whether the scenario acts at a time after its onset."""
         return t_s >= 0.0 and (self.duration_s is None or t_s < self.duration_s)
 
 
@@ -136,7 +160,7 @@ class Program:
 
     scenario: Scenario
     type: Message  # of the main topic
-    as_sent: Callable[[Any], Any]  # takes its messages as a recorder sees them
+    as_sent: Callable[[Any], Any]  # rounds a message as a recorder receives it
     input_topic: str
     output_topic: str
     further_outputs: dict[str, Message]  # topic -> type
@@ -145,7 +169,7 @@ class Program:
     activation: Activation
     cost: int  # elements computed for one message, at most
     constants: Mapping[str, Any]
-    state: Mapping[str, Any]  # what it begins with
+    state: Mapping[str, Any]  # initial values
     lifetimes_ns: Mapping[str, int]  # of the rows of tables
     always: Action | None
     actions: tuple[Action, ...]
@@ -154,10 +178,10 @@ class Program:
     timer: Action | None
     magnitude: Term | None
     outputs: int  # at most, for one message
-    memory: int  # how many messages are kept to be played back
+    memory: int  # number of messages kept for playback
     to: tuple[str, ...] = ()  # only these nodes receive what is altered; empty: all
     also: tuple["Program", ...] = ()  # one for each further topic that is altered together
-    within_ns: int = 0  # of a further topic: how far it may be behind the main one it belongs to
+    within_ns: int = 0  # of a further topic: largest delay after its main message
     node_parameters: tuple[ParameterChange, ...] = ()  # set from the onset to the end
 
     @property

@@ -16,9 +16,9 @@ _WORD = (1 << 64) - 1
 
 
 class _Key(ISeedSequence):
-    """A key as the seed that Philox takes; given as a key, it costs four times as long.
+    """A key in the form of a seed for Philox; passing it as a key takes four times as long.
 
-    NumPy then asks the operating system for a seed as well, and leaves it unused.
+    With a key, NumPy also requests a seed from the operating system, which is not used.
     """
 
     def __init__(self, *words: int) -> None:
@@ -36,7 +36,7 @@ class Draws:
     Parameters
     ----------
     run_seed, scenario_seed
-        Integers; 64 bits of each count.
+        Integers, of which 64 bits each are used.
     """
 
     run_seed: int

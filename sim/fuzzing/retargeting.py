@@ -1,4 +1,4 @@
-"""Points a scenario at topics other than those in its file, of the same types.
+"""Retargets a scenario to topics other than those in its file, of the same types.
 
 Its main topic is then altered in place: the altered message replaces the recorded one, as if the
 driver that publishes it were compromised.
@@ -22,7 +22,7 @@ def retargeted(
     Parameters
     ----------
     program : Program
-        What is done.
+        The program to retarget.
     topics : mapping of str to str
         Topics by their name in the scenario: `MAIN`, or the name of a source.
     allow_actuation : bool

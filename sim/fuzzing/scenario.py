@@ -32,7 +32,7 @@ SET_PARAMETERS = "set_parameters"  # of nodes
 MAX_BYTES = 2**18  # of a file
 MAX_DEPTH = 24  # of a document
 MAX_SCALAR = 4096  # characters
-MAX_FAULTS = 20  # that are reported of a scenario
+MAX_FAULTS = 20  # reported faults of a scenario
 
 _INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
@@ -62,14 +62,14 @@ class ScenarioError(OracleError):
 
     The place is ``file:line:column``, as compilers write it and editors read it.
 
-    Characters that a terminal would obey, or a log could not write, are shown by their codes.
+    Control characters are escaped.
 
     Parameters
     ----------
     text
-        What is wrong.
+        The faults.
     found
-        Each fault by the key that it is at, if it is at one.
+        Each fault by its key, if it has one.
     """
 
     def __init__(self, text: str, found: Sequence[tuple[Key, str]] = ()) -> None:
@@ -90,7 +90,7 @@ class Scenario:
     Parameters
     ----------
     file
-        Where it comes from.
+        Path of its file.
     document
         The content of the file, as JSON values.
     places
@@ -108,18 +108,18 @@ class Scenario:
 
     @property
     def title(self) -> str:
-        """What it does, in one line."""
+        """Its purpose, in one line."""
         return str(self.document.get("title", self.id))
 
     @property
     def label(self) -> Label:
-        """How its runs are labelled."""
+        """Label of its runs."""
         label: Label = self.document["label"]
         return label
 
     @property
     def seed(self) -> int:
-        """Its part of the key of all draws."""
+        """Its part of the seed of all draws."""
         return int(self.document.get("seed", 0))
 
     @property
@@ -130,7 +130,7 @@ class Scenario:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the document, whatever its layout."""
+        """SHA-256 of the document's content, independent of its formatting."""
         return hashlib.sha256(json.dumps(self.document, sort_keys=True).encode()).hexdigest()
 
     @property
@@ -147,7 +147,7 @@ class Scenario:
 
     @property
     def needs_simulator(self) -> bool:
-        """Whether no recording shows what it does: on links, to QoS or to parameters of nodes."""
+        """Whether recordings cannot show its changes: of links, QoS or parameters of nodes."""
         links = any("to" in each or "qos" in each for each in self._altered)
         return SET_PARAMETERS in self.document or links
 
@@ -196,12 +196,12 @@ def load_scenarios(path: Traversable) -> list[Scenario]:
     Parameters
     ----------
     path : Path or other Traversable
-        YAML, one scenario a document.
+        YAML, one scenario per document.
 
     Raises
     ------
     ScenarioError
-        Naming file, line and key, and what was expected there.
+        Naming file, line, key and expected value.
     """
     return parse_scenarios(read(path), str(path))
 
@@ -267,7 +267,7 @@ def _error(file: str, places: Mapping[Key, Place], key: Key, text: str) -> Scena
 
 
 def _dotted(key: Key) -> str:
-    """Return a key as people write it: ``transform.actions[0].do``."""
+    """Return a key as text: ``transform.actions[0].do``."""
     parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in key)
     return "".join(parts).removeprefix(".") or "(scenario)"
 
@@ -295,7 +295,7 @@ def documents(text: str, file: str) -> Iterator[tuple[Any, dict[Key, Place]]]:
 
 
 class _Builder:
-    """One document as its events come."""
+    """Builds one document from its events."""
 
     def __init__(self, file: str) -> None:
         self.root: Any = None
@@ -386,14 +386,14 @@ class _Builder:
         return _error(self._file, self.places, key, text)
 
 
-# JSON Schema: its findings in words.
+# JSON Schema: its faults as text.
 
 
 def structure_faults(document: Any, places: Mapping[Key, Place], file: str) -> list[ScenarioError]:
-    """Return what is wrong with the structure of a document, by place."""
+    """Return the faults in the structure of a document."""
     found = sorted(
         json_schema.faults(document, schema()),
         key=lambda error: (len(error.absolute_path), places[tuple(error.absolute_path)]),
     )
-    told = (_error(file, places, *words) for error in found for words in in_words(error))
-    return list({str(error): error for error in told}.values())[:MAX_FAULTS]
+    errors = (_error(file, places, *words) for error in found for words in in_words(error))
+    return list({str(error): error for error in errors}.values())[:MAX_FAULTS]

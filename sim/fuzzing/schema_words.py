@@ -1,4 +1,4 @@
-"""The JSON Schema of a scenario, and its errors in words."""
+"""The JSON Schema of a scenario, and its errors as text."""
 
 import difflib
 import functools
@@ -19,7 +19,7 @@ def schema() -> dict[str, Any]:
 
 
 def in_words(error: jsonschema.ValidationError) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    """Yield the place of each error, and what was expected there."""
+    """Yield the place of each error, and the expected value."""
     key: tuple[str | int, ...] = tuple(error.absolute_path)
     rule, value = error.validator, cast(Any, error.validator_value)
     instance, rules = cast(Any, error.instance), cast(dict[str, Any], error.schema)
@@ -84,7 +84,7 @@ _PATTERNS = {
 
 
 def _types(rules: dict[str, Any]) -> list[str]:
-    """Return the types that a rule allows, if it says so directly."""
+    """Return the types that a rule allows, if it lists them directly."""
     types = rules.get("type", [])
     return [types] if isinstance(types, str) else types
 
@@ -96,7 +96,7 @@ def _meant(found: Any, known: Sequence[Any]) -> str:
 
 
 def _unquoted(value: Any) -> str:
-    """Return a hint where YAML takes a part of an expression for a key without a value."""
+    """Return a hint if YAML reads a part of an expression as a key without a value."""
     return " (an expression with a comma needs quotes)" if value is None else ""
 
 

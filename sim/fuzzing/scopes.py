@@ -17,7 +17,7 @@ from sim.fuzzing.grammar import (
 )
 from sim.fuzzing.value_types import Boolean, Number, Type
 
-DRAWS = "rng"  # where an environment keeps the generators of the random built-ins
+DRAWS = "rng"  # name of the random generators in an environment
 
 _RESERVED = frozenset({DRAWS, FUNCTIONS, *BUILTINS, *CONSTANTS})
 
@@ -29,7 +29,7 @@ class Function:
     Raises
     ------
     ExpressionError
-        If the text is no expression of the language, draws, or a parameter has a bad name.
+        If the text is not an expression, draws random numbers, or a parameter has a bad name.
     """
 
     params: tuple[str, ...]
@@ -49,23 +49,23 @@ class Function:
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """What an expression may name.
+    """The names that an expression may use.
 
     Parameters
     ----------
     names
-        What everything sees, functions too: ``msg``, ``p``, ``c``, ``state``, ``src``, ``t`` ...
+        Names for everything, functions too: ``msg``, ``p``, ``c``, ``state``, ``src``, ``t`` ...
     functions
-        What may be called as ``fn.<name>(...)``.
+        Functions that may be called as ``fn.<name>(...)``.
     locals
-        What only the expression itself sees: loop variables and ``let``.
+        Names for this expression only: loop variables and ``let``.
     vectors
         Those of the locals (numbers or booleans) that hold one value per element, as arrays.
 
     Raises
     ------
     ExpressionError
-        If a name is reserved, private or given twice, or if functions call each other in a ring.
+        If a name is reserved, private or given twice, or if functions call each other recursively.
     """
 
     names: Mapping[str, Type]

@@ -1,4 +1,4 @@
-"""Operators that keep something until other messages come."""
+"""Operators that store values for later messages."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ STORED_NS = "_stored_ns"  # when a row of a table was stored; expressions cannot
 
 @dataclass(frozen=True, slots=True)
 class Store:
-    """Keep a value until other messages come."""
+    """Store a value for later messages."""
 
     into: str
     convert: Convert
@@ -45,7 +45,7 @@ class Store:
 
 @dataclass(frozen=True, slots=True)
 class StoreRow:
-    """Keep a row of a table; where the table is full, the row that was stored first makes room."""
+    """Store a row of a table; in a full table, it replaces the oldest row."""
 
     into: str
     max_size: int
@@ -94,7 +94,7 @@ class StoreRow:
 
 
 def compile_store(spec: Spec, key: Key, context: CompileContext) -> Operator:
-    """Check and compile what is kept of a message: a value, or a row of a table."""
+    """Check and compile the storage of a value, or of a row of a table."""
     kind = context.state.fields.get(spec["into"])
     if kind is None:
         known = ", ".join(context.state.fields) or "none"

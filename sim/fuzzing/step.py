@@ -12,9 +12,9 @@ from sim.fuzzing.random import Draws
 from sim.fuzzing.scopes import DRAWS
 from sim.fuzzing.value_types import Type
 
-ACTIVATION = 0  # the operation whose draw decides whether a message is touched
+ACTIVATION = 0  # the operation whose draw decides whether a message is altered
 
-_BRANCH = 1 << 32  # the operations of one round of a loop, apart from those of the next
+_BRANCH = 1 << 32  # distance between the operation numbers of two rounds of a loop
 
 
 @dataclass(slots=True)
@@ -22,15 +22,15 @@ class Step:
     """One message, or one tick of a timer, that a scenario processes."""
 
     stamp_ns: int  # when it was published
-    received: int  # how many messages came before
+    received: int  # number of messages before
     index: int  # number that determines its draws
     draws: Draws
     env: dict[str, Any]  # the values of names
-    header: Any  # for messages that are made; None if the type has none
+    header: Any  # for new messages; None if the type has none
     recent: Sequence[Any]  # the last messages, including this one
     memory: dict[int, Any]  # of operators, from message to message
-    original: Any = None  # the message, or element, as the action found it
-    message: Any = None  # as far as it is changed
+    original: Any = None  # the message, or element, before the action
+    message: Any = None  # with the changes so far
     dropped: bool = False
     delay_s: float = 0.0
     copies: int = 1
@@ -52,7 +52,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """An expression in its place, with draws of its own."""
+    """An expression in its place, with independent draws."""
 
     expression: Expression
     number: int

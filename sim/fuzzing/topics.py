@@ -1,4 +1,4 @@
-"""The topics of a scenario: of which types they are, and which may not be published on."""
+"""The topics of a scenario: their types, and those that must not be published on."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -75,7 +75,7 @@ def _check_altered(
                 raise scenario.error(key, "expected another name: main is the main topic")
             if spec["input"] in inputs:
                 raise scenario.error(
-                    (*key, "input"), f"expected a topic of its own, found {spec['input']} again"
+                    (*key, "input"), f"expected a different topic, found {spec['input']} again"
                 )
             if _is_in_place(spec) != _is_in_place(main):
                 raise scenario.error(
@@ -91,7 +91,7 @@ def _check_altered(
                 raise scenario.error(
                     (*key, "qos"),
                     f"expected the output to be the input, {spec['input']}: what a publisher "
-                    "offers can be changed only where no node stands between",
+                    "offers can be changed only without a node in between",
                 )
         inputs.append(spec["input"])
 

@@ -1,7 +1,7 @@
 """Operators that change the values in a message, one class each.
 
-Values are read from the message as the action found it, whatever the operators before have
-changed; changes go into a copy, so the original message does not change. Operators record their
+Values are read from the message before the action, without the changes of earlier operators;
+changes go into a copy, so the original message does not change. Operators record their
 changes in the step, for the ground truth.
 """
 

@@ -1,4 +1,4 @@
-"""The value types of the scenario language; nothing else ever reaches an expression.
+"""The value types of the scenario language; expressions have no others.
 
 At run time a ``Number`` is a number of Python or NumPy or an array with one number per element,
 a ``Boolean`` likewise, a ``Text`` a string, a ``Record`` a mapping, a ``Message`` a message
@@ -15,7 +15,7 @@ from rosbags.interfaces import Nodetype
 
 from oracle_pipeline.bags.types import message_class, typestore
 
-MAX_TEXT = 256  # characters of a string that gives no bound of its own
+MAX_TEXT = 256  # characters of a string without a bound
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class Number:
 
     @property
     def missing(self) -> int | float:
-        """What a number reads as that is not there."""
+        """Value of a missing number."""
         return 0 if self.is_integer else float("nan")
 
 
@@ -54,7 +54,7 @@ class Boolean:
 
     @property
     def missing(self) -> bool:
-        """What a boolean reads as that is not there."""
+        """Value of a missing boolean."""
         return False
 
 
@@ -69,7 +69,7 @@ class Text:
 
     @property
     def missing(self) -> str:
-        """What a string reads as that is not there."""
+        """Value of a missing string."""
         return ""
 
 
@@ -96,7 +96,7 @@ class Array:
 
     @property
     def missing(self) -> Any:
-        """What an array reads as that is not there."""
+        """Value of a missing array."""
         length = self.bound if self.fixed and self.bound is not None else 0
         values = [self.element.missing] * length
         if isinstance(self.element, Number | Boolean):
@@ -116,7 +116,7 @@ class Record:
 
     @property
     def missing(self) -> Any:
-        """What a record reads as that is not there: every field missing."""
+        """Value of a missing record: every field is missing."""
         return {name: kind.missing for name, kind in self.fields.items()}
 
 
@@ -202,7 +202,7 @@ def strip_padding(text: str) -> str:
 
 
 def listable(kind: Type) -> Type | None:
-    """Return what a value of a type is as an element of a list, or None."""
+    """Return the type of a value as an element of a list, or None."""
     match kind:
         case Number():
             return FLOAT
@@ -213,6 +213,6 @@ def listable(kind: Type) -> Type | None:
 
 
 def has_header(kind: Message) -> bool:
-    """Tell whether messages of a type carry a stamp."""
+    """Return whether messages of a type carry a stamp."""
     header = kind.fields.get("header")
     return isinstance(header, Message) and header.name == "std_msgs/msg/Header"

@@ -35,7 +35,7 @@ class Status(enum.IntEnum):
 
     @property
     def is_terminal(self) -> bool:
-        """Tell whether the goal has ended."""
+        """Return whether the goal has ended."""
         return self >= Status.SUCCEEDED
 
 
@@ -54,7 +54,7 @@ class GoalHandle:
 
     @property
     def is_active(self) -> bool:
-        """Tell whether the goal still runs."""
+        """Return whether the goal still runs."""
         return not self.status.is_terminal
 
     def publish_feedback(self, feedback: Any) -> None:
@@ -75,11 +75,11 @@ class GoalHandle:
         self._end(Status.ABORTED, result)
 
     def canceled(self, result: Any = None) -> None:
-        """End because a client asked to stop."""
+        """End because a client requested it."""
         self._end(Status.CANCELED, result)
 
     def cancel(self) -> None:
-        """Ask the server to stop; the client's side of the handle."""
+        """Request the server to stop; the client's side of the handle."""
         if self.status is Status.ACCEPTED:  # not started, so there is nothing to stop
             self.canceled()
         elif self.status is Status.EXECUTING:
@@ -118,7 +118,7 @@ class ActionServer:
         Called with the handle of each new goal, when it is executing. A server that runs one
         goal at a time ends the one before itself.
     on_cancel
-        Called when a client asks to stop; calls ``handle.canceled()``, now or later.
+        Called when a client requests to stop; calls ``handle.canceled()``, now or later.
         A server with a loop needs none: it reads the handle's status.
     """
 
@@ -159,7 +159,7 @@ class ActionServer:
 
     @property
     def feedback_is_received(self) -> bool:
-        """Tell whether a subscriber uses the hidden feedback topic."""
+        """Return whether a subscriber uses the hidden feedback topic."""
         return self._feedback.has_receiver()
 
     def publish_feedback(self, handle: GoalHandle, feedback: Any) -> None:
@@ -187,7 +187,7 @@ class ActionServer:
 
     @staticmethod
     def _direct(_request: Any) -> None:
-        """Answer a hidden service; it only exists in the graph, because goals use ``accept``."""
+        """Reject a call: the hidden service exists only in the graph, as goals use ``accept``."""
 
 
 class ActionClient:

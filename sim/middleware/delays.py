@@ -1,4 +1,4 @@
-"""When messages reach a node's callbacks on a computer that does other work as well."""
+"""Arrival times of messages at a node's callbacks on a computer with other load."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ import numpy as np
 
 from sim.middleware.executor import MILLISECOND
 
-TIME_SLICE_MS = 10.0  # at most, until a process that was put aside runs again
+TIME_SLICE_MS = 10.0  # at most, until a preempted process runs again
 _AT_ONCE = 256  # draws
 
 
@@ -15,7 +15,7 @@ _AT_ONCE = 256  # draws
 class Load:
     """Distribution of the delays of deliveries."""
 
-    jitter_ms: float = 0.0  # mean of an exponentially distributed delay of the transport
+    jitter_ms: float = 0.0  # mean of the transport's exponentially distributed delay
     processor: float = 0.0  # share of the time in which another process has the processor
 
 

@@ -42,7 +42,7 @@ class ActionEndpoint:
 
 
 class Offer(NamedTuple):
-    """A service or an action: what it is, which node offers it, and which ask for it."""
+    """A service or an action: its name and type, the node that offers it, and its clients."""
 
     name: str
     type: str
@@ -58,7 +58,7 @@ class Domain:
     executor
         Simulated time.
     delays
-        What is added to the latency of a node, by its name; None: nothing. A node without latency
+        Delays added to the latency of a node, by its name; None: nothing. A node without latency
         receives everything at once.
     """
 
@@ -67,7 +67,7 @@ class Domain:
     ) -> None:
         self.executor = executor
         self._delays = functools.cache(delays)  # all subscriptions of a node share them
-        self.revision = 0  # counts publishers: who looks for new ones need not look when it stands
+        self.revision = 0  # counts publishers: unchanged if there is no new one
         self.topics: dict[str, str] = {}  # name -> message type, in order of appearance
         self.parameters: dict[tuple[str, str], NodeParameter] = {}  # by node and name
         self._publishers: dict[str, list[Publisher]] = {}  # by topic
@@ -83,7 +83,7 @@ class Domain:
     def add_node(self, name: str) -> None:
         """Register a node by its full name."""
         if name in self._nodes:
-            raise ValueError(f"node {name} is in the graph already; give this one another name")
+            raise ValueError(f"node {name} exists already; choose another name")
         self._nodes[name] = None
 
     def add_publisher(self, node: str, msgtype: str, topic: str, qos: Qos) -> Publisher:
@@ -131,14 +131,14 @@ class Domain:
         self.parameters[parameter.node, parameter.name] = parameter
 
     def service(self, name: str) -> Service:
-        """Return a service that is up."""
+        """Return an existing service."""
         try:
             return self._services[name]
         except KeyError:
             raise LookupError(f"no node offers the service {name}") from None
 
     def action_server(self, name: str) -> Any:
-        """Return the server of an action that is up."""
+        """Return the server of an existing action."""
         try:
             return self._action_servers[name].server
         except KeyError:
@@ -186,7 +186,7 @@ class Domain:
         return {a.name: a.action_type for a in self._action_servers.values() if a.node == node}
 
     def action_clients_of(self, node: str) -> dict[str, str]:
-        """Return action -> type of what a node asks for."""
+        """Return action -> type of what a node requests."""
         return {name: kind for owner, name, kind in self._action_clients if owner == node}
 
     def services(self) -> Iterator[Offer]:

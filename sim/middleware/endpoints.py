@@ -51,9 +51,9 @@ class Subscription:
     msgtype: str
     qos: Qos
     callback: Callable[[Any], None] | None
-    raw: bool  # the callback takes CDR bytes, in the instant they are sent
+    raw: bool  # the callback takes CDR bytes, at the moment of sending
     latency_ns: int
-    delays: Delays | None = None  # what is added to the latency
+    delays: Delays | None = None  # added to the latency
     # Publishers, and what each had sent before it was connected: traffic is counted once, there.
     links: list[tuple["Publisher", int, int]] = field(default_factory=list)
 
@@ -84,7 +84,7 @@ class _Listener(NamedTuple):
 
     latency_ns: int
     delays: Delays | None
-    hear: Callable[[Any], None]  # takes a message
+    receive: Callable[[Any], None]  # takes a message
     deliver: Callable[[Sample], None]
 
 
@@ -103,7 +103,7 @@ class Publisher:
     message_bytes: int = (
         0  # sent while a recorder was connected; without one, nothing need be serialised
     )
-    # Takes what is published, and sends what it likes instead; the graph does not show it.
+    # Gets published messages, and sends others in their place; the graph does not show it.
     alter: Callable[[Sample], None] | None = None
     _recorders: list[Callable[[bytes], None]] = field(default_factory=list)
     _listeners: list["_Listener"] = field(default_factory=list)
@@ -131,9 +131,9 @@ class Publisher:
         if self.retained is not None:
             self.retained.append(Sample(self.msgtype, message, data))
         now_ns, call_at = self.executor.now_ns, self.executor.call_at
-        for latency_ns, delays, hear, _ in self._listeners:
+        for latency_ns, delays, receive, _ in self._listeners:
             due_ns = now_ns + latency_ns if delays is None else delays.due_ns(now_ns, latency_ns)
-            call_at(due_ns, hear, message)
+            call_at(due_ns, receive, message)
         if self._links is not None:
             self._links.alter(Sample(self.msgtype, message, data))
 
@@ -148,15 +148,15 @@ class Publisher:
             for record in self._recorders:
                 record(data)
         if self._listeners or self.retained is not None:
-            self._hand_on(Sample(self.msgtype, data=data))
+            self._forward(Sample(self.msgtype, data=data))
         if self._links is not None:
             self._links.alter(Sample(self.msgtype, data=data))
 
     def divert(self, nodes: Collection[str], alter: Callable[[Sample], None]) -> None:
-        """Let some nodes receive only what ``alter`` sends them, by `send_diverted`.
+        """Send some nodes only the messages from ``alter``, by `send_diverted`.
 
-        All others receive what is published, and the graph and its traffic do not change. A
-        transport acts like this that delays, loses or alters samples on the way to one reader.
+        All others receive the published messages, and the graph and its traffic do not change. It
+        models a transport that delays, loses or alters samples on the way to one reader.
         """
         self._links = _Links(frozenset(nodes), alter)
         subscriptions, self._listeners = self.subscriptions, []
@@ -168,11 +168,11 @@ class Publisher:
         if self._links is None:
             raise ValueError(f"no subscriber of {self.topic} is diverted; call divert first")
         now_ns, call_at = self.executor.now_ns, self.executor.call_at
-        for latency_ns, delays, hear, _ in self._links.listeners:
+        for latency_ns, delays, receive, _ in self._links.listeners:
             due_ns = now_ns + latency_ns if delays is None else delays.due_ns(now_ns, latency_ns)
-            call_at(due_ns, hear, message)
+            call_at(due_ns, receive, message)
 
-    def _hand_on(self, sample: Sample) -> None:
+    def _forward(self, sample: Sample) -> None:
         if self.retained is not None:
             self.retained.append(sample)
         now_ns, call_at = self.executor.now_ns, self.executor.call_at
@@ -181,7 +181,7 @@ class Publisher:
             call_at(due_ns, deliver, sample)
 
     def offer(self, qos: Qos) -> list[str]:
-        """Offer another profile, as a publisher that is restarted; return who receives nothing now.
+        """Offer another profile, like a restarted publisher; return nodes that receive nothing now.
 
         Taps, and subscriptions that take raw bytes, adapt to any offer, as rosbag2 does.
         """
@@ -193,13 +193,13 @@ class Publisher:
         self._listeners.clear()
         if self._links is not None:
             self._links.listeners.clear()
-        deaf = []
+        cut_off = []
         for subscription in self.subscriptions:
             if compatible(qos, subscription.qos):
                 self._listen(subscription)
             elif subscription.callback is not None and not subscription.raw:
-                deaf.append(subscription.node)
-        return deaf
+                cut_off.append(subscription.node)
+        return cut_off
 
     def tap(self, callback: Callable[[bytes], None]) -> None:
         """Pass the bytes of each message to a function, beginning with those kept for late joiners.
@@ -211,11 +211,11 @@ class Publisher:
             callback(sample.data)
 
     def has_subscribers(self) -> bool:
-        """Tell whether a sample would reach anyone (Nav2 skips costly messages otherwise)."""
+        """Return whether there is a subscription (Nav2 skips costly messages without one)."""
         return bool(self.subscriptions)
 
     def has_receiver(self) -> bool:
-        """Tell whether any subscriber has a callback for a sample."""
+        """Return whether any subscriber has a callback for a sample."""
         return bool(self._recorders or self._listeners or self._links)
 
     def connect(self, subscription: Subscription) -> None:
@@ -251,7 +251,7 @@ class Publisher:
 
 @dataclass(frozen=True, slots=True)
 class _Links:
-    """The links of a publisher to nodes that receive something else than it publishes."""
+    """The links of a publisher to nodes that receive altered messages."""
 
     nodes: frozenset[str]
     alter: Callable[[Sample], None]

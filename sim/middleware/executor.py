@@ -1,7 +1,7 @@
 """Simulated time, and the order of events in it.
 
-Callbacks that are due at the same time run in the order in which they were scheduled. Nothing else
-has an influence, so a run depends on its inputs only.
+Callbacks that are due at the same time run in the order in which they were scheduled. So a
+run depends on its inputs only.
 """
 
 import heapq

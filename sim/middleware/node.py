@@ -106,7 +106,7 @@ class Node:
     def rng(self) -> np.random.Generator:
         """The node's own generator."""
         if self._rng is None:
-            raise ValueError(f"{self.name} draws at random but was made without a generator")
+            raise ValueError(f"{self.name} draws random numbers but has no generator")
         return self._rng
 
     def create_publisher(self, msgtype: str, topic: str, qos: Qos = profiles.DEFAULT) -> Publisher:
@@ -122,9 +122,9 @@ class Node:
         *,
         raw: bool = False,
     ) -> Subscription:
-        """Subscribe to a topic; without a callback the endpoint exists, but nothing is done.
+        """Subscribe to a topic; without a callback the endpoint only exists.
 
-        With ``raw`` the callback gets CDR bytes instead of a message object, in the instant they
+        With ``raw`` the callback gets CDR bytes instead of a message object, when they
         are sent; it must not publish.
         """
         subscription = Subscription(self.name, topic, msgtype, qos, callback, raw, self.latency_ns)
@@ -204,4 +204,4 @@ class Client:
 
 
 def _no_parameters(_request: Any) -> None:
-    """Answer a parameter service with nothing: nodes here are configured when they are made."""
+    """Return an empty answer: nodes here are configured when they are created."""

@@ -53,8 +53,8 @@ class NodeParameter:
         self.value = self.checked(value)
         self.changed(self.value)
         stamp = time_message(self.events.executor.now_ns)
-        told = _Parameter(self.name, _value(self.value))
-        self.events.publish(_Event(stamp, self.node, [], [told], []))
+        reported = _Parameter(self.name, _value(self.value))
+        self.events.publish(_Event(stamp, self.node, [], [reported], []))
 
 
 def _value(number: float) -> object:

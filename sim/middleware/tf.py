@@ -32,7 +32,7 @@ _TF_STATIC_QOS = qos.profile(100, latched=True)
 
 
 class TransformError(LookupError):
-    """A transform is unknown, or it is not known at that time."""
+    """A transform is unknown, or unknown at that time."""
 
 
 @dataclass(slots=True)
@@ -52,7 +52,7 @@ class _Link:
             index = bisect_right(self.times, time_ns)
             self.times.insert(index, time_ns)
             self.poses.insert(index, pose)
-        if len(self.times) > 1024 or self.static:  # trimmed seldom: deleting costs the length
+        if len(self.times) > 1024 or self.static:  # trimmed rarely, as deleting takes linear time
             keep = bisect_right(self.times, self.times[-1] - CACHE_NS) if not self.static else -1
             del self.times[:keep], self.poses[:keep]
 
@@ -153,7 +153,7 @@ class TransformBuffer:
 
 
 class TransformListener(Node):
-    """The node that tf2 makes when it is given none; it fills a buffer.
+    """The node that tf2 creates for a listener without one; it fills a buffer.
 
     Listeners that share a buffer receive the same messages, so only the first of them fills it.
     """

@@ -61,7 +61,7 @@ class Amcl(LifecycleNode):
     transforms
         Buffer to share with other listeners; its own if omitted.
     latency_ns
-        From a scan's publication to its arrival here.
+        From a scan's publication to its arrival.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class Amcl(LifecycleNode):
             qos.SYSTEM_SUBSCRIPTION,
         )
 
-    # -- what comes in ---------------------------------------------------------------------
+    # -- input -----------------------------------------------------------------------------
 
     def _on_map(self, message: Any) -> None:
         meta = message.info
@@ -149,7 +149,7 @@ class Amcl(LifecycleNode):
             self._update(self._field, self._filter, scan, odom, laser)
         self._send_transform(time_ns)
 
-    # -- what goes out ---------------------------------------------------------------------
+    # -- output ----------------------------------------------------------------------------
 
     def _update(
         self,
@@ -202,7 +202,7 @@ class Amcl(LifecycleNode):
 
 
 def _has_moved(before: Pose2D, after: Pose2D) -> bool:
-    """Tell whether the robot moved enough for an update; each axis is tested separately."""
+    """Return whether the robot moved enough for an update; each axis is tested separately."""
     return (
         abs(after.x - before.x) > UPDATE_MIN_D
         or abs(after.y - before.y) > UPDATE_MIN_D

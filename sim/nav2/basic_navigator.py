@@ -56,7 +56,7 @@ class GoalResult:
 
     goal: Pose2D  # in the map
     accepted_ns: int
-    ended_ns: int | None = None  # None while it is under way
+    ended_ns: int | None = None  # None while it is active
     outcome: Outcome | None = None
     number_of_recoveries: int = 0
 
@@ -98,7 +98,7 @@ class BasicNavigator(Node):
         """Publish the robot's pose in the map once a second, until AMCL answers."""
         self._localized = False
 
-        def tell() -> None:
+        def publish() -> None:
             if self._localized:
                 timer.cancel()
                 return
@@ -109,7 +109,7 @@ class BasicNavigator(Node):
                 )
             )
 
-        timer: Timer = self.create_timer(SECOND, tell, phase_ns=0)
+        timer: Timer = self.create_timer(SECOND, publish, phase_ns=0)
 
     def follow(
         self,

@@ -77,7 +77,7 @@ class Surroundings:
             return None
 
     def is_free(self, pose: Pose2D) -> bool:
-        """Tell whether the robot's outline at ``pose`` touches no obstacle and no unknown space."""
+        """Return whether the robot's outline at ``pose`` touches no obstacle or unknown space."""
         return self._grid is not None and footprint_cost(self._grid, pose) < LETHAL
 
 
@@ -109,7 +109,7 @@ class Behavior(ABC):
 
     @abstractmethod
     def start(self, goal: Any, pose: Pose2D) -> bool:
-        """Begin at ``pose`` (odometry frame); False if the goal cannot be done."""
+        """Begin at ``pose`` (odometry frame); False if the goal cannot be carried out."""
 
     @abstractmethod
     def step(self, pose: Pose2D) -> Step:
@@ -121,7 +121,7 @@ class Behavior(ABC):
         self._deadline_ns = self.node.now_ns + allowance_ns if allowance_ns else None
 
     def is_overdue(self) -> bool:
-        """Tell whether the time allowance is used up, and log it."""
+        """Return whether the time allowance is used up, and log it."""
         if self._deadline_ns is None or self.node.now_ns <= self._deadline_ns:
             return False
         self.node.warn(f"Exceeded time allowance before reaching the {self.action} goal")
@@ -274,12 +274,12 @@ class Wait(Behavior):
     name = "wait"
     action = "Wait"
 
-    def start(self, goal: Any, pose: Pose2D) -> bool:  # noqa: ARG002 -- wherever it is
+    def start(self, goal: Any, pose: Pose2D) -> bool:  # noqa: ARG002 -- independent of the pose
         """Begin to wait."""
         self._until_ns = self.node.now_ns + stamp_ns(goal.time)
         return True
 
-    def step(self, pose: Pose2D) -> Step:  # noqa: ARG002 -- wherever it is
+    def step(self, pose: Pose2D) -> Step:  # noqa: ARG002 -- independent of the pose
         """Compare the clock with the end of the wait."""
         left_ns = self._until_ns - self.node.now_ns
         feedback = _WaitFeedback(duration_message(max(0, left_ns)))
@@ -352,5 +352,5 @@ class BehaviorServer(LifecycleNode):
 
 
 def _look_ahead() -> list[float]:
-    """Return the times at which a behaviour looks for obstacles [s]."""
+    """Return the times at which a behaviour checks for obstacles [s]."""
     return [cycle / CYCLE_HZ for cycle in range(int(CYCLE_HZ * LOOK_AHEAD_S))]

@@ -100,7 +100,7 @@ class SequenceNode(ControlNode):
         self._current = 0
 
     def tick(self) -> Status:
-        """Go on with the child whose turn it is."""
+        """Continue with the current child."""
         self.set_status(Status.RUNNING)
         while self._current < len(self.children):
             status = self.children[self._current].execute()
@@ -206,7 +206,7 @@ class ReactiveFallback(ControlNode):
     """Ticks its children from the first on in every tick until one does not fail."""
 
     def tick(self) -> Status:
-        """Look for a child that succeeds or runs."""
+        """Find a child that succeeds or runs."""
         for child in self.children:
             status = child.execute()
             if status is Status.RUNNING:
@@ -218,7 +218,7 @@ class ReactiveFallback(ControlNode):
 
 
 class RoundRobin(ControlNode):
-    """Ticks one child until it ends, and the next one when asked again.
+    """Ticks one child until it ends, and the next one in a later tick.
 
     It keeps its position after a success, so the next failure leads to the next recovery.
     """
@@ -229,7 +229,7 @@ class RoundRobin(ControlNode):
         self._failed = 0
 
     def tick(self) -> Status:
-        """Go on with the child whose turn it is, past those that fail."""
+        """Continue with the current child, and skip those that fail."""
         self.set_status(Status.RUNNING)
         while self._failed < len(self.children):
             status = self.children[self._current].execute()
@@ -263,7 +263,7 @@ class RateController(ControlNode):
     now_ns
         The clock.
     wake_at
-        Asks for a tick of the tree at a time [ns].
+        Requests a tick of the tree at a time [ns].
     """
 
     def __init__(

@@ -31,7 +31,7 @@ class ServiceNode(TreeNode):
     on_start
         Called with every request.
     wake
-        Asks for a tick of the tree, as soon as there is an answer.
+        Requests a tick of the tree, as soon as there is an answer.
     """
 
     def __init__(
@@ -69,10 +69,10 @@ class ActionNode(TreeNode):
     name, client
         Name in the log, and the client of the action.
     make_goal
-        Called for the goal at the start, and in every tick after that: another object than
-        before is sent as a new goal, in place of the running one.
+        Called for the goal at the start, and in every later tick: a new object is sent as a new
+        goal, in place of the running one.
     wake
-        Asks for a tick of the tree, as soon as there is a result.
+        Requests a tick of the tree, as soon as there is a result.
     on_start
         Called when the action starts.
     on_success

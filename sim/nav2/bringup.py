@@ -49,7 +49,7 @@ class Nav2:
 
     @property
     def is_active(self) -> bool:
-        """Tell whether all managed nodes are active, so that goals can be sent."""
+        """Return whether all managed nodes are active, so that goals can be sent."""
         return all(manager.is_active for manager in self.managers)
 
 
@@ -97,7 +97,7 @@ def bring_up(
     values = settings(stock=stock, given=parameters)
 
     def listener(owner: str) -> str:
-        """Return what stands for the heap address of a node's transform listener."""
+        """Return a number in place of the heap address of a node's transform listener."""
         return f"5581{zlib.crc32(f'{owner}#{run}'.encode()):08x}"
 
     # All listeners receive the same, so one of them fills the buffer of all.

@@ -65,7 +65,7 @@ class _RclcppNode(Node):
     navigator
         ``navigate_to_pose`` or ``navigate_through_poses``.
     planner_action
-        Name and type of the planner's action that the tree asks for.
+        Name and type of the planner's action that the tree calls.
     """
 
     def __init__(self, domain: Domain, navigator: str, planner_action: tuple[str, str]) -> None:
@@ -283,7 +283,7 @@ class BtNavigator(LifecycleNode):
         self._wake_at(self.now_ns)
 
     def _wake_at(self, time_ns: int) -> None:
-        """Ask for a tick on the grid at ``time_ns`` or after it, but not at the current time."""
+        """Request a tick on the grid at ``time_ns`` or after it, but not at the current time."""
         ticks = max(-(-(time_ns - self._start_ns) // TICK_NS), self._ticks_so_far() + 1)
         due_ns = self._start_ns + ticks * TICK_NS
         if due_ns not in self._due:

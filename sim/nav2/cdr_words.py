@@ -1,7 +1,7 @@
 """CDR as words of four bytes, for messages that compiled code lays out.
 
-Every field of such a message is four or eight bytes long or is padded to that. Doubles stand on
-even words, counted from behind the encapsulation.
+Every field of such a message is four or eight bytes long or is padded to that. Doubles begin at
+even words, counted from the end of the encapsulation.
 """
 
 import struct

@@ -35,7 +35,7 @@ ODOM_FRAME = "odom"
 SOURCE_TIMEOUT_NS = 5 * SECOND
 STOP_PUB_TIMEOUT_NS = 2 * SECOND
 _RANGE_STEP_RAD = math.radians(1.0)
-_SPARE_M = 1e-6  # so far outside its box, no point is inside a polygon, whatever the rounding
+_SPARE_M = 1e-6  # margin around a polygon's box for rounding errors
 
 
 @dataclass(frozen=True)
@@ -43,13 +43,13 @@ class Polygon:
     """A zone around the robot, and the action if points are in it."""
 
     name: str
-    topic: str | None  # where it is shown, if it is
+    topic: str | None  # on which it is published, if at all
     vertices: Points  # in ``BASE_FRAME``
     action: Literal["stop", "slowdown", "approach"]
     slowdown_ratio: float = 0.0
     max_points: int = 3  # the action is taken for more points than this
     time_before_collision: float = 2.0  # time that an approach looks ahead [s]
-    simulation_time_step: float = 0.1  # of that look [s]
+    simulation_time_step: float = 0.1  # of the look ahead [s]
 
     def share(self, command: tuple[float, float], points: Points) -> float:
         """Return how much of a command (m/s, rad/s) may be sent: 1 all of it, 0 nothing."""
@@ -91,7 +91,7 @@ POLYGON_SLOW_STOCK = replace(
 )
 POLYGONS = (POLYGON_STOP, POLYGON_SLOW)
 STOCK_POLYGONS = (POLYGON_STOP, POLYGON_SLOW_STOCK)
-# Not among the polygons of a run, as in Humble's parameters, where it is defined but not listed.
+# Not used in runs: in Humble's parameters it is defined but not listed.
 FOOTPRINT_APPROACH = Polygon("FootprintApproach", None, FOOTPRINT, "approach", max_points=5)
 
 
@@ -162,7 +162,7 @@ class CollisionMonitor(LifecycleNode):
     polygons
         In the order of their tests; none is tested after one that stops the robot.
     sources
-        Where points come from.
+        Sources of points.
     """
 
     def __init__(
@@ -180,8 +180,8 @@ class CollisionMonitor(LifecycleNode):
         self._polygons = polygons
         self._sources = sources
         self._seen: list[_Seen] = []
-        self._parts: list[Points] = []  # what each source sees, in the odometry frame
-        self._all: Points = np.empty((0, 2))  # one behind the other
+        self._parts: list[Points] = []  # points of each source, in the odometry frame
+        self._all: Points = np.empty((0, 2))  # concatenated
         self._action = ""  # polygon that acts
         self._halted_ns: int | None = None  # since when commands are zero
         self.commands = self.commands_altered = 0  # to move; of these, slowed down or stopped
@@ -280,7 +280,7 @@ class CollisionMonitor(LifecycleNode):
 
 
 def range_points(message: Any) -> Points:
-    """Return the arc of a ``Range`` in the sensor's frame: a point a degree and one at the end."""
+    """Return the arc of a ``Range`` in the sensor's frame, with at least one point per degree."""
     if not message.min_range <= message.range <= message.max_range:
         return np.empty((0, 2))
     half = message.field_of_view / 2.0

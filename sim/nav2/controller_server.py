@@ -34,7 +34,7 @@ _Feedback = message_class("nav2_msgs/action/FollowPath_Feedback")
 
 PERIOD_NS = 50 * MILLISECOND
 FAILURE_TOLERANCE_NS = 300 * MILLISECOND
-MIN_X_VELOCITY = 0.001  # slower counts as standing [m/s]
+MIN_X_VELOCITY = 0.001  # slower counts as stopped [m/s]
 MIN_THETA_VELOCITY = 0.001  # [rad/s]
 
 
@@ -48,7 +48,7 @@ class LocalCostmap(Protocol):
         """Return the robot's latest pose in the costmap's frame."""
 
     def is_ready(self) -> bool:
-        """Tell whether it could be activated."""
+        """Return whether it could be activated."""
 
     def configure(self) -> None:
         """Configure the node."""
@@ -68,14 +68,14 @@ class ProgressChecker:
         self._since_ns = 0
 
     def check(self, pose: Pose2D, now_ns: int) -> bool:
-        """Tell whether the robot still makes progress."""
+        """Return whether the robot still makes progress."""
         if self._from is None or pose.distance_to(self._from) > self.RADIUS_M:
             self._from, self._since_ns = pose, now_ns
         return now_ns - self._since_ns <= self.ALLOWANCE_NS
 
 
 class GoalChecker:
-    """Nav2's ``SimpleGoalChecker``, stateful: once it was near, only the yaw counts."""
+    """Nav2's ``SimpleGoalChecker``, stateful: after reaching the position, only the yaw counts."""
 
     XY_TOLERANCE_M = 0.25
     YAW_TOLERANCE_RAD = 0.25
@@ -84,7 +84,7 @@ class GoalChecker:
         self._near = False
 
     def is_reached(self, pose: Pose2D, goal: Pose2D) -> bool:
-        """Tell whether the robot has arrived; both poses are in the same frame."""
+        """Return whether the robot has arrived; both poses are in the same frame."""
         self._near |= pose.distance_to(goal) <= self.XY_TOLERANCE_M
         return self._near and abs(wrap_angle(goal.yaw - pose.yaw)) <= self.YAW_TOLERANCE_RAD
 
@@ -136,10 +136,10 @@ class ControllerServer(LifecycleNode):
         self._velocity = (0.0, 0.0)
         self._goals: list[GoalHandle] = []  # the running one and the one to take its place
         self._loop: Timer
-        self._valid_ns = 0  # when a velocity was found last
+        self._valid_ns = 0  # time of the last valid velocity
 
     def is_ready(self) -> bool:
-        """Tell whether the local costmap can start."""
+        """Return whether the local costmap can start."""
         return self._costmap.is_ready()
 
     def on_configure(self) -> None:
@@ -227,7 +227,7 @@ class ControllerServer(LifecycleNode):
                 self._end(self._goals[0].succeed)
 
     def _control(self) -> bool:
-        """Send one velocity and tell whether the goal is reached."""
+        """Send one velocity and return whether the goal is reached."""
         pose = self._costmap.robot_pose()
         grid = self._costmap.grid
         if pose is None:

@@ -74,7 +74,7 @@ class Costmap2D:
         )
 
     def contains(self, x: float, y: float) -> bool:
-        """Tell whether a point [m] lies on the grid."""
+        """Return whether a point [m] lies on the grid."""
         column, row = self.cell(x, y)
         height, width = self.costs.shape
         return bool(0 <= row < height and 0 <= column < width)

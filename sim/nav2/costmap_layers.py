@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from sim.jit import jit
 from sim.nav2.costmap import FREE_SPACE, LETHAL, NO_INFORMATION, Costmap2D, Costs, Points
 
-OBSTACLE_RANGE = 2.5  # marks nothing from here on [m]
-RAYTRACE_RANGE = 3.0  # clears nothing from here on [m]
+OBSTACLE_RANGE = 2.5  # nothing is marked beyond [m]
+RAYTRACE_RANGE = 3.0  # nothing is cleared beyond [m]
 _TINY = 1e-9  # instead of a length of zero [m]
 
 

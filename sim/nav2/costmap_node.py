@@ -100,7 +100,7 @@ class CostmapNode(LifecycleNode):
     transforms
         Buffer to share with other listeners; its own if omitted.
     latency_ns
-        From a scan's publication to its arrival here.
+        From a scan's publication to its arrival.
     inflation
         How far costs reach around obstacles, and how fast they fall.
 
@@ -162,7 +162,7 @@ class CostmapNode(LifecycleNode):
             self.create_service(f"nav2_msgs/srv/{srvtype}", f"/{label}/{service}", handler)
 
     def is_ready(self) -> bool:
-        """Tell whether the robot's pose is known, which activation waits for."""
+        """Return whether the robot's pose is known, which activation waits for."""
         return self.robot_pose() is not None
 
     def on_activate(self) -> None:
@@ -211,7 +211,7 @@ class CostmapNode(LifecycleNode):
     def publish_layers(
         self, observations: Sequence[Observation], cleared: Sequence[Points]
     ) -> None:
-        """Publish what a layer publishes itself at every update, and how far beams cleared."""
+        """Publish a layer's own topics at every update, with the ends of the cleared beams."""
 
     def set_grid(self, grid: Costmap2D) -> None:
         """Restart on another grid."""
@@ -289,7 +289,7 @@ class LocalCostmap(CostmapNode):
     clearing_margin = 2.0 * LOCAL_RESOLUTION
 
     def on_configure(self) -> None:
-        """Offer what the voxel layer publishes."""
+        """Advertise the topics of the voxel layer."""
         self._voxels = self.create_publisher(VOXELS, f"/{self.label}/voxel_grid", qos.LATCHED)
         self._endpoints = self.create_publisher(
             CLOUD, f"/{self.label}/clearing_endpoints", qos.LATCHED
@@ -338,7 +338,7 @@ class GlobalCostmap(CostmapNode):
     publish_period_ns = SECOND
 
     def on_configure(self) -> None:
-        """Ask for the map."""
+        """Subscribe to the map."""
         self.create_subscription("nav_msgs/msg/OccupancyGrid", "/map", self._on_map, qos.LATCHED)
 
     def initial_grid(self) -> Costmap2D:
@@ -346,7 +346,7 @@ class GlobalCostmap(CostmapNode):
         return Costmap2D(np.empty((0, 0), np.uint8), LOCAL_RESOLUTION, 0.0, 0.0, self.frame)
 
     def is_ready(self) -> bool:
-        """Tell whether map and robot's pose are known."""
+        """Return whether map and robot's pose are known."""
         return self.grid.costs.size > 0 and super().is_ready()
 
     def background(self) -> Costs:

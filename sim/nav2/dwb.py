@@ -1,4 +1,4 @@
-"""The DWB local planner: sample velocities, roll each one out, let seven critics choose.
+"""The DWB local planner: samples velocities, simulates each one, and scores them by critics.
 
 Sampling and rollout are in ``dwb_sampling``, the critics in ``dwb_critics``. This module keeps the
 state between cycles, as Nav2 does on Humble. Topics and actions belong to the controller server.
@@ -37,7 +37,7 @@ class LocalPlanner:
 
     def __init__(self, parameters: Parameters | None = None) -> None:
         self._base = parameters or Parameters()
-        self._limited, self._share = self._base, 1.0  # of its maximal speed
+        self._limited, self._share = self._base, 1.0  # share of the maximal speed
         self.plan: Poses = np.empty((0, 3))
         self._near_goal = False
         self._rotating = False
@@ -67,7 +67,7 @@ class LocalPlanner:
         return self._base
 
     def configure(self, parameters: Parameters) -> None:
-        """Take other parameters from now on; a speed limit stays."""
+        """Use other parameters from now on; a speed limit stays."""
         self._base, share = parameters, self._share
         self._limited = parameters._replace(
             max_vel_x=parameters.max_vel_x * share, max_vel_theta=parameters.max_vel_theta * share

@@ -188,7 +188,7 @@ def rotate_to_goal(parameters: Parameters, critics: Critics, v: float, yaw: floa
 
 @jit
 def _is_at_border(along: float) -> bool:
-    """Tell whether rounding could put a point into another cell; ``along`` is in cells."""
+    """Return whether rounding could put a point into another cell; ``along`` is in cells."""
     inside = along - math.floor(along)
     return inside < _BORDER or inside > 1.0 - _BORDER
 

@@ -277,7 +277,7 @@ def _put_time_offsets(words: NDArray[np.uint32], at: int, sim_time: float, poses
 
 
 def marker_bytes(time_ns: int, frame: str, evaluation: Evaluation) -> bytes:
-    """Return ``visualization_msgs/msg/MarkerArray`` as CDR: a line a trajectory.
+    """Return ``visualization_msgs/msg/MarkerArray`` as CDR: one line per trajectory.
 
     The best is green, the worst red, illegal ones are black.
     """

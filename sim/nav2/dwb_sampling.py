@@ -120,7 +120,7 @@ def roll(
 ) -> int:
     """Drive from ``pose`` towards ``twist`` for ``sim_time``; return how many poses were written.
 
-    The first is where the robot is, the last one stands twice (``include_last_point``).
+    The first is where the robot is, the last one is written twice (``include_last_point``).
     """
     x, y, yaw = pose
     v, w = velocity

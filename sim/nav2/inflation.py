@@ -34,7 +34,7 @@ class InflationLayer:
     inscribed_radius
         Distance within which the robot collides whatever its heading [m].
     inflation
-        How far it reaches, and how fast cost falls with distance.
+        Its radius, and how fast cost falls with distance.
     """
 
     def __init__(

@@ -42,14 +42,14 @@ class State(enum.IntEnum):
 
 
 class Transition(enum.IntEnum):
-    """Transitions of ``lifecycle_msgs/msg/Transition`` that a manager asks for."""
+    """Transitions of ``lifecycle_msgs/msg/Transition`` that a manager requests."""
 
     CONFIGURE = 1
     ACTIVATE = 3
 
 
 class _Bond:
-    """One end of a bond: tells the other end ten times a second that this one lives."""
+    """One end of a bond: sends a heartbeat to the other end ten times a second."""
 
     def __init__(self, node: Node, bond_id: str) -> None:
         self._node = node
@@ -74,7 +74,7 @@ class LifecycleNode(Node):
     domain, name, rng, latency_ns
         As for `Node`.
     bond
-        Whether the node beats on ``/bond`` once active; costmap nodes do not.
+        Whether the node sends heartbeats on ``/bond`` once active; costmap nodes do not.
     """
 
     def __init__(
@@ -103,11 +103,11 @@ class LifecycleNode(Node):
 
     @property
     def is_active(self) -> bool:
-        """Tell whether the node is active."""
+        """Return whether the node is active."""
         return self.state is State.ACTIVE
 
     def is_ready(self) -> bool:
-        """Tell whether the node can be activated; Nav2's costmaps wait for transforms here."""
+        """Return whether the node can be activated; Nav2's costmaps wait for transforms here."""
         return True
 
     def on_configure(self) -> None:
@@ -123,7 +123,7 @@ class LifecycleNode(Node):
         self._enter(State.INACTIVE)
 
     def activate(self) -> bool:
-        """Go from inactive to active; False, to be asked again, while the node is not ready."""
+        """Go from inactive to active; False, to be called again, while the node is not ready."""
         if self.state is State.INACTIVE:
             self._enter(State.ACTIVATING)
         if not self.is_ready():
@@ -213,4 +213,4 @@ def _state_message(state: State) -> object:
 
 
 def _nothing(_request: object) -> None:
-    """Answer a service that is offered, as in Nav2, but that nobody here calls."""
+    """Answer a service that exists, as in Nav2, but has no client here."""

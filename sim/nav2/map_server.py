@@ -32,7 +32,7 @@ class MapServer(LifecycleNode):
     maps
         The maps that ``load_map`` can load, by name.
     name
-        The map to begin with.
+        The first map.
     """
 
     def __init__(self, domain: Domain, maps: Mapping[str, OccupancyMap], name: str) -> None:

@@ -26,7 +26,7 @@ def twist_message(linear: float, angular: float) -> Any:
 
 
 def twist_bytes(linear: float, angular: float) -> bytes:
-    """Return what ``serialize(twist_message(...))`` returns, in less time."""
+    """Return the bytes of ``serialize(twist_message(...))``, in less time."""
     return _pack_twist(CDR_LITTLE_ENDIAN, linear, 0.0, 0.0, 0.0, 0.0, angular)
 
 

@@ -15,7 +15,7 @@ from sim.nav2.costmap import INSCRIBED, NO_INFORMATION, Costmap2D, Costs, Points
 
 TOLERANCE = 0.5  # how far from an unreachable goal a path may end, along each axis [m]
 NEUTRAL = 50.0  # cost of a free cell
-FACTOR = 0.8  # of the costmap's cost on top of it
+FACTOR = 0.8  # factor of the costmap's cost, added to it
 OBSTACLE = 254.0  # cells of this cost are never entered
 STEP = 0.5  # of the descent [cells]
 

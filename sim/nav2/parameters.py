@@ -100,7 +100,7 @@ def settings(*, stock: bool, given: Mapping[str, float]) -> Settings:
     Parameters
     ----------
     stock
-        As Nav2 ships them, or tuned to narrow gaps.
+        Nav2's default values instead of those tuned to narrow gaps.
     given
         Values to use instead, by the full names of `PARAMETERS`.
 
@@ -125,7 +125,7 @@ def settings(*, stock: bool, given: Mapping[str, float]) -> Settings:
 
 
 def named_values(words: Sequence[str]) -> dict[str, float]:
-    """Return values by full name; the end of a name stands for all parameters that end so.
+    """Return values by full name; the end of a name selects all parameters that end with it.
 
     Parameters
     ----------

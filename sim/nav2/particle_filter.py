@@ -1,4 +1,4 @@
-"""AMCL's particle filter: poses that move with odometry and survive by how well scans fit.
+"""AMCL's particle filter: poses that move with odometry and are weighted by scans.
 
 The motion model is the differential one, resampling is multinomial with KLD-adapted size, as in
 Nav2. Maps and scans come in as a `LikelihoodField`'s weights; the node handles messages.
@@ -62,7 +62,7 @@ class ParticleFilter:
         self.weights = np.full(len(poses), 1.0 / len(poses))
 
     def move(self, before: Pose2D, after: Pose2D) -> None:
-        """Move every particle by the odometry, each with a slip of its own.
+        """Move every particle by the odometry, each with independent noise.
 
         Parameters
         ----------
@@ -72,10 +72,10 @@ class ParticleFilter:
         translation = before.distance_to(after)
         turn = wrap_angle(after.yaw - before.yaw)
         heading = math.atan2(after.y - before.y, after.x - before.x)
-        # On the spot the direction of travel is noise.
+        # Without translation, the direction of travel is noise.
         first = wrap_angle(heading - before.yaw) if translation >= 0.01 else 0.0
         second = wrap_angle(turn - first)
-        # Driving backwards is no turn by pi.
+        # Driving backwards does not count as a turn by pi.
         slip1, slip2 = (min(abs(a), math.pi - abs(a)) for a in (first, second))
         along = math.sqrt(_ALPHA * (translation**2 + slip1**2 + slip2**2))
         noise = self._rng.standard_normal((3, len(self.poses)))
@@ -189,7 +189,7 @@ def _occupied_bins(
 
 @jit
 def _extent(bins: NDArray[np.int64]) -> tuple[float, float]:
-    """Return how far bins lie apart in x and y; in doubles, which hold whatever distance."""
+    """Return the extent of bins in x and y, in doubles, which hold any distance."""
     x, y = bins[:, 0], bins[:, 1]
     return float(x.max()) - float(x.min()), float(y.max()) - float(y.min())
 

@@ -57,7 +57,7 @@ class _StampedPoses(Sequence[Any]):
         return pose_stamped(self._time_ns, self._frame, *self._poses[index].tolist())
 
     def planar(self) -> Poses:
-        """Return what the objects hold."""
+        """Return the poses as an array."""
         return _through_quaternions(self._poses)
 
 
@@ -72,7 +72,7 @@ def _through_quaternions(poses: Poses) -> Poses:
 
 
 def path_bytes(time_ns: int, frame: str, poses: Poses) -> bytes:
-    """Return what ``serialize(path_message(...))`` returns, in less time."""
+    """Return the bytes of ``serialize(path_message(...))``, in less time."""
     words = _path_words(*divmod(time_ns, 1_000_000_000), _header(frame), poses)
     return CDR_LITTLE_ENDIAN + words.tobytes()
 

@@ -48,10 +48,10 @@ class PlannerServer(LifecycleNode):
     def __init__(self, domain: Domain, costmap: GlobalCostmap, *, latency_ns: int = 0) -> None:
         super().__init__(domain, "/planner_server", latency_ns=latency_ns)
         self._costmap = costmap
-        self._goal: GoalHandle | None = None  # the latest; it ends the one before
+        self._goal: GoalHandle | None = None  # the latest; it ends the previous one
 
     def is_ready(self) -> bool:
-        """Tell whether the global costmap can start."""
+        """Return whether the global costmap can start."""
         return self._costmap.is_ready()
 
     def on_configure(self) -> None:
@@ -72,7 +72,7 @@ class PlannerServer(LifecycleNode):
     def _taker(
         self, to_goals: Callable[[Any], list[Any]], result: type[Any]
     ) -> Callable[[GoalHandle], None]:
-        """Return what an action does with a new goal."""
+        """Return an action's callback for a new goal."""
 
         def take(handle: GoalHandle) -> None:
             if self._goal is not None and self._goal.status is Status.EXECUTING:
@@ -120,7 +120,7 @@ class PlannerServer(LifecycleNode):
         return np.vstack(legs) if legs else None
 
     def _is_path_valid(self, path: Any) -> bool:
-        """Tell whether a ``nav_msgs/msg/Path`` is free from where the robot is on."""
+        """Return whether a ``nav_msgs/msg/Path`` is free from where the robot is on."""
         poses, robot = path_poses(path), self._costmap.robot_pose()
         if robot is None or not len(poses):
             return False

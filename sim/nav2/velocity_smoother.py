@@ -44,7 +44,7 @@ def smooth(current: float, command: float, limits: Limits) -> float:
 class VelocitySmoother(LifecycleNode):
     """Publishes at 20 Hz while there is something to do.
 
-    The feedback is open-loop: what was sent last counts as the robot's velocity. Without a
+    The feedback is open-loop: the last command counts as the robot's velocity. Without a
     command for a second the robot is ramped to a halt, after which nothing is published.
 
     Parameters

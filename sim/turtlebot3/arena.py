@@ -37,7 +37,7 @@ class Hexagon:
 
     @property
     def reach(self) -> tuple[float, float]:
-        """How far it extends from its centre along x and along y [m]."""
+        """Extent from its centre along x and along y [m]."""
         return self.circumradius, self.apothem
 
     def slabs(self) -> Points:
@@ -53,7 +53,7 @@ class Hexagon:
         return corners
 
     def signed_distance(self, points: Points) -> NDArray[np.float64]:
-        """Return how far points of shape (n, 2) are outside; negative inside [m]."""
+        """Return the distance of points of shape (n, 2) from the surface; negative inside [m]."""
         # By symmetry, every point is moved to the first quadrant, in front of the nearer of two
         # sides.
         x, y = np.abs(points[:, 0] - self.x), np.abs(points[:, 1] - self.y)
@@ -83,7 +83,7 @@ class Box:
 
     @property
     def reach(self) -> tuple[float, float]:
-        """How far it extends from its centre along x and along y [m]."""
+        """Extent from its centre along x and along y [m]."""
         c, s = abs(math.cos(self.yaw)), abs(math.sin(self.yaw))
         return c * self.half_x + s * self.half_y, s * self.half_x + c * self.half_y
 
@@ -96,7 +96,7 @@ class Box:
         return np.array([(c, s, self.half_x), (-s, c, self.half_y), (0.0, 0.0, math.inf)])
 
     def signed_distance(self, points: Points) -> NDArray[np.float64]:
-        """Return how far points of shape (n, 2) are outside; negative inside [m]."""
+        """Return the distance of points of shape (n, 2) from the surface; negative inside [m]."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         x, y = points[:, 0] - self.x, points[:, 1] - self.y
         along, across = np.abs(c * x + s * y) - self.half_x, np.abs(c * y - s * x) - self.half_y
@@ -116,7 +116,7 @@ class Cylinder:
     height: float = 0.5  # [m], from the floor
 
     def signed_distance(self, points: Points) -> NDArray[np.float64]:
-        """Return how far points of shape (n, 2) are outside; negative inside [m]."""
+        """Return the distance of points of shape (n, 2) from the surface; negative inside [m]."""
         x, y = points[:, 0] - self.x, points[:, 1] - self.y
         distance: NDArray[np.float64] = np.sqrt(x * x + y * y) - self.radius
         return distance
@@ -191,13 +191,13 @@ class Arena:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the arena as JSON knows it."""
+        """Return the arena as JSON values."""
         blocks, pillars = map(asdict, self.blocks), map(asdict, self.pillars)
         return {**asdict(self), "blocks": list(blocks), "pillars": list(pillars)}
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:
-        """Return the arena that ``to_dict`` gave."""
+        """Return the arena from the result of ``to_dict``."""
         return cls(
             **{
                 **document,

@@ -107,7 +107,7 @@ def add_depth_camera(domain: Domain, world: World, *, renders: bool) -> None:
 
 
 def pixel_directions() -> NDArray[np.float64]:
-    """Return where each pixel's centre is at unit depth, row by row: x right, y down, z = 1."""
+    """Return each pixel's centre at unit depth, row by row: x right, y down, z = 1."""
     u = (np.arange(WIDTH) - (WIDTH - 1) / 2.0) / FOCAL_LENGTH
     v = (np.arange(HEIGHT) - (HEIGHT - 1) / 2.0) / FOCAL_LENGTH
     x, y = np.meshgrid(u, v)

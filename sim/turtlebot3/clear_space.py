@@ -1,4 +1,4 @@
-"""Tests whether the robot is so far from all pieces of the world that it can touch none.
+"""Tests whether the robot is too far from all pieces of the world to touch any.
 
 The robot fits into a ball around a point of its body, whatever its tilt. Where the ball's vertical
 projection meets no piece, the robot can touch only the floor.
@@ -37,7 +37,7 @@ class ClearSpace:
         self._pillars = np.array([(p.x, p.y, p.radius) for p in pillars]).reshape(-1, 3)
 
     def holds(self, poses: NDArray[np.float64]) -> bool:
-        """Tell whether the robot is clear of all pieces at each of some poses.
+        """Return whether the robot is clear of all pieces at each of some poses.
 
         Parameters
         ----------

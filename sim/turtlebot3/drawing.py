@@ -104,7 +104,7 @@ def _nav2(arena: Arena, options: Options) -> Navigation:
 
 
 def can_be_followed(path: NDArray[np.float64]) -> bool:
-    """Tell whether the controller can follow a path of shape (n, 2) in the map frame.
+    """Return whether the controller can follow a path of shape (n, 2) in the map frame.
 
     See `MIN_APPROACH`.
     """
@@ -174,13 +174,13 @@ def draw(
     mode, run, campaign
         Mode, number and campaign of the run.
     parameters
-        Values of the scenario's parameters, in place of what the block has drawn or the default.
+        Values of the scenario's parameters, in place of those drawn for the block or the defaults.
 
     Raises
     ------
     RecipeError
         If the mode is an attack and its node is to be absent, or the patrol cannot be driven in
-        the relation that is asked for.
+        the requested relation.
     """
     absent = campaign.options.wiring == "absent" and not mode.scenario.is_in_place
     if absent and mode.label == "malicious":

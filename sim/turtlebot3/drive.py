@@ -35,7 +35,7 @@ _ODOMETRY = "nav_msgs/msg/Odometry"
 _ODOMETRY_COVARIANCE = np.diag([1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3]).ravel()
 _ODOMETRY_COVARIANCE.setflags(write=False)
 
-ODOMETRY_NS = 34 * MILLISECOND  # 30 Hz asked for, in steps of 1 ms
+ODOMETRY_NS = 34 * MILLISECOND  # nominally 30 Hz, in steps of 1 ms
 
 WHEEL_ACCELERATION = 1.0  # at the rim [m/s^2]
 _CLOSE_ENOUGH = 0.01  # wheel speeds this close to their target are set to it [m/s]

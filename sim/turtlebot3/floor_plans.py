@@ -23,7 +23,7 @@ _CELL_M = 0.05  # of the grid on which passages are measured
 _WALL_HALF_M = 0.06  # half the thickness of a wall between rooms
 _BESIDE_DOOR_M = 0.2  # smallest length of wall on both sides of a door
 _INTO_WALL_M = 0.02  # furniture at a wall reaches into it: no slot is left
-_DRAWS = 20  # to find a place for one piece
+_DRAWS = 20  # attempts to place one piece
 
 _HOUSE = (3.7, 2.8)  # half the length and width of the house [m]
 _HOUSE_DOOR_M = 0.96
@@ -77,7 +77,7 @@ class _Floor:
             distances = [piece.signed_distance(self._points) for piece in pieces]
             distance = np.minimum.reduce([self._distance, *distances])
             groups = obstacle_groups(distance.reshape(self._x.shape))
-            if groups >= self._groups:  # fewer: it stands in a passage
+            if groups >= self._groups:  # fewer: it blocks a passage
                 self._distance, self._groups = distance, groups
                 self.pillars += [piece for piece in pieces if isinstance(piece, Cylinder)]
                 self.blocks += [piece for piece in pieces if isinstance(piece, Box)]
@@ -90,7 +90,7 @@ class _Floor:
 
 
 def obstacle_groups(distance: NDArray[np.float64]) -> int:
-    """Return how many groups of obstacles the robot can drive around; 0 if a passage is narrow.
+    """Return the number of groups of obstacles that the robot can drive around; 0 if any is narrow.
 
     No passage is narrow if growing the obstacles from the robot's radius to half of
     ``MIN_PASSAGE_M`` closes none: the free space stays in one piece, and no two groups meet.

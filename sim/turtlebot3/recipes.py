@@ -34,7 +34,7 @@ class FakeObject:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """What all runs of a block have in common, in the map frame."""
+    """Values that all runs of a block share, in the map frame."""
 
     arena: Arena
     start: Pose2D
@@ -54,7 +54,7 @@ class Session:
     latency_ms: float  # of every node that processes messages, at least
     lidar_tom_bias_m: float  # of /scan_tom
     lidar_dropouts: float  # share of the rays without a return, of both LiDARs
-    latency_jitter_ms: float  # mean of what is added to the latency
+    latency_jitter_ms: float  # mean of the delay added to the latency
     processor_load: float  # share of the time in which callbacks have to wait
     wheel_left: float  # radius, relative to the model
     wheel_right: float
@@ -117,7 +117,7 @@ class TurtleBot3Recipe:
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:
-        """Return the recipe that ``to_dict`` gave."""
+        """Return the recipe from the result of ``to_dict``."""
         return cls(
             **{
                 **document,

@@ -32,7 +32,7 @@ from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.nodes import add_robot
 from sim.turtlebot3.odometer import Odometer
 from sim.turtlebot3.recipes import TurtleBot3Recipe
-from sim.turtlebot3.sessions import load, mapped, sensor_errors, told_start
+from sim.turtlebot3.sessions import estimated_start, load, mapped, sensor_errors
 from sim.turtlebot3.world import World
 
 BRING_UP_NS = 20 * SECOND  # Nav2 must be active by then
@@ -113,7 +113,7 @@ class TurtleBot3Run:
         """Start Nav2, record the patrol, and write bag and graphs."""
         navigator = self._nav2.navigator
         recipe = self._recipe
-        where = told_start(recipe.start, recipe.session, recipe.generator("/initialpose"))
+        where = estimated_start(recipe.start, recipe.session, recipe.generator("/initialpose"))
         navigator.set_initial_pose(where)
         self._executor.run_until(BRING_UP_NS, stop=lambda: self._nav2.is_active)
         if not self._nav2.is_active:
@@ -250,7 +250,7 @@ class TurtleBot3Run:
 
     def _delays(self, node: str) -> Delays | None:
         """Return the delays that are added to a node's latency."""
-        if node == NODE:  # it must know when its messages were sent
+        if node == NODE:  # it needs the times at which its messages were sent
             return None
         return Delays(load(self._recipe.session), self._recipe.generator(f"{node} delays"))
 

@@ -1,4 +1,4 @@
-"""Gazebo's sensor plugins, as nodes: the inertial unit, the LiDARs and the infrared.
+"""Gazebo's sensor plugins, as nodes: the IMU, the LiDARs and the infrared sensor.
 
 A sensor gets one exact measurement of the world, adds its noise, and publishes the result with the
 rate, frame and QoS of the Humble simulation.
@@ -87,7 +87,7 @@ class ImuPlugin(Node):
     domain, rng
         As for `Node`.
     measure
-        Returns what an ideal unit measures after now and up to a time [ns].
+        Returns the measurements of an ideal IMU after now and up to a time [ns].
     gyro
         Errors of its gyroscope.
     """
@@ -143,7 +143,7 @@ def imu_bytes(samples: ImuSamples, gyro: GyroError, noise: NDArray[np.float64]) 
     Parameters
     ----------
     samples
-        What an ideal unit measures.
+        Measurements of an ideal IMU.
     gyro
         Errors of the gyroscope.
     noise

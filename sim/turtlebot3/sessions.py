@@ -81,8 +81,8 @@ def _beside(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return beside
 
 
-def told_start(start: Pose2D, session: Session, rng: np.random.Generator) -> Pose2D:
-    """Return the initial pose that localisation gets, with the error of placing it by hand."""
+def estimated_start(start: Pose2D, session: Session, rng: np.random.Generator) -> Pose2D:
+    """Return the initial pose that localisation gets, with the error of a manual placement."""
     x, y, yaw = rng.standard_normal(3).tolist()
     place, turn = session.start_sd_m, session.start_sd_rad
     return Pose2D(start.x + place * x, start.y + place * y, start.yaw + turn * yaw)

@@ -32,8 +32,8 @@ _VELOCITY, _TURNING, _WHEEL_SPEEDS = np.s_[10:13], 15, np.s_[16:18]
 _GYRO, _ACCELEROMETER, _INERTIAL, _TOUCHES = np.s_[:3], np.s_[3:6], np.s_[:6], np.s_[6:]
 
 _SKY_RGB = np.array([0.7, 0.7, 0.7])
-_AMBIENT = 0.4  # share of the light that comes from everywhere; the rest comes from the sun
-_SUN = np.array([0.5, -0.1, 0.9]) / math.sqrt(1.07)  # where it stands, as seen from the floor
+_AMBIENT = 0.4  # share of ambient light; the rest comes from the sun
+_SUN = np.array([0.5, -0.1, 0.9]) / math.sqrt(1.07)  # its direction, as seen from the floor
 
 
 class ImuSamples(NamedTuple):
@@ -65,13 +65,13 @@ class World:
     """The world with the robot.
 
     Only the command to the wheels acts on the robot. So the physics runs in blocks, and ahead of
-    the clock if a sensor asks for several samples at once. While the robot is clear of all pieces,
+    the clock if a sensor needs several samples at once. While the robot is clear of all pieces,
     it is simulated without them, which gives the same states in two thirds of the time.
 
     Parameters
     ----------
     parameters
-        Start pose and what the session draws.
+        Start pose, and parameters drawn for the session.
     """
 
     def __init__(self, parameters: WorldParameters) -> None:

@@ -1,4 +1,4 @@
-"""A real run, recorded once: the whole of its bag, and as much of it as scenarios deal with."""
+"""A real run, recorded once: its complete bag, and one with the topics of scenarios."""
 
 import shutil
 
@@ -16,14 +16,14 @@ __all__ = ["domain", "eventually"]
 
 @pytest.fixture(scope="session")
 def recorded(recorded_run):
-    """The bag of a real run: one goal, every scan handed on."""
+    """The bag of a real run: one goal, every scan forwarded."""
     directory = recorded_run("lidar_passthrough_odom")
     return directory.bag, directory.manifest()
 
 
 @pytest.fixture(scope="session")
 def run_bag(recorded, tmp_path_factory):
-    """As much of it as a scenario hears and says, and what tells of goals."""
+    """The same with the topics of scenarios and of goals only."""
     bag, manifest = recorded
     topics = ["/scan_tom", "/odom", "/scan_fakeobject", "/behavior_tree_log", "/clock"]
     path = tmp_path_factory.mktemp("trimmed") / "bag"
@@ -37,7 +37,7 @@ def run_bag(recorded, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def controls(recorded, run_bag, tmp_path_factory):
-    """The folder of a mode's runs; run000 has the smaller bag, so that mutants are made fast."""
+    """The folder of a mode's runs; run000 has the smaller bag, to compute mutants fast."""
     folder = tmp_path_factory.mktemp("data") / "runs" / "lidar_passthrough_odom"
     shutil.copytree(recorded[0].parent, folder / "run000", ignore=lambda *_: [BAG_FOLDER])
     shutil.copytree(run_bag[0], folder / "run000" / BAG_FOLDER)

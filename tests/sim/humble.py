@@ -1,9 +1,9 @@
 """The ROS graph of Humble's ``tb3_simulation_launch.py`` with collision monitor, RViz, client and
-recorder, as facts: what ``ros2 node info`` and ``ros2 topic info -v`` tell of the real one.
+recorder, as listed by ``ros2 node info`` and ``ros2 topic info -v`` of the real one.
 
-Implicit endpoints are codes: P publishes and E hears ``/parameter_events``, C hears ``/clock``,
-L is a lifecycle node and publishes ``<node>/transition_event``, B publishes and hears ``/bond``.
-Every node publishes ``/rosout``.
+Implicit endpoints are codes: P publishes and E receives ``/parameter_events``, C receives
+``/clock``, L is a lifecycle node that publishes ``<node>/transition_event``, B publishes and
+receives ``/bond``. Every node publishes ``/rosout``.
 
 A topic is followed by its QoS where it is known: K keep-last and reliable, TL transient-local and
 reliable, BE best effort, each with its depth if known; SYS is ``SystemDefaultsQoS``, of which
@@ -13,7 +13,7 @@ Fast DDS shows a reliable publisher and a best-effort subscriber.
 import re
 
 LISTENER = "/transform_listener_impl_ADDRESS"
-RECORDER = "/rosbag2_recorder"  # hears every visible topic that has a publisher
+RECORDER = "/rosbag2_recorder"  # subscribes to every visible topic that has a publisher
 CAMERA = "/intel_realsense_r200_depth"
 LOCAL, GLOBAL = "/local_costmap", "/global_costmap"
 
@@ -38,7 +38,7 @@ def _costmap(label):
     )
 
 
-# node: (codes, publishes, hears)
+# node: (codes, publishes, subscribes)
 NODES = {
     "/gazebo": ("CPE", "/clock BE1, /performance_metrics", ""),
     "/turtlebot3_imu": ("CPE", "/imu K5", ""),
@@ -112,7 +112,7 @@ SEVERAL = {
     **{
         (f"/lifecycle_manager_{which}", end, "/bond"): managed
         for which, managed in (("localization", 2), ("navigation", 7))
-        for end in ("publishes", "hears")
+        for end in ("publishes", "subscribes")
     },
 }
 
@@ -168,7 +168,7 @@ NEVER_PUBLISHED = set(
     f"{LOCAL}/footprint".split()
 )
 
-# Advertised, and silent in a run: nobody clicks, smooths or splits, costmaps are sent whole, and
+# Advertised, and silent in a run: no clicks, smoothing or splits, costmaps are sent completely, and
 # parameters change at start-up only.
 SILENT_TOPICS = set(
     f"/plan_smoothed /cost_cloud {GLOBAL}/costmap_updates {LOCAL}/costmap_updates /clicked_point "
@@ -292,13 +292,13 @@ RVIZ_SHOWS = ("/navigate_to_pose", "/navigate_through_poses")
 
 
 def plain(node):
-    """Return a node's name with what a process makes up in it replaced."""
+    """Return a node's name with the parts that differ between processes replaced."""
     node = re.sub(r"(/transform_listener_impl)_[0-9a-f]+", r"\1_ADDRESS", node)
     return re.sub(r"(/launch_ros)_\d+", r"\1_PID", node)
 
 
 def implicit_endpoints(codes):
-    """Return {(publishes or hears, topic): QoS, "" if unknown} that codes stand for."""
+    """Return {(end, topic): QoS, "" if unknown} of codes; an end is "publishes" or "subscribes"."""
     found = {}
     for code in codes:
         found |= _listed(IMPLICIT.get(code, ("", "")))
@@ -306,7 +306,7 @@ def implicit_endpoints(codes):
 
 
 def endpoints(node):
-    """Return {(publishes or hears, topic): QoS, "" if unknown} of a node in ``NODES``."""
+    """Return {(end, topic): QoS, "" if unknown} of a node in ``NODES``."""
     codes, *columns = NODES[node]
     found = {("publishes", "/rosout"): "TL"} | implicit_endpoints(codes) | _listed(columns)
     if "L" in codes:
@@ -317,6 +317,6 @@ def endpoints(node):
 def _listed(columns):
     return {
         (end, topic): qos
-        for end, column in zip(("publishes", "hears"), columns, strict=True)
+        for end, column in zip(("publishes", "subscribes"), columns, strict=True)
         for topic, _, qos in (entry.partition(" ") for entry in column.split(", ") if entry)
     }

@@ -1,5 +1,5 @@
-"""The testbed as a run brings it up, and what its page says it has more than the real one, for
-tests that look at it from outside."""
+"""The testbed as a run starts it, and its documented differences from the real one, for tests of
+its interfaces."""
 
 import re
 from pathlib import Path
@@ -41,8 +41,8 @@ def documented(section):
     }
 
 
-MORE = documented("More than on Humble")  # node -> codes, publishes, hears, why
-LESS = documented("Less than on Humble")  # node -> hears not, why
+MORE = documented("More than on Humble")  # node -> codes, publishes, subscribes, reason
+LESS = documented("Less than on Humble")  # node -> missing subscriptions, reason
 ADDED_NODES = [node for node in MORE if node not in humble.NODES]
 NODES = [*humble.NODES, *ADDED_NODES]
 

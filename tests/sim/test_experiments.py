@@ -1,4 +1,4 @@
-"""A run is made whole or not at all, verified when it is there, and made again on demand."""
+"""A run is recorded completely or not at all, verified if it exists, and rebuilt on demand."""
 
 import os
 import signal
@@ -21,18 +21,18 @@ RECIPE = recipe_for("lidar_passthrough", 0, ONE_GOAL)
 
 @pytest.fixture
 def finished(recorded_run, tmp_path):
-    """A run of one goal, to be spoilt."""
+    """A run of one goal, to be damaged."""
     return copied(recorded_run("lidar_passthrough"), tmp_path)
 
 
-def test_a_finished_run_is_verified_and_not_made_again(finished):
+def test_a_finished_run_is_verified_and_not_simulated_again(finished):
     directory = finished
     before = directory.manifest_path.stat().st_mtime_ns
     assert record_run(RECIPE, directory) == directory.manifest()
     assert directory.manifest_path.stat().st_mtime_ns == before
 
 
-def test_a_place_that_holds_another_recipes_run_is_left_alone(finished):
+def test_a_place_with_the_run_of_another_recipe_is_left_unchanged(finished):
     recipe = recipe_for(finished.mode, 0, replace(ONE_GOAL, seed=1))
     before = finished.manifest()
     with pytest.raises(OracleError, match="another recipe .*differs in seed.*choose another root"):
@@ -40,7 +40,7 @@ def test_a_place_that_holds_another_recipes_run_is_left_alone(finished):
     assert finished.manifest() == before
 
 
-def test_a_damaged_run_is_named_and_can_be_made_again(finished):
+def test_a_damaged_run_is_named_and_can_be_rebuilt(finished):
     (file,) = finished.bag.glob("*.mcap")
     file.write_bytes(file.read_bytes()[:-1000])
     with pytest.raises(OracleError, match="is damaged.*simulate it again with --refresh"):

@@ -82,12 +82,12 @@ def test_a_job_that_hangs_is_ended_and_named_and_the_others_go_on(monkeypatch):
     monkeypatch.setenv(LIMIT, "6")
     outcomes = {o.job: o for o in fan_out(hang, range(4), lambda: process_pool(2))}
     assert {job: o.result for job, o in outcomes.items() if o.error is None} == {0: 0, 2: 2, 3: 3}
-    assert outcomes[1].error.startswith("It was not finished after 6 s, so its worker was ended")
+    assert outcomes[1].error.startswith("It exceeded the limit of 6 s, so its worker was ended")
     assert LIMIT in outcomes[1].error
     assert not multiprocessing.active_children()
 
 
-def test_what_cannot_be_handed_over_fails_alone_with_its_reason():
+def test_a_job_that_cannot_be_pickled_fails_alone_with_its_reason():
     outcomes = {o.job: o for o in fan_out(say_where, [1, 2], lambda: process_pool(1))}
     assert "pickle" in outcomes[1].error
     assert "UnpicklableError: 2 and 2" in outcomes[2].error

@@ -16,7 +16,7 @@ from sim.campaigns import Campaign
 from tests.sim import humble
 from tests.sim.system import ADDED_NODES, LESS, MORE, NODES, RUN, System
 
-ENDS = ("publishes", "hears")
+ENDS = ("publishes", "subscribes")
 DEFAULT_LIFESPAN = QosTime(9223372036, 854775807)
 
 ADDED_TYPES = {
@@ -63,7 +63,7 @@ def endpoints_of(domain, node):
 def test_the_list_of_the_real_graph_has_the_published_numbers_of_vertices_and_edges():
     edges = {(node, *key) for node in humble.NODES for key in humble.endpoints(node)}
     published = {topic for _, end, topic in edges if end == "publishes"}
-    edges |= {(humble.RECORDER, "hears", topic) for topic in published}
+    edges |= {(humble.RECORDER, "subscribes", topic) for topic in published}
     listeners = [edge for edge in edges if edge[0] == humble.LISTENER]
     more = humble.LISTENERS - 1
     assert set(humble.TYPES) - published == humble.NEVER_PUBLISHED
@@ -79,27 +79,27 @@ def test_the_list_of_the_real_graph_has_the_published_numbers_of_vertices_and_ed
     ) == humble.COUNTS_WITH_HIDDEN
 
 
-def test_every_node_of_the_real_system_is_there_and_no_other_but_the_documented(domain):
+def test_nodes_are_those_of_the_real_system_and_the_documented_ones(domain):
     expected = Counter(NODES) + Counter({humble.LISTENER: humble.LISTENERS - 1})
     assert Counter(map(humble.plain, domain.node_names())) == expected
 
 
-def test_every_topic_is_there_with_its_type_and_no_other_but_the_documented(domain):
+def test_topics_and_types_are_those_of_the_real_system_and_the_documented_ones(domain):
     assert {t: kind for t, kind in domain.topics.items() if not is_hidden(t)} == TYPES
 
 
 @pytest.mark.parametrize("node", MORE)
-def test_a_documented_difference_is_one_and_has_its_reason(node):
-    codes, publishes, hears, why = MORE[node]
+def test_a_documented_difference_exists_and_has_a_reason(node):
+    codes, publishes, subscribes, why = MORE[node]
     real = humble.endpoints(node) if node in humble.NODES else {}
     assert not {("publishes", topic) for topic in publishes} & real.keys()
-    assert not {("hears", topic) for topic in hears} & real.keys()
+    assert not {("subscribes", topic) for topic in subscribes} & real.keys()
     assert bool(codes) == (node in ADDED_NODES)
     assert why
 
 
 @pytest.mark.parametrize("node", [node for node in NODES if node != humble.RECORDER])
-def test_a_node_publishes_and_hears_what_it_does_in_life_with_the_same_qos(domain, node):
+def test_a_node_has_the_topics_and_qos_of_the_real_one(domain, node):
     expected = expected_endpoints(node)
     for name in named(domain, node):
         live = list(endpoints_of(domain, name))
@@ -111,7 +111,7 @@ def test_a_node_publishes_and_hears_what_it_does_in_life_with_the_same_qos(domai
 
 
 def fits(qos, wanted, end):
-    """Tell whether a profile is what its code says."""
+    """Return whether a profile is that of its code."""
     if not wanted:
         return True
     policy, depth = re.fullmatch(r"(SYS|TL|BE|K)(\d*)", wanted).groups()
@@ -129,7 +129,7 @@ def test_only_the_log_expires(domain):
         assert publisher.qos.lifespan == (QosTime(10, 0) if expires else DEFAULT_LIFESPAN)
 
 
-def test_the_recorder_hears_what_is_published_and_visible_as_well_as_it_is_offered(domain):
+def test_the_recorder_receives_every_visible_topic_with_the_offered_qos(domain):
     offered = {}
     for publisher in domain.publishers():
         offered.setdefault(publisher.topic, []).append(publisher.qos)
@@ -150,7 +150,7 @@ def test_the_recorder_hears_what_is_published_and_visible_as_well_as_it_is_offer
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_a_node_offers_and_calls_the_services_it_does_in_life(domain, node):
+def test_a_node_offers_and_calls_the_services_of_the_real_one(domain, node):
     codes = humble.NODES[node][0] if node in humble.NODES else MORE[node][0]
     for name in named(domain, node):
         expected = dict(humble.SERVICES.get(node, {}))
@@ -191,7 +191,7 @@ def test_an_action_has_the_server_the_clients_and_the_hidden_names_of_the_real_o
         assert {s.node for s in domain.subscriptions(topic)} == listeners
 
 
-def test_no_action_is_there_but_the_real_ones(domain):
+def test_actions_are_those_of_the_real_system(domain):
     served = [action for n in domain.node_names() for action in domain.action_servers_of(n)]
     assert Counter(served) == dict.fromkeys(humble.ACTIONS, 1)
 

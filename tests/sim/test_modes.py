@@ -1,4 +1,4 @@
-"""Modes: which there are, from which scenarios, and what a user's folder adds to them."""
+"""The modes, their scenarios, and those that a user's folder adds."""
 
 import re
 from pathlib import Path
@@ -81,7 +81,7 @@ def test_every_mode_compiles_and_stands_between_the_topics_of_its_testbed(name):
 
 
 @pytest.mark.parametrize("pair", PAIRS)
-def test_the_nodes_of_a_pair_hear_the_same_topics_and_appear_alike(pair):
+def test_the_nodes_of_a_pair_have_equal_subscriptions_and_graphs(pair):
     control, attack = (compile_scenario(modes()[name].scenario) for name in pair)
     assert {s.topic for s in control.sources.values()} == {s.topic for s in attack.sources.values()}
     assert control.activation == attack.activation
@@ -123,7 +123,7 @@ def test_a_broken_file_is_named_with_its_line_and_the_others_still_load(folder):
     assert modes()["fake_object"].scenario is builtin_scenarios()["fake_object"]
 
 
-def test_a_folder_that_is_not_there_is_told(monkeypatch):
+def test_a_missing_folder_is_an_error(monkeypatch):
     monkeypatch.setenv(FOLDER, "/nowhere")
     assert list(modes())[:6] == SIX
     (text,) = broken_scenarios()
@@ -142,14 +142,14 @@ def test_a_scenario_that_is_no_mode_is_found_by_name_by_file_and_by_its_place_in
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "text"),
     [("nothing", "neither a scenario nor a file"), ("{file}", "choose one as"),
      ("{file}#three", "holds one, two"), ("command_injection", "allow it with --allow-actuation")],
 )  # fmt: skip
-def test_what_is_no_scenario_to_record_is_refused(tmp_path, name, told):
+def test_an_unknown_or_invalid_scenario_is_refused(tmp_path, name, text):
     file = tmp_path / "own.yaml"
     file.write_text(OWN.format(name="one", by=0.9) + "---\n" + OWN.format(name="two", by=0.9))
-    with pytest.raises(ScenarioError, match=told):
+    with pytest.raises(ScenarioError, match=text):
         find_mode(name.format(file=file))
     assert find_mode("command_injection", allow_actuation=True).label == "malicious"
 
@@ -158,7 +158,7 @@ def test_a_parameter_drawn_from_what_the_other_testbed_has_is_refused(tmp_path):
     file = tmp_path / "own.yaml"
     drawn = "parameters: {who: {type: string, default: A, drawn: target_icao24}}\n"
     file.write_text(OWN.format(name="own", by=0.9) + drawn)
-    with pytest.raises(ScenarioError, match=r"who.drawn: .* object_x, object_y, object_radius"):
+    with pytest.raises(ScenarioError, match=r"who.drawn: .*object_x, object_y, object_radius"):
         recipe_for(find_mode(str(file)), 0, Campaign())
 
 

@@ -1,5 +1,5 @@
-"""What every node of a run owes the others, whichever it is: one set of laws over all nodes, held
-against everything that each of them said while Nav2 came up and the robot drove off."""
+"""Laws that hold for all nodes of a run, tested on everything that each of them published while
+Nav2 was started and the robot drove off."""
 
 import functools
 import itertools
@@ -66,18 +66,18 @@ class Drive:
         self.names |= {humble.plain(name): name for name in names if name not in listeners}
 
     def listen(self):
-        """Hear whoever has appeared, on a line of their own."""
+        """Subscribe to new publishers, on a separate connection."""
         for publisher in self.domain.publishers():
             if publisher not in self.heard:
                 heard = self.heard[publisher] = []
                 publisher.connect(
                     Subscription(
                         "/test", publisher.topic, publisher.msgtype, qos.profile(1, latched=True),
-                        self.hear(heard), raw=True, latency_ns=0,
+                        self.recorder(heard), raw=True, latency_ns=0,
                     )
                 )  # fmt: skip
 
-    def hear(self, heard):
+    def recorder(self, heard):
         executor = self.system.executor
         return lambda data: heard.append((next(self._number), executor.now_ns, data))
 
@@ -86,7 +86,7 @@ class Drive:
 
     @functools.cache  # noqa: B019 -- one drive a module
     def messages(self, node):
-        """Return publisher, time, bytes and message of some of what a node said."""
+        """Return publisher, time, bytes and message of some of a node's messages."""
         return [
             (publisher, time_ns, data, deserialize(data, publisher.msgtype))
             for publisher, heard in self.publishers(node)
@@ -95,7 +95,7 @@ class Drive:
 
     @functools.cached_property
     def frames(self):
-        """The parent of every frame that transforms tell of."""
+        """The parent of every frame in the transforms."""
         return {
             transform.child_frame_id: transform.header.frame_id
             for node in self.names
@@ -140,7 +140,7 @@ def parts(message, kind):
 
 
 @pytest.mark.slow
-def test_nothing_that_is_said_goes_unheard(drive, node):
+def test_every_published_message_is_received(drive, node):
     for publisher, heard in drive.publishers(node):
         assert publisher.messages == len(heard), publisher.topic
 
@@ -195,7 +195,7 @@ def test_a_lifecycle_node_comes_up_in_order_and_does_nothing_before_it_is_activa
             assert all(number > activating for number, _, _ in heard), publisher.topic
 
 
-def test_who_is_silent_in_life_is_silent_and_nobody_else(drive, node):
+def test_exactly_the_topics_that_are_silent_in_the_real_system_are_silent(drive, node):
     said = [publisher.topic for publisher, heard in drive.publishers(node) if heard]
     assert (not said) == (node.partition(" ")[0] in SILENT)
     assert not humble.SILENT_TOPICS & set(said)

@@ -1,4 +1,4 @@
-"""What a launch and a recording can be told otherwise, each on a real run of one goal."""
+"""Options of a launch and a recording, each on a real run of one goal."""
 
 from dataclasses import replace
 
@@ -76,7 +76,7 @@ def test_receive_stamps_are_later_than_what_they_stamp_by_the_way_through_the_re
     assert np.median(late - late.min()) == pytest.approx(0.3e6, rel=0.5)
 
 
-def test_wiring_decides_what_the_collision_monitor_hears(record):
+def test_the_wiring_decides_the_sources_of_the_collision_monitor(record):
     heard = {}
     for wiring in ("additive", "replace", "absent"):
         directory = record(timeout_s=10.0, wiring=wiring)
@@ -112,7 +112,7 @@ def test_parameters_of_nav2_are_in_the_recipe_only_if_set_and_change_the_run(rec
     assert usual.manifest().content_hash != wide.manifest().content_hash
 
 
-def test_a_recipe_says_its_relation_only_if_it_is_not_the_usual_one(record):
+def test_a_recipe_has_a_relation_only_if_it_is_not_the_default(record):
     usual, mirrored = record(), record(relation="mirrored")
     assert "relation" not in usual.manifest().recipe["options"]
     assert mirrored.manifest().recipe["options"]["relation"] == "mirrored"

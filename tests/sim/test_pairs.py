@@ -1,4 +1,4 @@
-"""Attacked runs against their controls, on manifests written down by hand."""
+"""Attacked runs against their controls, on given manifests."""
 
 import dataclasses
 
@@ -35,7 +35,7 @@ def place(root, run):
     return directory
 
 
-def test_an_effect_is_how_much_more_there_is_of_each_quantity():
+def test_an_effect_is_the_increase_of_each_quantity():
     late = GoalResult(25.0, None, "timeout", 6.5, 2)  # the recording ended at 30 s
     attacked = manifest("random_noise", SUCCEEDED, late)
     control = manifest("lidar_passthrough", SUCCEEDED, SUCCEEDED)
@@ -47,7 +47,7 @@ def test_an_effect_is_how_much_more_there_is_of_each_quantity():
     assert task_effect(control, control) == dict.fromkeys(UNITS, 0.0)
 
 
-def test_what_was_not_measured_is_not_compared():
+def test_quantities_that_were_not_measured_are_not_compared():
     control = manifest("lidar_passthrough")
     older = dataclasses.replace(manifest("random_noise"), drive=None)
     assert task_effect(older, control) is None
@@ -57,7 +57,7 @@ def test_what_was_not_measured_is_not_compared():
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 @pytest.mark.parametrize("pair", PAIRS)
-def test_whichever_of_a_pair_comes_last_has_the_effect_noted(tmp_path, pair, order):
+def test_the_effect_is_stored_when_the_second_run_of_a_pair_ends(tmp_path, pair, order):
     longer = dataclasses.replace(SUCCEEDED, driven_m=9.0)
     runs = [manifest(pair[0]), manifest(pair[1], longer)]
     for index in order:
@@ -84,7 +84,7 @@ def test_a_bag_kept_in_another_storage_is_compared(tmp_path):
     assert directory.manifest().task_effect == dict.fromkeys(UNITS, 0.0)
 
 
-def test_an_attack_without_a_pair_is_judged_against_the_passthrough_that_hears_odometry(tmp_path):
+def test_an_attack_without_a_pair_is_compared_with_the_passthrough_with_odometry(tmp_path):
     longer = dataclasses.replace(SUCCEEDED, driven_m=9.0)
     for mode in ("sensor_freeze", "random_noise_shadow"):
         place(tmp_path, manifest(mode, longer, scenario={"id": mode}, parameters={"level": 0.1}))
@@ -104,7 +104,7 @@ def test_runs_of_different_wirings_are_not_compared(tmp_path):
 
 
 @pytest.mark.parametrize("trouble", ["Archive", "old_mode"])
-def test_what_else_lies_beside_a_run_does_not_spoil_it(tmp_path, trouble):
+def test_other_files_beside_a_run_do_not_affect_it(tmp_path, trouble):
     (tmp_path / "runs" / trouble / "run000").mkdir(parents=True)
     (tmp_path / "runs" / trouble / "run000" / "manifest.json").write_text("{}")
     place(tmp_path, manifest("lidar_passthrough_odom"))

@@ -1,4 +1,4 @@
-"""A testbed on DDS is the testbed: its run is what it is without, and what it says is there."""
+"""Serving on DDS does not change a run, and mirrors its graph and messages."""
 
 import pytest
 
@@ -18,7 +18,7 @@ MODE = "lidar_passthrough_odom"
 
 
 @pytest.mark.slow
-def test_a_served_run_is_what_it_is_alone_and_its_graph_is_on_dds(
+def test_serving_does_not_change_a_run_and_puts_its_graph_on_dds(
     domain, eventually, recorded_run, tmp_path
 ):
     compared = []

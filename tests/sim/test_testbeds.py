@@ -1,4 +1,4 @@
-"""One table answers which testbed a scenario, a recipe or a run is of."""
+"""The testbed of a scenario, a recipe or a run."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +25,7 @@ def test_every_experiment_is_run_on_the_testbed_that_names_it():
         assert {which_testbed(modes()[mode].scenario) for mode in named} == {name}
 
 
-def test_a_scenario_that_hears_what_no_testbed_has_for_itself_is_run_on_the_first():
+def test_a_scenario_on_a_type_of_no_testbed_runs_on_the_first():
     scenario = mode_of("atc").scenario
     main = {**scenario.document["main"], "type": "sensor_msgs/msg/Imu"}
     assert which_testbed(replace(scenario, document={**scenario.document, "main": main})) == (
@@ -46,7 +46,7 @@ def test_a_recorded_recipe_is_that_of_one_testbed_and_comes_back(name, tmp_path)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TESTBEDS)
-def test_what_a_run_is_hashed_by_is_the_module_that_it_is_made_by(name, tmp_path):
+def test_the_hash_of_a_run_covers_the_module_that_executes_it(name, tmp_path):
     testbed = TESTBEDS[name]
     run = testbed.bring_up(recipe_for(mode_of(name), 0, SHORT), Path(tmp_path))
     assert type(run).__module__ == testbed.made_by

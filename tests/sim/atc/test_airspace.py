@@ -96,7 +96,7 @@ def test_turns_are_no_faster_than_standard_rate_and_reach_the_next_fix(turn_deg)
 
 
 @given(st.lists(st.integers(1, 5_000), min_size=1, max_size=40))
-def test_what_is_flown_does_not_depend_on_when_one_looks(pauses_ms):
+def test_flights_do_not_depend_on_the_times_of_observation(pauses_ms):
     route = at("BELLE", 3_000.0), at("YGK", 5_000.0), at("SMITH", 5_000.0)
     often, once = (AirSpace([flight(*route)], (3.0, 4.0)) for _ in range(2))
     now_ns = 0

@@ -23,11 +23,11 @@ def watched(apart_m=0.0, seconds=200):
     tower = Tower()
     ConflictDetection(tower.domain)
     ControllerDisplay(tower.domain)
-    advisories = tower.hear("/advisories", "Advisory")
-    screens = tower.hear("/display_state", "DisplayState")
+    advisories = tower.record("/advisories", "Advisory")
+    screens = tower.record("/display_state", "DisplayState")
     for second in range(seconds):
         tower.run_until(second)
-        tower.say("/tracks", tracks(second, *head_on(second, apart_m)))
+        tower.publish("/tracks", tracks(second, *head_on(second, apart_m)))
     tower.run_until(seconds)
     return advisories, screens
 
@@ -46,7 +46,7 @@ def test_two_aircraft_on_a_collision_course_are_warned_at_the_computed_times():
     assert seconds_of(advisories, CLEAR) == [155]
 
 
-def test_an_advisory_tells_where_the_intruder_is_and_how_long_there_is():
+def test_an_advisory_states_position_and_time_of_the_intruder():
     advisories, _ = watched(apart_m=-100.0)
     first = next(a for a in advisories if a.icao24 == "C07AB1")
     assert (first.intruder, first.level, first.sense) == ("C07ADA", TRAFFIC, 0)
@@ -69,7 +69,7 @@ def test_resolutions_send_one_up_and_the_other_down(apart_m):
         assert own == {-math.copysign(1, apart_m)}
 
 
-def test_a_thousand_feet_apart_nobody_is_warned():
+def test_a_thousand_feet_apart_there_is_no_advisory():
     advisories, screens = watched(apart_m=304.8)
     assert advisories == []
     assert {screen.traffic_advisories for screen in screens} == {0}
@@ -85,13 +85,13 @@ def test_the_display_counts_advisories_in_force_and_labels_every_track():
     assert by_second[160].resolution_advisories == by_second[160].traffic_advisories == 0
 
 
-def test_the_display_tells_which_tracks_only_some_sensors_see():
+def test_the_display_marks_tracks_that_only_some_sensors_detect():
     tower = Tower()
     ControllerDisplay(tower.domain)
-    screens = tower.hear("/display_state", "DisplayState")
+    screens = tower.record("/display_state", "DisplayState")
     seen = [track(0.0, 0.0, math.nan, 100.0, 0.0, name, sources=s)
             for name, s in (("A", 7), ("B", 1), ("C", 6), ("", 2), ("E", 1), ("F", 5))]  # fmt: skip
-    tower.say("/tracks", tracks(1, *seen))
+    tower.publish("/tracks", tracks(1, *seen))
     tower.run_until(1.0)
     (screen,) = screens
     assert (screen.adsb_only, screen.radar_only) == (2, 2)

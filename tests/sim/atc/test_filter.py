@@ -51,7 +51,7 @@ def test_an_exact_velocity_settles_the_velocity():
     assert motion.at(2_000_000_000) == pytest.approx(200.0 + 100.0j)
 
 
-def test_a_measurement_from_before_the_last_is_compared_with_where_it_was_then():
+def test_a_measurement_older_than_the_last_is_compared_with_the_former_position():
     motion = MotionFilter(10**9, 1_000.0 + 0j, 100.0 + 0j, 10.0, 1.0, 1.0)
     motion.update(5 * 10**8, 950.0 + 0j, 10.0)
     assert motion.time_ns == 10**9

@@ -13,22 +13,22 @@ TURN_S = 4.8
 
 
 class Scene:
-    """Aircraft that fly east, and what the fusion makes of what the sensors tell."""
+    """Aircraft that fly east, and the tracks that the fusion computes from sensor reports."""
 
     def __init__(self):
         self.tower = Tower()
         Fusion(self.tower.domain)
-        self.arrays = self.tower.hear("/tracks", "TrackArray")
+        self.arrays = self.tower.record("/tracks", "TrackArray")
 
     def at(self, seconds, topic, make, **fields):
-        """Say at a time what a sensor tells of the aircraft flying 200 m/s from (-40 km, 20 km)."""
+        """Publish a sensor's report of the aircraft flying at 200 m/s from (-40 km, 20 km)."""
         self.tower.run_until(seconds)
         x = fields.pop("x", -40_000.0 + 200.0 * seconds)
         y = fields.pop("y", 20_000.0)
         if make is adsb:
             # Twenty kilometres away, track and bearing in the plane differ by a fifth of a degree.
             fields = {"speed": 200.0, "track": 90.0, **fields}
-        self.tower.say(topic, make(seconds, x, y, **fields))
+        self.tower.publish(topic, make(seconds, x, y, **fields))
 
     def adsb(self, start, end, **fields):
         for half in range(round(2 * start), round(2 * end)):
@@ -125,7 +125,7 @@ def test_a_report_that_does_not_fit_is_left_out_and_three_in_a_row_move_the_trac
     assert error_m(track, 14.0) == pytest.approx(10_000.0, abs=10.0)
 
 
-def test_altitude_of_the_radar_is_left_out_while_ads_b_tells_another():
+def test_altitude_of_the_radar_is_left_out_while_ads_b_reports_another():
     scene = Scene()
     for turn in range(5):
         scene.adsb(TURN_S * turn + 0.1, TURN_S * turn + 4.5, altitude_m=3_000.0)
@@ -160,11 +160,11 @@ TOPICS = {AdsbReport: "/adsb_fuzzed", RadarPlot: "/psr", SecondaryReply: "/ssr"}
 
 
 @given(anything)
-def test_whatever_it_hears_every_track_is_somewhere_and_right_reports_are_believed_again(messages):
+def test_for_any_input_tracks_have_positions_and_correct_reports_are_used_again(messages):
     scene = Scene()
     for number, message in enumerate(messages):
         scene.tower.run_until(0.1 * number)
-        scene.tower.say(TOPICS[type(message)], message)
+        scene.tower.publish(TOPICS[type(message)], message)
     scene.adsb(5.0, 12.0)
     last = scene.tracks_at(12.0)
     for track in (track for array in scene.arrays for track in array.tracks):
@@ -185,7 +185,7 @@ def test_whatever_it_hears_every_track_is_somewhere_and_right_reports_are_believ
         {"x": math.nan},
     ],
 )
-def test_what_no_sensor_can_say_is_not_heard(wrong):
+def test_impossible_sensor_reports_are_ignored(wrong):
     scene = Scene()
     for half in range(10):
         scene.at(half / 2, "/adsb_fuzzed", adsb, **wrong)

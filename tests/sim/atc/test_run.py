@@ -1,4 +1,4 @@
-"""Recorded runs of block 0: as it should be, and attacked."""
+"""Recorded runs of block 0: normal and attacked."""
 
 from dataclasses import replace
 
@@ -103,7 +103,7 @@ def test_all_three_sensors_see_an_aircraft_that_flies_as_it_should(runs):
     assert seen.count(ADSB + PSR + SSR) > 0.9 * len(seen)
 
 
-def test_without_an_attack_nobody_is_warned(runs):
+def test_without_an_attack_there_is_no_advisory(runs):
     assert messages(runs["atc_normal"], "/advisories") == []
 
 
@@ -151,7 +151,7 @@ def test_the_altitude_attack_raises_advisories(runs):
     assert max(screen.resolution_advisories for _, screen in screens) >= 2
 
 
-def test_the_truth_tells_what_was_changed_and_only_attacks_change_anything(runs):
+def test_the_truth_has_the_changes_and_only_attacks_have_any(runs):
     for mode, directory in runs.items():
         changed = [truth for _, truth in read_ground_truth(directory.bag) if truth.magnitude > 0.0]
         assert bool(changed) == (MODES[mode].label == "malicious")
@@ -161,14 +161,14 @@ def test_the_truth_tells_what_was_changed_and_only_attacks_change_anything(runs)
             assert manifest.changes[0].start_s == manifest.onset_s
 
 
-def test_a_finished_run_is_verified_and_not_made_again(runs):
+def test_a_finished_run_is_verified_and_not_simulated_again(runs):
     directory = runs["atc_normal"]
     before = directory.manifest_path.stat().st_mtime_ns
     assert record(directory.root, "atc_normal") == directory
     assert directory.manifest_path.stat().st_mtime_ns == before
 
 
-def test_the_manifest_holds_who_was_attacked_and_what_the_scenario_was(runs):
+def test_the_manifest_has_the_scenario_and_its_target(runs):
     manifest = runs["atc_altitude_decrease"].manifest()
     assert manifest.attack == {"target": TARGET, "rate_m_s": 5.0}
     assert manifest.scenario_hash == MODES["atc_altitude_decrease"].scenario.digest
@@ -210,13 +210,13 @@ def test_the_same_recipe_gives_the_same_messages(runs, tmp_path):
         assert graph.read_bytes() == (runs["atc_ghost_static"].graphs / graph.name).read_bytes()
 
 
-def test_the_manifest_tells_what_the_bag_holds(runs):
+def test_the_manifest_counts_the_messages_of_the_bag(runs):
     for directory in runs.values():
         manifest = directory.manifest()
         with BagReader(directory.bag) as bag:
             held = {name: topic.count for name, topic in bag.topics.items()}
-        told = {name: topic.messages for name, topic in manifest.topics.items()}
-        assert {**told, **held} == told
+        counts = {name: topic.messages for name, topic in manifest.topics.items()}
+        assert {**counts, **held} == counts
         assert manifest.recording_s == 300.0
         assert manifest.label == MODES[directory.mode].label
 
@@ -240,7 +240,7 @@ def test_a_node_may_appear_at_the_onset(tmp_path):
 
 # -- the contract of the nodes --------------------------------------------------------------
 
-GRAPH = {  # node -> (what it hears, what it sends), apart from /rosout, /clock and parameters
+GRAPH = {  # node -> (subscriptions, publications), apart from /rosout, /clock and parameters
     "/adsb_receiver": (set(), {"/adsb"}),
     "/adsb_relay": ({"/adsb"}, {"/adsb_fuzzed", "/_oracle/ground_truth"}),
     "/airspace": (set(), {"/clock"}),
@@ -255,7 +255,7 @@ EVERY_NODE = {"/rosout", "/parameter_events"}
 
 @pytest.fixture
 def listened(tmp_path):
-    """A run, and what a bystander heard: messages, and the bytes that they were when sent."""
+    """A run, and the messages that a further node received, with their bytes when sent."""
     recipe = recipe_for(modes()["atc_normal"], 0, Campaign(timeout_s=30.0))
     run = AtcRun(recipe, tmp_path)
     bystander, heard, sent = Node(run.domain, "/bystander"), [], []
@@ -275,15 +275,15 @@ def listened(tmp_path):
     return run, heard, sent
 
 
-def test_every_node_hears_and_sends_what_the_graph_says(listened):
+def test_every_node_has_the_topics_of_the_documented_graph(listened):
     domain = listened[0].domain
     assert set(domain.node_names()) == {*GRAPH, "/bystander", "/rosbag2_recorder"}
-    for node, (hears, sends) in GRAPH.items():
-        assert set(domain.subscriptions_of(node)) - EVERY_NODE - {"/clock"} == hears
+    for node, (receives, sends) in GRAPH.items():
+        assert set(domain.subscriptions_of(node)) - EVERY_NODE - {"/clock"} == receives
         assert set(domain.publishers_of(node)) - EVERY_NODE == sends
 
 
-def test_nobody_writes_to_a_message_that_was_sent(listened):
+def test_no_node_writes_to_a_sent_message(listened):
     _, heard, sent = listened
     assert len(sent) > 1_000
     assert [(topic, serialize(message, msgtype)) for topic, msgtype, _, message in heard] == sent

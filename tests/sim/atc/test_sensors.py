@@ -42,7 +42,7 @@ def rng(seed=1):
 
 def replies(measure, seconds, errors=EXACT):
     tower = Tower()
-    heard = tower.hear("/ssr", "SecondaryReply")
+    heard = tower.record("/ssr", "SecondaryReply")
     SecondaryRadar(tower.domain, WHO, measure, errors, rng())
     tower.run_until(seconds)
     return heard
@@ -50,7 +50,7 @@ def replies(measure, seconds, errors=EXACT):
 
 def echoes(measure, seconds, errors=EXACT):
     tower = Tower()
-    heard = tower.hear("/psr", "RadarPlot")
+    heard = tower.record("/psr", "RadarPlot")
     PrimaryRadar(tower.domain, measure, errors, rng())
     tower.run_until(seconds)
     return heard
@@ -58,13 +58,13 @@ def echoes(measure, seconds, errors=EXACT):
 
 def received(measure, seconds, who=WHO, seed=1):
     tower = Tower()
-    heard = tower.hear("/adsb", "AdsbReport")
+    heard = tower.record("/adsb", "AdsbReport")
     AdsbReceiver(tower.domain, who, measure, rng(seed))
     tower.run_until(seconds)
     return heard
 
 
-def test_a_radar_without_errors_tells_range_azimuth_and_when_the_beam_was_there():
+def test_a_radar_without_errors_reports_exact_range_azimuth_and_time():
     east, south = still(30_000.0, 0.0), still(0.0, -40_000.0, 8_000.0)
     first, second = replies(states(east, south), TURN_S)
     assert first.slant_range_m == slant_range(30_000.0, 5_000.0)
@@ -92,7 +92,7 @@ def test_a_turning_radar_sees_every_aircraft_once_a_turn():
     np.testing.assert_allclose(np.diff(stamps), TURN_S * 1e9, atol=2)
 
 
-def test_transponders_tell_altitude_in_steps_of_25_ft():
+def test_transponders_report_altitude_in_steps_of_25_ft():
     for altitude_m in (5_000.0, 5_003.0, 93.0):
         (reply,) = replies(states(still(30_000.0, 0.0, altitude_m)), TURN_S)
         steps = reply.altitude_m / ALTITUDE_STEP_M
@@ -107,7 +107,7 @@ def test_a_radar_sees_nothing_above_itself_and_nothing_too_far():
 
 
 @pytest.mark.parametrize("errors", [PRIMARY, SECONDARY])
-def test_a_radar_errs_as_its_standard_allows(errors):
+def test_the_errors_of_a_radar_are_those_of_its_standard(errors):
     turns = 1_000
     heard = replies(states(still(0.0, -50_000.0)), turns * TURN_S, errors)
     assert len(heard) == pytest.approx(errors.detection * turns, abs=40)
@@ -119,7 +119,7 @@ def test_a_radar_errs_as_its_standard_allows(errors):
     assert azimuths.std() == pytest.approx(errors.azimuth_sd_deg, rel=0.1)
 
 
-def test_the_primary_radar_also_sees_what_is_none_now_and_then():
+def test_the_primary_radar_has_false_plots():
     turns = 500
     clutter = echoes(states(), turns * TURN_S)
     assert len(clutter) == pytest.approx(FALSE_PLOTS * turns, rel=0.1)
@@ -129,7 +129,7 @@ def test_the_primary_radar_also_sees_what_is_none_now_and_then():
     np.testing.assert_allclose(stamps % TURN_S / TURN_S * 360.0, azimuths, atol=1e-3)
 
 
-def test_ads_b_speaks_about_twice_a_second_and_loses_one_squitter_in_twenty():
+def test_ads_b_reports_about_twice_a_second_and_loses_one_squitter_in_twenty():
     measure = {0: State(*still(10_000.0, 0.0)), 1: None}.get
     heard = received(measure, 1_000.0)
     assert {report.icao24 for report in heard} == {"C07AB1"}
@@ -173,9 +173,9 @@ def test_ads_b_tracks_are_from_true_north():
     assert np.mean(tracks) > 90.5
 
 
-def test_a_report_is_recorded_as_it_is_heard():
+def test_a_report_is_recorded_as_it_is_received():
     tower = Tower()
-    heard, recorded = tower.hear("/adsb", "AdsbReport"), []
+    heard, recorded = tower.record("/adsb", "AdsbReport"), []
     tower.create_subscription(ADSB_TYPE, "/adsb", recorded.append, qos.SENSOR_DATA, raw=True)
     flight = Flight(
         "C07AB1", "ACA123", "2001", 0.0,

@@ -75,7 +75,7 @@ def test_at_one_sensitivity_two_aircraft_are_warned_of_each_other_alike(one, oth
     assert len({(level, tau) for _, _, level, tau in found}) <= 1
 
 
-def test_an_aircraft_whose_altitude_nobody_knows_is_no_threat():
+def test_an_aircraft_of_unknown_altitude_is_no_threat():
     known = [0.0, 0.0, 3_000.0, 0.0, 0.0, 0.0]
     unknown = [0.0, 0.0, math.nan, 0.0, 0.0, 0.0]
     assert len(advisories(np.array([known, known]))) == 2

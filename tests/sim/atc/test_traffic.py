@@ -75,7 +75,7 @@ def test_the_jet_overtakes_three_slower_aircraft_far_below(recipes):
             assert below == pytest.approx(600.0 * number)
 
 
-def test_everyone_flies_within_the_radars_range(recipes):
+def test_all_aircraft_fly_within_the_radars_range(recipes):
     for recipe in recipes:
         for flight in recipe.flights:
             assert all(
@@ -84,7 +84,7 @@ def test_everyone_flies_within_the_radars_range(recipes):
     assert all(distance(AIRPORT, place) < 100_000.0 for place in FIXES.values())
 
 
-def test_a_full_airspace_is_said_to_be_full(monkeypatch):
+def test_a_full_airspace_is_an_error(monkeypatch):
     monkeypatch.setattr(traffic, "_DRAWS", 1)  # else it takes nine hundred flights
     with pytest.raises(OracleError, match=r"no room for flight \d+ of 80"):
         draw_traffic(np.random.default_rng(0), 80, 600.0, (0.0, 0.0))

@@ -1,4 +1,4 @@
-"""What tests of the nodes share: a domain, a listener, and messages as a sensor would send them."""
+"""Shared parts of tests of the nodes: a domain, a listener, and messages of sensors."""
 
 import math
 
@@ -18,19 +18,19 @@ TrackArray = message_class("atc_msgs/msg/TrackArray")
 
 
 class Tower(Node):
-    """Speaks on the topics that a node under test hears, and keeps what it answers."""
+    """Publishes on the inputs of a node under test, and records its outputs."""
 
     def __init__(self, on_advance=lambda _: None):
         super().__init__(Domain(Executor(on_advance)), "/tower")
         self._publishers = {}
 
-    def hear(self, topic, msgtype):
-        """Return the list that all messages of a topic will be put in."""
+    def record(self, topic, msgtype):
+        """Return the list to which all messages of a topic are appended."""
         heard = []
         self.create_subscription(f"atc_msgs/msg/{msgtype}", topic, heard.append, qos.SENSOR_DATA)
         return heard
 
-    def say(self, topic, message):
+    def publish(self, topic, message):
         if topic not in self._publishers:
             self._publishers[topic] = self.create_publisher(message.__msgtype__, topic)
         self._publishers[topic].publish(message)

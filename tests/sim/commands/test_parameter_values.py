@@ -1,4 +1,4 @@
-"""Parameters as they are typed, drawn and swept."""
+"""Parameters that are typed, drawn and swept."""
 
 import numpy as np
 import pytest
@@ -66,7 +66,7 @@ def test_a_sweep_that_cannot_be_is_refused(text, expected):
 
 
 @given(st.integers(0, 2**32))
-def test_what_is_drawn_is_within_bounds_and_the_rest_is_left(seed):
+def test_drawn_values_are_within_bounds_and_others_are_unchanged(seed):
     drawn = draw(MODE, np.random.default_rng(seed))
     assert list(drawn) == ["level", "rays"]
     assert 0.0 <= drawn["level"] <= 1.0
@@ -75,7 +75,7 @@ def test_what_is_drawn_is_within_bounds_and_the_rest_is_left(seed):
     assert drawn == draw(MODE, np.random.default_rng(seed))
 
 
-def test_whole_numbers_are_drawn_with_both_ends_and_evenly():
+def test_integers_are_drawn_uniformly_with_both_bounds():
     rng = np.random.default_rng(1)
     counts = np.bincount([draw(MODE, rng)["rays"] for _ in range(500)], minlength=6)[1:]
     assert len(counts) == 5
@@ -104,7 +104,7 @@ def test_words_become_values_of_the_parameters_type():
         ("colour=red", "expected one of level, rays, open, on, name, x, found colour"),
     ],
 )
-def test_words_that_are_no_value_are_refused_where_the_run_begins(word, expected):
+def test_invalid_values_are_refused_at_the_start_of_the_run(word, expected):
     program = compile_scenario(MODE.scenario)
     with pytest.raises(ScenarioError) as refused:
         execute(program, 1, typed(program, [word]))

@@ -1,4 +1,4 @@
-"""``oracle-sim record`` as it is typed: what it makes, says and refuses."""
+"""``oracle-sim record`` from a shell: its runs, its output and its errors."""
 
 import resource
 import subprocess
@@ -22,16 +22,16 @@ def oracle_sim(*arguments, **options):
 
 
 def record(*arguments):
-    """The same in this process: a start of Python's proves nothing more."""
+    """The same in this process, to save the start of Python."""
     return CliRunner().invoke(main, ["record", *map(str, arguments)])
 
 
-def test_the_command_records_says_what_it_did_and_does_it_once(tmp_path):
+def test_the_command_records_a_run_once_and_prints_a_summary(tmp_path):
     arguments = ("-m", "fake_object", "-n", "1", "--goals", "1", "--out", str(tmp_path))
     first = oracle_sim("record", *arguments)
     assert first.returncode == 0, first.stderr
     assert "run000: succeeded, 1 of 1 goals" in first.stdout
-    assert first.stderr == ""  # no progress bar where nobody looks
+    assert first.stderr == ""  # no progress bar without a terminal
     manifest = tmp_path / "runs" / "fake_object" / "run000" / "manifest.json"
     made_ns = manifest.stat().st_mtime_ns
     assert record(*arguments).stdout == first.stdout
@@ -58,7 +58,7 @@ def test_the_command_records_a_scenario_that_is_no_mode(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "text"),
     [
         ((), "either --mode or --scenario"),
         (("-m", "fake_object", "--scenario", "sensor_drop"), "either --mode or --scenario"),
@@ -66,14 +66,14 @@ def test_the_command_records_a_scenario_that_is_no_mode(tmp_path):
         (("--scenario", "command_injection"), "--allow-actuation"),
     ],
 )
-def test_what_cannot_be_recorded_is_refused_before_anything_is(tmp_path, options, told):
+def test_invalid_options_are_refused_before_anything_is_recorded(tmp_path, options, text):
     result = record(*options, "--out", tmp_path)
     assert result.exit_code == 2
-    assert told in " ".join(result.stderr.replace("│", " ").split())
+    assert text in " ".join(result.stderr.replace("│", " ").split())
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_unknown_mode_is_refused_with_those_that_there_are(tmp_path):
+def test_an_unknown_mode_is_refused_with_the_existing_ones(tmp_path):
     result = record("-m", "fake", "--out", tmp_path)
     assert result.exit_code == 2
     assert "'fake' is not one of 'lidar_passthrough'" in result.stderr

@@ -1,4 +1,4 @@
-"""The commands of the scenario language, as they are typed."""
+"""The commands of the scenario language."""
 
 import json
 import re
@@ -61,7 +61,7 @@ def messages(path, *topics):
 
 @pytest.fixture(params=["mcap", "sqlite3"])
 def foreign_bag(request, tmp_path):
-    """A bag of somebody else's robot, with messages of a type that nobody has heard of."""
+    """A bag of a foreign robot, with messages of an unknown type."""
     with BagWriter(tmp_path / "foreign", request.param) as bag:
         bag.add_topic("/scan_tom", SCAN, [])
         bag.add_topic("/reading", FOREIGN, [], TypeDefinition("uint8[] data\n", ""))
@@ -73,15 +73,13 @@ def foreign_bag(request, tmp_path):
     return tmp_path / "foreign"
 
 
-def test_mutate_copies_what_it_does_not_touch_even_of_types_that_nobody_knows(
-    foreign_bag, tmp_path
-):
+def test_mutate_copies_unaltered_messages_even_of_unknown_types(foreign_bag, tmp_path):
     out = tmp_path / "out"
     done = run("mutate", foreign_bag, out, "random_noise", "-p", "level=0.5", "--at", 3.0)
-    told = (
+    text = (
         "attack from 3.0 s on; of 9 messages of /scan_tom, 6 affected; 9 published on /scan_fakeo"
     )
-    assert told in done.output
+    assert text in done.output
     untouched = ("/reading", "/nameless", "/scan_tom")
     assert messages(out, *untouched) == messages(foreign_bag)
     with BagReader(foreign_bag) as before, BagReader(out) as after:
@@ -105,7 +103,7 @@ def test_mutate_copies_what_it_does_not_touch_even_of_types_that_nobody_knows(
         (["command_injection"], "main.output: expected a topic that moves nothing"),
     ],
 )
-def test_mutate_says_what_is_wrong_and_writes_nothing(words, expected, foreign_bag, tmp_path):
+def test_mutate_reports_the_fault_and_writes_nothing(words, expected, foreign_bag, tmp_path):
     done = run("mutate", foreign_bag, tmp_path / "out", *words, expect=1)
     assert expected in done.output
     assert not (tmp_path / "out").exists()
@@ -141,11 +139,11 @@ def test_mutate_points_a_scenario_at_a_topic_and_alters_it_in_place(foreign_bag,
         (["message_mutator", "--topic", "/cmd_vel"], "would alter /cmd_vel, which may move"),
     ],
 )
-def test_mutate_says_which_topic_does_not_fit(words, expected, foreign_bag, tmp_path):
+def test_mutate_names_the_topic_that_does_not_fit(words, expected, foreign_bag, tmp_path):
     assert expected in run("mutate", foreign_bag, tmp_path / "out", *words, expect=1).output
 
 
-def test_what_a_scenario_does_not_see_yet_stays_as_it_was_recorded(foreign_bag, tmp_path):
+def test_messages_before_the_onset_stay_as_recorded(foreign_bag, tmp_path):
     file = tmp_path / "late.yaml"
     file.write_text(OWN + "activation: {before: absent}\n")
     out = tmp_path / "out"
@@ -162,7 +160,7 @@ def test_mutate_takes_one_scenario_of_a_file_that_holds_several(foreign_bag, tmp
     run("mutate", foreign_bag, tmp_path / "out", f"{file}#other")
 
 
-def test_a_right_file_is_called_right_and_a_wrong_one_named_with_line_and_key(tmp_path):
+def test_a_valid_file_is_accepted_and_an_invalid_one_reported_with_line_and_key(tmp_path):
     right, wrong, mistyped = (tmp_path / f"{name}.yaml" for name in ("right", "wrong", "mistyped"))
     right.write_text(OWN)
     wrong.write_text(OWN.replace("label: malicious", "label: evil"))
@@ -170,16 +168,16 @@ def test_a_right_file_is_called_right_and_a_wrong_one_named_with_line_and_key(tm
     assert "my_drift is correct" in run("scenario", "check", right).output
     done = run("scenario", "check", wrong, right, mistyped, tmp_path / "none.yaml", expect=1)
     assert "my_drift is correct" in done.output
-    told = done.stderr.splitlines()
-    assert len(told) == 3
-    assert told[0].startswith(f"{wrong}:4:1: label: expected one of malicious, normal, control")
+    lines = done.stderr.splitlines()
+    assert len(lines) == 3
+    assert lines[0].startswith(f"{wrong}:4:1: label: expected one of malicious, normal, control")
     assert re.match(
-        rf"{re.escape(str(mistyped))}:10:\d+: transform\.actions\[0\]\.do\[0\]", told[1]
+        rf"{re.escape(str(mistyped))}:10:\d+: transform\.actions\[0\]\.do\[0\]", lines[1]
     )
-    assert told[2].startswith(f"Could not read {tmp_path / 'none.yaml'}")
+    assert lines[2].startswith(f"Could not read {tmp_path / 'none.yaml'}")
 
 
-def test_a_scenario_that_moves_something_needs_leave(tmp_path):
+def test_a_scenario_that_moves_something_needs_permission(tmp_path):
     file = tmp_path / "own.yaml"
     file.write_text(run("scenario", "show", "command_injection").output)
     assert "moves nothing" in run("scenario", "check", file, expect=1).output
@@ -189,12 +187,12 @@ def test_a_scenario_that_moves_something_needs_leave(tmp_path):
 
 
 @pytest.mark.parametrize("name", [*BUILTINS, "fake_object_shadow"])
-def test_what_is_shown_is_the_scenario(name):
+def test_the_shown_text_is_the_scenario(name):
     (shown,) = parse_scenarios(run("scenario", "show", name).output.encode(), "shown.yaml")
     assert shown.digest == find_mode(name, allow_actuation=True).scenario.digest
 
 
-def test_the_list_has_the_built_in_scenarios_and_ones_own(tmp_path, monkeypatch):
+def test_the_list_has_the_built_in_scenarios_and_the_users(tmp_path, monkeypatch):
     (tmp_path / "own.yaml").write_text(OWN)
     (tmp_path / "broken.yaml").write_text("nothing")
     monkeypatch.setenv(FOLDER, str(tmp_path))
@@ -264,7 +262,7 @@ def test_a_mutant_of_a_run_is_a_run_of_its_block(controls, tmp_path):
     assert 0 < changed <= len(messages(controls / "run000/bag", "/scan_tom"))
 
 
-def test_a_mutant_that_is_there_is_kept_and_another_is_not_put_in_its_place(controls, tmp_path):
+def test_an_existing_mutant_is_kept_and_not_replaced_by_another(controls, tmp_path):
     mode = find_mode("sensor_drop")
     cell = Mutant(0, 0, "share", 0.5)
     made = derive_mutant(controls, False, Job(mode, tmp_path, cell))
@@ -281,7 +279,7 @@ def test_a_mutant_that_is_there_is_kept_and_another_is_not_put_in_its_place(cont
 @pytest.mark.parametrize("name", [
     name for name, scenario in builtin_scenarios().items() if scenario.label == "malicious"
 ])  # fmt: skip
-def test_every_built_in_attack_has_magnitudes_or_there_is_nothing_to_be_more_of(name):
+def test_every_built_in_attack_has_magnitudes_or_is_listed_as_without(name):
     mode = find_mode(name, allow_actuation=True)
     if name in WITHOUT:
         assert name not in BUILT_IN
@@ -293,7 +291,7 @@ def test_every_built_in_attack_has_magnitudes_or_there_is_nothing_to_be_more_of(
     assert list(found.values) == sorted(set(found.values))
 
 
-def test_a_scenario_of_ones_own_is_swept_in_each_number_with_bounds(tmp_path):
+def test_a_users_scenario_is_swept_in_each_number_with_bounds(tmp_path):
     file = tmp_path / "own.yaml"
     file.write_text(OWN.replace("min: 0.0", "min: 0.01, max: 0.5"))
     (found,) = sweeps_of(find_mode(str(file)))
@@ -314,11 +312,11 @@ def test_a_scenario_of_ones_own_is_swept_in_each_number_with_bounds(tmp_path):
         (["--all", "--on", "."], 1, "Could not read run000"),
     ],
 )
-def test_a_grid_that_is_not_asked_for_rightly_says_what_it_takes(words, code, expected):
+def test_a_grid_with_invalid_options_states_the_valid_ones(words, code, expected):
     assert expected in run("grid", *words, expect=code).stderr
 
 
-def test_fuzzed_runs_tell_what_was_drawn_and_are_not_made_twice(tmp_path):
+def test_fuzzed_runs_store_the_drawn_values_and_are_not_repeated(tmp_path):
     file = tmp_path / "own.yaml"
     file.write_text(OWN.replace("min: 0.0", "min: 0.01, max: 0.5"))
     words = ["--scenario-template", file, "-n", 1, "--goals", 1, "--out", tmp_path, "--workers", 1]
@@ -338,8 +336,13 @@ def test_fuzzed_runs_tell_what_was_drawn_and_are_not_made_twice(tmp_path):
               ["fuzz"], ["grid"]],
     ids=" ".join,
 )  # fmt: skip
-def test_every_command_teaches_with_an_example(words):
+def test_every_command_has_an_example(words):
     assert f"oracle-sim {' '.join(words)} " in run(*words, "--help").output
+
+
+def test_a_check_shows_each_parameter_with_its_range_and_unit():
+    checked = run("scenario", "check", BUILTIN_FILE.with_name("blinded_sector.yaml"))
+    assert "    half_width = 0.52 (0.0 to 3.15 rad)\n" in checked.output
 
 
 def test_a_check_starts_without_testbeds_and_without_the_analysis():
@@ -354,4 +357,5 @@ finally:
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "random_noise is correct; a message takes at most 0.20% of the " in done.stdout
+    assert "    level = 0.1 (0.0 to 1.0)\n" in done.stdout
     assert done.stderr.strip() == ""

@@ -1,4 +1,4 @@
-"""A scope of every kind of name, environments for it, and sentences of the language over it."""
+"""A scope with every kind of name, environments for it, and random expressions over it."""
 
 import functools
 import math
@@ -56,7 +56,7 @@ lengths = st.integers(0, 9)
 
 @st.composite
 def environments(draw):
-    """What an expression meets, whatever it is."""
+    """An environment with arbitrary values for expressions."""
     scan = message_type(SCAN).missing
     scan.range_min, scan.range_max = draw(reals), draw(reals)
     scan.ranges = draw(hnp.arrays(np.float32, lengths, elements=st.floats(width=32)))

@@ -1,4 +1,4 @@
-"""A scenario needs leave to send what moves a robot, under whatever name and type."""
+"""A scenario needs permission to send messages that move a robot, of any name and type."""
 
 import pytest
 
@@ -53,11 +53,11 @@ def test_these_types_move_something_under_any_name(msgtype):
         ("/drive_status", "std_msgs/msg/String"),
     ],
 )
-def test_these_tell_of_the_robot_and_do_not_move_it(topic, msgtype):
+def test_topics_that_report_the_robots_state_do_not_move_it(topic, msgtype):
     assert not moves_something(topic, msgtype)
 
 
-def test_what_is_built_in_and_alters_commands_needs_leave_and_is_no_mode():
+def test_built_in_scenarios_that_alter_commands_need_permission_and_are_no_modes():
     mains = {name: scenario.document["main"] for name, scenario in builtin_scenarios().items()}
     moving = {name for name, main in mains.items() if moves_something(main["output"], main["type"])}
     assert moving == {"command_injection", "command_scale"}

@@ -1,4 +1,4 @@
-"""Whatever lies in the folder of scenarios: what is no scenario is named, others are modes."""
+"""Any files in the folder of scenarios: invalid ones are named, the others are modes."""
 
 import os
 import socket
@@ -40,7 +40,7 @@ FILES = {
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """One scenario that is right, among everything that is not."""
+    """One valid scenario among invalid files."""
     monkeypatch.setenv(FOLDER, str(tmp_path))
     for name, content in FILES.items():
         (tmp_path / name).write_bytes(content)
@@ -74,7 +74,7 @@ def test_every_file_that_is_no_scenario_is_named_once_and_the_others_are_modes(f
     assert others - named == {os.fsdecode(b"\xff\x1b[2J.yaml")}  # shown by codes
 
 
-def test_what_is_told_of_them_can_be_written_to_any_log_and_terminal(folder):
+def test_their_errors_can_be_written_to_any_log_and_terminal(folder):
     for text in broken_scenarios():
         assert text.encode("utf-8")
         assert text.replace("\n", "").isprintable()
@@ -91,7 +91,7 @@ def test_the_partitions_of_the_code_location_load(folder):
     assert "Left out" in done.stderr
 
 
-def test_a_folder_that_cannot_be_listed_is_told(tmp_path, monkeypatch):
+def test_a_folder_that_cannot_be_listed_is_an_error(tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     monkeypatch.setenv(FOLDER, str(tmp_path / "file"))
     assert "lidar_passthrough" in modes()
@@ -99,12 +99,12 @@ def test_a_folder_that_cannot_be_listed_is_told(tmp_path, monkeypatch):
     assert "which is no folder" in text
 
 
-def test_no_more_of_a_file_is_read_than_is_looked_at(folder):
+def test_a_file_is_read_up_to_the_limit_only(folder):
     with pytest.raises(ScenarioError, match=f"at most {MAX_BYTES} bytes, found more"):
         load_scenarios(folder / "huge.yaml")
 
 
-def test_all_faults_of_a_file_are_told_at_once(tmp_path):
+def test_all_faults_of_a_file_are_reported_at_once(tmp_path):
     file = tmp_path / "faulty.yaml"
     file.write_text(GOOD.replace("normal", "odd").replace("/scan,", "scan,") + "more: 1\n")
     with pytest.raises(ScenarioError) as refusal:

@@ -1,4 +1,4 @@
-"""What does not fit its messages, moves something or computes too much is refused."""
+"""A scenario with wrong types, without permission or with too much computation is refused."""
 
 import math
 import re
@@ -68,7 +68,7 @@ ACT = "transform: {{actions: [{{name: act, do: [{}]}}]}}\n"
     ],
     ids=lambda value: value[:60],
 )  # fmt: skip
-def test_what_does_not_fit_the_types_is_refused_with_its_place(rest, where, expected):
+def test_a_value_of_the_wrong_type_is_refused_with_its_place(rest, where, expected):
     with pytest.raises(ScenarioError) as refused:
         program(rest)
     text = str(refused.value)
@@ -79,13 +79,13 @@ def test_what_does_not_fit_the_types_is_refused_with_its_place(rest, where, expe
 
 
 def faults(rest, msgtype=SCAN):
-    """The places of all that is wrong, in the order in which it is told."""
+    """The places of all faults, in the order in which they are reported."""
     with pytest.raises(ScenarioError) as refused:
         program(rest, msgtype)
     return [line.split(": ")[1] for line in str(refused.value).splitlines()]
 
 
-def test_all_faults_that_do_not_depend_on_each_other_are_told_at_once():
+def test_all_independent_faults_are_reported_at_once():
     declared = "parameters: {a: {type: int, default: 1.5}, b: {type: bool, default: 2}}\n"
     assert faults(declared + "constants: {c: [1, [2, 3]]}\n", "nav_msgs/msg/Nothing") == [
         "main.type", "parameters.a.default", "parameters.b.default", "constants.c",
@@ -108,7 +108,7 @@ def test_all_faults_that_do_not_depend_on_each_other_are_told_at_once():
     ["/cmd_vel", "/cmd_vel_nav", "/robot1/cmd_vel", "/arm/joint_trajectory",
      "/mavros/setpoint_velocity/cmd_vel", "/fmu/in/trajectory_setpoint"],
 )  # fmt: skip
-def test_what_moves_something_needs_leave(topic):
+def test_a_target_that_moves_something_needs_permission(topic):
     moving = scenario(msgtype="geometry_msgs/msg/Twist")
     moving.document["main"]["output"] = topic
     with pytest.raises(ScenarioError, match="moves nothing"):
@@ -124,7 +124,7 @@ def test_output_is_neither_a_source_nor_the_ground_truth(topic):
         compile_scenario(looped)
 
 
-def test_what_computes_too_much_is_refused_before_it_runs():
+def test_a_scenario_that_computes_too_much_is_refused_before_it_runs():
     many = [f"map_array: {{field: {f}, as: [r], value: r + 1}}" for f in ("ranges", "intensities")]
     doing(*many)
     with pytest.raises(

@@ -1,4 +1,4 @@
-"""What is compiled for a file is bounded, however its expressions multiply."""
+"""The compilation of a file is bounded, even if its expressions multiply."""
 
 import time
 

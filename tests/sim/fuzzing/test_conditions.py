@@ -1,4 +1,4 @@
-"""Scenarios that change parameters of nodes, or QoS: from the onset to the end, and told."""
+"""Scenarios that change parameters of nodes, or QoS, from the onset to the end."""
 
 import functools
 
@@ -95,7 +95,7 @@ class Bench:
         return sent
 
 
-def test_a_parameter_is_set_from_the_onset_to_the_end_and_the_node_tells_so():
+def test_a_parameter_is_set_from_the_onset_to_the_end_and_the_node_reports_it():
     bench = Bench(setting())
     bench.send()
     assert bench.values == [(2, 0.05), (6, 0.26)]
@@ -139,7 +139,7 @@ def test_switching_to_another_scenario_sets_parameters_back():
         ({"value": 99}, r"value: max_vel_x: expected 0.01 to 2, found 99"),
     ],
 )
-def test_what_a_node_does_not_have_is_refused_with_its_place(faulty, reason):
+def test_an_unknown_node_or_parameter_is_refused_with_its_place(faulty, reason):
     with pytest.raises(ScenarioError, match=rf"^setting.yaml:10:\d+: set_parameters\[0\].{reason}"):
         Bench(setting(**faulty))
 
@@ -158,7 +158,7 @@ def test_a_setting_that_makes_no_sense_is_refused_when_the_file_is_read(faulty, 
     assert reason in str(refused.value)
 
 
-def test_setting_a_parameter_needs_leave():
+def test_setting_a_parameter_needs_permission():
     (scenario,) = parse_scenarios(
         SETTING.format(node="/driver", name="x", value=1, more="").encode(), "setting.yaml"
     )
@@ -166,7 +166,7 @@ def test_setting_a_parameter_needs_leave():
         compile_scenario(scenario)
 
 
-def test_who_asks_for_more_than_is_offered_hears_nothing_until_the_end():
+def test_a_subscriber_that_requests_more_than_is_offered_receives_nothing_until_the_end():
     bench = Bench(offer())
     sent = bench.send()
     assert bench.heard["/tolerant"] == sent
@@ -175,7 +175,7 @@ def test_who_asks_for_more_than_is_offered_hears_nothing_until_the_end():
     assert bench.publisher.qos == qos.DEFAULT
 
 
-def test_an_offer_that_all_accept_changes_nothing_that_is_heard():
+def test_a_compatible_offer_does_not_change_received_messages():
     bench = Bench(offer("{reliability: reliable, durability: transient_local}"))
     sent = bench.send()
     assert bench.heard == {"/reliable": sent, "/tolerant": sent}
@@ -206,7 +206,7 @@ def test_a_bag_cannot_show_it(tmp_path, compiled):
 
 
 @pytest.mark.slow
-def test_the_robot_drives_otherwise_once_its_controller_was_set(recorded_run):
+def test_the_robot_drives_differently_with_other_controller_parameters(recorded_run):
     run = recorded_run(find_mode("controller_parameters", allow_actuation=True), 0)
     control = recorded_run("lidar_passthrough", 0)
     ours, theirs = run.manifest(), control.manifest()

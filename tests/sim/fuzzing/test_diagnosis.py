@@ -1,4 +1,4 @@
-"""``scenario check`` tells all faults of a file at once, whatever stage would find them."""
+"""``scenario check`` reports all faults of a file at once, from all stages."""
 
 import re
 
@@ -42,8 +42,8 @@ FAULTS = {  # by stage: what is written, what instead, and where the fault is th
 }
 
 
-def told(tmp_path, text):
-    """Return the lines that are said to be wrong."""
+def faulty_lines(tmp_path, text):
+    """Return the lines with faults."""
     file = tmp_path / "tried.yaml"
     file.write_text(text, "utf-8")
     (found,) = diagnose(file)
@@ -51,25 +51,25 @@ def told(tmp_path, text):
     return [int(re.search(r"tried.yaml:(\d+):", line)[1]) for line in str(found).splitlines()]
 
 
-def test_a_fault_of_each_stage_is_told_with_its_line(tmp_path):
+def test_a_fault_of_each_stage_is_reported_with_its_line(tmp_path):
     text = GOOD
     for old, new, _ in FAULTS.values():
         assert old in text
         text = text.replace(old, new, 1)
     lines = [line + (line > 2) for *_, line in FAULTS.values()]
-    assert told(tmp_path, text) == sorted(lines)
+    assert faulty_lines(tmp_path, text) == sorted(lines)
 
 
 @pytest.mark.parametrize("stage", FAULTS)
-def test_one_fault_is_told_once_and_nothing_that_follows_from_it(tmp_path, stage):
+def test_one_fault_is_reported_once_without_consequences(tmp_path, stage):
     old, new, line = FAULTS[stage]
-    assert told(tmp_path, GOOD.replace(old, new, 1)) == [line]
+    assert faulty_lines(tmp_path, GOOD.replace(old, new, 1)) == [line]
 
 
-def test_what_names_a_part_that_is_wrong_is_no_fault_of_its_own(tmp_path):
-    assert told(tmp_path, GOOD.replace("type: float", "type: length", 1)) == [6]
+def test_a_reference_to_a_faulty_part_is_no_fault(tmp_path):
+    assert faulty_lines(tmp_path, GOOD.replace("type: float", "type: length", 1)) == [6]
     let = "      let: {more: p.factor +}\n      do:\n        - add: {field: range_min, by: more}\n"
-    assert told(tmp_path, f"{GOOD}    - name: last\n{let}") == [21]
+    assert faulty_lines(tmp_path, f"{GOOD}    - name: last\n{let}") == [21]
 
 
 @pytest.mark.parametrize(
@@ -80,9 +80,9 @@ def test_what_names_a_part_that_is_wrong_is_no_fault_of_its_own(tmp_path):
         ("  onset:", "\tonset:", 8, "a tab"),
     ],
 )
-def test_faults_are_told_beside_lines_that_are_not_yaml(tmp_path, old, new, line, words):
+def test_faults_are_reported_beside_lines_that_are_not_yaml(tmp_path, old, new, line, words):
     text = GOOD.replace(old, new, 1).replace("default: 1.05", "default: big", 1)
-    lines = told(tmp_path, text)
+    lines = faulty_lines(tmp_path, text)
     assert lines[0] == line
     (found,) = diagnose(tmp_path / "tried.yaml")
     assert words in str(found).splitlines()[0]
@@ -100,7 +100,7 @@ def test_a_correct_file_has_the_programs_that_compilation_gives(tmp_path):
 
 
 @pytest.mark.parametrize("name", sorted(builtin_scenarios())[::8])
-def test_whatever_is_cut_from_a_built_in_scenario_is_told_in_words(tmp_path, name):
+def test_any_part_removed_from_a_built_in_scenario_is_reported(tmp_path, name):
     import yaml
 
     text = yaml.safe_dump(dict(builtin_scenarios()[name].document), sort_keys=False)

@@ -15,10 +15,10 @@ PAGE = (DOCS / "reference" / "scenario-language.md").read_text("utf-8")
 
 
 @pytest.mark.parametrize("builtin", BUILTINS.values(), ids=BUILTINS)
-def test_every_function_is_there_as_it_is_called(builtin):
+def test_every_function_is_documented_with_its_usage(builtin):
     assert f"`{builtin.usage}`" in PAGE
 
 
 @pytest.mark.parametrize("name", [*OPERATORS, *CONSTANTS, *schema()["properties"]])
-def test_every_operator_constant_and_key_is_there(name):
+def test_every_operator_constant_and_key_is_documented(name):
     assert f"`{name}`" in PAGE

@@ -1,4 +1,4 @@
-"""Programs at work: what every one of them owes, and what the language means."""
+"""Execution of programs: laws for all of them, and the semantics of the language."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ from tests.sim.fuzzing.workbench import (
 
 
 @pytest.mark.parametrize("name", BUILTINS)
-def test_no_program_writes_to_the_messages_that_it_hears(name):
+def test_no_program_writes_to_received_messages(name):
     compiled = builtin(name)
     messages = examples(compiled)
     before = [data(message) for message in frozen(messages)]
@@ -69,7 +69,7 @@ def test_a_shadow_does_the_same_work_and_publishes_what_came(name):
 
 @pytest.mark.parametrize("name", ["random_noise", "random_noise_thesis", "message_mutator"])
 @given(lost=st.sets(st.integers(0, 19)))
-def test_what_becomes_of_a_message_does_not_depend_on_those_lost_before(name, lost):
+def test_the_result_for_a_message_does_not_depend_on_lost_ones(name, lost):
     compiled = builtin(name)
     messages = list(scans(20))
     whole = results(compiled, messages)
@@ -81,7 +81,7 @@ def test_what_becomes_of_a_message_does_not_depend_on_those_lost_before(name, lo
 
 
 @pytest.mark.parametrize("name", BUILTINS)
-def test_before_its_onset_a_program_hands_on_what_comes(name):
+def test_before_its_onset_a_program_forwards_every_message(name):
     execution = start(builtin(name))
     (message,) = examples(execution.program, 1)
     ((_, output, _),) = execution.on_message(message, stamp(0), -0.1).outputs
@@ -193,7 +193,7 @@ transform: {actions: [{name: hide, do: [{drop: {}}]}]}
     assert max(dropped) < 200
 
 
-def test_a_stale_source_may_cost_the_message():
+def test_a_stale_source_may_drop_the_message():
     rest = """\
 sources:
   odom: {type: nav_msgs/msg/Odometry, topic: /odom, max_age: 0.3, on_missing: drop}
@@ -206,7 +206,7 @@ transform: {actions: [{name: slow, do: [{scale: {field: ranges, by: 2.0}}]}]}
     assert late.truth.detail == "dropped: odom is 0.4 s old"
 
 
-def test_an_array_longer_than_allowed_is_handed_on_and_the_truth_says_so():
+def test_an_array_longer_than_allowed_is_forwarded_with_a_note_in_the_ground_truth():
     compiled = doing("scale: {field: ranges, by: 2.0}", more="limits: {array: 100}\n")
     message = scan()
     (result,) = results(compiled, [message])
@@ -219,7 +219,7 @@ def test_the_truth_counts_what_was_published_before():
     assert [result.truth.index for result in found] == [0, 3, 6]
 
 
-def test_a_scenario_may_say_what_its_magnitude_is():
+def test_a_scenario_may_define_its_magnitude():
     more = "parameters: {m: {type: float, default: 4.5}}\nground_truth: {magnitude: p.m}\n"
     (result,) = results(doing("drop: {}", more=more), [scan()])
     assert result.truth.magnitude == 4.5

@@ -1,4 +1,4 @@
-"""Expressions: what they mean, and what they cost."""
+"""The semantics and the cost of expressions."""
 
 import functools
 import math
@@ -145,14 +145,14 @@ def test_an_element_is_numpys_inside_the_array_and_missing_outside(ranges, data)
     np.testing.assert_array_equal(found, padded[index + 3])
 
 
-def test_an_index_between_two_elements_is_that_of_the_first():
+def test_an_index_between_two_elements_is_rounded_down():
     env = {"msg": message_type(SCAN).missing, "t": 1.9}
     env["msg"].ranges = np.array([5.0, 6.0, 7.0], np.float32)
     assert compile_expression("msg.ranges[t]", GLOBAL)(env) == 6.0
     assert math.isnan(compile_expression("msg.ranges[-0.5]", GLOBAL)(env))
 
 
-def test_what_is_missing_reads_as_nan_zero_false_and_the_empty_text():
+def test_missing_values_are_nan_zero_false_or_the_empty_text():
     env = {"path": message_type("nav_msgs/msg/Path").missing, "state": {"tracks": {}}}
     where = compile_expression("path.poses[3].pose.position.x", GLOBAL)
     assert math.isnan(where(env))
@@ -208,7 +208,7 @@ def test_two_draws_in_one_expression_are_independent():
 
 
 @pytest.mark.parametrize("elements", [1, 360, 10_000])
-def test_only_what_is_worked_out_per_element_costs_per_element(elements):
+def test_only_operations_per_element_cost_per_element(elements):
     def cost(text):
         return compile_expression(text, LOOP, elements=elements).cost
 

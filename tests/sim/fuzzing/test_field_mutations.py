@@ -62,7 +62,7 @@ def test_one_value_of_any_message_type_is_changed_and_the_result_can_be_sent(nam
 
 
 @given(seeds)
-def test_a_message_of_empty_sequences_alone_comes_back_as_it_is(rng):
+def test_a_message_of_empty_sequences_only_is_returned_unchanged(rng):
     kind = message_type("tf2_msgs/msg/TFMessage")
     empty = zero(kind)
     assert FieldMutator.of(kind, [], KINDS)(empty, rng) == (empty, 0.0, "nothing to mutate")
@@ -108,7 +108,7 @@ def test_a_mutated_text_is_another_one_that_can_be_sent(rng, name, old):
 
 
 @given(seeds, st.sampled_from(KINDS), st.booleans())
-def test_a_mutated_boolean_is_the_other_one(rng, name, old):
+def test_a_mutated_boolean_is_inverted(rng, name, old):
     assert MUTATIONS[name](old, BOOLEAN, rng) is (not old)
 
 

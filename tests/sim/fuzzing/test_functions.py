@@ -147,7 +147,7 @@ def test_an_offset_is_the_rotation_about_the_axis_of_its_great_circle(lat, lon, 
 
 
 @given(latitudes, longitudes, courses, st.floats(10.0, 1_000_000.0))
-def test_an_offset_is_as_far_away_and_on_the_course_that_was_asked(lat, lon, course, distance):
+def test_an_offset_has_the_given_distance_and_course(lat, lon, course, distance):
     to_lat, to_lon = offset_lat(lat, course, distance), offset_lon(lat, lon, course, distance)
     assert haversine_m(lat, lon, to_lat, to_lon) == pytest.approx(distance, rel=1e-6, abs=1e-2)
     turn = bearing_deg(lat, lon, to_lat, to_lon) - course

@@ -1,4 +1,4 @@
-"""No text leads out of the value types: it gives a value or is refused with its place."""
+"""Any text gives a value of the language or is refused with its place."""
 
 import ast
 
@@ -168,7 +168,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("text", REFUSED, ids=lambda text: ascii(text)[:40])
-def test_a_refusal_says_where_what_and_what_was_expected(text):
+def test_an_error_has_place_found_and_expected_value(text):
     if REFUSED[text] is None:
         assert compile_expression(text, LOOP).type is NAMES[text]
         return

@@ -46,7 +46,7 @@ def test_a_hostile_scenario_is_refused_where_it_is_hostile_and_not_evaluated(
     assert not list(tmp_path.iterdir())
 
 
-def test_what_is_not_hostile_about_the_corpus_is_accepted(tmp_path):
+def test_the_harmless_base_of_the_corpus_is_accepted(tmp_path):
     path = tmp_path / "harmless.yaml"
     path.write_text(HARMLESS)
     (program,) = programs(path)

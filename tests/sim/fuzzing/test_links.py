@@ -1,4 +1,4 @@
-"""Scenarios on the links to some nodes: only these hear what is altered, late, or not at all."""
+"""Scenarios on the links to some nodes: only these receive altered, late or no messages."""
 
 import pytest
 
@@ -76,7 +76,7 @@ def test_samples_overtake_each_other_and_keep_their_stamps():
     assert list(map(sent.index, heard)) != list(range(20))
 
 
-def test_a_man_in_the_middle_of_one_link_alters_what_one_node_hears():
+def test_a_man_in_the_middle_of_one_link_alters_the_messages_for_one_node():
     bench = Bench(program("scale: {field: ranges, by: 0.5}"))
     sent = bench.send(3)
     assert list(map(data, bench.heard["/other"])) == list(map(data, sent))
@@ -104,7 +104,7 @@ def test_a_wrong_link_is_refused_with_its_place(more, reason):
     assert reason in str(refused.value)
 
 
-def test_a_node_that_does_not_hear_the_topic_is_refused_with_those_that_do():
+def test_a_node_that_does_not_subscribe_to_the_topic_is_refused_with_those_that_do():
     with pytest.raises(
         ScenarioError, match=r"subscribes to /scan \(/other, /reader\), found /planner"
     ):

@@ -16,33 +16,33 @@ LATENCY_NS = 3 * MILLISECOND
 
 
 class Bench:
-    """A node of a scenario, who speaks to it, and what is heard of it."""
+    """A node of a scenario, with publishers for its inputs and a record of its outputs."""
 
     def __init__(self, program, **parameters):
         self.executor = Executor()
         self.domain = Domain(self.executor)
         others = Node(self.domain, "/others")
         outlets = {program.input_topic: program.type.name, "/odom": ODOMETRY}
-        self.speak = {t: others.create_publisher(kind, t).publish for t, kind in outlets.items()}
+        self.publish = {t: others.create_publisher(kind, t).publish for t, kind in outlets.items()}
         self.node = ScenarioNode(
             self.domain, "/mutant", execute(program, 1, parameters), latency_ns=LATENCY_NS
         )
         self.heard, self.truth = [], []
-        hear = others.create_subscription
-        hear(
+        subscribe = others.create_subscription
+        subscribe(
             program.type.name,
             program.output_topic,
             lambda message: self.heard.append((self.executor.now_ns, message)),
         )
-        hear(GROUND_TRUTH_TYPE, GROUND_TRUTH_TOPIC, self.truth.append)
+        subscribe(GROUND_TRUTH_TYPE, GROUND_TRUTH_TOPIC, self.truth.append)
 
     def scans(self, messages, topic="/in", period_ns=SECOND // 5):
         for number, message in enumerate(messages):
-            self.executor.call_at(number * period_ns, self.speak[topic], message)
+            self.executor.call_at(number * period_ns, self.publish[topic], message)
         self.executor.run_until(len(messages) * period_ns)
 
 
-def test_until_it_is_told_to_begin_every_message_is_handed_on_a_moment_later():
+def test_before_its_start_every_message_is_forwarded_after_the_latency():
     bench = Bench(doing("add: {field: ranges, by: 1.0}"))
     messages = list(scans(5))
     bench.scans(messages)
@@ -52,7 +52,7 @@ def test_until_it_is_told_to_begin_every_message_is_handed_on_a_moment_later():
     assert [truth.detail for truth in bench.truth] == ["not active"] * 5
 
 
-def test_what_was_published_before_the_onset_is_handed_on_even_if_it_is_heard_after():
+def test_messages_from_before_the_onset_are_forwarded_even_if_they_arrive_later():
     bench = Bench(doing("add: {field: ranges, by: 1.0}"))
     bench.node.begin(2 * SECOND // 5 - LATENCY_NS // 2)  # while the second scan is on its way
     bench.scans([scan(n) for n in range(4)])
@@ -102,14 +102,14 @@ def test_the_graph_shows_the_topics_of_the_scenario_and_hides_the_truth():
     assert published == {"/scan_fakeobject", GROUND_TRUTH_TOPIC}
 
 
-def test_a_scenario_that_hears_what_nobody_says_is_refused_and_told_what_there_is():
+def test_a_scenario_on_a_topic_without_publisher_is_refused_with_the_existing_topics():
     domain = Domain(Executor())
     Node(domain, "/lidar").create_publisher(SCAN, "/scan")
-    with pytest.raises(ScenarioError, match=r"main.input: .* is there \(/scan\), found /scan_tom"):
+    with pytest.raises(ScenarioError, match=r"main.input: .*LaserScan \(/scan\), found /scan_tom"):
         ScenarioNode(domain, "/mutant", execute(builtin("random_noise"), 1))
 
 
-def test_a_scenario_may_not_speak_on_a_topic_of_another_type():
+def test_a_scenario_cannot_publish_on_a_topic_of_another_type():
     domain = Domain(Executor())
     Node(domain, "/lidar").create_publisher(SCAN, "/scan_tom")
     Node(domain, "/other").create_publisher(ODOMETRY, "/scan_fakeobject")

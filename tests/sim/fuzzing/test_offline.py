@@ -35,7 +35,7 @@ FOREIGN_BAGS = sorted(Path(_FOREIGN).glob("*/metadata.yaml")) if _FOREIGN else [
 
 @pytest.fixture(params=[*FOREIGN_BAGS, "simulated"], ids=lambda p: str(p)[-40:])
 def any_bag(request):
-    """Each real bag at hand, and that of a simulated run."""
+    """Each available real bag, and that of a simulated run."""
     if isinstance(request.param, Path):
         return request.param.parent
     return request.getfixturevalue("recorded")[0]
@@ -51,7 +51,7 @@ def on(path, topic):
 
 
 def scenario_for(path):
-    """A scenario that makes noise on the topic of the bag that has the most numbers in it."""
+    """A scenario that adds noise to the topic of the bag with the most numbers."""
     with BagReader(path) as bag:
         topic = next(
             topic
@@ -191,7 +191,7 @@ def test_a_run_shows_when_its_goal_was_accepted(run_bag, tmp_path):
     assert len(frozen) == summary.touched
 
 
-def test_an_onset_may_be_said_and_an_absent_node_says_nothing_before(run_bag, tmp_path):
+def test_an_onset_can_be_given_and_an_absent_node_publishes_nothing_before(run_bag, tmp_path):
     bag, _ = run_bag
     program = builtin("delayed_fakeobject")
     place = {"x": 1.5, "y": 0.0, "radius": 0.3}
@@ -241,7 +241,7 @@ def write(path, *topics):
     return path
 
 
-def test_a_bag_without_the_topic_is_refused_and_told_what_there_is(tmp_path):
+def test_a_bag_without_the_topic_is_refused_with_the_existing_topics(tmp_path):
     (scan,) = scans(1)
     bag = write(tmp_path / "bag", ("/scan", scan))
     with pytest.raises(BagError, match=r"no topic /scan_tom, which random_noise .* it has /scan\."):
@@ -270,7 +270,7 @@ def test_a_bag_is_never_written_over_another(run_bag, tmp_path):
         mutate_bag(bag, tmp_path / "mutant", builtin("random_noise"), 1)
 
 
-def test_what_is_not_changed_keeps_its_bytes_even_where_they_are_odd(tmp_path):
+def test_unchanged_messages_keep_their_bytes_even_unusual_ones(tmp_path):
     (scan,) = scans(1)
     msgtype = scan.__msgtype__
     odd = serialize(scan, msgtype) + b"\0\0\0"  # padding that a serializer left at the end

@@ -60,7 +60,7 @@ def test_arrays_are_stored_as_their_elements_would_be(kind, values):
 
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
-def test_what_is_not_finite_leaves_a_whole_number_as_it_was(value):
+def test_a_non_finite_value_leaves_an_integer_unchanged(value):
     assert converter(Number("uint8"))(value, 7) == 7
     stored = converter(Array(Number("uint8")))(np.array([value, 3.0]), np.array([7, 7], np.uint8))
     assert stored.tolist() == [7, 3]
@@ -75,7 +75,7 @@ def test_a_text_is_cut_to_the_bound_of_its_field():
 
 
 @pytest.mark.parametrize(("overflow", "expected"), [("wrap", 44), ("clip", 255), ("error", None)])
-def test_an_overflow_wraps_or_is_clipped_or_spares_the_message(overflow, expected):
+def test_an_overflow_wraps_is_clipped_or_leaves_the_message_unchanged(overflow, expected):
     change = f"set: {{field: radiation_type, value: 300, on_overflow: {overflow}}}"
     came = message(RANGE, radiation_type=1)
     (result,) = results(doing(change, msgtype=RANGE), [came])
@@ -127,7 +127,7 @@ def test_set_reaches_into_nested_messages_and_copies_only_the_way_there():
 
 @pytest.mark.slow
 @given(ranges, st.floats(-5, 5))
-def test_arithmetic_leaves_what_is_not_finite_alone(values, by):
+def test_arithmetic_leaves_non_finite_numbers_unchanged(values, by):
     for operator, expected in (("add", np.add), ("scale", np.multiply)):
         heard = only(doing(f"{operator}: {{field: ranges, by: {by!r}}}"), scan(0, values)).ranges
         finite = np.isfinite(values)
@@ -136,7 +136,7 @@ def test_arithmetic_leaves_what_is_not_finite_alone(values, by):
         np.testing.assert_array_equal(heard[finite], wanted)
 
 
-def test_arithmetic_applies_to_what_is_not_finite_if_asked():
+def test_arithmetic_can_be_applied_to_non_finite_numbers():
     came = scan(0, [np.inf, 1.0])
     heard = only(doing("scale: {field: ranges, by: -1.0, nonfinite: apply}"), came)
     assert heard.ranges.tolist() == [-np.inf, -1.0]
@@ -188,7 +188,7 @@ def test_for_each_changes_the_messages_that_its_condition_picks():
     assert heard.transforms[0] is came.transforms[0]
 
 
-def test_every_round_of_for_each_has_draws_of_its_own():
+def test_every_round_of_for_each_has_independent_draws():
     noise = "{noise: {field: transform.translation.x, dist: uniform, absolute: 1.0}}"
     compiled = doing(f"for_each: {{field: transforms, as: [tf], do: [{noise}]}}", msgtype=TF)
     xs = [t.transform.translation.x for t in only(compiled, transforms(*[0.0] * 50)).transforms]

@@ -27,7 +27,7 @@ def test_the_schema_is_a_json_schema():
 
 
 @pytest.mark.parametrize("scenario", builtin_scenarios().values(), ids=lambda s: s.id)
-def test_a_built_in_scenario_reads_as_any_yaml_reader_reads_it(scenario):
+def test_a_built_in_scenario_is_parsed_as_by_any_yaml_parser(scenario):
     documents = list(yaml.safe_load_all(Path(scenario.file).read_text()))
     assert scenario.document in documents
 
@@ -82,7 +82,7 @@ def test_the_place_of_a_key_is_where_it_stands_in_the_file(name):
             assert re.match(rf"['\"]?{key[-1]}\b", lines[place.line - 1][place.column - 1 :]), key
 
 
-def test_the_digest_goes_by_what_is_said_and_not_by_layout():
+def test_the_digest_depends_on_content_and_not_on_formatting():
     (one,), (same,), (other,) = (
         parse(GOOD),
         parse("# a comment\n\n" + GOOD.replace("{type", "{  type")),
@@ -182,7 +182,7 @@ def test_a_wrong_file_is_refused_with_line_key_and_what_was_expected(text, where
     assert len(str(refused.value)) < 400
 
 
-def test_all_faults_of_a_file_are_told_at_once():
+def test_all_faults_of_a_file_are_reported_at_once():
     text = "colour: red\nsize: big\n" + GOOD.replace("tried", "Tried").replace("schema", "scheme")
     with pytest.raises(ScenarioError) as refused:
         parse(text)
@@ -196,5 +196,5 @@ def test_a_missing_file_is_named(tmp_path):
         load_scenarios(tmp_path / "none.yaml")
 
 
-def test_the_schema_knows_the_operators_that_there_are():
+def test_the_schema_lists_the_existing_operators():
     assert set(schema()["$defs"]["operator"]["properties"]) == set(OPERATORS)

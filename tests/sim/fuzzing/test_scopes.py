@@ -1,4 +1,4 @@
-"""Functions of a scenario, and what an expression may name."""
+"""Functions of a scenario, and names in expressions."""
 
 import pytest
 
@@ -54,7 +54,7 @@ def test_a_parameter_hides_a_name_of_the_scenario_in_its_function_only():
     assert compile_expression("fn.same(5) + t", scope)({"t": 2.0}) == 7.0
 
 
-def test_calls_with_other_arguments_are_told_apart():
+def test_calls_with_different_arguments_are_distinguished():
     scope = Scope(
         {"t": FLOAT},
         {

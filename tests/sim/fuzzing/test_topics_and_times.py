@@ -1,4 +1,4 @@
-"""Where a scenario speaks, when it begins and ends, and what each run draws."""
+"""Topics of a scenario, its onset and end, and the values that each run draws."""
 
 from dataclasses import replace
 
@@ -80,7 +80,7 @@ def on(path, topic):
     "transform: {timer: {period_s: 0.517, do: [{emit: {fields: {range_max: 1.0}}}]}}",
     "activation: {messages: 7}\n" + ODD,
 ])  # fmt: skip
-def test_in_place_everybody_hears_the_altered_topic_and_no_node_is_added(more, tmp_path):
+def test_in_place_all_subscribers_receive_the_altered_topic_and_no_node_is_added(more, tmp_path):
     compiled = in_place(more)
     domain, node = record(compiled, tmp_path / "altered")
     plain, _ = record(None, tmp_path / "plain")
@@ -161,7 +161,7 @@ transform:
         ),
     ],
 )  # fmt: skip
-def test_what_cannot_be_is_refused_where_it_stands(rest, expected):
+def test_impossible_values_are_refused_with_their_place(rest, expected):
     with pytest.raises(ScenarioError, match=rf"tried\.yaml:\d+:\d+: .*{expected}"):
         program(rest)
 
@@ -183,7 +183,7 @@ def test_a_scenario_ends_after_so_many_messages_a_duration_or_at_a_goal():
     assert [truth.operation for truth in acted] == ["odd"] * 5 + ["passthrough"] * 3
 
 
-def test_beats_of_a_timer_count_as_messages(tmp_path):
+def test_ticks_of_a_timer_count_as_messages(tmp_path):
     compiled = in_place(
         "activation: {messages: 3}\n"
         "transform: {timer: {period_s: 1.0, do: [{emit: {fields: {range_max: 1.0}}}]}}"
@@ -213,7 +213,7 @@ def test_a_drawn_parameter_is_a_function_of_the_run_and_within_its_bounds(
     assert type(values["a"]) is {"float": float, "int": int}[kind]
 
 
-def test_draws_are_spread_as_they_say_and_a_given_value_goes_before():
+def test_draws_have_their_distribution_and_a_given_value_has_precedence():
     def drawn(how, kind, low, high):
         text = (
             f"parameters: {{a: {{type: {kind}, default: {low}, min: {low}, max: {high}, "
@@ -234,7 +234,7 @@ def test_draws_are_spread_as_they_say_and_a_given_value_goes_before():
     assert one.outputs[0].message.range_max != other.outputs[0].message.range_max
 
 
-def test_in_place_of_nobody_is_refused():
+def test_in_place_without_a_publisher_is_refused():
     domain = Domain(Executor())
     node = Node(domain, "/reader")
     node.create_subscription(SCAN, "/scan", None)
@@ -328,7 +328,7 @@ def test_topics_are_altered_together_with_the_draws_of_the_main_message_before(t
     assert domain.publishers_of("/mutant").keys() >= {"/scan_a", "/tom_a", "/odom_a"}
 
 
-def test_too_far_behind_a_message_has_draws_of_its_own(tmp_path):
+def test_too_far_behind_a_message_has_independent_draws(tmp_path):
     near = TOGETHER.replace("output: /tom_a}", "output: /tom_a, within_s: 0.05}")
     record_three(together(near), tmp_path / "bag")
     with BagReader(tmp_path / "bag") as bag:
@@ -355,7 +355,7 @@ def test_several_topics_can_be_altered_in_place(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("input: /scan_tom", "input: /scan", "also.tom.input: expected a topic of its own"),
+        ("input: /scan_tom", "input: /scan", "also.tom.input: expected a different topic"),
         ("/odom_a", "/odom", "also.odom.output: expected all topics to be altered in place"),
         (
             "/odom_a",
@@ -374,7 +374,7 @@ def test_topics_that_cannot_be_altered_together_are_refused_where_they_stand(old
         together(TOGETHER.replace(old, new))
 
 
-def test_all_that_is_wrong_with_topics_is_told_at_once():
+def test_all_faults_of_topics_are_reported_at_once():
     text = TOGETHER.replace("/odom_a", "/odom").replace("[main, tom]", "[main, ella]")
     with pytest.raises(ScenarioError) as caught:
         together(text)

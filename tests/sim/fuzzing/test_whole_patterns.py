@@ -1,4 +1,4 @@
-"""Names match from end to end: none with a line feed behind it becomes a mode or a folder."""
+"""Names must match completely: none with a trailing line feed becomes a mode or a folder."""
 
 import json
 import re
@@ -48,7 +48,7 @@ def test_every_pattern_of_every_schema_refuses_a_line_feed_at_the_end(schema):
         assert faults(good + "\n", rule)
 
 
-def test_such_a_file_is_left_out_and_the_others_are_modes(tmp_path, monkeypatch):
+def test_an_invalid_file_is_left_out_and_the_others_are_modes(tmp_path, monkeypatch):
     monkeypatch.setenv(FOLDER, str(tmp_path))
     (tmp_path / "bad.yaml").write_text(TEXT.format(**{**WHOLE, "id": '"bad\\n"'}))
     (tmp_path / "fine.yaml").write_text(TEXT.format(**WHOLE))

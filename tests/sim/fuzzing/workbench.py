@@ -93,7 +93,7 @@ def builtin(name):
 
 
 def start(compiled, seed=1, **parameters):
-    """Begin a run in which every source has spoken."""
+    """Begin a run in which every source has published."""
     execution = execute(compiled, seed, parameters)
     for name, source in compiled.sources.items():
         execution.on_source(name, zero(source.type), stamp(0))
@@ -101,7 +101,7 @@ def start(compiled, seed=1, **parameters):
 
 
 def results(compiled, messages, seed=1, **parameters):
-    """Return what becomes of messages that come one a period, from the onset on."""
+    """Return the results for messages that arrive once per period, from the onset on."""
     execution = start(compiled, seed, **parameters)
     return [
         execution.on_message(message, stamp(number), number * PERIOD_NS / 1e9)
@@ -110,7 +110,7 @@ def results(compiled, messages, seed=1, **parameters):
 
 
 def only(compiled, message, **parameters):
-    """Return the one message that is published for one that comes."""
+    """Return the single message that is published for an input message."""
     ((result,),) = [result.outputs for result in results(compiled, [message], **parameters)]
     return result.message
 
@@ -138,5 +138,5 @@ def data(message):
 
 
 def frozen(messages):
-    """Return copies of messages, to tell whether the originals were written to."""
+    """Return copies of messages, to detect writes to the originals."""
     return copy.deepcopy(messages)

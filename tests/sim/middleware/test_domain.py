@@ -43,7 +43,7 @@ def test_raw_subscribers_get_the_bytes_that_the_message_serialises_to(domain):
     assert publisher.message_bytes == sum(map(len, heard))
 
 
-def test_a_diverted_node_hears_only_what_it_is_sent_and_all_others_what_was_published(domain):
+def test_a_diverted_node_receives_only_diverted_messages_and_all_others_the_published_ones(domain):
     heard = {"/near": [], "/far": [], "/late": []}
     talker = Node(domain, "/talker").create_publisher(STRING, "/chatter")
     recorded = []
@@ -138,7 +138,7 @@ def test_one_topic_has_one_type(domain):
 
 def test_two_nodes_cannot_share_a_name(domain):
     Node(domain, "/node")
-    with pytest.raises(ValueError, match="/node is in the graph already"):
+    with pytest.raises(ValueError, match="/node exists already"):
         Node(domain, "/node")
 
 
@@ -163,7 +163,7 @@ def test_a_service_answers_its_caller(domain):
     assert domain.clients_of("/client") == {"/double": "std_srvs/srv/Trigger"}
 
 
-def test_a_call_to_a_service_nobody_offers_says_so(domain):
+def test_a_call_to_a_service_without_a_server_is_an_error(domain):
     client = Node(domain, "/client").create_client("std_srvs/srv/Trigger", "/nowhere")
     with pytest.raises(LookupError, match="no node offers the service /nowhere"):
         client.call(None)
@@ -224,7 +224,7 @@ class TestAction:
         with pytest.raises(RuntimeError, match="SUCCEEDED already"):
             handle.abort()
 
-    def test_goal_ids_differ_and_depend_on_nothing_but_who_asks_for_what(self):
+    def test_goal_ids_differ_and_depend_on_client_and_action_only(self):
         def ids():
             domain = Domain(Executor())
             ActionServer(

@@ -30,7 +30,7 @@ def test_a_callback_cannot_be_scheduled_in_the_past():
         executor.call_at(9, lambda: None)
 
 
-def test_run_stops_where_it_is_when_told_to():
+def test_the_executor_stops_when_the_condition_holds():
     executor, ran = Executor(), []
     for time_ns in (1, 2, 3):
         executor.call_at(time_ns, ran.append, time_ns)

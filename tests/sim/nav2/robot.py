@@ -22,14 +22,14 @@ PERIOD_NS = 34 * MILLISECOND
 
 
 class IdealRobot(Node):
-    """Moves exactly as told, tells ``/odom`` and ``/tf``; map and odom coincide."""
+    """Follows commands exactly, publishes ``/odom`` and ``/tf``; map and odom coincide."""
 
     def __init__(self, topic, pose=None):
         self.executor = Executor()
         super().__init__(Domain(self.executor), "/robot")
         self.pose = pose or Pose2D()
         self.is_stuck = False
-        self.twists = []  # (time, linear, angular) of every command heard
+        self.twists = []  # (time, linear, angular) of every received command
         self._command = (0.0, 0.0)
         self.create_subscription(TWIST, topic, self._on_command)
         self._odometry = self.create_publisher("nav_msgs/msg/Odometry", "/odom")

@@ -111,7 +111,7 @@ def test_map_without_obstacles_is_refused():
 
 def test_kld_limits_are_foxs_formula_between_500_and_2000():
     limits = kld_limits()
-    assert limits[1] == MAX_PARTICLES  # AMCL's quirk: one bin asks for all
+    assert limits[1] == MAX_PARTICLES  # AMCL's quirk: one bin needs all
     assert limits[2] == MIN_PARTICLES
     assert limits[100] == 1129  # 990 * (1 - 0.0022447 + 0.0473795 * 0.99)^3, rounded up
     assert limits[-1] == MAX_PARTICLES
@@ -177,10 +177,10 @@ def test_estimate_is_the_mean_of_the_heaviest_cluster_not_of_all():
     assert covariance[0, 0] == pytest.approx(0.7 * 0.3 * 49.0, rel=0.02)
 
 
-def test_covariance_by_hand_of_four_particles():
+def test_covariance_of_four_particles():
     poses = np.array([[1.0, 2.0, 0.3], [1.0, 4.0, -0.3], [3.0, 2.0, -0.3], [3.0, 4.0, 0.3]])
     _, covariance = ParticleFilter(poses, np.random.default_rng(0)).estimate()
-    # Yaw goes with x and y, but only its circular variance is told.
+    # Yaw goes with x and y, but only its circular variance is published.
     assert covariance == pytest.approx(np.diag([1.0, 1.0, -2.0 * math.log(math.cos(0.3))]))
 
 
@@ -214,7 +214,7 @@ def test_bins_are_numbered_alike_however_far_particles_are_scattered(spread_m, m
                 assert np.array_equal(found, expected)
 
 
-def test_in_a_corridor_the_scan_tells_across_but_not_along():
+def test_in_a_corridor_the_scan_determines_motion_across_but_not_along():
     field = room_field(20.0, 1.0)
     angles = np.radians([60, 75, 90, 105, 120, -60, -75, -90, -105, -120])
     ranges = ranges_in_room(Pose2D(10.0, 0.5, 0.0), angles, 20.0, 1.0)
@@ -305,7 +305,7 @@ def rig():
     return Rig()
 
 
-def test_nothing_goes_out_before_an_initial_pose(rig):
+def test_nothing_is_published_before_an_initial_pose(rig):
     rig.robot.run(5.0)
     assert rig.transforms == rig.clouds == rig.poses == []
 
@@ -362,7 +362,7 @@ def test_driving_robot_is_found_within_a_few_centimetres(rig):
     assert np.median(errors) < 0.08
 
 
-def test_pose_and_transform_say_the_same(rig):
+def test_pose_and_transform_agree(rig):
     rig.tell_initial_pose()
     rig.robot.run(1.0)
     rig.drive(0.25, 0.0, 2.0)

@@ -18,7 +18,7 @@ GOALS = {
 
 
 class Rig(IdealRobot):
-    """The robot, a behaviour server, the local costmap it hears, and a client."""
+    """The robot, a behaviour server, its local costmap, and a client."""
 
     def __init__(self):
         super().__init__("/cmd_vel")
@@ -97,7 +97,7 @@ def test_a_wall_behind_ends_a_backup_before_it_is_touched(rig):
     assert rig.twists[-1][1:] == (0.0, 0.0)
 
 
-def test_a_behaviour_does_nothing_before_it_has_heard_a_costmap():
+def test_a_behaviour_does_nothing_before_it_has_received_a_costmap():
     rig = IdealRobot("/cmd_vel")
     server = BehaviorServer(rig.domain, "000000000001", transforms=rig.buffer)
     server.configure()
@@ -140,7 +140,7 @@ def test_cancelling_stops_the_robot(rig):
     assert rig.elapsed_ns == pytest.approx(SECOND, abs=0.1 * SECOND)
 
 
-def test_a_second_goal_ends_both_as_in_life(rig):
+def test_a_second_goal_ends_both_as_in_nav2(rig):
     rig.do("spin", "Spin", 6.0, seconds(10.0))
     rig.run(1.0)
     rig.do("spin", "Spin", 6.0, seconds(10.0))
@@ -148,7 +148,7 @@ def test_a_second_goal_ends_both_as_in_life(rig):
     assert [status for status, _ in rig.ended] == [Status.ABORTED, Status.ABORTED]
 
 
-def test_nobody_steers_so_assisted_teleop_is_refused(rig):
+def test_assisted_teleop_is_refused_without_an_operator(rig):
     rig.do("assisted_teleop", "AssistedTeleop", seconds(10.0))
     rig.run(0.1)
     assert [status for status, _ in rig.ended] == [Status.ABORTED]

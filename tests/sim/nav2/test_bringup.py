@@ -1,4 +1,4 @@
-"""The whole of Nav2: it comes up, and drives among the pillars."""
+"""Complete Nav2 becomes active, and drives among the pillars."""
 
 import pytest
 

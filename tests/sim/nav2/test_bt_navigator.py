@@ -31,10 +31,10 @@ ACTIONS = {
 
 
 class Rig(IdealRobot):
-    """A navigator and servers that do as the test says.
+    """A navigator and scripted servers.
 
     ``script[name]`` is called with a goal handle. By default plans are found, paths are followed
-    for ever, and recoveries succeed at once. ``calls`` notes who was asked for what, and when.
+    indefinitely, and recoveries succeed at once. ``calls`` records all requests with their times.
     """
 
     def __init__(self):
@@ -124,12 +124,12 @@ def test_a_goal_is_planned_followed_and_reached(rig):
     assert rig.ended == [Status.SUCCEEDED]
 
 
-def test_it_replans_once_a_second_and_hands_every_new_path_on(rig):
+def test_it_replans_once_a_second_and_forwards_every_new_path(rig):
     rig.go()
     rig.run(5.5)
     planned = [t for name, t in rig.calls if name == "compute_path_to_pose"]
     assert len(planned) == 6
-    # The period counts from the plan's success, which is seen a tick after it was asked for.
+    # The period counts from the plan's success, which is noticed a tick after its request.
     assert np.diff(planned) == pytest.approx(np.full(5, 1.01 * SECOND))
     assert rig.names().count("follow_path") == 6
 
@@ -263,7 +263,7 @@ def test_a_replan_logs_a_short_burst(rig):
     assert len(rig.log) <= 12
 
 
-def test_feedback_says_how_far_it_is(rig):
+def test_feedback_has_the_remaining_distance(rig):
     rig.go(1.0)
     rig.run(0.5)
     last = rig.feedback[-1]
@@ -288,7 +288,7 @@ def test_the_time_that_remains_is_that_of_the_distance_at_the_present_speed(rig)
     assert stamp_ns(rig.feedback[-1].estimated_time_remaining) == 0
 
 
-def test_feedback_comes_at_100_hz_if_the_hidden_topic_is_heard(rig):
+def test_feedback_has_100_hz_if_the_hidden_topic_has_a_subscriber(rig):
     heard = []
     rig.create_subscription(
         "nav2_msgs/action/NavigateToPose_FeedbackMessage",
@@ -357,15 +357,15 @@ def test_a_patrol_ends_with_the_first_goal_that_is_not_reached():
     assert len(rig.done) == 1
 
 
-def test_the_initial_pose_is_told_every_second_until_amcl_answers(rig):
+def test_the_initial_pose_is_published_every_second_until_amcl_answers(rig):
     kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
-    told = []
-    rig.create_subscription(kind, "/initialpose", lambda m: told.append(m))
+    poses = []
+    rig.create_subscription(kind, "/initialpose", lambda m: poses.append(m))
     client = BasicNavigator(rig.domain)
     client.set_initial_pose(Pose2D(-2.0, -0.5, 0.1))
     rig.run(2.5)
-    assert len(told) == 3
-    assert told[0].pose.pose.position.x == -2.0
-    rig.create_publisher(kind, "/amcl_pose", qos.LATCHED).publish(told[0])
+    assert len(poses) == 3
+    assert poses[0].pose.pose.position.x == -2.0
+    rig.create_publisher(kind, "/amcl_pose", qos.LATCHED).publish(poses[0])
     rig.run(3.0)
-    assert len(told) == 3
+    assert len(poses) == 3

@@ -69,7 +69,7 @@ class Rig:
         publisher.publish(scan_of(self.node.now_ns, points))
 
     def command(self, linear=0.2, angular=0.5):
-        """Return what the monitor makes of a command, None if it stays silent."""
+        """Return the monitor's answer to a command, None without one."""
         self.sent.clear()
         self.commands.publish(twist_message(linear, angular))
         self.domain.executor.run_until(self.node.now_ns + 1)
@@ -85,7 +85,7 @@ IN_STOP = [(0.2, 0.1)] * 4
 IN_SLOW = [(POLYGON_SLOW.vertices[:, 0].max() - 0.02, 0.1)] * 4
 
 
-def test_nothing_seen_means_hands_off(rig):
+def test_without_points_commands_are_forwarded_unchanged(rig):
     assert rig.command() == (0.2, 0.5)
 
 
@@ -142,7 +142,7 @@ def test_of_an_approach_and_a_slowdown_the_stricter_one_acts(ahead, share):
 
 
 @pytest.mark.parametrize("polygons", [(POLYGON_STOP,), (POLYGON_STOP, FOOTPRINT_APPROACH)])
-def test_the_footprint_is_heard_for_an_approach_only_and_not_shown(polygons):
+def test_the_footprint_is_used_for_an_approach_only_and_not_published(polygons):
     domain = Rig(polygons=polygons).domain
     heard = "/local_costmap/published_footprint" in domain.subscriptions_of("/collision_monitor")
     assert heard == (FOOTPRINT_APPROACH in polygons)
@@ -180,7 +180,7 @@ def test_a_scan_in_an_unknown_frame_has_no_points(rig):
     assert rig.command() == (0.2, 0.5)
 
 
-def test_a_scan_newer_than_the_odometry_waits_and_the_one_before_stands_in(rig):
+def test_a_scan_newer_than_the_odometry_waits_and_the_previous_one_is_used(rig):
     rig.see(*IN_STOP)
     rig.domain.executor.run_until(200 * MILLISECOND)
     rig.see()  # nothing there any more, but where was the robot?

@@ -119,7 +119,7 @@ def test_a_new_path_takes_over_without_a_stop(rig):
 
 
 def arrived_and_turning():
-    """Return a rig that has arrived at (1, 0), turns, and learns that it is 5 cm farther away."""
+    """Return a rig that has arrived at (1, 0), turns, and is then localised 5 cm farther away."""
     rig = Rig()
     rig.follow(line(1.0, end_yaw=2.0))
     while rig.pose.yaw < 0.5:
@@ -138,7 +138,7 @@ def test_a_new_path_to_the_same_goal_does_not_make_a_robot_that_has_arrived_set_
     assert {linear for _, linear, _ in rig.twists} == {0.0}
 
 
-def test_to_another_goal_it_does():
+def test_a_new_path_to_another_goal_makes_the_robot_set_off_again():
     rig = arrived_and_turning()
     rig.follow(line(1.1, end_yaw=2.0))
     rig.run(10.0)
@@ -224,7 +224,7 @@ def test_a_speed_limit_is_obeyed(rig):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("topic", ["/evaluation", "/marker"])
-def test_debug_topics_come_with_every_cycle_while_somebody_hears_them(rig, topic):
+def test_debug_topics_are_published_every_cycle_while_they_have_a_subscriber(rig, topic):
     deaf = rig.create_subscription(rig.domain.topics[topic], topic, None)
     rig.follow(line(4.0))
     rig.run(0.25)

@@ -139,7 +139,7 @@ def test_marks_win_over_clearing_of_the_same_update_whatever_the_order_of_source
         assert at(costs, 1.02, 0.02) == LETHAL
 
 
-def test_what_is_seen_through_later_is_cleared():
+def test_an_obstacle_that_is_later_measured_through_is_cleared():
     grid = empty_grid()
     layer = ObstacleLayer(grid)
     layer.update(grid, [seen((0.52, 0.02))], ELSEWHERE)
@@ -231,7 +231,7 @@ def test_points_read_their_cell_and_unknown_off_the_grid():
     assert point_costs(grid, xs, np.full(5, 0.02)).tolist() == [77, 77, 0, 255, 255]
 
 
-def test_footprint_feels_what_its_outline_touches_and_nothing_else():
+def test_footprint_cost_is_that_of_the_outline_only():
     grid = empty_grid()
     column, row = grid.cell(0.22, 0.0)
     grid.costs[row, column] = LETHAL

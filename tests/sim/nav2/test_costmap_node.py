@@ -36,7 +36,7 @@ def make_map(size=80):
 
 
 class Rig:
-    """A robot that stands still, a costmap, and ears on all its topics."""
+    """A robot that stands still, a costmap, and subscriptions to all its topics."""
 
     def __init__(self, kind, **settings):
         self.robot = IdealRobot("/cmd_vel")

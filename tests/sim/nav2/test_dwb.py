@@ -266,7 +266,7 @@ def naive_totals(grid, pose, velocity, plan):
     speed=st.floats(0.0, 0.26),
     turn=st.floats(-1.0, 1.0),
 )
-def test_the_choice_is_that_of_the_critics_definitions(seed, yaw, speed, turn):
+def test_the_choice_follows_the_definitions_of_the_critics(seed, yaw, speed, turn):
     rng = np.random.default_rng(seed)
     grid = free_grid()
     grid.costs[:] = rng.integers(0, 252, grid.costs.shape)

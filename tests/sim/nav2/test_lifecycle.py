@@ -8,7 +8,7 @@ from sim.nav2.lifecycle import LifecycleManager, LifecycleNode
 
 
 class Recording(LifecycleNode):
-    """Notes its transitions; activation waits until ``ready_ns``."""
+    """Records its transitions; activation waits until ``ready_ns``."""
 
     def __init__(self, domain, name, log, ready_ns=0, **options):
         super().__init__(domain, name, **options)
@@ -80,7 +80,7 @@ def test_transition_events_name_both_states_and_the_wait_is_one_transition(domai
     assert {m.transition.label for _, m in events} == {""}
 
 
-def test_both_ends_of_a_bond_beat_ten_times_a_second_with_fresh_stamps(domain):
+def test_both_ends_of_a_bond_send_ten_heartbeats_a_second_with_new_stamps(domain):
     LifecycleNode(domain, "/node")
     LifecycleNode(domain, "/silent", bond=False)
     data = []

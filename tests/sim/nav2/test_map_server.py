@@ -30,7 +30,7 @@ def rig():
     return executor, domain, heard
 
 
-def test_map_goes_out_once_and_reaches_who_comes_later(rig):
+def test_map_is_published_once_and_reaches_late_subscribers(rig):
     executor, domain, heard = rig
     executor.run_until(60 * SECOND)
     late = []
@@ -40,7 +40,7 @@ def test_map_goes_out_once_and_reaches_who_comes_later(rig):
     assert late == heard
 
 
-def test_map_message_says_what_the_map_says(rig):
+def test_map_message_has_the_cells_of_the_map(rig):
     executor, _, heard = rig
     executor.run_until(2 * SECOND)
     message = deserialize(heard[0], GRID)

@@ -137,7 +137,7 @@ def test_goal_in_an_obstacle_moves_within_the_tolerance_and_not_farther():
     assert navfn.plan(grid, centre(10, 30), centre(34, 30), tolerance=0.2) is None
 
 
-def test_unknown_space_is_passable_but_dear():
+def test_unknown_space_is_passable_at_a_high_cost():
     grid = grid_of(np.full((30, 60), NO_INFORMATION))
     grid.costs[5, 5:55] = grid.costs[25, 5:55] = FREE_SPACE
     path = navfn.plan(grid, centre(10, 5), centre(50, 25))

@@ -1,4 +1,4 @@
-"""Nav2's parameters by name: real names, their defaults, and what is refused."""
+"""Nav2's parameters by name: real names, their defaults, and errors."""
 
 import re
 
@@ -75,7 +75,7 @@ def test_the_end_of_a_name_sets_all_that_end_so() -> None:
         ("vx_samples=2.5", "expected a whole number, found 2.5"),
     ],
 )
-def test_what_is_refused_is_told_with_what_is_right(word: str, reason: str) -> None:
+def test_errors_state_the_expected_value(word: str, reason: str) -> None:
     with pytest.raises(RecipeError, match=re.escape(reason)):
         named_values([word])
 

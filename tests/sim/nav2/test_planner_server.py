@@ -175,7 +175,7 @@ paths = hnp.arrays(np.float64, st.tuples(st.integers(2, 8), st.just(2)), element
 
 
 def sweep_until_nothing_moves(original):
-    """What Nav2's simple smoother does, one point after the other (tolerance 1e-10)."""
+    """Nav2's simple smoother, point by point (tolerance 1e-10)."""
     points, change = original.copy(), 1.0
     while change > 1e-10:
         before = points.copy()
@@ -194,7 +194,7 @@ def test_smoothing_and_its_four_refinements_end_where_nav2s_sweeps_would(points)
     assert smooth(points) == pytest.approx(expected, abs=1e-8)
 
 
-def test_the_corner_of_three_points_by_hand():
+def test_the_corner_of_three_known_points():
     # Each pass leaves 0.2 / 0.8 of the corner's distance from the middle between its neighbours.
     corner = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
     assert smooth(corner)[1] == pytest.approx([0.5 + 0.5 / 4**5, 0.5 - 0.5 / 4**5])

@@ -59,7 +59,7 @@ def test_once_it_faces_the_path_dwb_drives_until_the_next_path_comes():
     assert turner.compute(GRID, away, (0.0, 0.0), HERE).twist[0] == 0.0
 
 
-def test_what_lies_behind_the_robot_on_its_path_does_not_turn_it():
+def test_the_path_behind_the_robot_does_not_turn_it():
     assert shim(plan(0.0, start=-1.0)).compute(GRID, HERE, (0.0, 0.0), HERE).twist[0] > 0.0
 
 

@@ -31,7 +31,7 @@ def test_a_step_stays_within_speed_and_acceleration_limits_and_never_overshoots(
         (0.2, 1.0, 0.26),
     ],
 )
-def test_linear_steps_by_hand(current, command, expected):
+def test_linear_steps_of_a_known_example(current, command, expected):
     assert smooth(current, command, LINEAR) == pytest.approx(expected)
 
 
@@ -61,7 +61,7 @@ def test_nothing_is_sent_before_the_first_command(rig):
     assert sent == []
 
 
-def test_a_silent_controller_is_obeyed_for_a_second_then_the_robot_is_ramped_down(rig):
+def test_without_commands_the_last_is_held_for_a_second_and_then_ramped_down(rig):
     domain, commands, sent = rig
     commands.publish(twist_message(0.26, 0.0))
     domain.executor.run_until(3 * SECOND)

@@ -49,7 +49,7 @@ class Rig:
         return client.send_goal(
             FollowWaypoints(poses),
             lambda status, result: self.ended.append((status, result)),
-            lambda told: self.feedback.append((self.node.now_ns, told.current_waypoint)),
+            lambda message: self.feedback.append((self.node.now_ns, message.current_waypoint)),
         )
 
 

@@ -1,4 +1,4 @@
-"""What the built-in scenarios of air traffic do to messages."""
+"""Effects of the built-in scenarios of air traffic on messages."""
 
 import pytest
 from hypothesis import given
@@ -90,7 +90,7 @@ def test_the_follower_is_right_behind_the_nearest_other():
     assert follower.latitude < 44.1
 
 
-def test_the_follower_forgets_who_was_not_heard_of_for_long():
+def test_the_follower_drops_aircraft_without_recent_reports():
     execution = start(builtin("atc_follow_closest"))
     execution.on_message(report(0, "GONE"), stamp(0), 0.0)
     later = 200

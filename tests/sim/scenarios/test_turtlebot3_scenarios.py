@@ -1,4 +1,4 @@
-"""What the built-in scenarios of the first testbed do to messages."""
+"""Effects of the built-in scenarios of the first testbed on messages."""
 
 import math
 import random
@@ -57,7 +57,7 @@ def noise_number(compiled):
 
 @pytest.mark.parametrize("name", PASSTHROUGHS)
 @given(ranges)
-def test_passthrough_hands_on_the_very_object(name, values):
+def test_passthrough_forwards_the_same_object(name, values):
     message = scan(0, values)
     (result,) = results(builtin(name), [message])
     ((due_ns, output, _),) = result.outputs
@@ -96,7 +96,7 @@ def test_random_noise_keeps_to_its_level_and_the_limits_and_spares_missing_retur
     assert ((heard[finite] >= low) & (heard[finite] <= high)).all()
 
 
-def test_the_truth_of_noise_says_how_many_ranges_and_by_how_much():
+def test_the_truth_of_noise_has_the_number_of_ranges_and_the_size():
     compiled = builtin("random_noise")
     values = np.full(360, 2.0, np.float32)
     values[:60] = np.inf
@@ -158,7 +158,7 @@ def test_fake_object_waits_for_the_odometry():
 # The rest of the built-in ones.
 
 
-def test_a_frozen_sensor_shows_one_scan_under_the_stamps_that_come():
+def test_a_frozen_sensor_repeats_one_scan_under_new_stamps():
     messages = list(scans(5))
     for message, result in zip(messages, results(builtin("sensor_freeze"), messages), strict=True):
         heard = result.outputs[0].message
@@ -202,7 +202,7 @@ def test_drift_grows_with_the_time_since_the_onset():
         np.testing.assert_allclose(result.outputs[0].message.ranges, 2.0 + 0.5 * 0.2 * n, rtol=1e-6)
 
 
-def test_a_blinded_sector_has_no_returns_and_the_rest_is_as_it_was():
+def test_a_blinded_sector_has_no_returns_and_the_rest_is_unchanged():
     heard = only(builtin("blinded_sector"), scan(), centre=math.pi, half_width=0.5).ranges
     bearings = INCREMENT * np.arange(360)
     blind = np.abs(bearings - math.pi) <= 0.5
@@ -255,7 +255,7 @@ def test_the_median_of_three_rays_goes_around_the_scan(values):
     np.testing.assert_array_equal(heard[known], np.median(three, axis=0)[known])
 
 
-def test_benign_noise_is_a_centimetre():
+def test_benign_noise_has_a_standard_deviation_of_a_centimetre():
     noisy = [result.outputs[0].message.ranges for result in
              results(builtin("benign_noise"), [scan(n) for n in range(50)])]  # fmt: skip
     assert np.std(noisy) == pytest.approx(0.01, rel=0.05)

@@ -36,7 +36,7 @@ def test_the_ring_is_as_thick_as_the_original():
     assert pytest.approx(0.3175, abs=1e-4) == RING_THICKNESS
 
 
-def test_nine_cylinders_stand_on_a_grid_of_1_1_m():
+def test_nine_cylinders_are_on_a_grid_of_1_1_m():
     assert [(c.name, c.x, c.y) for c in CYLINDERS[:4]] == [
         ("one_one", -1.1, -1.1),
         ("one_two", -1.1, 0.0),
@@ -78,7 +78,7 @@ def test_distance_to_a_hexagon_is_the_distance_to_its_nearest_side(x, y, hexagon
         ((2.5, 0.0), -0.15),  # within the head, near its tip
     ],
 )
-def test_clearance_of_places_worked_out_by_hand(point, expected):
+def test_clearance_of_known_places(point, expected):
     assert HEXAGON.clearance(np.array([point]))[0] == pytest.approx(expected, abs=2e-3)
 
 
@@ -99,7 +99,7 @@ def test_occupied_cells_lie_on_surfaces_seen_through_the_bias_of_the_map():
     assert np.median(distance) < 0.03
 
 
-def test_free_space_is_one_piece_shut_in_by_occupied_cells():
+def test_free_space_is_connected_and_enclosed_by_occupied_cells():
     data = occupancy_map(HEXAGON).data
     _, pieces = ndimage.label(data == FREE)
     assert pieces == 1

@@ -71,7 +71,7 @@ def test_without_a_rendering_context_the_topics_are_there_and_silent():
     assert rig.heard == {topic: [] for topic in SIZES}
 
 
-def test_what_nobody_hears_is_not_published():
+def test_topics_without_subscribers_are_not_published():
     rig = Rig(Pose2D(-2.0, -0.5))
     rig.tester.create_subscription(rig.domain.topics[POINTS], POINTS, None)
     rig.listen(DEPTH)

@@ -143,7 +143,7 @@ def test_the_onset_of_a_delayed_attack_is_drawn_by_its_block():
     assert [delay_s("delayed_passthrough", run) for run in range(9)] == drawn
 
 
-def test_blocks_sessions_and_nodes_draw_from_seeds_of_their_own():
+def test_blocks_sessions_and_nodes_draw_from_separate_seeds():
     campaign = Campaign()
     first, second = (recipe_for("fake_object", run, campaign) for run in (0, 1))
     assert first.goals != second.goals
@@ -154,7 +154,7 @@ def test_blocks_sessions_and_nodes_draw_from_seeds_of_their_own():
 
 
 @pytest.mark.parametrize("mode", ["fake_object", "atc_normal"])
-def test_a_block_has_a_session_of_its_own_unless_some_take_turns_or_one_is_asked_for(mode):
+def test_each_block_has_its_session_unless_sessions_take_turns_or_one_is_given(mode):
     def sessions(**asked):
         campaign = Campaign(goals_per_run=1, **asked)
         return [recipe_for(mode, run, campaign).session for run in range(6)]
@@ -206,7 +206,7 @@ def test_a_recipe_survives_json(seed, run):
         assert type(recipe).from_dict(document) == recipe
 
 
-def test_an_unknown_mode_is_refused_with_those_that_there_are():
+def test_an_unknown_mode_is_refused_with_the_existing_ones():
     with pytest.raises(RecipeError, match="no mode 'fake'; there are lidar_passthrough, "):
         recipe_for("fake", 0, Campaign())
 

@@ -1,4 +1,4 @@
-"""Arenas that are drawn: a robot gets everywhere, and their maps show what stands there."""
+"""Arenas that are drawn: a robot gets everywhere, and their maps show all pieces."""
 
 import json
 import math
@@ -45,7 +45,7 @@ def test_an_arena_is_a_function_of_its_seed_and_survives_json(kind, seed):
 
 
 @given(st.sampled_from(["house", "random"]), st.integers(0, 2**32 - 2))
-def test_arenas_of_other_seeds_are_others(kind, seed):
+def test_arenas_of_different_seeds_differ(kind, seed):
     one, other = draw_arena(kind, seed), draw_arena(kind, seed + 1)
     assert (one.blocks, one.pillars) != (other.blocks, other.pillars)
     assert one.id != other.id

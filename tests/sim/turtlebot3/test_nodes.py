@@ -73,7 +73,7 @@ def test_wheel_transforms_come_at_the_rate_measured_on_humble():
     assert len(wheels) / 40.0 == pytest.approx(19.4, rel=0.01)
 
 
-def test_a_velocity_command_moves_the_robot_and_the_odometry_tells_the_truth():
+def test_a_velocity_command_moves_the_robot_and_odometry_is_correct():
     robot = Robot(Pose2D(-0.55, -0.55, 0.0))
     robot.listen("/odom")
     command = robot.tester.create_publisher("geometry_msgs/msg/Twist", "/cmd_vel", qos.RELIABLE)
@@ -114,7 +114,7 @@ def test_lidar_noise_has_the_bias_and_the_spread_it_was_given():
     assert error.std() == pytest.approx(0.012, rel=0.03)
 
 
-def test_the_frames_hang_together_as_on_the_robot():
+def test_the_frames_are_connected_as_on_the_robot():
     robot = Robot()
     buffer = TransformListener(robot.domain, "0").buffer
     robot.executor.run_until(SECOND)
@@ -140,7 +140,7 @@ def test_the_robot_description_is_a_tree_of_every_frame():
     assert {t.child_frame_id for t in static.transforms} <= links
 
 
-def test_the_second_lidar_sees_the_same_world_from_its_own_place():
+def test_the_second_lidar_measures_the_same_world_from_its_mount():
     robot = Robot()
     robot.listen("/scan")
     robot.listen("/scan_tom")

@@ -1,4 +1,4 @@
-"""Rays end where MuJoCo says."""
+"""Rays end where MuJoCo's rays end."""
 
 import math
 import platform

@@ -1,4 +1,4 @@
-"""Metamorphic relations: the task changes, and what is right changes with it or not at all."""
+"""Metamorphic relations: how the correct behaviour changes with the task."""
 
 import math
 from dataclasses import replace

@@ -85,7 +85,7 @@ def test_the_robot_reaches_its_goals_and_touches_nothing(runs):
 
 def test_the_same_recipe_gives_the_same_messages_in_another_process(runs, tmp_path):
     control = next(control for control, attack in PAIRS if attack == "fake_object")
-    linked(runs[control], tmp_path)  # so that what the attack did is told
+    linked(runs[control], tmp_path)  # so that the task effect is known
     directory = RunDirectory(tmp_path, "fake_object", 0)
     (again,) = fan_out(record, [directory], lambda: process_pool(1))
     first, second = runs["fake_object"].manifest(), again.result
@@ -96,7 +96,7 @@ def test_the_same_recipe_gives_the_same_messages_in_another_process(runs, tmp_pa
         assert graph.read_bytes() == (runs["fake_object"].graphs / graph.name).read_bytes()
 
 
-def test_the_manifest_tells_what_the_bag_holds(runs):
+def test_the_manifest_counts_the_messages_of_the_bag(runs):
     for directory in runs.values():
         manifest = directory.manifest()
         with BagReader(directory.bag) as bag:
@@ -104,9 +104,9 @@ def test_the_manifest_tells_what_the_bag_holds(runs):
             read = dict.fromkeys(held, 0)
             for message in bag.messages():
                 read[message.topic] += 1
-        told = {name: topic.messages for name, topic in manifest.topics.items()}
-        del told[GROUND_TRUTH_TOPIC]
-        assert held == read == told
+        counts = {name: topic.messages for name, topic in manifest.topics.items()}
+        del counts[GROUND_TRUTH_TOPIC]
+        assert held == read == counts
 
 
 def test_every_message_decodes_with_a_decoder_that_is_not_rosbags(runs):
@@ -118,8 +118,8 @@ def test_every_message_decodes_with_a_decoder_that_is_not_rosbags(runs):
         for _, channel, _, message in reader.iter_decoded_messages():
             assert message is not None
             decoded[channel.topic] = decoded.get(channel.topic, 0) + 1
-    told = {name: topic.messages for name, topic in directory.manifest().topics.items()}
-    assert decoded == {name: count for name, count in told.items() if count}
+    counts = {name: topic.messages for name, topic in directory.manifest().topics.items()}
+    assert decoded == {name: count for name, count in counts.items() if count}
 
 
 def test_hidden_topics_are_neither_in_the_bag_nor_in_a_graph(runs):
@@ -185,7 +185,7 @@ def test_a_shadow_control_is_the_passthrough_message_for_message(runs, control, 
 
 
 @pytest.mark.parametrize(("control", "attack"), PAIRS)
-def test_what_an_attack_did_to_the_task_is_told_once_its_control_is_there(runs, control, attack):
+def test_the_task_effect_is_known_once_the_control_exists(runs, control, attack):
     right, attacked = runs[control].manifest(), runs[attack].manifest()
     assert right.task_effect is None
     assert attacked.task_effect == task_effect(attacked, right)
@@ -220,7 +220,7 @@ def test_before_its_onset_an_attack_and_its_control_are_the_same_run(runs):
     assert before[0] == before[1]
 
 
-def test_ground_truth_tells_what_was_changed_and_only_attacks_change_anything(runs):
+def test_ground_truth_has_the_changes_and_only_attacks_have_any(runs):
     touching = {"benign_median", "benign_noise", "benign_drop"}
     for mode, directory in runs.items():
         manifest, start_ns = directory.manifest(), recording_start_ns(directory)
@@ -284,7 +284,7 @@ def by_stamp(bag, topic):
         }
 
 
-def test_the_manifest_holds_what_the_attack_was(runs):
+def test_the_manifest_has_the_attack_with_its_parameters(runs):
     attack = runs["delayed_fakeobject"].manifest().attack
     assert attack.keys() == {"frame", "x", "y", "radius"}
     assert runs["random_noise"].manifest().attack == {"level": 0.1}

@@ -1,4 +1,4 @@
-"""What a session draws, and that each of it is felt."""
+"""The values that a session draws, each of which has an effect."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ from sim.turtlebot3.sensors import (
     LidarNoise,
     noisy_ranges,
 )
-from sim.turtlebot3.sessions import draw_session, mapped, sensor_errors, told_start
+from sim.turtlebot3.sessions import draw_session, estimated_start, mapped, sensor_errors
 from sim.turtlebot3.world import World
 
 
@@ -50,7 +50,7 @@ def test_delays_have_the_mean_that_jitter_and_load_say():
     assert [still.due_ns(time, 7) for time in (1, 2, 30)] == [8, 9, 37]
 
 
-def test_a_session_has_two_lidars_with_errors_of_their_own():
+def test_a_session_has_two_lidars_with_independent_errors():
     errors = sensor_errors(draw_session(0, 0))
     assert errors.scan.bias_m != errors.scan_tom.bias_m
     assert errors.scan.sd_m == errors.scan_tom.sd_m
@@ -78,11 +78,11 @@ def test_a_map_errs_at_walls_only_and_is_the_same_all_session():
     assert (mapped(world, 0, draw_session(0, 4)).data != drawn.data).any()
 
 
-def test_localisation_is_told_a_start_that_errs_as_much_as_the_session_says():
+def test_the_initial_pose_has_the_error_of_the_session():
     session = draw_session(0, 0)
     rng = np.random.default_rng(0)
-    told = [told_start(Pose2D(1.0, 2.0, 0.5), session, rng) for _ in range(4000)]
-    errors = np.array([(pose.x - 1.0, pose.y - 2.0, pose.yaw - 0.5) for pose in told])
+    starts = [estimated_start(Pose2D(1.0, 2.0, 0.5), session, rng) for _ in range(4000)]
+    errors = np.array([(pose.x - 1.0, pose.y - 2.0, pose.yaw - 0.5) for pose in starts])
     sd = (session.start_sd_m, session.start_sd_m, session.start_sd_rad)
     np.testing.assert_allclose(errors.std(axis=0), sd, rtol=0.05)
 

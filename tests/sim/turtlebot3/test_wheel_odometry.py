@@ -26,7 +26,7 @@ START = Pose2D(-0.55, -0.55, 0.05)
 
 
 class Wheels:
-    """Two wheels that turn as an ideal robot with these speeds needs it."""
+    """Two wheels that turn as for an ideal robot with these speeds."""
 
     def __init__(self, forward, turning):
         rim = np.array([-0.5, 0.5]) * turning * WHEEL_SEPARATION_M + forward
@@ -56,7 +56,7 @@ def test_even_wheels_drive_an_arc_from_where_odometry_begins(forward, turning):
 
 
 @given(st.floats(-0.26, 0.26), st.integers(1, 20))
-def test_how_often_it_is_asked_does_not_change_a_straight_way(forward, updates):
+def test_the_number_of_updates_does_not_change_a_straight_path(forward, updates):
     wheels = Wheels(forward, 0.0)
     odometry = WheelOdometry(wheels.measure)
     for _ in range(updates):
@@ -91,11 +91,11 @@ def pose_of(odometry):
 def test_encoder_odometry_starts_at_zero_and_stays_close_to_the_truth_but_not_on_it():
     world, heard, buffer = drive("encoder", 3.0)
     assert pose_of(heard[0]).distance_to(Pose2D()) < 1e-3
-    truth, told = START.inverse().compose(world.pose), pose_of(heard[-1])
+    truth, estimated = START.inverse().compose(world.pose), pose_of(heard[-1])
     assert truth.x > 0.5
-    assert 0.0 < told.distance_to(truth) < 0.01
-    assert 0.0 < abs(told.yaw - truth.yaw) < 0.01
-    assert buffer.lookup("odom", "base_footprint").distance_to(told) < 1e-9
+    assert 0.0 < estimated.distance_to(truth) < 0.01
+    assert 0.0 < abs(estimated.yaw - truth.yaw) < 0.01
+    assert buffer.lookup("odom", "base_footprint").distance_to(estimated) < 1e-9
     assert heard[-1].twist.twist.linear.x == pytest.approx(0.2, rel=0.02)
     assert heard[-1].twist.twist.angular.z == pytest.approx(0.1, rel=0.02)
 
@@ -106,12 +106,12 @@ def test_odometry_overstates_a_turn_by_separation_and_slip_and_no_more():
     wheels = Wheels(0.0, 0.5)
     world.command_wheels(*wheels.speeds)
     world.advance_to(5 * SECOND)
-    told, _ = odometry()
-    assert 1.0035 < told.yaw / wrap_angle(world.pose.yaw - START.yaw) < 1.01
+    estimated, _ = odometry()
+    assert 1.0035 < estimated.yaw / wrap_angle(world.pose.yaw - START.yaw) < 1.01
 
 
 @pytest.mark.parametrize("source", ["world", "encoder"])
-def test_the_odometry_frame_is_on_the_map_where_it_is_said_to_be(source):
+def test_the_odometry_frame_has_the_documented_pose_on_the_map(source):
     _, heard, _ = drive(source, 0.1)
     start = WORLD_IN_MAP.compose(START)
     on_map = odom_in_map(source, start).compose(pose_of(heard[0]))

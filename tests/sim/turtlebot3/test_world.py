@@ -84,7 +84,7 @@ def test_a_robot_that_is_not_commanded_stays_where_it_is():
 
 @pytest.mark.parametrize("mass", [0.9, 1.1])
 @pytest.mark.parametrize("friction", [0.8, 1.2])
-def test_wheels_carry_the_robot_as_far_as_they_are_told_to(mass, friction):
+def test_wheels_move_the_robot_by_the_commanded_distance(mass, friction):
     world = World(WorldParameters(Pose2D(-0.55, -0.55, 0.0), friction, mass))
     drive(world, 0.2, 0.0, 5.0)
     assert world.pose.x + 0.55 == pytest.approx(1.0, rel=0.02)
@@ -95,7 +95,7 @@ def test_wheels_carry_the_robot_as_far_as_they_are_told_to(mass, friction):
 
 
 def last_imu(world):
-    """Go on by one step; return turning speed and acceleration of it."""
+    """Advance by one step; return its angular velocity and acceleration."""
     samples = world.imu(world.time_ns + 5_000_000)
     world.advance_to(world.time_ns + 5_000_000)
     return samples.angular_velocities[-1], samples.linear_accelerations[-1]
@@ -125,7 +125,7 @@ def test_an_imu_at_rest_measures_gravity_upwards_and_no_turning():
     assert turning[2] == pytest.approx(0.5, rel=0.03)
 
 
-def test_the_physics_does_not_depend_on_how_far_it_is_asked_to_go_at_once():
+def test_the_physics_does_not_depend_on_the_length_of_its_blocks():
     stride, blocks = World(WorldParameters(Pose2D())), World(WorldParameters(Pose2D()))
     for world in (stride, blocks):
         world.command_wheels(3.0, 4.0)
