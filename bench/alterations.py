@@ -36,7 +36,7 @@ class Alteration:
     Attributes
     ----------
     changes : mapping of str to callable
-        By message type: returns a `Change`, fresh for each recording, as it may remember.
+        By message type: returns a new `Change` for each recording, since it may have a state.
     onset_s : float
         When the alteration begins [s of the recording].
     late_s : mapping of str to float

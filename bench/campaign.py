@@ -2,7 +2,7 @@
 
 Pure work is the time that each run reports for its simulation and its features, plus the time of
 each step over all runs. Wall time is that of the command ``dagster asset materialize``. The
-difference is start-up, planning, pictures of the runs, events and checks.
+difference is start-up, planning, images of the runs, events and checks.
 """
 
 import os
@@ -40,10 +40,10 @@ def rows() -> Iterator[Row]:
             started = time.perf_counter()
             running = campaign(home, runs, goals, stdout=subprocess.DEVNULL)
             if running.wait() != 0:
-                raise RuntimeError(f"The campaign of {runs} runs a mode failed.")
+                raise RuntimeError(f"The campaign of {runs} runs per mode failed.")
             wall_s = time.perf_counter() - started
             of_runs_s, of_all_s = _pure_seconds(home / "dagster")
-        name = f"campaign of {MODES * runs} runs, goals a run: {goals}"
+        name = f"campaign of {MODES * runs} runs, goals per run: {goals}"
         pure_s = (of_runs_s + of_all_s) / cores
         yield Row(f"{name}: wall over pure", wall_s / pure_s, "x", GOAL, True, f"({cores} cores)")
         yield Row("  wall", wall_s, "s")

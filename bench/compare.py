@@ -48,7 +48,7 @@ def rows() -> Iterator[Row]:
 
 
 def false_alarms(campaign: Reference, mode: str) -> int:
-    """Return how many random splits of the runs of a mode are said to differ."""
+    """Return how many random splits of the runs of a mode are reported as different."""
     table = campaign.table[campaign.table["mode"] == mode].reset_index(drop=True)
     rng = np.random.default_rng(0)
     found = 0

@@ -3,7 +3,7 @@
 A job takes one run from recipe to features, as in the product. Each measurement is the time from
 the first job to the last outcome. Workers have done such a job before, so the start of processes
 does not count. Rounds alternate, so that other load on the machine affects all alternatives alike.
-The yardstick measures beside it how much faster two independent processes are on this machine.
+The yardstick also measures how much faster two independent processes are on this machine.
 """
 
 import tempfile
@@ -25,9 +25,9 @@ from sim.fan_out import process_pool
 
 MODE = "lidar_passthrough_odom"
 GOALS = 1
-JOBS = 16  # a round; the last one of two workers waits for half a job on average
+JOBS = 16  # per round; one of two workers idles for half a job on average at the end
 ROUNDS = 3
-PHYSICS_S = 100.0  # of simulated time, a job of the yardstick
+PHYSICS_S = 100.0  # simulated time of one job of the yardstick
 
 
 def rows() -> Iterator[Row]:
@@ -80,8 +80,8 @@ def _run(root: Path, number: int) -> None:
 def _ratios(seconds: dict[str, list[float]], physics: dict[str, list[float]]) -> Iterator[Row]:
     scaling, of_machine = _scaling(seconds), _scaling(physics)
     against = [dask / two for dask, two in zip(seconds["dask"], seconds["two"], strict=True)]
-    yield Row("runs a minute, one process", _a_minute(seconds["one"]), "")
-    yield Row("runs a minute, two processes", _a_minute(seconds["two"]), "")
+    yield Row("runs per minute, one process", _a_minute(seconds["one"]), "")
+    yield Row("runs per minute, two processes", _a_minute(seconds["two"]), "")
     yield Row("two processes against one", median(scaling), "x", 1.8, False, spread(scaling))
     yield Row("  of the yardstick", median(of_machine), "x", remark=spread(of_machine))
     yield Row("Dask against the pool, time", median(against), "x", 1.1, True, spread(against))

@@ -45,7 +45,7 @@ def rows() -> Iterator[Row]:
     over_decode = [all_s / decode_s for all_s, decode_s in zip(extract, decode, strict=True)]
     yield Row("bag to both tables, over reading it with rosbags", median(over_read), "x", 2, True,
               spread(over_read))  # fmt: skip
-    yield Row("bag to both tables, over decoding what is asked for", median(over_decode), "x",
+    yield Row("bag to both tables, over decoding the requested topics", median(over_decode), "x",
               remark=spread(over_decode))  # fmt: skip
     yield Row("reading the bag with rosbags", median(read), "s")
     yield Row("bag to both tables", median(extract), "s")

@@ -13,7 +13,7 @@ class Row:
     value: float
     unit: str = ""
     goal: float | None = None
-    at_most: bool = True  # the goal; else at least
+    at_most: bool = True  # the goal is an upper limit; else a lower one
     remark: str = ""
 
     def __str__(self) -> str:

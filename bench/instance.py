@@ -31,13 +31,13 @@ QUERIES = {
     "all assets, how many partitions each has": (
         "{ assetNodes { assetKey { path } partitionStats { numPartitions numMaterialized } } }"
     ),
-    "one asset, which partitions are there": (
+    "one asset, which partitions exist": (
         '{ assetNodes(assetKeys: [{path: ["experiment_runs"]}]) {'
         "  partitionKeysByDimension { name partitionKeys }"
         "  assetPartitionStatuses { ... on MultiPartitionStatuses { ranges { primaryDimStartKey"
         "  secondaryDim { ... on DefaultPartitionStatuses { materializedPartitions } } } } } } }"
     ),
-    "one run, what is known of it": (
+    "one run, its latest materialization": (
         '{ assetNodes(assetKeys: [{path: ["experiment_runs"]}]) {'
         f'  assetMaterializations(partitions: ["{FIRST}|run000"], limit: 1) {{'
         "  timestamp metadataEntries { label } } } }"

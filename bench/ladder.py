@@ -74,7 +74,7 @@ class Rung:
 
 
 WHOLE = Rung("input still in the bag", ())
-GONE = Rung("input gone", (_SOURCE,))
+GONE = Rung("input not in the bag", (_SOURCE,))
 ALONE = Rung("one scanner only", (_SOURCE, _OTHER, "/range_ella"))
 TWO = Rung("two scanners together", (_SOURCE, "/range_ella"))
 
@@ -106,16 +106,16 @@ ATTACKS = (
     Attack("fake object, noisy, exact", ALONE, phantom(1.0, 0.2, 0.01)),
     Attack("fake object, noisy, exact", TWO, phantom(1.0, 0.2, 0.01)),
     Attack("fake object, exact", TWO, phantom(1.0, 0.2, 0.0)),
-    Attack("scans of 5 s before", ALONE, replayed(25)),
+    Attack("scans of 5 s earlier", ALONE, replayed(25)),
     Attack("scans frozen", ALONE, frozen()),
     Attack("scans turned by 3 degrees", ALONE, ranges_by(lambda m: np.roll(m.ranges, 3))),
-    Attack("nearest small thing removed", ALONE, ranges_by(without_small_things)),
+    Attack("nearest small object removed", ALONE, ranges_by(without_small_things)),
     Attack("ranges 5 % longer", ALONE, ranges_by(lambda m: m.ranges * FIVE)),
     Attack("ranges 5 cm longer", ALONE, ranges_by(lambda m: m.ranges + 0.05)),
     Attack("ranges with noise of 2 %", ALONE, ranges_by(noisy)),
     Attack("60 degrees ahead blinded", ALONE, ranges_by(blinded)),
-    Attack("scans held back 0.3 s", ALONE, Alteration(late_s={SCAN: 0.3}, onset_s=15.0)),
-    Attack("scans of 0.4 s before", ALONE, replayed(2)),
+    Attack("scans delayed by 0.3 s", ALONE, Alteration(late_s={SCAN: 0.3}, onset_s=15.0)),
+    Attack("scans of 0.4 s earlier", ALONE, replayed(2)),
     Attack("odometry 5 %", WHOLE, Alteration({ODOMETRY: odometry(along=FIVE, twist=FIVE)}), GOAL),
     Attack("odometry's turn 5 %", WHOLE, Alteration({ODOMETRY: odometry(turn=FIVE)}), GOAL),
     Attack("odometry's twist 5 %", WHOLE, Alteration({ODOMETRY: odometry(twist=FIVE)}), GOAL),
@@ -133,7 +133,7 @@ ATTACKS = (
         }, onset_s=15.0), GOAL,
     ),
     Attack(
-        "odometry and tf slide 1 cm/s, from 15 s on", WHOLE,
+        "odometry and tf drift 1 cm/s, from 15 s on", WHOLE,
         Alteration({
             ODOMETRY: odometry(aside_m_s=0.01), TRANSFORMS: transforms(_BASE, aside_m_s=0.01)
         }, onset_s=15.0),
@@ -154,7 +154,7 @@ ATTACKS = (
     Attack("joints 5 %", WHOLE, Alteration({JOINTS: _WHEELS}), GOAL),
     Attack("one joint 5 %", WHOLE, Alteration({JOINTS: scaled(("position",), only=0)}), GOAL),
     Attack("mount of one scanner 5 cm", WHOLE, _of_frame(_MOUNT, east_m=0.05), GOAL),
-    Attack("odometry held back 0.1 s", WHOLE, Alteration(late_s={ODOMETRY: 0.1})),
+    Attack("odometry delayed by 0.1 s", WHOLE, Alteration(late_s={ODOMETRY: 0.1})),
 )  # fmt: skip
 
 

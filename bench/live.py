@@ -1,7 +1,7 @@
 """The oracle beside a running robot: alarm delay, false alarms, latency, processor share, losses.
 
 `oracle-sim serve` and `oracle watch` run as separate processes on one DDS domain. A card is learned
-from patrols that `oracle watch` recorded, each in a session of its own. Then patrols of other
+from patrols that `oracle watch` recorded, each in a different session. Then patrols of other
 sessions are watched, while many kinds of attack are switched on and off in random order. Times are
 by the robot's clock. A delay is the time from switching an attack on to the verdict that raises the
 alarm. It ignores the ten minutes of silence after an earlier alarm.
@@ -24,8 +24,8 @@ from oracle_pipeline.scoring.alarms import RATE_PER_H, AlarmRule, Statistic
 from oracle_pipeline.scoring.card import ReferenceCard
 
 LEARNED = 45  # recordings that the card is learned from
-GOALS = 8  # of each: some 150 s
-SPEED = 3.0  # of the robot, but for what is measured at real time
+GOALS = 8  # of each: about 150 s
+SPEED = 3.0  # real-time factor, except where real time is measured
 ATTACKS = (
     "random_noise", "fake_object", "held_object", "blinded_sector", "range_drift", "sensor_delay",
     "sensor_drop", "sensor_freeze", "sensor_replay", "topic_flood", "message_mutator",
@@ -69,7 +69,7 @@ def _of_attacks(patrols: Sequence[Patrol]) -> Iterator[Row]:
         yield Row(f"  {attack}", median(of), "s", remark=spread(of))
     hours = sum(patrol.quiet_s for patrol in patrols) / 3600.0
     count = sum(patrol.false_alarms for patrol in patrols)
-    yield Row("false alarms an hour", count / hours, "", 1.0, remark=f"({count} in {hours:.2g} h)")
+    yield Row("false alarms per hour", count / hours, "", 1.0, remark=f"({count} in {hours:.2g} h)")
     yield Row("messages dropped", sum(patrol.dropped for patrol in patrols), "", 0.0)
 
 
@@ -117,7 +117,7 @@ def _patrol(watch: Watching, phases: list[tuple[str, float, float]], rule: Alarm
 def _rule(card: Path) -> AlarmRule:
     normal = ReferenceCard.load(card).scorer.windows_
     if normal is None:
-        raise RuntimeError(f"{card} knows nothing of windows")
+        raise RuntimeError(f"{card} has no rule for windows")
     return normal.rule(max(RATE_PER_H, normal.lowest_rate()))
 
 
@@ -128,7 +128,7 @@ def _at_real_time(card: Path, root: Path) -> Iterator[Row]:
         watching(DOMAIN, "--reference", card, "--out", root / "live") as watch,
         serving(DOMAIN, *patrol) as serve,
     ):
-        time.sleep(25.0)  # everything is loaded then
+        time.sleep(25.0)  # time to load everything
         before_s, began = processor_s(watch.process.pid), time.monotonic()
         serve.wait()
         used_s, wall_s = processor_s(watch.process.pid) - before_s, time.monotonic() - began
@@ -137,7 +137,7 @@ def _at_real_time(card: Path, root: Path) -> Iterator[Row]:
               remark=spread(latencies))  # fmt: skip
     yield Row("share of a core, at real time", 100 * used_s / wall_s, "%", 15.0)
     (own,) = (root / "own").glob("runs/*/*")
-    assert watch.recording is not None  # noqa: S101 -- it was recorded
+    assert watch.recording is not None  # noqa: S101 -- recording was on
     with open_run(own) as first, open_run(watch.recording) as second:
         sent, came = (Counter((m.topic, m.data) for m in each.bag.messages())
                       for each in (first, second))  # fmt: skip

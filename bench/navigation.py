@@ -31,7 +31,7 @@ from sim.turtlebot3.map import WORLD_IN_MAP
 
 BLOCKS, ATTACKED_BLOCKS = 100, 30
 CONTROL, ATTACK = "lidar_passthrough_odom", "fake_object"
-LONGER = 1.15  # a way this much longer than the control's is an effect
+LONGER = 1.15  # a path this much longer than the control's counts as an effect
 OTHERS = ("lidar_passthrough", "delayed_passthrough")
 
 
@@ -65,7 +65,7 @@ def rows() -> Iterator[Row]:
     yield Row("runs with a contact", sum(bool(r.manifest.contacts) for r in runs), "", 0)
     errors = [error for run in runs for error in run.amcl_errors_m]
     yield Row("AMCL position error, median", median(errors), "m", 0.10)
-    yield Row("way driven over the shortest, median", median([d for r in runs for d in r.detours]),
+    yield Row("path driven over the shortest, median", median([d for r in runs for d in r.detours]),
               "", 1.25)  # fmt: skip
     recoveries = [sum(goal.recoveries for goal in run.manifest.goal_results) for run in runs]
     yield Row("runs with a recovery", 100.0 * sum(map(bool, recoveries)) / len(runs), "%")
@@ -75,12 +75,12 @@ def rows() -> Iterator[Row]:
         ("fake object against passthrough: task effect", attacked, 80, False),
         ("passthrough against no node: task effect", absent, 5, True),
     ):
-        effects = [_went_otherwise(drives[jobs[b]].manifest, controls[b]) for b in blocks]
+        effects = [_behaved_differently(drives[jobs[b]].manifest, controls[b]) for b in blocks]
         yield Row(name, 100.0 * sum(effects) / len(effects), "%", goal, at_most)
 
 
-def _went_otherwise(run: Manifest, control: Manifest) -> bool:
-    """Tell whether a goal had another outcome, a longer path or an additional recovery."""
+def _behaved_differently(run: Manifest, control: Manifest) -> bool:
+    """Return whether a goal had another outcome, a longer path or an additional recovery."""
     return any(
         ours is None
         or theirs is None

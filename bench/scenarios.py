@@ -1,4 +1,4 @@
-"""Processor time of a message in each built-in scenario, and speed of the air traffic testbed.
+"""Processor time per message in each built-in scenario, and speed of the air traffic testbed.
 
 The time of a message is the minimum over several rounds, which excludes other load on the machine.
 The figure is the mean over the messages.
@@ -49,7 +49,7 @@ def rows() -> Iterator[Row]:
 
 
 def _message_us(program: Program) -> float:
-    """Return the processor time of a message, long after the onset [us]."""
+    """Return the processor time per message, long after the onset [us]."""
     messages = list(_messages(program))
     rounds = []
     for _ in range(ROUNDS):

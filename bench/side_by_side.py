@@ -50,7 +50,7 @@ class Watching:
 
     def start_s(self) -> float:
         """Return when the recording began, by the robot's clock [s]."""
-        assert self.recording is not None  # noqa: S101 -- asked once it has ended
+        assert self.recording is not None  # noqa: S101 -- used only after its end
         facts = json.loads((self.recording / "recording.json").read_text())
         return float(facts["start_ns"]) / _SECOND_NS
 
@@ -63,7 +63,7 @@ def watching(domain: int, *words: str | Path) -> Iterator[Watching]:
     reader = threading.Thread(target=_read, args=(process.stdout, watch.events))
     reader.start()
     try:
-        process.stderr.readline()  # it is there
+        process.stderr.readline()  # it has started
         yield watch
     finally:
         process.send_signal(signal.SIGINT)
@@ -82,7 +82,7 @@ def serving(domain: int, *words: str | Path) -> Iterator[Any]:
     """Serve a patrol on a domain; its process ends with the ``with`` block at the latest."""
     process = _process("oracle-sim", "serve", "--domain", str(domain), *words)
     try:
-        process.stderr.readline()  # it is there
+        process.stderr.readline()  # it has started
         yield process
     finally:
         process.send_signal(signal.SIGINT)
@@ -118,7 +118,7 @@ def memory_bytes(process: int) -> int:
 
 
 def recorded(out: Path, runs: range, speed: float, goals: int, domain: int) -> None:
-    """Let `oracle watch` record normal patrols, each in a session of its own."""
+    """Let `oracle watch` record normal patrols, each in a different session."""
     for run in runs:
         patrol = "--speed", str(speed), "--run", str(run), "--goals", str(goals)
         with watching(domain, "--out", out / str(run)), serving(domain, *patrol) as serve:

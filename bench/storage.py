@@ -66,7 +66,7 @@ def verify(root: str, number: int) -> None:
     for outcome in fan_out(process_run, [job] * number, lambda: process_pool(2)):
         if outcome.error is not None:
             raise RuntimeError(outcome.error)
-    status = Path("/proc/self/status").read_text()  # rusage would hold who started it against it
+    status = Path("/proc/self/status").read_text()  # rusage would include the parent's peak
     print(float(status.partition("VmHWM:")[2].split()[0]) / 1024)
 
 

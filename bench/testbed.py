@@ -33,7 +33,7 @@ from sim.turtlebot3.world import World
 
 ROUNDS = 5
 YARDSTICK_S = 100.0  # of simulated time
-_SHOWN = 25  # of the shares, the largest
+_SHOWN = 25  # largest shares that are printed
 MODE = "lidar_passthrough_odom"
 COLD_START = (
     "from sim.commands.main import main; main()",
@@ -61,11 +61,11 @@ def rows() -> Iterator[Row]:
         megabytes = [run.measured.bytes["bag"] / 1e6 / (run.recording_s / 60.0) for run in runs]
         intervals = [run.recording_s / 10.0 for run in runs]
         yield Row("whole run over the yardstick", median(ratios), "x", 4, True, spread(ratios))
-        yield _milliseconds("whole run, a simulated second", per_second)
-        yield _milliseconds("yardstick, a simulated second", yardsticks)
+        yield _milliseconds("whole run, per simulated second", per_second)
+        yield _milliseconds("yardstick, per simulated second", yardsticks)
         yield Row("real-time factor, one core", median(factors), "x", 70, False, spread(factors))
-        yield Row("bag, a simulated minute", median(megabytes), "MB", 7, True, spread(megabytes))
-        yield Row("intervals of 10 s a run", median(intervals), "", 12, False, spread(intervals))
+        yield Row("bag, per simulated minute", median(megabytes), "MB", 7, True, spread(megabytes))
+        yield Row("intervals of 10 s per run", median(intervals), "", 12, False, spread(intervals))
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         yield Row("peak memory", peak, "MiB")
         cold = [_cold_start_s(root / f"cold{i}") for i in range(3)]
@@ -80,7 +80,7 @@ def _record(root: Path, block: int, *, refresh: bool = False) -> Manifest:
 
 
 def _yardstick_s() -> float:
-    """Return the processor time of the yardstick, a simulated second."""
+    """Return the processor time of the yardstick, per simulated second."""
     return yardstick.run(YARDSTICK_S).processor_s / YARDSTICK_S
 
 
@@ -148,7 +148,7 @@ def _shares(root: Path, block: int) -> Iterator[Row]:
             setattr(owner, name, value)
     total = sum(shares.seconds.values())
     for name, seconds in sorted(shares.seconds.items(), key=lambda share: -share[1])[:_SHOWN]:
-        milliseconds = f"({1e3 * seconds / manifest.recording_s:.2f} ms a simulated second)"
+        milliseconds = f"({1e3 * seconds / manifest.recording_s:.2f} ms per simulated second)"
         yield Row(f"share of {name}", 100.0 * seconds / total, "%", remark=milliseconds)
 
 

@@ -31,9 +31,9 @@ class Loop(NamedTuple):
     """Time and result of one pass of the loop."""
 
     seconds: float  # of the machine's clock
-    processor_s: float  # of this process alone: what else the machine does does not count
+    processor_s: float  # of this process alone, without other load on the machine
     position: NDArray[np.float64]  # (3,) of the robot at the end [m]
-    ranges: NDArray[np.float64]  # (360,) of the last scan [m], -1 where there is nothing
+    ranges: NDArray[np.float64]  # (360,) of the last scan [m], -1 without a return
 
 
 @cache

@@ -71,7 +71,7 @@ def fastest(pythons: list[str]) -> tuple[str, float]:
 
 
 def is_optimised() -> bool:
-    """Tell whether this Python was built with optimisation, as far as it states so.
+    """Return whether this Python was built with optimisation, as far as it states so.
 
     A distribution's own Python counts as optimised.
     """

@@ -1,9 +1,11 @@
 """Compile the hot loops, so that the first run does not wait for it, nor each worker do it again.
 
 numba keeps machine code beside the sources, for each function and each type of its arguments. What
-types there are, only calls show: so this does what a campaign does, once and small.
+types there are, only calls show: so this does what a campaign does, once and small. Python keeps
+the bytecode of what this imports: all that a campaign does, Dagster's commands included.
 """
 
+import importlib
 import tempfile
 from pathlib import Path
 
@@ -16,10 +18,11 @@ from sim.campaigns import Campaign
 from sim.experiments import recipe_for, record_run
 
 MODE = "fake_object"
+COMMANDS = ("oracle_pipeline.definitions", "dagster._cli", "dagster_webserver.cli")
 
 
 def main() -> None:
-    """Record a short run, extract its features, and cluster a few rows."""
+    """Record a short run, extract its features, cluster a few rows, and import Dagster."""
     with tempfile.TemporaryDirectory(prefix="oracle-") as root:
         run = RunDirectory(Path(root), MODE, 0)
         record_run(recipe_for(MODE, run.run, Campaign(goals_per_run=1)), run)
@@ -28,6 +31,8 @@ def main() -> None:
     for linkage in ("ward", "single", "complete", "average"):
         grow_tree(rows, linkage)
     list(trees_with(rows, rows[:1], "average"))
+    for module in COMMANDS:
+        importlib.import_module(module)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """`make demo`: a normal and an attacked run, recorded now and judged by the shipped reference card.
 
 Both runs have the same start, goal and sensor noise; the second LiDAR of the attacked one reports
-an object that is not there. Neither is among the runs that the card was learned from.
+an object that does not exist. Neither is among the runs that the card was learned from.
 """
 
 import os
@@ -68,7 +68,7 @@ def judged(runs: list[Path], page: Path) -> tuple[list[Verdict], Path]:
 
 
 def as_expected(verdicts: list[Verdict]) -> bool:
-    """Tell whether the card tells the two runs apart."""
+    """Return whether the card distinguishes the two runs."""
     return [verdict.outcome for verdict in verdicts] == ["normal", "anomalous"]
 
 

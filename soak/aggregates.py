@@ -49,7 +49,7 @@ KILLED = ("oracle_evaluation", "oracle_report", "feature_dataset", "clustering_g
 ENDINGS = ("kill all", "kill the caller", "terminate")
 
 _COMMAND = ("asset", "materialize", "-m", "oracle_pipeline.definitions", "--select")
-_STARTED = b"STEP_START"  # in the log, when an asset begins to be made
+_STARTED = b"STEP_START"  # in the log, when the step of an asset begins
 _LOG = "log"
 
 
@@ -61,7 +61,7 @@ def make_campaign(root: Path) -> None:
         process_run(RunJob(place, campaign, OF_A_RUN, refresh=False))
     for asset in AGGREGATES:
         if not made(root, asset).success:
-            raise RuntimeError(f"{asset} could not be made.")
+            raise RuntimeError(f"{asset} could not be materialized.")
 
 
 def made(root: Path, asset: str) -> dg.ExecuteInProcessResult:
@@ -76,7 +76,7 @@ def made(root: Path, asset: str) -> dg.ExecuteInProcessResult:
 
 
 def start(place: Path, assets: Sequence[str], *options: str) -> "subprocess.Popen[bytes]":
-    """Start materializing assets in a process group of its own; the root is ``<place>/data``."""
+    """Start materializing assets in a new process group; the root is ``<place>/data``."""
     (place / "home").mkdir(exist_ok=True)
     ours = {
         "DAGSTER_HOME": str(place / "home"),
@@ -98,7 +98,7 @@ def wait_for_step(place: Path, running: "subprocess.Popen[bytes]") -> None:
 
 
 def end(running: "subprocess.Popen[bytes]", how: str) -> list[str]:
-    """End a process group, and return what went wrong."""
+    """End a process group, and return the faults."""
     if how == "terminate":
         running.terminate()
     elif how == "kill all":
@@ -117,12 +117,14 @@ def end(running: "subprocess.Popen[bytes]", how: str) -> list[str]:
 def state(root: Path) -> dict[str, str]:
     """Return a hash of the content of each table and report, or why it cannot be read."""
     store = RunStore(root=str(root))
-    tables = {name: _said(_of_table, store.dataset(name)) for name in (DATASET, WINDOWS, TRUTH)}
-    reports = {name: _said(_of_report, store.results(name)) for name in REPORTS}
-    return {**tables, **reports, "oracle_report": _said(_of_page, store.report)}
+    tables = {
+        name: _content_of(_of_table, store.dataset(name)) for name in (DATASET, WINDOWS, TRUTH)
+    }
+    reports = {name: _content_of(_of_report, store.results(name)) for name in REPORTS}
+    return {**tables, **reports, "oracle_report": _content_of(_of_page, store.report)}
 
 
-def _said(read: Callable[[Path], str], place: Path) -> str:
+def _content_of(read: Callable[[Path], str], place: Path) -> str:
     try:
         return read(place)
     except (OracleError, OSError) as error:
@@ -147,8 +149,8 @@ def _of_report(place: Path) -> str:
 
 
 def _of_page(place: Path) -> str:
-    """Return the content of a complete page without its sizes on disk, which may differ."""
-    return "whole" if place.read_text("utf-8").rstrip().endswith("</html>") else "not whole"
+    """Return whether a page is complete; its sizes on disk may differ."""
+    return "complete" if place.read_text("utf-8").rstrip().endswith("</html>") else "incomplete"
 
 
 def compared(root: Path, expected: Mapping[str, str]) -> list[str]:
@@ -173,13 +175,13 @@ def ended_early(
         moment = "after its end" if running.poll() is not None else "in its step"
         wrong = end(running, how)
         found = compared(place / "data", expected)
-        if how != "terminate":  # who is killed cannot tidy up; the next one to come does
+        if how != "terminate":  # a killed process cannot tidy up; the next one does
             found = [each for each in found if "left behind" not in each]
         yield f"{asset}: {how}, {moment}", wrong + found
     for asset in KILLED:
         if start(place, [asset]).wait() != 0:
-            yield asset, ["could not be made afterwards"]
-    yield "all made again", compared(place / "data", expected)
+            yield asset, ["could not be materialized afterwards"]
+    yield "all materialized again", compared(place / "data", expected)
 
 
 def stopped_runs(place: Path, count: int, rng: np.random.Generator) -> Iterator[list[str]]:
@@ -191,10 +193,10 @@ def stopped_runs(place: Path, count: int, rng: np.random.Generator) -> Iterator[
         time.sleep(rng.uniform(0.0, LATEST_S))
         wrong = end(running, "terminate")
         if run.is_complete() and content_hash_of_bag(run.bag) != run.manifest().content_hash:
-            wrong.append(f"{run.key} looks finished and is not whole")
+            wrong.append(f"{run.key} looks finished but is damaged")
         yield wrong + [f"{name} was left behind" for name in leftovers(run.root)]
         if start(place, RUN_ASSETS, "--partition", run.key).wait() != 0:
-            yield [f"{run.key} could not be made afterwards"]
+            yield [f"{run.key} could not be materialized afterwards"]
         shutil.rmtree(run.path)
 
 
@@ -211,7 +213,7 @@ def main() -> None:
     """Interrupt assets many times, and print whether anything was lost or damaged."""
     parser = argparse.ArgumentParser(prog="python -m soak.aggregates", description=main.__doc__)
     parser.add_argument("--endings", type=int, default=21)
-    parser.add_argument("--stops", type=int, default=5, help="of a run in the making, by SIGTERM")
+    parser.add_argument("--stops", type=int, default=5, help="SIGTERMs during a simulation")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     rng = np.random.default_rng(arguments.seed)
@@ -220,10 +222,10 @@ def main() -> None:
         place = Path(folder)
         make_campaign(place / "data")
         for done, wrong in ended_early(place, arguments.endings, rng):
-            print(f"{done}: {'; '.join(wrong) or 'nothing wrong'}", flush=True)
+            print(f"{done}: {'; '.join(wrong) or 'no faults'}", flush=True)
             everything += wrong
         for wrong in stopped_runs(place, arguments.stops, rng):
-            print(f"a run stopped: {'; '.join(wrong) or 'nothing wrong'}", flush=True)
+            print(f"a run stopped: {'; '.join(wrong) or 'no faults'}", flush=True)
             everything += wrong
     print("\n".join(everything) or "Nothing was lost or damaged.")
     sys.exit(bool(everything))

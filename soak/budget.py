@@ -21,7 +21,7 @@ from resources.storage.stock import parse_budget, take_stock
 
 FIRST, LAST = "lidar_passthrough", "delayed_fakeobject"  # the six modes
 MODES = 6
-_LOOK_S = 1.0
+_PERIOD_S = 1.0
 
 
 class Watch(threading.Thread):
@@ -32,15 +32,15 @@ class Watch(threading.Thread):
         self._root, self._group = root, group
         self._over = threading.Event()
         self.most_bytes = 0
-        self.most_memory = 0  # of one process [B]
-        self.looks = 0
+        self.most_memory = 0  # largest of any process [B]
+        self.samples = 0
 
     def run(self) -> None:
         """Take samples until it is stopped."""
-        while not self._over.wait(_LOOK_S):
+        while not self._over.wait(_PERIOD_S):
             self.most_bytes = max(self.most_bytes, take_stock(self._root).total)
             self.most_memory = max(self.most_memory, _largest_process(self._group))
-            self.looks += 1
+            self.samples += 1
 
     def stop(self) -> None:
         """Stop taking samples."""
@@ -74,10 +74,11 @@ def campaign(
     for folder in ("dagster", "data"):
         (home / folder).mkdir(parents=True, exist_ok=True)
     command = [
-        "dagster", "asset", "materialize", "-m", "oracle_pipeline.definitions", "--select", "*",
+        sys.executable, "-m", "dagster", "asset", "materialize",
+        "-m", "oracle_pipeline.definitions", "--select", "*",
         "--partition-range", f"{FIRST}|run000...{LAST}|run{runs - 1:03d}",
     ]  # fmt: skip
-    return subprocess.Popen(  # elsewhere, for the `.env` of a checkout would win
+    return subprocess.Popen(  # in another folder, as the `.env` of a checkout takes precedence
         command, cwd=home, env=environment, start_new_session=True, stdout=stdout, stderr=stdout
     )
 
@@ -88,7 +89,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=100, help="of each of the six modes")
     parser.add_argument("--goals", type=int, default=1)
     parser.add_argument("--budget", default="2GB")
-    parser.add_argument("--home", type=Path, help="kept; by default a folder that is removed")
+    parser.add_argument("--home", type=Path, help="folder to keep; by default a temporary one")
     arguments = parser.parse_args()
     limit = parse_budget(arguments.budget)
     assert limit is not None  # noqa: S101 -- it has a default
@@ -101,23 +102,23 @@ def main() -> None:
         failed = running.wait()
         watch.stop()
         wrong = ["the campaign failed"] if failed else []
-        wrong += _what_is_missing(home / "data", MODES * arguments.runs)
+        wrong += _missing_parts(home / "data", MODES * arguments.runs)
         if watch.most_bytes > limit:
             wrong.append(f"{watch.most_bytes} bytes were more than the budget of {limit}")
         runs = find_runs(home / "data")
         kept = Counter(run.manifest().measured.kept for run in runs)
         print(
             f"{len(runs)} runs in {time.monotonic() - started:.0f} s, kept {dict(kept)}; at most "
-            f"{watch.most_bytes / 1e6:.0f} of {limit / 1e6:.0f} MB in {watch.looks} looks, largest "
-            f"process {watch.most_memory / 2**20:.0f} MiB"
+            f"{watch.most_bytes / 1e6:.0f} of {limit / 1e6:.0f} MB in {watch.samples} samples, "
+            f"largest process {watch.most_memory / 2**20:.0f} MiB"
         )
     print("\n".join(wrong) or "Everything exists, and the budget was kept.")
     sys.exit(bool(wrong))
 
 
-def _what_is_missing(root: Path, expected: int) -> list[str]:
+def _missing_parts(root: Path, expected: int) -> list[str]:
     runs = find_runs(root)
-    wrong = [] if len(runs) == expected else [f"{len(runs)} of {expected} runs are there"]
+    wrong = [] if len(runs) == expected else [f"{len(runs)} of {expected} runs exist"]
     for run in runs:
         intervals = sum(file.stem.isdecimal() for file in run.graphs.glob("*.gexf"))
         if intervals != int((run.manifest().recording_s + 5.0) // 10.0):

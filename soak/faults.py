@@ -36,8 +36,8 @@ RUNS: tuple[tuple[str, int, Kept], ...] = (
 )
 SHORT = Campaign(timeout_s=20.0)
 WORKERS = 2
-LATEST_S = 5.0  # moment of a kill, after somebody has begun to work
-LONGEST_S = 10.0  # that a worker may outlive its caller
+LATEST_S = 5.0  # latest moment of a kill, after the first worker has begun
+LONGEST_S = 10.0  # longest time that a worker may outlive its caller
 
 _COMMAND = "import sys; from soak.faults import run_campaign; run_campaign(sys.argv[1])"
 
@@ -150,7 +150,7 @@ def _is_whole(run: RunDirectory) -> bool:
 
 
 def made_in(root: Path) -> dict[str, float]:
-    """Return how long each finished run took; another figure means another simulation."""
+    """Return how long each finished run took; a changed figure means a second simulation."""
     return {run.key: run.manifest().measured.wall_s for run in find_runs(root)}
 
 
@@ -166,9 +166,9 @@ def disturbed(root: Path, kills: int, seed: int) -> Iterator[list[str]]:
     for number in range(kills):
         campaign = start(root)
         wait_for_work(root, campaign)
-        whom = ("all", "caller", "worker")[number % 3]  # the last leaves nothing to do
+        whom = ("all", "caller", "worker")[number % 3]  # a campaign survives the last
         strike(campaign, rng, whom)
-        wrong = [f"{key} looks finished and is not whole" for key in damaged(root)]
+        wrong = [f"{key} looks finished but is damaged" for key in damaged(root)]
         if whom == "caller" and not wait_until_gone(campaign):
             os.killpg(campaign.pid, signal.SIGKILL)
             wrong.append("workers outlived their caller")
@@ -196,12 +196,12 @@ def main() -> None:
         for number, wrong_now in enumerate(
             disturbed(other, arguments.kills, arguments.seed), start=1
         ):
-            print(f"{number}: {'; '.join(wrong_now) or 'nothing wrong'}", flush=True)
+            print(f"{number}: {'; '.join(wrong_now) or 'no faults'}", flush=True)
             wrong += wrong_now
         if state(other) != state(quiet):
-            wrong.append("the runs are not those of an undisturbed campaign")
+            wrong.append("the runs differ from those of an undisturbed campaign")
         wrong += [f"{name} was left behind" for name in leftovers(other)]
-    print("\n".join(wrong) or f"{arguments.kills} kills, and nothing is lost or damaged.")
+    print("\n".join(wrong) or f"{arguments.kills} kills: nothing was lost or damaged.")
     sys.exit(bool(wrong))
 
 

@@ -49,7 +49,7 @@ class Tally:
 
     @property
     def tried(self) -> int:
-        """How many bits were flipped."""
+        """Number of bits that were flipped."""
         return self.caught + self.harmless + len(self.unnoticed)
 
 
@@ -69,7 +69,7 @@ def flip_bits(target: Target, count: int, rng: np.random.Generator) -> Tally:
             found = target.features()
         except OracleError:
             tally.caught += 1
-        except Exception as error:  # a parser that was not ready for it
+        except Exception as error:  # a parser that does not handle it
             tally.unnoticed.append(f"{file}, bit {bit}: {error!r}")
         else:
             if _same(found, expected):

@@ -25,7 +25,7 @@ from sim.campaigns import Campaign
 from soak.aggregates import AGGREGATES, REPORTS, RUNS, compared, made, make_campaign, state
 from soak.faults import leftovers
 
-TIMES = 3  # each asset
+TIMES = 3  # per asset
 
 
 @contextlib.contextmanager
@@ -53,7 +53,7 @@ def aggregate(root: Path, asset: str, rng: np.random.Generator) -> list[str]:
             success = made(root, asset).success
     except Exception as error:  # Dagster's own database may be the first that cannot grow
         print(f"expected: {type(error).__name__}: {error}"[:200])
-    wrong = [f"{asset} was made on a full disk"] if success else []
+    wrong = [f"{asset} was written on a full disk"] if success else []
     return wrong + compared(root, expected)
 
 
@@ -76,7 +76,7 @@ def _of_run(
     try:
         with largest_file(_limit(outputs, rng)):
             process_run(RunJob(run, Campaign(goals_per_run=1), wanted, refresh=True))
-        wrong.append(f"{run.key} was made on a full disk")
+        wrong.append(f"{run.key} was written on a full disk")
     except Exception as error:
         print(f"expected: {type(error).__name__}: {error}"[:200])
     after = _hashes(run.root)
@@ -118,7 +118,7 @@ def main() -> None:
         make_campaign(Path(folder))
         for _ in range(arguments.times):
             for asset, wrong in everything(Path(folder), rng):
-                print(f"{asset}: {'; '.join(wrong) or 'nothing wrong'}", flush=True)
+                print(f"{asset}: {'; '.join(wrong) or 'no faults'}", flush=True)
                 found += wrong
     print("\n".join(found) or "Nothing was lost or damaged.")
     sys.exit(bool(found))

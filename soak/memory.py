@@ -50,7 +50,7 @@ def main() -> None:
     for name in arguments.names:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"{name}.mcap"
-            # A process run_isolated: the peak of a process begins with that of its parent.
+            # In a new process, since the peak memory of a process begins with its parent's.
             maker = multiprocessing.get_context("spawn").Process(
                 target=RECORDINGS[name], args=(path, int(arguments.megabytes * 1e6))
             )
@@ -89,7 +89,7 @@ def scored(path: Path) -> tuple[float, str]:
 
 
 def _peak_mib(path: Path) -> float:
-    with suppress(OracleError):  # what is refused takes memory, too
+    with suppress(OracleError):  # a refused recording takes memory, too
         extracted(path, None, strict=False, choices=None, paced=False)
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
@@ -153,7 +153,7 @@ def ros1(path: Path, size: int) -> None:
 
 
 def repetitive(path: Path, size: int) -> None:
-    """Write scans of 20,000 rays that are all alike, compressed."""
+    """Write identical scans of 20,000 rays, compressed."""
     alike = _scan(np.linspace(1.0, 3.0, 20_000), "laser")
     _write(path, size, [("/scan", alike)], "zstd", most_decompressed=30 * size)
 
@@ -187,7 +187,7 @@ def clouds(path: Path, size: int) -> None:
 
 
 def small(path: Path, size: int) -> None:
-    """Write small messages with headers, compressed; one for 25 bytes on disk."""
+    """Write small messages with headers, compressed; one per 25 bytes on disk."""
     message = message_class("std_msgs/msg/Header")
     stamp = message_class("builtin_interfaces/msg/Time")
     _write(path, size, [("/h", message(stamp(1, 0), ""))], "zstd", most_messages=size // 25)
@@ -202,7 +202,7 @@ def chunk(path: Path, size: int) -> None:
 
 
 def kept(path: Path, size: int) -> None:
-    """Write odometry, commands and transforms, of each of which numbers are kept, compressed."""
+    """Write odometry, commands and transforms, of which features keep every message; compressed."""
     twist = message_class("geometry_msgs/msg/Twist")
     vector = message_class("geometry_msgs/msg/Vector3")
     command = twist(vector(0.1, 0.0, 0.0), vector(0.0, 0.0, 0.2))
@@ -231,7 +231,7 @@ def _stamped(
     period_ns: int,
     serialized: Callable[[Any, str], bytes] = serialize,
 ) -> Iterator[tuple[str, int, bytes]]:
-    """Yield messages, one after the other and again, until they are so large together [B]."""
+    """Yield messages in a cycle until their total size is reached [B]."""
     bodies = [bytearray(serialized(each, each.__msgtype__)) for _, each in published]
     total = number = 0
     while total < size:
@@ -252,7 +252,7 @@ def _noetic() -> Typestore:
 
 
 def _serialized_ros1(message: Any, msgtype: str) -> bytes:
-    """Return a message as ROS 1 has it: its headers have a number."""
+    """Return a message as ROS 1 serialises it: with sequence numbers in headers."""
     store = _noetic()
 
     def converted(value: Any) -> Any:
@@ -316,7 +316,7 @@ def _write(
     period_ns: int = _PERIOD_NS,
     chunk_bytes: int = _CHUNK,
 ) -> None:
-    """Write messages, one after the other and again, until the file is large enough.
+    """Write messages in a cycle until the file is large enough.
 
     Those with a header are stamped with the time at which they are recorded.
     """

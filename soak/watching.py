@@ -1,9 +1,9 @@
 """Watch a robot that drives normally for an hour.
 
-``python -m soak.watching`` learns a card from patrols, each in a session of its own. Then it serves
+``python -m soak.watching`` learns a card from patrols, each in a different session. Then it serves
 a long patrol of another session on a DDS domain, and watches it. The watch must drop no message,
 its memory must not grow, it may take only a share of a core, and it may raise at most one alarm. It
-prints a line each minute.
+prints one line per minute.
 """
 
 import argparse
@@ -28,16 +28,16 @@ from bench.side_by_side import (
 )
 
 DOMAIN = 230
-RUN = 900  # of the campaign: a session that the card has not seen
-RECORDINGS = 45  # that a card is learned from, if none is named
-GOALS = 8  # of each: 150 s
-SPEED = 4.0  # of the robot while they are recorded
-SETTLED = 1 / 6  # of the time, after which memory must not grow
-GROWTH = 1.1  # that it may
-SHARE = 0.15  # of a core at most, at real time
-LATENCY_S = 0.5  # of the median verdict at most, at real time
-_GOAL_S = 15.0  # no goal takes less
-_LOOK_S = 60.0
+RUN = 900  # run of the campaign, in a session that the card has not seen
+RECORDINGS = 45  # recordings to learn a card from, if none is given
+GOALS = 8  # goals of each recording: 150 s
+SPEED = 4.0  # real-time factor while they are recorded
+SETTLED = 1 / 6  # fraction of the time after which memory must not grow
+GROWTH = 1.1  # largest allowed growth of memory
+SHARE = 0.15  # largest share of a core, at real time
+LATENCY_S = 0.5  # largest median latency of verdicts, at real time
+_GOAL_S = 15.0  # shortest time of a goal
+_PERIOD_S = 60.0
 
 
 def main() -> None:
@@ -61,17 +61,17 @@ def main() -> None:
             watching(options.domain, "--reference", card, "--out", folder) as watch,
             serving(options.domain, *patrol) as serve,
         ):
-            minutes = _looked_at(watch, serve, seconds / options.speed)
-    sys.exit(0 if _is_right(watch, minutes, options.speed) else 1)
+            minutes = _measurements(watch, serve, seconds / options.speed)
+    sys.exit(0 if _meets_goals(watch, minutes, options.speed) else 1)
 
 
-def _looked_at(watch: Watching, serve: Any, wall_s: float) -> list[dict[str, float]]:
+def _measurements(watch: Watching, serve: Any, wall_s: float) -> list[dict[str, float]]:
     """Wait, take a measurement each minute, and return them."""
     began = before_at = time.monotonic()
     before_s = processor_s(watch.process.pid)
     minutes: list[dict[str, float]] = []
     while before_at - began < wall_s and watch.process.poll() is None and serve.poll() is None:
-        time.sleep(min(_LOOK_S, max(1.0, wall_s - (before_at - began))))
+        time.sleep(min(_PERIOD_S, max(1.0, wall_s - (before_at - began))))
         now, now_s = time.monotonic(), processor_s(watch.process.pid)
         minutes.append(
             {
@@ -88,7 +88,7 @@ def _looked_at(watch: Watching, serve: Any, wall_s: float) -> list[dict[str, flo
     return minutes
 
 
-def _is_right(watch: Watching, minutes: list[dict[str, float]], speed: float) -> bool:
+def _meets_goals(watch: Watching, minutes: list[dict[str, float]], speed: float) -> bool:
     """Print the results, and return whether all goals are met; some apply at real time only."""
     settled = [each["memory_mb"] for each in minutes[int(len(minutes) * SETTLED) :]]
     share = float(np.median([each["share"] for each in minutes]))
