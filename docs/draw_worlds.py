@@ -16,7 +16,7 @@ from sim.turtlebot3.map import occupancy_map
 
 GOALS = 4
 WIDTH_M, HEIGHT_M = 8.2, 6.4  # of a picture, around the middle of the arena
-PATH, OBJECT = "#0072b2", "#d55e00"  # colours that colour-blind people tell apart
+PATH, OBJECT = "#0072b2", "#d55e00"  # colours that colour-blind people distinguish
 
 
 def draw_arena(ax: Axes, block: int) -> None:

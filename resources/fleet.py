@@ -17,6 +17,7 @@ J = TypeVar("J")
 R = TypeVar("R")
 
 PROGRESS_S = 10.0  # between two log lines on the progress of a step
+_FEWEST = 3  # finished jobs to estimate the remaining time from: the first one may compile
 
 
 class Fleet(dg.ConfigurableResource[None]):
@@ -108,7 +109,9 @@ def _progress(over: int, jobs: int, done: str, failed: int, seconds: float) -> s
     >>> _progress(18, 18, "runs done", 0, 181.0)
     '18 of 18 runs done in 3 min, none failed.'
     """
-    rest = f"; about {in_words(seconds / over * (jobs - over))} to go" if over < jobs else ""
+    rest = ""
+    if _FEWEST <= over < jobs:
+        rest = f"; about {in_words(seconds / over * (jobs - over))} to go"
     return f"{over} of {jobs} {done} in {in_words(seconds)}, {failed or 'none'} failed{rest}."
 
 

@@ -30,7 +30,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def shared_folder(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
-    """A folder that all test processes share; who writes there takes a lock."""
+    """A folder that all test processes share; writers take a lock."""
     base = tmp_path_factory.getbasetemp()
     return base if worker_id == "master" else base.parent
 

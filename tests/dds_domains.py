@@ -1,4 +1,4 @@
-"""A DDS domain for each test that asks for one, on the loopback interface only."""
+"""A DDS domain for each test that needs one, on the loopback interface only."""
 
 import contextlib
 import fcntl

@@ -1,4 +1,4 @@
-"""Two who want the same lock at once."""
+"""Two threads that request the same lock at once."""
 
 import threading
 import time
@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager
 
 
 def order_of_two(lock: Callable[[], AbstractContextManager[object]]) -> list[str]:
-    """Return in what order two have done their work, of whom the first holds the lock already."""
+    """Return the order in which two threads finish, of which the first holds the lock already."""
     order: list[str] = []
 
     def wait_and_work() -> None:

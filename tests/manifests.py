@@ -1,4 +1,4 @@
-"""Manifests that say something else than what was recorded, and are sealed all the same."""
+"""Sealed manifests whose content differs from the recording."""
 
 import json
 from collections.abc import Callable

@@ -22,7 +22,7 @@ class RecordedRuns:
     Parameters
     ----------
     folder
-        Where they are kept; each has a root of its own.
+        Where they are kept, each in a separate root.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -31,7 +31,7 @@ class RecordedRuns:
     def __call__(
         self, mode: str | Mode, run: int = 0, campaign: Campaign = ONE_GOAL, **parameters: object
     ) -> RunDirectory:
-        """Return a run, and record it if nobody has yet. It is to be read, not changed.
+        """Return a run, and record it if necessary. Treat it as read-only.
 
         Parameters
         ----------

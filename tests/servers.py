@@ -1,4 +1,4 @@
-"""Real servers for tests, each its own processes on loopback, gone when the test is over."""
+"""Real servers for tests, each its own processes on loopback, ended after the test."""
 
 import json
 import os
@@ -22,7 +22,7 @@ PATIENCE_S = 60
 def process(
     command: Sequence[str], log: Path, environment: Mapping[str, str] | None = None
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a Python module in a process of its own, away from the `.env` of the repository."""
+    """Run a Python module in a separate process, without the `.env` of the repository."""
     with (
         log.open("wb") as output,
         subprocess.Popen(
@@ -59,8 +59,8 @@ def dask_cluster(
     """Start a scheduler and workers as deploy/ does; yield the scheduler's address."""
     folder.mkdir(parents=True, exist_ok=True)
     file, log = folder / "scheduler.json", folder / "scheduler.log"
-    # A worker's death is told at once: who is to try again is decided here, not there.
-    told = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
+    # A worker's death is reported at once: retries are decided here, not by the scheduler.
+    settings = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
     scheduler = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--no-show"]
     worker = ["--host", "127.0.0.1", "--nworkers", str(workers), "--nthreads", "1",
               "--no-dashboard", "--memory-limit", "0",
@@ -70,7 +70,7 @@ def dask_cluster(
             process(
                 ["distributed.cli.dask_scheduler", "--scheduler-file", str(file), *scheduler],
                 log,
-                told,
+                settings,
             )
         )
         wait_until(file.is_file, log)
@@ -154,13 +154,13 @@ def postgres_server() -> Iterator[dict[str, str]]:
 
 
 def free_port() -> str:
-    """Return a port of loopback that nobody listens on."""
+    """Return a free port of loopback."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return str(probe.getsockname()[1])
 
 
 def answers(port: int) -> bool:
-    """Tell whether somebody listens on a port of loopback."""
+    """Return whether a server listens on a port of loopback."""
     with socket.socket() as probe:
         return probe.connect_ex(("127.0.0.1", port)) == 0

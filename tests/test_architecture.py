@@ -1,4 +1,4 @@
-"""The architecture page speaks of every room that the code has."""
+"""The architecture page describes every package of the code."""
 
 import importlib.util
 import re

@@ -1,4 +1,4 @@
-"""`make setup` does not take a slow Python where there is a faster one of its version."""
+"""`make setup` does not choose a slow Python if there is a faster one of its version."""
 
 import os
 import stat
@@ -12,7 +12,7 @@ SCRIPT = Path(__file__).parent.parent / "scripts" / "choose_python.py"
 
 
 def stand_in(path: Path, times_slower: float) -> str:
-    """Return a Python that says that the probe took so many times as long."""
+    """Return a Python that reports a multiple of the probe's time."""
     path.write_text(
         f"#!/bin/sh\n{sys.executable} \"$@\" | awk '{{print $1 * {times_slower}}}'\n", "utf8"
     )
@@ -36,7 +36,7 @@ def test_another_python_is_taken_only_if_it_is_faster(
     assert done.stdout.strip() == (other if is_taken else sys.executable)
 
 
-def test_the_python_that_was_asked_for_is_used(tmp_path: Path) -> None:
+def test_the_requested_python_is_used(tmp_path: Path) -> None:
     name = f"python{sys.version_info.major}.{sys.version_info.minor}"
     stand_in(tmp_path / name, 0.2)
     done = subprocess.run(

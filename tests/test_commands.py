@@ -52,7 +52,7 @@ def command(place, *words):
 
 
 def in_process(group, *words, expect=0):
-    """Do what a command does; each start of Python's imports for seconds."""
+    """Run a command in this process, since a start of Python takes seconds."""
     done = CliRunner().invoke(group, [str(word) for word in words])
     assert done.exit_code == expect, done.output
     return done
@@ -134,7 +134,7 @@ def test_help_names_every_command_with_a_line_about_it(group):
 
 
 @pytest.mark.parametrize("group", [oracle, oracle_sim, oracle_ui])
-def test_every_command_tells_its_version(group):
+def test_every_command_prints_its_version(group):
     assert (
         importlib.metadata.version("ros2-behaviour-oracle") in in_process(group, "--version").stdout
     )

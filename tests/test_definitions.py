@@ -51,7 +51,7 @@ def test_the_graph_is_the_one_that_users_know() -> None:
     } == GRAPH
 
 
-def test_every_asset_tells_people_what_it_is() -> None:
+def test_every_asset_has_a_description() -> None:
     for spec in defs.resolve_all_asset_specs():
         assert spec.description, spec.key
         assert len(spec.description.splitlines()[0]) <= 100

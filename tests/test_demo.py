@@ -1,4 +1,4 @@
-"""The shipped reference card fits the code: `make demo` tells its two runs apart by it."""
+"""The shipped reference card fits the code: `make demo` distinguishes its two runs by it."""
 
 import runpy
 from pathlib import Path
@@ -29,9 +29,7 @@ def test_the_demo_shows_a_normal_and_an_attacked_run(demo, tmp_path, monkeypatch
     assert html.count("data:image/png;base64,") == 2
 
 
-def test_a_card_that_no_longer_fits_ends_the_demo_with_what_to_do(
-    demo, tmp_path, monkeypatch, capsys
-):
+def test_an_outdated_card_ends_the_demo_with_a_remedy(demo, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("ORACLE_HOME", str(tmp_path))
     monkeypatch.setitem(demo["main"].__globals__, "ATTACKED", demo["NORMAL"])
     assert demo["main"]() == 1

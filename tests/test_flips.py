@@ -1,4 +1,4 @@
-"""No flipped bit in what was recorded and measured gives other features without an error."""
+"""No flipped bit in recordings and tables changes features without an error."""
 
 from pathlib import Path
 
@@ -37,14 +37,14 @@ def test_no_flipped_bit_goes_unnoticed(targets: dict[str, Target], name: str) ->
     tally = flip_bits(targets[name], FLIPS, np.random.default_rng(15))
     assert tally.unnoticed == []
     assert tally.tried == FLIPS
-    if name != "MCAP file alone, mcap":  # it has parts that nobody reads
+    if name != "MCAP file alone, mcap":  # it has parts that are not read
         assert tally.harmless == 0
 
 
 @pytest.mark.parametrize(
     ("damaged", "said"), [("bag, mcap", "bag"), ("joined table, both", "parquet")]
 )
-def test_the_commands_refuse_what_is_damaged(
+def test_the_commands_refuse_damaged_files(
     targets: dict[str, Target], damaged: str, said: str
 ) -> None:
     recording, reference = (
@@ -66,8 +66,8 @@ def test_the_commands_refuse_what_is_damaged(
     assert said in result.output
 
 
-def test_a_flip_that_gives_other_features_is_told(tmp_path: Path) -> None:
-    """The counter counts: a file that nothing protects."""
+def test_a_flip_that_changes_features_is_reported(tmp_path: Path) -> None:
+    """The counter works: a file without protection."""
     file = tmp_path / "plain"
     file.write_bytes(bytes(8))
     plain = Target("plain", (file,), lambda: [pd.DataFrame({"bytes": list(file.read_bytes())})])

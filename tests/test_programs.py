@@ -14,7 +14,7 @@ PROGRAM = (
 
 
 def python(text, hidden):
-    """Do something where another folder's packages come first."""
+    """Run code in a folder whose packages have precedence."""
     return subprocess.run(
         [sys.executable, "-c", text], cwd=hidden, env=os.environ | {"PYTHONPATH": str(hidden)},
         capture_output=True, text=True, check=False,
@@ -41,7 +41,7 @@ def test_a_clash_of_names_is_reported_with_paths_and_remedy(name, text, tmp_path
     assert "separate virtual environment" in error
 
 
-def test_a_module_in_place_of_a_package_is_told_as_well(tmp_path):
+def test_a_module_in_place_of_a_package_is_reported_too(tmp_path):
     (tmp_path / "sim.py").touch()
     done = python(PROGRAM.format("oracle_sim"), tmp_path)
     assert done.returncode == 1

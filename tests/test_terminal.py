@@ -1,4 +1,4 @@
-"""Nothing that stands in a bag, a scenario file or a name controls the terminal it is shown on."""
+"""No text in a bag, a scenario file or a name controls the terminal that shows it."""
 
 import contextlib
 import io
@@ -68,7 +68,7 @@ def parts_of(terminal: int) -> Iterator[bytes]:
     try:
         while part := os.read(terminal, 65536):
             yield part
-    except OSError:  # nobody is at the other end any more
+    except OSError:  # the other end is closed
         return
 
 
@@ -98,7 +98,7 @@ def test_features_of_a_hostile_bag(bag: Path, tmp_path: Path) -> None:
         assert control not in shown
 
 
-def test_a_recording_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_missing_recording_is_named(tmp_path: Path) -> None:
     assert_harmless(on_a_terminal("oracle", "features", f"no{BAD}", cwd=tmp_path))
 
 
@@ -107,7 +107,7 @@ def test_a_scenario_file_that_is_refused_is_named(tmp_path: Path) -> None:
     assert_harmless(on_a_terminal("oracle-sim", "scenario", "check", f"{BAD}.yaml", cwd=tmp_path))
 
 
-def test_what_dagster_logs(tmp_path: Path) -> None:
+def test_control_characters_in_dagsters_log_are_escaped(tmp_path: Path) -> None:
     (tmp_path / "job.py").write_text(DAGSTER.format(bad=BAD))
     shown = on_a_terminal("dagster", "job", "execute", "-f", "job.py", "-j", "reads", cwd=tmp_path)
     assert_harmless(shown)
@@ -135,5 +135,5 @@ class _Ends(click.Command):
 
 def test_the_end_of_colours_that_a_library_writes_is_not_shown_as_text() -> None:
     with contextlib.redirect_stdout(io.StringIO()) as sink:
-        PlainTextGroup("told", commands=[_Ends("ends")]).main(["ends"], standalone_mode=False)
+        PlainTextGroup("group", commands=[_Ends("ends")]).main(["ends"], standalone_mode=False)
     assert sink.getvalue() == "done\n"

@@ -65,7 +65,7 @@ class WebServer:
 
 @contextmanager
 def web_server(folder: Path, **variables: str) -> Iterator[WebServer]:
-    """Start the web server in a folder of its own, on a job that does nothing."""
+    """Start the web server in a separate folder, on a job that does nothing."""
     home, log, port = _instance(folder, NOTHING), folder / "log", free_port()
     command = ["resources.ui", "--webserver-only", "-p", port]
     with (
@@ -78,7 +78,7 @@ def web_server(folder: Path, **variables: str) -> Iterator[WebServer]:
 
 @contextmanager
 def pipeline_ui(folder: Path, **variables: str) -> Iterator[WebServer]:
-    """Start server, daemon and code server on the pipeline, in a folder of its own."""
+    """Start server, daemon and code server on the pipeline, in a separate folder."""
     home, log, port = _instance(folder, PIPELINE), folder / "log", free_port()
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "DAGSTER_HOME": str(home), **variables}
     command = [sys.executable, "-m", "resources.ui", "-p", port]

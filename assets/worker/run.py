@@ -31,7 +31,7 @@ from oracle_pipeline.bags.retention import retain
 from oracle_pipeline.bags.run_directory import GRAPHS_FOLDER, MANIFEST_FILE, RunDirectory
 from oracle_pipeline.datasets import MISSING, content_hash, feature_columns, read_table
 from sim.campaigns import Campaign
-from sim.experiments import can_be_made_again, recipe_for, record_run, remake_run
+from sim.experiments import can_be_rebuilt, recipe_for, record_run, remake_run
 from sim.pairs import judge_pair
 
 RECORDED = ("experiment_runs", "bags", "interval_graphs")  # written by the simulation in one step
@@ -178,7 +178,7 @@ def _finish(job: RunJob, status: Status) -> RunReport:
     picture = _picture(job.directory) if "experiment_runs" in job.wanted else ""
     if not job.wanted.isdisjoint(TABLES):
         made |= _features(job, manifest)
-    if KEPT.index(job.keep) > KEPT.index(manifest.measured.kept) and can_be_made_again(manifest):
+    if KEPT.index(job.keep) > KEPT.index(manifest.measured.kept) and can_be_rebuilt(manifest):
         manifest = _retain(job, manifest)
     if not job.wanted.isdisjoint(RECORDED):
         made |= _recording(job.directory, manifest, status)

@@ -56,7 +56,7 @@ def first_screen(evaluation: Report, record: Recorder) -> FirstScreen:
     scored = runs[np.isfinite(runs["score"])].sort_values("score", ascending=False)
     return FirstScreen(
         answer=str(evaluation.summary["headline"]),
-        recorded=_recorded(runs),
+        recorded=_recorded(runs, int(evaluation.summary["left_out"])),
         verdicts=str(evaluation.summary["verdicts"]),
         by_scores=counted(called_kinds(runs)),
         in_truth=counted(true_kinds(runs)),
@@ -92,8 +92,8 @@ def _links(runs: pd.DataFrame) -> list[RunLink]:
     ]
 
 
-def _recorded(runs: pd.DataFrame) -> str:
-    """Return a sentence on the number of runs, modes and hours."""
+def _recorded(runs: pd.DataFrame, left_out: int) -> str:
+    """Return sentences on the number of runs, modes and hours."""
     attacked = int(is_malicious(runs).sum())
     hours = runs["recording_s"].sum() / 3600.0
     of = [
@@ -102,9 +102,10 @@ def _recorded(runs: pd.DataFrame) -> str:
         _count(runs["session"].nunique(), "session"),
         _count(runs["world"].nunique(), "world"),
     ]
+    rest = f" {_count(left_out, 'more run')} ended before the onset: left out." if left_out else ""
     return (
         f"{_count(len(runs), 'run')}: {attacked} attacked, {len(runs) - attacked} normal. "
-        f"{', '.join(of)}, {hours:.1f} hours."
+        f"{', '.join(of)}, {hours:.1f} hours.{rest}"
     )
 
 

@@ -137,7 +137,8 @@ def review(
         click.echo(f"\n{run}")
         for line in human.evidence(material, run):
             click.echo(f"    {line}")
-        choice = click.prompt("Was it good, bad, or unknown (?)", type=_ANSWERS, default="?")
+        question = "Was it good or bad? Type good, bad, or ? if you do not know"
+        choice = click.prompt(question, type=_ANSWERS, default="?", show_choices=False)
         return None if choice == "?" else choice == human.BAD
 
     for run, bad in human.interview(material, ask, count):

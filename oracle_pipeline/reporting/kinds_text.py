@@ -46,7 +46,7 @@ def as_text(comparison: "KindsComparison", far: float) -> str:
         for _, row in unknown.head(_FEW).iterrows():
             rows.append((str(row["run_id"]), *(f"{row[name]:.3f}" for name in names)))
         lines += ["", *aligned_lines(rows, indent="    ")]
-    notes = [f"{r['oracle']}: {r['note']}" for _, r in oracles.iterrows() if _text(r.get("note"))]
+    notes = _notes(oracles)
     return "\n".join([*lines, *([""] if notes else []), *notes])
 
 
@@ -67,6 +67,15 @@ def _estimate(row: pd.Series, name: str) -> tuple[str, str]:
     return f"{value:.3f}", f"{low:.3f} to {high:.3f}"
 
 
+def _notes(oracles: pd.DataFrame) -> list[str]:
+    """Return each note once, behind the names of the oracles that it is about."""
+    about: dict[str, list[str]] = {}
+    for _, row in oracles.iterrows():
+        if isinstance(note := row.get("note"), str) and note:
+            about.setdefault(note, []).append(str(row["oracle"]))
+    return [f"{', '.join(names)}: {note}" for note, names in about.items()]
+
+
 def _needed_input(row: pd.Series) -> str:
     written = row.get("written", np.nan)
     return f"{written:.0f} {row['asks']}" if written > 0 else str(row["asks"])
@@ -74,7 +83,3 @@ def _needed_input(row: pd.Series) -> str:
 
 def _number(value: float, spec: str) -> str:
     return "" if pd.isna(value) else format(value, spec)
-
-
-def _text(value: object) -> bool:
-    return isinstance(value, str) and bool(value)

@@ -48,6 +48,7 @@ class PageTable(NamedTuple):
 
 
 THESIS = "The thesis"
+_NEVER = "never"  # an infinite time
 _NOTE = PageColumn("note", "note")
 _COUNTS = (
     PageColumn("attacked runs", "malicious"),
@@ -336,7 +337,7 @@ def _cell(row: pd.Series, column: PageColumn) -> PageCell:
     value = row[column.name]
     if f"{column.name}_low" in row.index:
         text, _, interval = f"{Estimate.of_row(row, column.name):{column.spec}}".partition(" ")
-        return PageCell(text, interval)
+        return PageCell(*(part.replace("inf", _NEVER) for part in (text, interval)))
     if not isinstance(value, float):
         return PageCell(str(value))
     return PageCell(NO_FIGURE if pd.isna(value) else f"{value:{column.spec or '.3f'}}")

@@ -16,7 +16,7 @@ from oracle_pipeline.features import FeatureManager
 from oracle_pipeline.reporting.page import template
 from oracle_pipeline.scoring.isolation import Limits, run_isolated
 from oracle_pipeline.scoring.output import HEADINGS, beside, cells, family_as_text
-from oracle_pipeline.scoring.verdict import Judgement, Verdict
+from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
 
 _HEADLINES: dict[Judgement, str] = {
     "normal": "Normal",
@@ -27,10 +27,11 @@ _HEADLINES: dict[Judgement, str] = {
 
 
 class _Row(NamedTuple):
-    """One piece of evidence: its cells, and a description of the feature."""
+    """One piece of evidence: its cells, a description of the feature, and where it stood out."""
 
     cells: Sequence[str]
     meaning: str
+    place: str
 
 
 class _Judged(NamedTuple):
@@ -75,7 +76,7 @@ def write(
     meanings = {name: feature.description for name, feature in manager.features().items()}
     page = template("verdicts.html.j2").render(
         judged=[_judged(verdict, far, meanings, limits, draw) for verdict in verdicts],
-        headings=HEADINGS,
+        headings=HEADINGS[:4],
         far=far,
         notes=notes,
     )
@@ -103,9 +104,15 @@ def _judged(
         _HEADLINES[verdict.outcome],
         [_sentence(verdict, far), *beside(verdict)],
         uri,
-        [_Row(cells(each), meanings.get(each.feature, "")) for each in verdict.evidence],
+        [_row(each, meanings.get(each.feature, "")) for each in verdict.evidence],
         [*map(family_as_text, verdict.families), *remarks],
     )
+
+
+def _row(evidence: Evidence, meaning: str) -> _Row:
+    """Return a row; window and topic have no columns, because two cards share a screen."""
+    *shown, window, where = cells(evidence)
+    return _Row(shown, meaning, ", ".join(filter(None, [where, window])))
 
 
 def _sentence(verdict: Verdict, far: float) -> str:

@@ -233,14 +233,14 @@ def _working_room(new: Sequence[RunDirectory], expected: Mapping[str, Sizes], wo
 
 def _possible_sizes(run: RunDirectory, stock: Stock) -> tuple[Kept, Sizes]:
     """Return how much is kept of a finished run, and its sizes if less were kept."""
-    from sim.experiments import can_be_made_again  # the testbeds: half a second to import
+    from sim.experiments import can_be_rebuilt  # the testbeds: half a second to import
 
     now = stock.runs[run]
     fixed = Sizes(now.total, now.total, now.total)
     if now.bag == 0:
         return "recipe", fixed
     manifest = _manifest(run)
-    if manifest is None or not can_be_made_again(manifest):
+    if manifest is None or not can_be_rebuilt(manifest):
         return "full", fixed
     has = manifest.measured.kept
     trimmed = now.bag if has == "trimmed" else round(TRIMMED_SHARE * now.bag)

@@ -45,7 +45,7 @@ def campaign(shared_folder: Path) -> Iterator[Laboratory]:
 
 @pytest.fixture
 def copy_of_campaign(campaign: Laboratory, tmp_path: Path) -> Iterator[Laboratory]:
-    """The same files with an instance of their own, to change."""
+    """A copy of the files with a separate instance, to change."""
     shutil.copytree(campaign.root, tmp_path / "data")
     with dagster_home(tmp_path / "home") as instance:
         yield Laboratory(tmp_path / "data", instance)

@@ -1,4 +1,4 @@
-"""A root for runs with a Dagster instance of its own, and the campaign that the tests share."""
+"""A root for runs with a separate Dagster instance, and the campaign that the tests share."""
 
 import shutil
 from collections.abc import Iterator
@@ -35,7 +35,7 @@ ROOT = Path(__file__).parent.parent.parent
 
 @contextmanager
 def dagster_home(home: Path) -> Iterator[dg.DagsterInstance]:
-    """An instance as `.dagster_home` configures it, in a folder of its own."""
+    """An instance as `.dagster_home` configures it, in a separate folder."""
     home.mkdir(exist_ok=True)
     shutil.copy(ROOT / ".dagster_home" / "dagster.yaml", home)
     with dg.DagsterInstance.from_config(str(home)) as instance:
@@ -44,7 +44,7 @@ def dagster_home(home: Path) -> Iterator[dg.DagsterInstance]:
 
 @dataclass
 class Laboratory:
-    """A root for runs and a Dagster instance of its own, as a user has them."""
+    """A root for runs and a separate Dagster instance, as a user has them."""
 
     root: Path
     instance: dg.DagsterInstance

@@ -95,7 +95,7 @@ def test_the_ui_comes_up(checkout: Path) -> None:
 
 
 def hear_control_c() -> None:
-    """Undo what a shell does to jobs in its background: they, and all they start, ignore it."""
+    """Restore the interrupt signal, which jobs in a shell's background ignore."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 

@@ -71,7 +71,7 @@ def settings() -> list[tuple[str, Any]]:
     return sorted(found.items())
 
 
-def test_there_are_settings() -> None:
+def test_there_are_documented_settings() -> None:
     names = {name for name, _ in settings()}
     assert {"runs.refresh", "campaign.goals_per_run", "judge_recording.far"} <= names
 

@@ -30,7 +30,7 @@ OVER_ALL = ["feature_dataset", "bootstrapped_dataset"]
 
 
 class SharedLaboratory(Laboratory):
-    """Nothing of it is on this machine."""
+    """A root in a bucket, without files on this machine."""
 
     address: str
 

@@ -93,7 +93,7 @@ def test_features_alone_are_extracted_from_the_existing_run(
 ) -> None:
     copy_of_campaign.store.run(KEY).feature_table("run").unlink()
     before = copy_of_campaign.files()
-    # Other goals would be another recipe; features read what is there, whatever it was made from.
+    # Other goals would be another recipe; features use the existing run of any recipe.
     other = CampaignSettings(goals_per_run=2)
     assert copy_of_campaign.materialize(["run_features"], KEY, campaign=other).success
     after = copy_of_campaign.files()

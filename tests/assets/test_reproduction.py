@@ -132,7 +132,7 @@ def test_an_unexplained_difference_fails_and_both_runs_are_kept(
 
 def test_the_first_message_that_differs_is_named(campaign: Laboratory) -> None:
     one, other = (campaign.store.run(key) for key in BOTH)
-    # Two recipes that are said to be one: the first messages that differ are known by hand.
+    # Two recipes that claim to be equal: the first differing messages are known.
     former = dataclasses.replace(one.manifest(), recipe=other.manifest().recipe)
     with BagReader(one.bag) as bag, BagReader(other.bag) as second:
         pairs = zip(bag.messages(), second.messages(), strict=False)

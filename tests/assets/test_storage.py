@@ -43,7 +43,7 @@ def process(run: RunDirectory, keep: Kept, wanted: frozenset[str] = frozenset())
 
 
 def files(root: Path) -> dict[str, tuple[int, int]]:
-    """Every file by what it is (not by its content): another inode is another file."""
+    """Every file by its inode and not by its content."""
     return {
         str(path.relative_to(root)): (path.stat().st_ino, path.stat().st_mtime_ns)
         for path in root.rglob("*")
@@ -82,7 +82,7 @@ def test_only_the_bag_is_dropped(run: RunDirectory) -> None:
     assert inspect(Inspection("bag_is_complete", (run,))).wrong == []
 
 
-def test_a_run_is_never_given_more_than_it_has_and_verified_as_it_is(run: RunDirectory) -> None:
+def test_a_run_that_keeps_less_than_planned_is_verified_unchanged(run: RunDirectory) -> None:
     process(run, "recipe")
     before = files(run.root)
     report = process(run, "full", OF_A_RUN)
@@ -172,7 +172,7 @@ def test_a_second_materialization_of_runs_waits_for_the_first(tmp_path: Path) ->
 
 @contextlib.contextmanager
 def watched(root: Path) -> Iterator[list[int]]:
-    """Give a list that grows by what lies below a root, again and again."""
+    """Yield a list to which the content below a root is appended repeatedly."""
     seen: list[int] = []
     over = threading.Event()
 

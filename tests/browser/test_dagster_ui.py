@@ -90,7 +90,7 @@ def test_a_schedule_that_is_turned_on_ticks_and_can_be_turned_off(
     assert server.instance.get_runs_count(job) >= 1
 
 
-def test_the_nightly_schedule_says_what_it_would_start(page: Page, server: WebServer) -> None:
+def test_the_nightly_schedule_lists_the_runs_it_would_start(page: Page, server: WebServer) -> None:
     page.goto(f"{server.origin}/locations/here/schedules/nightly")
     expect(page.get_by_text("one run of every mode").first).to_be_visible()
     expect(page.get_by_role("row", name="Running").get_by_role("checkbox")).not_to_be_checked()

@@ -21,7 +21,7 @@ def browser() -> Iterator[Browser]:
 
 
 class Visit:
-    """A window on a watch, and what the browser said meanwhile."""
+    """A window on a watch, and the browser's console messages."""
 
     def __init__(self, browser: Browser, live: LivePage, width: int = 1200) -> None:
         self.live = live
@@ -64,7 +64,7 @@ def test_a_window_that_is_open_sees_what_happens(browser: Browser, live: LivePag
     assert visit.said == []
 
 
-def test_a_late_window_sees_all_and_names_of_the_robot_are_text(
+def test_a_late_window_gets_all_data_and_names_of_the_robot_are_text(
     browser: Browser, live: LivePage
 ) -> None:
     for event in events():
@@ -103,7 +103,7 @@ def test_the_page_is_no_wider_than_the_window(browser: Browser, live: LivePage, 
     assert page.evaluate(f"{root}.scrollWidth - {root}.clientWidth") <= 0
 
 
-def test_the_page_says_when_the_watch_has_ended(browser: Browser) -> None:
+def test_the_page_shows_the_end_of_the_watch(browser: Browser) -> None:
     with LivePage(0) as live:
         for event in events():
             live.show(event)

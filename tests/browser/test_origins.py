@@ -55,7 +55,7 @@ def server(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def elsewhere(server):
-    """A web site of somebody else, on another port; the browser knows it by two names."""
+    """A foreign web site, on another port; the browser knows it by two names."""
     page = ATTACK.replace("TARGET", server.origin).replace("QUERY", repr(" ".join(LAUNCH.split())))
 
     class Site(BaseHTTPRequestHandler):

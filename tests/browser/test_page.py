@@ -43,7 +43,7 @@ def report(request, tmp_path_factory):
 
 
 class Visit:
-    """The report opened in a window of its own, and what the browser said meanwhile."""
+    """The report opened in a new window, and the browser's console messages."""
 
     def __init__(self, browser: Browser, report, size=DESK, scheme="light"):
         self.page = browser.new_page(viewport=size, color_scheme=scheme)
@@ -59,19 +59,19 @@ class Visit:
         return self.page.evaluate(f"{root}.scrollWidth - {root}.clientWidth")
 
     def brightness(self):
-        """Return the mean brightness of what is in the window, in [0, 1]."""
+        """Return the mean brightness of the window, in [0, 1]."""
         with Image.open(io.BytesIO(self.page.screenshot())) as png:
             return float(np.asarray(png.convert("L")).mean() / 255.0)
 
 
-def test_the_page_says_nothing_to_the_console_and_asks_for_nothing_but_itself(browser, report):
+def test_the_page_logs_nothing_and_requests_no_other_file(browser, report):
     visit = Visit(browser, report)
     visit.page.wait_for_load_state("networkidle")
     assert visit.said == []
     assert [url for url in visit.asked if not url.startswith("data:")] == [report.as_uri()]
 
 
-def test_every_picture_is_there_and_has_words_in_its_place(browser, report):
+def test_every_picture_exists_and_has_an_alternative_text(browser, report):
     pictures = Visit(browser, report).page.locator("img")
     assert pictures.count() >= 10
     shown = pictures.evaluate_all("all => all.map(img => [img.alt, img.naturalWidth])")
@@ -118,7 +118,7 @@ def test_the_pages_of_runs_lead_to_each_other_and_to_the_list(browser, run_page)
     assert page.url == run_page.as_uri()
 
 
-def test_light_is_light_and_dark_is_dark(browser, report):
+def test_light_and_dark_schemes_have_their_backgrounds(browser, report):
     light, dark = (Visit(browser, report, scheme=scheme) for scheme in ("light", "dark"))
     assert light.brightness() > 0.85
     assert dark.brightness() < 0.25

@@ -1,4 +1,4 @@
-"""A compiled plugin offers features as any other does, and whatever it does costs only its own."""
+"""A compiled plugin offers features like any other, and its failures affect only its own."""
 
 import shutil
 import subprocess
@@ -108,7 +108,7 @@ def test_an_example_computes_what_its_python_twin_does(recorded_run, example, tm
             assert table[f"{family}.{name}"].tolist() == table[f"twin.{name}"].tolist()
 
 
-def test_a_crash_costs_only_the_features_of_the_plugin(recorded_run, odd):
+def test_a_crash_loses_only_the_features_of_the_plugin(recorded_run, odd):
     manager = build_manager(odd("abort();").parent)
     with open_run(recorded_run("lidar_passthrough").path) as run:
         row = extract(run, manager).run.iloc[0]
@@ -129,12 +129,12 @@ WINDOW = {"folder": "", "start_s": 0.0, "end_s": 1.0, "tables": []}
         ("return 7;", "it returned 7"),
     ],
 )
-def test_what_a_plugin_did_is_told_in_words(odd, statement, said):
+def test_the_error_of_a_plugin_is_described(odd, statement, said):
     process = PluginProcess(odd(statement), seconds=5.0)
     with pytest.raises(PluginError, match=said):
         process.ask(WINDOW)
 
 
-def test_a_plugin_for_another_version_is_refused_in_words(odd):
+def test_a_plugin_for_another_version_is_refused_with_an_error(odd):
     with pytest.raises(PluginError, match="no function oracle_plugin_v1; it is no plugin, or one"):
         load_compiled(odd("return 0;", "v2"))

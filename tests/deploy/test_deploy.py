@@ -1,4 +1,4 @@
-"""The deployment's files: they load, they agree, and the processes they name start together."""
+"""The deployment's files: they load, they agree, and their processes start together."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""What deploy/ must not do: known passwords, the root account, unknown files, open doors."""
+"""What deploy/ must not contain: known passwords, the root account, unknown files, open ports."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""The pages that people read, and the fenced blocks on them."""
+"""The pages of the docs, and the fenced blocks on them."""
 
 import re
 from dataclasses import dataclass

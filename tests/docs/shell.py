@@ -47,7 +47,7 @@ _KEY = re.compile(r"([a-z0-9_]+)\|run\d{3}")
 
 
 class PageError(AssertionError):
-    """A command of a page does not do what the page says."""
+    """A command of a page does not behave as documented."""
 
 
 @dataclass
@@ -60,7 +60,7 @@ class Shell:
     environment: dict[str, str] = field(default_factory=dict)
 
     def run(self, text: str) -> None:
-        """Run a block of commands, each of which has to end as the page says."""
+        """Run a block of commands, each with the documented exit code."""
         for line in text.replace("\\\n", " ").splitlines():
             if line.strip() and not line.startswith("#"):
                 self._line(line)
@@ -123,7 +123,7 @@ class Shell:
         return done.exit_code, done.output
 
     def _expanded(self, words: list[str]) -> list[str]:
-        """Put files in place of what the shell would expand."""
+        """Replace patterns by files, as a shell does."""
         expanded = []
         for word in words:
             found = sorted(self.folder.glob(word)) if "*" in word else []

@@ -1,6 +1,6 @@
 """Every command and every code block of the docs does what its page says.
 
-A page is one session in a folder of its own. Tutorials begin in an empty folder; the commands of
+A page is one session in a separate folder. Tutorials begin in an empty folder; the commands of
 other pages find a small root, and bags, as their readers have. Blocks that name a file in their
 first line are saved as that file. Simulations that take minutes are checked only, and so are
 Dagster's commands: tests/test_commands.py runs those that the first tutorial shows.
@@ -143,7 +143,7 @@ def test_every_block_states_its_language(page):
     assert {block.language for block in blocks(page)} <= LANGUAGES
 
 
-def test_what_is_not_run_is_on_a_page():
+def test_every_block_that_is_not_run_is_listed():
     words = {line.split()[0] for page in PAGES for block in blocks(page, "sh")
              for line in block.text.splitlines() if line.strip()}  # fmt: skip
     assert set(NOT_RUN) <= words

@@ -20,7 +20,7 @@ SOURCES = ("oracle_pipeline", "assets", "resources", "sim", "deploy", "tests")
 
 
 def kind(field: dict) -> str:
-    """Say what a value may be."""
+    """Describe the allowed values."""
     if "$ref" in field:
         return field["$ref"].rpartition("/")[2]
     if "enum" in field:

@@ -61,7 +61,7 @@ def test_a_run_config_with_a_host_or_path_is_an_error(
         dg.validate_run_config(job, config)
 
 
-def test_the_environment_names_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_sets_root_and_address(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ORACLE_HOME", "s3://bucket/prefix")
     monkeypatch.setenv("ORACLE_DASK", "tcp://192.0.2.1:8786")
     resources = build_defs().resources or {}

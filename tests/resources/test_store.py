@@ -53,7 +53,7 @@ def write(folder: Path, *names: str) -> None:
 
 
 def objects(folder: Path) -> dict[str, Any]:
-    """What is in a folder of the bucket, by name, with when it came."""
+    """Objects in a folder of the bucket, by name, with their times."""
     store, prefix = folder.fs, folder.path  # type: ignore[attr-defined]
     found = store.find(prefix, detail=True)
     return {name.removeprefix(f"{prefix}/"): entry["created"] for name, entry in found.items()}

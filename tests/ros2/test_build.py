@@ -1,4 +1,4 @@
-"""A build of the ROS package has what ROS looks for; colcon itself is not there and is not run."""
+"""A build of the ROS package has the files that ROS needs; colcon itself is not run."""
 
 import ast
 import subprocess
@@ -37,7 +37,7 @@ def manifest():
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """The package as setuptools builds it; colcon hands the same setup.py to it."""
+    """The package as setuptools builds it; colcon uses the same setup.py."""
     folder = tmp_path_factory.mktemp("wheel")
     subprocess.run(
         [sys.executable, "setup.py", "-q", "egg_info", "--egg-base", folder,
@@ -59,7 +59,7 @@ def test_a_build_installs_what_ros_looks_for(wheel):
     assert {f"{NAME}/__init__.py", f"{NAME}/recorder_node.py"} <= wheel.keys()
 
 
-def test_programs_are_where_ros_run_looks_for_them(wheel):
+def test_programs_are_in_the_folder_that_ros_run_searches(wheel):
     settings = ConfigParser()
     settings.read(ROOT / "setup.cfg")
     assert settings["install"]["install_scripts"] == f"$base/lib/{NAME}"
@@ -72,7 +72,7 @@ def test_programs_are_where_ros_run_looks_for_them(wheel):
     assert function in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
 
 
-def test_what_is_imported_of_ros_is_declared(manifest):
+def test_imported_ros_packages_are_declared(manifest):
     declared = {each.text for each in manifest.iterfind("exec_depend")}
     imported = set()
     for path in ROOT.rglob("*.py"):

@@ -1,4 +1,4 @@
-"""The ROS package as far as it can be looked at without ROS: its files agree with each other."""
+"""The files of the ROS package agree with each other, as far as testable without ROS."""
 
 import ast
 import xml.etree.ElementTree as ET
@@ -15,15 +15,15 @@ NAME = PACKAGE.name
 
 @pytest.fixture
 def setup(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """What setup.py tells setuptools."""
-    told: dict[str, Any] = {}
+    """The arguments that setup.py passes to setuptools."""
+    arguments: dict[str, Any] = {}
     tree = ast.parse((PACKAGE / "setup.py").read_text())
     (call,) = (
         n for n in ast.walk(tree) if isinstance(n, ast.Call) and ast.unparse(n.func) == "setup"
     )
     for keyword in call.keywords:
-        told[str(keyword.arg)] = eval(ast.unparse(keyword.value), {"NAME": NAME})  # noqa: S307
-    return told
+        arguments[str(keyword.arg)] = eval(ast.unparse(keyword.value), {"NAME": NAME})  # noqa: S307
+    return arguments
 
 
 def test_package_xml_and_setup_agree(setup: dict[str, Any]) -> None:
@@ -34,7 +34,7 @@ def test_package_xml_and_setup_agree(setup: dict[str, Any]) -> None:
     assert root.findtext("export/build_type") == "ament_python"
 
 
-def test_every_file_that_is_installed_is_there(setup: dict[str, Any]) -> None:
+def test_every_installed_file_exists(setup: dict[str, Any]) -> None:
     for _, files in setup["data_files"]:
         for file in files:
             assert (PACKAGE / file).is_file(), file
