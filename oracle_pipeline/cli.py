@@ -235,6 +235,11 @@ def _json(table: "Table", tables: "Measured") -> str:
     "--memory-limit", default=4.0, show_default=True, type=click.FloatRange(0.0, min_open=True),
     help="Memory limit for the features of one recording [GiB].",
 )  # fmt: skip
+@click.option(
+    "--contract/--no-contract", default=True, show_default=True,
+    help="Whether to compare topics, types, QoS, rates, constant fields, copies of messages and "
+    "the graph with the contract of the reference.",
+)  # fmt: skip
 @_roles
 @plugins_option
 @_strict
@@ -249,13 +254,15 @@ def score(
     page: Path | None,
     time_limit: float,
     memory_limit: float,
+    contract: bool,
     roles: Path | None,
     plugins: Path | None,
     strict: bool,
 ) -> None:
     """Judge recordings by comparison with normal ones.
 
-    Exit code 0: all are normal; 1: at least one is anomalous; 2: at least one could not be judged.
+    Exit code 0: all are normal; 1: at least one is anomalous or breaks the contract of the
+    reference; 2: at least one could not be judged.
 
     RUN_OR_BAG is as for `oracle features`; several recordings are judged as one suite, and each
     robot of a recording gets a verdict, such as bag#robot1. The p-value is the share of normal runs
@@ -299,7 +306,14 @@ def score(
         raise
     limits = Limits(time_limit, memory_limit)
     verdicts = judging.score(
-        recordings, normal, manager, far, limits, strict=strict, choices=choices
+        recordings,
+        normal,
+        manager,
+        far,
+        limits,
+        strict=strict,
+        choices=choices,
+        hold_to_contract=contract,
     )
     show = output.as_json if file_format == "json" else output.as_text
     click.echo(show(verdicts, far, normal.notes))

@@ -13,6 +13,7 @@ from oracle_pipeline.scoring.verdict import Judgement
 
 _IN_WORDS: dict[Judgement, str] = {
     "anomalous": "anomalous",
+    "breach": "breaks the contract",
     "error": "could not be judged",
     "unsupported": "without a verdict",
     "normal": "normal",

@@ -20,6 +20,7 @@ from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
 
 _HEADLINES: dict[Judgement, str] = {
     "normal": "Normal",
+    "breach": "Breach of the contract",
     "anomalous": "Anomalous",
     "unsupported": "No verdict",
     "error": "Could not be judged",
@@ -91,7 +92,7 @@ def _judged(
     limits: Limits,
     draw: Callable[[Path], bytes],
 ) -> _Judged:
-    remarks, uri = [*verdict.contract, *verdict.notes], ""
+    remarks, uri = [*verdict.notes], ""
     if verdict.outcome != "error":
         try:
             png = run_isolated(draw, Path(verdict.recording), limits)
@@ -102,7 +103,7 @@ def _judged(
         verdict.recording,
         verdict.outcome,
         _HEADLINES[verdict.outcome],
-        [_sentence(verdict, far), *beside(verdict)],
+        [*verdict.contract, _sentence(verdict, far), *beside(verdict)],
         uri,
         [_row(each, meanings.get(each.feature, "")) for each in verdict.evidence],
         [*map(family_as_text, verdict.families), *remarks],

@@ -71,6 +71,8 @@ class ReferenceCard:
         Scorers of ``tampering`` and ``misbehaviour``, if the recordings have such features.
     roles : RoleChoices or None
         Robots and topics that a roles file named; None without one.
+    breaching : int or None
+        Number of recordings that break the contract of the others; None without a contract.
     """
 
     scorer: CrossConformalScorer
@@ -79,6 +81,7 @@ class ReferenceCard:
     notes: tuple[str, ...] = ()
     aspects: Mapping[str, CrossConformalScorer] = field(default_factory=dict)
     roles: RoleChoices | None = None
+    breaching: int | None = None
 
     def save(self, path: Path) -> None:
         """Write the card atomically."""
@@ -95,6 +98,7 @@ class ReferenceCard:
             "contract": None if self.contract is None else self.contract.to_dict(),
             "notes": list(self.notes),
             "roles": None if self.roles is None else self.roles.document(),
+            "breaching": self.breaching,
         }
         members = {_FACTS: json.dumps(facts, indent=1, allow_nan=False).encode(), **members}
         with replacing(path) as sink, zipfile.ZipFile(sink, "w") as archive:
@@ -141,6 +145,7 @@ class ReferenceCard:
             tuple(facts["notes"]),
             scorers,
             choices,
+            facts.get("breaching"),  # older cards do not say
         )
 
     def card_for(self, _row: pd.DataFrame) -> "ReferenceCard":

@@ -1,7 +1,8 @@
 """The contract of a system: topics, types, QoS, rates, nodes and edges of its normal recordings.
 
 A breach of it needs no statistics, so it is reported as a sentence, before any p-value. Only topics
-with a steady rate have a rate in the contract. A running robot is also compared with the pace of
+with a steady rate have a rate in the contract. A topic is a relay if most of its messages are
+copies of those of another topic. A running robot is also compared with the pace of
 its topics: the longest silence, and the number of messages in ten seconds.
 """
 
@@ -22,11 +23,14 @@ from oracle_pipeline.graphs.intervals import compose
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.scoring.constants import Samples
 from oracle_pipeline.scoring.pace import FEWEST, SPAN_S, Pace, Stamped, merged_paces, paces
+from oracle_pipeline.scoring.relays import Fingerprints, Relays
 
 STEADY = 1.5  # largest ratio between the rates of normal recordings at which a rate is steady
 MARGIN = 0.05  # relative margin on the rates of normal recordings
 SILENCE_S = 1.0  # added to twice the longest silence of normal recordings, on a running robot [s]
-FEWEST_RECORDINGS = 5  # with a topic, before any of its fields counts as constant
+FEWEST_RECORDINGS = 5  # with a topic, before a field counts as constant, or the topic as a relay
+MOSTLY = 0.75  # share of a topic's messages that are copies in every recording, for a relay
+FEW = 2  # messages of a relay that may differ, in addition to twice the share that usually does
 COUNT_MARGIN = 0.1  # relative margin on message counts per `SPAN_S`, in addition to 2 messages
 
 # ROS 2 tools append a suffix to some node names that differs between processes.
@@ -77,12 +81,15 @@ class Observation:
         Of the topics that have messages; empty unless requested.
     constants : mapping of str to mapping
         Topic -> field that never changes -> its value as text.
+    relays : mapping of str to mapping
+        Topic -> source -> how many of the topic's messages are copies of the source's.
     """
 
     topics: Mapping[str, tuple[str, tuple[str, ...], float | None]]
     graph: frozenset[str] | None
     paces: Mapping[str, Pace] = field(default_factory=dict)
     constants: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    relays: Relays = field(default_factory=dict)
 
 
 class Observer:
@@ -99,10 +106,13 @@ class Observer:
     ----------
     samples : Samples
         Of the messages seen.
+    fingerprints : Fingerprints
+        Of the messages seen, to find relays.
     """
 
     def __init__(self, bag: BagReader, *, paced: bool = False) -> None:
         self.samples = Samples(bag)
+        self.fingerprints = Fingerprints(bag)
         self._bag = bag
         self._paced = paced
         self._seen: list[Stamped] = []
@@ -110,6 +120,7 @@ class Observer:
     def see(self, batch: Messages) -> None:
         """Take note of the next messages of the bag."""
         self.samples.add(batch)
+        self.fingerprints.add(batch)
         if self._paced:
             self._seen.append(Stamped(batch.topics.astype(np.int16), batch.stamps_ns))
 
@@ -125,7 +136,11 @@ class Observer:
         graph = graph_elements(compose(each.graph for each in run.intervals))
         pace_of = paces(self._bag, self._seen)
         return Observation(
-            topics, graph if run.intervals else None, pace_of, self.samples.constants()
+            topics,
+            graph if run.intervals else None,
+            pace_of,
+            self.samples.constants(),
+            self.fingerprints.relays(),
         )
 
 
@@ -144,6 +159,8 @@ class Contract:
     constants : dict of str to dict
         Topic -> field that never changes within any recording -> its value as text; None if the
         recordings differ.
+    relays : dict of str to dict
+        Topic -> source -> lowest share of the topic's messages that are copies of the source's.
     """
 
     topics: Mapping[str, TopicTerms]
@@ -151,6 +168,7 @@ class Contract:
     ever: frozenset[str]
     paces: Mapping[str, Pace] = field(default_factory=dict)
     constants: Mapping[str, Mapping[str, str | None]] = field(default_factory=dict)
+    relays: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @classmethod
     def learned(cls, observations: Sequence[Observation]) -> Self:
@@ -168,6 +186,7 @@ class Contract:
                 if name not in irregular
             },
             {name: _constants(name, observations) for name in names},
+            {name: sources for name in names if (sources := _sources(name, observations))},
         )
 
     def breaches(self, seen: Observation, *, rates: bool = True) -> list[Breach]:
@@ -193,6 +212,8 @@ class Contract:
                 found += _of_rate(name, terms, rate_hz) if rates else []
                 if kind in terms.types and name in seen.constants:
                     found += self._of_constants(name, seen.constants[name])
+                if name in seen.relays:
+                    found += self._of_relay(name, seen)
         return found + self._of_graph(seen.graph)
 
     def breach_of_silence(self, name: str, silent_s: float) -> Breach | None:
@@ -234,6 +255,18 @@ class Contract:
                 instead = f"is {now} instead of {usual}" if now != usual else "has another value"
                 yield Breach(name, f"Field {path} of topic {name} {instead}.")
 
+    def _of_relay(self, name: str, seen: Observation) -> Iterable[Breach]:
+        for source, usual in self.relays.get(name, {}).items():
+            copies = seen.relays[name].get(source)
+            share = 0.0 if copies is None else copies.share
+            few = 0.0 if copies is None else FEW / copies.count
+            if source in seen.topics and share < 1.0 - 2.0 * (1.0 - usual) - few:
+                yield Breach(
+                    name,
+                    f"Of the messages on topic {name}, {share:.1%} are copies of messages on "
+                    f"{source}; in normal recordings at least {usual:.1%} are.",
+                )
+
     def _of_graph(self, graph: frozenset[str] | None) -> list[Breach]:
         if graph is None or not self.ever:
             return []
@@ -252,6 +285,7 @@ class Contract:
             "ever": sorted(self.ever),
             "paces": self.paces,
             "constants": self.constants,
+            "relays": self.relays,
         }
 
     @classmethod
@@ -270,6 +304,7 @@ class Contract:
             frozenset(document["ever"]),
             pace_of,
             document.get("constants", {}),
+            document.get("relays", {}),  # older cards have none
         )
 
 
@@ -297,6 +332,16 @@ def _constants(name: str, observations: Iterable[Observation]) -> dict[str, str 
         path: seen[0][path] if all(each[path] == seen[0][path] for each in seen) else None
         for path in fields
     }
+
+
+def _sources(name: str, observations: Iterable[Observation]) -> dict[str, float]:
+    """Return the topics that a topic relays in every recording, and the lowest share of copies."""
+    seen = [of.relays[name] for of in observations if name in of.relays]
+    if len(seen) < FEWEST_RECORDINGS:
+        return {}
+    sources = [source for source in seen[0] if all(source in each for each in seen)]
+    lowest = {source: min(each[source].share for each in seen) for source in sources}
+    return {source: share for source, share in lowest.items() if share >= MOSTLY}
 
 
 def _of_topic(name: str, terms: TopicTerms, kind: str, qos: Sequence[str]) -> list[Breach]:

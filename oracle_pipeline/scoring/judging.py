@@ -27,7 +27,7 @@ from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.evidence import farthest_features
 from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS, Extracted, Limits, extract_isolated
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.scoring.verdict import AspectScore, ScoringError, Verdict
+from oracle_pipeline.scoring.verdict import AspectScore, Judgement, ScoringError, Verdict
 from oracle_pipeline.windows import WINDOW_S
 
 OTHER_ROLES = (
@@ -60,6 +60,7 @@ def score(
     *,
     strict: bool = False,
     choices: RoleChoices | None = None,
+    hold_to_contract: bool = True,
 ) -> list[Verdict]:
     """Judge recordings by comparison with normal runs.
 
@@ -82,6 +83,8 @@ def score(
         Whether an incomplete recording is an error.
     choices : RoleChoices, optional
         Content of a roles file; by default, that of the reference.
+    hold_to_contract : bool
+        Whether to compare each recording with the contract of the reference too.
     """
     notes: tuple[str, ...] = ()
     if choices is None:
@@ -95,6 +98,8 @@ def score(
             path, reference, manager, limits, strict=strict, choices=choices
         )
     ]
+    if not hold_to_contract:
+        verdicts = [replace(each, contract=()) for each in verdicts]
     return decide_suite([replace(each, notes=(*notes, *each.notes)) for each in verdicts], far)
 
 
@@ -131,7 +136,8 @@ def _in_suite(verdict: Verdict, p: float, size: int, far: float) -> Verdict:
     if p <= far:
         return replace(verdict, suite_p_value=p, outcome="anomalous")
     if lowest <= far:
-        return replace(verdict, suite_p_value=p, outcome="normal")
+        outcome: Judgement = "breach" if verdict.contract else "normal"
+        return replace(verdict, suite_p_value=p, outcome=outcome)
     return replace(
         verdict,
         suite_p_value=p,

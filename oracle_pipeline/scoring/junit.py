@@ -20,14 +20,15 @@ class TestCase(NamedTuple):
 
 
 def as_junit(verdicts: Sequence[Verdict]) -> bytes:
-    """Return JUnit XML with a test case for each recording; anomalous ones are failures."""
+    """Return JUnit XML with a test case for each recording; anomalous ones and breaches fail."""
     return junit_document("oracle score", [_test_case(verdict) for verdict in verdicts])
 
 
 def _test_case(verdict: Verdict) -> TestCase:
     if verdict.outcome == "normal":
         return TestCase(verdict.recording)
-    kind: Literal["failure", "error"] = "failure" if verdict.outcome == "anomalous" else "error"
+    failed = verdict.outcome in {"anomalous", "breach"}
+    kind: Literal["failure", "error"] = "failure" if failed else "error"
     return TestCase(verdict.recording, kind, "\n".join(paragraph(verdict)))
 
 

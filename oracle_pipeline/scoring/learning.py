@@ -1,5 +1,6 @@
 """Learns reference cards from normal runs, one for each kind of system in a reference."""
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,7 +12,7 @@ from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.comparable import same_kind, shared_features
-from oracle_pipeline.scoring.contract import Contract
+from oracle_pipeline.scoring.contract import Contract, Observation
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.feature_sets import ASPECTS, feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
@@ -47,8 +48,26 @@ def learn(reference: Reference) -> ReferenceCard:
     scorer = learned_scorer(runs)
     sets = feature_sets(runs.features)
     aspects = {name: learned_scorer(runs, name) for name in ASPECTS if name in sets}
-    contract = Contract.learned(reference.observations) if reference.observations else None
-    return ReferenceCard(scorer, runs.features, contract, tuple(notes), aspects, reference.roles)
+    contract, breaching = None, None
+    if reference.observations:
+        observations = list(itertools.compress(reference.observations, normal))
+        fold_of = dict(zip(runs.features["run_id"], scorer.fold_.tolist(), strict=True))
+        contract = Contract.learned(observations)
+        breaching = _breaching(observations, [fold_of[run_id] for run_id in table["run_id"]])
+    return ReferenceCard(
+        scorer, runs.features, contract, tuple(notes), aspects, reference.roles, breaching
+    )
+
+
+def _breaching(observations: Sequence[Observation], folds: Sequence[int]) -> int:
+    """Return how many recordings break the contract that the other folds teach."""
+    count = 0
+    for fold in set(folds):
+        others = [seen for seen, own in zip(observations, folds, strict=True) if own != fold]
+        contract = Contract.learned(others)
+        held_out = [seen for seen, own in zip(observations, folds, strict=True) if own == fold]
+        count += sum(bool(contract.breaches(seen)) for seen in held_out)
+    return count
 
 
 def learned_scorer(normal: MeasuredRuns, features: str = "all") -> CrossConformalScorer:
@@ -128,7 +147,7 @@ class Cards:
                 "from another kind of system: they lack a whole family of features that this "
                 "recording has.",
             )
+        observations = tuple(itertools.compress(reference.observations, alike))
         return Reference(
-            reference.table[alike], reference.windows, reference.observations, notes,
-            reference.roles,
-        )  # fmt: skip
+            reference.table[alike], reference.windows, observations, notes, reference.roles
+        )

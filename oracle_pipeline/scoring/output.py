@@ -13,10 +13,17 @@ from oracle_pipeline.scoring.conformal import runs_needed
 from oracle_pipeline.scoring.outliers import outliers
 from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
 
-# The highest code of a suite counts.
-EXIT_CODES: dict[Judgement, int] = {"normal": 0, "anomalous": 1, "unsupported": 2, "error": 2}
+# From the best to the worst; the worst of a suite counts.
+EXIT_CODES: dict[Judgement, int] = {
+    "normal": 0,
+    "breach": 1,
+    "anomalous": 1,
+    "unsupported": 2,
+    "error": 2,
+}
 _SHOWN: dict[Judgement, str] = {
     "normal": "normal",
+    "breach": "BREACH",
     "anomalous": "ANOMALOUS",
     "unsupported": "NO VERDICT",
     "error": "COULD NOT JUDGE",
@@ -25,6 +32,11 @@ _WIDTH = len("NO VERDICT")
 
 RATES = (0.05, 0.01)  # false positive rates for which missing blocks are reported
 
+BREACH = (
+    "Breach: the features are normal, but topics, rates, constant fields, copies of messages, or "
+    "the graph are not as in all normal recordings."
+)
+
 _MOST_OUTLIERS = 5  # recordings of a card that are listed
 
 _ROUNDING = 1e-12  # below all that features resolve
@@ -32,15 +44,18 @@ HEADINGS = ("feature", "value", "usual (5-95 %)", "z", "window", "where")
 
 
 def exit_code(verdicts: Sequence[Verdict]) -> int:
-    """Return 0 if all are normal, 1 if one is anomalous, 2 if one has no verdict."""
-    return max(EXIT_CODES[verdict.outcome] for verdict in verdicts)
+    """Return 0 if all are normal, 1 if one is anomalous or a breach, 2 if one has no verdict."""
+    return EXIT_CODES[_worst(verdicts)]
+
+
+def _worst(verdicts: Sequence[Verdict]) -> Judgement:
+    return max((verdict.outcome for verdict in verdicts), key=list(EXIT_CODES).index)
 
 
 def as_json(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> str:
     """Return one JSON object: the worst outcome, and each verdict with its basis."""
-    worst = exit_code(verdicts)
     document = {
-        "outcome": next(outcome for outcome, code in EXIT_CODES.items() if code == worst),
+        "outcome": _worst(verdicts),
         "false_alarm_rate": far,
         "notes": list(notes),
         "recordings": [dataclasses.asdict(verdict) for verdict in verdicts],
@@ -61,6 +76,8 @@ def as_text(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> st
                 "The p-values of tampering (altered messages) and of misbehaviour (what the robot "
                 f"did) are each {far:g} or less in at most {far:.0%} of normal recordings."
             )
+    if any(verdict.outcome == "breach" for verdict in verdicts):
+        lines.append(BREACH)
     return "\n".join([*lines, *shared, *notes])
 
 
@@ -131,7 +148,12 @@ def _contract_as_text(card: ReferenceCard) -> str:
         return "No contract of topics and rates: the card was learned from tables."
     terms = card.contract.topics.values()
     steady = sum(of_topic.lowest_hz is not None for of_topic in terms)
-    return f"Contract: {len(terms)} topics, {steady} of them with a steady rate."
+    lines = f"Contract: {len(terms)} topics, {steady} of them with a steady rate."
+    if card.breaching is None:
+        return lines
+    return (
+        f"{lines} {card.breaching} of {_count(len(card.runs), 'recording')} break that of others."
+    )
 
 
 def _outliers_as_text(card: ReferenceCard) -> list[str]:

@@ -8,8 +8,9 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.alarms import Alarm
 
+# Breach: not anomalous by its features, but it breaks the contract of the system.
 # Unsupported: there is a score, but too few normal runs for a verdict at the requested rate.
-Judgement: TypeAlias = Literal["normal", "anomalous", "unsupported", "error"]
+Judgement: TypeAlias = Literal["normal", "breach", "anomalous", "unsupported", "error"]
 
 
 class ScoringError(OracleError):

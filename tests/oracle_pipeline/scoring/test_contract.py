@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.contract import FEWEST_RECORDINGS, Contract, Observation, Observer
 from oracle_pipeline.scoring.pace import Pace
+from oracle_pipeline.scoring.relays import Copies
 
 names = st.sampled_from(["/scan", "/odom", "/tf", "/cmd_vel", "/rosout"])
 profiles = st.sampled_from([(), ("reliable, volatile",), ("best effort, volatile",)])
@@ -21,6 +22,9 @@ observations = st.builds(
     st.dictionaries(names, st.builds(Pace, st.floats(0.0, 1e3), st.integers(0, 9), st.just(9))),
     st.dictionaries(
         names, st.dictionaries(st.sampled_from(["frame", "range"]), st.sampled_from(["1", "2"]))
+    ),
+    st.dictionaries(
+        names, st.dictionaries(names, st.builds(Copies, st.integers(0, 9), st.just(9)))
     ),
 )
 

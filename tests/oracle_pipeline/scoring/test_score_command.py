@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -14,12 +15,14 @@ from oracle_pipeline.cli import main
 from oracle_pipeline.datasets import KEYS, feature_columns, feature_floors, write_table
 from oracle_pipeline.features import FeatureTables, build_manager, extract
 from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.scoring.card import ReferenceCard
+from oracle_pipeline.scoring.isolation import extract_isolated
 from oracle_pipeline.scoring.judging import judge
-from oracle_pipeline.scoring.learning import Cards
+from oracle_pipeline.scoring.learning import Cards, learn
 from oracle_pipeline.scoring.reference import Reference, read_reference
 from oracle_pipeline.scoring.verdict import ScoringError
 from tests.oracle_pipeline.datasets.synthetic import run_features
-from tests.oracle_pipeline.features.conftest import drive, odometry, write_bag
+from tests.oracle_pipeline.features.conftest import drive, message_class, odometry, write_bag
 
 pytestmark = pytest.mark.slow
 
@@ -289,6 +292,41 @@ def test_recordings_that_crash_their_process_are_errors_in_junit(bags, reference
     cases = list(ElementTree.parse(junit).getroot().iter("testcase"))  # noqa: S314 -- ours
     assert [[result.tag for result in case] for case in cases] == [[], ["error"], ["failure"]]
     assert "died (exit code 7)" in ElementTree.tostring(cases[1], encoding="unicode")
+
+
+@pytest.fixture
+def card(bags, normal, tmp_path) -> Path:
+    """A card with the contract of the usual bag, and an attacked run that is to be left out."""
+    (usual,) = extract_isolated(bags["usual"], build_manager())
+    (attacked,) = extract_isolated(bags["spinning"], build_manager())
+    topics = {**attacked.observation.topics, "/spy": ("std_msgs/msg/String", (), None)}
+    seen = [usual.observation] * len(normal) + [replace(attacked.observation, topics=topics)]
+    labels = ["normal"] * len(normal) + ["malicious"]
+    table = pd.concat([normal, attacked.tables.run], ignore_index=True).assign(label=labels)
+    table.attrs = dict(normal.attrs)
+    learn(Reference(table, observations=tuple(seen))).save(tmp_path / "robot.card")
+    return tmp_path / "robot.card"
+
+
+def test_a_normal_recording_that_breaks_the_contract_is_a_breach(bags, card, tmp_path):
+    assert ReferenceCard.load(card).breaching == 0
+    spied = [(0.5, "/spy", message_class("std_msgs/msg/String")(data="hello"))]
+    write_bag(tmp_path / "spied", [*drive(), *spied])
+    junit = tmp_path / "verdicts.xml"
+    oracle_score(bags["usual"], "--reference", card, expect=0)
+    done = oracle_score(
+        bags["usual"], tmp_path / "spied", "--reference", card, "--far", "0.1", "--junit", junit,
+        expect=1,
+    )  # fmt: skip
+    assert "Topic /spy (std_msgs/msg/String) is new." in done.output
+    assert re.search(r"^BREACH +\S*spied", done.output, re.MULTILINE)
+    usual, spied_case = ElementTree.parse(junit).findall("testcase")  # noqa: S314 -- ours
+    assert (len(usual), [each.tag for each in spied_case]) == (0, ["failure"])
+    oracle_score(tmp_path / "spied", "--reference", card, "--no-contract", expect=0)
+    found = json.loads(
+        oracle_score(tmp_path / "spied", "--reference", card, "--format", "json", expect=1).stdout
+    )
+    assert (found["outcome"], found["recordings"][0]["outcome"]) == ("breach", "breach")
 
 
 def test_a_page_shows_the_same_verdicts(bags, reference, tmp_path):

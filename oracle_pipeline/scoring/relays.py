@@ -1,0 +1,91 @@
+"""Finds topics whose messages are copies of those of another topic.
+
+A relay, a multiplexer or a filter that lets messages pass republishes the same bytes. A program
+that alters messages on the way leaves them similar, and few features compare topics of any type.
+"""
+
+from collections import defaultdict
+from collections.abc import Mapping
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from oracle_pipeline.bags.merging import Messages
+from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.scoring.pace import FEWEST
+
+MOST_MESSAGES = 100_000  # of a topic that is compared
+
+
+class Copies(NamedTuple):
+    """How many messages of a topic are equal to a message of another one."""
+
+    equal: int
+    count: int
+
+    @property
+    def share(self) -> float:
+        """Share of the topic's messages."""
+        return self.equal / self.count
+
+
+Relays: TypeAlias = Mapping[str, Mapping[str, Copies]]
+
+
+class Fingerprints:
+    """Hashes of the messages of topics that share their type, taken while the bag is read.
+
+    Parameters
+    ----------
+    bag : BagReader
+        The bag that is read.
+    """
+
+    def __init__(self, bag: BagReader) -> None:
+        self._names = list(bag.topics)
+        of_type = defaultdict(list)
+        for number, topic in enumerate(bag.topics.values()):
+            if 0 < topic.count <= MOST_MESSAGES:
+                of_type[topic.msgtype].append(number)
+        self._groups = [numbers for numbers in of_type.values() if len(numbers) > 1]
+        self._hashes: dict[int, list[int]] = {
+            number: [] for numbers in self._groups for number in numbers
+        }
+
+    def add(self, batch: Messages) -> None:
+        """Take the hashes of the next messages of the bag."""
+        for number in np.unique(batch.topics).tolist():
+            if (hashes := self._hashes.get(number)) is not None:
+                rows = np.flatnonzero(batch.topics == number)
+                hashes += map(hash, batch.messages(rows))
+
+    def relays(self) -> dict[str, dict[str, Copies]]:
+        """Return the topics that can be relays, and their copies: topic -> source -> copies.
+
+        A topic without any copy has an empty entry. A topic with fewer than `FEWEST` different
+        messages has none, because these may be equal by chance.
+        """
+        found: dict[str, dict[str, Copies]] = {}
+        for numbers in self._groups:
+            counts = _occurrences([self._hashes[number] for number in numbers])
+            equal = (counts @ (counts > 0).astype(np.int64).T).toarray()
+            for row, number in enumerate(numbers):
+                if counts.indptr[row + 1] - counts.indptr[row] >= FEWEST:
+                    count = int(equal[row, row])
+                    found[self._names[number]] = {
+                        self._names[other]: Copies(int(equal[row, column]), count)
+                        for column, other in enumerate(numbers)
+                        if other != number and equal[row, column]
+                    }
+        return found
+
+
+def _occurrences(hashes: list[list[int]]) -> "csr_array[np.int64]":
+    """Return how often each topic has each message, shape (n_topics, n_different)."""
+    topic = np.repeat(np.arange(len(hashes)), [len(each) for each in hashes])
+    values = np.array([value for each in hashes for value in each], dtype=np.int64)
+    different, message = np.unique(values, return_inverse=True)
+    ones: NDArray[np.int64] = np.ones(len(values), dtype=np.int64)
+    return csr_array((ones, (topic, message)), shape=(len(hashes), len(different)))
