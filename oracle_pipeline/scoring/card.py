@@ -32,7 +32,7 @@ from oracle_pipeline.scoring.contract import Contract
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.run_scorer import Design, RunScorer
 
-VERSION = 3  # of the card format and of the windowing it was learned with
+VERSION = 4  # of the card format and of the windowing it was learned with
 SUFFIX = ".card"
 _FACTS, _RUNS, _MODELS = "card.json", "runs.parquet", "models.parquet"
 _WINDOWS = "windows.parquet"
@@ -212,7 +212,13 @@ def _described(scorer: CrossConformalScorer) -> dict[str, Any]:
 def _models(scorers: Mapping[str, CrossConformalScorer]) -> list[dict[str, Any]]:
     """Return the fitted scalers and detectors, one row per scorer, fold and level."""
     return [
-        {"scorer": name, "fold": fold, "level": level, **_state(model)}
+        {
+            "scorer": name,
+            "fold": fold,
+            "level": level,
+            **_state(model),
+            "reach": of_fold.reach_ if level == "windows" else None,
+        }
         for name, scorer in scorers.items()
         for fold, of_fold in enumerate(scorer.scorers_)
         for level, model in of_fold.models_.items()
@@ -275,9 +281,10 @@ def _scorer(
     for fold, counted in enumerate(described["windows_counted"]):
         of_fold = RunScorer(scorer.design)
         of_fold.windows_counted_ = counted
-        of_fold.models_ = {
-            state["level"]: _restored(state, floors) for state in models if state["fold"] == fold
-        }
+        states = {state["level"]: state for state in models if state["fold"] == fold}
+        of_fold.models_ = {level: _restored(state, floors) for level, state in states.items()}
+        if "windows" in states:
+            of_fold.reach_ = np.array(states["windows"]["reach"])
         scorer.scorers_.append(of_fold)
     scorer.windows_ = _normal_windows(windows, scorer.block_) if window_features else None
     return scorer

@@ -61,7 +61,7 @@ class CrossConformalScorer:
     held_out_ : ndarray of shape (n_runs,)
         Score of each normal run by the scorer that was not fitted on it.
     windows_ : NormalWindows or None
-        Held-out scores of their windows; None if windows have no features.
+        Held-out scores of their windows for alarms; None if windows have no features.
     """
 
     def __init__(self, design: Design, folds: int = FOLDS) -> None:
@@ -99,7 +99,7 @@ class CrossConformalScorer:
                 by_level = np.empty((len(out), scores.shape[1]))
             by_level[out] = scores
             if self.design.window_features:
-                of_windows[out[runs.run]] = scorer.score_windows(held_out.windows)
+                of_windows[out[runs.run]] = scorer.alarm_scores(held_out.windows)
             self.scorers_.append(scorer)
         assert by_level is not None  # noqa: S101 -- there are at least three folds
         self.centre_ = np.median(by_level, axis=0)
@@ -180,7 +180,7 @@ class CrossConformalScorer:
     def window_scores(
         self, windows: pd.DataFrame, block: NDArray[np.int64] | None = None
     ) -> NDArray[np.float64]:
-        """Return one score for each window, shape (n_windows,), as input of `AlarmWatch`.
+        """Return one score for alarms for each window, shape (n_windows,), as `AlarmWatch` needs.
 
         Windows are scored independently, so those of a running robot can be scored one by one.
 
@@ -192,7 +192,7 @@ class CrossConformalScorer:
             As for `p_values`, but of each window.
         """
         known = windows.reindex(columns=list(self.design.window_features))
-        of_folds = np.stack([scorer.score_windows(known) for scorer in self.scorers_])
+        of_folds = np.stack([scorer.alarm_scores(known) for scorer in self.scorers_])
         return self.own_score(of_folds, block)
 
     @property

@@ -2,6 +2,10 @@
 
 These are two levels with a score each. ``oracle_pipeline.scoring.cross_conformal`` combines them
 into one score and a p-value.
+
+A window also has a score of its own for alarms: how far its most unusual features are beyond what
+normal windows reach. In a distance over all features, the few that a short attack changes are lost
+among the many that it does not change.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,6 +23,8 @@ from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 LEVELS = ("run", "windows")
 TOP_WINDOWS = 6  # number of highest window scores that are averaged for a run
+TOP_FEATURES = 3  # number of a window's most unusual features that are averaged for alarms
+LEAST_REACH = 3.0  # smallest distance that normal windows are taken to reach [scales]
 COMMON = 0.9  # windows count up to the length that this share of the fitted runs reaches
 
 
@@ -53,6 +59,9 @@ class RunScorer:
     ----------
     models_ : dict of str to Pipeline
         A fitted scaler and detector for each level that has features.
+    reach_ : ndarray of shape (n_columns,)
+        Largest distance of each scaled column of windows from 0 in the fitted runs, at least
+        `LEAST_REACH` [scales]; only if windows have features.
     windows_counted_ : int
         Number of windows that count, from the start of a run. A longer run has more extreme windows
         by chance, so all runs are compared over the same length.
@@ -79,6 +88,8 @@ class RunScorer:
             if columns:
                 model = pipeline(clone(design.detector), design.floors)
                 self.models_[level] = model.fit(_select(table, columns))
+        if design.window_features:
+            self.reach_ = np.maximum(self._distances(runs.windows).max(axis=0), LEAST_REACH)
         return self
 
     def score(self, runs: MeasuredRuns) -> NDArray[np.float64]:
@@ -98,6 +109,21 @@ class RunScorer:
         """Return the score of each row of a window table, shape (n_windows,)."""
         seen = _select(windows, self.design.window_features)
         return np.asarray(-self.models_["windows"].score_samples(seen), dtype=np.float64)
+
+    def alarm_scores(self, windows: pd.DataFrame) -> NDArray[np.float64]:
+        """Return the score for alarms of each row of a window table, shape (n_windows,).
+
+        It is the mean of the highest `TOP_FEATURES` distances, each divided by what normal windows
+        reach. Above 1, these features are farther out than in any normal window.
+        """
+        distances = self._distances(windows) / self.reach_
+        highest = -np.sort(-distances, axis=1)[:, :TOP_FEATURES]
+        return np.asarray(highest.mean(axis=1), dtype=np.float64)
+
+    def _distances(self, windows: pd.DataFrame) -> NDArray[np.float64]:
+        """Return the distances of the scaled columns from 0, shape (n_windows, n_columns)."""
+        seen = _select(windows, self.design.window_features)
+        return np.asarray(np.abs(self.models_["windows"][0].transform(seen)), dtype=np.float64)
 
 
 def _select(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:

@@ -1,0 +1,46 @@
+"""Scores of windows for alarms: those few features count that are farthest out."""
+
+import numpy as np
+import pandas as pd
+from hypothesis import given
+from hypothesis import strategies as st
+
+from oracle_pipeline.datasets import feature_columns, feature_floors
+from oracle_pipeline.detectors import panel
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+from oracle_pipeline.scoring.run_scorer import TOP_FEATURES, Design, RunScorer
+from tests.oracle_pipeline.datasets.synthetic import campaign
+
+FEATURES, WINDOWS, _ = campaign(20, 0.0, 0, {"lidar_passthrough": "normal"})
+COLUMNS = feature_columns(WINDOWS)
+CHANGED = COLUMNS[:TOP_FEATURES]
+
+
+def fitted(windows):
+    columns = feature_columns(windows)
+    design = Design(panel(0)["mahalanobis"], [], columns, feature_floors(FEATURES))
+    return RunScorer(design).fit(MeasuredRuns.ordered(FEATURES, windows))
+
+
+def beyond(windows, scorer, times):
+    """Return one window whose first features are at a multiple of what normal windows reach."""
+    scaler = scorer.models_["windows"][0]
+    window = windows.iloc[[0]].copy()
+    for name in CHANGED:
+        place = scaler.kept_.index(name)
+        reach = times * scorer.reach_[place]
+        window[name] = scaler.center_[place] + reach * scaler.scale_[place]
+    return window
+
+
+def test_no_fitted_window_is_beyond_what_fitted_windows_reach():
+    assert fitted(WINDOWS).alarm_scores(WINDOWS).max() <= 1.0
+
+
+@given(times=st.floats(1.1, 5.0), others=st.integers(0, 200))
+def test_a_change_of_few_features_is_not_lost_among_many_others(times, others):
+    noise = np.random.default_rng(0).normal(size=(len(WINDOWS), others))
+    more = pd.DataFrame(noise, WINDOWS.index, [f"other.feature{n}" for n in range(others)])
+    windows = pd.concat([WINDOWS, more], axis=1)
+    scorer = fitted(windows)
+    np.testing.assert_allclose(scorer.alarm_scores(beyond(windows, scorer, times)), times)
