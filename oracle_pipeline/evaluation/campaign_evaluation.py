@@ -224,7 +224,7 @@ class _Steps:
         return self._references[features]
 
     def score(self, scorer: Scorer, folds: Sequence[Fold]) -> HeldOutScores:
-        if scorer not in OF_CARD:
+        if not scorer.is_of_card:
             detector, columns = self.detectors[scorer.detector], self.sets.get(scorer.features, [])
             return held_out(self.campaign, columns, detector, folds, scorer.level)
         if folds is not self.folds:

@@ -40,6 +40,11 @@ class Scorer(NamedTuple):
     features: str
     level: Level
 
+    @property
+    def is_of_card(self) -> bool:
+        """Whether a reference card of these features scores in this way."""
+        return (self.detector, self.level) == (HEADLINE.detector, HEADLINE.level)
+
 
 HEADLINE = Scorer(DEFAULT_DETECTOR, "all", "both")
 # The scorers of a reference card, in the order of the output of `oracle score`.

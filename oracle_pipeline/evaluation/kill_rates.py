@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.datasets import DatasetError, is_hard_negative
 from oracle_pipeline.detectors import DetectorError, panel
-from oracle_pipeline.evaluation.comparisons import HEADLINE, OF_CARD, RATES, Scorer, scorers
+from oracle_pipeline.evaluation.comparisons import HEADLINE, RATES, Scorer, scorers
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate, clopper_pearson
 from oracle_pipeline.evaluation.held_out import calibration_runs, held_out
 from oracle_pipeline.evaluation.reference_scores import reference_scores
@@ -89,7 +89,7 @@ def kill_matrix(
             columns, detector = sets[scorer.features], detectors[scorer.detector]
             scores = (
                 reference_scores(runs, folds, scorer.features)
-                if scorer in OF_CARD
+                if scorer.is_of_card
                 else held_out(runs, columns, detector, folds, scorer.level)
             )
         except DetectorError:
