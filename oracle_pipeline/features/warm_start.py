@@ -4,6 +4,8 @@ A fork takes over what is loaded. Otherwise each fork loads it again for its own
 takes as long as the features of a short one.
 """
 
+import networkx  # noqa: F401 -- of graphs, imported where it is used
+import pandas  # noqa: F401 -- of the tables, likewise
 from numba.core.registry import cpu_target
 
 from oracle_pipeline.bags.types import typestore
