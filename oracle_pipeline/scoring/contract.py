@@ -26,11 +26,11 @@ from oracle_pipeline.scoring.pace import FEWEST, SPAN_S, Pace, Stamped, merged_p
 from oracle_pipeline.scoring.relays import Fingerprints, Relays
 
 STEADY = 1.5  # largest ratio between the rates of normal recordings at which a rate is steady
-MARGIN = 0.05  # relative margin on the rates of normal recordings
+MARGIN = 0.05  # relative margin on the rates of normal recordings, and on shares of copies
 SILENCE_S = 1.0  # added to twice the longest silence of normal recordings, on a running robot [s]
 FEWEST_RECORDINGS = 5  # with a topic, before a field counts as constant, or the topic as a relay
 MOSTLY = 0.75  # share of a topic's messages that are copies in every recording, for a relay
-FEW = 2  # messages of a relay that may differ, in addition to twice the share that usually does
+FEW = 2  # messages of a relay that may differ, if these are more than the margin
 COUNT_MARGIN = 0.1  # relative margin on message counts per `SPAN_S`, in addition to 2 messages
 
 # ROS 2 tools append a suffix to some node names that differs between processes.
@@ -259,8 +259,8 @@ class Contract:
         for source, usual in self.relays.get(name, {}).items():
             copies = seen.relays[name].get(source)
             share = 0.0 if copies is None else copies.share
-            few = 0.0 if copies is None else FEW / copies.count
-            if source in seen.topics and share < 1.0 - 2.0 * (1.0 - usual) - few:
+            margin = MARGIN if copies is None else max(MARGIN, FEW / copies.count)
+            if source in seen.topics and 1.0 - share > 2.0 * (1.0 - usual) + margin:
                 yield Breach(
                     name,
                     f"Of the messages on topic {name}, {share:.1%} are copies of messages on "

@@ -148,12 +148,11 @@ def _contract_as_text(card: ReferenceCard) -> str:
         return "No contract of topics and rates: the card was learned from tables."
     terms = card.contract.topics.values()
     steady = sum(of_topic.lowest_hz is not None for of_topic in terms)
-    lines = f"Contract: {len(terms)} topics, {steady} of them with a steady rate."
+    told = f"Contract: {len(terms)} topics, {steady} of them with a steady rate."
     if card.breaching is None:
-        return lines
-    return (
-        f"{lines} {card.breaching} of {_count(len(card.runs), 'recording')} break that of others."
-    )
+        return told
+    recordings = _count(len(card.runs), "recording")
+    return f"{told} {card.breaching} of {recordings} break the contract of the others."
 
 
 def _outliers_as_text(card: ReferenceCard) -> list[str]:
