@@ -259,7 +259,7 @@ class Contract:
         for source, usual in self.relays.get(name, {}).items():
             copies = seen.relays[name].get(source)
             share = 0.0 if copies is None else copies.share
-            margin = MARGIN if copies is None else max(MARGIN, FEW / copies.count)
+            margin = MARGIN if copies is None else max(MARGIN, FEW / copies.messages)
             if source in seen.topics and 1.0 - share > 2.0 * (1.0 - usual) + margin:
                 yield Breach(
                     name,

@@ -23,12 +23,12 @@ class Copies(NamedTuple):
     """How many messages of a topic are equal to a message of another one."""
 
     equal: int
-    count: int
+    messages: int
 
     @property
     def share(self) -> float:
         """Share of the topic's messages."""
-        return self.equal / self.count
+        return self.equal / self.messages
 
 
 Relays: TypeAlias = Mapping[str, Mapping[str, Copies]]
