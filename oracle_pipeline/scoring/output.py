@@ -33,8 +33,8 @@ _WIDTH = len("NO VERDICT")
 RATES = (0.05, 0.01)  # false positive rates for which missing blocks are reported
 
 BREACH = (
-    "Breach: the features are normal, but topics, rates, constant fields, copies of messages, or "
-    "the graph are not as in all normal recordings."
+    "Breach: not anomalous by its features, but topics, rates, constant fields, copies of messages "
+    "or the graph are not as in all normal recordings."
 )
 
 _MOST_OUTLIERS = 5  # recordings of a card that are listed
