@@ -4,6 +4,8 @@ A fork takes over what is loaded. Otherwise each fork loads it again for its own
 takes as long as the features of a short one.
 """
 
+import gc
+
 import networkx  # noqa: F401 -- of graphs, imported where it is used
 import pandas  # noqa: F401 -- of the tables, likewise
 from numba.core.registry import cpu_target
@@ -14,3 +16,4 @@ from oracle_pipeline.bags.types import typestore
 cpu_target.typing_context.refresh()
 cpu_target.target_context.refresh()
 typestore()  # the definitions of ROS 2
+gc.freeze()  # a fork does not search all of this for garbage

@@ -4,8 +4,10 @@ A relay, a multiplexer or a filter that lets messages pass republishes the same 
 that alters messages on the way leaves them similar, and few features compare topics of any type.
 """
 
+from array import array
 from collections import defaultdict
 from collections.abc import Mapping
+from itertools import accumulate
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -16,7 +18,8 @@ from oracle_pipeline.bags.merging import Messages
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.scoring.pace import FEWEST
 
-MOST_MESSAGES = 100_000  # of a topic that is compared
+MOST_TOPICS = 500  # of a type that are compared
+MOST_MESSAGES = 1_000_000  # of all topics that are compared; types with few messages come first
 
 
 class Copies(NamedTuple):
@@ -47,19 +50,26 @@ class Fingerprints:
         self._names = list(bag.topics)
         of_type = defaultdict(list)
         for number, topic in enumerate(bag.topics.values()):
-            if 0 < topic.count <= MOST_MESSAGES:
+            if topic.count:
                 of_type[topic.msgtype].append(number)
-        self._groups = [numbers for numbers in of_type.values() if len(numbers) > 1]
-        self._hashes: dict[int, list[int]] = {
-            number: [] for numbers in self._groups for number in numbers
-        }
+        groups = [numbers for numbers in of_type.values() if 1 < len(numbers) <= MOST_TOPICS]
+        counts = [topic.count for topic in bag.topics.values()]
+        sizes = [sum(counts[number] for number in numbers) for numbers in groups]
+        order = sorted(range(len(groups)), key=sizes.__getitem__)
+        totals = accumulate(sizes[place] for place in order)
+        self._groups = [
+            groups[place]
+            for place, total in zip(order, totals, strict=True)
+            if total <= MOST_MESSAGES
+        ]
+        self._hashes = {number: array("q") for numbers in self._groups for number in numbers}
 
     def add(self, batch: Messages) -> None:
         """Take the hashes of the next messages of the bag."""
         for number in np.unique(batch.topics).tolist():
             if (hashes := self._hashes.get(number)) is not None:
                 rows = np.flatnonzero(batch.topics == number)
-                hashes += map(hash, batch.messages(rows))
+                hashes.extend(map(hash, batch.messages(rows)))
 
     def relays(self) -> dict[str, dict[str, Copies]]:
         """Return the topics that can be relays, and their copies: topic -> source -> copies.
@@ -82,10 +92,10 @@ class Fingerprints:
         return found
 
 
-def _occurrences(hashes: list[list[int]]) -> "csr_array[np.int64]":
+def _occurrences(hashes: "list[array[int]]") -> "csr_array[np.int64]":
     """Return how often each topic has each message, shape (n_topics, n_different)."""
     topic = np.repeat(np.arange(len(hashes)), [len(each) for each in hashes])
-    values = np.array([value for each in hashes for value in each], dtype=np.int64)
+    values = np.concatenate([np.frombuffer(each, dtype=np.int64) for each in hashes])
     different, message = np.unique(values, return_inverse=True)
     ones: NDArray[np.int64] = np.ones(len(values), dtype=np.int64)
     return csr_array((ones, (topic, message)), shape=(len(hashes), len(different)))
