@@ -71,8 +71,8 @@ IS_NORMAL = dg.AssetCheckSpec(
     "recording_is_normal",
     asset=FOREIGN_VERDICTS.key,
     partitions_def=ARRIVALS,
-    description="The recording is not anomalous. A recording that could not be judged does not "
-    "pass; with too few normal recordings for a verdict this is a warning.",
+    description="The recording is not anomalous and breaks no contract. A recording that could not "
+    "be judged does not pass; with too few normal recordings for a verdict this is a warning.",
 )
 
 
