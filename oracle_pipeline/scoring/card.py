@@ -115,38 +115,16 @@ class ReferenceCard:
             The file is missing, damaged, or from another release.
         """
         try:
-            facts, runs, models, windows = _read(path)
-            contract, roles = facts["contract"], facts.get("roles")  # older cards have no roles
-            choices = None if roles is None else RoleChoices.of(roles)
+            return _card(*_read(path))
         except FileNotFoundError as error:
             raise CardError(
                 f"There is no reference card {path}; create one with `oracle learn`."
             ) from error
-        except (
-            zipfile.BadZipFile,
-            zlib.error,
-            KeyError,
-            ValueError,
-            RuntimeError,
-            OSError,
-        ) as error:
+        except (*_DAMAGE, KeyError, TypeError, ValueError, OSError) as error:
             raise CardError(
                 f"{path} is not a reference card, or is damaged ({error}); create it again with "
                 "`oracle learn`."
             ) from error
-        scorers = {
-            name: _scorer(described, facts["floors"], models[name], windows[name])
-            for name, described in facts["scorers"].items()
-        }
-        return cls(
-            scorers.pop(_HEADLINE),
-            runs,
-            None if contract is None else Contract.from_dict(contract),
-            tuple(facts["notes"]),
-            scorers,
-            choices,
-            facts.get("breaching"),  # older cards do not say
-        )
 
     def card_for(self, _row: pd.DataFrame) -> "ReferenceCard":
         """Return this card: it covers one kind of system only."""
@@ -156,6 +134,26 @@ class ReferenceCard:
 def is_card(path: Path) -> bool:
     """Return whether the suffix of a path is that of a reference card."""
     return path.suffix == SUFFIX
+
+
+def _card(
+    facts: Mapping[str, Any], runs: pd.DataFrame, models: _OfScorers, windows: _OfScorers
+) -> ReferenceCard:
+    """Return the card from the content of its file."""
+    contract, roles = facts["contract"], facts["roles"]
+    scorers = {
+        name: _scorer(described, facts["floors"], models[name], windows[name])
+        for name, described in facts["scorers"].items()
+    }
+    return ReferenceCard(
+        scorers.pop(_HEADLINE),
+        runs,
+        None if contract is None else Contract.from_dict(contract),
+        tuple(facts["notes"]),
+        scorers,
+        None if roles is None else RoleChoices.of(roles),
+        facts["breaching"],
+    )
 
 
 def _read(

@@ -2,8 +2,8 @@
 
 A breach of it needs no statistics, so it is reported as a sentence, before any p-value. Only topics
 with a steady rate have a rate in the contract. A topic is a relay if most of its messages are
-copies of those of another topic. A running robot is also compared with the pace of
-its topics: the longest silence, and the number of messages in ten seconds.
+copies of those of another topic. A running robot is also compared with the pace of its topics: the
+longest silence, and the number of messages in ten seconds.
 """
 
 import math
@@ -297,14 +297,14 @@ class Contract:
             )
             for name, terms in document["topics"].items()
         }
-        pace_of = {name: Pace(*pace) for name, pace in document.get("paces", {}).items()}
+        pace_of = {name: Pace(*pace) for name, pace in document["paces"].items()}
         return cls(
             topics,
             frozenset(document["always"]),
             frozenset(document["ever"]),
             pace_of,
-            document.get("constants", {}),
-            document.get("relays", {}),  # older cards have none
+            document["constants"],
+            document["relays"],
         )
 
 

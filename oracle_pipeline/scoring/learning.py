@@ -61,12 +61,10 @@ def learn(reference: Reference) -> ReferenceCard:
 
 def _breaching(observations: Sequence[Observation], folds: Sequence[int]) -> int:
     """Return how many recordings break the contract that the other folds teach."""
-    count = 0
+    count, of_all = 0, list(zip(observations, folds, strict=True))
     for fold in set(folds):
-        others = [seen for seen, own in zip(observations, folds, strict=True) if own != fold]
-        contract = Contract.learned(others)
-        held_out = [seen for seen, own in zip(observations, folds, strict=True) if own == fold]
-        count += sum(bool(contract.breaches(seen)) for seen in held_out)
+        contract = Contract.learned([seen for seen, own in of_all if own != fold])
+        count += sum(bool(contract.breaches(seen)) for seen, own in of_all if own == fold)
     return count
 
 

@@ -1,3 +1,4 @@
+import json
 import zipfile
 
 import numpy as np
@@ -80,3 +81,16 @@ def test_the_error_for_an_invalid_card_states_the_remedy(tmp_path):
     for name in ("text.card", "absent.card"):
         with pytest.raises(CardError, match="oracle learn"):
             ReferenceCard.load(tmp_path / name)
+
+
+@pytest.mark.parametrize("lacking", ["scorers", "contract", "notes", "breaching"])
+def test_a_card_that_lacks_a_fact_is_an_error(file, lacking):
+    with zipfile.ZipFile(file) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    facts = json.loads(members["card.json"])
+    del facts[lacking]
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, data in {**members, "card.json": json.dumps(facts).encode()}.items():
+            archive.writestr(name, data)
+    with pytest.raises(CardError, match=lacking):
+        ReferenceCard.load(file)
