@@ -212,8 +212,7 @@ class Contract:
                 found += _of_rate(name, terms, rate_hz) if rates else []
                 if kind in terms.types and name in seen.constants:
                     found += self._of_constants(name, seen.constants[name])
-                if name in seen.relays:
-                    found += self._of_relay(name, seen)
+                found += self._of_relay(name, seen)
         return found + self._of_graph(seen.graph)
 
     def breach_of_silence(self, name: str, silent_s: float) -> Breach | None:
@@ -257,15 +256,28 @@ class Contract:
 
     def _of_relay(self, name: str, seen: Observation) -> Iterable[Breach]:
         for source, usual in self.relays.get(name, {}).items():
-            copies = seen.relays[name].get(source)
-            share = 0.0 if copies is None else copies.share
-            margin = MARGIN if copies is None else max(MARGIN, FEW / copies.messages)
-            if source in seen.topics and 1.0 - share > 2.0 * (1.0 - usual) + margin:
+            # Two topics that are copies of each other are reported once.
+            reported = source < name and self._is_altered(source, name, seen)
+            if self._is_altered(name, source, seen) and not reported:
+                copies = seen.relays[name].get(source)
+                share = 0.0 if copies is None else copies.share
+                usually = "all" if usual == 1.0 else f"at least {usual:.1%}"
                 yield Breach(
                     name,
                     f"Of the messages on topic {name}, {share:.1%} are copies of messages on "
-                    f"{source}; in normal recordings at least {usual:.1%} are.",
+                    f"{source}; in normal recordings {usually} are.",
                 )
+
+    def _is_altered(self, name: str, source: str, seen: Observation) -> bool:
+        """Return whether too few messages of a relay are copies of those of its source."""
+        usual = self.relays.get(name, {}).get(source)
+        if usual is None or name not in seen.relays or source not in seen.topics:
+            return False
+        copies = seen.relays[name].get(source)
+        if copies is None:
+            return True
+        margin = max(MARGIN, FEW / copies.messages)
+        return 1.0 - copies.share > 2.0 * (1.0 - usual) + margin
 
     def _of_graph(self, graph: frozenset[str] | None) -> list[Breach]:
         if graph is None or not self.ever:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -72,6 +74,27 @@ def test_a_relay_whose_messages_are_altered_is_a_breach():
         "recordings at least 99.0% are."
     ]
     assert told(NORMAL, observed()) != []
+
+
+def test_two_topics_that_are_copies_of_each_other_are_reported_once():
+    def both(equal, injected=0):
+        relays = {
+            "/plan": {"/received": Copies(equal, 100)},
+            "/received": {"/plan": Copies(equal, 100 + injected)},
+        }
+        return replace(observed(), relays=relays)
+
+    normal = [both(100)] * FEWEST_RECORDINGS
+    altered = (
+        "Of the messages on topic /plan, 50.0% are copies of messages on /received; in normal "
+        "recordings all are."
+    )
+    assert told(normal, both(50)) == [altered]
+    injected = (
+        "Of the messages on topic /received, 50.0% are copies of messages on /plan; in normal "
+        "recordings all are."
+    )
+    assert told(normal, both(100, injected=100)) == [injected]
 
 
 def test_a_relay_may_lose_somewhat_more_than_in_normal_recordings():
