@@ -18,6 +18,8 @@ from oracle_pipeline.scoring.isolation import Limits, run_isolated
 from oracle_pipeline.scoring.output import HEADINGS, beside, cells, family_as_text
 from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
 
+MOST_BREACHES = 8  # of the contract that are shown above the picture
+
 _HEADLINES: dict[Judgement, str] = {
     "normal": "Normal",
     "breach": "Breach of the contract",
@@ -92,7 +94,10 @@ def _judged(
     limits: Limits,
     draw: Callable[[Path], bytes],
 ) -> _Judged:
-    remarks, uri = [*verdict.notes], ""
+    breaches, more = verdict.contract[:MOST_BREACHES], verdict.contract[MOST_BREACHES:]
+    if more:
+        breaches = (*breaches, f"The remarks list {len(more)} more breaches of the contract.")
+    remarks, uri = [*more, *verdict.notes], ""
     if verdict.outcome != "error":
         try:
             png = run_isolated(draw, Path(verdict.recording), limits)
@@ -103,7 +108,7 @@ def _judged(
         verdict.recording,
         verdict.outcome,
         _HEADLINES[verdict.outcome],
-        [*verdict.contract, _sentence(verdict, far), *beside(verdict)],
+        [*breaches, _sentence(verdict, far), *beside(verdict)],
         uri,
         [_row(each, meanings.get(each.feature, "")) for each in verdict.evidence],
         [*map(family_as_text, verdict.families), *remarks],

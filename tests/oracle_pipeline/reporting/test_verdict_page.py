@@ -10,6 +10,7 @@ from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.replay.picture import picture
 from oracle_pipeline.reporting import verdict_page
+from oracle_pipeline.reporting.verdict_page import MOST_BREACHES
 from oracle_pipeline.scoring.isolation import Limits
 from oracle_pipeline.scoring.verdict import Evidence, Verdict
 from tests.recorded_runs import linked
@@ -55,6 +56,16 @@ def test_a_recording_that_cannot_be_drawn_keeps_its_verdict_with_a_note(tmp_path
     assert "<img" not in html
     assert f"It is not drawn: {broken}" in html
     assert html.index("Anomalous") < html.index("Could not be judged") < html.index("It is no bag.")
+
+
+def test_breaches_come_first_and_many_of_them_leave_room_for_the_picture(recorded_run, page):
+    told = [f"Topic /topic{number} is gone." for number in range(MOST_BREACHES + 3)]
+    html = page(anomalous(recorded_run("fake_object").path, contract=tuple(told)))
+    above, below = html.split("<img")
+    assert [each in above for each in told] == [True] * MOST_BREACHES + [False] * 3
+    assert above.index(told[0]) < above.index("Of 19 normal recordings")
+    assert "The remarks list 3 more breaches of the contract." in above
+    assert all(each in below for each in told[MOST_BREACHES:])
 
 
 def test_names_and_texts_of_a_recording_are_escaped(recorded_run, tmp_path, page):
