@@ -38,6 +38,12 @@ class Messages(NamedTuple):
         ends = begins + self.sizes[rows]
         return [self.data[a:b] for a, b in zip(begins.tolist(), ends.tolist(), strict=True)]
 
+    def by_topic(self) -> Iterator[tuple[int, Rows]]:
+        """Yield the number of each topic in the batch with its rows, in file order."""
+        order = np.argsort(self.topics, kind="stable")
+        numbers, begins = np.unique(self.topics[order], return_index=True)
+        yield from zip(numbers.tolist(), np.split(order, begins[1:]), strict=False)
+
 
 def in_time_order(
     read: Callable[[], Iterator[Messages]], *, is_in_order: bool

@@ -49,7 +49,7 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.reduction import largest, quantile, within
+from oracle_pipeline.features.reduction import MAD_TO_DEVIATION, largest, quantile, within
 from oracle_pipeline.features.scan_geometry import scanner_setup
 from oracle_pipeline.features.scan_matching import Steps
 from oracle_pipeline.features.scans import Bools, Floats, Points
@@ -112,7 +112,6 @@ _FEWEST = 8  # spans of a comparison
 _LEAST = {TURN: 0.5, TRAVEL: 0.3, SPIN: 3.0}  # total gain needed to estimate a scale
 _OBEYED = 1.5  # times the least residual: limit for a command that the robot may obey
 _EXACT = 5e-3  # residual below which commands cannot be distinguished [unit/s]
-_MAD_TO_DEVIATION = 1.4826
 _OUTLYING = 4.0  # robust deviations; spans beyond are left out of the fit of scale and lag
 
 
@@ -249,7 +248,7 @@ def fit(first: Points, slope: Points, second: Points) -> tuple[float, float, Boo
         else:
             scale, g, lag = ba / bb, 0.0, math.nan
         left = np.abs(second - scale * first - g * slope)
-        limit = max(_OUTLYING * _MAD_TO_DEVIATION * np.median(left), 1e-9)
+        limit = max(_OUTLYING * MAD_TO_DEVIATION * np.median(left), 1e-9)
         kept = left <= limit
     return scale, lag, kept
 

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.features.plugin import Located, Missing, Series, Window
 
+MAD_TO_DEVIATION = 1.4826  # of a normal distribution
+
 
 def within(times_s: NDArray[np.float64], window: Window) -> slice:
     """Return the slice of ascending times that is in a window."""

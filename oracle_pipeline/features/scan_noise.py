@@ -20,7 +20,7 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.reduction import largest, mean, quantile, smallest
+from oracle_pipeline.features.reduction import MAD_TO_DEVIATION, largest, mean, quantile, smallest
 from oracle_pipeline.features.scan_geometry import (
     CLOSER_M,
     SETUP_TOPICS,
@@ -71,7 +71,6 @@ _STRETCH = 4  # consecutive bends of a stretch
 _LONG = 8  # of a long one; uniform noise has none in a thousand scans
 _SMOOTH, _ROUGH = 0.25, 4.0  # of the scan's median bend
 _FINEST_M = 1e-4  # smaller bends count as zero
-_MAD_TO_DEVIATION = 1.4826
 _STILL_M, _STILL_RAD = 2e-3, 2e-3  # most motion between two scans of a standing robot
 _NEXT_S = 0.5  # most time between scans of a standing robot
 
@@ -222,6 +221,6 @@ def _changes(before: Floats, now: Floats) -> tuple[Floats, Floats]:
     deviation, share = np.full(len(change), np.nan), np.full(len(change), np.nan)
     for k, (row, known) in enumerate(zip(change, np.isfinite(change), strict=True)):
         if known.any():
-            deviation[k] = _MAD_TO_DEVIATION * np.median(row[known]) / math.sqrt(2.0)
+            deviation[k] = MAD_TO_DEVIATION * np.median(row[known]) / math.sqrt(2.0)
             share[k] = np.mean(row[known] > CLOSER_M)
     return deviation, share

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from oracle_pipeline.live.page import LivePage
     from oracle_pipeline.live.watch import Event, Watch
 
-MOST_BREACHES = 8  # of the contract that are printed at once
-
 
 @click.command()
 @click.option(
@@ -140,7 +138,7 @@ def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
     from oracle_pipeline.bags.terminal import aligned_lines, printable
     from oracle_pipeline.live.watch import Alarm, ContractAlarm, GraphTaken, Note
     from oracle_pipeline.live.window_scorer import WindowVerdict
-    from oracle_pipeline.scoring.output import HEADINGS, cells
+    from oracle_pipeline.scoring.output import HEADINGS, MOST_BREACHES, cells
 
     if isinstance(event, GraphTaken):
         kinds = [vertex.partition(":")[0] for vertex in event.graph]

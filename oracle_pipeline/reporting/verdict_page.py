@@ -15,10 +15,14 @@ from oracle_pipeline.datasets import replacing
 from oracle_pipeline.features import FeatureManager
 from oracle_pipeline.reporting.page import template
 from oracle_pipeline.scoring.isolation import Limits, run_isolated
-from oracle_pipeline.scoring.output import HEADINGS, beside, cells, family_as_text
+from oracle_pipeline.scoring.output import (
+    HEADINGS,
+    MOST_BREACHES,
+    beside,
+    cells,
+    family_as_text,
+)
 from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
-
-MOST_BREACHES = 8  # of the contract that are shown above the picture
 
 _HEADLINES: dict[Judgement, str] = {
     "normal": "Normal",

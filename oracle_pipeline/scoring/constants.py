@@ -14,7 +14,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from oracle_pipeline.bags.errors import BagError
-from oracle_pipeline.bags.merging import Messages
+from oracle_pipeline.bags.merging import Messages, Rows
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.features.columns import Batch, Columns
 from oracle_pipeline.features.parts import frame_names
@@ -60,19 +60,17 @@ class Samples:
         self._passed = np.zeros(len(counts), dtype=np.int64)
         self._left = np.full(len(counts), MOST_BYTES, dtype=np.int64)
 
-    def add(self, batch: Messages) -> None:
-        """Sample the next messages of the bag."""
-        for number in np.unique(batch.topics).tolist():
-            taken = self.taken.get(self._names[number])
-            if taken is None:
-                continue
-            rows = np.flatnonzero(batch.topics == number)
-            every = self._every[number]
-            for row in rows[-self._passed[number] % every :: every].tolist():
-                if self._left[number] > 0:
-                    taken.append(batch.message(row))
-                    self._left[number] -= batch.sizes[row]
-            self._passed[number] += len(rows)
+    def add(self, batch: Messages, number: int, rows: Rows) -> None:
+        """Sample the next messages of a topic: some rows of a batch."""
+        taken = self.taken.get(self._names[number])
+        if taken is None:
+            return
+        every = self._every[number]
+        for row in rows[-self._passed[number] % every :: every].tolist():
+            if self._left[number] > 0:
+                taken.append(batch.message(row))
+                self._left[number] -= batch.sizes[row]
+        self._passed[number] += len(rows)
 
     def constants(self) -> dict[str, dict[str, str]]:
         """Return the fields that are equal in all sampled messages, by topic, and their values.

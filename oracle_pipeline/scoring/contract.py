@@ -119,8 +119,9 @@ class Observer:
 
     def see(self, batch: Messages) -> None:
         """Take note of the next messages of the bag."""
-        self.samples.add(batch)
-        self.fingerprints.add(batch)
+        for number, rows in batch.by_topic():
+            self.samples.add(batch, number, rows)
+            self.fingerprints.add(batch, number, rows)
         if self._paced:
             self._seen.append(Stamped(batch.topics.astype(np.int16), batch.stamps_ns))
 

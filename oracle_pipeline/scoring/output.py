@@ -37,6 +37,8 @@ BREACH = (
     "or the graph are not as in all normal recordings."
 )
 
+MOST_BREACHES = 8  # of the contract that are shown at once
+
 _MOST_OUTLIERS = 5  # recordings of a card that are listed
 
 _ROUNDING = 1e-12  # below all that features resolve

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from oracle_pipeline.bags.merging import Messages
+from oracle_pipeline.bags.merging import Messages, Rows
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.scoring.pace import FEWEST
 
@@ -64,12 +64,10 @@ class Fingerprints:
         ]
         self._hashes = {number: array("q") for numbers in self._groups for number in numbers}
 
-    def add(self, batch: Messages) -> None:
-        """Take the hashes of the next messages of the bag."""
-        for number in np.unique(batch.topics).tolist():
-            if (hashes := self._hashes.get(number)) is not None:
-                rows = np.flatnonzero(batch.topics == number)
-                hashes.extend(map(hash, batch.messages(rows)))
+    def add(self, batch: Messages, number: int, rows: Rows) -> None:
+        """Take the hashes of the next messages of a topic: some rows of a batch."""
+        if (hashes := self._hashes.get(number)) is not None:
+            hashes.extend(map(hash, batch.messages(rows)))
 
     def relays(self) -> dict[str, dict[str, Copies]]:
         """Return the topics that can be relays, and their copies: topic -> source -> copies.

@@ -10,8 +10,8 @@ from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.replay.picture import picture
 from oracle_pipeline.reporting import verdict_page
-from oracle_pipeline.reporting.verdict_page import MOST_BREACHES
 from oracle_pipeline.scoring.isolation import Limits
+from oracle_pipeline.scoring.output import MOST_BREACHES
 from oracle_pipeline.scoring.verdict import Evidence, Verdict
 from tests.recorded_runs import linked
 

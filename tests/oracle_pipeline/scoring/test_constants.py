@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 
-from oracle_pipeline.bags.reader import BagReader
-from oracle_pipeline.scoring.constants import MOST_MESSAGES, Samples
+from oracle_pipeline.scoring.constants import MOST_MESSAGES
 from oracle_pipeline.scoring.pace import FEWEST
-from tests.oracle_pipeline.features.conftest import message_class, write_bag
+from tests.oracle_pipeline.features.conftest import message_class
 from tests.oracle_pipeline.features.scenery import (
     header,
     odometry_message,
@@ -24,16 +23,8 @@ def scans(count, alter=None):
 
 
 @pytest.fixture
-def constants_of(tmp_path):
-    def read(recorded):
-        write_bag(tmp_path / "robot", recorded)
-        with BagReader(tmp_path / "robot") as bag:
-            samples = Samples(bag)
-            for batch in bag.batches():
-                samples.add(batch)
-            return samples.constants()
-
-    return read
+def constants_of(observer_of):
+    return lambda recorded: observer_of(recorded).samples.constants()
 
 
 def test_fixed_parameters_of_a_sensor_are_constants_and_measurements_are_not(constants_of):

@@ -5,11 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.scoring.contract import FEWEST_RECORDINGS, Contract, Observation
 from oracle_pipeline.scoring.pace import FEWEST
-from oracle_pipeline.scoring.relays import Copies, Fingerprints
-from tests.oracle_pipeline.features.conftest import write_bag
+from oracle_pipeline.scoring.relays import Copies
 from tests.oracle_pipeline.features.scenery import odometry_message, scan_message
 
 COUNT = 2 * FEWEST
@@ -24,16 +22,8 @@ def odometry(number):
 
 
 @pytest.fixture
-def relays_of(tmp_path):
-    def read(recorded):
-        write_bag(tmp_path / "robot", recorded)
-        with BagReader(tmp_path / "robot") as bag:
-            fingerprints = Fingerprints(bag)
-            for batch in bag.batches():
-                fingerprints.add(batch)
-            return fingerprints.relays()
-
-    return read
+def relays_of(observer_of):
+    return lambda recorded: observer_of(recorded).fingerprints.relays()
 
 
 def test_messages_that_are_published_again_are_copies(relays_of):
