@@ -214,7 +214,8 @@ class Rosbag1Part:
         self._set_extent(counts, spans)
         # A chunk that is read in several parts may have them in any order.
         self.extent.in_order &= largest <= MOST_AT_ONCE
-        return counts.keys() <= self.channels.keys()
+        # The index ends the file. What follows may be zeros in place of a lost end.
+        return at == self._size and counts.keys() <= self.channels.keys()
 
     def _set_extent(self, counts: Counter[int], spans: list[tuple[int, int, int]]) -> None:
         stamps = [(first, last) for _, first, last in sorted(spans)]
