@@ -26,8 +26,8 @@ from sim import experiments
 from sim.campaigns import Campaign
 from sim.experiments import recipe_for
 from sim.middleware.endpoints import Subscription
-from sim.middleware.executor import Executor
-from sim.middleware.node import Node, Timer
+from sim.middleware.executor import Executor, Timer
+from sim.middleware.node import Node
 from sim.turtlebot3 import run as turtlebot3_run
 from sim.turtlebot3.world import World
 
@@ -129,6 +129,10 @@ def _shares(root: Path, block: int) -> Iterator[Row]:
         def call_at(self, time_ns: int, callback: Callable[..., None], *arguments: Any) -> None:
             super().call_at(time_ns, shares.call, _owner(callback), callback, *arguments)
 
+        def call_every(self, period_ns: int, callback: Callable[[], None], first_ns: int) -> Timer:
+            called = functools.partial(shares.call, _owner(callback), callback)
+            return super().call_every(period_ns, called, first_ns)
+
     patches: list[tuple[Any, str, Any]] = [(turtlebot3_run, "Executor", Counting)]
     for owner, name, method in (
         (World, "physics and rays", "advance_to"),
@@ -165,8 +169,6 @@ def _owner(callback: Callable[..., None]) -> str:
     if isinstance(callback, functools.partial):
         return _owner(callback.func)
     bound = getattr(callback, "__self__", None)
-    if isinstance(bound, Timer):
-        return _owner(bound._callback)
     if isinstance(bound, Subscription):
         return bound.node
     for holder in (bound, getattr(bound, "node", None), getattr(bound, "_node", None)):

@@ -69,14 +69,28 @@ class Recorder(Node):
         self._receive_clock = receive_clock
         self._endpoints: dict[str, int] = {}  # topic -> publishers whose QoS is in the bag
         self._revision = 0  # of the domain at the last search for topics
+        self._received: list[tuple[int, str, bytes]] = []  # and not yet in the bag
         self.create_publisher("rosbag2_interfaces/msg/WriteSplitEvent", "/events/write_split")
         self._discover()
         self.create_timer(_DISCOVERY_NS, self._discover)
+        self.create_timer(SECOND, self.store)
+
+    def store(self) -> None:
+        """Write the messages received so far into the bag."""
+        clock = self._receive_clock
+        self._writer.write_many(
+            [
+                (topic, time_ns if clock is None else clock.stamp_ns(time_ns), data)
+                for time_ns, topic, data in self._received
+            ]
+        )
+        self._received.clear()
 
     def _discover(self) -> None:
         if self._revision == self.domain.revision:
             return
         self._revision = self.domain.revision
+        self.store()  # profiles offered from now on are stored for topics without a message only
         for topic, msgtype in list(self.domain.topics.items()):
             if topic in self._leave_out or not self._is_wanted(topic):
                 continue
@@ -96,13 +110,12 @@ class Recorder(Node):
         latched = all(is_latched(profile) for profile in offered)
         requested = qos.profile(10, reliable=reliable, latched=latched)
 
-        executor, clock, store = self.domain.executor, self._receive_clock, self._writer.write
+        executor, received = self.domain.executor, self._received.append
 
-        def write(data: bytes) -> None:
-            now_ns = executor.now_ns
-            store(topic, now_ns if clock is None else clock.stamp_ns(now_ns), data)
+        def receive(data: bytes) -> None:
+            received((executor.now_ns, topic, data))
 
-        self.create_subscription(msgtype, topic, write, requested, raw=True)
+        self.create_subscription(msgtype, topic, receive, requested, raw=True)
 
 
 class ReceiveClock:

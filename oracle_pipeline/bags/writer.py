@@ -175,15 +175,23 @@ class BagWriter:
         if self._pending_bytes > _BATCH_BYTES:
             self._flush()
 
+    def write_many(self, messages: Sequence[tuple[str, int, bytes]]) -> None:
+        """Append messages, each a topic, a stamp and bytes as for `write`."""
+        entries = {topic: self._begin(topic) for topic in dict.fromkeys(m[0] for m in messages)}
+        self._pending += [(entries[topic], stamp_ns, data) for topic, stamp_ns, data in messages]
+        self._pending_bytes += sum(len(data) for _, _, data in messages)
+        self._flush()
+
     def _begin(self, topic: str) -> _Topic:
-        """Prepare a topic for its first message."""
+        """Return a topic, prepared for its first message."""
         try:
             entry = self._topics[topic]
         except KeyError:
             raise BagError(f"{topic} is unknown to {self.path}; call add_topic first.") from None
-        self._flush()
-        with self._errors():
-            self._connect(topic, entry)
+        if entry.connection is None:
+            self._flush()
+            with self._errors():
+                self._connect(topic, entry)
         return entry
 
     def _flush(self) -> None:

@@ -117,9 +117,10 @@ class AtcRun:
         graphs = self._folder / GRAPHS_FOLDER
         graphs.mkdir()
         with BagWriter(self._folder / BAG_FOLDER, self._recipe.storage) as self._bag:
-            Recorder(self.domain, self._bag)
+            recorder = Recorder(self.domain, self._bag)
             graph = GraphRecorder(self.domain, graphs)
             executor.run_until(self._start_ns + round(self._recipe.duration_s * SECOND))
+            recorder.store()
             graph.finish()
 
     def manifest(self, wall_s: float, software: schema.Software) -> Manifest:

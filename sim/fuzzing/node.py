@@ -20,8 +20,8 @@ from sim.fuzzing.scenario import Key
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.endpoints import Publisher, Sample, Subscription
-from sim.middleware.executor import SECOND
-from sim.middleware.node import Node, Timer
+from sim.middleware.executor import SECOND, Timer
+from sim.middleware.node import Node
 
 
 class ScenarioNode:
@@ -94,7 +94,7 @@ class ScenarioNode:
         period_ns = self._execution.timer_period_ns
         if period_ns is not None:
             first_ns = onset_ns + period_ns + self._latency_ns
-            self._timer = Timer(self._domain, period_ns, self._on_timer, first_ns)
+            self._timer = self._executor.call_every(period_ns, self._on_timer, first_ns)
         if self._conditions:
             self._executor.call_at(onset_ns, self._on_onset, self._conditions)
             duration_s = self._execution.program.activation.duration_s

@@ -14,6 +14,21 @@ SECOND = 1_000_000_000
 MILLISECOND = 1_000_000
 
 
+class Timer:
+    """A callback at a fixed period of simulated time, until it is cancelled."""
+
+    __slots__ = ("active", "callback", "period_ns")
+
+    def __init__(self, period_ns: int, callback: Callable[[], None]) -> None:
+        self.period_ns = period_ns
+        self.callback = callback
+        self.active = True
+
+    def cancel(self) -> None:
+        """Stop permanently."""
+        self.active = False
+
+
 class Executor:
     """A clock and a queue of callbacks.
 
@@ -27,7 +42,8 @@ class Executor:
     def __init__(self, on_advance: Callable[[int], None] = lambda _: None) -> None:
         self.now_ns = 0
         self._on_advance = on_advance
-        self._queue: list[tuple[int, int, Callback, tuple[Any, ...]]] = []
+        # When, in which order, what and its arguments; a timer has none, and stays in the queue.
+        self._queue: list[tuple[int, int, Any, tuple[Any, ...] | None]] = []
         self._scheduled = 0
 
     def call_at(self, time_ns: int, callback: Callback, *arguments: Any) -> None:
@@ -36,6 +52,12 @@ class Executor:
             raise ValueError(f"cannot schedule at {time_ns} ns, it is {self.now_ns} ns already")
         heapq.heappush(self._queue, (time_ns, self._scheduled, callback, arguments))
         self._scheduled += 1
+
+    def call_every(self, period_ns: int, callback: Callable[[], None], first_ns: int) -> Timer:
+        """Run ``callback()`` every ``period_ns``, first at ``first_ns``."""
+        timer = Timer(period_ns, callback)
+        self.call_at(first_ns, self._start, timer)
+        return timer
 
     def accompany(self, on_advance: Callable[[int], None]) -> None:
         """Also call this function whenever the clock moves; it must not change what runs."""
@@ -52,16 +74,31 @@ class Executor:
 
         Returns early, with the clock where it is, once ``stop()`` holds after a callback.
         """
-        queue, pop = self._queue, heapq.heappop
+        queue, pop, replace = self._queue, heapq.heappop, heapq.heapreplace
         while queue and queue[0][0] <= time_ns:
-            due_ns, _, callback, arguments = pop(queue)
+            due_ns, _, callback, arguments = queue[0]
             if due_ns > self.now_ns:
                 self.now_ns = due_ns
                 self._on_advance(due_ns)
-            callback(*arguments)
+            if arguments is not None:
+                pop(queue)
+                callback(*arguments)
+            elif callback.active:
+                replace(queue, (due_ns + callback.period_ns, self._scheduled, callback, None))
+                self._scheduled += 1
+                callback.callback()
+            else:
+                pop(queue)
             if stop is not None and stop():
                 return
         self._advance(time_ns)
+
+    def _start(self, timer: Timer) -> None:
+        if timer.active:
+            entry = (self.now_ns + timer.period_ns, self._scheduled, timer, None)
+            heapq.heappush(self._queue, entry)
+            self._scheduled += 1
+            timer.callback()
 
     def _advance(self, time_ns: int) -> None:
         self.now_ns = time_ns

@@ -14,6 +14,7 @@ from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos as profiles
 from sim.middleware.domain import Domain, Service
 from sim.middleware.endpoints import Publisher, Subscription
+from sim.middleware.executor import Timer
 from sim.middleware.parameters import EVENT, NodeParameter
 from sim.middleware.stamps import time_message
 
@@ -27,28 +28,6 @@ _PARAMETER_SERVICES = {
     "set_parameters": "rcl_interfaces/srv/SetParameters",
     "set_parameters_atomically": "rcl_interfaces/srv/SetParametersAtomically",
 }
-
-
-class Timer:
-    """A callback at a fixed period of simulated time; the first call is one period after start."""
-
-    def __init__(
-        self, domain: Domain, period_ns: int, callback: Callable[[], None], first_ns: int
-    ) -> None:
-        self._executor = domain.executor
-        self._period_ns = period_ns
-        self._callback = callback
-        self._active = True
-        self._executor.call_at(first_ns, self._fire)
-
-    def cancel(self) -> None:
-        """Stop permanently."""
-        self._active = False
-
-    def _fire(self) -> None:
-        if self._active:
-            self._executor.call_at(self._executor.now_ns + self._period_ns, self._fire)
-            self._callback()
 
 
 class Node:
@@ -136,7 +115,7 @@ class Node:
     ) -> Timer:
         """Call back every ``period_ns``, first after ``phase_ns`` (default: one period)."""
         first_ns = self.now_ns + (period_ns if phase_ns is None else phase_ns)
-        return Timer(self.domain, period_ns, callback, first_ns)
+        return self.domain.executor.call_every(period_ns, callback, first_ns)
 
     def create_service(self, srvtype: str, name: str, handler: Callable[[Any], Any]) -> Service:
         """Offer ``handler(request) -> response`` to other nodes."""

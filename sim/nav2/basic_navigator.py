@@ -13,9 +13,9 @@ from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
 from sim.middleware.action import ActionClient, GoalHandle, Status
 from sim.middleware.domain import Domain
-from sim.middleware.executor import SECOND
+from sim.middleware.executor import SECOND, Timer
 from sim.middleware.geometry import Pose2D
-from sim.middleware.node import Node, Timer
+from sim.middleware.node import Node
 from sim.middleware.stamps import header
 from sim.nav2.messages import pose_message, pose_stamped
 

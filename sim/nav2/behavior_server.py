@@ -16,9 +16,8 @@ from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
 from sim.middleware.action import ActionServer, GoalHandle, Status
 from sim.middleware.domain import Domain
-from sim.middleware.executor import SECOND
+from sim.middleware.executor import SECOND, Timer
 from sim.middleware.geometry import Pose2D, wrap_angle
-from sim.middleware.node import Timer
 from sim.middleware.stamps import duration_message, stamp_ns
 from sim.middleware.tf import TransformBuffer, TransformError, TransformListener
 from sim.nav2.costmap import LETHAL, Costmap2D, footprint_cost

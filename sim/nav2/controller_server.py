@@ -14,9 +14,8 @@ from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
 from sim.middleware.action import ActionServer, GoalHandle, Status
 from sim.middleware.domain import Domain
-from sim.middleware.executor import MILLISECOND, SECOND
+from sim.middleware.executor import MILLISECOND, SECOND, Timer
 from sim.middleware.geometry import Pose2D, wrap_angle
-from sim.middleware.node import Timer
 from sim.middleware.stamps import stamp_ns
 from sim.middleware.tf import TransformBuffer, TransformError
 from sim.nav2.costmap import Costmap2D

@@ -131,7 +131,7 @@ class TurtleBot3Run:
         graphs.mkdir()
         with BagWriter(self._folder / BAG_FOLDER, self._recipe.storage) as self._bag:
             options = self._recipe.options
-            Recorder(
+            recorder = Recorder(
                 self.domain,
                 self._bag,
                 leave_out=() if options.debug_topics else DEBUG_TOPICS,
@@ -146,6 +146,7 @@ class TurtleBot3Run:
             if self._patrol_over:
                 self._executor.run_until(self._executor.now_ns + AFTER_LAST_GOAL_NS)
             self._end_ns = self._executor.now_ns
+            recorder.store()
             graph.finish()
 
     def manifest(self, wall_s: float, software: schema.Software) -> Manifest:
