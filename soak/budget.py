@@ -7,6 +7,7 @@ ORACLE_HOME must never exceed the budget.
 
 import argparse
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -22,6 +23,7 @@ from resources.storage.stock import parse_budget, take_stock
 FIRST, LAST = "lidar_passthrough", "delayed_fakeobject"  # the six modes
 MODES = 6
 _PERIOD_S = 1.0
+_SETTINGS = Path(__file__).parent.parent / ".dagster_home" / "dagster.yaml"
 
 
 class Watch(threading.Thread):
@@ -73,6 +75,7 @@ def campaign(
     }
     for folder in ("dagster", "data"):
         (home / folder).mkdir(parents=True, exist_ok=True)
+    shutil.copy(_SETTINGS, home / "dagster")
     command = [
         sys.executable, "-m", "dagster", "asset", "materialize",
         "-m", "oracle_pipeline.definitions", "--select", "*",

@@ -6,8 +6,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import dagster as dg
 import pytest
+
+from tests.instances import instance_of
 
 pytestmark = pytest.mark.slow
 
@@ -52,7 +53,7 @@ def call(
 
 
 def runs_of(home: Path) -> int:
-    with dg.DagsterInstance.from_config(str(home)) as instance:
+    with instance_of(home) as instance:
         return instance.get_runs_count()
 
 

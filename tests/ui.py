@@ -1,7 +1,6 @@
 """What `oracle-ui` starts: its web server alone, or all of it on the real pipeline."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import dagster as dg
 
+from tests.instances import instance_of, make_home
 from tests.servers import ROOT, answers, free_port, process, wait_until
 
 LAUNCH = """mutation {
@@ -70,7 +70,7 @@ def web_server(folder: Path, **variables: str) -> Iterator[WebServer]:
     command = ["resources.ui", "--webserver-only", "-p", port]
     with (
         process(command, log, {"DAGSTER_HOME": str(home), **variables}),
-        dg.DagsterInstance.from_config(str(home)) as instance,
+        instance_of(home) as instance,
     ):
         wait_until(lambda: answers(int(port)), log)
         yield WebServer(int(port), instance)
@@ -87,7 +87,7 @@ def pipeline_ui(folder: Path, **variables: str) -> Iterator[WebServer]:
         subprocess.Popen(
             command, cwd=folder, env=environment, stdout=output, stderr=subprocess.STDOUT
         ) as server,
-        dg.DagsterInstance.from_config(str(home)) as instance,
+        instance_of(home) as instance,
     ):
         try:
             wait_until(lambda: answers(int(port)), log, STARTS_S)
@@ -99,9 +99,7 @@ def pipeline_ui(folder: Path, **variables: str) -> Iterator[WebServer]:
 
 def _instance(folder: Path, definitions: str) -> Path:
     """Write a workspace with some definitions; return the home of its instance."""
-    home = folder / "home"
-    home.mkdir()
-    shutil.copy(ROOT / ".dagster_home" / "dagster.yaml", home)
+    home = make_home(folder / "home")
     (folder / "definitions.py").write_text(definitions)
     (folder / "workspace.yaml").write_text(WORKSPACE)
     return home

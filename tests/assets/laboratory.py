@@ -1,6 +1,5 @@
 """A root for runs with a separate Dagster instance, and the campaign that the tests share."""
 
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from oracle_pipeline.definitions import build_defs
 from resources.campaign import CampaignSettings
 from resources.fleet import Fleet
 from resources.store import RunStore
+from tests.instances import instance_of, make_home
 
 CONTROL, ATTACKED = "lidar_passthrough", "random_noise"  # a pair of modes with short runs
 KEYS = [f"{mode}|run00{run}" for mode in (CONTROL, ATTACKED) for run in (0, 1)]
@@ -36,9 +36,7 @@ ROOT = Path(__file__).parent.parent.parent
 @contextmanager
 def dagster_home(home: Path) -> Iterator[dg.DagsterInstance]:
     """An instance as `.dagster_home` configures it, in a separate folder."""
-    home.mkdir(exist_ok=True)
-    shutil.copy(ROOT / ".dagster_home" / "dagster.yaml", home)
-    with dg.DagsterInstance.from_config(str(home)) as instance:
+    with instance_of(make_home(home)) as instance:
         yield instance
 
 

@@ -17,6 +17,7 @@ import dagster as dg
 import pytest
 
 from tests.assets.laboratory import ATTACKED, KEYS, ROOT, Laboratory, dagster_home
+from tests.instances import instance_of
 
 pytestmark = pytest.mark.slow(10)
 
@@ -101,7 +102,7 @@ def hear_control_c() -> None:
 
 def wait_for_daemon(home: Path, seconds: float) -> None:
     until = time.monotonic() + seconds
-    with dg.DagsterInstance.from_config(str(home)) as instance:
+    with instance_of(home) as instance:
         while "QUEUED_RUN_COORDINATOR" not in instance.get_daemon_heartbeats():
             assert time.monotonic() < until
             time.sleep(0.2)

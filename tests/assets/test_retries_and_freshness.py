@@ -15,20 +15,21 @@ from tests.assets.dagster_internals import (
     TimeWindowFreshnessPolicyEvaluator,
     freeze_time,
 )
-from tests.assets.laboratory import ROOT, Laboratory
+from tests.assets.laboratory import Laboratory
+from tests.instances import SETTINGS, instance_of
 
 REPORT = dg.AssetKey("oracle_report")
 
 
 @pytest.fixture
 def switched_on(tmp_path: Path) -> Iterator[dg.DagsterInstance]:
-    settings = yaml.safe_load((ROOT / ".dagster_home" / "dagster.yaml").read_text(encoding="utf-8"))
+    settings = yaml.safe_load(SETTINGS.read_text(encoding="utf-8"))
     for part in ("run_retries", "freshness"):
         settings[part]["enabled"] = True
     home = tmp_path / "on"
     home.mkdir()
     (home / "dagster.yaml").write_text(yaml.safe_dump(settings), encoding="utf-8")
-    with dg.DagsterInstance.from_config(str(home)) as instance:
+    with instance_of(home) as instance:
         yield instance
 
 

@@ -1,7 +1,6 @@
 """A Dagster run whose process was killed is marked as failed, and does not block the queue."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +12,7 @@ import dagster as dg
 import pytest
 
 from resources.run_processes import fail_lost_runs, hold
+from tests.instances import instance_of, make_home
 from tests.servers import ROOT, process, wait_until
 
 pytestmark = pytest.mark.slow(6)
@@ -31,13 +31,12 @@ with dg.DagsterInstance.from_config(sys.argv[1]) as instance:
 
 @pytest.fixture
 def home(tmp_path: Path) -> Path:
-    shutil.copy(ROOT / ".dagster_home" / "dagster.yaml", tmp_path)
-    return tmp_path
+    return make_home(tmp_path)
 
 
 @pytest.fixture
 def instance(home: Path) -> Iterator[dg.DagsterInstance]:
-    with dg.DagsterInstance.from_config(str(home)) as found:
+    with instance_of(home) as found:
         yield found
 
 
