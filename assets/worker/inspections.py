@@ -9,10 +9,9 @@ import numpy as np
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.integrity import damaged_files, require_undamaged
 from oracle_pipeline.bags.protocol import INTERVAL_S
-from oracle_pipeline.bags.reader import BagReader, content_hash
+from oracle_pipeline.bags.reader import counts_and_hash
 from oracle_pipeline.bags.remote import fetched
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, RunDirectory
-from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.datasets import MISSING, feature_columns, read_table
 from oracle_pipeline.graphs.differences import graph_differences
 from oracle_pipeline.graphs.intervals import interval_count, read_intervals
@@ -57,12 +56,9 @@ def bag_is_complete(run: RunDirectory) -> Finding:
     if kept == "recipe":
         return Finding([], {"messages": 0, "recorded": 0})
     recorded = {name: topic.messages for name, topic in manifest.topics.items()}
-    recorded.pop(GROUND_TRUTH_TOPIC, None)
     with fetched(run.path) as folder:
         damaged = damaged_files(folder, manifest, BAG_FOLDER)
-        with BagReader(folder / BAG_FOLDER) as bag:
-            held = {name: topic.count for name, topic in bag.topics.items()}
-        hash_read = content_hash(folder / BAG_FOLDER)  # fails if a message cannot be read
+        held, hash_read = counts_and_hash(folder / BAG_FOLDER)  # needs every message
     if kept == "trimmed":
         recorded = {name: count for name, count in recorded.items() if name in held}
     wrong = [

@@ -355,6 +355,11 @@ def content_hash(path: Path) -> str:
 
     Messages are read in order of time, so the hash is equal if they were written in that order.
     """
+    return counts_and_hash(path)[1]
+
+
+def counts_and_hash(path: Path) -> tuple[dict[str, int], str]:
+    """Return the number of messages of each topic, hidden ones included, and `content_hash`."""
     digest = ContentHash()
     with _OpenReader(path) as bag:
         prefixes = [ContentHash.prefix(t.name, t.msgtype) for t in bag.topics.values()]
@@ -364,7 +369,7 @@ def content_hash(path: Path) -> str:
                 batch.stamps_ns[rows],
                 batch.messages(rows),
             )
-    return digest.hexdigest()
+        return {topic.name: topic.count for topic in bag.topics.values()}, digest.hexdigest()
 
 
 def _selected(batch: Batch, topics: NDArray[np.int64], rows: NDArray[np.int64]) -> Messages:
