@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from oracle_pipeline.bags.run_directory import RunDirectory
-from sim.campaigns import Campaign, Options
-from sim.experiments import record_run, recipe_for
+from sim.campaigns import Campaign, Options, RecipeError
+from sim.experiments import recipe_for, record_run
 from sim.modes import find_mode
 from sim.scenarios import builtin_scenarios
 
@@ -64,11 +64,15 @@ def _job(scenario: str, index: int) -> Job:
 
 
 def recorded(job: Job) -> str:
-    """Record a run, and return the hash of its messages and graphs."""
+    """Record a run, and return the hash of its messages and graphs; or why there is no such run."""
     mode = find_mode(job.scenario, allow_actuation=True)
+    try:
+        recipe = recipe_for(mode, job.run, job.campaign)
+    except RecipeError as error:  # a patrol that cannot be driven in reverse
+        return str(error)
     with tempfile.TemporaryDirectory() as folder:
         run = RunDirectory(Path(folder), job.scenario, job.run)
-        manifest = record_run(recipe_for(mode, job.run, job.campaign), run)
+        manifest = record_run(recipe, run)
         graphs = hashlib.sha256()
         for file in sorted(run.graphs.iterdir()):
             graphs.update(file.name.encode() + file.read_bytes())
