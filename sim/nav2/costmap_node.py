@@ -76,7 +76,7 @@ class _ScanSource:
                 sensor = transforms.lookup(self._frame, scan.header.frame_id, time_ns)
             except TransformError:
                 continue
-            points = sensor.apply(scan_points(scan))
+            points = scan_points(scan, sensor)
             self.observation = Observation(time_ns, sensor.x, sensor.y, points)
             for _ in range(index + 1):
                 self._waiting.popleft()

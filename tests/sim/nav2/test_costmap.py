@@ -218,7 +218,9 @@ def test_readings_that_saw_nothing_yield_no_point():
         header(0, "base_scan"), 0.0, 6 * quarter, quarter, 0.0, 0.0, 0.12, 20.0, ranges,
         no_intensities,
     )  # fmt: skip
-    assert scan_points(scan) == pytest.approx(np.array([[1.0, 0.0], [-2.0, 0.0]]), abs=1e-6)
+    assert scan_points(scan, Pose2D()) == pytest.approx(
+        np.array([[1.0, 0.0], [-2.0, 0.0]]), abs=1e-6
+    )
 
 
 # -- reading and messages --------------------------------------------------------------------
