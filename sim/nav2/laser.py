@@ -27,9 +27,13 @@ def scan_points(scan: Any, sensor: Pose2D) -> NDArray[np.float64]:
     ndarray of shape (n_valid, 2)
         [m].
     """
-    bearings = _bearings(scan.angle_min, scan.angle_increment, len(scan.ranges))
     pose = (sensor.x, sensor.y, math.cos(sensor.yaw), math.sin(sensor.yaw))
-    return _projected(scan.ranges, bearings, scan.range_min, scan.range_max, *pose)
+    return _projected(scan.ranges, beam_bearings(scan), scan.range_min, scan.range_max, *pose)
+
+
+def beam_bearings(scan: Any) -> NDArray[np.float64]:
+    """Return unit vectors along the beams of a scan, in the sensor frame, shape (n, 2)."""
+    return _bearings(scan.angle_min, scan.angle_increment, len(scan.ranges))
 
 
 @jit
@@ -57,6 +61,5 @@ def _projected(
 
 @functools.lru_cache(maxsize=16)
 def _bearings(angle_min: float, increment: float, count: int) -> NDArray[np.float64]:
-    """Return unit vectors along the beams, shape (count, 2)."""
     angles = angle_min + increment * np.arange(count)
     return np.column_stack([np.cos(angles), np.sin(angles)])
