@@ -114,7 +114,7 @@ class ParticleFilter:
         heaviest = labels == np.argmax(np.bincount(labels, self.weights))
         x, y, yaw = self.poses.T
         vectors = np.array([x, y, np.cos(yaw), np.sin(yaw)])
-        mean = _mean(vectors.compress(heaviest, axis=1), self.weights[heaviest])
+        mean = _mean(vectors.compress(heaviest, axis=1), self.weights[heaviest]).tolist()
         centre = _mean(vectors, self.weights)
         covariance = np.zeros((3, 3))
         covariance[:2, :2] = _spread(self.poses, self.weights, centre)

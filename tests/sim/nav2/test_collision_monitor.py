@@ -141,6 +141,12 @@ def test_of_an_approach_and_a_slowdown_the_stricter_one_acts(ahead, share):
     assert rig.command(0.2, 0.0) == pytest.approx((0.2 * share, 0.0))
 
 
+def test_an_approach_sees_points_beyond_every_polygon():
+    rig = Rig(polygons=(POLYGON_STOP, FOOTPRINT_APPROACH))
+    rig.see(*[(0.56, 0.001)] * 6)
+    assert rig.command(0.2, 0.0) == pytest.approx((0.16, 0.0))
+
+
 @pytest.mark.parametrize("polygons", [(POLYGON_STOP,), (POLYGON_STOP, FOOTPRINT_APPROACH)])
 def test_the_footprint_is_used_for_an_approach_only_and_not_published(polygons):
     domain = Rig(polygons=polygons).domain
