@@ -251,6 +251,8 @@ class CollisionMonitor(LifecycleNode):
     ) -> tuple[tuple[float, float], str]:
         """Return the velocity to send and the name of the polygon behind it, if any."""
         request, cause = command, ""
+        if not len(points):  # as a rule
+            return request, cause
         for polygon in self._polygons:
             share = polygon.share(command, points)
             if share == 1.0:
