@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.bags.types import message_class, serialize
+from oracle_pipeline.bags.template import STAMP, Template
+from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
@@ -24,6 +25,7 @@ from sim.middleware.tf import (
     planar_transform,
     transforms_template,
 )
+from sim.nav2.laser import beam_bearings
 from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.likelihood_field import LikelihoodField
 from sim.nav2.messages import pose_message, pose_yaw
@@ -79,6 +81,7 @@ class Amcl(LifecycleNode):
         self._transform_bytes = transforms_template(
             [planar_transform(0, MAP_FRAME, ODOM_FRAME, Pose2D())]
         )
+        self._empty_cloud = Template(_ParticleCloud(header(0, MAP_FRAME), []), _CLOUD_TYPE, STAMP)
         self._field: LikelihoodField | None = None
         self._filter: ParticleFilter | None = None
         self._updated_at: Pose2D | None = None  # robot in odom at the last update
@@ -167,7 +170,8 @@ class Amcl(LifecycleNode):
         self._is_forced = False
         pose, covariance = belief.estimate()
         self._map_to_odom = pose.compose(odom.inverse())
-        self._cloud.publish_serialized(_cloud_data(self.now_ns, belief))
+        empty = self._empty_cloud.data(*divmod(self.now_ns, SECOND))
+        self._cloud.publish_serialized(_cloud_data(empty, belief))
         full = np.zeros((6, 6))
         full[_PLANAR] = covariance
         message = _PoseWithCovarianceStamped(
@@ -215,21 +219,18 @@ def _beams(scan: Any, range_max: float) -> NDArray[np.float64]:
 
     Readings without a return, and readings below the smallest range, are left out.
     """
-    ranges = np.asarray(scan.ranges, dtype=np.float64)
-    step = max(1, (ranges.size - 1) // (MAX_BEAMS - 1))
-    angles = scan.angle_min + scan.angle_increment * np.arange(0, ranges.size, step)
-    ranges = ranges[::step]
+    step = max(1, (len(scan.ranges) - 1) // (MAX_BEAMS - 1))
+    ranges = scan.ranges[::step].astype(np.float64)
     hit = (ranges > scan.range_min) & (ranges < range_max)
-    ranges, angles = ranges[hit], angles[hit]
-    return np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])
+    points: NDArray[np.float64] = ranges[hit, np.newaxis] * beam_bearings(scan)[::step][hit]
+    return points
 
 
-def _cloud_data(time_ns: int, belief: ParticleFilter) -> bytes:
-    """Return ``nav2_msgs/msg/ParticleCloud`` as CDR bytes.
+def _cloud_data(empty: bytes, belief: ParticleFilter) -> bytes:
+    """Return ``nav2_msgs/msg/ParticleCloud`` as CDR bytes, from those of one without particles.
 
     Written from arrays: two thousand message objects would cost more than the filter itself.
     """
-    empty = serialize(_ParticleCloud(header(time_ns, MAP_FRAME), []), _CLOUD_TYPE)
     before_count = empty[: -struct.calcsize("<I")]
     count = len(belief.poses)
     # x, y, z, quaternion x, y, z, w, weight; float64 is aligned to 8 behind the encapsulation.

@@ -4,11 +4,11 @@ For every command it counts the sensor points inside each polygon around the rob
 robot, slows it down or lets it approach, as Nav2's collision monitor does on Humble.
 """
 
-import contextlib
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,7 @@ SOURCE_TIMEOUT_NS = 5 * SECOND
 STOP_PUB_TIMEOUT_NS = 2 * SECOND
 _RANGE_STEP_RAD = math.radians(1.0)
 _SPARE_M = 1e-6  # margin around a polygon's box for rounding errors
+_NO_POINTS: Points = np.empty((0, 2))
 
 
 @dataclass(frozen=True)
@@ -95,8 +96,7 @@ STOCK_POLYGONS = (POLYGON_STOP, POLYGON_SLOW_STOCK)
 FOOTPRINT_APPROACH = Polygon("FootprintApproach", None, FOOTPRINT, "approach", max_points=5)
 
 
-@dataclass(frozen=True, slots=True)
-class Source:
+class Source(NamedTuple):
     """A topic of obstacles: laser scans, or single ranges (``sensor_msgs/msg/Range``)."""
 
     topic: str
@@ -111,37 +111,44 @@ SOURCES = (
 )
 
 
-class _Seen:
-    """The last points of a source whose transform to the odometry frame is known.
+class _Cloud:
+    """The points of all sources in the odometry frame.
 
-    Nav2 waits for the transform at a message's stamp; here the previous message is used until then.
+    Of a source, it holds the latest message whose transform to that frame is known. Nav2 waits for
+    the transform at a message's stamp; here the previous message is used until then.
     """
 
-    def __init__(self, transforms: TransformBuffer) -> None:
+    def __init__(self, transforms: TransformBuffer, sources: Sequence[Source]) -> None:
         self._transforms = transforms
-        self._stamp_ns = 0
-        self._points: Points = np.empty((0, 2))
-        self._waiting: tuple[Any, Points] | None = None  # header, points in the sensor's frame
+        self._waiting: dict[Source, Any] = {}  # messages whose transform is not yet known
+        self._points = dict.fromkeys(sources, _NO_POINTS)
+        self._until_ns: dict[Source, int] = {}  # when points become too old
 
-    def receive(self, header: Any, points: Points) -> None:
+    def receive(self, source: Source, message: Any) -> None:
         """Store a new message; the transform of the previous one is known by now."""
-        self._place()
-        self._waiting = (header, points)
+        if source in self._waiting:
+            self._place(source)
+        self._waiting[source] = message
 
-    def points(self, now_ns: int) -> Points:
-        """Return the points in the odometry frame; none if they are too old."""
-        self._place()
-        return self._points if now_ns - self._stamp_ns <= SOURCE_TIMEOUT_NS else self._points[:0]
+    def points(self, now_ns: int) -> tuple[Points, ...]:
+        """Return the points of each source; none if they are too old."""
+        for source in list(self._waiting):
+            self._place(source)
+        for source, until_ns in self._until_ns.items():
+            if now_ns > until_ns:
+                self._points[source] = _NO_POINTS
+        return tuple(self._points.values())
 
-    def _place(self) -> None:
-        if self._waiting is None:
+    def _place(self, source: Source) -> None:
+        message = self._waiting[source]
+        time_ns = stamp_ns(message.header.stamp)
+        try:
+            sensor = self._transforms.lookup(ODOM_FRAME, message.header.frame_id, time_ns)
+        except TransformError:
             return
-        header, points = self._waiting
-        time_ns = stamp_ns(header.stamp)
-        with contextlib.suppress(TransformError):
-            sensor = self._transforms.lookup(ODOM_FRAME, header.frame_id, time_ns)
-            self._stamp_ns, self._points = time_ns, sensor.apply(points)
-            self._waiting = None
+        self._points[source] = _POINTS_OF[source.msgtype](message, sensor)
+        self._until_ns[source] = time_ns + SOURCE_TIMEOUT_NS
+        del self._waiting[source]
 
 
 class CollisionMonitor(LifecycleNode):
@@ -179,9 +186,8 @@ class CollisionMonitor(LifecycleNode):
         self._transforms = TransformListener(domain, listener, transforms).buffer
         self._polygons = polygons
         self._sources = sources
-        self._seen: list[_Seen] = []
-        self._parts: list[Points] = []  # points of each source, in the odometry frame
-        self._all: Points = np.empty((0, 2))  # concatenated
+        self._cloud = _Cloud(self._transforms, sources)
+        self._box = _box(polygons)
         self._action = ""  # polygon that acts
         self._halted_ns: int | None = None  # since when commands are zero
         self.commands = self.commands_altered = 0  # to move; of these, slowed down or stopped
@@ -204,23 +210,17 @@ class CollisionMonitor(LifecycleNode):
                 POLYGON, "/local_costmap/published_footprint", None, qos.SYSTEM_SUBSCRIPTION
             )
         for source in self._sources:
-            self._listen(source)
+            self.create_subscription(
+                source.msgtype,
+                source.topic,
+                functools.partial(self._cloud.receive, source),
+                qos.SENSOR_DATA,
+            )
 
     def on_activate(self) -> None:
         """Publish the polygons, and begin to answer commands."""
         self._publish_polygons()
         self.create_subscription(TWIST, "/cmd_vel_raw", self._on_command, qos.RELIABLE)
-
-    def _listen(self, source: Source) -> None:
-        seen = _Seen(self._transforms)
-        self._seen.append(seen)
-        is_scan = source.msgtype == "sensor_msgs/msg/LaserScan"
-        points_of = scan_points if is_scan else range_points
-
-        def receive(message: Any) -> None:
-            seen.receive(message.header, points_of(message))
-
-        self.create_subscription(source.msgtype, source.topic, receive, qos.SENSOR_DATA)
 
     def _on_command(self, twist: Any) -> None:
         command = (twist.linear.x, twist.angular.z)
@@ -237,21 +237,22 @@ class CollisionMonitor(LifecycleNode):
         self._publish_polygons()
 
     def _points(self) -> Points:
-        """Return the points of all sources, in the current base frame."""
-        now_ns = self.now_ns
-        parts = [seen.points(now_ns) for seen in self._seen]
-        if list(map(id, parts)) != list(map(id, self._parts)):  # less often than commands come
-            self._parts, self._all = parts, np.concatenate(parts)
+        """Return the points that any polygon may hold, in the current base frame."""
+        seen = self._cloud.points(self.now_ns)
         try:
-            return self._transforms.lookup(BASE_FRAME, ODOM_FRAME).apply(self._all)
+            odom = self._transforms.lookup(BASE_FRAME, ODOM_FRAME)
         except TransformError:
-            return self._all[:0]
+            return _NO_POINTS
+        pose = (odom.x, odom.y, math.cos(odom.yaw), math.sin(odom.yaw))
+        return _nearby(seen, *pose, *self._box)
 
     def _judge(
         self, command: tuple[float, float], points: Points
     ) -> tuple[tuple[float, float], str]:
         """Return the velocity to send and the name of the polygon behind it, if any."""
         request, cause = command, ""
+        if not len(points):  # as a rule
+            return request, cause
         for polygon in self._polygons:
             share = polygon.share(command, points)
             if share == 1.0:
@@ -279,14 +280,61 @@ class CollisionMonitor(LifecycleNode):
             publisher.publish_serialized(shape.data(*stamp))
 
 
-def range_points(message: Any) -> Points:
-    """Return the arc of a ``Range`` in the sensor's frame, with at least one point per degree."""
+def range_points(message: Any, sensor: Pose2D) -> Points:
+    """Return the arc of a ``Range`` from a sensor's pose, with at least one point per degree."""
     if not message.min_range <= message.range <= message.max_range:
         return np.empty((0, 2))
-    half = message.field_of_view / 2.0
+    return sensor.apply(message.range * _arc(message.field_of_view))
+
+
+@functools.lru_cache(maxsize=16)
+def _arc(field_of_view: float) -> Points:
+    """Return unit vectors in a field of view, one for each degree, shape (n, 2)."""
+    half = field_of_view / 2.0
     angles = np.append(np.arange(-half, half, _RANGE_STEP_RAD), half)
-    arc: Points = message.range * np.column_stack([np.cos(angles), np.sin(angles)])
-    return arc
+    return np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+_POINTS_OF = {"sensor_msgs/msg/LaserScan": scan_points, "sensor_msgs/msg/Range": range_points}
+
+
+def _box(polygons: Sequence[Polygon]) -> tuple[float, float, float, float]:
+    """Return left, bottom, right and top of a box around what polygons act on [m].
+
+    An approach also looks at what the robot will reach, wherever that is.
+    """
+    if any(polygon.action == "approach" for polygon in polygons):
+        return -math.inf, -math.inf, math.inf, math.inf
+    vertices = np.concatenate([polygon.vertices for polygon in polygons])
+    left, bottom = (vertices.min(axis=0) - _SPARE_M).tolist()
+    right, top = (vertices.max(axis=0) + _SPARE_M).tolist()
+    return left, bottom, right, top
+
+
+@jit
+def _nearby(
+    parts: tuple[Points, ...],
+    x: float,
+    y: float,
+    c: float,
+    s: float,
+    left: float,
+    bottom: float,
+    right: float,
+    top: float,
+) -> Points:
+    """Move points as `Pose2D.apply` does, and return those inside a box, shape (n, 2) [m]."""
+    most = 0
+    for points in parts:
+        most += len(points)
+    moved = np.empty((most, 2))
+    count = 0
+    for points in parts:
+        for k in range(len(points)):
+            moved[count, 0] = x + c * points[k, 0] - s * points[k, 1]
+            moved[count, 1] = y + s * points[k, 0] + c * points[k, 1]
+            count += left <= moved[count, 0] <= right and bottom <= moved[count, 1] <= top
+    return moved[:count]
 
 
 @jit

@@ -155,7 +155,16 @@ def footprint_cost(grid: Costmap2D, pose: Pose2D, footprint: Points = FOOTPRINT)
 
 def occupancies(grid: Costmap2D) -> NDArray[np.int8]:
     """Return the costs as occupancies of shape (height, width) [%], for display."""
-    return _OCCUPANCY.take(grid.costs)
+    return _occupancies(grid.costs, _OCCUPANCY)
+
+
+@jit
+def _occupancies(costs: Costs, by_cost: NDArray[np.int8]) -> NDArray[np.int8]:
+    occupancies = np.empty(costs.shape, np.int8)
+    for row in range(costs.shape[0]):
+        for column in range(costs.shape[1]):
+            occupancies[row, column] = by_cost[costs[row, column]]
+    return occupancies
 
 
 def occupancy_grid(time_ns: int, grid: Costmap2D) -> Any:

@@ -62,9 +62,10 @@ class ObstacleLayer:
         Returns how far the beams of each observation cleared, arrays of shape (n, 2) [m].
         """
         place = (grid.resolution, grid.origin_x, grid.origin_y)
-        ends = [beam_ends(grid, seen, self._margin) for seen in observations]
-        for seen, cleared in zip(observations, ends, strict=True):
-            _clear(self.costs, *place, seen.x, seen.y, cleared)
+        ends = [
+            _clear(self.costs, *place, seen.x, seen.y, seen.points, self._margin)
+            for seen in observations
+        ]
         for seen in observations:
             _mark(self.costs, *place, seen.x, seen.y, seen.points)
         _fill_convex(self.costs, *place, footprint)
@@ -85,51 +86,14 @@ def _raise(costs: Costs, seen: Costs) -> None:
             costs[row, column] = here if (here != NO_INFORMATION) & is_higher else cost
 
 
-def beam_ends(grid: Costmap2D, seen: Observation, margin: float) -> Points:
-    """Return how far each beam clears: short of its hit, in range, on the grid, (n, 2) [m]."""
-    height, width = grid.costs.shape
-    # Slightly inside, so that the end of a beam at the far border still has a cell.
-    right = grid.origin_x + grid.resolution * (width - 1e-6)
-    top = grid.origin_y + grid.resolution * (height - 1e-6)
-    return _ends(grid.origin_x, grid.origin_y, right, top, seen.x, seen.y, seen.points, margin)
-
-
 @jit
-def _ends(
-    left: float,
-    bottom: float,
-    right: float,
-    top: float,
-    sensor_x: float,
-    sensor_y: float,
-    points: Points,
-    margin: float,
-) -> Points:
-    ends = np.empty(points.shape)
-    for i in range(len(points)):
-        x, y = points[i, 0] - sensor_x, points[i, 1] - sensor_y
-        distance = math.hypot(x, y)
-        share = min(max(distance - margin, 0.0), RAYTRACE_RANGE) / max(distance, _TINY)
-        to_x = (right - sensor_x if x > 0.0 else sensor_x - left) / max(abs(x), _TINY)
-        to_y = (top - sensor_y if y > 0.0 else sensor_y - bottom) / max(abs(y), _TINY)
-        share = min(share, max(min(to_x, to_y), 0.0))
-        ends[i, 0] = sensor_x + share * x
-        ends[i, 1] = sensor_y + share * y
-    return ends
-
-
 def shift(costs: Costs, columns: int, rows: int, fill: int) -> Costs:
     """Return a grid's content after its origin moved by whole cells; new cells hold ``fill``."""
     height, width = costs.shape
-    moved = np.full_like(costs, fill)
-    if abs(rows) < height and abs(columns) < width:
-        target = np.s_[
-            max(0, -rows) : height - max(0, rows), max(0, -columns) : width - max(0, columns)
-        ]
-        source = np.s_[
-            max(0, rows) : height + min(0, rows), max(0, columns) : width + min(0, columns)
-        ]
-        moved[target] = costs[source]
+    moved = np.full(costs.shape, np.uint8(fill), np.uint8)
+    for row in range(max(0, -rows), min(height, height - rows)):
+        for column in range(max(0, -columns), min(width, width - columns)):
+            moved[row, column] = costs[row + rows, column + columns]
     return moved
 
 
@@ -148,22 +112,81 @@ def _clear(
     origin_y: float,
     sensor_x: float,
     sensor_y: float,
-    ends: Points,
-) -> None:
-    """Free the cells from the sensor to every end, one a step along the longer axis."""
+    points: Points,
+    margin: float,
+) -> Points:
+    """Free the cells along every beam; return how far each cleared, shape (n, 2) [m]."""
     height, width = costs.shape
+    # Slightly inside, so that the end of a beam at the far border still has a cell.
+    right = origin_x + resolution * (width - 1e-6)
+    top = origin_y + resolution * (height - 1e-6)
+    ends = _ends(origin_x, origin_y, right, top, sensor_x, sensor_y, points, margin)
     from_x = (sensor_x - origin_x) / resolution
     from_y = (sensor_y - origin_y) / resolution
-    if not (0.0 <= from_x < width and 0.0 <= from_y < height):
-        return
-    column, row = int(from_x), int(from_y)
-    for i in range(ends.shape[0]):
-        columns = int((ends[i, 0] - origin_x) / resolution) - column
-        rows = int((ends[i, 1] - origin_y) / resolution) - row
-        steps = max(abs(columns), abs(rows))
-        for step in range(steps + 1):
-            share = step / max(steps, 1)
-            costs[row + round(share * rows), column + round(share * columns)] = FREE_SPACE
+    if 0.0 <= from_x < width and 0.0 <= from_y < height:
+        cells, column, row = costs.ravel(), int(from_x), int(from_y)
+        before_x, before_y = -1, -1
+        for i in range(len(ends)):
+            end_x, end_y = (
+                int((ends[i, 0] - origin_x) / resolution),
+                int((ends[i, 1] - origin_y) / resolution),
+            )
+            if end_x != before_x or end_y != before_y:  # else as the beam beside it
+                _free_line(cells, width, row * width + column, end_x - column, end_y - row)
+            before_x, before_y = end_x, end_y
+    return ends
+
+
+@jit
+def _ends(
+    left: float,
+    bottom: float,
+    right: float,
+    top: float,
+    sensor_x: float,
+    sensor_y: float,
+    points: Points,
+    margin: float,
+) -> Points:
+    """Return how far beams clear: short of their hits, in range, on the grid, shape (n, 2) [m]."""
+    ends = np.empty(points.shape)
+    for i in range(len(points)):
+        x, y = points[i, 0] - sensor_x, points[i, 1] - sensor_y
+        distance = math.hypot(x, y)
+        share = min(max(distance - margin, 0.0), RAYTRACE_RANGE) / max(distance, _TINY)
+        to_x = (right - sensor_x if x > 0.0 else sensor_x - left) / max(abs(x), _TINY)
+        to_y = (top - sensor_y if y > 0.0 else sensor_y - bottom) / max(abs(y), _TINY)
+        share = min(share, max(min(to_x, to_y), 0.0))
+        ends[i, 0] = sensor_x + share * x
+        ends[i, 1] = sensor_y + share * y
+    return ends
+
+
+@jit
+def _free_line(cells: Costs, width: int, start: int, columns: int, rows: int) -> None:
+    """Free the cells from one to another, one a step along the longer axis.
+
+    Parameters
+    ----------
+    cells
+        Of a grid, row by row, shape (height * width,).
+    width
+        Of the grid [cells].
+    start
+        Index of the first cell.
+    columns, rows
+        From the first cell to the last.
+    """
+    if abs(columns) >= abs(rows):
+        steps, along = abs(columns), np.sign(columns)
+        across, aside = rows, width
+    else:
+        steps, along = abs(rows), np.sign(rows) * width
+        across, aside = columns, 1
+    for step in range(steps + 1):
+        share = step / max(steps, 1)
+        # Unsigned, as an index that cannot count from the end is looked up faster.
+        cells[np.uint64(start + step * along + round(share * across) * aside)] = FREE_SPACE
 
 
 @jit

@@ -23,7 +23,6 @@ from sim.nav2.costmap import (
     NO_INFORMATION,
     OCCUPANCY_GRID,
     Costmap2D,
-    Costs,
     Points,
     costmap_message,
     occupancies,
@@ -76,7 +75,7 @@ class _ScanSource:
                 sensor = transforms.lookup(self._frame, scan.header.frame_id, time_ns)
             except TransformError:
                 continue
-            points = sensor.apply(scan_points(scan))
+            points = scan_points(scan, sensor)
             self.observation = Observation(time_ns, sensor.x, sensor.y, points)
             for _ in range(index + 1):
                 self._waiting.popleft()
@@ -187,7 +186,7 @@ class CostmapNode(LifecycleNode):
         footprint = pose.apply(FOOTPRINT)
         self.follow(pose)
         cleared = self.obstacles.update(self.grid, observations, footprint)
-        costs = self.background()
+        costs = self._background.copy()
         self.obstacles.add_to(costs)
         self._inflation.add_to(costs)
         self.grid.costs = costs
@@ -204,18 +203,15 @@ class CostmapNode(LifecycleNode):
     def follow(self, pose: Pose2D) -> None:
         """Move the grid with the robot, if it rolls."""
 
-    def background(self) -> Costs:
-        """Return new costs as they are before obstacles are added."""
-        raise NotImplementedError
-
     def publish_layers(
         self, observations: Sequence[Observation], cleared: Sequence[Points]
     ) -> None:
         """Publish a layer's own topics at every update, with the ends of the cleared beams."""
 
     def set_grid(self, grid: Costmap2D) -> None:
-        """Restart on another grid."""
+        """Restart on another grid, with its costs as those below the obstacles."""
         self.grid = grid
+        self._background = grid.costs
         self.obstacles = ObstacleLayer(grid, margin=self.clearing_margin)
         self._inflation = InflationLayer(grid.resolution, INSCRIBED_RADIUS, self._inflated_by)
         if grid.costs.size:
@@ -298,7 +294,10 @@ class LocalCostmap(CostmapNode):
         self._clouds = LaserClouds(self.frame)
 
     def initial_grid(self) -> Costmap2D:
-        """Return a free window; it jumps to the robot at the first update."""
+        """Return a free window, which jumps to the robot at the first update.
+
+        Unknown space is not tracked here.
+        """
         costs = np.full((LOCAL_SIZE, LOCAL_SIZE), FREE_SPACE, np.uint8)
         return Costmap2D(costs, LOCAL_RESOLUTION, 0.0, 0.0, self.frame)
 
@@ -311,10 +310,6 @@ class LocalCostmap(CostmapNode):
             self.obstacles.costs = shift(self.obstacles.costs, columns, rows, NO_INFORMATION)
             grid.origin_x += columns * grid.resolution
             grid.origin_y += rows * grid.resolution
-
-    def background(self) -> Costs:
-        """Return free space: unknown space is not tracked here."""
-        return np.full_like(self.grid.costs, FREE_SPACE)
 
     def publish_layers(
         self, observations: Sequence[Observation], cleared: Sequence[Points]
@@ -349,15 +344,10 @@ class GlobalCostmap(CostmapNode):
         """Return whether map and robot's pose are known."""
         return self.grid.costs.size > 0 and super().is_ready()
 
-    def background(self) -> Costs:
-        """Return the static map."""
-        return self._static.copy()
-
     def _on_map(self, message: Any) -> None:
         meta = message.info
-        self._static = static_costs(message.data.reshape(meta.height, meta.width))
+        costs = static_costs(message.data.reshape(meta.height, meta.width))
         corner = meta.origin.position
-        costs = self._static.copy()
         self.set_grid(Costmap2D(costs, meta.resolution, corner.x, corner.y, self.frame))
 
 

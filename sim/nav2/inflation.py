@@ -12,6 +12,7 @@ INFLATION_RADIUS = 0.55  # [m]
 COST_SCALING = 3.0  # how fast cost falls with distance [1/m]
 # Of the global costmap, where it decides how far a path keeps from the middle of a gap.
 GLOBAL_COST_SCALING = 10.0
+_LANES = 16  # numbers of 16 bits that a processor adds at once
 
 
 class Inflation(NamedTuple):
@@ -49,61 +50,69 @@ class InflationLayer:
         squared = rows**2 + columns**2
         near = squared <= self._reach**2
         # By the squared distance [cells]; numbers that are no sum of two squares are never used.
-        self._costs = np.full(self._reach**2 + 1, FREE_SPACE, np.uint8)
+        self._costs = np.full((self._reach + 1) ** 2 + 1, FREE_SPACE, np.uint8)
         self._costs[squared[near]] = costs[near]
 
-    def add_to(self, costs: Costs, lethal: NDArray[np.bool_] | None = None) -> None:
-        """Raise ``costs`` around its lethal cells; around some, if the rest has been inflated."""
-        _inflate(costs, costs == LETHAL if lethal is None else lethal, self._costs, self._reach)
+    def add_to(self, costs: Costs) -> None:
+        """Raise ``costs`` around its lethal cells."""
+        _inflate(costs, self._costs, self._reach)
 
 
 @jit
-def _inflate(costs: Costs, lethal: NDArray[np.bool_], by_square: Costs, reach: int) -> None:
+def _inflate(costs: Costs, by_square: Costs, reach: int) -> None:
     """Raise each cell to the cost of its distance to the nearest obstacle within reach.
 
-    The squared distance is the least, over the rows within reach, of the squared distance to the
-    nearest obstacle of a row. Unknown cells become inscribed within the inscribed radius and stay
-    unknown beyond it.
+    The squared distance is the least, over the columns within reach, of the squared distance to
+    the nearest obstacle of a column. Unknown cells become inscribed within the inscribed radius
+    and stay unknown beyond it.
     """
     height, width = costs.shape
-    far = np.int16((reach + 1) ** 2)
-    beside, has_any = _within_rows(lethal, reach)
-    nearest = np.empty(width, np.int16)
+    squares, is_near = _within_columns(costs, reach)
+    size = squares.shape[1] - 2 * reach
+    nearest = np.empty(size, np.int16)
     for row in range(height):
-        nearest[:] = far
-        for other in range(max(0, row - reach), min(height, row + reach + 1)):
-            if has_any[other]:
-                square, line = np.int16((other - row) ** 2), beside[other]
-                for column in range(width):
-                    nearest[column] = min(nearest[column], np.int16(line[column] + square))
+        if not is_near[row]:
+            continue
+        nearest[:] = squares[row, reach : reach + size]
+        for offset in range(1, reach + 1):
+            square = np.int16(offset**2)
+            left = squares[row, reach - offset : reach - offset + size]
+            right = squares[row, reach + offset : reach + offset + size]
+            for column in range(size):
+                beside = np.int16(min(left[column], right[column]) + square)
+                nearest[column] = min(nearest[column], beside)
         for column in range(width):
-            if nearest[column] <= reach * reach:
-                cost, old = by_square[nearest[column]], costs[row, column]
-                if cost > old or (old == NO_INFORMATION and cost == INSCRIBED):
-                    costs[row, column] = cost
+            cost, old = by_square[nearest[column]], costs[row, column]
+            is_raised = (cost > old) | ((old == NO_INFORMATION) & (cost == INSCRIBED))
+            costs[row, column] = cost if is_raised else old
 
 
 @jit
-def _within_rows(
-    lethal: NDArray[np.bool_], reach: int
-) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
-    """Return each cell's squared distance to the nearest obstacle of its row, or just out of reach.
+def _within_columns(costs: Costs, reach: int) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
+    """Return each cell's squared distance to the nearest obstacle of its column [cells].
 
-    And whether a row has any obstacle; the distances of one that has none are not filled in.
+    Farther ones count as just out of reach, and so do the columns added on both sides: as many as
+    are within reach, and on the right up to a multiple of what one instruction adds. And whether
+    any distance of a row is within reach.
     """
-    height, width = lethal.shape
-    beside = np.empty((height, width), np.int16)
-    has_any = np.zeros(height, np.bool_)
+    height, width = costs.shape
+    far = np.int16(reach + 1)
+    squares = np.full((height, -_LANES * (-width // _LANES) + 2 * reach), far * far, np.int16)
+    gap = np.full(width, far, np.int16)  # to the nearest obstacle above, then below
     for row in range(height):
-        has_any[row] = np.any(lethal[row])
-        if not has_any[row]:
-            continue
-        gap = reach + 1
+        line = squares[row, reach : reach + width]
         for column in range(width):
-            gap = 0 if lethal[row, column] else min(gap + 1, reach + 1)
-            beside[row, column] = gap * gap
-        gap = reach + 1
-        for column in range(width - 1, -1, -1):
-            gap = 0 if lethal[row, column] else min(gap + 1, reach + 1)
-            beside[row, column] = min(beside[row, column], gap * gap)
-    return beside, has_any
+            is_lethal = costs[row, column] == LETHAL
+            gap[column] = np.int16(0) if is_lethal else min(np.int16(gap[column] + 1), far)
+            line[column] = gap[column]
+    gap[:] = far
+    is_near = np.zeros(height, np.bool_)
+    for row in range(height - 1, -1, -1):
+        line = squares[row, reach : reach + width]
+        least = far
+        for column in range(width):
+            gap[column] = min(np.int16(gap[column] + 1), line[column])
+            line[column] = gap[column] * gap[column]
+            least = min(least, gap[column])
+        is_near[row] = least < far
+    return squares, is_near

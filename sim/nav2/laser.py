@@ -1,15 +1,17 @@
 """Laser scans as points, the way ``laser_geometry`` projects them."""
 
 import functools
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.jit import jit
+from sim.middleware.geometry import Pose2D
 
 
-def scan_points(scan: Any) -> NDArray[np.float64]:
+def scan_points(scan: Any, sensor: Pose2D) -> NDArray[np.float64]:
     """Return where the beams of a scan ended.
 
     Parameters
@@ -17,14 +19,21 @@ def scan_points(scan: Any) -> NDArray[np.float64]:
     scan
         ``sensor_msgs/msg/LaserScan``. Readings that are NaN, infinite, below ``range_min`` or
         not below ``range_max`` saw nothing and yield no point.
+    sensor
+        Pose of the sensor in the frame of the points.
 
     Returns
     -------
     ndarray of shape (n_valid, 2)
-        In the sensor frame [m].
+        [m].
     """
-    bearings = _bearings(scan.angle_min, scan.angle_increment, len(scan.ranges))
-    return _projected(scan.ranges, bearings, scan.range_min, scan.range_max)
+    pose = (sensor.x, sensor.y, math.cos(sensor.yaw), math.sin(sensor.yaw))
+    return _projected(scan.ranges, beam_bearings(scan), scan.range_min, scan.range_max, *pose)
+
+
+def beam_bearings(scan: Any) -> NDArray[np.float64]:
+    """Return unit vectors along the beams of a scan, in the sensor frame, shape (n, 2)."""
+    return _bearings(scan.angle_min, scan.angle_increment, len(scan.ranges))
 
 
 @jit
@@ -33,19 +42,24 @@ def _projected(
     bearings: NDArray[np.float64],
     range_min: float,
     range_max: float,
+    sensor_x: float,
+    sensor_y: float,
+    c: float,
+    s: float,
 ) -> NDArray[np.float64]:
     points = np.empty(bearings.shape)
     count = 0
     for i in range(len(ranges)):
         if range_min <= ranges[i] < range_max:
-            points[count, 0] = np.float64(ranges[i]) * bearings[i, 0]
-            points[count, 1] = np.float64(ranges[i]) * bearings[i, 1]
+            x = np.float64(ranges[i]) * bearings[i, 0]
+            y = np.float64(ranges[i]) * bearings[i, 1]
+            points[count, 0] = sensor_x + c * x - s * y
+            points[count, 1] = sensor_y + s * x + c * y
             count += 1
     return points[:count]
 
 
 @functools.lru_cache(maxsize=16)
 def _bearings(angle_min: float, increment: float, count: int) -> NDArray[np.float64]:
-    """Return unit vectors along the beams, shape (count, 2)."""
     angles = angle_min + increment * np.arange(count)
     return np.column_stack([np.cos(angles), np.sin(angles)])

@@ -37,8 +37,10 @@ class LikelihoodField:
             raise ValueError("the map has no occupied cell, so no scan can be matched to it")
         cells = np.sqrt(_squared_distance(occupancy == 100, math.ceil(MAX_DISTANCE / resolution)))
         distance = np.minimum(cells * resolution, MAX_DISTANCE)
-        self._hit = Z_HIT * np.exp(-(distance**2) / (2.0 * SIGMA_HIT**2))
-        self._miss = Z_HIT * float(np.exp(-(MAX_DISTANCE**2) / (2.0 * SIGMA_HIT**2)))
+        hit = Z_HIT * np.exp(-(distance**2) / (2.0 * SIGMA_HIT**2))
+        miss = Z_HIT * np.exp(-(MAX_DISTANCE**2) / (2.0 * SIGMA_HIT**2))
+        # The cells in the border stand for everything off the map.
+        self._hit = np.pad(hit, 1, constant_values=miss)
         self._place = (resolution, origin_x, origin_y)
         self._free = np.argwhere(occupancy == 0)[:, ::-1]  # (column, row)
 
@@ -62,7 +64,7 @@ class LikelihoodField:
             One plus the sum over the beams of p cubed, p being the probability density of a hit
             at that distance from the nearest obstacle plus that of a random reading.
         """
-        return _weigh(poses, points, self._hit, self._miss, Z_RAND / range_max, *self._place)
+        return _weigh(poses, points, self._hit, Z_RAND / range_max, *self._place)
 
     def random_free_poses(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
         """Return poses anywhere in free space, shape (count, 3): x, y [m], yaw [rad]."""
@@ -92,23 +94,25 @@ def _weigh(
     poses: NDArray[np.float64],
     points: NDArray[np.float64],
     hit: NDArray[np.float64],
-    miss: float,
     random: float,
     resolution: float,
     origin_x: float,
     origin_y: float,
 ) -> NDArray[np.float64]:
+    """Weigh by one beam after the other, as processors find the cells of several poses at once."""
     height, width = hit.shape
-    weights = np.empty(poses.shape[0])
-    for i in range(poses.shape[0]):
-        c, s = np.cos(poses[i, 2]) / resolution, np.sin(poses[i, 2]) / resolution
-        x = (poses[i, 0] - origin_x) / resolution
-        y = (poses[i, 1] - origin_y) / resolution
-        weight = 1.0
-        for j in range(points.shape[0]):
-            column = int(np.floor(x + c * points[j, 0] - s * points[j, 1]))
-            row = int(np.floor(y + s * points[j, 0] + c * points[j, 1]))
-            p = random + (hit[row, column] if 0 <= row < height and 0 <= column < width else miss)
-            weight += p * p * p
-        weights[i] = weight
+    hit_at, cells = hit.ravel(), np.empty(len(poses), np.int32)
+    c, s = np.cos(poses[:, 2]) / resolution, np.sin(poses[:, 2]) / resolution
+    x, y = (poses[:, 0] - origin_x) / resolution, (poses[:, 1] - origin_y) / resolution
+    weights = np.ones(len(poses))
+    for j in range(len(points)):
+        ahead, left = points[j]
+        for i in range(len(poses)):
+            column = np.floor(x[i] + c[i] * ahead - s[i] * left) + 1.0
+            row = np.floor(y[i] + s[i] * ahead + c[i] * left) + 1.0
+            column, row = min(max(column, 0.0), width - 1.0), min(max(row, 0.0), height - 1.0)
+            cells[i] = np.int32(row * width + column)
+        for i in range(len(poses)):
+            p = random + hit_at[np.uint32(cells[i])]
+            weights[i] += p * p * p
     return weights

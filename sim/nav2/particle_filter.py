@@ -79,15 +79,16 @@ class ParticleFilter:
         slip1, slip2 = (min(abs(a), math.pi - abs(a)) for a in (first, second))
         along = math.sqrt(_ALPHA * (translation**2 + slip1**2 + slip2**2))
         noise = self._rng.standard_normal((3, len(self.poses)))
-        first_hat = first - noise[0] * math.sqrt(_ALPHA * (slip1**2 + translation**2))
+        heading_hat = self.poses[:, 2] + (
+            first - noise[0] * math.sqrt(_ALPHA * (slip1**2 + translation**2))
+        )
         translation_hat = translation - noise[1] * along
         second_hat = second - noise[2] * math.sqrt(_ALPHA * (slip2**2 + translation**2))
-        x, y, yaw = self.poses.T
         self.poses = np.column_stack(
             [
-                x + translation_hat * np.cos(yaw + first_hat),
-                y + translation_hat * np.sin(yaw + first_hat),
-                yaw + first_hat + second_hat,
+                self.poses[:, 0] + translation_hat * np.cos(heading_hat),
+                self.poses[:, 1] + translation_hat * np.sin(heading_hat),
+                heading_hat + second_hat,
             ]
         )
 
@@ -100,15 +101,9 @@ class ParticleFilter:
         """Resample by weight, to a size that depends on the spread of the samples."""
         cumulative = np.cumsum(self.weights)
         draws = self._rng.random(MAX_PARTICLES) * cumulative[-1]
-        chosen = np.searchsorted(cumulative, draws, side="right")
-        drawn = self.poses[np.minimum(chosen, len(self.poses) - 1)]
-        _, first, _ = _occupied_bins(drawn)
-        is_new = np.zeros(MAX_PARTICLES, dtype=np.int64)
-        is_new[first] = 1
-        enough = np.arange(1, MAX_PARTICLES + 1) >= _LIMITS[np.cumsum(is_new)]
-        count = int(np.argmax(enough)) + 1
-        self.poses = drawn[:count]
-        self.weights = np.full(count, 1.0 / count)
+        _, first, bin_of = _occupied_bins(self.poses)
+        self.poses = _drawn(self.poses, cumulative, draws, bin_of, len(first))
+        self.weights = np.full(len(self.poses), 1.0 / len(self.poses))
 
     def estimate(self) -> tuple[Pose2D, NDArray[np.float64]]:
         """Return the mean of the heaviest cluster, and the covariance of all, shape (3, 3).
@@ -117,15 +112,53 @@ class ParticleFilter:
         """
         labels = cluster_labels(self.poses)
         heaviest = labels == np.argmax(np.bincount(labels, self.weights))
-        mean = _mean(self.poses[heaviest], self.weights[heaviest])
-        away = (self.poses - _mean(self.poses, self.weights))[:, :2]
+        x, y, yaw = self.poses.T
+        vectors = np.array([x, y, np.cos(yaw), np.sin(yaw)])
+        mean = _mean(vectors.compress(heaviest, axis=1), self.weights[heaviest]).tolist()
+        centre = _mean(vectors, self.weights)
         covariance = np.zeros((3, 3))
-        # Without BLAS, whose sums depend on its threads: the same run gives the same bytes.
-        covariance[:2, :2] = np.einsum("n,ni,nj->ij", self.weights, away, away)
-        yaw = self.poses[:, 2]
-        concentration = np.hypot(*(np.sum(self.weights * f(yaw)) for f in (np.cos, np.sin)))
+        covariance[:2, :2] = _spread(self.poses, self.weights, centre)
+        concentration = np.hypot(*(self.weights * vectors[2:]).sum(axis=1))
         covariance[2, 2] = -2.0 * np.log(min(concentration, 1.0))
-        return Pose2D(*mean.tolist()), covariance
+        return Pose2D(mean[0], mean[1], math.atan2(mean[3], mean[2])), covariance
+
+
+@jit
+def _drawn(
+    poses: NDArray[np.float64],
+    cumulative: NDArray[np.float64],
+    draws: NDArray[np.float64],
+    bin_of: NDArray[np.int64],
+    bins: int,
+) -> NDArray[np.float64]:
+    """Return the poses that draws fall on: as many as their occupied bins ask for, shape (n, 3)."""
+    drawn = np.empty((len(draws), 3))
+    is_occupied, occupied, count = np.zeros(bins, np.bool_), 0, 0
+    while count < _LIMITS[occupied]:
+        chosen = np.searchsorted(cumulative, draws[count], side="right")
+        chosen = min(chosen, len(poses) - 1)
+        drawn[count] = poses[chosen]
+        occupied += not is_occupied[bin_of[chosen]]
+        is_occupied[bin_of[chosen]] = True
+        count += 1
+    return drawn[:count]
+
+
+@jit
+def _spread(
+    poses: NDArray[np.float64], weights: NDArray[np.float64], centre: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the covariance of x and y around a centre, shape (2, 2) [m^2].
+
+    Without BLAS, whose sums depend on its threads: the same run gives the same bytes.
+    """
+    covariance = np.zeros((2, 2))
+    for n in range(len(poses)):
+        for i in range(2):
+            for j in range(2):
+                away, other = poses[n, i] - centre[i], poses[n, j] - centre[j]
+                covariance[i, j] += weights[n] * away * other
+    return covariance
 
 
 def cluster_labels(poses: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -177,14 +210,24 @@ def _occupied_bins(
     poses: NDArray[np.float64],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return the bin of each pose (n, 3), the first pose in each occupied bin, and each one's."""
-    bins = np.floor(poses / BIN).astype(np.int64)
-    bins[:, 2] %= _YAW_BINS
+    bins = _bins(poses)
     x, y = _extent(bins)
     if (x + 1.0) * (y + 1.0) * _YAW_BINS > _MANY_BINS:  # odometry that jumps scatters them
         keys = (bins[:, 0] * 100_000 + bins[:, 1]) * _YAW_BINS + bins[:, 2]
         _, first, number_of = np.unique(keys, return_index=True, return_inverse=True)
         return bins, first, number_of
     return bins, *_numbered(bins)
+
+
+@jit
+def _bins(poses: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the bin of each pose, shape (n, 3)."""
+    bins = np.empty(poses.shape, np.int64)
+    for i in range(len(poses)):
+        for k in range(3):
+            bins[i, k] = np.int64(np.floor(poses[i, k] / BIN[k]))
+        bins[i, 2] %= _YAW_BINS
+    return bins
 
 
 @jit
@@ -220,8 +263,7 @@ def _numbered(bins: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.in
     return first, number_of
 
 
-def _mean(poses: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    share = weights / weights.sum()
-    x, y, yaw = poses.T
-    direction = math.atan2(np.sum(share * np.sin(yaw)), np.sum(share * np.cos(yaw)))
-    return np.array([np.sum(share * x), np.sum(share * y), direction])
+def _mean(vectors: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the weighted mean of vectors, one a column."""
+    mean: NDArray[np.float64] = (weights / weights.sum() * vectors).sum(axis=1)
+    return mean

@@ -89,9 +89,17 @@ class LaserClouds:
 
     def data(self, time_ns: int, points: Points) -> bytes:
         """Return the message of points of shape (n, 2) [m]."""
-        xyz = np.full((len(points), 3), _LASER_Z, np.float32)
-        xyz[:, :2] = points
+        size = _POINT_STEP * len(points)
         empty = self._template.data(*divmod(time_ns, SECOND), len(points))
         # It ends with the length of a row, that of the data, no data, and is_dense.
-        return b"".join((empty[:-9], struct.pack("<II", xyz.nbytes, xyz.nbytes), xyz.tobytes(),
+        return b"".join((empty[:-9], struct.pack("<II", size, size), _in_plane(points).data,
                          empty[-1:]))  # fmt: skip
+
+
+@jit
+def _in_plane(points: Points) -> NDArray[np.float32]:
+    """Return points of shape (n, 2) in the laser's plane, shape (n, 3) [m]."""
+    xyz = np.empty((len(points), 3), np.float32)
+    for i in range(len(points)):
+        xyz[i, 0], xyz[i, 1], xyz[i, 2] = points[i, 0], points[i, 1], _LASER_Z
+    return xyz

@@ -141,6 +141,12 @@ def test_of_an_approach_and_a_slowdown_the_stricter_one_acts(ahead, share):
     assert rig.command(0.2, 0.0) == pytest.approx((0.2 * share, 0.0))
 
 
+def test_an_approach_sees_points_beyond_every_polygon():
+    rig = Rig(polygons=(POLYGON_STOP, FOOTPRINT_APPROACH))
+    rig.see(*[(0.56, 0.001)] * 6)
+    assert rig.command(0.2, 0.0) == pytest.approx((0.16, 0.0))
+
+
 @pytest.mark.parametrize("polygons", [(POLYGON_STOP,), (POLYGON_STOP, FOOTPRINT_APPROACH)])
 def test_the_footprint_is_used_for_an_approach_only_and_not_published(polygons):
     domain = Rig(polygons=polygons).domain
@@ -214,7 +220,7 @@ def test_polygons_are_shown_at_activation_and_with_every_command(rig):
 
 
 def test_a_range_is_an_arc_with_a_point_a_degree_and_one_at_each_end():
-    points = range_points(Range(header(0, "range_ella"), 1, 0.2, 0.05, 2.0, 0.5))
+    points = range_points(Range(header(0, "range_ella"), 1, 0.2, 0.05, 2.0, 0.5), Pose2D())
     assert len(points) == 13  # 11.46 degrees: twelve points at whole degrees, and the last
     assert np.hypot(points[:, 0], points[:, 1]) == pytest.approx(np.full(13, 0.5))
     bearings = np.arctan2(points[:, 1], points[:, 0])
@@ -224,7 +230,9 @@ def test_a_range_is_an_arc_with_a_point_a_degree_and_one_at_each_end():
 
 @pytest.mark.parametrize("value", [0.01, 2.5, math.inf, -math.inf])
 def test_a_range_outside_the_sensors_limits_has_no_points(value):
-    assert len(range_points(Range(header(0, "range_ella"), 1, 0.2, 0.05, 2.0, value))) == 0
+    assert (
+        len(range_points(Range(header(0, "range_ella"), 1, 0.2, 0.05, 2.0, value), Pose2D())) == 0
+    )
 
 
 def test_the_infrared_alone_can_stop_the_robot(rig):

@@ -122,6 +122,17 @@ def test_beam_frees_what_it_crosses_and_marks_where_it_ends():
     assert np.sum(costs != NO_INFORMATION) == 21
 
 
+@given(st.integers(-30, 30), st.integers(-30, 30))
+def test_a_beam_crosses_one_cell_a_step_the_nearest_to_it(columns, rows):
+    costs = layer_after(seen((0.025 + 0.05 * columns, 0.025 + 0.05 * rows), sensor=(0.025, 0.025)))
+    steps = max(abs(columns), abs(rows), 1)
+    crossed = np.zeros_like(costs, bool)
+    for step in range(steps + 1):
+        share = step / steps
+        crossed[40 + round(share * rows), 40 + round(share * columns)] = True
+    assert np.array_equal(costs != NO_INFORMATION, crossed)
+
+
 def test_obstacles_are_marked_up_to_2_5_m_and_space_freed_up_to_3_m():
     grid = empty_grid(200, -5.0)
     for distance, marked, freed in ((2.4, True, 48), (2.6, False, 53), (4.0, False, 61)):
@@ -218,7 +229,9 @@ def test_readings_that_saw_nothing_yield_no_point():
         header(0, "base_scan"), 0.0, 6 * quarter, quarter, 0.0, 0.0, 0.12, 20.0, ranges,
         no_intensities,
     )  # fmt: skip
-    assert scan_points(scan) == pytest.approx(np.array([[1.0, 0.0], [-2.0, 0.0]]), abs=1e-6)
+    assert scan_points(scan, Pose2D()) == pytest.approx(
+        np.array([[1.0, 0.0], [-2.0, 0.0]]), abs=1e-6
+    )
 
 
 # -- reading and messages --------------------------------------------------------------------
