@@ -53,7 +53,7 @@ def _unmarked(
     placed = setup.placed(setup.mounts[topic], scans.stamps_s[rows])
 
     def compared(part: slice) -> tuple[Floats]:
-        returns = placed.at(part).columns().apply(scans.rows(rows[part]).points())
+        returns = placed.at(part).returns(scans.rows(rows[part]))
         both = zip(grids[seen[part]], returns, strict=True)
         return (np.array([unmarked(*each) for each in both], dtype=np.float64),)
 

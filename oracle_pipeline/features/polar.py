@@ -14,6 +14,7 @@ from oracle_pipeline.bags.jit import jit, jit_unchecked
 
 _Floats: TypeAlias = NDArray[np.float64]
 _Ints: TypeAlias = NDArray[np.int64]
+_Bools: TypeAlias = NDArray[np.bool_]
 
 # Of arctan(r) / r in r squared, a Chebyshev fit over 0 to 1.
 _C0, _C1, _C2, _C3, _C4, _C5, _C6 = (
@@ -50,24 +51,19 @@ def rays(x: _Floats, y: _Floats, start: float, increment: float, out: _Ints) -> 
     It is ``round((atan2(y, x) - start) / increment)``. A polynomial tells as much, unless a point
     is about half-way between two rays. What is written for NaN means nothing.
     """
-    place = np.empty(len(x))
-    _place(x, y, start, increment, place)
-    sure = 0.5 - _ERROR_RAD / abs(increment)
+    is_sure = np.empty(len(x), np.bool_)
+    _nearly(x, y, start, increment, out, is_sure)
     for j in range(len(x)):
-        if math.isnan(place[j]):
-            out[j] = 0
-            if not (x[j] == 0.0 and y[j] == 0.0):
-                continue
-        else:
-            out[j] = round(place[j])
-            if abs(place[j] - out[j]) < sure and abs(y[j]) > _LEVEL * abs(x[j]):
-                continue
-        out[j] = round((math.atan2(y[j], x[j]) - start) / increment)
+        if not is_sure[j] and not math.isnan(x[j]):
+            out[j] = round((math.atan2(y[j], x[j]) - start) / increment)
 
 
 @jit_unchecked
-def _place(x: _Floats, y: _Floats, start: float, increment: float, out: _Floats) -> None:
-    """Write the approximate ray number of points; NaN without a direction."""
+def _nearly(
+    x: _Floats, y: _Floats, start: float, increment: float, out: _Ints, is_sure: _Bools
+) -> None:
+    """Write the nearest rays by the polynomial, and of which points they are beyond doubt."""
+    sure = 0.5 - _ERROR_RAD / abs(increment)
     for j in range(len(x)):
         large, small = max(abs(x[j]), abs(y[j])), min(abs(x[j]), abs(y[j]))
         r = small / large
@@ -76,4 +72,7 @@ def _place(x: _Floats, y: _Floats, start: float, increment: float, out: _Floats)
         bearing *= r
         bearing = math.pi / 2.0 - bearing if abs(y[j]) > abs(x[j]) else bearing
         bearing = math.pi - bearing if x[j] < 0.0 else bearing
-        out[j] = ((-bearing if y[j] < 0.0 else bearing) - start) / increment
+        place = ((-bearing if y[j] < 0.0 else bearing) - start) / increment
+        ray = math.floor(place + 0.5)
+        out[j] = ray
+        is_sure[j] = (abs(place - ray) < sure) & (abs(y[j]) > _LEVEL * abs(x[j]))
