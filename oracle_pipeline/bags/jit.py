@@ -3,6 +3,7 @@
 import importlib
 import sys
 from collections.abc import Callable
+from types import ModuleType
 from typing import ParamSpec, TypeVar, cast
 
 import numba
@@ -33,7 +34,7 @@ def _load_without_scipy() -> None:
     numba. A loop with linear algebra gets it all the same, when it is compiled.
     """
     if _BLAS not in sys.modules:
-        sys.modules[_BLAS] = None  # type: ignore[assignment] -- as Python marks what is missing
+        sys.modules[_BLAS] = cast(ModuleType, None)  # which is how Python marks what is missing
         try:
             importlib.import_module("numba.np.arraymath")
         finally:

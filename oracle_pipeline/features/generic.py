@@ -25,7 +25,13 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.reduction import largest, median, row_medians, smallest, within
+from oracle_pipeline.features.reduction import (
+    column_medians,
+    largest,
+    median_and_deviation,
+    smallest,
+    within,
+)
 
 _FEWEST = 20  # messages of a steady topic
 _STEADY_JITTER = 0.2  # largest jitter of a steady topic
@@ -199,11 +205,10 @@ def _rhythm(times_s: NDArray[np.float64]) -> _Rhythm | None:
     if len(times_s) < 3:
         return None
     between = times_s[1:] - times_s[:-1]
-    period_s = median(between)
+    period_s, deviation_s = median_and_deviation(between)
     if period_s <= 0.0:
         return None
-    jitter = median(np.abs(between - period_s)) / period_s
-    return _Rhythm(period_s, jitter, float(between.max()) / period_s)
+    return _Rhythm(period_s, deviation_s / period_s, float(between.max()) / period_s)
 
 
 def _out_of_order(stamps_ns: NDArray[np.int64]) -> float:
@@ -217,7 +222,7 @@ def _medians(
     topics: Mapping[str, Series], window: Window, names: tuple[str, ...], reason: str
 ) -> Values:
     medians = {
-        topic: row_medians(rows.T)
+        topic: column_medians(rows)
         for topic, (times_s, columns) in topics.items()
         if len(rows := columns[within(times_s, window)])
     }

@@ -301,7 +301,9 @@ class KeptMessages:
         _, times_s, sizes, stamps_ns = arrivals
         return Arrivals(arrivals.msgtype, times_s[part], sizes[part], stamps_ns[part])
 
-    def window(self, plugin: FeaturePlugin, span: Span, common: Window) -> Window | Missing:
+    def window(
+        self, plugin: FeaturePlugin, span: Span, common: Window, prepared: Any = None
+    ) -> Window | Missing:
         """Return the window of a span for one plugin, or the reason why it has none."""
         requests = self._kept[plugin.name]
         if plugin.needs_graph and common.graph is None:
@@ -323,7 +325,8 @@ class KeptMessages:
         for key, request in plugin.topics.items():
             if not request.optional and not topics[key]:
                 return Missing(f"no message on {', '.join(requests[key])} in this window")
-        return replace(common, topics=topics, history=_History(requests, span.end_ns))
+        history = _History(requests, span.end_ns)
+        return replace(common, topics=topics, history=history, prepared=prepared)
 
 
 def _by_topic(
