@@ -14,7 +14,6 @@ from oracle_pipeline.bags.jit import jit, jit_unchecked
 
 _Floats: TypeAlias = NDArray[np.float64]
 _Ints: TypeAlias = NDArray[np.int64]
-_Bools: TypeAlias = NDArray[np.bool_]
 
 # Of arctan(r) / r in r squared, a Chebyshev fit over 0 to 1.
 _C0, _C1, _C2, _C3, _C4, _C5, _C6 = (
@@ -22,6 +21,7 @@ _C0, _C1, _C2, _C3, _C4, _C5, _C6 = (
     0.07900004893299771, -0.033105310818130625, 0.006658278292940012,
 )  # fmt: skip
 _ERROR_RAD = 1e-6  # more than three times that of the fit
+_UNSURE = -(2**62)  # a number that no ray has
 _LEVEL = 1e-6  # |y/x| below which the sign of zero may tell the bearing
 
 
@@ -51,18 +51,15 @@ def rays(x: _Floats, y: _Floats, start: float, increment: float, out: _Ints) -> 
     It is ``round((atan2(y, x) - start) / increment)``. A polynomial tells as much, unless a point
     is about half-way between two rays. What is written for NaN means nothing.
     """
-    is_sure = np.empty(len(x), np.bool_)
-    _nearly(x, y, start, increment, out, is_sure)
+    _nearly(x, y, start, increment, out)
     for j in range(len(x)):
-        if not is_sure[j] and not math.isnan(x[j]):
+        if out[j] == _UNSURE and not math.isnan(x[j]):
             out[j] = round((math.atan2(y[j], x[j]) - start) / increment)
 
 
 @jit_unchecked
-def _nearly(
-    x: _Floats, y: _Floats, start: float, increment: float, out: _Ints, is_sure: _Bools
-) -> None:
-    """Write the nearest rays by the polynomial, and of which points they are beyond doubt."""
+def _nearly(x: _Floats, y: _Floats, start: float, increment: float, out: _Ints) -> None:
+    """Write the nearest rays by the polynomial, `_UNSURE` where they are not beyond doubt."""
     sure = 0.5 - _ERROR_RAD / abs(increment)
     for j in range(len(x)):
         large, small = max(abs(x[j]), abs(y[j])), min(abs(x[j]), abs(y[j]))
@@ -74,5 +71,5 @@ def _nearly(
         bearing = math.pi - bearing if x[j] < 0.0 else bearing
         place = ((-bearing if y[j] < 0.0 else bearing) - start) / increment
         ray = math.floor(place + 0.5)
-        out[j] = ray
-        is_sure[j] = (abs(place - ray) < sure) & (abs(y[j]) > _LEVEL * abs(x[j]))
+        is_sure = (abs(place - ray) < sure) & (abs(y[j]) > _LEVEL * abs(x[j]))
+        out[j] = ray if is_sure else _UNSURE

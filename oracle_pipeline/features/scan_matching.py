@@ -172,6 +172,7 @@ def _match(
     (qx, qy, nx, ny), (ends_x, ends_y) = surfaces, ends
     circle = max(1, round(2.0 * math.pi / abs(increment)))
     x, y, yaw = 0.0, 0.0, guess
+    moved_x, moved_y = np.empty_like(ends_x), np.empty_like(ends_y)
     own = np.empty(len(ends_x), np.int64)
     for iteration in range(_ITERATIONS):
         gate = 0.3 if iteration < 3 else 0.12
@@ -180,14 +181,14 @@ def _match(
         vx = vy = vt = 0.0
         c, s = math.cos(yaw), math.sin(yaw)
         met, valid = 0, 0
-        turned_x, turned_y = c * ends_x - s * ends_y, s * ends_x + c * ends_y
-        moved_x, moved_y = turned_x + x, turned_y + y
+        moved_x[:] = c * ends_x - s * ends_y + x
+        moved_y[:] = s * ends_x + c * ends_y + y
         rays(moved_x, moved_y, start, increment, own)
         for j in range(len(ends_x)):
             if not math.isfinite(ends_x[j]):
                 continue
             valid += 1
-            rx, ry, px, py = turned_x[j], turned_y[j], moved_x[j], moved_y[j]
+            px, py = moved_x[j], moved_y[j]
             nearest, distance = -1, 0.09
             after = (own[j] - _REACH) % circle
             for _ in range(2 * _REACH + 1):
@@ -204,7 +205,8 @@ def _match(
                 continue
             met += 1
             weight = 1.0 / (1.0 + (error / _WEIGHT_M) ** 2)
-            sx, sy, st = nx[nearest], ny[nearest], ny[nearest] * rx - nx[nearest] * ry
+            sx, sy = nx[nearest], ny[nearest]
+            st = sy * (c * ends_x[j] - s * ends_y[j]) - sx * (s * ends_x[j] + c * ends_y[j])
             wx, wy, wt = weight * sx, weight * sy, weight * st
             vx, vy, vt = vx - wx * error, vy - wy * error, vt - wt * error
             xx, xy, xt = xx + wx * sx, xy + wx * sy, xt + wx * st
