@@ -341,9 +341,7 @@ def _fitted(pair: Pair, compared: Comparison, window: Window) -> Fit:
     first, slopes, second = compared.first[part], compared.first_slope[part], compared.second[part]
     if len(first) < _FEWEST:
         return Fit()
-    return Fit(
-        *agreement(first, slopes, second, compared.lengths_s[part], _LEAST[pair.quantity])
-    )
+    return Fit(*agreement(first, slopes, second, compared.lengths_s[part], _LEAST[pair.quantity]))
 
 
 def _obeyed(fits: Mapping[str, Fit]) -> dict[str, Fit]:
