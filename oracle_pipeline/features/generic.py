@@ -5,6 +5,7 @@ the table has the largest (with its topic), the smallest and the mean. Features 
 of one type are in ``topic_pairs``.
 """
 
+import math
 import zlib
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
@@ -12,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.arrays import ARRAYS, STATISTICS, each, statistics
 from oracle_pipeline.features.plugin import (
     Feature,
@@ -173,11 +175,7 @@ def keep_bytes(record: RawRecord) -> tuple[float, float] | None:
         return None
     data = np.frombuffer(record.data, np.uint8, min(len(record.data), _LONGEST))
     changes = data[_STRIDE:] - data[:-_STRIDE]
-    counts = np.bincount(changes)
-    shares = counts[counts > 0] / changes.size
-    return float(-np.sum(shares * np.log2(shares))), len(
-        zlib.compress(changes.tobytes(), 1)
-    ) / changes.size
+    return _entropy(changes), len(zlib.compress(changes.tobytes(), 1)) / changes.size
 
 
 @hookimpl
@@ -198,6 +196,20 @@ def register_features() -> list[FeaturePlugin]:
             prepare=prepare_arrays,
         ),
     ]  # fmt: skip
+
+
+@jit
+def _entropy(data: NDArray[np.uint8]) -> float:
+    """Return the entropy of the values in some bytes [bit]."""
+    counts = np.zeros(256)
+    for value in data:
+        counts[value] += 1.0
+    entropy = 0.0
+    for count in counts:
+        if count:
+            share = count / len(data)
+            entropy -= share * math.log2(share)
+    return entropy
 
 
 def _rhythm(times_s: NDArray[np.float64]) -> _Rhythm | None:

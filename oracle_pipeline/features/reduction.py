@@ -38,7 +38,7 @@ def quantile_of(values: NDArray[np.float64], q: float) -> float:
     if last < 0:
         return math.nan
     low = int(q * last)
-    below, above = ordered[low], ordered[min(low + 1, last)]
+    below, above = float(ordered[low]), float(ordered[min(low + 1, last)])
     return below + (q * last - low) * (above - below)
 
 
