@@ -216,18 +216,32 @@ def _rhythm(times_s: NDArray[np.float64]) -> _Rhythm | None:
     """Return the rhythm of at least three messages; None if the median time between them is 0."""
     if len(times_s) < 3:
         return None
-    between = times_s[1:] - times_s[:-1]
-    period_s, deviation_s = median_and_deviation(between)
+    period_s, deviation_s, longest_s = _steps_between(times_s)
     if period_s <= 0.0:
         return None
-    return _Rhythm(period_s, deviation_s / period_s, float(between.max()) / period_s)
+    return _Rhythm(period_s, deviation_s / period_s, longest_s / period_s)
+
+
+@jit
+def _steps_between(times_s: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Return the median of the steps between times, their deviation from it, and the largest."""
+    steps_s = times_s[1:] - times_s[:-1]
+    period_s, deviation_s = median_and_deviation(steps_s)
+    return period_s, deviation_s, steps_s.max()
 
 
 def _out_of_order(stamps_ns: NDArray[np.int64]) -> float:
     """Return the share of stamps that are earlier than their predecessor; NaN without two."""
-    if len(stamps_ns) < 2:
-        return np.nan
-    return int(np.count_nonzero(stamps_ns[1:] < stamps_ns[:-1])) / (len(stamps_ns) - 1)
+    return _backwards(stamps_ns) / (len(stamps_ns) - 1) if len(stamps_ns) > 1 else np.nan
+
+
+@jit
+def _backwards(stamps_ns: NDArray[np.int64]) -> int:
+    """Count the stamps that are earlier than their predecessor."""
+    count = 0
+    for i in range(1, len(stamps_ns)):
+        count += stamps_ns[i] < stamps_ns[i - 1]
+    return count
 
 
 def _medians(

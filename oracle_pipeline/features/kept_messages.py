@@ -364,8 +364,9 @@ def _by_topic(
 
 def _portions(rows: Integers, sizes: Integers) -> list[Integers]:
     """Split rows where their messages reach multiples of `_MOST_WAITING` bytes."""
-    reached = np.cumsum(sizes) // _MOST_WAITING
-    return np.split(rows, np.flatnonzero(np.diff(reached)) + 1) if reached[-1] else [rows]
+    if sizes.sum() <= _MOST_WAITING:
+        return [rows]
+    return np.split(rows, np.flatnonzero(np.diff(np.cumsum(sizes) // _MOST_WAITING)) + 1)
 
 
 def _joined(parts: list[Integers]) -> Integers:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import MOST_KEPT
+from oracle_pipeline.features.between import between
 from oracle_pipeline.features.columns import Messages
 from oracle_pipeline.features.plugin import Request, Series
 
@@ -41,8 +42,7 @@ class Span:
 
     def of(self, times_ns: Integers) -> slice:
         """Return the slice of ascending times that is in the span."""
-        first, after = times_ns.searchsorted((self.start_ns, self.end_ns)).tolist()
-        return slice(first, after)
+        return slice(*between(times_ns, self.start_ns, self.end_ns))
 
 
 class Budget:

@@ -79,23 +79,27 @@ class KeptTopic:
 
     def wait(self, rate_ns: int, numbers: Integers, messages: list[bytes]) -> int:
         """Queue messages for decoding in a batch; return their size [B]."""
-        sizes = np.array(list(map(len, messages)), dtype=np.int64)
-        if (is_large := sizes > LARGEST_DECODED).any():
-            for row in np.flatnonzero(is_large).tolist():
-                for kept in self.by_rate[rate_ns]:
-                    if kept.request.many:
-                        kept.skip(_too_large(messages[row]))
-            left = np.flatnonzero(~is_large)
-            numbers, sizes = numbers[left], sizes[left]
-            messages = [messages[row] for row in left.tolist()]
+        if max(map(len, messages)) > LARGEST_DECODED:
+            numbers, messages = self._without_large(rate_ns, numbers, messages)
         of_rate = self._waiting.setdefault(rate_ns, ([], []))
         of_rate[0].append(numbers)
         of_rate[1].extend(messages)
-        size = int(sizes.sum())
+        size = sum(map(len, messages))
         self._held += size
         if self._held > _MOST_WAITING:
             self.keep_waiting()
         return size
+
+    def _without_large(
+        self, rate_ns: int, numbers: Integers, messages: list[bytes]
+    ) -> tuple[Integers, list[bytes]]:
+        """Skip the messages that are too large to be decoded; return the others."""
+        fits = np.array([len(data) <= LARGEST_DECODED for data in messages], dtype=np.bool_)
+        for row in np.flatnonzero(~fits).tolist():
+            for kept in self.by_rate[rate_ns]:
+                if kept.request.many:
+                    kept.skip(_too_large(messages[row]))
+        return numbers[fits], [messages[row] for row in np.flatnonzero(fits).tolist()]
 
     def keep_waiting(self) -> None:
         """Keep the requested part of the queued messages."""

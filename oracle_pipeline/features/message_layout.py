@@ -117,8 +117,16 @@ class MessageLayout:
                 if (element := self._seek(store, what)) is not None:
                     return element
             else:
-                self._before.append(self._field(store, kind, what))
+                self._skip_too(self._field(store, kind, what))
         return None
+
+    def _skip_too(self, field: _Field) -> None:
+        """Append a field to those before the array; numbers of one size become one."""
+        last = self._before[-1] if self._before else None
+        if isinstance(last, _Numbers) and isinstance(field, _Numbers) and last.size == field.size:
+            self._before[-1] = _Numbers(field.size, last.times + field.times)
+        else:
+            self._before.append(field)
 
     def _field(self, store: Typestore, kind: Nodetype, what: Any) -> _Field:
         """Return the layout of a field, for skipping it."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.between import between
 from oracle_pipeline.features.plugin import Located, Missing, Series, Window
 
 MAD_TO_DEVIATION = 1.4826  # of a normal distribution
@@ -18,8 +19,7 @@ MAD_TO_DEVIATION = 1.4826  # of a normal distribution
 
 def within(times_s: NDArray[np.float64], window: Window) -> slice:
     """Return the slice of ascending times that is in a window."""
-    first, after = times_s.searchsorted((window.start_s, window.end_s)).tolist()
-    return slice(first, after)
+    return slice(*between(times_s, window.start_s, window.end_s))
 
 
 def quantile(series: Series, window: Window, q: float) -> float:
