@@ -135,7 +135,8 @@ def compute_timing(window: Window) -> Values | Missing:
     gaps = {t: rhythm.gap * rhythm.period_s / steady[t] for t, rhythm in rhythms.items()}
     return {
         "message_rate": sum(counts) / duration_s,
-        "byte_rate": sum(int(arrivals.sizes.sum()) for arrivals in topics.values()) / duration_s,
+        "byte_rate": sum(int(each.sizes.sum()) for each in topics.values() if len(each.sizes))
+        / duration_s,
         "silent_topics": counts.count(0) / len(topics),
         "steady_topics": len(steady) / len(topics),
         **_over_topics(

@@ -59,6 +59,7 @@ FEATURES = (
     ),
 )  # fmt: skip
 
+_KINDS = {msgtype: name for name, msgtype in SENSORS.items()}
 _FEWEST = 5  # messages of a compared topic
 
 
@@ -67,7 +68,7 @@ def compute(window: Window) -> Values | Missing:
     held = {
         topic: _held_s(each)
         for topic, each in window.arrivals.items()
-        if _sensor(topic, window) and len(each.header_stamps_ns) >= _FEWEST
+        if len(each.header_stamps_ns) >= _FEWEST and _sensor(topic, window)
     }
     if not held:
         return Missing("too few messages of sensors with header stamps")
@@ -101,8 +102,7 @@ def _sensor(topic: str, window: Window) -> str:
     """Return the kind of sensor of a topic; empty without one."""
     if window.roles.has(SCAN, topic):
         return "scan"
-    msgtype = window.arrivals[topic].msgtype
-    return next((name for name, each in SENSORS.items() if each == msgtype), "")
+    return _KINDS.get(window.arrivals[topic].msgtype, "")
 
 
 def _over_the_freshest(
