@@ -56,7 +56,9 @@ def each(function: Callable[..., Any], *arrays: NDArray[np.object_]) -> list[Any
     for length in np.unique(lengths):
         rows = np.flatnonzero(lengths == length)
         for block in np.array_split(rows, math.ceil(len(rows) * length / _BLOCK) or 1):
-            stacked = (np.stack(some[block].tolist()) for some in arrays)
+            stacked = (
+                np.concatenate(some[block].tolist()).reshape(len(block), length) for some in arrays
+            )
             for row, result in zip(block.tolist(), function(*stacked), strict=True):
                 results[row] = result
     return results

@@ -5,9 +5,12 @@ odometry. With obstacles missing from the costmap, the robot drives into them th
 correct.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.local_costmap import GRIDS, LETHAL
 from oracle_pipeline.features.map_consistency import MapGrid
 from oracle_pipeline.features.plugin import (
@@ -21,7 +24,7 @@ from oracle_pipeline.features.plugin import (
 )
 from oracle_pipeline.features.reduction import largest, mean
 from oracle_pipeline.features.scan_geometry import SETUP_TOPICS, ScannerSetup, scanner_setup
-from oracle_pipeline.features.scans import Bools, Floats, Ints, Points, in_blocks
+from oracle_pipeline.features.scans import Floats, Points, in_blocks
 
 FEATURES = (
     Feature(
@@ -53,7 +56,7 @@ def _unmarked(
     placed = setup.placed(setup.mounts[topic], scans.stamps_s[rows])
 
     def compared(part: slice) -> tuple[Floats]:
-        returns = placed.at(part).columns().apply(scans.rows(rows[part]).points())
+        returns = placed.at(part).returns(scans.rows(rows[part]))
         both = zip(grids[seen[part]], returns, strict=True)
         return (np.array([unmarked(*each) for each in both], dtype=np.float64),)
 
@@ -75,13 +78,25 @@ def unmarked(grid: MapGrid, returns: Points) -> float:
     float
         NaN if fewer than five points are inside.
     """
-    cells = grid.pose.inverse().apply(returns[np.isfinite(returns)]) / grid.resolution
-    column, row = np.floor(cells.real).astype(np.int64), np.floor(cells.imag).astype(np.int64)
-    rows, columns = grid.cells.shape
-    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-    if inside.sum() < _FEWEST:
-        return np.nan
-    return float(1.0 - _touching(grid.cells == LETHAL, row[inside], column[inside]).mean())
+    cells = grid.pose.inverse().apply(returns) / grid.resolution
+    return _unmarked_share(cells, grid.cells)
+
+
+@jit
+def _unmarked_share(places: Points, cells: NDArray[np.int8]) -> float:
+    rows, columns = cells.shape
+    inside = marked = 0
+    for place in places:
+        x, y = math.floor(place.real), math.floor(place.imag)
+        if not (0.0 <= place.real < columns and 0.0 <= place.imag < rows):  # NaN, too
+            continue
+        inside += 1
+        is_marked = False
+        for row in range(max(0, y - 1), min(rows, y + 2)):
+            for column in range(max(0, x - 1), min(columns, x + 2)):
+                is_marked |= cells[row, column] == LETHAL
+        marked += is_marked
+    return 1.0 - marked / inside if inside >= _FEWEST else math.nan
 
 
 def compute(window: Window) -> Values:
@@ -89,16 +104,6 @@ def compute(window: Window) -> Values:
     shares: dict[str, Series] = window.prepared
     means = {topic: mean(series, window) for topic, series in shares.items()}
     return {"unmarked": largest(means, "no horizontal laser scanner has returns in the costmap")}
-
-
-def _touching(lethal: Bools, row: Ints, column: Ints) -> Bools:
-    """Return which of some cells are lethal or touch a lethal one."""
-    rows, columns = lethal.shape
-    framed = np.zeros((rows + 2, columns + 2), dtype=np.bool_)
-    framed[1:-1, 1:-1] = lethal
-    around = [framed[row + i, column + j] for i in range(3) for j in range(3)]
-    touching: Bools = np.logical_or.reduce(around)
-    return touching
 
 
 @hookimpl

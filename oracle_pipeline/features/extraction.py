@@ -233,7 +233,9 @@ class _Extraction:
         for plugin in self._plugins:
             if per_window and not any(feature.per_window for feature in plugin.features):
                 continue
-            values = self._compute(plugin, self._recording.window(plugin, span, common))
+            prepared = self._prepared[plugin.name]
+            window = self._recording.window(plugin, span, common, prepared)
+            values = self._compute(plugin, window, prepared)
             for feature in plugin.features:
                 if feature.per_window or not per_window:
                     row.put(plugin.column(feature), values[feature.name])
@@ -283,16 +285,15 @@ class _Extraction:
         except Exception as error:  # foreign code
             return self._failure(plugin.name, error)
 
-    def _compute(self, plugin: FeaturePlugin, window: Window | Missing) -> Values:
+    def _compute(self, plugin: FeaturePlugin, window: Window | Missing, prepared: Any) -> Values:
         """Call a plugin; the result has an entry for each of its features, even after an error."""
         names = [feature.name for feature in plugin.features]
-        prepared = self._prepared[plugin.name]
         for obstacle in (window, prepared):
             if isinstance(obstacle, Missing):
                 return dict.fromkeys(names, obstacle)
         assert isinstance(window, Window)  # noqa: S101 -- the loop returned otherwise
         try:
-            values = plugin.compute(replace(window, prepared=prepared))
+            values = plugin.compute(window)
             if isinstance(values, Missing):
                 return dict.fromkeys(names, values)
             if values.keys() != set(names):

@@ -5,6 +5,7 @@ the table has the largest (with its topic), the smallest and the mean. Features 
 of one type are in ``topic_pairs``.
 """
 
+import math
 import zlib
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
@@ -12,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.arrays import ARRAYS, STATISTICS, each, statistics
 from oracle_pipeline.features.plugin import (
     Feature,
@@ -25,7 +27,13 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.reduction import largest, median, row_medians, smallest, within
+from oracle_pipeline.features.reduction import (
+    column_medians,
+    largest,
+    median_and_deviation,
+    smallest,
+    within,
+)
 
 _FEWEST = 20  # messages of a steady topic
 _STEADY_JITTER = 0.2  # largest jitter of a steady topic
@@ -127,7 +135,8 @@ def compute_timing(window: Window) -> Values | Missing:
     gaps = {t: rhythm.gap * rhythm.period_s / steady[t] for t, rhythm in rhythms.items()}
     return {
         "message_rate": sum(counts) / duration_s,
-        "byte_rate": sum(int(arrivals.sizes.sum()) for arrivals in topics.values()) / duration_s,
+        "byte_rate": sum(int(each.sizes.sum()) for each in topics.values() if len(each.sizes))
+        / duration_s,
         "silent_topics": counts.count(0) / len(topics),
         "steady_topics": len(steady) / len(topics),
         **_over_topics(
@@ -167,11 +176,7 @@ def keep_bytes(record: RawRecord) -> tuple[float, float] | None:
         return None
     data = np.frombuffer(record.data, np.uint8, min(len(record.data), _LONGEST))
     changes = data[_STRIDE:] - data[:-_STRIDE]
-    counts = np.bincount(changes)
-    shares = counts[counts > 0] / changes.size
-    return float(-np.sum(shares * np.log2(shares))), len(
-        zlib.compress(changes.tobytes(), 1)
-    ) / changes.size
+    return _entropy(changes), len(zlib.compress(changes.tobytes(), 1)) / changes.size
 
 
 @hookimpl
@@ -194,30 +199,57 @@ def register_features() -> list[FeaturePlugin]:
     ]  # fmt: skip
 
 
+@jit
+def _entropy(data: NDArray[np.uint8]) -> float:
+    """Return the entropy of the values in some bytes [bit]."""
+    counts = np.zeros(256)
+    for value in data:
+        counts[value] += 1.0
+    entropy = 0.0
+    for count in counts:
+        if count:
+            share = count / len(data)
+            entropy -= share * math.log2(share)
+    return entropy
+
+
 def _rhythm(times_s: NDArray[np.float64]) -> _Rhythm | None:
     """Return the rhythm of at least three messages; None if the median time between them is 0."""
     if len(times_s) < 3:
         return None
-    between = times_s[1:] - times_s[:-1]
-    period_s = median(between)
+    period_s, deviation_s, longest_s = _steps_between(times_s)
     if period_s <= 0.0:
         return None
-    jitter = median(np.abs(between - period_s)) / period_s
-    return _Rhythm(period_s, jitter, float(between.max()) / period_s)
+    return _Rhythm(period_s, deviation_s / period_s, longest_s / period_s)
+
+
+@jit
+def _steps_between(times_s: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Return the median of the steps between times, their deviation from it, and the largest."""
+    steps_s = times_s[1:] - times_s[:-1]
+    period_s, deviation_s = median_and_deviation(steps_s)
+    return period_s, deviation_s, steps_s.max()
 
 
 def _out_of_order(stamps_ns: NDArray[np.int64]) -> float:
     """Return the share of stamps that are earlier than their predecessor; NaN without two."""
-    if len(stamps_ns) < 2:
-        return np.nan
-    return int(np.count_nonzero(stamps_ns[1:] < stamps_ns[:-1])) / (len(stamps_ns) - 1)
+    return _backwards(stamps_ns) / (len(stamps_ns) - 1) if len(stamps_ns) > 1 else np.nan
+
+
+@jit
+def _backwards(stamps_ns: NDArray[np.int64]) -> int:
+    """Count the stamps that are earlier than their predecessor."""
+    count = 0
+    for i in range(1, len(stamps_ns)):
+        count += stamps_ns[i] < stamps_ns[i - 1]
+    return count
 
 
 def _medians(
     topics: Mapping[str, Series], window: Window, names: tuple[str, ...], reason: str
 ) -> Values:
     medians = {
-        topic: row_medians(rows.T)
+        topic: column_medians(rows)
         for topic, (times_s, columns) in topics.items()
         if len(rows := columns[within(times_s, window)])
     }

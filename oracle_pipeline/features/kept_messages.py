@@ -7,11 +7,13 @@ arrays.
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oracle_pipeline.bags.graph_files import RosGraph
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.bags.merging import Messages
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.features.kept_rows import (
@@ -39,6 +41,8 @@ from oracle_pipeline.features.timeline import Timeline, epochs, timeline
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.robots.robot import Robot, find_robots
 
+Bools: TypeAlias = NDArray[np.bool_]
+
 _MOST_WAITING = 16 * 2**20  # bytes of messages that wait to be decoded together
 _NONE: Integers = np.zeros(0, dtype=np.int64)
 _NO_STAMP = np.iinfo(np.int64).min  # of a message without a header
@@ -52,36 +56,57 @@ class _Sampling:
         self._asks = np.array([rate_ns in topic.by_rate for topic in topics], dtype=np.bool_)
         self._last = np.full(len(topics), -1)
 
-    def due(self, topics: Integers, since_start_ns: Integers) -> Integers:
-        """Return the indices of the sampled messages; they are sorted by topic and time."""
-        rows = np.flatnonzero(self._asks[topics])
-        if not self._rate_ns or not len(rows):
-            return rows
-        topics, slots = topics[rows], since_start_ns[rows] // self._rate_ns
-        begins = np.diff(topics, prepend=-1) != 0
-        is_due = (np.diff(slots, prepend=-1) != 0) | begins
-        is_due[begins] = slots[begins] != self._last[topics[begins]]
-        ends = np.roll(begins, -1)
-        self._last[topics[ends]] = slots[ends]
-        due: Integers = rows[is_due]
-        return due
+    def due(self, batch: Messages, start_ns: int, in_time: Integers) -> Integers:
+        """Return the rows of the sampled messages of a batch, by topic and time.
+
+        Parameters
+        ----------
+        batch : Messages
+        start_ns : int
+            Of the recording.
+        in_time : ndarray of int
+            The rows of the batch in order of time.
+        """
+        is_due = _sampled(
+            batch.topics[in_time], batch.stamps_ns[in_time] - start_ns, self._rate_ns,
+            self._asks, self._last,
+        )  # fmt: skip
+        rows: Integers = in_time[is_due]
+        by_topic: Integers = rows[np.argsort(batch.topics[rows], kind="stable")]
+        return by_topic
+
+
+@jit
+def _sampled(
+    topics: Integers, since_start_ns: Integers, rate_ns: int, asks: Bools, last: Integers
+) -> Bools:
+    """Return which messages are the first in their span; ``last`` are the topics' last spans."""
+    is_due = np.zeros(len(topics), np.bool_)
+    for i in range(len(topics)):
+        topic = topics[i]
+        if asks[topic]:
+            span = since_start_ns[i] // rate_ns if rate_ns else 0
+            is_due[i] = rate_ns == 0 or span != last[topic]
+            last[topic] = span
+    return is_due
 
 
 class _Headers:
     """Reads the stamps in the headers of messages."""
 
     def __init__(self, topics: list[KeptTopic]) -> None:
-        self._has = np.array([topic.layout.has_header for topic in topics], dtype=np.bool_)
+        self._of: dict[bool, Bools] = {}  # which topics have headers in an encoding
+        for topic in topics:
+            if topic.layout.has_header:
+                of = self._of.setdefault(topic.layout.is_cdr, np.zeros(len(topics), dtype=np.bool_))
+                of[topics.index(topic)] = True
 
-    def stamps_ns(self, batch: Messages, topics: list[KeptTopic]) -> Integers:
+    def stamps_ns(self, batch: Messages) -> Integers:
         """Return the stamp of each message of a batch [ns]."""
         stamps_ns = np.full(len(batch.topics), _NO_STAMP)
-        rows = np.flatnonzero(self._has[batch.topics] & (batch.sizes >= SHORTEST_WITH_HEADER))
-        encodings = {topics[number].layout.is_cdr for number in np.unique(batch.topics[rows])}
-        for is_cdr in sorted(encodings):
-            of = np.array([topic.layout.is_cdr == is_cdr for topic in topics], dtype=np.bool_)
-            some = rows[of[batch.topics[rows]]] if len(encodings) > 1 else rows
-            stamps_ns[some] = header_stamps_ns(batch.data, batch.offsets[some], is_cdr=is_cdr)
+        for is_cdr, of in self._of.items():
+            rows = np.flatnonzero(of[batch.topics] & (batch.sizes >= SHORTEST_WITH_HEADER))
+            stamps_ns[rows] = header_stamps_ns(batch.data, batch.offsets[rows], is_cdr=is_cdr)
         return stamps_ns
 
 
@@ -186,31 +211,28 @@ class KeptMessages:
             if see is not None:
                 see(batch)
             recording._budget.count(len(batch.topics))
-            stamps_ns = batch.stamps_ns
-            order = np.lexsort((stamps_ns, batch.topics))
-            ordered, since_start_ns = batch.topics[order], stamps_ns[order] - bag.start_ns
+            in_time = np.argsort(batch.stamps_ns, kind="stable")
             due: dict[int, list[int]] = {}
             for rate_ns, sampling in samplings.items():
-                rows = order[sampling.due(ordered, since_start_ns)]
-                for topic, some in _by_topic(topics, batch.topics, rows):
+                for topic, rows in _by_topic(
+                    topics, batch.topics, sampling.due(batch, bag.start_ns, in_time)
+                ):
                     if topic.has(rate_ns, many=False):
-                        for row in some:
+                        for row in rows.tolist():
                             due.setdefault(row, []).append(rate_ns)
                     if topic.has(rate_ns, many=True):
-                        for row in some:
-                            waiting += topic.wait(rate_ns, count + row, batch.message(row))
+                        for some in _portions(rows, batch.sizes[rows]):
+                            waiting += topic.wait(rate_ns, count + some, batch.messages(some))
                             if waiting > _MOST_WAITING:
                                 for each in topics:
                                     each.keep_waiting()
                                 waiting = 0
             for row, rates in due.items():
                 topics[batch.topics[row]].keep(count + row, batch.message(row), rates)
-            header_stamps_ns = headers.stamps_ns(batch, topics)
-            for column, values in zip(
-                columns, (batch.topics, stamps_ns, batch.sizes, header_stamps_ns), strict=True
-            ):
+            of_batch = batch.topics, batch.stamps_ns, batch.sizes, headers.stamps_ns(batch)
+            for column, values in zip(columns, of_batch, strict=True):
                 column.append(values)
-            count += len(stamps_ns)
+            count += len(batch.topics)
         for topic in topics:
             topic.keep_waiting()
         recording._finish(bag, carried, *columns)
@@ -301,7 +323,9 @@ class KeptMessages:
         _, times_s, sizes, stamps_ns = arrivals
         return Arrivals(arrivals.msgtype, times_s[part], sizes[part], stamps_ns[part])
 
-    def window(self, plugin: FeaturePlugin, span: Span, common: Window) -> Window | Missing:
+    def window(
+        self, plugin: FeaturePlugin, span: Span, common: Window, prepared: Any = None
+    ) -> Window | Missing:
         """Return the window of a span for one plugin, or the reason why it has none."""
         requests = self._kept[plugin.name]
         if plugin.needs_graph and common.graph is None:
@@ -323,18 +347,26 @@ class KeptMessages:
         for key, request in plugin.topics.items():
             if not request.optional and not topics[key]:
                 return Missing(f"no message on {', '.join(requests[key])} in this window")
-        return replace(common, topics=topics, history=_History(requests, span.end_ns))
+        history = _History(requests, span.end_ns)
+        return replace(common, topics=topics, history=history, prepared=prepared)
 
 
 def _by_topic(
     topics: list[KeptTopic], numbers: Integers, rows: Integers
-) -> Iterator[tuple[KeptTopic, list[int]]]:
+) -> Iterator[tuple[KeptTopic, Integers]]:
     """Yield each topic with its rows; the rows are sorted by topic."""
     if len(rows):
         of = numbers[rows]
         begins = [0, *(np.flatnonzero(of[1:] != of[:-1]) + 1).tolist(), len(rows)]
         for begin, end in itertools.pairwise(begins):
-            yield topics[of[begin]], rows[begin:end].tolist()
+            yield topics[of[begin]], rows[begin:end]
+
+
+def _portions(rows: Integers, sizes: Integers) -> list[Integers]:
+    """Split rows where their messages reach multiples of `_MOST_WAITING` bytes."""
+    if sizes.sum() <= _MOST_WAITING:
+        return [rows]
+    return np.split(rows, np.flatnonzero(np.diff(np.cumsum(sizes) // _MOST_WAITING)) + 1)
 
 
 def _joined(parts: list[Integers]) -> Integers:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import MOST_KEPT
+from oracle_pipeline.features.between import between
 from oracle_pipeline.features.columns import Messages
 from oracle_pipeline.features.plugin import Request, Series
 
@@ -41,8 +42,7 @@ class Span:
 
     def of(self, times_ns: Integers) -> slice:
         """Return the slice of ascending times that is in the span."""
-        first, after = times_ns.searchsorted((self.start_ns, self.end_ns)).tolist()
-        return slice(first, after)
+        return slice(*between(times_ns, self.start_ns, self.end_ns))
 
 
 class Budget:
@@ -199,6 +199,7 @@ class KeptRows:
             rows = earlier.followed_by(rows)
         self._times_ns = rows.times_ns
         self._series = Series(read_only(rows.times_ns / 1e9), read_only(rows.values))
+        self._cut: tuple[Span | None, Series] = None, self._series  # the last result of `within`
         if self.error:
             return f"what needs it is missing: {self.error}"
         if not self._broken:
@@ -217,11 +218,16 @@ class KeptRows:
         return Rows(self._times_ns[-CARRIED:], self._series.values[-CARRIED:])
 
     def within(self, span: Span) -> Series:
-        """Return the rows in a span."""
-        part = span.of(self._times_ns)
-        if part == slice(0, len(self._times_ns)):
-            return self._series
-        return Series(self._series.times_s[part], self._series.values[part])
+        """Return the rows in a span, the same object to each plugin that asks in turn."""
+        cut_to, series = self._cut
+        if cut_to is not span:
+            part = span.of(self._times_ns)
+            if part == slice(0, len(self._times_ns)):
+                series = self._series
+            else:
+                series = Series(self._series.times_s[part], self._series.values[part])
+            self._cut = span, series
+        return series
 
 
 def _size(kept: Any) -> int:

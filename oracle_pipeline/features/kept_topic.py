@@ -26,7 +26,8 @@ class KeptTopic:
         self.kept: dict[Any, KeptRows] = {}  # by key of the request
         self.by_rate: dict[int, list[KeptRows]] = {}  # by time between messages [ns]
         self.undecodable = ""
-        self._waiting: dict[int, list[tuple[int, bytes]]] = {}  # number and message, by rate
+        #: Numbers of messages, and the messages, by rate.
+        self._waiting: dict[int, tuple[list[Integers], list[bytes]]] = {}
         self._held = 0  # bytes of the waiting messages
         try:
             self._decode = bag.decoder(topic.name)
@@ -76,27 +77,36 @@ class KeptTopic:
                 else:
                     kept.add(number, scan if kept.as_scan else content, len(data))
 
-    def wait(self, rate_ns: int, number: int, data: bytes) -> int:
-        """Queue a message for decoding in a batch; return its size [B]."""
-        if len(data) > LARGEST_DECODED:
-            for kept in self.by_rate[rate_ns]:
-                if kept.request.many:
-                    kept.skip(_too_large(data))
-            return 0
-        self._waiting.setdefault(rate_ns, []).append((number, data))
-        self._held += len(data)
+    def wait(self, rate_ns: int, numbers: Integers, messages: list[bytes]) -> int:
+        """Queue messages for decoding in a batch; return their size [B]."""
+        if max(map(len, messages)) > LARGEST_DECODED:
+            numbers, messages = self._without_large(rate_ns, numbers, messages)
+        of_rate = self._waiting.setdefault(rate_ns, ([], []))
+        of_rate[0].append(numbers)
+        of_rate[1].extend(messages)
+        size = sum(map(len, messages))
+        self._held += size
         if self._held > _MOST_WAITING:
             self.keep_waiting()
-        return len(data)
+        return size
+
+    def _without_large(
+        self, rate_ns: int, numbers: Integers, messages: list[bytes]
+    ) -> tuple[Integers, list[bytes]]:
+        """Skip the messages that are too large to be decoded; return the others."""
+        fits = np.array([len(data) <= LARGEST_DECODED for data in messages], dtype=np.bool_)
+        for row in np.flatnonzero(~fits).tolist():
+            for kept in self.by_rate[rate_ns]:
+                if kept.request.many:
+                    kept.skip(_too_large(messages[row]))
+        return numbers[fits], [messages[row] for row in np.flatnonzero(fits).tolist()]
 
     def keep_waiting(self) -> None:
         """Keep the requested part of the queued messages."""
-        for rate_ns, messages in self._waiting.items():
+        for rate_ns, (parts, messages) in self._waiting.items():
             many = [kept for kept in self.by_rate[rate_ns] if kept.request.many]
-            numbers = np.array([number for number, _ in messages], dtype=np.int64)
-            batch = Batch(
-                [data for _, data in messages], self._store, self.msgtype, is_cdr=self.layout.is_cdr
-            )
+            numbers = np.concatenate(parts)
+            batch = Batch(messages, self._store, self.msgtype, is_cdr=self.layout.is_cdr)
             whole = batch.whole
             if not whole.all():
                 self._keep_odd(numbers[~whole], batch.some(np.flatnonzero(~whole)), many)

@@ -8,7 +8,6 @@ altered, it disagrees with all others; if several are altered together, they dis
 unaltered ones.
 """
 
-import cmath
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -253,6 +252,41 @@ def fit(first: Points, slope: Points, second: Points) -> tuple[float, float, Boo
     return scale, lag, kept
 
 
+@jit
+def agreement(
+    first: Points, slope: Points, second: Points, lengths_s: Floats, least: float
+) -> tuple[float, float, float, float, float]:
+    """Return the values of a `Fit` for some spans.
+
+    Parameters
+    ----------
+    first, slope, second, lengths_s : ndarray of shape (n,)
+        As in `Comparison`.
+    least : float
+        Gain in total that a scale needs.
+    """
+    scale, lag, kept = fit(first, slope, second)
+    if math.isnan(scale):
+        return math.nan, math.nan, math.nan, math.nan, math.nan
+    delay_s = 0.0 if math.isnan(lag) else lag
+    squares = left_over = length_s = gained = 0.0
+    direction = 0j
+    for i in range(len(first)):
+        left = second[i] - scale * (first[i] - delay_s * slope[i])
+        squares += abs(left / lengths_s[i]) ** 2
+        left_over += left.real
+        length_s += lengths_s[i]
+        if kept[i]:
+            gained += abs(first[i])
+            direction += second[i] * first[i].conjugate()
+    residual, drift = math.sqrt(squares / len(first)), left_over / length_s
+    if gained < least or scale <= 0.0:
+        return math.nan, math.nan, residual, drift, math.nan
+    # The lag is a first-order approximation, invalid beyond the length of a span.
+    lag = lag if abs(lag) < SPAN_S else math.nan
+    return math.log(scale), lag, residual, drift, math.atan2(direction.imag, direction.real)
+
+
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of sources of motion."""
@@ -307,24 +341,7 @@ def _fitted(pair: Pair, compared: Comparison, window: Window) -> Fit:
     first, slopes, second = compared.first[part], compared.first_slope[part], compared.second[part]
     if len(first) < _FEWEST:
         return Fit()
-    scale, lag, kept = fit(first, slopes, second)
-    if math.isnan(scale):
-        return Fit()
-    left = _left(first, slopes, second, scale, lag)
-    lengths_s = compared.lengths_s[part]
-    residual = float(np.sqrt(np.mean(np.abs(left / lengths_s) ** 2)))
-    drift = float(left.real.sum() / lengths_s.sum())
-    if float(np.abs(first[kept]).sum()) < _LEAST[pair.quantity] or scale <= 0.0:
-        return Fit(residual=residual, drift=drift)
-    bearing = cmath.phase(complex((second[kept] * first[kept].conj()).sum()))
-    # The lag is a first-order approximation, invalid beyond the length of a span.
-    lag = lag if abs(lag) < SPAN_S else math.nan
-    return Fit(math.log(scale), lag, residual, drift, bearing)
-
-
-def _left(first: Points, slopes: Points, second: Points, scale: float, lag: float) -> Points:
-    """Return the second's gains minus those predicted by scale and lag."""
-    return second - scale * (first - (0.0 if math.isnan(lag) else lag) * slopes)
+    return Fit(*agreement(first, slopes, second, compared.lengths_s[part], _LEAST[pair.quantity]))
 
 
 def _obeyed(fits: Mapping[str, Fit]) -> dict[str, Fit]:

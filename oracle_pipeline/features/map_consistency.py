@@ -110,23 +110,33 @@ class Map:
 
 @jit
 def _march(start: Points, step: Points, clearance: NDArray[np.float32], solid: Bools) -> Floats:
+    """Advance the rays of a scan in turn: a step waits for the last one of its own ray only."""
     reached = np.full(start.shape, np.nan)
     rows, columns = clearance.shape
+    rays = start.shape[1]
+    x, y, gone = np.empty(rays), np.empty(rays), np.empty(rays)
+    going = np.empty(rays, np.int64)
     for i in range(start.shape[0]):
-        for j in range(start.shape[1]):
-            x, y, distance = start[i, j].real, start[i, j].imag, 0.0
-            while 0.0 <= x < columns and 0.0 <= y < rows:
-                free = clearance[int(y), int(x)]
+        x[:], y[:], gone[:], going[:] = start[i].real, start[i].imag, 0.0, np.arange(rays)
+        count = rays
+        while count:
+            still = 0
+            for j in going[:count]:
+                if not (0.0 <= x[j] < columns and 0.0 <= y[j] < rows):
+                    continue
+                row, column = int(y[j]), int(x[j])
+                free = clearance[row, column]
                 if free == 0.0:
-                    if (
-                        solid[int(y), int(x)] and distance > 0.0
-                    ):  # a ray from inside a solid cell is invalid
-                        reached[i, j] = distance
-                    break
+                    if solid[row, column] and gone[j] > 0.0:  # else it begins in a solid cell
+                        reached[i, j] = gone[j]
+                    continue
                 ahead = max(free - _DIAGONAL, _SHORTEST_STEP)
-                x += ahead * step[i, j].real
-                y += ahead * step[i, j].imag
-                distance += ahead
+                x[j] += ahead * step[i, j].real
+                y[j] += ahead * step[i, j].imag
+                gone[j] += ahead
+                going[still] = j
+                still += 1
+            count = still
     return reached
 
 

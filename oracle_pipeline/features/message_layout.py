@@ -14,6 +14,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.bags.reader import BagReader
 
 _HEADER = "std_msgs/msg/Header"
@@ -116,8 +117,16 @@ class MessageLayout:
                 if (element := self._seek(store, what)) is not None:
                     return element
             else:
-                self._before.append(self._field(store, kind, what))
+                self._skip_too(self._field(store, kind, what))
         return None
+
+    def _skip_too(self, field: _Field) -> None:
+        """Append a field to those before the array; numbers of one size become one."""
+        last = self._before[-1] if self._before else None
+        if isinstance(last, _Numbers) and isinstance(field, _Numbers) and last.size == field.size:
+            self._before[-1] = _Numbers(field.size, last.times + field.times)
+        else:
+            self._before.append(field)
 
     def _field(self, store: Typestore, kind: Nodetype, what: Any) -> _Field:
         """Return the layout of a field, for skipping it."""
@@ -146,20 +155,25 @@ def header_stamps_ns(data: bytes, offsets: NDArray[np.int64], *, is_cdr: bool) -
     is_cdr
         Whether they are encoded in CDR; False for ROS 1's encoding.
     """
-    buffer = np.frombuffer(data, np.uint8)
-    # After the encapsulation, or ROS 1's sequence number.
-    fields = buffer[offsets[:, np.newaxis] + np.arange(4, SHORTEST_WITH_HEADER)]
-    stamps_ns = _stamps_ns(fields, "<")
-    if is_cdr and (is_big := buffer[offsets + 1] & _LITTLE_ENDIAN == 0).any():
-        stamps_ns[is_big] = _stamps_ns(fields[is_big], ">")
+    return _stamps_ns(np.frombuffer(data, np.uint8), offsets, is_cdr)
+
+
+@jit
+def _stamps_ns(
+    data: NDArray[np.uint8], offsets: NDArray[np.int64], is_cdr: bool
+) -> NDArray[np.int64]:
+    stamps_ns = np.empty(len(offsets), np.int64)
+    for i in range(len(offsets)):
+        begin = offsets[i] + 4  # after the encapsulation, or ROS 1's sequence number
+        is_big = is_cdr and not data[offsets[i] + 1] & _LITTLE_ENDIAN
+        seconds = nanoseconds = np.int64(0)
+        for j in range(4):
+            shift = np.int64(8 * (3 - j if is_big else j))
+            seconds |= np.int64(data[begin + j]) << shift
+            nanoseconds |= np.int64(data[begin + 4 + j]) << shift
+        seconds -= (seconds >> 31) << 32  # a signed number of 32 bits
+        stamps_ns[i] = seconds * 1_000_000_000 + nanoseconds
     return stamps_ns
-
-
-def _stamps_ns(fields: NDArray[np.uint8], order: str) -> NDArray[np.int64]:
-    """Return stamps [ns] from the bytes of seconds and nanoseconds, shape (n, 8)."""
-    parts = np.ascontiguousarray(fields).view(f"{order}u4")
-    seconds = parts[:, 0].astype(np.uint32).view(np.int32).astype(np.int64)
-    return seconds * 1_000_000_000 + parts[:, 1].astype(np.int64)
 
 
 class _Cursor:

@@ -22,6 +22,7 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
+from oracle_pipeline.features.shared import once_for_graph
 from oracle_pipeline.graphs.views import system_view
 
 Edge: TypeAlias = tuple[str, str]
@@ -83,8 +84,11 @@ def prepare(window: Window) -> list[_Change]:
 
 def compute(window: Window) -> Values | Missing:
     """Compute the flows of a window's graph, and the changes of the intervals that it touches."""
-    graph = window.system
-    assert graph is not None  # noqa: S101 -- the plugin needs a graph
+    assert window.system is not None  # noqa: S101 -- the plugin needs a graph
+    return once_for_graph(_traffic, window, window.system)
+
+
+def _traffic(window: Window, graph: RosGraph) -> Values | Missing:
     messages, data = _flows(graph, "messages"), _flows(graph, "bytes")
     if not any(messages.values()):
         return Missing("no edge has a message")

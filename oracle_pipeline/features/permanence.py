@@ -140,8 +140,8 @@ def _seen(setup: ScannerSetup, topic: str, path: "_Path") -> Seen:
 
     def compared(part: slice) -> tuple[Floats, Floats]:
         later, earlier = scans.rows(now[part]), scans.rows(before[part])
-        appeared = agreement(moved.at(part).columns().apply(later.points()), earlier)
-        vanished = agreement(back.at(part).columns().apply(earlier.points()), later)
+        appeared = agreement(moved.at(part).returns(later), earlier)
+        vanished = agreement(back.at(part).returns(earlier), later)
         return appeared.contradicted_share(), vanished.contradicted_share()
 
     appeared, vanished = in_blocks(len(now), scans.rays, compared)
@@ -250,7 +250,7 @@ def _in_world(scans: RecordedScans, placed: Planar, path: _Path) -> tuple[Series
 
     def seen(part: slice) -> tuple[NDArray[Any], ...]:
         some = scans.rows(part)
-        world = placed.at(part).columns().apply(some.points())
+        world = placed.at(part).returns(some)
         return *_centres(some.ranges, world, closed[part]), path.crossed(world, some.stamps_s)
 
     counts, centres, across = in_blocks(len(scans.times_s), scans.rays, seen)

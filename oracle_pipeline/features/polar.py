@@ -21,6 +21,7 @@ _C0, _C1, _C2, _C3, _C4, _C5, _C6 = (
     0.07900004893299771, -0.033105310818130625, 0.006658278292940012,
 )  # fmt: skip
 _ERROR_RAD = 1e-6  # more than three times that of the fit
+_UNSURE = -(2**62)  # a number that no ray has
 _LEVEL = 1e-6  # |y/x| below which the sign of zero may tell the bearing
 
 
@@ -50,24 +51,16 @@ def rays(x: _Floats, y: _Floats, start: float, increment: float, out: _Ints) -> 
     It is ``round((atan2(y, x) - start) / increment)``. A polynomial tells as much, unless a point
     is about half-way between two rays. What is written for NaN means nothing.
     """
-    place = np.empty(len(x))
-    _place(x, y, start, increment, place)
-    sure = 0.5 - _ERROR_RAD / abs(increment)
+    _nearly(x, y, start, increment, out)
     for j in range(len(x)):
-        if math.isnan(place[j]):
-            out[j] = 0
-            if not (x[j] == 0.0 and y[j] == 0.0):
-                continue
-        else:
-            out[j] = round(place[j])
-            if abs(place[j] - out[j]) < sure and abs(y[j]) > _LEVEL * abs(x[j]):
-                continue
-        out[j] = round((math.atan2(y[j], x[j]) - start) / increment)
+        if out[j] == _UNSURE and not math.isnan(x[j]):
+            out[j] = round((math.atan2(y[j], x[j]) - start) / increment)
 
 
 @jit_unchecked
-def _place(x: _Floats, y: _Floats, start: float, increment: float, out: _Floats) -> None:
-    """Write the approximate ray number of points; NaN without a direction."""
+def _nearly(x: _Floats, y: _Floats, start: float, increment: float, out: _Ints) -> None:
+    """Write the nearest rays by the polynomial, `_UNSURE` where they are not beyond doubt."""
+    sure = 0.5 - _ERROR_RAD / abs(increment)
     for j in range(len(x)):
         large, small = max(abs(x[j]), abs(y[j])), min(abs(x[j]), abs(y[j]))
         r = small / large
@@ -76,4 +69,7 @@ def _place(x: _Floats, y: _Floats, start: float, increment: float, out: _Floats)
         bearing *= r
         bearing = math.pi / 2.0 - bearing if abs(y[j]) > abs(x[j]) else bearing
         bearing = math.pi - bearing if x[j] < 0.0 else bearing
-        out[j] = ((-bearing if y[j] < 0.0 else bearing) - start) / increment
+        place = ((-bearing if y[j] < 0.0 else bearing) - start) / increment
+        ray = math.floor(place + 0.5)
+        is_sure = (abs(place - ray) < sure) & (abs(y[j]) > _LEVEL * abs(x[j]))
+        out[j] = ray if is_sure else _UNSURE

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.between import between
 from oracle_pipeline.features.plugin import Located, Missing, Series, Window
 
 MAD_TO_DEVIATION = 1.4826  # of a normal distribution
@@ -17,8 +19,7 @@ MAD_TO_DEVIATION = 1.4826  # of a normal distribution
 
 def within(times_s: NDArray[np.float64], window: Window) -> slice:
     """Return the slice of ascending times that is in a window."""
-    first, after = times_s.searchsorted((window.start_s, window.end_s)).tolist()
-    return slice(first, after)
+    return slice(*between(times_s, window.start_s, window.end_s))
 
 
 def quantile(series: Series, window: Window, q: float) -> float:
@@ -29,22 +30,34 @@ def quantile(series: Series, window: Window, q: float) -> float:
     return quantile_of(series.values[within(series.times_s, window)], q)
 
 
+@jit
 def quantile_of(values: NDArray[np.float64], q: float) -> float:
     """Return a quantile of some numbers without the NaN ones; NaN if there is no other."""
-    values = np.sort(values)  # NaN last
-    last = values.size - int(np.isnan(values).sum()) - 1
+    ordered = np.sort(values[~np.isnan(values)])
+    last = len(ordered) - 1
     if last < 0:
         return math.nan
     low = int(q * last)
-    below, above = values[low], values[min(low + 1, last)]
-    return float(below + (q * last - low) * (above - below))
+    below, above = float(ordered[low]), float(ordered[min(low + 1, last)])
+    return below + (q * last - low) * (above - below)
 
 
-def median(values: NDArray[np.float64]) -> float:
-    """Return the median of some numbers, none of them NaN, as ``np.median``, which takes longer."""
-    last = values.size - 1
-    ordered = np.sort(values)
-    return float(0.5 * (ordered[last // 2] + ordered[(last + 1) // 2]))
+@jit
+def median_and_deviation(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the median of some numbers, none of them NaN, and their median distance from it."""
+    middle = np.median(values)
+    return middle, np.median(np.abs(values - middle))
+
+
+@jit
+def column_medians(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the median of each column's numbers, NaN if a column has none; shape (m,)."""
+    medians = np.full(values.shape[1], np.nan)
+    for j in range(values.shape[1]):
+        known = values[:, j][~np.isnan(values[:, j])]
+        if len(known):
+            medians[j] = np.median(known)
+    return medians
 
 
 def mean(series: Series, window: Window) -> float:

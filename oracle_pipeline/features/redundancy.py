@@ -184,10 +184,10 @@ def _compared_with(setup: ScannerSetup, suspect: str, other: str, most_hits: int
     counter = HitCounter(most_hits)
 
     def compared(part: slice) -> tuple[Floats, Floats]:
-        points = scans.rows(rows[part]).points()
-        seen = in_reference.at(part).columns().apply(points)
+        some = scans.rows(rows[part])
+        seen = in_reference.at(part).returns(some)
         agreed = agreement(seen, reference.rows(reference_rows[part]))
-        counter.add(placed.at(part).columns().apply(points), agreed.contradicted, part.start)
+        counter.add(placed.at(part).returns(some), agreed.contradicted, part.start)
         return row_medians(agreed.residual), agreed.contradicted_share()
 
     residual, contradicted = in_blocks(len(rows), scans.rays, compared)
@@ -209,7 +209,7 @@ def _beyond(setup: ScannerSetup, ranges: Series, mount: SensorMount, scanner: st
     in_sensor = sensor.inverse().compose(placed)
 
     def nearest_in_cone(part: slice) -> tuple[Floats]:
-        points = in_sensor.at(part).columns().apply(scans.rows(scan_rows[part]).points())
+        points = in_sensor.at(part).returns(scans.rows(scan_rows[part]))
         in_cone = np.abs(np.angle(points)) <= view[part, np.newaxis] / 2.0
         return (np.where(in_cone, np.abs(points), np.inf).min(axis=1),)
 

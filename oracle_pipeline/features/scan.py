@@ -114,7 +114,7 @@ def _scanner(setup: ScannerSetup, topic: str, scans: RecordedScans) -> _Scanner:
     moved = placed.at(after - 1).inverse().compose(placed.at(after))
 
     def compared(part: slice) -> tuple[Floats, Floats]:
-        in_scan_before = moved.at(part).columns().apply(scans.rows(after[part]).points())
+        in_scan_before = moved.at(part).returns(scans.rows(after[part]))
         agreed = agreement(in_scan_before, scans.rows(after[part] - 1))
         return row_medians(agreed.residual), whiteness(agreed.signed)
 

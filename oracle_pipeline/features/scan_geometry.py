@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.bags.jit import jit, jit_unchecked
 from oracle_pipeline.features.parts import frame_names, header_stamps_s, poses_of
 from oracle_pipeline.features.plugin import Missing, Request, Series, Window
 from oracle_pipeline.features.polar import distances, rays
@@ -64,6 +64,13 @@ class Planar(NamedTuple):
         shift, turn = (np.asarray(part)[..., np.newaxis] for part in self[:2])
         return Planar(shift, turn, self.flipped)
 
+    def returns(self, scans: Scans) -> Points:
+        """Return the ends of rays in the parent frame, shape (n, m); NaN without a return.
+
+        Pose i is that of the sensor at scan i.
+        """
+        return _placed(scans.ranges, scans.rays_along(), self.shift, self.turn, self.flipped)
+
 
 class Agreement(NamedTuple):
     """Agreement of points with another sensor's returns; shape (n, m)."""
@@ -98,6 +105,23 @@ def agreement(points: Points, reference: Scans) -> Agreement:
     return Agreement(*_agree(points, reference.ranges, *bearings, reference.range_max))
 
 
+@jit_unchecked
+def _placed(
+    ranges: Floats, rays_along: Points, shift: Points, turn: Points, flipped: bool
+) -> Points:
+    """Do as ``Planar.apply`` does with each row of points, without arrays between."""
+    placed = np.empty(ranges.shape, np.complex128)
+    for i in range(ranges.shape[0]):
+        along = rays_along[i if len(rays_along) > 1 else 0]
+        c, s = turn[i].real, turn[i].imag
+        for j in range(ranges.shape[1]):
+            distance = ranges[i, j] if abs(ranges[i, j]) < math.inf else math.nan
+            x, y = distance * along[j].real, distance * along[j].imag
+            y = -y if flipped else y
+            placed[i, j] = complex(shift[i].real + (c * x - s * y), shift[i].imag + (c * y + s * x))
+    return placed
+
+
 @jit
 def _agree(
     points: Points, ranges: Floats, angle_min: Floats, angle_increment: Floats, range_max: float
@@ -107,13 +131,16 @@ def _agree(
     away, own = np.empty(points.shape[1]), np.empty(points.shape[1], np.int64)
     for i in range(points.shape[0]):
         circle = max(1, round(2.0 * math.pi / abs(angle_increment[i])))  # bearings around
-        distances(points[i].real, points[i].imag, away)
-        rays(points[i].real, points[i].imag, angle_min[i], angle_increment[i], own)
+        x, y = points[i].real.copy(), points[i].imag.copy()  # side by side, several at a time
+        distances(x, y, away)
+        rays(x, y, angle_min[i], angle_increment[i], own)
         for j in range(points.shape[1]):
             distance = away[j]
             if math.isnan(distance):
                 continue
-            ray = (own[j] - _NEIGHBOURS) % circle
+            ray = own[j] - _NEIGHBOURS
+            if not 0 <= ray < circle:
+                ray %= circle
             apart, free, all_valid = math.inf, range_max, True
             for neighbour in range(2 * _NEIGHBOURS + 1):
                 measured = ranges[i, ray] if ray < ranges.shape[1] else math.nan

@@ -102,12 +102,27 @@ def _match_all(
     before: Floats, now: Floats, before_start: Floats, now_start: Floats, increment: Floats
 ) -> Floats:
     moved = np.full((len(now), 3), np.nan)
+    rays_before, rays_now = _directions(0, 1, 0.0, 0.0), _directions(0, 1, 0.0, 0.0)
+    stride = max(1, now.shape[1] // _SAMPLE)
     for k in range(len(now)):
         if math.isnan(increment[k]):
             continue
+        if k == 0 or increment[k] != increment[k - 1] or before_start[k] != before_start[k - 1]:
+            rays_before = _directions(before.shape[1], 1, before_start[k], increment[k])
+        if k == 0 or increment[k] != increment[k - 1] or now_start[k] != now_start[k - 1]:
+            rays_now = _directions(now.shape[1], stride, now_start[k], increment[k])
+        surfaces = _surfaces(before[k], *rays_before, increment[k])
+        ends = now[k, ::stride] * rays_now[0], now[k, ::stride] * rays_now[1]
         guess = _turn(before[k], now[k], increment[k])
-        moved[k] = _match(before[k], now[k], before_start[k], now_start[k], increment[k], guess)
+        moved[k] = _match(surfaces, ends, before_start[k], increment[k], guess)
     return moved
+
+
+@jit
+def _directions(rays: int, stride: int, start: float, increment: float) -> tuple[Floats, Floats]:
+    """Return the unit vectors along every so many rays of a scan."""
+    bearings = start + increment * np.arange(0, rays, stride)
+    return np.cos(bearings), np.sin(bearings)
 
 
 @jit
@@ -134,42 +149,52 @@ def _turn(before: Floats, now: Floats, increment: float) -> float:
 
 @jit
 def _match(
-    before: Floats,
-    now: Floats,
-    before_start: float,
-    now_start: float,
+    surfaces: tuple[Floats, Floats, Floats, Floats],
+    ends: tuple[Floats, Floats],
+    start: float,
     increment: float,
     guess: float,
 ) -> Floats:
-    """Return x, y [m] and yaw [rad] of the later scan's sensor in the earlier one's frame."""
+    """Return x, y [m] and yaw [rad] of the later scan's sensor in the earlier one's frame.
+
+    Parameters
+    ----------
+    surfaces : tuple of ndarray, shape (n,) each
+        Of the earlier scan, from `_surfaces`.
+    ends : tuple of ndarray, shape (m,) each
+        Coordinates of some of the later scan's returns [m].
+    start, increment : float
+        Bearing of the earlier scan's first ray, and from one to the next [rad].
+    guess : float
+        The turn to begin with [rad].
+    """
     nowhere = np.full(3, np.nan)
-    qx, qy, nx, ny = _surfaces(before, before_start, increment)
+    (qx, qy, nx, ny), (ends_x, ends_y) = surfaces, ends
     circle = max(1, round(2.0 * math.pi / abs(increment)))
     x, y, yaw = 0.0, 0.0, guess
-    matrix, vector = np.zeros((3, 3)), np.zeros(3)
-    stride = max(1, len(now) // _SAMPLE)
-    bearings = now_start + increment * np.arange(0, len(now), stride)
-    ends_x, ends_y = now[::stride] * np.cos(bearings), now[::stride] * np.sin(bearings)
+    moved_x, moved_y = np.empty_like(ends_x), np.empty_like(ends_y)
     own = np.empty(len(ends_x), np.int64)
     for iteration in range(_ITERATIONS):
         gate = 0.3 if iteration < 3 else 0.12
-        matrix[:], vector[:] = 0.0, 0.0
+        # The normal equations: a symmetric matrix by its upper half, and the right-hand side.
+        xx, xy, xt, yy, yt, tt = _RIDGE, 0.0, 0.0, _RIDGE, 0.0, 0.0
+        vx = vy = vt = 0.0
         c, s = math.cos(yaw), math.sin(yaw)
         met, valid = 0, 0
-        turned_x, turned_y = c * ends_x - s * ends_y, s * ends_x + c * ends_y
-        moved_x, moved_y = turned_x + x, turned_y + y
-        rays(moved_x, moved_y, before_start, increment, own)
+        moved_x[:] = c * ends_x - s * ends_y + x
+        moved_y[:] = s * ends_x + c * ends_y + y
+        rays(moved_x, moved_y, start, increment, own)
         for j in range(len(ends_x)):
             if not math.isfinite(ends_x[j]):
                 continue
             valid += 1
-            rx, ry, px, py = turned_x[j], turned_y[j], moved_x[j], moved_y[j]
+            px, py = moved_x[j], moved_y[j]
             nearest, distance = -1, 0.09
             after = (own[j] - _REACH) % circle
             for _ in range(2 * _REACH + 1):
                 ray = after
                 after = ray + 1 if ray + 1 < circle else 0
-                if ray < len(before) and not math.isnan(nx[ray]):
+                if ray < len(nx) and not math.isnan(nx[ray]):
                     apart = (px - qx[ray]) ** 2 + (py - qy[ray]) ** 2
                     if apart < distance:
                         nearest, distance = ray, apart
@@ -180,32 +205,42 @@ def _match(
                 continue
             met += 1
             weight = 1.0 / (1.0 + (error / _WEIGHT_M) ** 2)
-            slope = (nx[nearest], ny[nearest], ny[nearest] * rx - nx[nearest] * ry)
-            for a in range(3):
-                vector[a] -= weight * slope[a] * error
-                for b in range(3):
-                    matrix[a, b] += weight * slope[a] * slope[b]
+            sx, sy = nx[nearest], ny[nearest]
+            st = sy * (c * ends_x[j] - s * ends_y[j]) - sx * (s * ends_x[j] + c * ends_y[j])
+            wx, wy, wt = weight * sx, weight * sy, weight * st
+            vx, vy, vt = vx - wx * error, vy - wy * error, vt - wt * error
+            xx, xy, xt = xx + wx * sx, xy + wx * sy, xt + wx * st
+            yy, yt, tt = yy + wy * sy, yt + wy * st, tt + wt * st
         if met < _FEWEST or met < _LEAST_SHARE * valid:
             return nowhere
-        matrix[0, 0], matrix[1, 1] = matrix[0, 0] + _RIDGE, matrix[1, 1] + _RIDGE
-        change = np.linalg.solve(matrix, vector)
-        x, y, yaw = x + change[0], y + change[1], yaw + change[2]
-        if np.abs(change).max() < _SETTLED:
+        # By elimination; the ridge keeps the first two pivots above zero.
+        fy, ft = xy / xx, xt / xx
+        yy, yt, tt = yy - fy * xy, yt - fy * xt, tt - ft * xt
+        vy, vt = vy - fy * vx, vt - ft * vx
+        ft = yt / yy
+        tt, vt = tt - ft * yt, vt - ft * vy
+        if tt <= 0.0:
+            return nowhere
+        turned = vt / tt
+        ahead_y = (vy - yt * turned) / yy
+        ahead_x = (vx - xy * ahead_y - xt * turned) / xx
+        x, y, yaw = x + ahead_x, y + ahead_y, yaw + turned
+        if max(abs(ahead_x), abs(ahead_y), abs(turned)) < _SETTLED:
             break
     return np.array([x, y, yaw])
 
 
 @jit
 def _surfaces(
-    ranges: Floats, start: float, increment: float
+    ranges: Floats, cosines: Floats, sines: Floats, increment: float
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Return points on the surfaces in a scan, and their normals; NaN where there is none."""
     n = len(ranges)
     x, y = np.full(n, np.nan), np.full(n, np.nan)
     for i in range(n):
         if math.isfinite(ranges[i]):
-            x[i] = ranges[i] * math.cos(start + i * increment)
-            y[i] = ranges[i] * math.sin(start + i * increment)
+            x[i] = ranges[i] * cosines[i]
+            y[i] = ranges[i] * sines[i]
     qx, qy, nx, ny = x.copy(), y.copy(), np.full(n, np.nan), np.full(n, np.nan)
     for i in range(n):
         if math.isnan(x[i]):
@@ -221,9 +256,14 @@ def _surfaces(
         if count < _SURFACE + 1:
             continue
         mx, my = sx / count, sy / count
-        along = 0.5 * math.atan2(
-            2.0 * (sxy / count - mx * my), (sxx / count - mx * mx) - (syy / count - my * my)
-        )
+        # The surface's direction is half the angle whose sine and cosine these are, times a size.
+        b = 2.0 * (sxy / count - mx * my)
+        a = (sxx / count - mx * mx) - (syy / count - my * my)
+        size = math.sqrt(a * a + b * b)
+        along_x = math.sqrt(0.5 * (1.0 + abs(a) / size)) if size > 0.0 else 1.0
+        along_y = 0.5 * abs(b) / (size * along_x) if size > 0.0 else 0.0
+        if a < 0.0:
+            along_x, along_y = along_y, along_x
         qx[i], qy[i] = x[i] + mx, y[i] + my
-        nx[i], ny[i] = -math.sin(along), math.cos(along)
+        nx[i], ny[i] = -math.copysign(along_y, b), along_x
     return qx, qy, nx, ny

@@ -71,11 +71,15 @@ class Scans:
             start, step = start[:1], step[:1]
         return start + step * np.arange(self.rays)
 
+    def rays_along(self) -> Points:
+        """Return the unit vector along each ray, of as many rows as `bearings`."""
+        along: Points = np.exp(1j * self.bearings())
+        return along
+
     def points(self) -> Points:
         """Return the ends of rays in the sensor's frame, shape (n, m); NaN without a return."""
         finite = np.where(np.isfinite(self.ranges), self.ranges, np.nan)
-        ended: Points = finite * np.exp(1j * self.bearings())
-        return ended
+        return finite * self.rays_along()
 
 
 class RecordedScans:

@@ -20,7 +20,7 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.reduction import largest, median
+from oracle_pipeline.features.reduction import largest, median_and_deviation
 from oracle_pipeline.features.scans import Floats
 from oracle_pipeline.robots.roles import SCAN
 
@@ -59,6 +59,7 @@ FEATURES = (
     ),
 )  # fmt: skip
 
+_KINDS = {msgtype: name for name, msgtype in SENSORS.items()}
 _FEWEST = 5  # messages of a compared topic
 
 
@@ -67,19 +68,19 @@ def compute(window: Window) -> Values | Missing:
     held = {
         topic: _held_s(each)
         for topic, each in window.arrivals.items()
-        if _sensor(topic, window) and len(each.header_stamps_ns) >= _FEWEST
+        if len(each.header_stamps_ns) >= _FEWEST and _sensor(topic, window)
     }
     if not held:
         return Missing("too few messages of sensors with header stamps")
     held = _over_the_freshest(held, window.arrivals)
-    usual = {topic: median(each) for topic, each in held.items()}
-    jitter = {t: median(np.abs(each - usual[t])) for t, each in held.items()}
+    spreads = {topic: median_and_deviation(each) for topic, each in held.items()}
+    usual = {topic: each[0] for topic, each in spreads.items()}
     values: dict[str, float | Located | Missing] = {}
     for name, msgtype in SENSORS.items():
         topics = [topic for topic in held if _sensor(topic, window) == name]
         none = f"too few {msgtype} messages with header stamps"
         values[f"{name}_latency"] = largest({t: usual[t] for t in topics}, none)
-        values[f"{name}_jitter"] = largest({t: jitter[t] for t in topics}, none)
+        values[f"{name}_jitter"] = largest({t: spreads[t][1] for t in topics}, none)
     periods = {topic: _period(window.arrivals[topic]) for topic in held}
     values["period_jitter"] = largest(
         {t: each[1] for t, each in periods.items()}, "the header stamps do not increase"
@@ -101,8 +102,7 @@ def _sensor(topic: str, window: Window) -> str:
     """Return the kind of sensor of a topic; empty without one."""
     if window.roles.has(SCAN, topic):
         return "scan"
-    msgtype = window.arrivals[topic].msgtype
-    return next((name for name, each in SENSORS.items() if each == msgtype), "")
+    return _KINDS.get(window.arrivals[topic].msgtype, "")
 
 
 def _over_the_freshest(
@@ -113,7 +113,7 @@ def _over_the_freshest(
     The clocks of recorder and stamps may differ in rate, as with a slow simulator, but equally for
     all sensors. The freshest sensor itself is compared with a linear fit.
     """
-    freshest = min(held, key=lambda topic: (median(held[topic]), topic))
+    freshest = min(held, key=lambda topic: (median_and_deviation(held[topic])[0], topic))
     times_s = arrivals[freshest].times_s
     common = held[freshest]
     if times_s[-1] > times_s[0]:
@@ -137,8 +137,8 @@ def _held_s(arrivals: Arrivals) -> Floats:
 
 def _period(arrivals: Arrivals) -> tuple[float, float]:
     """Return the median time between stamps [s], and its relative deviation; NaN if it is 0."""
-    steps_s = np.diff(arrivals.header_stamps_ns) / 1e9
-    period_s = median(steps_s)
+    stamps_ns = arrivals.header_stamps_ns
+    period_s, deviation_s = median_and_deviation((stamps_ns[1:] - stamps_ns[:-1]) / 1e9)
     if period_s <= 0.0:
         return math.inf, math.nan
-    return period_s, median(np.abs(steps_s - period_s)) / period_s
+    return period_s, deviation_s / period_s

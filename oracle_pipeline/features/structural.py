@@ -21,6 +21,7 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
+from oracle_pipeline.features.shared import once_for_graph
 
 FEATURES = (
     Feature("max_degree", "1", 1.0, "largest degree (number of edges) of a vertex"),
@@ -77,12 +78,14 @@ def graph_shape(graph: RosGraph) -> dict[str, float]:
 
 def compute(window: Window) -> Values | Missing:
     """Compute the shape of the system."""
-    return _compute(window.system)
+    assert window.system is not None  # noqa: S101 -- the plugin needs a graph
+    return once_for_graph(_compute, window, window.system)
 
 
 def compute_raw(window: Window) -> Values | Missing:
     """Compute the shape of the whole graph, including observers."""
-    return _compute(window.graph)
+    assert window.graph is not None  # noqa: S101 -- the plugin needs a graph
+    return once_for_graph(_compute, window, window.graph)
 
 
 @hookimpl
@@ -98,8 +101,7 @@ def register_features() -> list[FeaturePlugin]:
     ]
 
 
-def _compute(graph: RosGraph | None) -> Values | Missing:
-    assert graph is not None  # noqa: S101 -- the plugins need a graph
+def _compute(_: Window, graph: RosGraph) -> Values | Missing:
     if not graph.edges:
         return Missing("the graph has no edges")
     vertices = frozenset((vertex, data["kind"]) for vertex, data in graph.nodes(data=True))

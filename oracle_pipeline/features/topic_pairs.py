@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.arrays import ARRAYS, doubled_ranks, each, roughness, standardised
 from oracle_pipeline.features.plugin import (
     Feature,
@@ -187,10 +188,21 @@ def _counts(
     times_s: NDArray[np.float64], arrays: NDArray[np.object_], low: float, high: float
 ) -> _Counts:
     before = np.zeros((len(arrays) + 1, _BINS), dtype=np.int32)
-    for row, array in zip(before[1:], arrays, strict=True):
-        bins = (array[np.isfinite(array)].astype(np.float64) - low) * (_BINS / (high - low))
-        row += np.bincount(np.clip(bins, 0, _BINS - 1).astype(np.int64), minlength=_BINS)
-    return _Counts(times_s, before.cumsum(axis=0, dtype=np.int32, out=before))
+    for row, array in enumerate(arrays):
+        before[row + 1] = before[row]
+        _count(array, low, _BINS / (high - low), before[row + 1])
+    return _Counts(times_s, before)
+
+
+@jit
+def _count(
+    numbers: NDArray[np.floating[Any]], low: float, per_unit: float, counts: NDArray[np.int32]
+) -> None:
+    """Add the finite numbers of an array to a histogram, those beyond it to its ends."""
+    for number in numbers:
+        if np.isfinite(number):
+            place = (np.float64(number) - low) * per_unit
+            counts[int(min(max(place, 0.0), len(counts) - 1.0))] += 1
 
 
 def _rank_differences(ours: NDArray[np.uint16], theirs: NDArray[np.uint16]) -> list[float]:

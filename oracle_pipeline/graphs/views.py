@@ -6,6 +6,7 @@ replaced by numbers.
 """
 
 import re
+from collections.abc import Set
 
 from oracle_pipeline.bags.graph_files import RosGraph, vertex_id
 
@@ -19,21 +20,36 @@ def system_view(graph: RosGraph) -> RosGraph:
     ``/transform_listener_impl_<address>`` become ``/transform_listener_impl_0``, ``_1``, ..., in
     the order of their neighbours, so that equal systems have equal views.
     """
-    observers = [
+    gone = {
         vertex
         for vertex, data in graph.nodes(data=True)
         if data["kind"] == "node" and _OBSERVERS.fullmatch(data["label"])
-    ]
-    view: RosGraph = graph.copy()
-    view.remove_nodes_from(observers)
-    view.remove_nodes_from(
-        [
-            vertex
-            for vertex, data in graph.nodes(data=True)
-            if data["kind"] != "node" and view.degree(vertex) == 0 and graph.degree(vertex) > 0
-        ]
+    }
+    gone |= {
+        vertex
+        for vertex, data in graph.nodes(data=True)
+        if data["kind"] != "node"
+        and (users := graph.pred[vertex].keys() | graph.succ[vertex].keys())
+        and users <= gone
+    }
+    labels = _numbered(graph, gone)
+    names = {
+        vertex: vertex_id(graph.nodes[vertex]["kind"], labels[vertex])
+        if vertex in labels
+        else vertex
+        for vertex in graph
+        if vertex not in gone
+    }
+    view: RosGraph = graph.__class__(**graph.graph)
+    for vertex, name in names.items():
+        data = graph.nodes[vertex]
+        view.add_node(name, **data | {"label": labels.get(vertex, data["label"])})
+    view.add_edges_from(
+        (names[source], names[target], traffic)
+        for source, target, traffic in graph.edges(data=True)
+        if source in names and target in names
     )
-    return _numbered(view)
+    return view
 
 
 def thesis_view(graph: RosGraph) -> RosGraph:
@@ -50,27 +66,20 @@ def thesis_view(graph: RosGraph) -> RosGraph:
     return view
 
 
-def _numbered(graph: RosGraph) -> RosGraph:
-    """Replace generated names by numbers."""
+def _numbered(graph: RosGraph, gone: Set[str]) -> dict[str, str]:
+    """Return labels with numbers, for the vertices that have generated ones and are not gone."""
 
     def neighbours(vertex: str) -> tuple[list[str], list[str], str]:
-        return sorted(graph.predecessors(vertex)), sorted(graph.successors(vertex)), vertex
+        before, after = graph.pred[vertex].keys() - gone, graph.succ[vertex].keys() - gone
+        return sorted(before), sorted(after), vertex
 
     count: dict[str, int] = {}
-    names: dict[str, str] = {}
-    generated = [v for v in graph if _GENERATED_SUFFIX.fullmatch(graph.nodes[v]["label"])]
+    labels: dict[str, str] = {}
+    generated = [
+        v for v in graph if v not in gone and _GENERATED_SUFFIX.fullmatch(graph.nodes[v]["label"])
+    ]
     for vertex in sorted(generated, key=neighbours):
         stem = _GENERATED_SUFFIX.sub(r"\1", graph.nodes[vertex]["label"])
-        names[vertex] = f"{stem}_{count.get(stem, 0)}"
+        labels[vertex] = f"{stem}_{count.get(stem, 0)}"
         count[stem] = count.get(stem, 0) + 1
-    kinds = {vertex: graph.nodes[vertex]["kind"] for vertex in names}
-    if not names:
-        return graph
-    import networkx as nx
-
-    view: RosGraph = nx.relabel_nodes(
-        graph, {vertex: vertex_id(kinds[vertex], name) for vertex, name in names.items()}
-    )
-    for vertex, name in names.items():
-        view.nodes[vertex_id(kinds[vertex], name)]["label"] = name
-    return view
+    return labels
