@@ -17,6 +17,7 @@ from sim.middleware.stamps import header
 from sim.middleware.tf import TransformBroadcaster, planar_transform, transforms_template
 from sim.turtlebot3 import frames
 from sim.turtlebot3.mjcf import WHEEL_RADIUS_M, WHEEL_SEPARATION_M
+from sim.turtlebot3.wheel_odometry import Wheels
 
 _JointState = message_class("sensor_msgs/msg/JointState")
 _Odometry = message_class("nav_msgs/msg/Odometry")
@@ -125,14 +126,12 @@ def _towards(now: float, target: float) -> float:
 class JointStatePlugin(Node):
     """``/joint_states`` of the two wheels."""
 
-    def __init__(
-        self, domain: Domain, measure: Callable[[], tuple[list[float], list[float]]]
-    ) -> None:
+    def __init__(self, domain: Domain, measure: Callable[[], tuple[Wheels, Wheels]]) -> None:
         super().__init__(domain, "/turtlebot3_joint_state")
         self._measure = measure
         self._publisher = self.create_publisher(_JOINT_STATE, "/joint_states", qos.profile(1000))
         self._bytes = Template(
-            _joint_state(0, [0.0, 0.0], [0.0, 0.0]), _JOINT_STATE, (*STAMP, "position", "velocity")
+            _joint_state(0, (0.0, 0.0), (0.0, 0.0)), _JOINT_STATE, (*STAMP, "position", "velocity")
         )
         self.create_timer(ODOMETRY_NS, self._publish)
 
@@ -144,7 +143,7 @@ class JointStatePlugin(Node):
         )
 
 
-def _joint_state(time_ns: int, angles: list[float], speeds: list[float]) -> Any:
+def _joint_state(time_ns: int, angles: Wheels, speeds: Wheels) -> Any:
     names = list(frames.WHEEL_JOINTS)
     no_effort = np.zeros(0)
     return _JointState(header(time_ns, ""), names, np.array(angles), np.array(speeds), no_effort)

@@ -111,7 +111,7 @@ class ImuPlugin(Node):
         data = imu_bytes(samples, self._gyro, noise)
         call_at, publish = self.domain.executor.call_at, self._publisher.publish_serialized
         begin = 0
-        for due_ns in samples.stamps_ns.tolist():
+        for due_ns in samples.stamps_ns:
             end = begin + _IMU_BYTES
             call_at(due_ns, publish, data[begin:end])
             begin = end
@@ -150,15 +150,17 @@ def imu_bytes(samples: ImuSamples, gyro: GyroError, noise: NDArray[np.float64]) 
         Shape (n, 6), of angular velocity and acceleration, in standard deviations.
     """
     words = _imu_words(
-        samples.stamps_ns, samples.orientations, samples.angular_velocities,
-        samples.linear_accelerations, gyro.scale, gyro.bias_rad_s, noise, _IMU_HEAD, _IMU_TAIL,
+        samples.stamps_ns.start, samples.stamps_ns.step, samples.orientations,
+        samples.angular_velocities, samples.linear_accelerations, gyro.scale, gyro.bias_rad_s,
+        noise, _IMU_HEAD, _IMU_TAIL,
     )  # fmt: skip
     return words.tobytes()
 
 
 @jit
 def _imu_words(
-    stamps_ns: NDArray[np.int64],
+    begin_ns: int,
+    period_ns: int,
     orientations: NDArray[np.float64],
     angular_velocities: NDArray[np.float64],
     linear_accelerations: NDArray[np.float64],
@@ -168,12 +170,12 @@ def _imu_words(
     head: NDArray[np.uint32],
     tail: NDArray[np.float64],
 ) -> NDArray[np.uint32]:
-    words = np.empty((len(stamps_ns), len(head) + 2 * len(tail)), np.uint32)
+    words = np.empty((len(orientations), len(head) + 2 * len(tail)), np.uint32)
     numbers = tail.copy()
-    for i in range(len(stamps_ns)):
+    for i in range(len(words)):
+        stamp_ns = begin_ns + i * period_ns
         words[i, : len(head)] = head
-        words[i, 1] = stamps_ns[i] // SECOND
-        words[i, 2] = stamps_ns[i] % SECOND
+        words[i, 1], words[i, 2] = stamp_ns // SECOND, stamp_ns % SECOND
         numbers[:3], numbers[3] = orientations[i, 1:], orientations[i, 0]
         for axis in range(3):
             turning = scale * angular_velocities[i, axis] + (bias if axis == 2 else 0.0)
