@@ -60,11 +60,11 @@ class TransformBuffer:
         for stamped in message.transforms:
             child, parent = self._row(stamped.child_frame_id), self._row(stamped.header.frame_id)
             translation, q = stamped.transform.translation, stamped.transform.rotation
-            pose = float(translation.x), float(translation.y), quaternion_yaw(q.x, q.y, q.z, q.w)
-            time_ns = stamp_ns(stamped.header.stamp)
             count = _add(
-                self._links, self._times, self._poses, child, parent, static, time_ns, pose
-            )
+                self._links, self._times, self._poses, child, parent, int(static),
+                stamp_ns(stamped.header.stamp), float(translation.x), float(translation.y),
+                quaternion_yaw(q.x, q.y, q.z, q.w),
+            )  # fmt: skip
             if count == self._times.shape[1]:
                 self._make_room(1, 2)
 
@@ -125,8 +125,8 @@ def _arrays(frames: int, samples: int) -> tuple[_Ints, _Ints, _Floats]:
 
 @jit
 def _add(
-    links: _Ints, times: _Ints, poses: _Floats, child: int, parent: int, static: bool,
-    time_ns: int, pose: _Planar,
+    links: _Ints, times: _Ints, poses: _Floats, child: int, parent: int, static: int,
+    time_ns: int, x: float, y: float, yaw: float,
 ) -> int:  # fmt: skip
     """Add a sample, drop those that are too old, and return how many there are."""
     link, times, poses = links[child], times[child], poses[child]
@@ -138,7 +138,7 @@ def _add(
         times[index], poses[index] = times[index - 1], poses[index - 1]
         index -= 1
     times[index] = time_ns
-    poses[index, 0], poses[index, 1], poses[index, 2] = pose
+    poses[index, 0], poses[index, 1], poses[index, 2] = x, y, yaw
     first = 0
     if link[_STATIC]:
         first = count - 1
