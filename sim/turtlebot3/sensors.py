@@ -36,6 +36,7 @@ _RANGE = "sensor_msgs/msg/Range"
 Ranges = NDArray[np.float64]
 
 IMU_NS = 34 * MILLISECOND  # period of odometry; all samples of one period are measured together
+_MOST_SAMPLES = math.ceil(IMU_NS / STEP_NS)  # in one period
 SCAN_NS = 200 * MILLISECOND
 
 SCAN_RAYS = 360
@@ -103,9 +104,7 @@ class ImuPlugin(Node):
         super().__init__(domain, "/turtlebot3_imu", rng=rng)
         self._measure = measure
         self._gyro = gyro
-        self._rows = _imu_template().rows(
-            -(-IMU_NS // STEP_NS)
-        )  # at most so many are sent together
+        self._rows = _imu_template().rows(_MOST_SAMPLES)
         self._publisher = self.create_publisher(_IMU, "/imu", qos.profile(5))
         self.create_timer(IMU_NS, self._publish, phase_ns=0)
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from sim.middleware.geometry import Pose2D
 from sim.turtlebot3.mjcf import WHEEL_RADIUS_M, WHEEL_SEPARATION_M
 
-Wheels = tuple[float, float]  # of the left and the right one
+Wheels = tuple[float, float]  # of the left and the right wheel
 
 
 class WheelOdometry:
