@@ -4,13 +4,14 @@ All frames that navigation looks up move in the plane, so a transform is kept as
 """
 
 import math
-from bisect import bisect_right
-from collections.abc import Iterable
-from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
+from sim.jit import jit
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND
@@ -24,75 +25,48 @@ _Transform = message_class("geometry_msgs/msg/Transform")
 _TransformStamped = message_class("geometry_msgs/msg/TransformStamped")
 _Vector3 = message_class("geometry_msgs/msg/Vector3")
 
-_Planar = tuple[float, float, float]  # x, y [m], yaw [rad]
-
 CACHE_NS = 10 * SECOND  # tf2's default cache time
+_TRIMMED_ABOVE = 1024  # samples; old ones are dropped rarely, as all others have to move
+_FRAMES = 32  # for which there is room at first
+_LATEST = -(2**63)  # a time that stands for the newest sample of each link
 _TF = "tf2_msgs/msg/TFMessage"
 _TF_STATIC_QOS = qos.profile(100, latched=True)
+
+_PARENT, _COUNT, _STATIC = 0, 1, 2  # columns of the links
+_NONE, _UNCONNECTED = -1, -2  # instead of a row
+
+_Ints = NDArray[np.int64]
+_Floats = NDArray[np.float64]
+_Planar = tuple[float, float, float]  # x, y [m], yaw [rad]
 
 
 class TransformError(LookupError):
     """A transform is unknown, or unknown at that time."""
 
 
-@dataclass(slots=True)
-class _Link:
-    """The poses of a child frame in its parent over the last ten seconds."""
-
-    parent: str
-    static: bool
-    times: list[int] = field(default_factory=list)
-    poses: list[_Planar] = field(default_factory=list)
-
-    def add(self, time_ns: int, pose: _Planar) -> None:
-        if not self.times or time_ns >= self.times[-1]:
-            self.times.append(time_ns)
-            self.poses.append(pose)
-        else:
-            index = bisect_right(self.times, time_ns)
-            self.times.insert(index, time_ns)
-            self.poses.insert(index, pose)
-        if len(self.times) > 1024 or self.static:  # trimmed rarely, as deleting takes linear time
-            keep = bisect_right(self.times, self.times[-1] - CACHE_NS) if not self.static else -1
-            del self.times[:keep], self.poses[:keep]
-
-    def at(self, time_ns: int | None, child: str) -> _Planar:
-        if self.static or time_ns is None:
-            return self.poses[-1]
-        index = bisect_right(self.times, time_ns)
-        if index == 0 or (index == len(self.times) and time_ns > self.times[-1]):
-            raise TransformError(
-                f"{child} in {self.parent} is known from {self.times[0] / 1e9:.3f} s "
-                f"to {self.times[-1] / 1e9:.3f} s, not at {time_ns / 1e9:.3f} s"
-            )
-        before = self.poses[index - 1]
-        if self.times[index - 1] == time_ns:
-            return before
-        after = self.poses[index]
-        share = (time_ns - self.times[index - 1]) / (self.times[index] - self.times[index - 1])
-        return (
-            before[0] + share * (after[0] - before[0]),
-            before[1] + share * (after[1] - before[1]),
-            wrap_angle(before[2] + share * wrap_angle(after[2] - before[2])),
-        )
-
-
 class TransformBuffer:
-    """The tree of frames, from the transforms received so far."""
+    """The tree of frames, from the transforms received so far.
+
+    A frame has a row in each of three arrays, so that a lookup is one compiled call: its link to
+    the parent, the times of the link's samples in order, and the poses in the parent at that time.
+    """
 
     def __init__(self) -> None:
-        self._links: dict[str, _Link] = {}
+        self._rows: dict[str, int] = {}  # of each frame
+        self._links, self._times, self._poses = _arrays(_FRAMES, _TRIMMED_ABOVE + 1)
 
     def receive(self, message: Any, *, static: bool) -> None:
         """Store the transforms of a ``tf2_msgs/msg/TFMessage``."""
         for stamped in message.transforms:
-            child = stamped.child_frame_id
-            link = self._links.get(child)
-            if link is None or link.parent != stamped.header.frame_id:
-                link = self._links[child] = _Link(stamped.header.frame_id, static)
+            child, parent = self._row(stamped.child_frame_id), self._row(stamped.header.frame_id)
             translation, q = stamped.transform.translation, stamped.transform.rotation
-            yaw = quaternion_yaw(q.x, q.y, q.z, q.w)
-            link.add(stamp_ns(stamped.header.stamp), (translation.x, translation.y, yaw))
+            count = _add(
+                self._links, self._times, self._poses, child, parent, int(static),
+                stamp_ns(stamped.header.stamp), float(translation.x), float(translation.y),
+                quaternion_yaw(q.x, q.y, q.z, q.w),
+            )  # fmt: skip
+            if count == self._times.shape[1]:
+                self._make_room(1, 2)
 
     def lookup(self, target: str, source: str, time_ns: int | None = None) -> Pose2D:
         """Return the transform that takes coordinates in ``source`` into ``target``.
@@ -109,47 +83,143 @@ class TransformBuffer:
         TransformError
             If the frames are not connected, or not known at that time.
         """
-        root_target, to_x, to_y, to_yaw = self._to_root(target, time_ns)
-        root_source, x, y, yaw = self._to_root(source, time_ns)
-        if root_target != root_source:
+        above, below = self._row(target), self._row(source)
+        at_ns = _LATEST if time_ns is None else time_ns
+        (x, y, yaw), unknown = _transform(
+            self._links, self._times, self._poses, above, below, at_ns
+        )
+        if unknown == _NONE:
+            return Pose2D(x, y, yaw)
+        if unknown == _UNCONNECTED or time_ns is None:
             raise TransformError(f"frames {target} and {source} are not connected")
-        # The target's inverse, and the source in it: `Pose2D.inverse`, `Pose2D.compose`.
-        c, s = math.cos(to_yaw), math.sin(to_yaw)
-        to_x, to_y, to_yaw = -c * to_x - s * to_y, s * to_x - c * to_y, wrap_angle(-to_yaw)
-        c, s = math.cos(to_yaw), math.sin(to_yaw)
-        return Pose2D(to_x + c * x - s * y, to_y + s * x + c * y, wrap_angle(to_yaw + yaw))
+        frames, (parent, count, _) = list(self._rows), self._links[unknown].tolist()
+        begin, end = self._times[unknown, 0], self._times[unknown, count - 1]
+        raise TransformError(
+            f"{frames[unknown]} in {frames[parent]} is known from {begin / 1e9:.3f} s "
+            f"to {end / 1e9:.3f} s, not at {time_ns / 1e9:.3f} s"
+        )
 
-    def latest_common_ns(self, target: str, source: str) -> int:
-        """Return the newest time at which ``lookup(target, source)`` is known [ns]."""
-        self.lookup(target, source)
-        newest = [
-            self._links[frame].times[-1]
-            for end in (target, source)
-            for frame in self._ancestors(end)
-            if frame in self._links and not self._links[frame].static
-        ]
-        return min(newest, default=0)
+    def _row(self, frame: str) -> int:
+        """Return the row of a frame, which may be new."""
+        row = self._rows.get(frame)
+        if row is None:
+            row = self._rows[frame] = len(self._rows)
+            if row == len(self._links):
+                self._make_room(2, 1)
+        return row
 
-    def _ancestors(self, frame: str) -> Iterable[str]:
-        yield frame
-        while frame in self._links:
-            frame = self._links[frame].parent
-            yield frame
+    def _make_room(self, frames: int, samples: int) -> None:
+        """Multiply the number of rows, and that of the samples in a row."""
+        full = self._links, self._times, self._poses
+        rows, columns = self._times.shape
+        self._links, self._times, self._poses = wide = _arrays(frames * rows, samples * columns)
+        for old, new in zip(full, wide, strict=True):
+            new[tuple(map(slice, old.shape))] = old
 
-    def _to_root(self, frame: str, time_ns: int | None) -> tuple[str, float, float, float]:
-        """Return the root above a frame, and the frame's pose in it.
 
-        Composed as by `Pose2D.compose`, but without a pose for each link: it is called often.
-        """
-        links = self._links
-        x = y = yaw = 0.0
-        while (link := links.get(frame)) is not None:
-            link_x, link_y, link_yaw = link.at(time_ns, frame)
-            c, s = math.cos(link_yaw), math.sin(link_yaw)
-            x, y = link_x + c * x - s * y, link_y + s * x + c * y
-            yaw = wrap_angle(link_yaw + yaw)
-            frame = link.parent
-        return frame, x, y, yaw
+def _arrays(frames: int, samples: int) -> tuple[_Ints, _Ints, _Floats]:
+    """Return arrays for so many frames, with so many samples [ns] and [m, m, rad] of each."""
+    links = np.tile(np.array([_NONE, 0, False]), (frames, 1))
+    return links, np.empty((frames, samples), np.int64), np.empty((frames, samples, 3))
+
+
+@jit
+def _add(
+    links: _Ints, times: _Ints, poses: _Floats, child: int, parent: int, static: int,
+    time_ns: int, x: float, y: float, yaw: float,
+) -> int:  # fmt: skip
+    """Add a sample, drop those that are too old, and return how many there are."""
+    link, times, poses = links[child], times[child], poses[child]
+    if link[_PARENT] != parent:
+        link[_PARENT], link[_COUNT], link[_STATIC] = parent, 0, static
+    count: int = link[_COUNT] + 1
+    index = count - 1
+    while index > 0 and times[index - 1] > time_ns:
+        times[index], poses[index] = times[index - 1], poses[index - 1]
+        index -= 1
+    times[index] = time_ns
+    poses[index, 0], poses[index, 1], poses[index, 2] = x, y, yaw
+    first = 0
+    if link[_STATIC]:
+        first = count - 1
+    elif count > _TRIMMED_ABOVE:
+        while times[first] <= times[count - 1] - CACHE_NS:
+            first += 1
+    if first > 0:
+        count -= first
+        for i in range(count):
+            times[i], poses[i] = times[first + i], poses[first + i]
+    link[_COUNT] = count
+    return count
+
+
+@jit
+def _transform(
+    links: _Ints, times: _Ints, poses: _Floats, target: int, source: int, time_ns: int
+) -> tuple[_Planar, int]:
+    """Return the pose of the source in the target, and the frame that is unknown, if any."""
+    upper, upper_root, unknown = _to_root(links, times, poses, target, time_ns)
+    if unknown != _NONE:
+        return upper, unknown
+    lower, lower_root, unknown = _to_root(links, times, poses, source, time_ns)
+    if unknown == _NONE and upper_root != lower_root:
+        unknown = _UNCONNECTED
+    return _composed(_inverted(upper), lower), unknown
+
+
+@jit
+def _to_root(
+    links: _Ints, times: _Ints, poses: _Floats, frame: int, time_ns: int
+) -> tuple[_Planar, int, int]:
+    """Return a frame's pose in the root above it, the root, and the frame that is unknown."""
+    pose = (0.0, 0.0, 0.0)
+    for _ in range(len(links)):
+        if links[frame, _PARENT] == _NONE:
+            return pose, frame, _NONE
+        known, above = _at(links[frame], times[frame], poses[frame], time_ns)
+        if not known:
+            return pose, frame, frame
+        pose = _composed(above, pose)
+        frame = links[frame, _PARENT]
+    return pose, frame, _UNCONNECTED  # the frames form a circle
+
+
+@jit
+def _at(link: _Ints, times: _Ints, poses: _Floats, time_ns: int) -> tuple[bool, _Planar]:
+    """Return whether a link is known at a time, and its pose then: between samples, linear."""
+    index = last = link[_COUNT] - 1
+    if time_ns != _LATEST and not link[_STATIC]:
+        while index >= 0 and times[index] > time_ns:
+            index -= 1
+        if index < 0 or times[last] < time_ns:
+            return False, (0.0, 0.0, 0.0)
+    x, y, yaw = poses[index]
+    if index == last or times[index] == time_ns:
+        return True, (x, y, yaw)
+    next_x, next_y, next_yaw = poses[index + 1]
+    share = (time_ns - times[index]) / (times[index + 1] - times[index])
+    turn = share * _wrapped(next_yaw - yaw)
+    return True, (x + share * (next_x - x), y + share * (next_y - y), _wrapped(yaw + turn))
+
+
+# As `Pose2D.compose` and `Pose2D.inverse`, operation by operation.
+
+
+@jit
+def _composed(upper: _Planar, lower: _Planar) -> _Planar:
+    (x, y, yaw), (ahead, aside, turn) = upper, lower
+    c, s = math.cos(yaw), math.sin(yaw)
+    return x + c * ahead - s * aside, y + s * ahead + c * aside, _wrapped(yaw + turn)
+
+
+@jit
+def _inverted(pose: _Planar) -> _Planar:
+    x, y, yaw = pose
+    c, s = math.cos(yaw), math.sin(yaw)
+    return -c * x - s * y, s * x - c * y, _wrapped(-yaw)
+
+
+_wrapped = jit(wrap_angle)
 
 
 class TransformListener(Node):

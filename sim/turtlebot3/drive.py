@@ -5,18 +5,21 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
+from sim.jit import jit
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
-from sim.middleware.geometry import Pose2D, yaw_quaternion
+from sim.middleware.geometry import Pose2D
 from sim.middleware.node import Node
 from sim.middleware.stamps import header
-from sim.middleware.tf import TransformBroadcaster, planar_transform, transforms_template
+from sim.middleware.tf import TransformBroadcaster, transforms_template
 from sim.turtlebot3 import frames
 from sim.turtlebot3.mjcf import WHEEL_RADIUS_M, WHEEL_SEPARATION_M
+from sim.turtlebot3.wheel_odometry import Wheels
 
 _JointState = message_class("sensor_msgs/msg/JointState")
 _Odometry = message_class("nav_msgs/msg/Odometry")
@@ -24,6 +27,8 @@ _Point = message_class("geometry_msgs/msg/Point")
 _Pose = message_class("geometry_msgs/msg/Pose")
 _PoseWithCovariance = message_class("geometry_msgs/msg/PoseWithCovariance")
 _Quaternion = message_class("geometry_msgs/msg/Quaternion")
+_Transform = message_class("geometry_msgs/msg/Transform")
+_TransformStamped = message_class("geometry_msgs/msg/TransformStamped")
 _Twist = message_class("geometry_msgs/msg/Twist")
 _TwistWithCovariance = message_class("geometry_msgs/msg/TwistWithCovariance")
 _Vector3 = message_class("geometry_msgs/msg/Vector3")
@@ -34,6 +39,7 @@ _ODOMETRY = "nav_msgs/msg/Odometry"
 # Of the diff drive's pose and twist: x, y and yaw, with the covariances of the plugin.
 _ODOMETRY_COVARIANCE = np.diag([1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3]).ravel()
 _ODOMETRY_COVARIANCE.setflags(write=False)
+_JOINTS, _NO_EFFORT = list(frames.WHEEL_JOINTS), np.zeros(0)
 
 ODOMETRY_NS = 34 * MILLISECOND  # nominally 30 Hz, in steps of 1 ms
 
@@ -62,12 +68,10 @@ class DiffDrivePlugin(Node):
         self._set_point = (0.0, 0.0)
         self._publisher = self.create_publisher(_ODOMETRY, "/odom", qos.RELIABLE)
         self._tf = TransformBroadcaster(self)
-        self._odometry_bytes = Template(
-            _odometry_message(0, Pose2D(), 0.0, 0.0),
-            _ODOMETRY,
-            (*STAMP, "pose.pose", "twist.twist"),
-        )
-        self._tf_bytes = transforms_template([_odom_transform(0, Pose2D())])
+        odometry, transform = _messages(0, Pose2D(), (0.0, 1.0), (0.0, 0.0))
+        fields = (*STAMP, "pose.pose", "twist.twist")
+        self._odometry_row = Template(odometry, _ODOMETRY, fields).rows(1)
+        self._transform_row = transforms_template([transform]).rows(1)
         self.create_subscription(
             "geometry_msgs/msg/Twist", "/cmd_vel", self._on_command, qos.RELIABLE
         )
@@ -80,33 +84,47 @@ class DiffDrivePlugin(Node):
     def _update(self) -> None:
         left, right = self._set_point = next_set_point(self._set_point, self._target)
         self._command_wheels(left / WHEEL_RADIUS_M, right / WHEEL_RADIUS_M)
-        pose, (forward, turning) = self._odometry()
+        pose, twist = self._odometry()
         now_ns = self.now_ns
-        stamp = divmod(now_ns, SECOND)
-        where = (pose.x, pose.y, 0.0, *yaw_quaternion(pose.yaw))
-        self._publisher.publish(
-            _odometry_message(now_ns, pose, forward, turning),
-            self._odometry_bytes.data(*stamp, where, (forward, 0.0, 0.0, 0.0, 0.0, turning)),
-        )
-        self._tf.send([_odom_transform(now_ns, pose)], self._tf_bytes.data(*stamp, where))
+        odometry_row, transform_row = self._odometry_row, self._transform_row
+        rotation = _fill_in(odometry_row, transform_row, now_ns, pose.x, pose.y, pose.yaw, *twist)
+        odometry, transform = _messages(now_ns, pose, rotation, twist)
+        self._publisher.publish(odometry, odometry_row.tobytes())
+        self._tf.send([transform], transform_row.tobytes())
 
 
-def _odometry_message(time_ns: int, pose: Pose2D, forward: float, turning: float) -> Any:
-    return _Odometry(
-        header(time_ns, "odom"),
+@jit
+def _fill_in(
+    odometry: NDArray[np.void], transform: NDArray[np.void], now_ns: int,
+    x: float, y: float, yaw: float, forward: float, turning: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Write the numbers of the odometry and of its transform; return z and w of the rotation."""
+    z, w = math.sin(yaw / 2.0), math.cos(yaw / 2.0)
+    row, other = odometry[0], transform[0]
+    row["header.stamp.sec"] = other["transforms.0.header.stamp.sec"] = now_ns // SECOND
+    row["header.stamp.nanosec"] = other["transforms.0.header.stamp.nanosec"] = now_ns % SECOND
+    for where in (row["pose.pose"], other["transforms.0.transform"]):
+        where[0], where[1], where[5], where[6] = x, y, z, w
+    row["twist.twist"][0], row["twist.twist"][5] = forward, turning
+    return z, w
+
+
+def _messages(
+    time_ns: int, pose: Pose2D, rotation: tuple[float, float], twist: tuple[float, float]
+) -> tuple[Any, Any]:
+    """Return the odometry and its transform, which share their header and rotation."""
+    stamped, turned = header(time_ns, "odom"), _Quaternion(0.0, 0.0, *rotation)
+    forward, turning = twist
+    odometry = _Odometry(
+        stamped,
         "base_footprint",
-        _PoseWithCovariance(
-            _Pose(_Point(pose.x, pose.y, 0.0), _Quaternion(*yaw_quaternion(pose.yaw))),
-            _ODOMETRY_COVARIANCE,
-        ),
+        _PoseWithCovariance(_Pose(_Point(pose.x, pose.y, 0.0), turned), _ODOMETRY_COVARIANCE),
         _TwistWithCovariance(
             _Twist(_Vector3(forward, 0.0, 0.0), _Vector3(0.0, 0.0, turning)), _ODOMETRY_COVARIANCE
         ),
     )
-
-
-def _odom_transform(time_ns: int, pose: Pose2D) -> Any:
-    return planar_transform(time_ns, "odom", "base_footprint", pose)
+    moved = _Transform(_Vector3(pose.x, pose.y, 0.0), turned)
+    return odometry, _TransformStamped(stamped, "base_footprint", moved)
 
 
 def next_set_point(now: tuple[float, float], target: tuple[float, float]) -> tuple[float, float]:
@@ -125,15 +143,12 @@ def _towards(now: float, target: float) -> float:
 class JointStatePlugin(Node):
     """``/joint_states`` of the two wheels."""
 
-    def __init__(
-        self, domain: Domain, measure: Callable[[], tuple[list[float], list[float]]]
-    ) -> None:
+    def __init__(self, domain: Domain, measure: Callable[[], tuple[Wheels, Wheels]]) -> None:
         super().__init__(domain, "/turtlebot3_joint_state")
         self._measure = measure
         self._publisher = self.create_publisher(_JOINT_STATE, "/joint_states", qos.profile(1000))
-        self._bytes = Template(
-            _joint_state(0, [0.0, 0.0], [0.0, 0.0]), _JOINT_STATE, (*STAMP, "position", "velocity")
-        )
+        fields = (*STAMP, "position", "velocity")
+        self._bytes = Template(_joint_state(0, (0.0, 0.0), (0.0, 0.0)), _JOINT_STATE, fields)
         self.create_timer(ODOMETRY_NS, self._publish)
 
     def _publish(self) -> None:
@@ -144,7 +159,5 @@ class JointStatePlugin(Node):
         )
 
 
-def _joint_state(time_ns: int, angles: list[float], speeds: list[float]) -> Any:
-    names = list(frames.WHEEL_JOINTS)
-    no_effort = np.zeros(0)
-    return _JointState(header(time_ns, ""), names, np.array(angles), np.array(speeds), no_effort)
+def _joint_state(time_ns: int, angles: Wheels, speeds: Wheels) -> Any:
+    return _JointState(header(time_ns, ""), _JOINTS, np.array(angles), np.array(speeds), _NO_EFFORT)

@@ -57,13 +57,15 @@ def mjcf(parameters: WorldParameters, *, with_pieces: bool = True) -> str:
     """Return the model; without the pieces it is an infinite floor with the robot.
 
     The solver's islands and the tree of geoms are off: for a single robot they find the same
-    contacts and forces, and take a seventh of the time of a step.
+    contacts and forces, and take a seventh of the time of a step. So are the parts of the physics
+    that the model does not use.
     """
     around = pieces(parameters) if with_pieces else {}
     return f"""
 <mujoco>
   <option timestep="{STEP_NS / 1e9}" gravity="0 0 -9.8" integrator="implicitfast">
-    <flag island="disable" midphase="disable"/>
+    <flag island="disable" midphase="disable" equality="disable" frictionloss="disable"
+          limit="disable" spring="disable" damper="disable"/>
   </option>
   <default>
     <geom friction="{parameters.friction} 0.005 0.0001"/>

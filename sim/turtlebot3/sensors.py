@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.template import STAMP, Template
-from oracle_pipeline.bags.types import message_class, serialize
+from oracle_pipeline.bags.types import message_class
 from sim.jit import jit
 from sim.middleware import qos
 from sim.middleware.domain import Domain
@@ -20,6 +20,7 @@ from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.node import Node
 from sim.middleware.stamps import header
 from sim.turtlebot3 import frames
+from sim.turtlebot3.mjcf import STEP_NS
 from sim.turtlebot3.world import ImuSamples
 
 _Imu = message_class("sensor_msgs/msg/Imu")
@@ -35,6 +36,7 @@ _RANGE = "sensor_msgs/msg/Range"
 Ranges = NDArray[np.float64]
 
 IMU_NS = 34 * MILLISECOND  # period of odometry; all samples of one period are measured together
+_MOST_SAMPLES = math.ceil(IMU_NS / STEP_NS)  # in one period
 SCAN_NS = 200 * MILLISECOND
 
 SCAN_RAYS = 360
@@ -102,23 +104,28 @@ class ImuPlugin(Node):
         super().__init__(domain, "/turtlebot3_imu", rng=rng)
         self._measure = measure
         self._gyro = gyro
+        self._rows = _imu_template().rows(_MOST_SAMPLES)
         self._publisher = self.create_publisher(_IMU, "/imu", qos.profile(5))
         self.create_timer(IMU_NS, self._publish, phase_ns=0)
 
     def _publish(self) -> None:
         samples = self._measure(self.now_ns + IMU_NS)
         noise = self.rng.standard_normal((len(samples.stamps_ns), 6))
-        data = imu_bytes(samples, self._gyro, noise)
+        rows = self._rows[: len(samples.stamps_ns)]
+        _fill_in(
+            rows, samples.stamps_ns.start, samples.stamps_ns.step, samples.orientations,
+            samples.angular_velocities, samples.linear_accelerations, self._gyro.scale,
+            self._gyro.bias_rad_s, noise,
+        )  # fmt: skip
+        data, size = rows.tobytes(), rows.itemsize
         call_at, publish = self.domain.executor.call_at, self._publisher.publish_serialized
-        begin = 0
-        for due_ns in samples.stamps_ns.tolist():
-            end = begin + _IMU_BYTES
-            call_at(due_ns, publish, data[begin:end])
-            begin = end
+        for i, due_ns in enumerate(samples.stamps_ns):
+            call_at(due_ns, publish, data[i * size : (i + 1) * size])
 
 
-_IMU_PROTOTYPE = serialize(
-    _Imu(
+def _imu_template() -> Template:
+    """Return the template of the messages; stamp, orientation and both measurements differ."""
+    prototype = _Imu(
         header(0, "imu_link"),
         _Quaternion(0.0, 0.0, 0.0, 1.0),
         np.zeros(9),  # of the orientation: unknown
@@ -126,63 +133,35 @@ _IMU_PROTOTYPE = serialize(
         np.diag([GYRO_NOISE**2] * 3).ravel(),
         _Vector3(0.0, 0.0, 0.0),
         np.diag([ACCELEROMETER_NOISE**2] * 3).ravel(),
-    ),
-    _IMU,
-)
-_IMU_BYTES = len(_IMU_PROTOTYPE)
-# The message ends with doubles: orientation, angular velocity and acceleration, each with its
-# covariance. They begin at a multiple of 8 bytes behind the encapsulation, so at an odd word.
-_IMU_DOUBLES = 4 + 9 + 3 + 9 + 3 + 9
-_IMU_HEAD = np.frombuffer(_IMU_PROTOTYPE[: -8 * _IMU_DOUBLES], np.uint32)
-_IMU_TAIL = np.frombuffer(_IMU_PROTOTYPE[-8 * _IMU_DOUBLES :], np.float64)
-
-
-def imu_bytes(samples: ImuSamples, gyro: GyroError, noise: NDArray[np.float64]) -> bytes:
-    """Return samples as messages, in order.
-
-    Parameters
-    ----------
-    samples
-        Measurements of an ideal IMU.
-    gyro
-        Errors of the gyroscope.
-    noise
-        Shape (n, 6), of angular velocity and acceleration, in standard deviations.
-    """
-    words = _imu_words(
-        samples.stamps_ns, samples.orientations, samples.angular_velocities,
-        samples.linear_accelerations, gyro.scale, gyro.bias_rad_s, noise, _IMU_HEAD, _IMU_TAIL,
-    )  # fmt: skip
-    return words.tobytes()
+    )
+    fields = (*STAMP, "orientation", "angular_velocity", "linear_acceleration")
+    return Template(prototype, _IMU, fields)
 
 
 @jit
-def _imu_words(
-    stamps_ns: NDArray[np.int64],
+def _fill_in(
+    rows: NDArray[np.void],
+    begin_ns: int,
+    period_ns: int,
     orientations: NDArray[np.float64],
     angular_velocities: NDArray[np.float64],
     linear_accelerations: NDArray[np.float64],
     scale: float,
     bias: float,
     noise: NDArray[np.float64],
-    head: NDArray[np.uint32],
-    tail: NDArray[np.float64],
-) -> NDArray[np.uint32]:
-    words = np.empty((len(stamps_ns), len(head) + 2 * len(tail)), np.uint32)
-    numbers = tail.copy()
-    for i in range(len(stamps_ns)):
-        words[i, : len(head)] = head
-        words[i, 1] = stamps_ns[i] // SECOND
-        words[i, 2] = stamps_ns[i] % SECOND
-        numbers[:3], numbers[3] = orientations[i, 1:], orientations[i, 0]
+) -> None:
+    """Write one message in each row; noise is (n, 6), of both measurements [sd]."""
+    for i in range(len(rows)):
+        row, stamp_ns = rows[i], begin_ns + i * period_ns
+        row["header.stamp.sec"], row["header.stamp.nanosec"] = stamp_ns // SECOND, stamp_ns % SECOND
         for axis in range(3):
+            row["orientation"][axis] = orientations[i, 1 + axis]
             turning = scale * angular_velocities[i, axis] + (bias if axis == 2 else 0.0)
-            numbers[13 + axis] = turning + GYRO_NOISE * noise[i, axis]
-            numbers[25 + axis] = (
+            row["angular_velocity"][axis] = turning + GYRO_NOISE * noise[i, axis]
+            row["linear_acceleration"][axis] = (
                 linear_accelerations[i, axis] + ACCELEROMETER_NOISE * noise[i, 3 + axis]
             )
-        words[i, len(head) :] = numbers.view(np.uint32)
-    return words
+        row["orientation"][3] = orientations[i, 0]
 
 
 class LaserPlugin(Node):

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from sim.middleware.geometry import Pose2D
 from sim.turtlebot3.mjcf import WHEEL_RADIUS_M, WHEEL_SEPARATION_M
 
+Wheels = tuple[float, float]  # of the left and the right wheel
+
 
 class WheelOdometry:
     """Dead reckoning of a differential drive; the first pose is (0, 0, 0).
@@ -23,7 +25,7 @@ class WheelOdometry:
         Angles [rad] and speeds [rad/s] of the left and the right wheel.
     """
 
-    def __init__(self, measure: Callable[[], tuple[list[float], list[float]]]) -> None:
+    def __init__(self, measure: Callable[[], tuple[Wheels, Wheels]]) -> None:
         self._measure = measure
         self._angles, _ = measure()
         self._pose = Pose2D()

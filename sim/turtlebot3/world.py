@@ -14,10 +14,12 @@ import numpy as np
 from mujoco.rollout import Rollout
 from numpy.typing import NDArray
 
+from sim.jit import jit
 from sim.middleware.geometry import Pose2D, quaternion_yaw, wrap_angle
 from sim.turtlebot3.clear_space import ClearSpace
 from sim.turtlebot3.mjcf import STATIC, STEP_NS, WorldParameters, mjcf, pieces
 from sim.turtlebot3.rays import Piece, Rays
+from sim.turtlebot3.wheel_odometry import Wheels
 
 _EPISODE_GAP_NS = 1_000_000_000  # a robot that scrapes along a wall touches it again and again
 
@@ -26,8 +28,7 @@ _SEEN_BY_CAMERAS = np.array([1, 0, 1, 0, 0, 0], np.uint8)
 
 # A state is time, positions (robot: x, y, z, quaternion w, x, y, z; wheels) and their speeds.
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_POSE, _POSITION, _QUATERNION, _WHEEL_ANGLES = np.s_[1:8], np.s_[1:4], np.s_[4:8], np.s_[8:10]
-_VELOCITY, _TURNING, _WHEEL_SPEEDS = np.s_[10:13], 15, np.s_[16:18]
+_POSE, _QUATERNION = np.s_[1:8], np.s_[4:8]
 # Sensors: gyro, accelerometer, and per piece of the world how often the robot touches it.
 _GYRO, _ACCELEROMETER, _INERTIAL, _TOUCHES = np.s_[:3], np.s_[3:6], np.s_[:6], np.s_[6:]
 
@@ -39,10 +40,33 @@ _SUN = np.array([0.5, -0.1, 0.9]) / math.sqrt(1.07)  # its direction, as seen fr
 class ImuSamples(NamedTuple):
     """Measurements of an ideal inertial unit in ``imu_link``, one for each physics step."""
 
-    stamps_ns: NDArray[np.int64]  # (n,)
+    stamps_ns: range  # n of them
     orientations: NDArray[np.float64]  # (n, 4), quaternions w, x, y, z
     angular_velocities: NDArray[np.float64]  # (n, 3) [rad/s]
     linear_accelerations: NDArray[np.float64]  # (n, 3), gravity included [m/s^2]
+
+
+class _Motion(NamedTuple):
+    """What odometry and joint states measure at a time."""
+
+    pose: Pose2D
+    twist: tuple[float, float]  # forward [m/s], turning [rad/s]
+    wheel_angles: Wheels  # [rad]
+    wheel_speeds: Wheels  # [rad/s]
+
+
+class _Physics(NamedTuple):
+    """A compiled model and its state, each in a list as `Rollout` takes them."""
+
+    models: list[mujoco.MjModel]
+    datas: list[mujoco.MjData]
+    warm_start: NDArray[np.float64]  # of its solver; a view of the state
+
+    @classmethod
+    def of(cls, description: str) -> "_Physics":
+        model = mujoco.MjModel.from_xml_string(description)
+        data = mujoco.MjData(model)
+        return cls([model], [data], data.qacc_warmstart)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +99,9 @@ class World:
     """
 
     def __init__(self, parameters: WorldParameters) -> None:
-        self._model = mujoco.MjModel.from_xml_string(mjcf(parameters))
-        self._data = mujoco.MjData(self._model)
-        self._alone = mujoco.MjModel.from_xml_string(mjcf(parameters, with_pieces=False))
-        self._data_alone = mujoco.MjData(self._alone)
+        self._whole = _Physics.of(mjcf(parameters))
+        self._alone = _Physics.of(mjcf(parameters, with_pieces=False))
+        (self._model,), (self._data,) = self._whole.models, self._whole.datas
         self._arena = parameters.arena
         self._obstacles = parameters.obstacles
         self._clear = ClearSpace(parameters.arena, parameters.obstacles)
@@ -91,8 +114,8 @@ class World:
         self._rollout = Rollout(nthread=0)
         self._command = np.zeros(self._model.nu)
         self._now_ns = 0
-        self._pose_ns = self._state_ns = -1  # time of the two below
-        self._pose, self._numbers = start, list[float]()
+        self._motion_ns = -1  # of the motion below
+        self._motion = _Motion(start, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
         # The steps that are computed already: from ``_first`` on, before ``_unknown_ns``.
         self._first = 0
         self._unknown_ns = STEP_NS
@@ -132,23 +155,12 @@ class World:
         """
         if self._row < len(self._states) - 1:
             raise ValueError(f"at {self._now_ns} ns the physics has gone on with the last command")
-        self._command = np.array([left, right])
+        self._command[0], self._command[1] = left, right
 
     @property
     def pose(self) -> Pose2D:
         """Ground truth of ``base_footprint`` in the world."""
-        if self._pose_ns != self._now_ns:
-            self._pose_ns, self._pose = self._now_ns, self._carried_on(self._state())
-        return self._pose
-
-    def _carried_on(self, state: list[float]) -> Pose2D:
-        """Return the current pose: that of the last step, extrapolated with its speeds."""
-        ahead_s = self._ahead_s
-        x, y, _ = state[_POSITION]
-        w, qx, qy, qz = state[_QUATERNION]
-        vx, vy, _ = state[_VELOCITY]
-        yaw = wrap_angle(quaternion_yaw(qx, qy, qz, w) + ahead_s * state[_TURNING])
-        return Pose2D(x + ahead_s * vx, y + ahead_s * vy, yaw)
+        return self._moving().pose
 
     def clearance(self, places: NDArray[np.float64]) -> float:
         """Return the smallest distance of points of shape (n, 2) from any surface [m]."""
@@ -161,35 +173,30 @@ class World:
     @property
     def twist(self) -> tuple[float, float]:
         """Ground truth of the forward [m/s] and the angular speed [rad/s]."""
-        state = self._state()
-        vx, vy, _ = state[_VELOCITY]
-        yaw = self.pose.yaw
-        return vx * math.cos(yaw) + vy * math.sin(yaw), state[_TURNING]
+        return self._moving().twist
 
-    def wheel_states(self) -> tuple[list[float], list[float]]:
+    def wheel_states(self) -> tuple[Wheels, Wheels]:
         """Return angles [rad] and speeds [rad/s] of the left and the right wheel."""
-        state, ahead_s = self._state(), self._ahead_s
-        speeds = state[_WHEEL_SPEEDS]
-        return [
-            angle + ahead_s * speed
-            for angle, speed in zip(state[_WHEEL_ANGLES], speeds, strict=True)
-        ], speeds
+        motion = self._moving()
+        return motion.wheel_angles, motion.wheel_speeds
 
-    def _state(self) -> list[float]:
-        """Return the state of the last step, which several sensors share."""
-        if self._state_ns != self._now_ns:
-            self._state_ns, self._numbers = self._now_ns, self._states[self._row].tolist()
-        return self._numbers
+    def _moving(self) -> _Motion:
+        """Return the motion as of now, which several sensors share."""
+        if self._motion_ns != self._now_ns:
+            x, y, yaw, *rest = _carried_on(self._states[self._row], self._now_ns)
+            self._motion_ns = self._now_ns
+            self._motion = _Motion(Pose2D(x, y, yaw), *rest)
+        return self._motion
 
     def imu(self, until_ns: int) -> ImuSamples:
         """Return the samples of an inertial unit after now, up to ``until_ns``."""
         if until_ns >= self._unknown_ns:
             self._simulate_until(until_ns)
-        steps = np.s_[self._row + 1 : until_ns // STEP_NS - self._first + 1]
-        states, measured = self._states[steps], self._inertial[steps]
-        first = self._first + steps.start
+        begin, end = self._row + 1, until_ns // STEP_NS - self._first + 1
+        states, measured = self._states[begin:end], self._inertial[begin:end]
+        begin_ns = (self._first + begin) * STEP_NS
         return ImuSamples(
-            STEP_NS * np.arange(first, first + len(states)),
+            range(begin_ns, begin_ns + len(states) * STEP_NS, STEP_NS),
             states[:, _QUATERNION],
             measured[:, _GYRO],
             measured[:, _ACCELEROMETER],
@@ -266,47 +273,44 @@ class World:
         """Index of the current step among those computed already."""
         return self._now_ns // STEP_NS - self._first
 
-    @property
-    def _ahead_s(self) -> float:
-        """Time from the last step to now [s]."""
-        return self._now_ns % STEP_NS / 1e9
-
     def _simulate_until(self, time_ns: int) -> None:
         """Compute the missing steps up to ``time_ns``; drop those before now."""
+        before = min(self._row, len(self._states) - 1)
+        known = len(self._states) - before
         steps = (time_ns - self._unknown_ns) // STEP_NS + 1
-        states, inertial = self._steps(steps)
-        known = min(self._row, len(self._states) - 1)
-        self._first += known
+        states = np.empty((known + steps, self._states.shape[1]))
+        inertial = np.empty((known + steps, self._inertial.shape[1]))
+        states[:known], inertial[:known] = self._states[before:], self._inertial[before:]
+        self._step(states[known:], inertial[known:])
+        self._first += before
         self._unknown_ns += steps * STEP_NS
-        self._states = np.concatenate((self._states[known:], states))
-        self._inertial = np.concatenate((self._inertial[known:], inertial))
+        self._states, self._inertial = states, inertial
 
-    def _steps(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the next states, and the samples of the inertial unit in them."""
+    def _step(self, states: NDArray[np.float64], inertial: NDArray[np.float64]) -> None:
+        """Fill in the next states, and the samples of the inertial unit in them."""
         if self._is_clear or self._clear.holds(self._states[-1:, _POSE]):
-            states, measured = self._run(self._alone, self._data_alone, count)
+            self._run(self._alone, states, inertial)
             self._is_clear = self._clear.holds(states[:, _POSE])
             if self._is_clear:
-                self._warm_start[0] = self._data_alone.qacc_warmstart
-                return states, measured
-        states, measured = self._run(self._model, self._data, count)
-        self._warm_start[0] = self._data.qacc_warmstart
+                self._warm_start[0] = self._alone.warm_start
+                return
+        measured = np.empty((len(states), self._model.nsensordata))
+        self._run(self._whole, states, measured)
+        self._warm_start[0] = self._whole.warm_start
         self._watch_contacts(self._unknown_ns // STEP_NS, measured[:, _TOUCHES])
-        return states, measured[:, _INERTIAL]
+        inertial[:] = measured[:, _INERTIAL]
 
     def _run(
-        self, model: mujoco.MjModel, data: mujoco.MjData, count: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return states and sensors of the next steps by one of the two models."""
-        states = np.empty((1, count, self._states.shape[1]))
-        measured = np.empty((1, count, model.nsensordata))
-        commands = np.empty((1, count, len(self._command)))
+        self, physics: _Physics, states: NDArray[np.float64], measured: NDArray[np.float64]
+    ) -> None:
+        """Fill in states and sensors of the next steps by one of the two models."""
+        commands = np.empty((1, len(states), len(self._command)))
         commands[:] = self._command
         self._rollout.rollout(
-            [model], [data], self._states[-1:], commands, skip_checks=True, nstep=count,
-            initial_warmstart=self._warm_start, state=states, sensordata=measured,
+            physics.models, physics.datas, self._states[-1:], commands, skip_checks=True,
+            nstep=len(states), initial_warmstart=self._warm_start, state=states[np.newaxis],
+            sensordata=measured[np.newaxis],
         )  # fmt: skip
-        return states[0], measured[0]
 
     def _watch_contacts(self, first: int, touching: NDArray[np.float64]) -> None:
         """Record each piece that the robot touches and has not touched for a while."""
@@ -316,3 +320,24 @@ class World:
             if last_ns is None or stamp_ns - last_ns > _EPISODE_GAP_NS:
                 self.touches.append(Touch(stamp_ns, name))
             self._last_touch_ns[name] = stamp_ns
+
+
+@jit
+def _carried_on(
+    state: NDArray[np.float64], now_ns: int
+) -> tuple[float, float, float, tuple[float, float], Wheels, Wheels]:
+    """Return the motion now: that of the last step, extrapolated with its speeds."""
+    ahead_s = now_ns % STEP_NS / 1e9
+    _, x, y, _, w, qx, qy, qz, left, right, vx, vy, _, _, _, turning, v_left, v_right = state
+    yaw = _wrapped(_yaw(qx, qy, qz, w) + ahead_s * turning)
+    return (
+        x + ahead_s * vx,
+        y + ahead_s * vy,
+        yaw,
+        (vx * math.cos(yaw) + vy * math.sin(yaw), turning),
+        (left + ahead_s * v_left, right + ahead_s * v_right),
+        (v_left, v_right),
+    )
+
+
+_wrapped, _yaw = jit(wrap_angle), jit(quaternion_yaw)

@@ -5,16 +5,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from oracle_pipeline.bags.types import message_class
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND, Executor
 from sim.middleware.geometry import Pose2D, quaternion_yaw, wrap_angle, yaw_quaternion
 from sim.middleware.node import Node
 from sim.middleware.tf import (
+    CACHE_NS,
     TransformBroadcaster,
+    TransformBuffer,
     TransformError,
     TransformListener,
     planar_transform,
 )
+
+_TFMessage = message_class("tf2_msgs/msg/TFMessage")
 
 coordinates = st.floats(-100, 100)
 angles = st.floats(-math.pi, math.pi, exclude_max=True)
@@ -97,3 +102,36 @@ def test_unconnected_frames_have_no_transform():
     buffer = heard(planar_transform(0, "odom", "base_link", Pose2D()))
     with pytest.raises(TransformError, match="map and base_link are not connected"):
         buffer.lookup("map", "base_link")
+
+
+@given(st.tuples(poses, poses, poses))
+def test_the_compiled_lookup_computes_as_poses_do_to_the_bit(links):
+    chain = [planar_transform(0, f"{i}", f"{i + 1}", pose) for i, pose in enumerate(links)]
+    root = below = Pose2D()
+    for pose in reversed(links):
+        sent = Pose2D(pose.x, pose.y, quaternion_yaw(*yaw_quaternion(pose.yaw)))
+        below = sent.compose(below)
+    assert heard(*chain).lookup("0", "3") == root.inverse().compose(below)
+
+
+def test_frames_in_a_circle_have_no_transform():
+    buffer = heard(
+        planar_transform(0, "odom", "base_link", Pose2D()),
+        planar_transform(0, "base_link", "odom", Pose2D()),
+    )
+    with pytest.raises(TransformError, match="odom and base_link are not connected"):
+        buffer.lookup("odom", "base_link")
+
+
+def test_a_buffer_keeps_all_frames_and_the_last_ten_seconds_of_each():
+    frames, samples, period_ns = 50, 3000, 4_000_000
+    chain = [planar_transform(0, f"{i}", f"{i + 1}", Pose2D(1.0)) for i in range(frames)]
+    moving = [planar_transform(i * period_ns, "50", "51", Pose2D(i)) for i in range(samples)]
+    buffer = TransformBuffer()
+    buffer.receive(_TFMessage(chain), static=True)
+    buffer.receive(_TFMessage(moving), static=False)
+    newest_ns = (samples - 1) * period_ns
+    oldest_ns = newest_ns - CACHE_NS + period_ns
+    assert buffer.lookup("0", "51", oldest_ns).x == frames + oldest_ns // period_ns
+    with pytest.raises(TransformError, match="not at 0.000 s"):
+        buffer.lookup("0", "51", 0)

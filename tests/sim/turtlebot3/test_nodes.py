@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oracle_pipeline.bags.types import message_class
+from oracle_pipeline.bags.types import message_class, serialize
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND, Executor
@@ -63,6 +63,19 @@ def test_topics_come_at_their_rates_on_humble():
     robot.executor.run_until(20 * SECOND)
     rates = {topic: len(messages) / 20.0 for topic, messages in robot.heard.items()}
     assert rates == pytest.approx(RATES, rel=0.02)
+
+
+@pytest.mark.parametrize("topic", [*RATES, "/tf"])
+def test_the_bytes_of_a_message_are_those_of_the_object_that_others_receive(topic):
+    robot, recorded = Robot(Pose2D(-0.55, -0.55, 0.0)), []
+    robot.listen(topic)
+    for publisher in robot.domain.publishers(topic):
+        publisher.tap(recorded.append)
+    command = robot.tester.create_publisher("geometry_msgs/msg/Twist", "/cmd_vel", qos.RELIABLE)
+    command.publish(Twist(Vector3(0.2, 0.0, 0.0), Vector3(0.0, 0.0, 0.1)))
+    robot.executor.run_until(2 * SECOND)
+    msgtype = robot.domain.topics[topic]
+    assert [serialize(message, msgtype) for message in robot.heard[topic]] == recorded
 
 
 def test_wheel_transforms_come_at_the_rate_measured_on_humble():

@@ -144,7 +144,7 @@ def test_imu_samples_are_those_of_the_steps_after_now_and_do_not_move_the_robot(
     world.advance_to(34_000_000)
     pose = world.pose
     samples = world.imu(68_000_000)
-    assert samples.stamps_ns.tolist() == [ms * 1_000_000 for ms in (35, 40, 45, 50, 55, 60, 65)]
+    assert list(samples.stamps_ns) == [ms * 1_000_000 for ms in (35, 40, 45, 50, 55, 60, 65)]
     assert world.pose == pose
     assert world.imu(68_000_000).linear_accelerations.tolist() == (
         samples.linear_accelerations.tolist()
