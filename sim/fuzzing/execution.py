@@ -16,7 +16,7 @@ import numpy as np
 from sim.fuzzing.drawn_parameters import drawn_values
 from sim.fuzzing.fields import RefusedMessage
 from sim.fuzzing.ground_truth import GroundTruth
-from sim.fuzzing.program import Program
+from sim.fuzzing.program import Program, Source
 from sim.fuzzing.random import Draws
 from sim.fuzzing.state_operators import STORED_NS
 from sim.fuzzing.step import ACTIVATION, Step, Term
@@ -153,7 +153,6 @@ class Execution:
         """Stop acting at a time after the onset."""
         self._shared.ends_s = t_s
 
-    @_QUIETLY
     def on_source(self, name: str, message: Any, stamp_ns: int) -> None:
         """Take a message of one of the sources.
 
@@ -169,15 +168,16 @@ class Execution:
         source = self.program.sources[name]
         message = source.as_sent(message)
         self._source_ns[name] = stamp_ns
-        if not source.let:
-            self._sources[name] = message
-            return
+        self._sources[name] = self._derived(source, message, stamp_ns) if source.let else message
+
+    @_QUIETLY
+    def _derived(self, source: Source, message: Any, stamp_ns: int) -> dict[str, Any]:
+        """Return the values that a scenario computes from a message of a source."""
         step = self._step(stamp_ns, stamp_ns, {"msg": message})
         for key, term in source.let:
             step.env[key] = term(step)
-        self._sources[name] = {key: step.env[key] for key, _ in source.let}
+        return {key: step.env[key] for key, _ in source.let}
 
-    @_QUIETLY
     def on_message(self, message: Any, stamp_ns: int, t_s: float) -> Result:
         """Process a message of the main topic.
 
@@ -197,6 +197,14 @@ class Execution:
             Messages with the time at which each is due, ``stamp_ns`` unless delayed. An unchanged
             message is the same object.
         """
+        if self.program.scenario.control == "passthrough":
+            stamp = nanoseconds(message.header.stamp) if self._has_header else 0
+            return self._forwarded(message, stamp_ns, stamp or stamp_ns, "unchanged")
+        return self._altered(message, stamp_ns, t_s)
+
+    @_QUIETLY
+    def _altered(self, message: Any, stamp_ns: int, t_s: float) -> Result:
+        """Process a message as ``on_message`` does, if the scenario may alter it."""
         truth_ns = stamp_ns
         header = None
         index = self._received
@@ -222,14 +230,14 @@ class Execution:
             except RefusedMessage as refused:
                 reason = str(refused)
         self._shared.acted += operation != PASSTHROUGH
-        if reason is None and self.program.scenario.control != "shadow":
+        if reason is not None:
+            return self._forwarded(message, stamp_ns, truth_ns, reason)
+        if self.program.scenario.control != "shadow":
             if step.message is sent:  # unchanged, with the same identity and bytes
                 step.message = message
             outputs = self._outputs(step)
         else:
             outputs = [Output(stamp_ns, message, self.program.output_topic)]
-        if reason is not None:
-            step.magnitude, step.notes = 0.0, [reason]
         return Result(outputs, self._truth(step, truth_ns, operation, outputs))
 
     @_QUIETLY
@@ -288,14 +296,18 @@ class Execution:
             )
         return round(period_s * SECOND)
 
+    def _forwarded(self, message: Any, stamp_ns: int, truth_ns: int, reason: str) -> Result:
+        """Return a message unchanged, and why."""
+        topic, index = self.program.output_topic, self._published
+        self._published += 1
+        truth = GroundTruth(truth_ns, topic, index, PASSTHROUGH, 0.0, reason)
+        return Result([Output(stamp_ns, message, topic)], truth)
+
     def _reason_to_pass(self, step: Step, t_s: float) -> str | None:
         """Return why a message is forwarded unchanged, or None."""
-        program = self.program
-        if program.scenario.control == "passthrough":
-            return "unchanged"
         if not self._is_active(t_s):
             return "not active"
-        share = program.activation.probability
+        share = self.program.activation.probability
         if share < 1.0 and step.generator(ACTIVATION).random() >= share:
             return "spared"
         return None
