@@ -5,8 +5,7 @@ state between cycles, as Nav2 does on Humble. Topics and actions belong to the c
 """
 
 import math
-from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -17,8 +16,7 @@ from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.paths import Poses
 
 
-@dataclass(frozen=True, slots=True)
-class Cycle:
+class Cycle(NamedTuple):
     """Result of one control cycle; poses are in the costmap's frame."""
 
     twist: tuple[float, float] | None  # [m/s, rad/s]; None if no trajectory is legal

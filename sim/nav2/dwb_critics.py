@@ -35,6 +35,16 @@ class CostGrid(NamedTuple):
     origin_y: float
 
 
+class Cells(NamedTuple):
+    """The cells of a costmap without the costs: an array takes longer to pass than to read."""
+
+    columns: int
+    rows: int
+    resolution: float  # [m]
+    origin_x: float  # [m]
+    origin_y: float
+
+
 class Critics(NamedTuple):
     """Inputs of the critics that are constant within one cycle."""
 
@@ -53,6 +63,18 @@ class Critics(NamedTuple):
     turn: int  # 1 or -1: turn to this side only, 0: to any
 
 
+class Aims(NamedTuple):
+    """Some of the critics' inputs, without an array, as `Cells` are."""
+
+    left: int
+    low: int
+    goal_x: int
+    goal_y: int
+    nose_x: int
+    nose_y: int
+    align_path: bool
+
+
 class Scoring(NamedTuple):
     """Everything that determines the choice of one cycle."""
 
@@ -64,20 +86,26 @@ class Scoring(NamedTuple):
 
 
 @jit
-def cell(grid: CostGrid, x: float, y: float) -> tuple[int, int]:
+def _cells_of(grid: CostGrid) -> Cells:
+    rows, columns = grid.costs.shape
+    return Cells(columns, rows, grid.resolution, grid.origin_x, grid.origin_y)
+
+
+@jit
+def _cell(cells: Cells, x: float, y: float) -> tuple[int, int]:
     """Return column and row of a point, (-1, -1) outside."""
-    return _cell_at(grid, *_in_cells(grid, x, y))
+    return _cell_at(cells, *_in_cells(cells, x, y))
 
 
 @jit
-def _in_cells(grid: CostGrid, x: float, y: float) -> tuple[float, float]:
+def _in_cells(cells: Cells, x: float, y: float) -> tuple[float, float]:
     """Return how far a point is from the grid's corner [cells]."""
-    return (x - grid.origin_x) / grid.resolution, (y - grid.origin_y) / grid.resolution
+    return (x - cells.origin_x) / cells.resolution, (y - cells.origin_y) / cells.resolution
 
 
 @jit
-def _cell_at(grid: CostGrid, along: float, up: float) -> tuple[int, int]:
-    if 0.0 <= along < grid.costs.shape[1] and 0.0 <= up < grid.costs.shape[0]:
+def _cell_at(cells: Cells, along: float, up: float) -> tuple[int, int]:
+    if 0.0 <= along < cells.columns and 0.0 <= up < cells.rows:
         return int(along), int(up)
     return -1, -1
 
@@ -92,17 +120,17 @@ def map_plan(
     The plan counts up to where it leaves the costmap. Obstacles do not stop the propagation,
     so its result is the Manhattan distance; it is large where the plan is not on the map.
     """
-    costs = grid.costs
-    rows, columns = costs.shape
-    along, up = _in_cells(grid, x, y)
-    column = min(max(math.floor(along), 0), columns - 1)
-    row = min(max(math.floor(up), 0), rows - 1)
-    left, right = max(column - reach, 0), min(column + reach, columns - 1)
-    low, high = max(row - reach, 0), min(row + reach, rows - 1)
-    distance = np.full((high - low + 1, right - left + 1), rows + columns, dtype=np.int32)
+    costs, cells = grid.costs, _cells_of(grid)
+    along, up = _in_cells(cells, x, y)
+    column = min(max(math.floor(along), 0), cells.columns - 1)
+    row = min(max(math.floor(up), 0), cells.rows - 1)
+    left, right = max(column - reach, 0), min(column + reach, cells.columns - 1)
+    low, high = max(row - reach, 0), min(row + reach, cells.rows - 1)
+    far = cells.rows + cells.columns
+    distance = np.full((high - low + 1, right - left + 1), far, dtype=np.int32)
     goal_x, goal_y, last = -1, -1, -1
     for i in range(len(plan)):
-        column, row = cell(grid, plan[i, 0], plan[i, 1])
+        column, row = _cell(cells, plan[i, 0], plan[i, 1])
         if column >= 0 and costs[row, column] != UNKNOWN:
             # Every way from a cell beyond the edge leads over the cell of the edge nearest to it.
             edge_x, edge_y = min(max(column, left), right), min(max(row, low), high)
@@ -115,7 +143,7 @@ def map_plan(
     _propagate(distance)
     nose_x, nose_y = goal_x, goal_y
     if 0 <= last == len(plan) - 1:
-        column, row = cell(grid, plan[last, 0] + shift[0], plan[last, 1] + shift[1])
+        column, row = _cell(cells, plan[last, 0] + shift[0], plan[last, 1] + shift[1])
         if column >= 0 and costs[row, column] != UNKNOWN:
             nose_x, nose_y = column, row
     return distance, left, low, goal_x, goal_y, nose_x, nose_y
@@ -139,18 +167,14 @@ def _propagate(distance: NDArray[np.int32]) -> None:
 
 
 @jit
-def cost_at(grid: CostGrid, x: float, y: float) -> int:
-    """Return the cost under a point; outside it is unknown."""
-    column, row = cell(grid, x, y)
-    return UNKNOWN if column < 0 else int(grid.costs[row, column])
-
-
-@jit
 def obstacle_cost(grid: CostGrid, rollout: Poses) -> int:
     """Return the cost under the last pose, -1 if the robot would hit something or leave."""
-    cost = 0
+    costs, cells, cost = grid.costs, _cells_of(grid), 0
     for i in range(len(rollout)):
-        cost = cost_at(grid, rollout[i, 0], rollout[i, 1])
+        column, row = _cell(cells, rollout[i, 0], rollout[i, 1])
+        if column < 0:
+            return -1
+        cost = int(costs[row, column])
         if cost >= INSCRIBED:
             return -1
     return cost
@@ -166,8 +190,9 @@ def map_cells(
     the rollout, or the point in front of the robot, ends outside the costmap.
     """
     nose_x, nose_y = nose(parameters, end[2])
-    here, ahead = cell(grid, end[0], end[1]), cell(grid, end[0] + nose_x, end[1] + nose_y)
-    return _cells_at(critics, here, ahead)
+    cells = _cells_of(grid)
+    here, ahead = _cell(cells, end[0], end[1]), _cell(cells, end[0] + nose_x, end[1] + nose_y)
+    return _cells_at(critics.path_distance, _aims_of(critics), here, ahead)
 
 
 @jit
@@ -178,17 +203,31 @@ def nose(parameters: Parameters, yaw: float) -> tuple[float, float]:
 
 
 @jit
+def _aims_of(critics: Critics) -> Aims:
+    return Aims(
+        critics.left,
+        critics.low,
+        critics.goal_x,
+        critics.goal_y,
+        critics.nose_x,
+        critics.nose_y,
+        critics.align_path,
+    )
+
+
+@jit
 def _cells_at(
-    critics: Critics, here: tuple[int, int], ahead: tuple[int, int]
+    distance: NDArray[np.int32], aims: Aims, here: tuple[int, int], ahead: tuple[int, int]
 ) -> tuple[int, int, int, int]:
     (column, row), (ahead_column, ahead_row) = here, ahead
     if column < 0 or ahead_column < 0:
         return -1, -1, -1, -1
-    goal_align = abs(ahead_column - critics.nose_x) + abs(ahead_row - critics.nose_y)
-    goal_dist = abs(column - critics.goal_x) + abs(row - critics.goal_y)
-    distance, left, low = critics.path_distance, critics.left, critics.low
-    path_dist = int(distance[row - low, column - left])
-    path_align = int(distance[ahead_row - low, ahead_column - left]) if critics.align_path else 0
+    goal_align = abs(ahead_column - aims.nose_x) + abs(ahead_row - aims.nose_y)
+    goal_dist = abs(column - aims.goal_x) + abs(row - aims.goal_y)
+    path_dist = int(distance[row - aims.low, column - aims.left])
+    path_align = 0
+    if aims.align_path:
+        path_align = int(distance[ahead_row - aims.low, ahead_column - aims.left])
     return goal_align, path_align, path_dist, goal_dist
 
 
@@ -282,6 +321,7 @@ def _totals(
     way, points = np.empty((len(rollout) - 1, 4)), np.empty((len(forward), 4))
     direction = (math.cos(pose[2]), math.sin(pose[2]))
     nose = parameters.forward_point_distance
+    near, yaw = critics.slowing or critics.rotating, 0.0
     for j in range(len(turning)):
         w = turning[j]
         if critics.turn * w < 0.0:
@@ -296,7 +336,8 @@ def _totals(
             x, y = headings(parameters, direction, velocity[1], w, count, way)
             ends(parameters, pose[:2], velocity[0], v, count, way, (nose * x, nose * y), points)
             _take_to_cells(parameters, grid, pose, velocity, v, w, points, rollout)
-            yaw = last_yaw(parameters, pose[2], velocity[1], w, count)
+            if near:
+                yaw = last_yaw(parameters, pose[2], velocity[1], w, count)
             _score(parameters, grid, critics, v, w, yaw, points, totals[first:last, j])
     return totals.ravel()
 
@@ -336,8 +377,9 @@ def _take_to_cells(
         ):
             end = rollout[roll(parameters, pose, velocity, (forward[i], w), rollout) - 1]
             nose_x, nose_y = nose(parameters, end[2])
-            left, low = _in_cells(grid, end[0], end[1])
-            left_ahead, low_ahead = _in_cells(grid, end[0] + nose_x, end[1] + nose_y)
+            cells = _cells_of(grid)
+            left, low = _in_cells(cells, end[0], end[1])
+            left_ahead, low_ahead = _in_cells(cells, end[0] + nose_x, end[1] + nose_y)
         points[i, 0], points[i, 1] = left, low
         points[i, 2], points[i, 3] = left_ahead, low_ahead
 
@@ -355,39 +397,21 @@ def _score(
 ) -> None:
     """Fill in the scores of rollouts by their last points and those in front of them [cells]."""
     # Taken out of the tuples once: their arrays are counted each time that they are.
-    costs, path_distance = grid.costs, critics.path_distance
-    left_column, low_row = critics.left, critics.low
-    rows, columns = costs.shape
+    costs, distance = grid.costs, critics.path_distance
+    cells, aims = _cells_of(grid), _aims_of(critics)
     near = critics.slowing or critics.rotating
     for i in range(len(forward)):
         v = forward[i]
         if v == 0.0 and w == 0.0:
             continue
-        left, low, left_ahead, low_ahead = points[i]
-        if not (_is_on(columns, rows, left, low) and _is_on(columns, rows, left_ahead, low_ahead)):
+        here = _cell_at(cells, points[i, 0], points[i, 1])
+        ahead = _cell_at(cells, points[i, 2], points[i, 3])
+        scores = _cells_at(distance, aims, here, ahead)
+        if scores[0] < 0 or costs[here[1], here[0]] >= INSCRIBED:
             continue
-        column, row = int(left), int(low)
-        cost = int(costs[row, column])
-        if cost >= INSCRIBED:
-            continue
-        column_ahead, row_ahead = int(left_ahead), int(low_ahead)
-        path_align = 0
-        if critics.align_path:
-            path_align = int(path_distance[row_ahead - low_row, column_ahead - left_column])
-        cells = (
-            abs(column_ahead - critics.nose_x) + abs(row_ahead - critics.nose_y),
-            path_align,
-            int(path_distance[row - low_row, column - left_column]),
-            abs(column - critics.goal_x) + abs(row - critics.goal_y),
-        )
-        total = map_score(parameters, grid, cells)
+        cost = int(costs[here[1], here[0]])
+        total = map_score(parameters, grid, scores)
         if near:
             rotate = rotate_to_goal(parameters, critics, v, yaw)
             total += parameters.rotate_to_goal_scale * rotate
         totals[i] = total + parameters.base_obstacle_scale * cost
-
-
-@jit
-def _is_on(columns: int, rows: int, along: float, up: float) -> bool:
-    """Return whether a point, in cells, is on the grid."""
-    return 0.0 <= along < columns and 0.0 <= up < rows
