@@ -5,10 +5,11 @@ and over a recorded bag: the draws for a message depend on the stamp in its head
 if it has none), never on earlier messages. Times are those of publishing, which a recorder stores.
 """
 
+import functools
 import math
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,6 +86,7 @@ class _Shared:
     state: dict[str, Any]
     sources: dict[str, Any]
     source_ns: dict[str, int]
+    underived: dict[str, Callable[[], Any]] = field(default_factory=dict)  # by source
     acted: int = 0  # messages and timer ticks so far
     ends_s: float = math.inf
     index: int = 0  # draw index of the last main message
@@ -168,9 +170,18 @@ class Execution:
         source = self.program.sources[name]
         message = source.as_sent(message)
         self._source_ns[name] = stamp_ns
-        self._sources[name] = self._derived(source, message, stamp_ns) if source.let else message
+        if source.let:
+            derived = functools.partial(self._derived, source, message, stamp_ns)
+            self._shared.underived[name] = derived
+        else:
+            self._sources[name] = message
 
-    @_QUIETLY
+    def _derive(self) -> None:
+        """Compute values of the latest messages of sources: most have a later one before use."""
+        for name, derived in self._shared.underived.items():
+            self._sources[name] = derived()
+        self._shared.underived.clear()
+
     def _derived(self, source: Source, message: Any, stamp_ns: int) -> dict[str, Any]:
         """Return the values that a scenario computes from a message of a source."""
         step = self._step(stamp_ns, stamp_ns, {"msg": message})
@@ -259,6 +270,7 @@ class Execution:
         if self._has_header:
             step.header = make_header(now_ns, self._frame_id)
         self._forget(now_ns)
+        self._derive()
         step.dropped = True  # there is no message to forward
         timer(step)
         if not step.emitted:
@@ -348,6 +360,7 @@ class Execution:
             step.note(1.0, f"dropped: {text}")
             return "drop"
         self._forget(step.stamp_ns)
+        self._derive()
         applied = []
         if program.always is not None:
             program.always(step)
