@@ -15,6 +15,8 @@ from sim.nav2.dwb_critics import CostGrid, Critics, Scoring, map_plan, search
 from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.paths import Poses
 
+_FASTEST = 100.0  # [m/s, rad/s]
+
 
 class Cycle(NamedTuple):
     """Result of one control cycle; poses are in the costmap's frame."""
@@ -90,6 +92,9 @@ class LocalPlanner:
         """
         if not len(self.plan):
             return Cycle(None, self.plan, self.plan)
+        if not max(map(abs, velocity)) < _FASTEST:  # a false odometry, too fast to roll out
+            near = self.followed(pose, grid, from_plan)
+            return Cycle(None, near, near[:0])
         parameters, place = self._limited, (pose.x, pose.y, pose.yaw)
         begin, near, forward, turning, rollout, critics = _choose(
             parameters, grid, self.plan, place, velocity,

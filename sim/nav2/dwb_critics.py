@@ -15,6 +15,7 @@ from sim.nav2.dwb_sampling import (
     ends,
     headings,
     last_yaw,
+    most_poses,
     roll,
     step_count,
     twists,
@@ -276,10 +277,10 @@ def search(
     collision test needs the steps. It is made for the trajectory with the lowest score, then for
     the next, until one is legal.
     """
-    rollout = np.empty((_longest(parameters) + 2, 3))
+    forward, turning = twists(parameters, velocity)
+    rollout = np.empty((most_poses(parameters, forward, turning), 3))
     if critics.goal_x < 0:
         return math.nan, math.nan, rollout[:0]
-    forward, turning = twists(parameters, velocity)
     totals = _totals(parameters, grid, pose, velocity, critics, forward, turning, rollout)
     while True:
         index = int(np.argmin(totals))
@@ -290,12 +291,6 @@ def search(
         if obstacle_cost(grid, rollout[:length]) >= 0:
             return v, w, rollout[:length]
         totals[index] = math.inf
-
-
-@jit
-def _longest(parameters: Parameters) -> int:
-    """Return the most steps that a rollout takes."""
-    return step_count(parameters, (parameters.max_vel_x, parameters.max_vel_theta))
 
 
 @jit_unchecked

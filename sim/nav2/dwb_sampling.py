@@ -111,6 +111,19 @@ def step_count(parameters: Parameters, twist: tuple[float, float]) -> int:
 
 
 @jit
+def most_poses(
+    parameters: Parameters, forward: NDArray[np.float64], turning: NDArray[np.float64]
+) -> int:
+    """Return how many poses the longest rollout of ascending speeds has."""
+    driving = step_count(parameters, (forward[-1], 0.0))
+    left, right = (
+        step_count(parameters, (0.0, turning[-1])),
+        step_count(parameters, (0.0, turning[0])),
+    )
+    return max(driving, left, right) + 2
+
+
+@jit
 def roll(
     parameters: Parameters,
     pose: tuple[float, float, float],

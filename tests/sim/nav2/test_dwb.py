@@ -118,6 +118,15 @@ def test_a_wall_all_around_leaves_no_legal_trajectory():
     assert len(cycle.trajectory) == 0
 
 
+@pytest.mark.parametrize("forward", [8.0, 50.0, math.inf])
+@pytest.mark.parametrize("turning", [0.0, -9.0, 40.0, math.inf])
+def test_an_odometry_that_is_far_too_fast_or_infinite_does_no_harm(forward, turning):
+    cycle = planner_on(straight_plan()).compute(
+        free_grid(), Pose2D(), (forward, turning), MAP_TO_ODOM
+    )
+    assert cycle.twist is None or np.isfinite(cycle.twist).all()
+
+
 def test_a_plan_that_is_nowhere_near_is_not_followed():
     far = straight_plan() + np.array([10.0, 0.0, 0.0])
     cycle = planner_on(far).compute(free_grid(), Pose2D(), (0.0, 0.0), MAP_TO_ODOM)
