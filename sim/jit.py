@@ -5,9 +5,9 @@ from typing import Any, cast
 
 import numba
 
-from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.bags.jit import jit, jit_unchecked
 
-__all__ = ["elementwise", "jit"]
+__all__ = ["elementwise", "jit", "jit_unchecked"]
 
 
 def elementwise(function: Callable[..., float]) -> Callable[..., Any]:

@@ -7,7 +7,7 @@ topics are in no graph.
 
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import networkx as nx
 import numpy as np
@@ -34,6 +34,8 @@ INTERVAL_NS = INTERVAL_S * SECOND
 SHORTEST_INTERVAL_NS = MIN_INTERVAL_S * SECOND
 DEBUG_TOPICS = ("/evaluation", "/marker")  # of the controller: 20 MB per second while it drives
 _DISCOVERY_NS = 100 * MILLISECOND  # rosbag2 looks for new topics this often
+
+_Counts: TypeAlias = dict[Publisher | Subscription, tuple[int, int]]  # messages and bytes
 
 
 class Recorder(Node):
@@ -162,54 +164,52 @@ class GraphRecorder:
         self._folder = folder
         self._start_ns = domain.executor.now_ns
         self._interval_ns = self._start_ns
-        self._run: RosGraph = nx.DiGraph()
-        self._seen: dict[Publisher | Subscription, tuple[int, int]] = {}
-        for endpoint in self._endpoints():  # messages before the recording do not count
-            self._traffic(endpoint)
+        self._begun = self._before = self._counts()
         domain.executor.call_at(self._start_ns + INTERVAL_NS, self._end_interval)
 
     def finish(self) -> None:
         """Write the last interval if it is long enough, and the graphs of the run."""
-        is_long = self._domain.executor.now_ns - self._interval_ns >= SHORTEST_INTERVAL_NS
-        self._close_interval(write=is_long)
-        write_gexf(self._run, self._folder / "run.gexf")
-        write_graphml(self._run, self._folder / "run.graphml")
-        write_gexf(self._full(), self._folder / "full.gexf")
+        counts = self._counts()
+        if self._domain.executor.now_ns - self._interval_ns >= SHORTEST_INTERVAL_NS:
+            self._write_interval(counts)
+        run = self._graph(self._begun, counts)
+        write_gexf(run, self._folder / "run.gexf")
+        write_graphml(run, self._folder / "run.graphml")
+        write_gexf(self._full(run), self._folder / "full.gexf")
 
     def _end_interval(self) -> None:
-        self._close_interval(write=True)
+        counts = self._counts()
+        self._write_interval(counts)
+        self._before = counts
         self._interval_ns += INTERVAL_NS
         self._domain.executor.call_at(self._interval_ns + INTERVAL_NS, self._end_interval)
 
-    def _close_interval(self, *, write: bool) -> None:
-        graph = self._snapshot()
-        if write:
-            second = (self._interval_ns - self._start_ns) // SECOND
-            write_gexf(graph, self._folder / f"{second:06d}.gexf")
-        self._run.add_nodes_from(graph.nodes(data=True))
-        for source, target, traffic in graph.edges(data=True):
-            add_traffic(self._run, source, target, traffic["messages"], traffic["bytes"])
+    def _write_interval(self, counts: _Counts) -> None:
+        second = (self._interval_ns - self._start_ns) // SECOND
+        write_gexf(self._graph(self._before, counts), self._folder / f"{second:06d}.gexf")
 
-    def _snapshot(self) -> RosGraph:
+    def _graph(self, before: _Counts, counts: _Counts) -> RosGraph:
+        """Return the present graph with the traffic between two counts."""
         graph: RosGraph = nx.DiGraph()
         for name in self._domain.node_names():
             graph.add_node(vertex_id("node", name), kind="node", type="", label=name)
         for topic, msgtype in self._domain.topics.items():
             if not is_hidden(topic):
                 graph.add_node(vertex_id("topic", topic), kind="topic", type=msgtype, label=topic)
-        for endpoint in self._endpoints():
+        for endpoint, (messages, size) in counts.items():
             node, topic = vertex_id("node", endpoint.node), vertex_id("topic", endpoint.topic)
             ends = (node, topic) if isinstance(endpoint, Publisher) else (topic, node)
-            add_traffic(graph, *ends, *self._traffic(endpoint))
+            messages_before, size_before = before.get(endpoint, (0, 0))
+            add_traffic(graph, *ends, messages - messages_before, size - size_before)
         return graph
 
-    def _full(self) -> RosGraph:
+    def _full(self, run: RosGraph) -> RosGraph:
         """Return the graph of the run with services and actions.
 
         Edges run from the client to the service or action, and from there to its server. Requests
         stay inside the process, so their traffic is 0.
         """
-        graph: RosGraph = self._run.copy()
+        graph: RosGraph = run.copy()
         kinds: tuple[tuple[Kind, Iterator[Offer]], ...] = (
             ("service", self._domain.services()),
             ("action", self._domain.actions()),
@@ -225,12 +225,14 @@ class GraphRecorder:
                     add_traffic(graph, vertex_id("node", client), vertex, 0, 0)
         return graph
 
-    def _endpoints(self) -> Iterator[Publisher | Subscription]:
-        yield from (p for p in self._domain.publishers() if not is_hidden(p.topic))
-        yield from (s for s in self._domain.subscriptions() if not is_hidden(s.topic))
+    def _counts(self) -> _Counts:
+        """Return what the endpoints of visible topics have sent or received so far."""
+        return {
+            endpoint: (endpoint.messages, endpoint.message_bytes)
+            for endpoint in self._endpoints()
+            if not is_hidden(endpoint.topic)
+        }
 
-    def _traffic(self, endpoint: Publisher | Subscription) -> tuple[int, int]:
-        """Return messages and bytes since the last call."""
-        messages, size = self._seen.get(endpoint, (0, 0))
-        self._seen[endpoint] = (endpoint.messages, endpoint.message_bytes)
-        return endpoint.messages - messages, endpoint.message_bytes - size
+    def _endpoints(self) -> Iterator[Publisher | Subscription]:
+        yield from self._domain.publishers()
+        yield from self._domain.subscriptions()

@@ -9,7 +9,6 @@ for ROS nodes). Edges run from node to topic (publish) and from topic to node (s
 
 import functools
 import io
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -29,7 +28,6 @@ else:  # most recordings have no graph, and importing networkx takes longer than
 Kind: TypeAlias = Literal["node", "topic", "service", "action"]
 
 KINDS: tuple[Kind, ...] = ("node", "topic", "service", "action")
-_VERTEX_ATTRIBUTES = ("kind", "type")
 _EDGE_ATTRIBUTES = ("messages", "bytes")
 
 
@@ -40,33 +38,22 @@ def vertex_id(kind: Kind, name: str) -> str:
 
 def add_traffic(graph: RosGraph, source: str, target: str, messages: int, size: int) -> None:
     """Add traffic to an edge; several endpoints of one node on one topic are one edge."""
-    if not graph.has_edge(source, target):
-        graph.add_edge(source, target, messages=0, bytes=0)
-    edge = graph.edges[source, target]
-    edge["messages"] += messages
-    edge["bytes"] += size
+    edge = graph.get_edge_data(source, target)
+    if edge is None:
+        graph.add_edge(source, target, messages=messages, bytes=size)
+    else:
+        edge["messages"] += messages
+        edge["bytes"] += size
 
 
 def write_gexf(graph: RosGraph, path: Path) -> None:
     """Write GEXF 1.2, which Gephi and NetworkX open.
 
-    A run has one every 10 s, so it is assembled as text; a tree of elements takes much longer.
+    A run has one every 10 s, so it is assembled as text; a tree of elements takes longer.
     """
-    nodes = [
-        f"      <node id={_quoted(vertex)} label={_quoted(graph.nodes[vertex]['label'])}>\n"
-        f"{_attvalues(_VERTEX_ATTRIBUTES, graph.nodes[vertex])}      </node>\n"
-        for vertex in sorted(graph.nodes)
-    ]
-    edges = [
-        f'      <edge id="{number}" source={_quoted(source)} target={_quoted(target)}>\n'
-        f"{_attvalues(_EDGE_ATTRIBUTES, graph.edges[source, target])}      </edge>\n"
-        for number, (source, target) in enumerate(sorted(graph.edges))
-    ]
-    text = (
-        f"{_GEXF_BEGIN}{_declared('node', _VERTEX_ATTRIBUTES, 'string')}"
-        f"{_declared('edge', _EDGE_ATTRIBUTES, 'long')}{_listed('nodes', nodes)}"
-        f"{_listed('edges', edges)}  </graph>\n</gexf>\n"
-    )
+    nodes = [_gexf_node(*vertex) for vertex in sorted(graph.nodes(data=True))]
+    edges = [_gexf_edge(i, *edge) for i, edge in enumerate(sorted(graph.edges(data=True)))]
+    text = f"{_GEXF_BEGIN}{_listed('nodes', nodes)}{_listed('edges', edges)}  </graph>\n</gexf>\n"
     path.write_bytes(text.encode())
 
 
@@ -74,22 +61,37 @@ _GEXF_BEGIN = """\
 <?xml version='1.0' encoding='utf-8'?>
 <gexf xmlns="http://www.gexf.net/1.2draft" version="1.2">
   <graph defaultedgetype="directed" mode="static">
+    <attributes class="node" mode="static">
+      <attribute id="kind" title="kind" type="string" />
+      <attribute id="type" title="type" type="string" />
+    </attributes>
+    <attributes class="edge" mode="static">
+      <attribute id="messages" title="messages" type="long" />
+      <attribute id="bytes" title="bytes" type="long" />
+    </attributes>
 """
 
 
-def _declared(owner: str, names: Sequence[str], kind: str) -> str:
-    """Return the declaration of the attributes of nodes or edges."""
-    declarations = "".join(
-        f'      <attribute id="{name}" title="{name}" type="{kind}" />\n' for name in names
+def _gexf_node(vertex: str, data: Mapping[str, str]) -> str:
+    return (
+        f"      <node id={_quoted(vertex)} label={_quoted(data['label'])}>\n"
+        "        <attvalues>\n"
+        f'          <attvalue for="kind" value={_quoted(data["kind"])} />\n'
+        f'          <attvalue for="type" value={_quoted(data["type"])} />\n'
+        "        </attvalues>\n"
+        "      </node>\n"
     )
-    return f'    <attributes class="{owner}" mode="static">\n{declarations}    </attributes>\n'
 
 
-def _attvalues(names: Sequence[str], data: Mapping[str, Any]) -> str:
-    values = "".join(
-        f'          <attvalue for="{name}" value={_quoted(str(data[name]))} />\n' for name in names
+def _gexf_edge(number: int, source: str, target: str, data: Mapping[str, int]) -> str:
+    return (
+        f'      <edge id="{number}" source={_quoted(source)} target={_quoted(target)}>\n'
+        "        <attvalues>\n"
+        f'          <attvalue for="messages" value="{data["messages"]}" />\n'
+        f'          <attvalue for="bytes" value="{data["bytes"]}" />\n'
+        "        </attvalues>\n"
+        "      </edge>\n"
     )
-    return f"        <attvalues>\n{values}        </attvalues>\n"
 
 
 def _listed(name: str, elements: Sequence[str]) -> str:
@@ -109,27 +111,38 @@ def _quoted(text: str) -> str:
 
 def write_graphml(graph: RosGraph, path: Path) -> None:
     """Write GraphML, the format of the thesis's single graph."""
-    root = ET.Element("graphml", xmlns="http://graphml.graphdrawing.org/xmlns")
-    for owner, names, kind in (
-        ("node", ("label", *_VERTEX_ATTRIBUTES), "string"),
-        ("edge", _EDGE_ATTRIBUTES, "long"),
-    ):
-        for name in names:
-            ET.SubElement(
-                root, "key", {"id": name, "for": owner, "attr.name": name, "attr.type": kind}
-            )
-    element = ET.SubElement(root, "graph", edgedefault="directed")
-    for vertex in sorted(graph.nodes):
-        data = graph.nodes[vertex]
-        node = ET.SubElement(element, "node", id=vertex)
-        for name in ("label", *_VERTEX_ATTRIBUTES):
-            ET.SubElement(node, "data", key=name).text = data[name]
-    for source, target in sorted(graph.edges):
-        data = graph.edges[source, target]
-        edge = ET.SubElement(element, "edge", source=source, target=target)
-        for name in _EDGE_ATTRIBUTES:
-            ET.SubElement(edge, "data", key=name).text = str(data[name])
-    _write(root, path)
+    elements = [_graphml_node(*vertex) for vertex in sorted(graph.nodes(data=True))]
+    elements += [_graphml_edge(*edge) for edge in sorted(graph.edges(data=True))]
+    inside = f">\n{''.join(elements)}  </graph>" if elements else " />"
+    text = f'{_GRAPHML_BEGIN}  <graph edgedefault="directed"{inside}\n</graphml>\n'
+    path.write_bytes(text.encode())
+
+
+_GRAPHML_BEGIN = """\
+<?xml version='1.0' encoding='utf-8'?>
+<graphml xmlns="http://graphml.graphdrawing.org/xmlns">
+  <key id="label" for="node" attr.name="label" attr.type="string" />
+  <key id="kind" for="node" attr.name="kind" attr.type="string" />
+  <key id="type" for="node" attr.name="type" attr.type="string" />
+  <key id="messages" for="edge" attr.name="messages" attr.type="long" />
+  <key id="bytes" for="edge" attr.name="bytes" attr.type="long" />
+"""
+
+
+def _graphml_node(vertex: str, data: Mapping[str, str]) -> str:
+    values = "".join(_datum(name, data[name]) for name in ("label", "kind", "type"))
+    return f"    <node id={_quoted(vertex)}>\n{values}    </node>\n"
+
+
+def _graphml_edge(source: str, target: str, data: Mapping[str, int]) -> str:
+    values = "".join(_datum(name, str(data[name])) for name in ("messages", "bytes"))
+    ends = f"source={_quoted(source)} target={_quoted(target)}"
+    return f"    <edge {ends}>\n{values}    </edge>\n"
+
+
+def _datum(key: str, value: str) -> str:
+    inside = f">{escape(value)}</data>" if value else " />"
+    return f'      <data key="{key}"{inside}\n'
 
 
 def read_gexf(path: Path) -> RosGraph:
@@ -146,13 +159,6 @@ def read_gexf(path: Path) -> RosGraph:
 def read_graphml(path: Path) -> RosGraph:
     """Read a file that ``write_graphml`` wrote; raises as ``read_gexf`` does."""
     return _read(path, _GraphMl)
-
-
-def _write(root: ET.Element, path: Path) -> None:
-    ET.indent(root)
-    # As text, which is then encoded at once: ElementTree would encode word by word.
-    text = ET.tostring(root, encoding="unicode")
-    path.write_bytes(f"<?xml version='1.0' encoding='utf-8'?>\n{text}\n".encode())
 
 
 def _refuse_document_type(*_declaration: object) -> None:

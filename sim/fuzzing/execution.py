@@ -5,10 +5,11 @@ and over a recorded bag: the draws for a message depend on the stamp in its head
 if it has none), never on earlier messages. Times are those of publishing, which a recorder stores.
 """
 
+import functools
 import math
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from sim.fuzzing.drawn_parameters import drawn_values
 from sim.fuzzing.fields import RefusedMessage
 from sim.fuzzing.ground_truth import GroundTruth
-from sim.fuzzing.program import Program
+from sim.fuzzing.program import Program, Source
 from sim.fuzzing.random import Draws
 from sim.fuzzing.state_operators import STORED_NS
 from sim.fuzzing.step import ACTIVATION, Step, Term
@@ -85,6 +86,7 @@ class _Shared:
     state: dict[str, Any]
     sources: dict[str, Any]
     source_ns: dict[str, int]
+    underived: dict[str, Callable[[], Any]] = field(default_factory=dict)  # by source
     acted: int = 0  # messages and timer ticks so far
     ends_s: float = math.inf
     index: int = 0  # draw index of the last main message
@@ -153,7 +155,6 @@ class Execution:
         """Stop acting at a time after the onset."""
         self._shared.ends_s = t_s
 
-    @_QUIETLY
     def on_source(self, name: str, message: Any, stamp_ns: int) -> None:
         """Take a message of one of the sources.
 
@@ -169,15 +170,25 @@ class Execution:
         source = self.program.sources[name]
         message = source.as_sent(message)
         self._source_ns[name] = stamp_ns
-        if not source.let:
+        if source.let:
+            derived = functools.partial(self._derived, source, message, stamp_ns)
+            self._shared.underived[name] = derived
+        else:
             self._sources[name] = message
-            return
+
+    def _derive(self) -> None:
+        """Compute values of the latest messages of sources: most have a later one before use."""
+        for name, derived in self._shared.underived.items():
+            self._sources[name] = derived()
+        self._shared.underived.clear()
+
+    def _derived(self, source: Source, message: Any, stamp_ns: int) -> dict[str, Any]:
+        """Return the values that a scenario computes from a message of a source."""
         step = self._step(stamp_ns, stamp_ns, {"msg": message})
         for key, term in source.let:
             step.env[key] = term(step)
-        self._sources[name] = {key: step.env[key] for key, _ in source.let}
+        return {key: step.env[key] for key, _ in source.let}
 
-    @_QUIETLY
     def on_message(self, message: Any, stamp_ns: int, t_s: float) -> Result:
         """Process a message of the main topic.
 
@@ -197,6 +208,14 @@ class Execution:
             Messages with the time at which each is due, ``stamp_ns`` unless delayed. An unchanged
             message is the same object.
         """
+        if self.program.scenario.control == "passthrough":
+            stamp = nanoseconds(message.header.stamp) if self._has_header else 0
+            return self._forwarded(message, stamp_ns, stamp or stamp_ns, "unchanged")
+        return self._altered(message, stamp_ns, t_s)
+
+    @_QUIETLY
+    def _altered(self, message: Any, stamp_ns: int, t_s: float) -> Result:
+        """Process a message as ``on_message`` does, if the scenario may alter it."""
         truth_ns = stamp_ns
         header = None
         index = self._received
@@ -222,14 +241,14 @@ class Execution:
             except RefusedMessage as refused:
                 reason = str(refused)
         self._shared.acted += operation != PASSTHROUGH
-        if reason is None and self.program.scenario.control != "shadow":
+        if reason is not None:
+            return self._forwarded(message, stamp_ns, truth_ns, reason)
+        if self.program.scenario.control != "shadow":
             if step.message is sent:  # unchanged, with the same identity and bytes
                 step.message = message
             outputs = self._outputs(step)
         else:
             outputs = [Output(stamp_ns, message, self.program.output_topic)]
-        if reason is not None:
-            step.magnitude, step.notes = 0.0, [reason]
         return Result(outputs, self._truth(step, truth_ns, operation, outputs))
 
     @_QUIETLY
@@ -251,6 +270,7 @@ class Execution:
         if self._has_header:
             step.header = make_header(now_ns, self._frame_id)
         self._forget(now_ns)
+        self._derive()
         step.dropped = True  # there is no message to forward
         timer(step)
         if not step.emitted:
@@ -288,14 +308,18 @@ class Execution:
             )
         return round(period_s * SECOND)
 
+    def _forwarded(self, message: Any, stamp_ns: int, truth_ns: int, reason: str) -> Result:
+        """Return a message unchanged, and why."""
+        topic, index = self.program.output_topic, self._published
+        self._published += 1
+        truth = GroundTruth(truth_ns, topic, index, PASSTHROUGH, 0.0, reason)
+        return Result([Output(stamp_ns, message, topic)], truth)
+
     def _reason_to_pass(self, step: Step, t_s: float) -> str | None:
         """Return why a message is forwarded unchanged, or None."""
-        program = self.program
-        if program.scenario.control == "passthrough":
-            return "unchanged"
         if not self._is_active(t_s):
             return "not active"
-        share = program.activation.probability
+        share = self.program.activation.probability
         if share < 1.0 and step.generator(ACTIVATION).random() >= share:
             return "spared"
         return None
@@ -336,6 +360,7 @@ class Execution:
             step.note(1.0, f"dropped: {text}")
             return "drop"
         self._forget(step.stamp_ns)
+        self._derive()
         applied = []
         if program.always is not None:
             program.always(step)

@@ -26,7 +26,7 @@ from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.messages import TWIST, twist_bytes, twist_message
 from sim.nav2.parameters import of_node
-from sim.nav2.paths import PATH, length_ahead, path_bytes, path_poses
+from sim.nav2.paths import PATH, PathBytes, length_ahead, path_bytes, path_poses
 from sim.nav2.rotation_shim import RotationShim
 
 _Feedback = message_class("nav2_msgs/action/FollowPath_Feedback")
@@ -195,15 +195,17 @@ class ControllerServer(LifecycleNode):
     def _take_path(self) -> None:
         path = self._goals[0].goal.path
         self._frame = path.header.frame_id
-        self._stamp_ns = stamp_ns(path.header.stamp)
         path_before, self._path = self._path, path_poses(path)
         # With every path, once a second, Nav2 resets that the robot was near the goal; see
         # docs/explanation/navigation.md for the effect.
         same_goal = np.array_equal(path_before[-1:], self._path[-1:])
+        if len(self._path):
+            self._path_end = Pose2D(*self._path[-1].tolist())
         if not same_goal:
             self._goal_checker = GoalChecker()
         self._planner.set_plan(self._path, same_goal=same_goal)
-        self._received.publish_serialized(path_bytes(self._stamp_ns, self._frame, self._path))
+        self._path_bytes = PathBytes(stamp_ns(path.header.stamp), self._frame, self._path)
+        self._received.publish_serialized(self._path_bytes.rest(len(self._path)))
 
     def _cycle(self) -> None:
         if self._goals[0].status is Status.CANCELING:
@@ -227,11 +229,10 @@ class ControllerServer(LifecycleNode):
 
     def _control(self) -> bool:
         """Send one velocity and return whether the goal is reached."""
-        pose = self._costmap.robot_pose()
-        grid = self._costmap.grid
+        now_ns, pose, grid = self.now_ns, self._costmap.robot_pose(), self._costmap.grid
         if pose is None:
             raise _ControllerError("Failed to obtain robot pose")
-        if not self._progress.check(pose, self.now_ns):
+        if not self._progress.check(pose, now_ns):
             raise _ControllerError("Failed to make progress")
         if not len(self._path):
             raise _ControllerError("Path is empty.")
@@ -241,12 +242,12 @@ class ControllerServer(LifecycleNode):
             raise _ControllerError(str(error)) from None
         cells = CostGrid(grid.costs, grid.resolution, grid.origin_x, grid.origin_y)
         cycle = self._planner.compute(cells, pose, self._velocity, from_path)
-        self._publish_plans(cycle, grid.frame)
+        self._publish_plans(now_ns, cycle, grid.frame)
         if cycle.scoring is not None:
-            self._debug.publish(self.now_ns, grid.frame, cycle.scoring)
+            self._debug.publish(now_ns, grid.frame, cycle.scoring)
         if cycle.twist is not None:
-            self._valid_ns = self.now_ns
-        elif self.now_ns - self._valid_ns > FAILURE_TOLERANCE_NS:
+            self._valid_ns = now_ns
+        elif now_ns - self._valid_ns > FAILURE_TOLERANCE_NS:
             raise _ControllerError("Controller patience exceeded")
         else:
             self.warn("No valid trajectories out of the sampled ones!")
@@ -256,14 +257,12 @@ class ControllerServer(LifecycleNode):
             distance = length_ahead(self._path, robot.x, robot.y)
             self._goals[0].publish_feedback(_Feedback(distance, abs(twist[0])))
         self._commands.publish(twist_message(*twist), twist_bytes(*twist))
-        return self._goal_checker.is_reached(pose, from_path.compose(Pose2D(*self._path[-1])))
+        return self._goal_checker.is_reached(pose, from_path.compose(self._path_end))
 
-    def _publish_plans(self, cycle: Cycle, frame: str) -> None:
-        self._received.publish_serialized(
-            path_bytes(self._stamp_ns, self._frame, self._planner.plan)
-        )
-        self._transformed.publish_serialized(path_bytes(self.now_ns, frame, cycle.plan))
-        self._local.publish_serialized(path_bytes(self.now_ns, frame, cycle.trajectory))
+    def _publish_plans(self, now_ns: int, cycle: Cycle, frame: str) -> None:
+        self._received.publish_serialized(self._path_bytes.rest(len(self._planner.plan)))
+        self._transformed.publish_serialized(path_bytes(now_ns, frame, cycle.plan))
+        self._local.publish_serialized(path_bytes(now_ns, frame, cycle.trajectory))
 
     def _end(self, answer: Callable[[], None]) -> None:
         self._loop.cancel()

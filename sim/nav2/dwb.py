@@ -5,7 +5,7 @@ state between cycles, as Nav2 does on Humble. Topics and actions belong to the c
 """
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -15,9 +15,10 @@ from sim.nav2.dwb_critics import CostGrid, Critics, Scoring, map_plan, search
 from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.paths import Poses
 
+_FASTEST = 100.0  # [m/s, rad/s]
 
-@dataclass(frozen=True, slots=True)
-class Cycle:
+
+class Cycle(NamedTuple):
     """Result of one control cycle; poses are in the costmap's frame."""
 
     twist: tuple[float, float] | None  # [m/s, rad/s]; None if no trajectory is legal
@@ -89,64 +90,33 @@ class LocalPlanner:
         from_plan
             Takes the plan's frame into the costmap's frame.
         """
-        parameters = self._limited
-        near = self.followed(pose, grid, from_plan)
+        if not len(self.plan):
+            return Cycle(None, self.plan, self.plan)
+        if not max(map(abs, velocity)) < _FASTEST:  # a false odometry, too fast to roll out
+            near = self.followed(pose, grid, from_plan)
+            return Cycle(None, near, near[:0])
+        parameters, place = self._limited, (pose.x, pose.y, pose.yaw)
+        begin, near, forward, turning, rollout, critics = _choose(
+            parameters, grid, self.plan, place, velocity,
+            (from_plan.x, from_plan.y, from_plan.yaw),
+            self._near_goal, self._rotating, self._turns.only,
+        )  # fmt: skip
+        self.plan = self.plan[begin:]
         if not len(near):
             return Cycle(None, near, near)
-        goal = from_plan.compose(Pose2D(*self.plan[-1]))
-        critics = self._prepare(grid, pose, velocity, goal, near)
-        scoring = Scoring(parameters, grid, (pose.x, pose.y, pose.yaw), velocity, critics)
-        forward, turning, rollout = search(*scoring)
-        legal = not math.isnan(forward)
-        self._turns.debrief((forward, turning) if legal else (0.0, 0.0), pose)
-        return Cycle((forward, turning) if legal else None, near, rollout, scoring)
+        self._near_goal, self._rotating = critics.slowing or critics.rotating, critics.rotating
+        twist = None if math.isnan(forward) else (forward, turning)
+        self._turns.debrief(twist or (0.0, 0.0), pose)
+        return Cycle(twist, near, rollout, Scoring(parameters, grid, place, velocity, critics))
 
     def followed(self, pose: Pose2D, grid: CostGrid, from_plan: Pose2D) -> Poses:
         """Drop the plan behind the robot; return the part to follow, in the costmap's frame."""
-        robot = from_plan.inverse().compose(pose)
-        reach = max(grid.costs.shape) * grid.resolution / 2.0
-        base, turn = self._base, from_plan.yaw
         begin, near = _followed(
-            self.plan, robot.x, robot.y, min(reach, base.prune_distance),
-            min(reach, base.forward_prune_distance), base.prune_distance,
-            from_plan.x, from_plan.y, turn, math.cos(turn), math.sin(turn),
+            self._limited, grid, self.plan, (pose.x, pose.y, pose.yaw),
+            (from_plan.x, from_plan.y, from_plan.yaw),
         )  # fmt: skip
         self.plan = self.plan[begin:]
         return near
-
-    def _prepare(
-        self,
-        grid: CostGrid,
-        pose: Pose2D,
-        velocity: tuple[float, float],
-        goal: Pose2D,
-        plan: Poses,
-    ) -> Critics:
-        parameters = self._limited
-        distance = pose.distance_to(goal)
-        speed_squared = velocity[0] ** 2
-        self._near_goal |= distance <= parameters.xy_goal_tolerance
-        self._rotating |= self._near_goal and speed_squared <= parameters.trans_stopped_velocity**2
-        ahead = math.atan2(goal.y - pose.y, goal.x - pose.x)
-        path_distance, goal_x, goal_y, nose_x, nose_y = map_plan(
-            grid,
-            plan,
-            parameters.forward_point_distance * math.cos(ahead),
-            parameters.forward_point_distance * math.sin(ahead),
-        )
-        return Critics(
-            path_distance,
-            goal_x,
-            goal_y,
-            nose_x,
-            nose_y,
-            goal.yaw,
-            align_path=distance > parameters.forward_point_distance,
-            slowing=self._near_goal and not self._rotating,
-            rotating=self._rotating,
-            speed_squared=speed_squared,
-            turn=self._turns.only,
-        )
 
 
 class _Trend:
@@ -179,42 +149,125 @@ class _Trend:
             self.only = self._sign = 0
 
 
+_Planar: TypeAlias = tuple[float, float, float]  # x, y [m], yaw [rad]
+
+
+@jit
+def _choose(
+    parameters: Parameters,
+    grid: CostGrid,
+    plan: Poses,
+    pose: _Planar,
+    velocity: tuple[float, float],
+    from_plan: _Planar,
+    near_goal: bool,
+    rotating: bool,
+    turn: int,
+) -> tuple[int, Poses, float, float, Poses, Critics]:
+    """Return what `_followed` and `search` do, and the input of the critics.
+
+    ``near_goal`` and ``rotating`` are how the robot was in the cycle before, and ``turn`` is the
+    side to which it may turn; the others are those of `LocalPlanner.compute`.
+    """
+    begin, near = _followed(parameters, grid, plan, pose, from_plan)
+    critics = _critics(
+        parameters, grid, near, _composed(from_plan, plan[-1]), pose, velocity,
+        near_goal, rotating, turn,
+    )  # fmt: skip
+    forward, turning, rollout = search(parameters, grid, pose, velocity, critics)
+    return begin, near, forward, turning, rollout, critics
+
+
+@jit
+def _critics(
+    parameters: Parameters,
+    grid: CostGrid,
+    near: Poses,
+    goal: _Planar,
+    pose: _Planar,
+    velocity: tuple[float, float],
+    near_goal: bool,
+    rotating: bool,
+    turn: int,
+) -> Critics:
+    """Return what the critics need to know; ``near`` is the plan's part near the robot."""
+    distance = math.hypot(pose[0] - goal[0], pose[1] - goal[1])
+    speed_squared = velocity[0] ** 2
+    near_goal = near_goal or distance <= parameters.xy_goal_tolerance
+    stopped = speed_squared <= parameters.trans_stopped_velocity**2
+    rotating = rotating or (near_goal and stopped)
+    nose = parameters.forward_point_distance
+    ahead = math.atan2(goal[1] - pose[1], goal[0] - pose[0])
+    fastest = max(abs(velocity[0]), parameters.max_vel_x)
+    reach = int((fastest * parameters.sim_time + nose) / grid.resolution) + 2
+    path_distance, left, low, goal_x, goal_y, nose_x, nose_y = map_plan(
+        grid, near, pose[0], pose[1], reach, (nose * math.cos(ahead), nose * math.sin(ahead))
+    )
+    return Critics(
+        path_distance, left, low, goal_x, goal_y, nose_x, nose_y, goal[2],
+        distance > nose,  # align_path
+        near_goal and not rotating,
+        rotating,
+        speed_squared,
+        turn,
+    )  # fmt: skip
+
+
 @jit
 def _followed(
-    plan: Poses,
-    x: float,
-    y: float,
-    behind: float,
-    ahead: float,
-    prune_distance: float,
-    shift_x: float,
-    shift_y: float,
-    turn: float,
-    c: float,
-    s: float,
+    parameters: Parameters, grid: CostGrid, plan: Poses, pose: _Planar, from_plan: _Planar
 ) -> tuple[int, Poses]:
-    """Return where the plan's part near the robot begins, and that part, moved.
+    """Return where the plan's part near the robot begins, and that part in the costmap's frame.
 
-    It begins with the first pose nearer than ``behind``, not looking further along the plan than
-    ``prune_distance``, and goes on to the first pose that is farther than ``ahead`` [m]. It is
-    turned by ``turn``, of which ``c`` and ``s`` are cosine and sine, and shifted.
+    It begins with the first pose that is near the robot, not looking further along the plan than
+    ``prune_distance``, and goes on to the first pose that is too far ahead.
     """
+    x, y, _ = _composed(_inverse(from_plan), pose)
+    reach = max(grid.costs.shape) * grid.resolution / 2.0
+    behind, ahead = (
+        min(reach, parameters.prune_distance),
+        min(reach, parameters.forward_prune_distance),
+    )
     begin, along = 0, 0.0
     while begin < len(plan) and math.hypot(plan[begin, 0] - x, plan[begin, 1] - y) >= behind:
         if begin > 0:
             along += math.hypot(
                 plan[begin, 0] - plan[begin - 1, 0], plan[begin, 1] - plan[begin - 1, 1]
             )
-        if along > prune_distance:
+        if along > parameters.prune_distance:
             break
         begin += 1
     end = begin
     while end < len(plan) and math.hypot(plan[end, 0] - x, plan[end, 1] - y) <= ahead:
         end += 1
-    moved = np.empty((end - begin, 3))
+    near = np.empty((end - begin, 3))
+    turn = from_plan[2]
+    c, s = math.cos(turn), math.sin(turn)
     for i in range(end - begin):
-        pose = plan[begin + i]
-        moved[i, 0] = shift_x + c * pose[0] - s * pose[1]
-        moved[i, 1] = shift_y + s * pose[0] + c * pose[1]
-        moved[i, 2] = pose[2] + turn
-    return begin, moved
+        pose_x, pose_y, yaw = plan[begin + i]
+        near[i, 0] = from_plan[0] + c * pose_x - s * pose_y
+        near[i, 1] = from_plan[1] + s * pose_x + c * pose_y
+        near[i, 2] = yaw + turn
+    return begin, near
+
+
+@jit
+def _composed(frame: _Planar, pose: _Planar) -> _Planar:
+    """Return what `Pose2D.compose` does."""
+    c, s = math.cos(frame[2]), math.sin(frame[2])
+    return (
+        frame[0] + c * pose[0] - s * pose[1],
+        frame[1] + s * pose[0] + c * pose[1],
+        _wrap_angle(frame[2] + pose[2]),
+    )
+
+
+@jit
+def _inverse(frame: _Planar) -> _Planar:
+    """Return what `Pose2D.inverse` does."""
+    x, y, yaw = frame
+    c, s = math.cos(yaw), math.sin(yaw)
+    return -c * x - s * y, s * x - c * y, _wrap_angle(-yaw)
+
+
+_wrap_angle = jit(wrap_angle)

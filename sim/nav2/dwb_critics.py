@@ -9,8 +9,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.jit import jit
-from sim.nav2.dwb_sampling import Parameters, headings, place, roll, step_count, twists
+from sim.jit import jit, jit_unchecked
+from sim.nav2.dwb_sampling import (
+    Parameters,
+    ends,
+    headings,
+    last_yaw,
+    most_poses,
+    roll,
+    step_count,
+    twists,
+)
 from sim.nav2.paths import Poses
 
 INSCRIBED = 253  # from this cost on the robot's centre must not be in a cell; 255 is unknown
@@ -27,10 +36,22 @@ class CostGrid(NamedTuple):
     origin_y: float
 
 
+class Cells(NamedTuple):
+    """The cells of a costmap without the costs: an array takes longer to pass than to read."""
+
+    columns: int
+    rows: int
+    resolution: float  # [m]
+    origin_x: float  # [m]
+    origin_y: float
+
+
 class Critics(NamedTuple):
     """Inputs of the critics that are constant within one cycle."""
 
-    path_distance: NDArray[np.int32]  # cells to the nearest cell of the path, by rows and columns
+    path_distance: NDArray[np.int32]  # cells to the nearest of the path, by rows and columns
+    left: int  # column and row of the first of them: they lie around the robot
+    low: int
     goal_x: int  # cell of the last plan pose on the costmap
     goal_y: int
     nose_x: int  # the same for the point in front of the robot
@@ -41,6 +62,18 @@ class Critics(NamedTuple):
     rotating: bool  # near the goal, standing
     speed_squared: float  # [m^2/s^2]
     turn: int  # 1 or -1: turn to this side only, 0: to any
+
+
+class Aims(NamedTuple):
+    """Some of the critics' inputs, without an array, as `Cells` are."""
+
+    left: int
+    low: int
+    goal_x: int
+    goal_y: int
+    nose_x: int
+    nose_y: int
+    align_path: bool
 
 
 class Scoring(NamedTuple):
@@ -54,44 +87,73 @@ class Scoring(NamedTuple):
 
 
 @jit
-def cell(grid: CostGrid, x: float, y: float) -> tuple[int, int]:
+def _cells_of(grid: CostGrid) -> Cells:
+    rows, columns = grid.costs.shape
+    return Cells(columns, rows, grid.resolution, grid.origin_x, grid.origin_y)
+
+
+@jit
+def _cell(cells: Cells, x: float, y: float) -> tuple[int, int]:
     """Return column and row of a point, (-1, -1) outside."""
-    return _cell_at(grid, *_in_cells(grid, x, y))
+    return _cell_at(cells, *_in_cells(cells, x, y))
 
 
 @jit
-def _in_cells(grid: CostGrid, x: float, y: float) -> tuple[float, float]:
+def _in_cells(cells: Cells, x: float, y: float) -> tuple[float, float]:
     """Return how far a point is from the grid's corner [cells]."""
-    return (x - grid.origin_x) / grid.resolution, (y - grid.origin_y) / grid.resolution
+    return (x - cells.origin_x) / cells.resolution, (y - cells.origin_y) / cells.resolution
 
 
 @jit
-def _cell_at(grid: CostGrid, along: float, up: float) -> tuple[int, int]:
-    column, row = math.floor(along), math.floor(up)
-    if 0 <= column < grid.costs.shape[1] and 0 <= row < grid.costs.shape[0]:
-        return int(column), int(row)
+def _cell_at(cells: Cells, along: float, up: float) -> tuple[int, int]:
+    if 0.0 <= along < cells.columns and 0.0 <= up < cells.rows:
+        return int(along), int(up)
     return -1, -1
 
 
 @jit
 def map_plan(
-    grid: CostGrid, plan: Poses, shift_x: float, shift_y: float
-) -> tuple[NDArray[np.int32], int, int, int, int]:
-    """Return the distance of every cell to the plan, the goal cell and the nose's goal cell.
+    grid: CostGrid, plan: Poses, x: float, y: float, reach: int, shift: tuple[float, float]
+) -> tuple[NDArray[np.int32], int, int, int, int, int, int]:
+    """Return distances of cells to the plan, where they begin, goal cell and the nose's goal cell.
 
+    The distances are of the cells that lie at most ``reach`` cells from a place, along each axis.
     The plan counts up to where it leaves the costmap. Obstacles do not stop the propagation,
     so its result is the Manhattan distance; it is large where the plan is not on the map.
     """
-    rows, columns = grid.costs.shape
-    distance = np.full((rows, columns), rows + columns, dtype=np.int32)
+    costs, cells = grid.costs, _cells_of(grid)
+    along, up = _in_cells(cells, x, y)
+    column = min(max(math.floor(along), 0), cells.columns - 1)
+    row = min(max(math.floor(up), 0), cells.rows - 1)
+    left, right = max(column - reach, 0), min(column + reach, cells.columns - 1)
+    low, high = max(row - reach, 0), min(row + reach, cells.rows - 1)
+    far = cells.rows + cells.columns
+    distance = np.full((high - low + 1, right - left + 1), far, dtype=np.int32)
     goal_x, goal_y, last = -1, -1, -1
     for i in range(len(plan)):
-        column, row = cell(grid, plan[i, 0], plan[i, 1])
-        if column >= 0 and grid.costs[row, column] != UNKNOWN:
-            distance[row, column] = 0
+        column, row = _cell(cells, plan[i, 0], plan[i, 1])
+        if column >= 0 and costs[row, column] != UNKNOWN:
+            # Every way from a cell beyond the edge leads over the cell of the edge nearest to it.
+            edge_x, edge_y = min(max(column, left), right), min(max(row, low), high)
+            away = abs(column - edge_x) + abs(row - edge_y)
+            at = edge_y - low, edge_x - left
+            distance[at] = min(distance[at], away)
             goal_x, goal_y, last = column, row, i
         elif last >= 0:
             break
+    _propagate(distance)
+    nose_x, nose_y = goal_x, goal_y
+    if 0 <= last == len(plan) - 1:
+        column, row = _cell(cells, plan[last, 0] + shift[0], plan[last, 1] + shift[1])
+        if column >= 0 and costs[row, column] != UNKNOWN:
+            nose_x, nose_y = column, row
+    return distance, left, low, goal_x, goal_y, nose_x, nose_y
+
+
+@jit
+def _propagate(distance: NDArray[np.int32]) -> None:
+    """Lower distances to what a way over a neighbour gives."""
+    rows, columns = distance.shape
     for row in range(1, rows):  # along columns, many at a time, then on from there along rows
         for column in range(columns):
             distance[row, column] = min(distance[row, column], distance[row - 1, column] + 1)
@@ -103,27 +165,17 @@ def map_plan(
             distance[row, column] = min(distance[row, column], distance[row, column - 1] + 1)
         for column in range(columns - 2, -1, -1):
             distance[row, column] = min(distance[row, column], distance[row, column + 1] + 1)
-    nose_x, nose_y = goal_x, goal_y
-    if last == len(plan) - 1:
-        column, row = cell(grid, plan[last, 0] + shift_x, plan[last, 1] + shift_y)
-        if column >= 0 and grid.costs[row, column] != UNKNOWN:
-            nose_x, nose_y = column, row
-    return distance, goal_x, goal_y, nose_x, nose_y
-
-
-@jit
-def cost_at(grid: CostGrid, x: float, y: float) -> int:
-    """Return the cost under a point; outside it is unknown."""
-    column, row = cell(grid, x, y)
-    return UNKNOWN if column < 0 else int(grid.costs[row, column])
 
 
 @jit
 def obstacle_cost(grid: CostGrid, rollout: Poses) -> int:
     """Return the cost under the last pose, -1 if the robot would hit something or leave."""
-    cost = 0
+    costs, cells, cost = grid.costs, _cells_of(grid), 0
     for i in range(len(rollout)):
-        cost = cost_at(grid, rollout[i, 0], rollout[i, 1])
+        column, row = _cell(cells, rollout[i, 0], rollout[i, 1])
+        if column < 0:
+            return -1
+        cost = int(costs[row, column])
         if cost >= INSCRIBED:
             return -1
     return cost
@@ -139,8 +191,9 @@ def map_cells(
     the rollout, or the point in front of the robot, ends outside the costmap.
     """
     nose_x, nose_y = nose(parameters, end[2])
-    here, ahead = cell(grid, end[0], end[1]), cell(grid, end[0] + nose_x, end[1] + nose_y)
-    return _cells_at(critics, here, ahead)
+    cells = _cells_of(grid)
+    here, ahead = _cell(cells, end[0], end[1]), _cell(cells, end[0] + nose_x, end[1] + nose_y)
+    return _cells_at(critics.path_distance, _aims_of(critics), here, ahead)
 
 
 @jit
@@ -151,16 +204,31 @@ def nose(parameters: Parameters, yaw: float) -> tuple[float, float]:
 
 
 @jit
+def _aims_of(critics: Critics) -> Aims:
+    return Aims(
+        critics.left,
+        critics.low,
+        critics.goal_x,
+        critics.goal_y,
+        critics.nose_x,
+        critics.nose_y,
+        critics.align_path,
+    )
+
+
+@jit
 def _cells_at(
-    critics: Critics, here: tuple[int, int], ahead: tuple[int, int]
+    distance: NDArray[np.int32], aims: Aims, here: tuple[int, int], ahead: tuple[int, int]
 ) -> tuple[int, int, int, int]:
     (column, row), (ahead_column, ahead_row) = here, ahead
     if column < 0 or ahead_column < 0:
         return -1, -1, -1, -1
-    goal_align = abs(ahead_column - critics.nose_x) + abs(ahead_row - critics.nose_y)
-    goal_dist = abs(column - critics.goal_x) + abs(row - critics.goal_y)
-    path_dist = int(critics.path_distance[row, column])
-    path_align = int(critics.path_distance[ahead_row, ahead_column]) if critics.align_path else 0
+    goal_align = abs(ahead_column - aims.nose_x) + abs(ahead_row - aims.nose_y)
+    goal_dist = abs(column - aims.goal_x) + abs(row - aims.goal_y)
+    path_dist = int(distance[row - aims.low, column - aims.left])
+    path_align = 0
+    if aims.align_path:
+        path_align = int(distance[ahead_row - aims.low, ahead_column - aims.left])
     return goal_align, path_align, path_dist, goal_dist
 
 
@@ -209,10 +277,10 @@ def search(
     collision test needs the steps. It is made for the trajectory with the lowest score, then for
     the next, until one is legal.
     """
-    rollout = np.empty((_longest(parameters) + 2, 3))
+    forward, turning = twists(parameters, velocity)
+    rollout = np.empty((most_poses(parameters, forward, turning), 3))
     if critics.goal_x < 0:
         return math.nan, math.nan, rollout[:0]
-    forward, turning = twists(parameters, velocity)
     totals = _totals(parameters, grid, pose, velocity, critics, forward, turning, rollout)
     while True:
         index = int(np.argmin(totals))
@@ -225,13 +293,7 @@ def search(
         totals[index] = math.inf
 
 
-@jit
-def _longest(parameters: Parameters) -> int:
-    """Return the most steps that a rollout takes."""
-    return step_count(parameters, (parameters.max_vel_x, parameters.max_vel_theta))
-
-
-@jit
+@jit_unchecked
 def _totals(
     parameters: Parameters,
     grid: CostGrid,
@@ -246,46 +308,105 @@ def _totals(
 
     Forward speeds by turning speeds, in one row. ``rollout`` is a work array.
     """
-    totals = np.full(len(forward) * len(turning), math.inf)
-    # By turning speed: in how many steps its way is known, that way, and at its end the yaw and
-    # where the nose is.
-    known = np.zeros(len(turning), np.int64)
-    ways = np.empty((len(turning), len(rollout) - 1, 2))
-    ends = np.empty((len(turning), 3))
+    totals = np.full((len(forward), len(turning)), math.inf)
+    forward = forward[: _slow_enough(critics, forward)]
+    at_least = np.empty(len(forward), np.int64)  # steps, for the forward speed alone
+    for i in range(len(forward)):
+        at_least[i] = step_count(parameters, (forward[i], 0.0))
+    way, points = np.empty((len(rollout) - 1, 4)), np.empty((len(forward), 4))
+    direction = (math.cos(pose[2]), math.sin(pose[2]))
+    nose = parameters.forward_point_distance
+    near, yaw = critics.slowing or critics.rotating, 0.0
+    for j in range(len(turning)):
+        w = turning[j]
+        if critics.turn * w < 0.0:
+            continue
+        steps = step_count(parameters, (0.0, w))
+        last = 0
+        while last < len(forward):  # speeds with equally many steps at once
+            first, count = last, max(steps, at_least[last])
+            while last < len(forward) and max(steps, at_least[last]) == count:
+                last += 1
+            v = forward[first:last]
+            x, y = headings(parameters, direction, velocity[1], w, count, way)
+            ends(parameters, pose[:2], velocity[0], v, count, way, (nose * x, nose * y), points)
+            _take_to_cells(parameters, grid, pose, velocity, v, w, points, rollout)
+            if near:
+                yaw = last_yaw(parameters, pose[2], velocity[1], w, count)
+            _score(parameters, grid, critics, v, w, yaw, points, totals[first:last, j])
+    return totals.ravel()
+
+
+@jit
+def _slow_enough(critics: Critics, forward: NDArray[np.float64]) -> int:
+    """Return how many of the ascending forward speeds are legal near the goal."""
     for i in range(len(forward)):
         v = forward[i]
-        if critics.rotating and v > 0.0:
-            break
-        if critics.slowing and v * v >= critics.speed_squared:
-            break
-        for j in range(len(turning)):
-            w = turning[j]
-            if (v == 0.0 and w == 0.0) or critics.turn * w < 0.0:
-                continue
-            count = step_count(parameters, (v, w))
-            if known[j] != count:
-                known[j] = count
-                yaw = headings(parameters, pose[2], velocity[1], w, count, ways[j])
-                ends[j, 0] = yaw
-                ends[j, 1], ends[j, 2] = nose(parameters, yaw)
-            yaw, nose_x, nose_y = ends[j]
-            x, y = place(parameters, pose[0], pose[1], velocity[0], v, count, ways[j])
-            here = _in_cells(grid, x, y)
-            ahead = _in_cells(grid, x + nose_x, y + nose_y)
-            if (
-                _is_at_border(here[0])
-                or _is_at_border(here[1])
-                or _is_at_border(ahead[0])
-                or _is_at_border(ahead[1])
-            ):
-                x, y, _ = rollout[roll(parameters, pose, velocity, (v, w), rollout) - 1]
-                here = _in_cells(grid, x, y)
-                ahead = _in_cells(grid, x + nose_x, y + nose_y)
-            column, row = _cell_at(grid, *here)
-            cells = _cells_at(critics, (column, row), _cell_at(grid, *ahead))
-            total = map_score(parameters, grid, cells)
-            total += parameters.rotate_to_goal_scale * rotate_to_goal(parameters, critics, v, yaw)
-            if total < math.inf and grid.costs[row, column] < INSCRIBED:  # false for NaN, too
-                cost = int(grid.costs[row, column])
-                totals[i * len(turning) + j] = total + parameters.base_obstacle_scale * cost
-    return totals
+        if (critics.rotating and v > 0.0) or (critics.slowing and v * v >= critics.speed_squared):
+            return i
+    return len(forward)
+
+
+@jit_unchecked
+def _take_to_cells(
+    parameters: Parameters,
+    grid: CostGrid,
+    pose: tuple[float, float, float],
+    velocity: tuple[float, float],
+    forward: NDArray[np.float64],
+    w: float,
+    points: NDArray[np.float64],
+    rollout: Poses,
+) -> None:
+    """Turn metres into cells; roll out where rounding could put a point into another cell."""
+    origin_x, origin_y, per_metre = grid.origin_x, grid.origin_y, 1.0 / grid.resolution
+    for i in range(len(forward)):
+        left, low = (points[i, 0] - origin_x) * per_metre, (points[i, 1] - origin_y) * per_metre
+        left_ahead = (points[i, 2] - origin_x) * per_metre
+        low_ahead = (points[i, 3] - origin_y) * per_metre
+        if (
+            _is_at_border(left)
+            or _is_at_border(low)
+            or _is_at_border(left_ahead)
+            or _is_at_border(low_ahead)
+        ):
+            end = rollout[roll(parameters, pose, velocity, (forward[i], w), rollout) - 1]
+            nose_x, nose_y = nose(parameters, end[2])
+            cells = _cells_of(grid)
+            left, low = _in_cells(cells, end[0], end[1])
+            left_ahead, low_ahead = _in_cells(cells, end[0] + nose_x, end[1] + nose_y)
+        points[i, 0], points[i, 1] = left, low
+        points[i, 2], points[i, 3] = left_ahead, low_ahead
+
+
+@jit_unchecked
+def _score(
+    parameters: Parameters,
+    grid: CostGrid,
+    critics: Critics,
+    forward: NDArray[np.float64],
+    w: float,
+    yaw: float,
+    points: NDArray[np.float64],
+    totals: NDArray[np.float64],
+) -> None:
+    """Fill in the scores of rollouts by their last points and those in front of them [cells]."""
+    # Taken out of the tuples once: their arrays are counted each time that they are.
+    costs, distance = grid.costs, critics.path_distance
+    cells, aims = _cells_of(grid), _aims_of(critics)
+    near = critics.slowing or critics.rotating
+    for i in range(len(forward)):
+        v = forward[i]
+        if v == 0.0 and w == 0.0:
+            continue
+        here = _cell_at(cells, points[i, 0], points[i, 1])
+        ahead = _cell_at(cells, points[i, 2], points[i, 3])
+        scores = _cells_at(distance, aims, here, ahead)
+        if scores[0] < 0 or costs[here[1], here[0]] >= INSCRIBED:
+            continue
+        cost = int(costs[here[1], here[0]])
+        total = map_score(parameters, grid, scores)
+        if near:
+            rotate = rotate_to_goal(parameters, critics, v, yaw)
+            total += parameters.rotate_to_goal_scale * rotate
+        totals[i] = total + parameters.base_obstacle_scale * cost

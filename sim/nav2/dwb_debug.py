@@ -22,7 +22,7 @@ from sim.nav2.dwb_critics import (
     obstacle_cost,
     rotate_to_goal,
 )
-from sim.nav2.dwb_sampling import roll, step_count, twists
+from sim.nav2.dwb_sampling import most_poses, roll, twists
 from sim.nav2.paths import Poses
 
 EVALUATION = "dwb_msgs/msg/LocalPlanEvaluation"
@@ -109,7 +109,7 @@ def evaluate(scoring: Scoring) -> Evaluation:
     parameters = scoring.parameters
     forward, turning = twists(parameters, scoring.velocity)
     most = len(forward) * len(turning)
-    longest = step_count(parameters, (parameters.max_vel_x, parameters.max_vel_theta)) + 2
+    longest = most_poses(parameters, forward, turning)
     tried = np.empty((most, 2))
     poses = np.empty((most * longest, 3))
     ends = np.empty(most, np.int64)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.jit import jit
+from sim.jit import jit, jit_unchecked
 from sim.nav2.paths import Poses
 
 _EPSILON = 1e-5
@@ -111,6 +111,19 @@ def step_count(parameters: Parameters, twist: tuple[float, float]) -> int:
 
 
 @jit
+def most_poses(
+    parameters: Parameters, forward: NDArray[np.float64], turning: NDArray[np.float64]
+) -> int:
+    """Return how many poses the longest rollout of ascending speeds has."""
+    driving = step_count(parameters, (forward[-1], 0.0))
+    left, right = (
+        step_count(parameters, (0.0, turning[-1])),
+        step_count(parameters, (0.0, turning[0])),
+    )
+    return max(driving, left, right) + 2
+
+
+@jit
 def roll(
     parameters: Parameters,
     pose: tuple[float, float, float],
@@ -149,80 +162,104 @@ def roll(
 @jit
 def headings(
     parameters: Parameters,
-    yaw: float,
+    direction: tuple[float, float],
     turning: float,
     target: float,
     count: int,
     way: NDArray[np.float64],
-) -> float:
-    """Return the yaw at the end of a rollout, and fill in where its steps lead.
+) -> tuple[float, float]:
+    """Return the direction at the end of a rollout, and fill in where its steps lead.
 
-    The directions are those of ``roll``; in as many steps, every forward speed has the same.
+    The directions are those of ``roll`` up to rounding; in as many steps, every forward speed has
+    the same.
 
     Parameters
     ----------
     parameters
         Acceleration and time of the rollout.
-    yaw, turning
-        Of the robot [rad], [rad/s].
+    direction
+        Unit vector of the robot's yaw.
+    turning
+        Of the robot [rad/s].
     target
         Turning speed that is rolled out [rad/s].
     count
         Steps.
     way
-        Shape (more than ``count``, 2); gets the sums of the unit vectors along the first steps:
-        row i is where i steps of length one lead.
+        Shape (more than ``count``, 4); row i gets where the first i steps lead, if their lengths
+        are all 1, and if they are 1, 2, 3 and so on.
     """
     w, dt = turning, parameters.sim_time / count
-    heading_x, heading_y = math.cos(yaw), math.sin(yaw)
-    turn_x, turn_y, turned = 1.0, 0.0, 0.0
-    way[0, 0] = way[0, 1] = 0.0
+    rise, fall = parameters.acc_lim_theta * dt, parameters.decel_lim_theta * dt
+    change = (rise if turning < target else fall) * dt  # from one step's angle to the next
+    change_x, change_y = math.cos(change), math.sin(change)
+    turn_x, turn_y = math.cos(turning * dt), math.sin(turning * dt)
+    x, y = direction
+    way[0] = 0.0
     for i in range(count):
-        way[i + 1, 0], way[i + 1, 1] = way[i, 0] + heading_x, way[i, 1] + heading_y
-        w = approach(w, target, parameters.acc_lim_theta * dt, parameters.decel_lim_theta * dt)
-        yaw += w * dt
-        if w != turned:  # after speeding up it stays, and so does the rotation of a step
-            turn_x, turn_y, turned = math.cos(w * dt), math.sin(w * dt), w
-        heading_x, heading_y = (
-            heading_x * turn_x - heading_y * turn_y,
-            heading_y * turn_x + heading_x * turn_y,
-        )
-    return yaw
+        way[i + 1, 0], way[i + 1, 1] = way[i, 0] + x, way[i, 1] + y
+        way[i + 1, 2], way[i + 1, 3] = way[i, 2] + (i + 1) * x, way[i, 3] + (i + 1) * y
+        if i == 0 or w != target:
+            w = approach(w, target, rise, fall)
+            turn_x, turn_y = (
+                turn_x * change_x - turn_y * change_y,
+                turn_y * change_x + turn_x * change_y,
+            )
+            if w == target:
+                turn_x, turn_y = math.cos(w * dt), math.sin(w * dt)
+        x, y = x * turn_x - y * turn_y, y * turn_x + x * turn_y
+    return x, y
 
 
-@jit
-def place(
+@jit_unchecked
+def ends(
     parameters: Parameters,
-    x: float,
-    y: float,
+    place: tuple[float, float],
     forward: float,
-    target: float,
+    targets: NDArray[np.float64],
     count: int,
     way: NDArray[np.float64],
-) -> tuple[float, float]:
-    """Return where a rollout ends, up to the rounding of its sum [m].
+    ahead: tuple[float, float],
+    points: NDArray[np.float64],
+) -> None:
+    """Find where rollouts end, up to the rounding of their sums.
 
-    From when it has its forward speed on, that is the speed times the way.
+    While a rollout speeds up, its steps grow evenly; then they have one length.
 
     Parameters
     ----------
-    parameters, count
-        As for ``headings``.
-    x, y, forward
+    parameters, count, way
+        As for ``headings``, which has filled ``way`` in.
+    place, forward
         Of the robot [m], [m/s].
-    target
-        Forward speed that is rolled out [m/s].
-    way
-        What ``headings`` filled in.
+    targets
+        Forward speeds that are rolled out, shape (n,) [m/s].
+    ahead
+        From there to a point in front of the robot [m].
+    points
+        Shape (n, 4); gets x and y of the end and of that point [m].
     """
-    v, dt = forward, parameters.sim_time / count
+    dt = parameters.sim_time / count
     rise, fall = parameters.acc_lim_x * dt, parameters.decel_lim_x * dt
-    i = 0
-    while i < count and v != target:
-        v = approach(v, target, rise, fall)
-        x += v * (way[i + 1, 0] - way[i, 0]) * dt
-        y += v * (way[i + 1, 1] - way[i, 1]) * dt
-        i += 1
-    x += v * (way[count, 0] - way[i, 0]) * dt
-    y += v * (way[count, 1] - way[i, 1]) * dt
-    return x, y
+    end_x, end_y = way[count, 0], way[count, 1]
+    for n in range(len(targets)):
+        target = targets[n]
+        change = rise if forward < target else fall
+        i = min(int((target - forward) / change), count)  # steps until it has its speed
+        x = forward * way[i, 0] + change * way[i, 2] + target * (end_x - way[i, 0])
+        y = forward * way[i, 1] + change * way[i, 3] + target * (end_y - way[i, 1])
+        x, y = place[0] + dt * x, place[1] + dt * y
+        points[n, 0], points[n, 1] = x, y
+        points[n, 2], points[n, 3] = x + ahead[0], y + ahead[1]
+
+
+@jit
+def last_yaw(
+    parameters: Parameters, yaw: float, turning: float, target: float, count: int
+) -> float:
+    """Return the yaw at the end of a rollout, that of ``roll`` to the last bit [rad]."""
+    w, dt = turning, parameters.sim_time / count
+    for _ in range(count):
+        w = approach(w, target, parameters.acc_lim_theta * dt, parameters.decel_lim_theta * dt)
+        yaw += w * dt
+    return yaw

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.jit import jit
+from sim.jit import jit, jit_unchecked
 from sim.nav2.costmap import INSCRIBED, NO_INFORMATION, Costmap2D, Costs, Points
 
 TOLERANCE = 0.5  # how far from an unreachable goal a path may end, along each axis [m]
@@ -62,7 +62,9 @@ def plan(
     cells = cell_costs(grid)
     seed, goal = grid.cell(*start_xy), grid.cell(*goal_xy)
     potential = wavefront(cells, seed[0], seed[1], goal[0], goal[1])
-    end_xy = _nearest_reachable(grid, potential, goal_xy, tolerance)
+    end_xy: tuple[float, float] | None = goal_xy
+    if potential[goal[1], goal[0]] == math.inf:
+        end_xy = _nearest_reachable(grid, potential, goal_xy, tolerance)
     if end_xy is None:
         return None
     end = grid.cell(*end_xy)
@@ -85,7 +87,7 @@ def cell_costs(grid: Costmap2D) -> Costs:
 def _nearest_reachable(
     grid: Costmap2D, potential: Cells, goal_xy: tuple[float, float], tolerance: float
 ) -> tuple[float, float] | None:
-    """Return the reachable point nearest to the goal, itself if it is one [m]."""
+    """Return the reachable point nearest to a goal that is not reachable itself [m]."""
     reach = int(tolerance / grid.resolution)
     offsets = grid.resolution * np.arange(-reach, reach + 1)
     x, y = (axis.ravel() for axis in np.meshgrid(goal_xy[0] + offsets, goal_xy[1] + offsets))
@@ -110,7 +112,7 @@ def _approach(points: Points, goal: Points) -> Points:
     return np.vstack([points, goal])
 
 
-@jit
+@jit_unchecked
 def wavefront(
     cells: Costs, start_column: int, start_row: int, goal_column: int, goal_row: int
 ) -> Cells:

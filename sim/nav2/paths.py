@@ -73,8 +73,33 @@ def _through_quaternions(poses: Poses) -> Poses:
 
 def path_bytes(time_ns: int, frame: str, poses: Poses) -> bytes:
     """Return the bytes of ``serialize(path_message(...))``, in less time."""
-    words = _path_words(*divmod(time_ns, 1_000_000_000), _header(frame), poses)
-    return CDR_LITTLE_ENDIAN + words.tobytes()
+    words: NDArray[np.uint32] = _path_words(*divmod(time_ns, 1_000_000_000), _header(frame), poses)
+    return words.tobytes()
+
+
+class PathBytes:
+    """The bytes of a path, laid out once, and those of its rest while a robot follows it.
+
+    All poses but the first are laid out alike, wherever in the message they are.
+    """
+
+    def __init__(self, time_ns: int, frame: str, poses: Poses) -> None:
+        header = header_words(time_ns, frame).tobytes()
+        self._poses = memoryview(path_bytes(time_ns, frame, poses))
+        self._before_count = CDR_LITTLE_ENDIAN + header
+        self._before_first = header + bytes(4)  # doubles are aligned to 8 bytes
+        self._stride = 8 * -(-len(header) // 8) + _POSE_BYTES
+
+    def rest(self, count: int) -> bytes:
+        """Return the bytes of ``path_bytes`` of the last ``count`` poses."""
+        parts: list[bytes | memoryview] = [self._before_count, count.to_bytes(4, "little")]
+        if count:
+            size = _POSE_BYTES + (count - 1) * self._stride
+            parts += [self._before_first, self._poses[-size:]]
+        return b"".join(parts)
+
+
+_POSE_BYTES = 8 * 7
 
 
 @functools.cache
@@ -82,17 +107,23 @@ def _header(frame: str) -> NDArray[np.uint32]:
     return header_words(0, frame)
 
 
+_ENCAPSULATION = np.frombuffer(CDR_LITTLE_ENDIAN, np.uint32)
+
+
 @jit
 def _path_words(
     seconds: int, nanoseconds: int, header: NDArray[np.uint32], poses: Poses
 ) -> NDArray[np.uint32]:
-    """Return the message; every pose carries the path's header."""
-    words = np.zeros(2 * (len(header) // 2 + 1 + len(poses) * (len(header) // 2 + 8)), np.uint32)
-    doubles = words.view(np.float64)
-    at = put(words, 0, header)
-    words[0], words[1] = seconds, nanoseconds
+    """Return the message with its encapsulation; every pose carries the path's header."""
+    begin = 2  # after the encapsulation, where doubles are aligned
+    words = np.zeros(begin + len(header) + 2 + len(poses) * (len(header) + 15), np.uint32)
+    doubles = words[: len(words) // 2 * 2].view(np.float64)
+    words[begin - 1] = _ENCAPSULATION[0]
+    at = put(words, begin, header)
+    words[begin], words[begin + 1] = seconds, nanoseconds
     words[at] = len(poses)
     at += 1
+    yaw = z = w = 0.0
     for i in range(len(poses)):
         words[at + 2 : at + len(header)] = header[2:]
         words[at], words[at + 1] = seconds, nanoseconds
@@ -101,14 +132,29 @@ def _path_words(
         double = at // 2
         doubles[double] = poses[i, 0]
         doubles[double + 1] = poses[i, 1]
-        doubles[double + 5] = math.sin(poses[i, 2] / 2.0)
-        doubles[double + 6] = math.cos(poses[i, 2] / 2.0)
+        if yaw == 0.0 or poses[i, 2] != yaw:  # a planner's poses share theirs; zeros have signs
+            yaw = poses[i, 2]
+            z, w = math.sin(yaw / 2.0), math.cos(yaw / 2.0)
+        doubles[double + 5], doubles[double + 6] = z, w
         at += 14
-    return words[:at]
+    return words[begin - 1 : at]
 
 
 def length_ahead(poses: Poses, x: float, y: float) -> float:
     """Return the length of a path from its pose closest to a point on [m]."""
-    closest = int(np.argmin(np.hypot(poses[:, 0] - x, poses[:, 1] - y)))
-    steps = np.diff(poses[closest:, :2], axis=0)
-    return float(np.sum(np.hypot(steps[:, 0], steps[:, 1])))
+    return float(np.sum(_steps_ahead(poses, x, y)))
+
+
+@jit
+def _steps_ahead(poses: Poses, x: float, y: float) -> NDArray[np.float64]:
+    """Return the distances from pose to pose, from the pose closest to a point on [m]."""
+    closest, least = 0, math.inf
+    for i in range(len(poses)):
+        distance = math.hypot(poses[i, 0] - x, poses[i, 1] - y)
+        if distance < least:
+            closest, least = i, distance
+    steps = np.empty(len(poses) - 1 - closest)
+    for i in range(len(steps)):
+        here, there = poses[closest + i], poses[closest + i + 1]
+        steps[i] = math.hypot(there[0] - here[0], there[1] - here[1])
+    return steps

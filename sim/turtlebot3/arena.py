@@ -13,6 +13,8 @@ from typing import Any, Literal, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.jit import jit
+
 Points = NDArray[np.float64]
 ArenaKind = Literal["hexagon", "house", "random"]
 
@@ -52,21 +54,13 @@ class Hexagon:
         corners: Points = self.circumradius * circle + (self.x, self.y)
         return corners
 
+    def outline(self) -> "Outline":
+        """Return the outline seen from above."""
+        return _HEXAGON, self.x, self.y, self.apothem, self.circumradius / 2.0, 1.0, 0.0
+
     def signed_distance(self, points: Points) -> NDArray[np.float64]:
         """Return the distance of points of shape (n, 2) from the surface; negative inside [m]."""
-        # By symmetry, every point is moved to the first quadrant, in front of the nearer of two
-        # sides.
-        x, y = np.abs(points[:, 0] - self.x), np.abs(points[:, 1] - self.y)
-        slope_x, slope_y = math.sqrt(3.0) / 2.0, 0.5
-        to_slope = slope_x * x + slope_y * y
-        faces_slope = to_slope > y
-        out = np.where(faces_slope, to_slope, y) - self.apothem
-        along = np.where(faces_slope, np.abs(slope_x * y - slope_y * x), x)
-        beyond_corner = np.maximum(along - self.circumradius / 2.0, 0.0)
-        distance: NDArray[np.float64] = np.where(
-            out > 0.0, np.sqrt(out * out + beyond_corner * beyond_corner), out
-        )
-        return distance
+        return _distances(points, np.array(self.outline()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,14 +89,14 @@ class Box:
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         return np.array([(c, s, self.half_x), (-s, c, self.half_y), (0.0, 0.0, math.inf)])
 
+    def outline(self) -> "Outline":
+        """Return the outline seen from above."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return _RECTANGLE, self.x, self.y, self.half_x, self.half_y, c, s
+
     def signed_distance(self, points: Points) -> NDArray[np.float64]:
         """Return the distance of points of shape (n, 2) from the surface; negative inside [m]."""
-        c, s = math.cos(self.yaw), math.sin(self.yaw)
-        x, y = points[:, 0] - self.x, points[:, 1] - self.y
-        along, across = np.abs(c * x + s * y) - self.half_x, np.abs(c * y - s * x) - self.half_y
-        beyond = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
-        distance: NDArray[np.float64] = beyond + np.minimum(np.maximum(along, across), 0.0)
-        return distance
+        return _distances(points, np.array(self.outline()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,11 +109,61 @@ class Cylinder:
     radius: float = 0.15  # [m]
     height: float = 0.5  # [m], from the floor
 
+    def outline(self) -> "Outline":
+        """Return the outline seen from above."""
+        return _CIRCLE, self.x, self.y, self.radius, 0.0, 1.0, 0.0
+
     def signed_distance(self, points: Points) -> NDArray[np.float64]:
         """Return the distance of points of shape (n, 2) from the surface; negative inside [m]."""
-        x, y = points[:, 0] - self.x, points[:, 1] - self.y
-        distance: NDArray[np.float64] = np.sqrt(x * x + y * y) - self.radius
-        return distance
+        return _distances(points, np.array(self.outline()))
+
+
+# Kind, centre [m], two lengths [m], and cosine and sine of the yaw: what distances depend on.
+Outline: TypeAlias = tuple[float, float, float, float, float, float, float]
+_CIRCLE, _RECTANGLE, _HEXAGON = 0.0, 1.0, 2.0
+
+
+@jit
+def _distance(outline: NDArray[np.float64], x: float, y: float) -> float:
+    """Return the distance of a point from an outline; negative inside [m]."""
+    kind, centre_x, centre_y, first, second, c, s = outline
+    x, y = x - centre_x, y - centre_y
+    if kind == _CIRCLE:
+        return float(math.sqrt(x * x + y * y) - first)
+    if kind == _RECTANGLE:
+        along, across = abs(c * x + s * y) - first, abs(c * y - s * x) - second
+        beyond = math.hypot(max(along, 0.0), max(across, 0.0))
+        return float(beyond + min(max(along, across), 0.0))
+    # By symmetry, the point is moved to the first quadrant, in front of the nearer of two sides.
+    x, y = abs(x), abs(y)
+    slope_x, slope_y = math.sqrt(3.0) / 2.0, 0.5
+    out, along = slope_x * x + slope_y * y, abs(slope_x * y - slope_y * x)
+    if out <= y:
+        out, along = y, x
+    out -= first
+    beyond_corner = max(along - second, 0.0)
+    return math.sqrt(out * out + beyond_corner * beyond_corner) if out > 0.0 else out
+
+
+@jit
+def _distances(points: Points, outline: NDArray[np.float64]) -> NDArray[np.float64]:
+    found = np.empty(len(points))
+    for i in range(len(points)):
+        found[i] = _distance(outline, points[i, 0], points[i, 1])
+    return found
+
+
+@jit
+def _clearance(
+    points: Points, boundary: NDArray[np.float64], obstacles: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    found = np.empty(len(points))
+    for i in range(len(points)):
+        nearest = -_distance(boundary, points[i, 0], points[i, 1])
+        for j in range(len(obstacles)):
+            nearest = min(nearest, _distance(obstacles[j], points[i, 0], points[i, 1]))
+        found[i] = nearest
+    return found
 
 
 # The meshes are in inches and scaled: a block of circumradius 57.735 in, a ring of 461.88 in.
@@ -176,10 +220,7 @@ class Arena:
         ndarray of shape (n,)
             Positive where a robot could be, negative inside an obstacle and outside the wall [m].
         """
-        distances = [-self.boundary.signed_distance(points)]
-        distances += [block.signed_distance(points) for block in self.blocks]
-        distances += [pillar.signed_distance(points) for pillar in self.pillars]
-        return functools.reduce(np.minimum, distances)
+        return _clearance(points, *_outlines(self))
 
     def mirrored(self) -> Self:
         """Return the arena as seen in a mirror along the x axis."""
@@ -206,6 +247,13 @@ class Arena:
                 "pillars": tuple(Cylinder(**pillar) for pillar in document["pillars"]),
             }
         )
+
+
+@functools.lru_cache(maxsize=8)  # many points are drawn in the same arena
+def _outlines(arena: Arena) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the outline of the boundary, and those of the obstacles, one in a row."""
+    obstacles = [piece.outline() for piece in (*arena.blocks, *arena.pillars)]
+    return np.array(arena.boundary.outline()), np.array(obstacles).reshape(-1, 7)
 
 
 def _mirrored(block: Block) -> Block:

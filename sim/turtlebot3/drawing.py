@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.campaigns import ArenaChoice, Campaign, Navigation, Options, RecipeError, Relation
+from sim.jit import jit
 from sim.middleware.geometry import Pose2D
 from sim.nav2.costmap import Costmap2D
 from sim.nav2.costmap_layers import static_costs
@@ -103,21 +104,31 @@ def _nav2(arena: Arena, options: Options) -> Navigation:
     return "stock" if arena.kind == "house" else "tuned"
 
 
+@jit
 def can_be_followed(path: NDArray[np.float64]) -> bool:
     """Return whether the controller can follow a path of shape (n, 2) in the map frame.
 
     See `MIN_APPROACH`.
     """
-    driven = np.concatenate([[0.0], np.hypot(*np.diff(path, axis=0).T).cumsum()])
+    driven = np.zeros(len(path))
+    for i in range(1, len(path)):
+        step = math.hypot(path[i, 0] - path[i - 1, 0], path[i, 1] - path[i - 1, 1])
+        driven[i] = driven[i - 1] + step
     for i in range(0, len(path), 4):
-        ahead = driven[i:] - driven[i]
-        beyond = (np.hypot(*(path[i:] - path[i]).T) > _SEEN_M) | (ahead > _FOLLOWED_M)
-        end = int(beyond.argmax()) if beyond.any() else len(ahead) - 1
-        step = int(np.searchsorted(ahead, _LOOK_AHEAD_M))
-        if step >= end:
+        end = i  # of what the controller sees
+        while end < len(path) - 1:
+            away = math.hypot(path[end, 0] - path[i, 0], path[end, 1] - path[i, 1])
+            if away > _SEEN_M or driven[end] - driven[i] > _FOLLOWED_M:
+                break
+            end += 1
+        ahead = i
+        while ahead < len(path) and driven[ahead] - driven[i] < _LOOK_AHEAD_M:
+            ahead += 1
+        if ahead >= end:
             return True  # the goal is near
-        left = np.abs(path[i + end] - path[[i, i + step]]).sum(axis=1)
-        if left[0] - left[1] < MIN_APPROACH * ahead[step]:
+        left = abs(path[end, 0] - path[i, 0]) + abs(path[end, 1] - path[i, 1])
+        left_ahead = abs(path[end, 0] - path[ahead, 0]) + abs(path[end, 1] - path[ahead, 1])
+        if left - left_ahead < MIN_APPROACH * (driven[ahead] - driven[i]):
             return False
     return True
 

@@ -118,6 +118,15 @@ def test_a_wall_all_around_leaves_no_legal_trajectory():
     assert len(cycle.trajectory) == 0
 
 
+@pytest.mark.parametrize("forward", [8.0, 50.0, math.inf])
+@pytest.mark.parametrize("turning", [0.0, -9.0, 40.0, math.inf])
+def test_an_odometry_that_is_far_too_fast_or_infinite_does_no_harm(forward, turning):
+    cycle = planner_on(straight_plan()).compute(
+        free_grid(), Pose2D(), (forward, turning), MAP_TO_ODOM
+    )
+    assert cycle.twist is None or np.isfinite(cycle.twist).all()
+
+
 def test_a_plan_that_is_nowhere_near_is_not_followed():
     far = straight_plan() + np.array([10.0, 0.0, 0.0])
     cycle = planner_on(far).compute(free_grid(), Pose2D(), (0.0, 0.0), MAP_TO_ODOM)
@@ -283,6 +292,24 @@ def test_the_choice_follows_the_definitions_of_the_critics(seed, yaw, speed, tur
         assert totals[chosen] == pytest.approx(min(totals.values()))
 
 
+@given(
+    seed=st.integers(0, 2**31),
+    place=st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)),
+    reach=st.integers(0, 40),
+)
+def test_distances_around_the_robot_are_those_over_the_whole_costmap(seed, place, reach):
+    rng = np.random.default_rng(seed)
+    grid = free_grid()
+    grid.costs[:] = rng.choice([0, 255], grid.costs.shape, p=[0.9, 0.1])
+    plan = np.column_stack([rng.uniform(-1.6, 1.6, (2, 2)), np.zeros(2)])
+    around, left, low, *points = dwb_critics.map_plan(grid, plan, *place, reach, (0.1, 0.0))
+    whole, _, _, *same = dwb_critics.map_plan(grid, plan, *place, CELLS, (0.1, 0.0))
+    rows, columns = around.shape
+    np.testing.assert_array_equal(around, whole[low : low + rows, left : left + columns])
+    assert whole.shape == grid.costs.shape
+    assert points == same
+
+
 # -- the search ------------------------------------------------------------------------------
 
 
@@ -327,7 +354,7 @@ def test_the_search_finds_what_rolling_out_every_twist_finds(seed, pose, velocit
     costs = rng.choice(np.array([0, 50, 253, 255], np.uint8), (60, 60), p=[0.8, 0.17, 0.02, 0.01])
     columns = rng.integers(60, size=4).tolist()
     critics = Critics(
-        rng.integers(0, 120, (60, 60), np.int32), *columns, float(rng.uniform(-3.0, 3.0)),
+        rng.integers(0, 120, (60, 60), np.int32), 0, 0, *columns, float(rng.uniform(-3.0, 3.0)),
         bool(rng.integers(2)), near == "slowing", near == "rotating", velocity[0] ** 2, turn,
     )  # fmt: skip
     scoring = Scoring(Parameters(), CostGrid(costs, 0.05, -1.5, -1.5), pose, velocity, critics)

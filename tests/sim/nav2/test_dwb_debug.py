@@ -189,6 +189,9 @@ def naive_critics(scoring, twist, rollout):
     def manhattan(here, goal_x, goal_y):
         return abs(here[1] - goal_x) + abs(here[0] - goal_y)
 
+    def to_path(cell):
+        return critics.path_distance[cell[0] - critics.low, cell[1] - critics.left]
+
     rotation = 0.0
     if critics.slowing or critics.rotating:
         if v > 0.0 if critics.rotating else v * v >= critics.speed_squared:
@@ -207,12 +210,12 @@ def naive_critics(scoring, twist, rollout):
     nose = cell(x + 0.1 * math.cos(yaw), y + 0.1 * math.sin(yaw))
     yield manhattan(nose, critics.nose_x, critics.nose_y), half * p.goal_align_scale
     if critics.align_path:
-        yield critics.path_distance[nose], half * p.path_align_scale
+        yield to_path(nose), half * p.path_align_scale
     else:
         yield 0.0, 0.0
     if critics.goal_x < 0:
         raise IllegalTrajectoryError
-    yield critics.path_distance[cell(x, y)], half * p.path_dist_scale
+    yield to_path(cell(x, y)), half * p.path_dist_scale
     yield manhattan(cell(x, y), critics.goal_x, critics.goal_y), half * p.goal_dist_scale
 
 
