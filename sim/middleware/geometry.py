@@ -14,6 +14,9 @@ def wrap_angle(angle: float) -> float:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
+wrapped = jit(wrap_angle)  # for compiled code
+
+
 @dataclass(frozen=True, slots=True)
 class Pose2D:
     """A planar pose, or the transform that takes its coordinates into the parent frame."""
@@ -43,6 +46,26 @@ class Pose2D:
     def distance_to(self, other: "Pose2D") -> float:
         """Return the straight distance to ``other`` in the same frame [m]."""
         return math.hypot(self.x - other.x, self.y - other.y)
+
+
+Planar = tuple[float, float, float]
+"""A `Pose2D` in compiled code: x, y [m], yaw [rad]."""
+
+
+@jit
+def composed(upper: Planar, lower: Planar) -> Planar:
+    """Return what `Pose2D.compose` does, operation by operation."""
+    (x, y, yaw), (ahead, aside, turn) = upper, lower
+    c, s = math.cos(yaw), math.sin(yaw)
+    return x + c * ahead - s * aside, y + s * ahead + c * aside, wrapped(yaw + turn)
+
+
+@jit
+def inverted(pose: Planar) -> Planar:
+    """Return what `Pose2D.inverse` does, operation by operation."""
+    x, y, yaw = pose
+    c, s = math.cos(yaw), math.sin(yaw)
+    return -c * x - s * y, s * x - c * y, wrapped(-yaw)
 
 
 @jit

@@ -3,7 +3,6 @@
 All frames that navigation looks up move in the plane, so a transform is kept as x, y and yaw.
 """
 
-import math
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,15 @@ from sim.jit import jit
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND
-from sim.middleware.geometry import Pose2D, quaternion_yaw, wrap_angle, yaw_quaternion
+from sim.middleware.geometry import (
+    Planar,
+    Pose2D,
+    composed,
+    inverted,
+    quaternion_yaw,
+    wrapped,
+    yaw_quaternion,
+)
 from sim.middleware.node import Node
 from sim.middleware.stamps import header, stamp_ns
 
@@ -37,7 +44,6 @@ _NONE, _UNCONNECTED = -1, -2  # instead of a row
 
 _Ints = NDArray[np.int64]
 _Floats = NDArray[np.float64]
-_Planar = tuple[float, float, float]  # x, y [m], yaw [rad]
 
 
 class TransformError(LookupError):
@@ -156,7 +162,7 @@ def _add(
 @jit
 def _transform(
     links: _Ints, times: _Ints, poses: _Floats, target: int, source: int, time_ns: int
-) -> tuple[_Planar, int]:
+) -> tuple[Planar, int]:
     """Return the pose of the source in the target, and the frame that is unknown, if any."""
     upper, upper_root, unknown = _to_root(links, times, poses, target, time_ns)
     if unknown != _NONE:
@@ -164,13 +170,13 @@ def _transform(
     lower, lower_root, unknown = _to_root(links, times, poses, source, time_ns)
     if unknown == _NONE and upper_root != lower_root:
         unknown = _UNCONNECTED
-    return _composed(_inverted(upper), lower), unknown
+    return composed(inverted(upper), lower), unknown
 
 
 @jit
 def _to_root(
     links: _Ints, times: _Ints, poses: _Floats, frame: int, time_ns: int
-) -> tuple[_Planar, int, int]:
+) -> tuple[Planar, int, int]:
     """Return a frame's pose in the root above it, the root, and the frame that is unknown."""
     pose = (0.0, 0.0, 0.0)
     for _ in range(len(links)):
@@ -179,13 +185,13 @@ def _to_root(
         known, above = _at(links[frame], times[frame], poses[frame], time_ns)
         if not known:
             return pose, frame, frame
-        pose = _composed(above, pose)
+        pose = composed(above, pose)
         frame = links[frame, _PARENT]
     return pose, frame, _UNCONNECTED  # the frames form a circle
 
 
 @jit
-def _at(link: _Ints, times: _Ints, poses: _Floats, time_ns: int) -> tuple[bool, _Planar]:
+def _at(link: _Ints, times: _Ints, poses: _Floats, time_ns: int) -> tuple[bool, Planar]:
     """Return whether a link is known at a time, and its pose then: between samples, linear."""
     index = last = link[_COUNT] - 1
     if time_ns != _LATEST and not link[_STATIC]:
@@ -198,28 +204,8 @@ def _at(link: _Ints, times: _Ints, poses: _Floats, time_ns: int) -> tuple[bool, 
         return True, (x, y, yaw)
     next_x, next_y, next_yaw = poses[index + 1]
     share = (time_ns - times[index]) / (times[index + 1] - times[index])
-    turn = share * _wrapped(next_yaw - yaw)
-    return True, (x + share * (next_x - x), y + share * (next_y - y), _wrapped(yaw + turn))
-
-
-# As `Pose2D.compose` and `Pose2D.inverse`, operation by operation.
-
-
-@jit
-def _composed(upper: _Planar, lower: _Planar) -> _Planar:
-    (x, y, yaw), (ahead, aside, turn) = upper, lower
-    c, s = math.cos(yaw), math.sin(yaw)
-    return x + c * ahead - s * aside, y + s * ahead + c * aside, _wrapped(yaw + turn)
-
-
-@jit
-def _inverted(pose: _Planar) -> _Planar:
-    x, y, yaw = pose
-    c, s = math.cos(yaw), math.sin(yaw)
-    return -c * x - s * y, s * x - c * y, _wrapped(-yaw)
-
-
-_wrapped = jit(wrap_angle)
+    turn = share * wrapped(next_yaw - yaw)
+    return True, (x + share * (next_x - x), y + share * (next_y - y), wrapped(yaw + turn))
 
 
 class TransformListener(Node):

@@ -5,12 +5,12 @@ state between cycles, as Nav2 does on Humble. Topics and actions belong to the c
 """
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from sim.jit import jit
-from sim.middleware.geometry import Pose2D, wrap_angle
+from sim.middleware.geometry import Planar, Pose2D, composed, inverted, wrap_angle
 from sim.nav2.dwb_critics import CostGrid, Critics, Scoring, map_plan, search
 from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.paths import Poses
@@ -149,17 +149,14 @@ class _Trend:
             self.only = self._sign = 0
 
 
-_Planar: TypeAlias = tuple[float, float, float]  # x, y [m], yaw [rad]
-
-
 @jit
 def _choose(
     parameters: Parameters,
     grid: CostGrid,
     plan: Poses,
-    pose: _Planar,
+    pose: Planar,
     velocity: tuple[float, float],
-    from_plan: _Planar,
+    from_plan: Planar,
     near_goal: bool,
     rotating: bool,
     turn: int,
@@ -171,7 +168,7 @@ def _choose(
     """
     begin, near = _followed(parameters, grid, plan, pose, from_plan)
     critics = _critics(
-        parameters, grid, near, _composed(from_plan, plan[-1]), pose, velocity,
+        parameters, grid, near, composed(from_plan, plan[-1]), pose, velocity,
         near_goal, rotating, turn,
     )  # fmt: skip
     forward, turning, rollout = search(parameters, grid, pose, velocity, critics)
@@ -183,8 +180,8 @@ def _critics(
     parameters: Parameters,
     grid: CostGrid,
     near: Poses,
-    goal: _Planar,
-    pose: _Planar,
+    goal: Planar,
+    pose: Planar,
     velocity: tuple[float, float],
     near_goal: bool,
     rotating: bool,
@@ -215,14 +212,14 @@ def _critics(
 
 @jit
 def _followed(
-    parameters: Parameters, grid: CostGrid, plan: Poses, pose: _Planar, from_plan: _Planar
+    parameters: Parameters, grid: CostGrid, plan: Poses, pose: Planar, from_plan: Planar
 ) -> tuple[int, Poses]:
     """Return where the plan's part near the robot begins, and that part in the costmap's frame.
 
     It begins with the first pose that is near the robot, not looking further along the plan than
     ``prune_distance``, and goes on to the first pose that is too far ahead.
     """
-    x, y, _ = _composed(_inverse(from_plan), pose)
+    x, y, _ = composed(inverted(from_plan), pose)
     reach = max(grid.costs.shape) * grid.resolution / 2.0
     behind, ahead = (
         min(reach, parameters.prune_distance),
@@ -249,25 +246,3 @@ def _followed(
         near[i, 1] = from_plan[1] + s * pose_x + c * pose_y
         near[i, 2] = yaw + turn
     return begin, near
-
-
-@jit
-def _composed(frame: _Planar, pose: _Planar) -> _Planar:
-    """Return what `Pose2D.compose` does."""
-    c, s = math.cos(frame[2]), math.sin(frame[2])
-    return (
-        frame[0] + c * pose[0] - s * pose[1],
-        frame[1] + s * pose[0] + c * pose[1],
-        _wrap_angle(frame[2] + pose[2]),
-    )
-
-
-@jit
-def _inverse(frame: _Planar) -> _Planar:
-    """Return what `Pose2D.inverse` does."""
-    x, y, yaw = frame
-    c, s = math.cos(yaw), math.sin(yaw)
-    return -c * x - s * y, s * x - c * y, _wrap_angle(-yaw)
-
-
-_wrap_angle = jit(wrap_angle)

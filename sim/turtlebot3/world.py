@@ -15,7 +15,7 @@ from mujoco.rollout import Rollout
 from numpy.typing import NDArray
 
 from sim.jit import jit
-from sim.middleware.geometry import Pose2D, quaternion_yaw, wrap_angle
+from sim.middleware.geometry import Pose2D, quaternion_yaw, wrapped
 from sim.turtlebot3.clear_space import ClearSpace
 from sim.turtlebot3.mjcf import STATIC, STEP_NS, WorldParameters, mjcf, pieces
 from sim.turtlebot3.rays import Piece, Rays
@@ -329,7 +329,7 @@ def _carried_on(
     """Return the motion now: that of the last step, extrapolated with its speeds."""
     ahead_s = now_ns % STEP_NS / 1e9
     _, x, y, _, w, qx, qy, qz, left, right, vx, vy, _, _, _, turning, v_left, v_right = state
-    yaw = _wrapped(_yaw(qx, qy, qz, w) + ahead_s * turning)
+    yaw = wrapped(_yaw(qx, qy, qz, w) + ahead_s * turning)
     return (
         x + ahead_s * vx,
         y + ahead_s * vy,
@@ -340,4 +340,4 @@ def _carried_on(
     )
 
 
-_wrapped, _yaw = jit(wrap_angle), jit(quaternion_yaw)
+_yaw = jit(quaternion_yaw)
