@@ -301,7 +301,7 @@ _POINTS_OF = {"sensor_msgs/msg/LaserScan": scan_points, "sensor_msgs/msg/Range":
 def _box(polygons: Sequence[Polygon]) -> tuple[float, float, float, float]:
     """Return left, bottom, right and top of a box around what polygons act on [m].
 
-    An approach also looks at what the robot will reach, wherever that is.
+    An approach also considers what the robot will reach, wherever that is.
     """
     if any(polygon.action == "approach" for polygon in polygons):
         return -math.inf, -math.inf, math.inf, math.inf

@@ -131,7 +131,7 @@ def _drawn(
     bin_of: NDArray[np.int64],
     bins: int,
 ) -> NDArray[np.float64]:
-    """Return the poses that draws fall on: as many as their occupied bins ask for, shape (n, 3)."""
+    """Return the poses that draws fall on: as many as their occupied bins need, shape (n, 3)."""
     drawn = np.empty((len(draws), 3))
     is_occupied, occupied, count = np.zeros(bins, np.bool_), 0, 0
     while count < _LIMITS[occupied]:
