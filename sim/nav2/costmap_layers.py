@@ -127,10 +127,10 @@ def _clear(
         cells, column, row = costs.ravel(), int(from_x), int(from_y)
         before_x, before_y = -1, -1
         for i in range(len(ends)):
-            end_x, end_y = (
-                int((ends[i, 0] - origin_x) / resolution),
-                int((ends[i, 1] - origin_y) / resolution),
-            )
+            along, up = (ends[i, 0] - origin_x) / resolution, (ends[i, 1] - origin_y) / resolution
+            if not (-1.0 < along < width and -1.0 < up < height):  # NaN, from a false scan
+                continue
+            end_x, end_y = int(along), int(up)
             if end_x != before_x or end_y != before_y:  # else as the beam beside it
                 _free_line(cells, width, row * width + column, end_x - column, end_y - row)
             before_x, before_y = end_x, end_y

@@ -92,7 +92,7 @@ class LocalPlanner:
         """
         if not len(self.plan):
             return Cycle(None, self.plan, self.plan)
-        if not max(map(abs, velocity)) < _FASTEST:  # a false odometry, too fast to roll out
+        if not all(abs(speed) < _FASTEST for speed in velocity):  # false odometry, NaN included
             near = self.followed(pose, grid, from_plan)
             return Cycle(None, near, near[:0])
         parameters, place = self._limited, (pose.x, pose.y, pose.yaw)

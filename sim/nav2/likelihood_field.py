@@ -110,7 +110,9 @@ def _weigh(
         for i in range(len(poses)):
             column = np.floor(x[i] + c[i] * ahead - s[i] * left) + 1.0
             row = np.floor(y[i] + s[i] * ahead + c[i] * left) + 1.0
-            column, row = min(max(column, 0.0), width - 1.0), min(max(row, 0.0), height - 1.0)
+            # Written so that NaN, from a false scan, is in the border.
+            column = min(column, width - 1.0) if column > 0.0 else 0.0
+            row = min(row, height - 1.0) if row > 0.0 else 0.0
             cells[i] = np.int32(row * width + column)
         for i in range(len(poses)):
             p = random + hit_at[np.uint32(cells[i])]

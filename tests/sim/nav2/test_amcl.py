@@ -83,6 +83,8 @@ def score(distance):
         ((1.66, 1.31), 0.25),
         ((0.01, 0.01), 2.0),  # 2.1 m away: capped
         *((end, 2.0) for end in [(-1.0, 1.0), (9.0, 1.0), (1.0, -1.0), (1.0, 9.0)]),  # off the map
+        *((end, 2.0) for end in [(math.nan, math.nan), (1.5, math.nan), (math.nan, 1.5)]),
+        *((end, 2.0) for end in [(math.inf, 1.5), (1.5, -math.inf)]),
     ],
 )
 def test_beam_scores_by_its_distance_from_the_nearest_obstacle(end, distance):

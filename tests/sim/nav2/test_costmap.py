@@ -142,6 +142,12 @@ def test_obstacles_are_marked_up_to_2_5_m_and_space_freed_up_to_3_m():
         assert np.sum(layer.costs == FREE_SPACE) == freed
 
 
+@pytest.mark.parametrize("nowhere", [(math.nan, math.nan), (math.nan, 0.5), (0.5, math.nan)])
+def test_points_of_a_false_scan_that_are_nowhere_neither_mark_nor_free(nowhere):
+    costs = layer_after(seen(nowhere, (0.52, 0.02)))
+    assert np.array_equal(costs, layer_after(seen((0.52, 0.02))))
+
+
 def test_marks_win_over_clearing_of_the_same_update_whatever_the_order_of_sources():
     near, far = seen((0.52, 0.02)), seen((1.02, 0.02))
     for pair in ((near, far), (far, near)):

@@ -118,9 +118,9 @@ def test_a_wall_all_around_leaves_no_legal_trajectory():
     assert len(cycle.trajectory) == 0
 
 
-@pytest.mark.parametrize("forward", [8.0, 50.0, math.inf])
-@pytest.mark.parametrize("turning", [0.0, -9.0, 40.0, math.inf])
-def test_an_odometry_that_is_far_too_fast_or_infinite_does_no_harm(forward, turning):
+@pytest.mark.parametrize("forward", [8.0, 50.0, math.inf, math.nan])
+@pytest.mark.parametrize("turning", [0.0, -9.0, 40.0, math.inf, math.nan])
+def test_an_odometry_that_is_far_too_fast_or_no_number_does_no_harm(forward, turning):
     cycle = planner_on(straight_plan()).compute(
         free_grid(), Pose2D(), (forward, turning), MAP_TO_ODOM
     )
