@@ -79,14 +79,13 @@ class Recorder(Node):
 
     def store(self) -> None:
         """Write the messages received so far into the bag."""
-        clock = self._receive_clock
-        self._writer.write_many(
-            [
-                (topic, time_ns if clock is None else clock.stamp_ns(time_ns), data)
-                for time_ns, topic, data in self._received
-            ]
-        )
+        if not self._received:
+            return
+        times_ns, topics, data = zip(*self._received, strict=True)
         self._received.clear()
+        if self._receive_clock is not None:
+            times_ns = tuple(map(self._receive_clock.stamp_ns, times_ns))
+        self._writer.write_many(topics, times_ns, data)
 
     def _discover(self) -> None:
         if self._revision == self.domain.revision:

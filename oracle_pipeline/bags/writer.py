@@ -73,7 +73,7 @@ class BagWriter:
         self.path = path
         self._hash = ContentHash()
         self._topics: dict[str, _Topic] = {}
-        self._pending: list[tuple[_Topic, int, bytes]] = []  # written, but not yet stored
+        self._pending: list[tuple[str, int, bytes]] = []  # written, but not yet stored
         self._pending_bytes = self._stored_bytes = 0
         # rosbags names the file after the folder, rosbag2 adds "_0": so it is written as
         # "<name>_0" and the folder is renamed at the end.
@@ -141,6 +141,7 @@ class BagWriter:
         definition : TypeDefinition, optional
             Definition to store; by default the built-in one, which must exist.
         """
+        self._flush()  # what was written before gets the profiles offered before
         known = self._topics.get(name)
         if known is None:
             definition = definition or TypeDefinition(
@@ -167,46 +168,36 @@ class BagWriter:
         data : bytes
             CDR bytes, encapsulation header included.
         """
-        entry = self._topics.get(topic)
-        if entry is None or entry.connection is None:
-            entry = self._begin(topic)
-        self._pending.append((entry, stamp_ns, data))
+        if topic not in self._topics:
+            raise BagError(f"{topic} is unknown to {self.path}; call add_topic first.")
+        self._pending.append((topic, stamp_ns, data))
         self._pending_bytes += len(data)
         if self._pending_bytes > _BATCH_BYTES:
             self._flush()
 
-    def write_many(self, messages: Sequence[tuple[str, int, bytes]]) -> None:
-        """Append messages, each a topic, a stamp and bytes as for `write`."""
-        entries = {topic: self._begin(topic) for topic in dict.fromkeys(m[0] for m in messages)}
-        self._pending += [(entries[topic], stamp_ns, data) for topic, stamp_ns, data in messages]
-        self._pending_bytes += sum(len(data) for _, _, data in messages)
+    def write_many(
+        self, topics: Sequence[str], stamps_ns: Sequence[int], payloads: Sequence[bytes]
+    ) -> None:
+        """Append messages: the topic, stamp and bytes of each, as for `write`."""
         self._flush()
-
-    def _begin(self, topic: str) -> _Topic:
-        """Return a topic, prepared for its first message."""
-        try:
-            entry = self._topics[topic]
-        except KeyError:
-            raise BagError(f"{topic} is unknown to {self.path}; call add_topic first.") from None
-        if entry.connection is None:
-            self._flush()
-            with self._errors():
-                self._connect(topic, entry)
-        return entry
+        counts = Counter(topics)
+        self._stored_bytes += sum(map(len, payloads))
+        with self._errors():
+            for name, count in counts.items():
+                self._connect(name)
+                self._topics[name].count += count
+            channels = {name: self._topics[name].channel for name in counts}
+            self._writer.write_many([channels[topic] for topic in topics], stamps_ns, payloads)
+        prefixes = {name: self._topics[name].prefix for name in counts}
+        self._hash.add_many([prefixes[topic] for topic in topics], stamps_ns, payloads)
 
     def _flush(self) -> None:
         """Pass the messages written so far to the storage and to the hash."""
-        if not self._pending:
-            return
-        entries, stamps, payloads = zip(*self._pending, strict=True)
-        self._pending.clear()
-        self._stored_bytes += self._pending_bytes
-        self._pending_bytes = 0
-        for entry, count in Counter(entries).items():
-            entry.count += count
-        with self._errors():
-            self._writer.write_many([entry.channel for entry in entries], stamps, payloads)
-        self._hash.add_many([entry.prefix for entry in entries], stamps, payloads)
+        if self._pending:
+            topics, stamps_ns, payloads = zip(*self._pending, strict=True)
+            self._pending.clear()
+            self._pending_bytes = 0
+            self.write_many(topics, stamps_ns, payloads)
 
     def __enter__(self) -> Self:
         return self
@@ -223,24 +214,26 @@ class BagWriter:
         try:
             self._flush()
             with self._errors():
-                for name, topic in self._topics.items():
-                    if topic.connection is None:
-                        self._connect(name, topic)
+                for name in self._topics:
+                    self._connect(name)
                 self._writer.close()
                 self._unfinished.rename(self.path)
         except BaseException:
             self._discard()
             raise
 
-    def _connect(self, name: str, topic: _Topic) -> None:
-        topic.connection = self._writer.add_topic(
-            name,
-            topic.msgtype,
-            topic.definition.text,
-            topic.definition.type_hash or _NO_HASH,
-            topic.qos,
-        )
-        topic.channel = topic.connection.id
+    def _connect(self, name: str) -> None:
+        """Prepare a topic for its first message, if that has not been done."""
+        topic = self._topics[name]
+        if topic.connection is None:
+            topic.connection = self._writer.add_topic(
+                name,
+                topic.msgtype,
+                topic.definition.text,
+                topic.definition.type_hash or _NO_HASH,
+                topic.qos,
+            )
+            topic.channel = topic.connection.id
 
     def _discard(self) -> None:
         # Closing flushes: on a full disk it fails as the write did, whose error is raised already.
