@@ -247,8 +247,7 @@ def _check_topics(reader: BagReader, program: Program) -> None:
             f"{program.scenario.id} changes parameters of nodes, or QoS. A bag cannot show how "
             "nodes would have acted; record the scenario in closed loop."
         )
-    if reader.serialization != "cdr":
-        raise BagError(f"{reader.path} is a ROS 1 bag; convert it with `rosbags-convert` first.")
+    _check_encodings(reader)
     needed = {source.topic: source.type.name for source in program.sources.values()}
     needed |= {lane.input_topic: lane.type.name for lane in program.lanes}
     for name, msgtype in needed.items():
@@ -270,6 +269,22 @@ def _check_topics(reader: BagReader, program: Program) -> None:
             raise BagError(
                 f"{reader.path} has {name} as {reader.topics[name].msgtype}, "
                 f"{program.scenario.id} needs {msgtype}."
+            )
+
+
+def _check_encodings(reader: BagReader) -> None:
+    """Refuse a bag with messages that the mutant, a rosbag2, cannot hold."""
+    for topic in reader.topics.values():
+        if topic.encoding != "cdr":
+            hint = (
+                "Convert the ROS 1 .bag file that it comes from with `rosbags-convert --src "
+                "FILE.bag --dst FOLDER`, and mutate FOLDER."
+                if topic.encoding == "ros1"
+                else "Leave the topic out."
+            )
+            raise BagError(
+                f"{reader.path} has {topic.name} encoded as {topic.encoding!r}, but a rosbag2 "
+                f"holds only CDR. {hint}"
             )
 
 

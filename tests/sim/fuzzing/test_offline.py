@@ -1,10 +1,15 @@
 import os
+import re
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
+from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
 
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.reader import BagReader, read_ground_truth
@@ -21,7 +26,8 @@ from sim.middleware.executor import Executor
 from sim.middleware.node import Node
 from sim.recording import Recorder
 from sim.scenarios import builtin_scenarios
-from tests.sim.fuzzing.workbench import BUILTINS, builtin, examples, odometry, scans
+from tests.oracle_pipeline.bags.makers import McapChannel, write_channels
+from tests.sim.fuzzing.workbench import BUILTINS, SCAN, builtin, examples, odometry, scans
 
 pytestmark = pytest.mark.slow
 
@@ -253,6 +259,54 @@ def test_a_topic_with_the_wrong_type_is_an_error(tmp_path):
     bag = write(tmp_path / "bag", ("/scan_tom", odometry()))
     with pytest.raises(BagError, match=r"/scan_tom as nav_msgs/msg/Odometry, random_noise needs"):
         mutate_bag(bag, tmp_path / "mutant", builtin("random_noise"), 1)
+
+
+ROS1 = get_typestore(Stores.ROS1_NOETIC)
+DEFINITION, _ = ROS1.generate_msgdef(SCAN, ros_version=1)
+
+
+@pytest.fixture
+def ros1_scans():
+    """Scans in the encoding of ROS 1."""
+    ros2 = get_typestore(Stores.ROS2_HUMBLE)
+    return [bytes(ros2.cdr_to_ros1(serialize(scan, SCAN), SCAN)) for scan in scans(3)]
+
+
+def ros1_refusal(path, out):
+    with pytest.raises(BagError, match="/scan_tom encoded as 'ros1', but a rosbag2 holds") as found:
+        mutate_bag(path, out, builtin("random_noise"), 1)
+    assert not out.exists()
+    return str(found.value)
+
+
+def test_for_a_ros1_bag_the_error_names_a_conversion_that_works(ros1_scans, tmp_path):
+    bag, converted = tmp_path / "a.bag", tmp_path / "converted"
+    with Writer1(bag) as writer:
+        connection = writer.add_connection("/scan_tom", SCAN, typestore=ROS1)
+        for stamp_ns, data in enumerate(ros1_scans, start=1):
+            writer.write(connection, stamp_ns, data)
+    error = ros1_refusal(bag, tmp_path / "mutant")
+    words = re.search("`(rosbags-convert .*?)`", error)[1].split()
+    words = [{"FILE.bag": bag, "FOLDER": converted}.get(word, word) for word in words]
+    subprocess.run([Path(sys.executable).with_name(words[0]), *words[1:]], check=True)
+    assert mutate_bag(converted, tmp_path / "mutant", builtin("random_noise"), 1).touched == 3
+
+
+def test_ros1_messages_in_mcap_are_refused_even_among_others(ros1_scans, tmp_path):
+    theirs = McapChannel("/scan_tom", SCAN, DEFINITION, ros1_scans, "ros1msg", "ros1")
+    ours = McapChannel("/scan", SCAN, "", [serialize(scan, SCAN) for scan in scans(3)])
+    write_channels(tmp_path / "a.mcap", [theirs])
+    write_channels(tmp_path / "b.mcap", [ours, theirs])
+    for name in ("a.mcap", "b.mcap"):  # rosbags-convert reads the bag they come from, no such file
+        assert "the ROS 1 .bag file" in ros1_refusal(tmp_path / name, tmp_path / "mutant")
+
+
+def test_messages_of_another_encoding_are_refused(tmp_path):
+    scan = McapChannel("/scan_tom", SCAN, "", [serialize(scan, SCAN) for scan in scans(3)])
+    log = McapChannel("/log", "log", '{"type": "object"}', [b"{}"], "jsonschema", "json")
+    write_channels(tmp_path / "a.mcap", [scan, log])
+    with pytest.raises(BagError, match="/log encoded as 'json', but .* Leave the topic out"):
+        mutate_bag(tmp_path / "a.mcap", tmp_path / "mutant", builtin("random_noise"), 1)
 
 
 def test_a_bag_that_shows_no_goal_needs_an_onset(tmp_path):
