@@ -22,13 +22,18 @@ _BATCH_BYTES = 32 * 2**20  # of messages that were compressed one by one
 class Channel(NamedTuple):
     """One publisher or topic, as a file describes it."""
 
-    topic: str
+    topic: str  # as it is written in the file
     msgtype: str  # sensor_msgs/msg/LaserScan
     encoding: str  # of the messages: cdr, ros1, or one that is not supported
     definition: str  # empty: not in the file
     definition_format: str  # msg, idl, or empty
     type_hash: str
     qos: str  # YAML, or empty
+
+    @property
+    def name(self) -> str:
+        """The topic's name as ROS resolves it, /scan for scan, //scan or /scan/."""
+        return "/" + "/".join(part for part in self.topic.split("/") if part)
 
 
 class Batch(NamedTuple):

@@ -64,7 +64,7 @@ class BagReader:
     Attributes
     ----------
     topics : dict of str to Topic
-        What was recorded, by name.
+        What was recorded, by name; the leading slash that other tools than ROS leave out is added.
     start_ns, end_ns : int
         Stamps of the first and the last message [ns]; both 0 if there is none.
     message_count : int
@@ -104,6 +104,7 @@ class BagReader:
             for part in parts
             for number, channel in part.channels.items()
         ]
+        self._used: dict[tuple[str, str], str] = {}  # name by topic and type in the files
         self.topics = self._join(channels)
         self.message_count = sum(topic.count for topic in self.topics.values())
         if not self.message_count:
@@ -117,7 +118,7 @@ class BagReader:
         encodings = {topic.encoding for topic in self.topics.values()}
         self.serialization = "ros1" if encodings == {"ros1"} else "cdr"
         self._types = BagTypes(path, [c for c, _ in channels], self._files.type_hashes)
-        self._shown = {name: name for name in self.topics}  # by the name that was recorded
+        self._shown = {name: name for name in self.topics}  # what `renamed` made of the names
 
     def renamed(self, names: Mapping[str, str]) -> Self:
         """Return the same open bag with renamed topics; topics without a new name are left out.
@@ -138,7 +139,7 @@ class BagReader:
         return view
 
     def recorded(self, topic: str) -> str:
-        """Return the name under which a topic was recorded."""
+        """Return the name that a topic had before ``renamed``."""
         return next(old for old, shown in self._shown.items() if shown == topic)
 
     def batches(self, topics: Collection[str] | None = None) -> Iterator[Messages]:
@@ -268,41 +269,44 @@ class BagReader:
         self.close()
 
     def _is_hidden(self, channel: Channel) -> bool:
-        return channel.topic == GROUND_TRUTH_TOPIC or channel.msgtype == GROUND_TRUTH_TYPE
+        return channel.name == GROUND_TRUTH_TOPIC or channel.msgtype == GROUND_TRUTH_TYPE
 
     def _topic_of(self, channel: Channel) -> Topic | None:
-        """Return the topic that a channel is read for; None if it is hidden or of another type."""
-        topic = self.topics.get(self._shown.get(channel.topic, ""))
-        is_read = topic and topic.msgtype == channel.msgtype and not self._is_hidden(channel)
-        return topic if is_read else None
+        """Return the topic that a channel is read for; None if it is not used."""
+        name = self._used.get((channel.topic, channel.msgtype), "")
+        return self.topics.get(self._shown.get(name, ""))
 
     def _join(self, channels: list[tuple[Channel, int]]) -> dict[str, Topic]:
-        """Join the channels of a topic: publishers of ROS 1, parts, differing QoS profiles."""
-        counts: dict[str, Counter[str]] = {}
+        """Join the channels of a topic: publishers of ROS 1, parts, differing QoS profiles.
+
+        Of several types or spellings of one name, the one with most messages is used.
+        """
+        counts: dict[str, Counter[tuple[str, str]]] = {}
         for channel, count in channels:
             if not self._is_hidden(channel):
-                counts.setdefault(channel.topic, Counter())[channel.msgtype] += count
+                counts.setdefault(channel.name, Counter())[channel.topic, channel.msgtype] += count
         topics: dict[str, Topic] = {}
-        for name, by_type in counts.items():
-            (msgtype, count), *others = by_type.most_common()
+        for name, by_origin in counts.items():
+            (used, count), *others = by_origin.most_common()
             self.notes += [
-                f"{name} was recorded as {msgtype} and as {other}; the {number} messages of the "
-                "latter are not used."
+                f"{name} was recorded as {_words(used)} and as {_words(other)}; the {number} "
+                "messages of the latter are not used."
                 for other, number in others
             ]
-            own = [c for c, _ in channels if (c.topic, c.msgtype) == (name, msgtype)]
-            topics[name] = Topic(name, msgtype, count, self._qos(name, own), own[0].encoding)
+            self._used[used] = name
+            own = [c for c, _ in channels if (c.topic, c.msgtype) == used]
+            topics[name] = Topic(name, used[1], count, self._qos(own), own[0].encoding)
         return topics
 
-    def _qos(self, name: str, channels: list[Channel]) -> tuple[Qos, ...]:
+    def _qos(self, channels: list[Channel]) -> tuple[Qos, ...]:
         texts = [channel.qos for channel in channels if channel.qos]
-        texts = texts or [self._files.qos.get(name, "")]
+        texts = texts or [self._files.qos.get(channels[0].topic, "")]
         try:
             return tuple(
                 profile for text in dict.fromkeys(texts) for profile in qos_profiles.parse(text)
             )
         except ValueError as error:
-            self.notes.append(f"The QoS profiles of {name} cannot be read: {error}.")
+            self.notes.append(f"The QoS profiles of {channels[0].name} cannot be read: {error}.")
             return ()
 
     def _read(self, part: Part, wanted: dict[int, int], *, is_all: bool) -> Iterator[Messages]:
@@ -370,6 +374,12 @@ def counts_and_hash(path: Path) -> tuple[dict[str, int], str]:
                 batch.messages(rows),
             )
         return {topic.name: topic.count for topic in bag.topics.values()}, digest.hexdigest()
+
+
+def _words(origin: tuple[str, str]) -> str:
+    """Name a topic and its type as a file has them."""
+    topic, msgtype = origin
+    return f"{topic} ({msgtype})"
 
 
 def _selected(batch: Batch, topics: NDArray[np.int64], rows: NDArray[np.int64]) -> Messages:

@@ -161,10 +161,8 @@ class Rosbag1Part:
         about = _header(data[at + 4 : at + 4 + size])
         if header is None or about is None:
             return False
-        topic = header.get("topic", b"").decode("utf-8", "replace")
-        slash = "/" if topic.startswith("/") else ""
         channel = Channel(
-            slash + "/".join(part for part in topic.split("/") if part),
+            header.get("topic", b"").decode("utf-8", "replace"),
             ros2_name(about.get("type", b"").decode("utf-8", "replace")), "ros1",
             about.get("message_definition", b"").decode("utf-8", "replace"), "msg", "", "",
         )  # fmt: skip

@@ -64,7 +64,7 @@ def find_robots(bag: BagReader, choices: RoleChoices | None = None) -> list[Robo
     choices = choices or RoleChoices()
     spaces = sorted(_namespaces(bag) if choices.robots is None else choices.robots)
     for space in spaces:
-        if space and not any(_absolute(name).startswith(f"{space}/") for name in bag.topics):
+        if space and not any(name.startswith(f"{space}/") for name in bag.topics):
             raise RolesError(
                 f"The roles file names the robot {space}, but {bag.path} has no topic in that "
                 "namespace. Use another, or omit `robots` to detect robots."
@@ -96,18 +96,9 @@ def _names(topics: Collection[str], space: str, others: Iterable[str]) -> dict[s
     same name, the one nearer to its namespace is used.
     """
     foreign = tuple(f"{other}/" for other in others)
-    seen = [
-        (_inside(absolute, space), name)
-        for name in topics
-        if not (absolute := name if f"/{name}" in topics else _absolute(name)).startswith(foreign)
-    ]
+    seen = [(_inside(name, space), name) for name in topics if not name.startswith(foreign)]
     nearest = dict(sorted(seen, key=lambda each: len(each[1]) - len(each[0])))
     return {recorded: name for name, recorded in nearest.items()}
-
-
-def _absolute(name: str) -> str:
-    """Return a topic's name with the leading slash, which other tools than ROS leave out."""
-    return name if name.startswith("/") else f"/{name}"
 
 
 def _inside(name: str, space: str) -> str:
@@ -141,7 +132,7 @@ def _below(space: str, topics: list[Topic]) -> list[str]:
     children: dict[str, list[Topic]] = {}
     outside: list[Topic] = []
     for topic in topics:
-        first, slash, _ = _absolute(topic.name)[len(space) + 1 :].partition("/")
+        first, slash, _ = topic.name[len(space) + 1 :].partition("/")
         (children.setdefault(f"{space}/{first}", []) if slash else outside).append(topic)
     robots = {child: held for child, held in children.items() if _is_robot(held)}
     if len(children) == 1 and not outside and _kinds(topics) & _MOTION:

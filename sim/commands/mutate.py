@@ -100,7 +100,7 @@ def mutate(
             _bar,
             attack.goals_s,
         )
-    for note in summary.losses:
+    for note in summary.notes:
         click.echo(note, err=True)
     click.echo(
         f"{bag_out}: attack from {summary.onset_s:.1f} s on; of {summary.received} messages of "

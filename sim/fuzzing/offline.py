@@ -46,7 +46,7 @@ class Summary:
     changes: tuple[Change, ...]  # changes over time
     topics: Mapping[str, TopicCount]  # of the mutant
     content_hash: str  # of the mutant
-    losses: tuple[str, ...] = ()  # parts of the bag that could not be read
+    notes: tuple[str, ...] = ()  # what was not read of the bag, and other remarks on it
 
 
 Track = Callable[[Iterable[RawMessage], int], Iterable[RawMessage]]
@@ -116,7 +116,7 @@ def mutate_bag(
         changes=in_bins(run.changes, reader.start_ns),
         topics=writer.topics,
         content_hash=writer.content_hash,
-        losses=tuple(reader.losses),
+        notes=(*reader.losses, *reader.notes),
     )
 
 

@@ -2,8 +2,11 @@
 
 import os
 import shutil
+import sqlite3
+from functools import partial
 from itertools import product
 from operator import itemgetter
+from pathlib import Path
 
 import pytest
 from backports import zstd
@@ -15,8 +18,15 @@ from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.parts import is_recording
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.records import MOST_AT_ONCE
+from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from tests.oracle_pipeline.bags.conftest import text
-from tests.oracle_pipeline.bags.makers import McapOptions, write_db3, write_mcap, write_ros1
+from tests.oracle_pipeline.bags.makers import (
+    STRING,
+    McapOptions,
+    write_db3,
+    write_mcap,
+    write_ros1,
+)
 
 SECOND = 1_000_000_000
 MESSAGES = [
@@ -151,6 +161,56 @@ def test_the_rarer_type_of_a_topic_with_two_types_is_reported(tmp_path, write_ba
     with BagReader(tmp_path) as bag:
         assert bag.topics["/clock"].count == 60
         assert "20 messages of the latter are not used" in " ".join(bag.notes)
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.db3", "a.bag"])
+def test_names_of_topics_are_completed_in_every_format(name, tmp_path):
+    write = {".mcap": partial(write_mcap, options=McapOptions()), ".db3": write_db3,
+             ".bag": write_ros1}[Path(name).suffix]  # fmt: skip
+    spelled = {"/topic0": "topic0", "/topic1": "topic1/", "/topic2": "//topic2"}
+    write(tmp_path / name, [(spelled[topic], *rest) for topic, *rest in MESSAGES])
+    with BagReader(tmp_path / name, strict=True) as bag:
+        assert {topic.name: topic.count for topic in bag.topics.values()} == dict.fromkeys(
+            spelled, 20
+        )
+        assert [(m.topic, m.stamp_ns) for m in bag.messages()] == [m[:2] for m in MESSAGES]
+        assert [m.topic for m in bag.messages(["/topic1"])] == ["/topic1"] * 20
+        seen = bag.renamed({"/topic0": "/new"})
+        assert [m.topic for m in seen.messages()] == ["/new"] * 20
+        assert seen.recorded("/new") == "/topic0"
+
+
+def test_of_two_spellings_of_a_topic_one_is_read_and_the_other_reported(tmp_path):
+    bare = [("odom", *rest) for _, *rest in MESSAGES]
+    write_db3(tmp_path / "a.db3", [("/odom", 0, text("another")), *bare, ("/odom", 7, text(""))])
+    with BagReader(tmp_path / "a.db3", strict=True) as bag:
+        assert [tuple(m) for m in bag.messages()] == [("/odom", *rest) for _, *rest in bare]
+        assert bag.message_count == bag.topics["/odom"].count == len(bare)
+        (note,) = bag.notes
+    assert note == (
+        f"/odom was recorded as odom ({STRING}) and as /odom ({STRING}); the 2 messages of the "
+        "latter are not used."
+    )
+
+
+def test_ground_truth_without_the_leading_slash_is_dropped(tmp_path):
+    write_db3(tmp_path / "a.db3", [(GROUND_TRUTH_TOPIC[1:], 1, text("malicious")), MESSAGES[0]])
+    with BagReader(tmp_path / "a.db3") as bag:
+        assert list(bag.topics) == ["/topic0"]
+
+
+def test_profiles_of_metadata_belong_to_a_name_as_it_was_recorded(tmp_path, write_bag):
+    bag = write_bag(tmp_path / "bag", "sqlite3")
+    with BagReader(bag) as reader:
+        profiles = reader.topics["/chatter"].qos
+    database = sqlite3.connect(next(bag.glob("*.db3")))
+    database.execute("UPDATE topics SET name = 'chatter', offered_qos_profiles = '' WHERE id = 2")
+    database.commit()
+    database.close()
+    file = bag / "metadata.yaml"
+    file.write_text(file.read_text().replace("/chatter", "chatter"))
+    with BagReader(bag) as reader:
+        assert reader.topics["/chatter"].qos == profiles != ()
 
 
 @settings(max_examples=60, deadline=None)

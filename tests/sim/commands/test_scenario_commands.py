@@ -124,6 +124,21 @@ def test_mutate_points_a_scenario_at_a_topic_and_alters_it_in_place(foreign_bag,
         "--topic", "odom=/reading", expect=1)  # fmt: skip
 
 
+def test_mutate_finds_topics_without_leading_slash_and_tells_what_it_leaves_out(tmp_path):
+    bag, out = tmp_path / "bag", tmp_path / "out"
+    with BagWriter(bag) as writer:
+        for name, count in {"scan": 9, "/scan": 4}.items():
+            writer.add_topic(name, SCAN, [])
+            for stamp_ns, scan in enumerate(scans(count), start=1):
+                writer.write(name, stamp_ns, serialize(scan, SCAN))
+    done = run("mutate", bag, out, "random_noise", "--topic", "/scan")
+    assert "of 9 messages of /scan, 9 affected; 9 published on /scan" in done.stdout
+    assert "and as /scan (sensor_msgs/msg/LaserScan); the 4 messages of the latter" in done.stderr
+    with Reader(out) as reader:
+        topics = Counter(connection.topic for connection, _, _ in reader.messages())
+    assert topics == {"/scan": 9, "/_oracle/ground_truth": 9}
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
