@@ -48,13 +48,11 @@ def compare(
     """  # noqa: D301 -- click reads the control character
     from oracle_pipeline.comparison import output
     from oracle_pipeline.comparison.compare import compare as compare_sets
+    from oracle_pipeline.comparison.compare import read_sets
     from oracle_pipeline.datasets import replacing
     from oracle_pipeline.features import build_manager
-    from oracle_pipeline.scoring.reference import read_reference
 
-    manager = build_manager(plugins)
-    left, right = (read_reference([path], manager) for path in (first, second))
-    comparison = compare_sets(left, right, level)
+    comparison = compare_sets(*read_sets(first, second, build_manager(plugins)), level)
     show = output.as_json if file_format == "json" else output.as_text
     click.echo(show(comparison))
     if junit is not None:

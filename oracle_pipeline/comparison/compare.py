@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -25,7 +26,8 @@ from oracle_pipeline.comparison.permutation import (
     TwoSamples,
     adjusted_p_values,
 )
-from oracle_pipeline.scoring.reference import Reference
+from oracle_pipeline.features import FeatureManager
+from oracle_pipeline.scoring.reference import Reference, read_reference, recordings_below
 
 Outcome: TypeAlias = Literal["same", "different", "unsupported"]
 
@@ -102,6 +104,24 @@ class Comparison:
     notes: tuple[str, ...] = ()
 
 
+def read_sets(first: Path, second: Path, manager: FeatureManager) -> tuple[Reference, Reference]:
+    """Read two sets of recordings, as `oracle_pipeline.scoring.reference.read_reference` does.
+
+    The set with fewer recordings comes first, so that it is refused before the features of the
+    other are computed.
+
+    Raises
+    ------
+    OracleError
+        A set cannot be read, or has fewer than two recordings.
+    """
+    sets: dict[Path, Reference] = {}
+    for path in sorted((first, second), key=lambda path: len(list(recordings_below(path)))):
+        sets[path] = read_reference([path], manager)
+        _check_size(sets[path])
+    return sets[first], sets[second]
+
+
 def compare(first: Reference, second: Reference, level: float = 0.05) -> Comparison:
     """Compare two sets of recordings.
 
@@ -111,7 +131,7 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> Compari
     Parameters
     ----------
     first, second : Reference
-        From `oracle_pipeline.scoring.reference.read_reference`.
+        From `read_sets`.
     level : float
         Probability of reporting a difference between sets that do not differ.
 
@@ -120,9 +140,8 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> Compari
     OracleError
         A set has fewer than two recordings, or no feature that varies.
     """
-    sizes = (len(first.table), len(second.table))
-    if min(sizes) < 2:
-        raise ComparisonError(f"A set has {min(sizes)} recording; each needs at least two.")
+    for each in (first, second):
+        _check_size(each)
     values = aligned(measurements(first), measurements(second))
     partners = _partners(first.table, second.table)
     if partners is not None:
@@ -151,7 +170,7 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> Compari
     unsupported = design.lowest_p > level
     return Comparison(
         outcome="unsupported" if unsupported else "different" if found else "same",
-        recordings=sizes,
+        recordings=(len(first.table), len(second.table)),
         pairs=0 if partners is None else len(partners[0]),
         level=level,
         lowest_p=design.lowest_p,
@@ -160,6 +179,11 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> Compari
         values=values,
         notes=tuple(_notes(first, second)),
     )
+
+
+def _check_size(reference: Reference) -> None:
+    if (size := len(reference.table)) < 2:
+        raise ComparisonError(f"A set has {size} recording; each needs at least two.")
 
 
 def fewest(level: float, *, paired: bool) -> int:

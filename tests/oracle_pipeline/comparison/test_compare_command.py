@@ -62,3 +62,16 @@ def test_a_folder_without_recordings_is_an_error_with_its_name(tmp_path: Path) -
     result = compare(tmp_path, tmp_path)
     assert result.exit_code == 2
     assert str(tmp_path) in result.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("step", [1, -1], ids=["first", "second"])
+def test_a_set_of_one_recording_is_refused_before_the_other_set_is_read(
+    sets: dict[str, Path], tmp_path: Path, step: int
+) -> None:
+    for name in ("a.mcap", "b.mcap"):
+        (tmp_path / name).write_text("unreadable")
+    one = next((sets["few"] / "runs/lidar_passthrough").iterdir())
+    result = compare(*(one, tmp_path)[::step])
+    assert result.exit_code == 2
+    assert result.stderr == "Error: A set has 1 recording; each needs at least two.\n"
