@@ -61,5 +61,6 @@ def _projected(
 
 @functools.lru_cache(maxsize=16)
 def _bearings(angle_min: float, increment: float, count: int) -> NDArray[np.float64]:
-    angles = angle_min + increment * np.arange(count)
-    return np.column_stack([np.cos(angles), np.sin(angles)])
+    with np.errstate(invalid="ignore", over="ignore"):  # an attacked scan may have any angles
+        angles = angle_min + increment * np.arange(count)
+        return np.column_stack([np.cos(angles), np.sin(angles)])

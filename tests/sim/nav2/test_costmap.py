@@ -240,6 +240,19 @@ def test_readings_that_saw_nothing_yield_no_point():
     )
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("first", "step"),
+    [(math.nan, 0.1), (math.inf, 0.1), (0.0, -math.inf), (0.0, math.nan), (1e308, 1e308)],
+)
+def test_beams_at_no_finite_angle_end_nowhere_and_give_no_warning(first, step):
+    scan = LaserScan(
+        header(0, "base_scan"), first, 0.0, step, 0.0, 0.0, 0.12, 20.0,
+        np.ones(4, np.float32), np.zeros(0, np.float32),
+    )  # fmt: skip
+    assert np.isnan(scan_points(scan, Pose2D())[1:]).all()  # 1e308 itself is finite
+
+
 # -- reading and messages --------------------------------------------------------------------
 
 
