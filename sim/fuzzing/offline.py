@@ -96,7 +96,8 @@ def mutate_bag(
         If a parameter cannot have its value.
     """
     execution = execute(program, run_seed, parameters)
-    with BagReader(bag_in) as reader:
+    with BagReader(bag_in) as recorded:
+        reader = _in_cdr(recorded)
         _check_topics(reader, program)
         goals = _Goals(reader, goals_s)
         onset_ns = _onset_ns(reader, program, goals, at_s, run_seed)
@@ -247,7 +248,6 @@ def _check_topics(reader: BagReader, program: Program) -> None:
             f"{program.scenario.id} changes parameters of nodes, or QoS. A bag cannot show how "
             "nodes would have acted; record the scenario in closed loop."
         )
-    _check_encodings(reader)
     needed = {source.topic: source.type.name for source in program.sources.values()}
     needed |= {lane.input_topic: lane.type.name for lane in program.lanes}
     for name, msgtype in needed.items():
@@ -272,20 +272,34 @@ def _check_topics(reader: BagReader, program: Program) -> None:
             )
 
 
-def _check_encodings(reader: BagReader) -> None:
-    """Refuse a bag with messages that the mutant, a rosbag2, cannot hold."""
-    for topic in reader.topics.values():
-        if topic.encoding != "cdr":
-            hint = (
+def _in_cdr(reader: BagReader) -> BagReader:
+    """Return the bag without topics that a rosbag2 cannot hold; the notes name them.
+
+    Raises
+    ------
+    BagError
+        If it has messages of ROS 1, which can be converted, or no others.
+    """
+    others = [topic for topic in reader.topics.values() if topic.encoding != "cdr"]
+    for topic in others:
+        if topic.encoding == "ros1":
+            raise BagError(
+                f"{reader.path} has {topic.name} encoded as 'ros1', but a rosbag2 holds only CDR. "
                 "Convert the ROS 1 .bag file that it comes from with `rosbags-convert --src "
                 "FILE.bag --dst FOLDER`, and mutate FOLDER."
-                if topic.encoding == "ros1"
-                else "Leave the topic out."
             )
-            raise BagError(
-                f"{reader.path} has {topic.name} encoded as {topic.encoding!r}, but a rosbag2 "
-                f"holds only CDR. {hint}"
-            )
+    if others and len(others) == len(reader.topics):
+        raise BagError(
+            f"{reader.path} has no topic encoded as CDR ({others[0].name} is "
+            f"{others[0].encoding!r}), and a rosbag2 holds only CDR. Convert it with the tool that "
+            "recorded it."
+        )
+    reader.notes += [
+        f"{topic.name} is left out: its messages ({topic.count}) are encoded as "
+        f"{topic.encoding!r}, and a rosbag2 holds only CDR."
+        for topic in others
+    ]
+    return reader.renamed({t.name: t.name for t in reader.topics.values() if t not in others})
 
 
 class _Goals:

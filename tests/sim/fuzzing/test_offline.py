@@ -301,11 +301,20 @@ def test_ros1_messages_in_mcap_are_refused_even_among_others(ros1_scans, tmp_pat
         assert "the ROS 1 .bag file" in ros1_refusal(tmp_path / name, tmp_path / "mutant")
 
 
-def test_messages_of_another_encoding_are_refused(tmp_path):
+def test_topics_of_another_encoding_are_left_out_and_named(tmp_path):
     scan = McapChannel("/scan_tom", SCAN, "", [serialize(scan, SCAN) for scan in scans(3)])
     log = McapChannel("/log", "log", '{"type": "object"}', [b"{}"], "jsonschema", "json")
     write_channels(tmp_path / "a.mcap", [scan, log])
-    with pytest.raises(BagError, match="/log encoded as 'json', but .* Leave the topic out"):
+    summary = mutate_bag(tmp_path / "a.mcap", tmp_path / "mutant", builtin("random_noise"), 1)
+    assert summary.touched == 3
+    assert "/log" not in summary.topics
+    assert any(note.startswith("/log is left out: its messages (1) are") for note in summary.notes)
+
+
+def test_a_bag_without_cdr_is_refused(tmp_path):
+    log = McapChannel("/log", "log", '{"type": "object"}', [b"{}"], "jsonschema", "json")
+    write_channels(tmp_path / "a.mcap", [log])
+    with pytest.raises(BagError, match="no topic encoded as CDR .*/log is 'json'"):
         mutate_bag(tmp_path / "a.mcap", tmp_path / "mutant", builtin("random_noise"), 1)
 
 
