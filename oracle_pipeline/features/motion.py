@@ -6,9 +6,10 @@ do not matter. Sources are found by message type, not by topic name. ``kinematic
 tracks.
 """
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from oracle_pipeline.features.scan_matching import Steps, along_arc, steps
 from oracle_pipeline.features.scans import SCANS, Floats, Points
 from oracle_pipeline.robots import roles
 from oracle_pipeline.robots.roles import IMU, TRANSFORMS
+
+Frames: TypeAlias = tuple[tuple[str, str], ...]  # parent and child of each transform
 
 #: What a source measures, and how: kinds of tracks.
 POSE, TWIST, GYRO, ORIENTATION = "pose", "twist", "gyro", "orientation"
@@ -34,6 +37,7 @@ _HELD_S = 0.5  # duration of a command if none follows
 _EXPLAINED = 0.9  # share of the motion that joints must explain to be wheels
 _SAMPLED_S = 0.05  # between the messages of an inertial unit that are read
 _GRAVITY = 9.80665  # [m/s^2]
+_AT_ONCE = 2048  # numbers that are multiplied at once
 _POSITIONS, _VELOCITIES = 2, 3  # columns of what `keep_joints` keeps
 
 
@@ -154,16 +158,25 @@ def keep_joints(messages: Any) -> tuple[Any, ...]:
     return header_stamps_s(messages), messages.name, messages.position, messages.velocity
 
 
-def keep_transforms(messages: Any) -> list[list[tuple[tuple[str, str], tuple[float, ...]]]]:
-    """Return frames, and stamp, translation and rotation, of the transforms of ``TFMessage``s."""
+def keep_transforms(messages: Any) -> tuple[list[Frames], list[Floats]]:
+    """Return parents and children of the transforms of ``TFMessage``s, and their numbers.
+
+    Numbers are stamp, translation and rotation; a row for each transform of a message.
+    """
     each = messages.transforms
     shift, q = each.transform.translation, each.transform.rotation
-    frames = zip(frame_names(each.header.frame_id), frame_names(each.child_frame_id), strict=True)
     numbers = np.column_stack([header_stamps_s(each), shift.x, shift.y, q.x, q.y, q.z, q.w])
-    kept: list[list[tuple[tuple[str, str], tuple[float, ...]]]] = [[] for _ in range(len(messages))]
-    for owner, names, row in zip(each.owners.tolist(), frames, numbers.tolist(), strict=True):
-        kept[owner].append((names, tuple(row)))
-    return kept
+    frames = list(
+        zip(frame_names(each.header.frame_id), frame_names(each.child_frame_id), strict=True)
+    )
+    ends = np.searchsorted(each.owners, np.arange(len(messages) + 1)).tolist()
+    parts = list(itertools.pairwise(ends))
+    shared: dict[Frames, Frames] = {}  # most messages have the same frames
+    names = [tuple(frames[first:after]) for first, after in parts]
+    return (
+        [shared.setdefault(each, each) for each in names],
+        [numbers[first:after] for first, after in parts],
+    )
 
 
 def keep_command(messages: Any) -> tuple[Floats, Floats, Floats]:
@@ -200,16 +213,24 @@ class Edge(NamedTuple):
 
 def edges(topics: Mapping[str, Series]) -> dict[tuple[str, str], Edge]:
     """Return the transforms of recorded ``TFMessage``s, by parent and child."""
-    rows: dict[tuple[str, str], list[tuple[float, ...]]] = {}
-    for series in topics.values():
-        for time_s, kept in zip(series.times_s.tolist(), series.values, strict=True):
-            for frames, row in kept:
-                rows.setdefault(frames, []).append((time_s, *row))
+    kept = [each for series in topics.values() for each in series.values]
+    if not kept:
+        return {}
+    names, numbers = zip(*kept, strict=True)
+    received_s = np.concatenate([series.times_s for series in topics.values()])
+    received_s = np.repeat(received_s, [len(each) for each in numbers])
+    columns = np.concatenate(numbers)
+    number: dict[tuple[str, str], int] = {}
+    of = np.array(
+        [number.setdefault(each, len(number)) for frames in names for each in frames], np.int64
+    )
     found = {}
-    for frames, of_edge in rows.items():
-        columns = np.array(of_edge)
-        times_s, stamps_s, x, y, *q = columns[np.argsort(columns[:, 1], kind="stable")].T
-        found[frames] = Edge(times_s, stamps_s, Planar(x + 1j * y, np.exp(1j * yaw_of(*q))))
+    for frames, i in number.items():
+        rows = np.flatnonzero(of == i)
+        rows = rows[np.argsort(columns[rows, 0], kind="stable")]
+        stamps_s, x, y, *q = columns[rows].T
+        pose = Planar(x + 1j * y, np.exp(1j * yaw_of(*q)))
+        found[frames] = Edge(received_s[rows], stamps_s, pose)
     return found
 
 
@@ -244,7 +265,7 @@ def wheels(topic: str, joints: Joints, references: Sequence[Track]) -> Track | N
             gains = gain(track, quantity, from_s, to_s).real
             direction = _explaining(turned, gains)
             if direction is not None:
-                gained[quantity] = _complex(angles @ direction)
+                gained[quantity] = _complex(_weighted(angles, direction))
     return Track(topic, times_s, at_s, gained) if gained else None
 
 
@@ -273,7 +294,18 @@ def _spun(topic: str, joints: Joints) -> Track:
     No change of joints cancels in both.
     """
     signs = 1.0 + 1j * (-1.0) ** np.arange(joints.angles.shape[1])
-    return Track(topic, joints.times_s, joints.stamps_s, {SPIN: joints.angles @ signs})
+    return Track(topic, joints.times_s, joints.stamps_s, {SPIN: _weighted(joints.angles, signs)})
+
+
+def _weighted(rows: Floats, weights: Any) -> Any:
+    """Return ``rows @ weights``, some rows at a time.
+
+    A large product wakes the threads of the linear algebra library, which then wait for more in a
+    busy loop.
+    """
+    step = max(1, _AT_ONCE // rows.shape[1])
+    firsts = range(0, max(1, len(rows)), step)
+    return np.concatenate([rows[first : first + step] @ weights for first in firsts])
 
 
 def _explaining(turned: Floats, gains: Floats) -> Floats | None:
@@ -283,7 +315,7 @@ def _explaining(turned: Floats, gains: Floats) -> Floats | None:
     if known.sum() < 2 * turned.shape[1] or power < 1e-3:
         return None
     weights = np.asarray(np.linalg.lstsq(turned[known], gains[known], rcond=0.02)[0], np.float64)
-    left = float(((turned[known] @ weights - gains[known]) ** 2).sum())
+    left = float(((_weighted(turned[known], weights) - gains[known]) ** 2).sum())
     size = float(np.abs(weights).sum())
     told = left < (1.0 - _EXPLAINED) * power and size > 0.0
     return np.asarray(weights / size, np.float64) if told else None
