@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.bags.jit import jit, jit_unchecked
 from oracle_pipeline.features.plugin import RawRecord, Request
 from oracle_pipeline.features.reduction import row_medians
 
@@ -70,22 +70,9 @@ def statistics(arrays: NDArray[np.floating[Any]]) -> Floats:
     They are the share of inf and NaN; of the finite numbers the share that equals the largest or
     the smallest, the share of distinct ones and the correlation with their next; the roughness.
     """
-    arrays = arrays.astype(np.float64, copy=False)
-    finite = np.isfinite(arrays)
-    numbers = np.where(finite, arrays, np.nan)
-    count = finite.sum(axis=1)
-    ordered = np.sort(numbers, axis=1)  # NaN last
-    largest = ordered[np.arange(len(arrays)), np.maximum(count, 1) - 1]
-    at_limit = (numbers == ordered[:, :1]) | (numbers == largest[:, np.newaxis])
-    distinct = (np.diff(ordered, axis=1) > 0.0).sum(axis=1) + 1
-    columns = (
-        1.0 - count / arrays.shape[1],
-        _over(at_limit.sum(axis=1), count),
-        _over(distinct, count),
-        _autocorrelation(numbers, count),
-        roughness(arrays),
-    )
-    return np.stack(columns, axis=1)
+    numbers = _numbers(arrays)
+    totals = np.nansum(numbers, axis=1)
+    return np.column_stack([_shares(numbers, np.sort(numbers, axis=1), totals), roughness(arrays)])
 
 
 def roughness(arrays: NDArray[np.floating[Any]]) -> Floats:
@@ -93,11 +80,19 @@ def roughness(arrays: NDArray[np.floating[Any]]) -> Floats:
 
     Zeros and neighbours of non-finite numbers are left out; NaN if all numbers are.
     """
-    arrays = arrays.astype(np.float64, copy=False)
-    numbers = np.where(np.isfinite(arrays), arrays, np.nan)
-    size = np.abs(numbers[:, 1:-1])
-    bend = np.abs(numbers[:, :-2] - 2.0 * numbers[:, 1:-1] + numbers[:, 2:])
-    return row_medians(_over(bend, size))
+    return row_medians(_bends(_numbers(arrays)))
+
+
+@jit
+def autocorrelation(numbers: Floats, mean: float) -> float:
+    """Return the correlation of numbers with their next ones; NaN is left out, or if all are."""
+    product = power = 0.0
+    for j in range(len(numbers) - 1):
+        current, following = numbers[j] - mean, numbers[j + 1] - mean
+        if not math.isnan(current * following):
+            product += current * following
+            power += current * current + following * following
+    return product / (power / 2.0) if power > 0.0 else math.nan
 
 
 def doubled_ranks(arrays: NDArray[np.floating[Any]]) -> NDArray[np.uint16]:
@@ -137,18 +132,38 @@ def _shared(ordered: NDArray[np.floating[Any]], order: NDArray[np.int64]) -> NDA
     return doubled
 
 
-def _autocorrelation(numbers: Floats, count: NDArray[np.int64]) -> Floats:
-    mean = _over(np.nansum(numbers, axis=1), count)
-    apart = numbers - mean[:, np.newaxis]
-    current, following = apart[:, :-1], apart[:, 1:]
-    power = (
-        np.where(np.isnan(current * following), 0.0, current**2 + following**2).sum(axis=1) / 2.0
-    )
-    return _over(np.nansum(current * following, axis=1), power)
+def _numbers(arrays: NDArray[np.floating[Any]]) -> Floats:
+    """Return arrays as float64, NaN for infinity."""
+    return np.where(np.isfinite(arrays), arrays, np.nan).astype(np.float64, copy=False)
 
 
-def _over(values: NDArray[Any], others: NDArray[Any]) -> Floats:
-    """Divide; NaN by zero."""
-    quotient = np.full(np.broadcast_shapes(values.shape, others.shape), np.nan)
-    np.divide(values, others, out=quotient, where=others > 0.0)
-    return quotient
+@jit_unchecked
+def _bends(numbers: Floats) -> Floats:
+    """Return abs(a[i-1] - 2 a[i] + a[i+1]) / abs(a[i]) of each row, NaN at zeros."""
+    bends = np.empty((len(numbers), max(0, numbers.shape[1] - 2)))
+    for i in range(len(bends)):
+        for j in range(bends.shape[1]):
+            size = abs(numbers[i, j + 1])
+            bend = abs(numbers[i, j] - 2.0 * numbers[i, j + 1] + numbers[i, j + 2])
+            bends[i, j] = bend / size if size > 0.0 else math.nan
+    return bends
+
+
+@jit
+def _shares(numbers: Floats, ordered: Floats, totals: Floats) -> Floats:
+    """Return the first four of the ``STATISTICS`` of each row, given its order and its sum."""
+    found = np.full((len(numbers), 4), np.nan)
+    for i in range(len(numbers)):
+        count = numbers.shape[1]
+        while count and math.isnan(ordered[i, count - 1]):
+            count -= 1
+        found[i, 0] = 1.0 - count / numbers.shape[1]
+        if count:
+            least, largest = ordered[i, 0], ordered[i, count - 1]
+            at_limit = distinct = 0
+            for j in range(count):
+                at_limit += ordered[i, j] == least or ordered[i, j] == largest
+                distinct += j == 0 or ordered[i, j] > ordered[i, j - 1]
+            found[i, 1], found[i, 2] = at_limit / count, distinct / count
+            found[i, 3] = autocorrelation(numbers[i], totals[i] / count)
+    return found

@@ -84,10 +84,16 @@ def smallest(by_place: Mapping[str, float], reason: str) -> Located | Missing:
 
 def row_medians(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the median of each row's numbers, NaN if a row has none; shape (n,)."""
-    if not values.size:
-        return np.full(len(values), np.nan)
-    ordered = np.sort(values, axis=1)  # NaN last
-    last = np.maximum(0, (~np.isnan(values)).sum(axis=1) - 1)
-    rows = np.arange(len(values))
-    medians: NDArray[np.float64] = 0.5 * (ordered[rows, last // 2] + ordered[rows, (last + 1) // 2])
-    return medians
+    return _middles(np.sort(values, axis=1))  # NaN last
+
+
+@jit
+def _middles(ordered: NDArray[np.float64]) -> NDArray[np.float64]:
+    middles = np.full(len(ordered), np.nan)
+    for i in range(len(ordered)):
+        last = ordered.shape[1] - 1
+        while last >= 0 and np.isnan(ordered[i, last]):
+            last -= 1
+        if last >= 0:
+            middles[i] = 0.5 * (ordered[i, last // 2] + ordered[i, (last + 1) // 2])
+    return middles

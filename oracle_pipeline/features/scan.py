@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oracle_pipeline.features.arrays import roughness
+from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.arrays import autocorrelation, roughness
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -86,13 +87,16 @@ def whiteness(signed: Floats) -> Floats:
     """
     kept = np.where(np.abs(signed) < CLOSER_M, signed, np.nan)
     kept = kept - row_medians(kept)[:, np.newaxis]
-    current, following = kept[:, :-1], kept[:, 1:]
-    both = ~np.isnan(current * following)
-    product = np.where(both, current * following, 0.0).sum(axis=1)
-    power = np.where(both, current**2 + following**2, 0.0).sum(axis=1) / 2.0
-    correlation = np.full(len(signed), np.nan)
-    np.divide(product, power, out=correlation, where=power > 0.0)
-    return 1.0 - correlation
+    return 1.0 - _autocorrelations(kept)
+
+
+@jit
+def _autocorrelations(rows: Floats) -> Floats:
+    """Return the lag-one autocorrelation of each row, whose mean counts as 0; NaN if unknown."""
+    found = np.full(len(rows), np.nan)
+    for i in range(len(rows)):
+        found[i] = autocorrelation(rows[i], 0.0)
+    return found
 
 
 @hookimpl

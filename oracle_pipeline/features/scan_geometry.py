@@ -82,10 +82,7 @@ class Agreement(NamedTuple):
 
     def contradicted_share(self) -> Floats:
         """Return the share of each scan's compared points that are contradicted, shape (n,)."""
-        compared = self.compared.sum(axis=1)
-        share = np.full(len(compared), np.nan)
-        np.divide(self.contradicted.sum(axis=1), compared, out=share, where=compared > 0)
-        return share
+        return _shares(self.contradicted, self.compared)
 
 
 def agreement(points: Points, reference: Scans) -> Agreement:
@@ -103,6 +100,20 @@ def agreement(points: Points, reference: Scans) -> Agreement:
     """
     bearings = reference.angle_min.ravel(), reference.angle_increment.ravel()
     return Agreement(*_agree(points, reference.ranges, *bearings, reference.range_max))
+
+
+@jit
+def _shares(flags: Bools, of: Bools) -> Floats:
+    """Return the share of some flags in others, row by row; NaN for a row without any."""
+    shares = np.full(len(flags), np.nan)
+    for i in range(len(flags)):
+        count = total = 0
+        for j in range(flags.shape[1]):
+            count += flags[i, j]
+            total += of[i, j]
+        if total:
+            shares[i] = count / total
+    return shares
 
 
 @jit_unchecked
@@ -184,21 +195,15 @@ class HitCounter:
     """
 
     def __init__(self, most: int) -> None:
-        self._blocks: list[NDArray[np.int32]] = []
+        self._blocks: list[Ints] = []
         self._left = most
 
     def add(self, points: Points, chosen: Bools, first: int) -> None:
         """Count chosen points, both of shape (n, m); the first row belongs to scan ``first``."""
-        scans, _ = np.nonzero(chosen)
-        where = np.floor(points[chosen].view(np.float64).reshape(-1, 2) / CELL_M)
-        cells = np.clip(where, -_FARTHEST_CELL, _FARTHEST_CELL)
-        rows = np.column_stack([scans + first, cells]).astype(np.int32)
-        rows = rows[np.lexsort((_joined(rows[:, 1], rows[:, 2]), rows[:, 0]))]
-        again = np.zeros(len(rows), dtype=np.bool_)
-        again[1:] = (rows[1:] == rows[:-1]).all(axis=1)
-        self._left -= len(rows) - int(again.sum())
+        rows = _hits(points, chosen, first)
+        self._left -= len(rows)
         if self._left >= 0:
-            self._blocks.append(rows[~again])
+            self._blocks.append(rows)
         else:
             self._blocks.clear()
 
@@ -206,14 +211,36 @@ class HitCounter:
         """Return the hits; `Missing` if there are too many."""
         if self._left < 0:
             return Missing("too many contradicted returns for the limit MOST_HITS")
-        rows = np.concatenate([np.zeros((0, 3), np.int32), *self._blocks])
-        _, cells = np.unique(_joined(rows[:, 1], rows[:, 2]), return_inverse=True)
-        return Hits(rows[:, 0].copy(), cells.reshape(-1).astype(np.int32))
+        rows = np.concatenate([np.zeros((0, 2), np.int64), *self._blocks])
+        _, cells = np.unique(rows[:, 1], return_inverse=True)
+        return Hits(rows[:, 0].astype(np.int32), cells.reshape(-1).astype(np.int32))
 
 
-def _joined(x: NDArray[np.int32], y: NDArray[np.int32]) -> Ints:
-    """Return two numbers as one."""
-    return x.astype(np.int64) << 32 | y.astype(np.int64) & 0xFFFFFFFF
+@jit
+def _hits(points: Points, chosen: Bools, first: int) -> Ints:
+    """Return the scans and cells of chosen points, each pair once; shape (n, 2)."""
+    found = np.empty((chosen.sum(), 2), np.int64)
+    cells = np.empty(points.shape[1], np.int64)
+    number = 0
+    for i in range(points.shape[0]):
+        count = 0
+        for j in range(points.shape[1]):
+            if chosen[i, j]:
+                cells[count] = _cell(points[i, j].real) << 32 | _cell(points[i, j].imag)
+                count += 1
+        own = np.sort(cells[:count])
+        for k in range(count):
+            if k == 0 or own[k] != own[k - 1]:
+                found[number] = first + i, own[k]
+                number += 1
+    return found[:number].copy()
+
+
+@jit
+def _cell(coordinate: float) -> int:
+    """Return the number of a cell along an axis, from 0 on."""
+    cell = min(max(math.floor(coordinate / CELL_M), -_FARTHEST_CELL), _FARTHEST_CELL)
+    return int(cell) + _FARTHEST_CELL
 
 
 class SensorMount(NamedTuple):
