@@ -133,10 +133,10 @@ def compute_timing(window: Window) -> Values | Missing:
         topic: rhythm for topic in steady if (rhythm := _rhythm(topics[topic].times_s)) is not None
     }
     gaps = {t: rhythm.gap * rhythm.period_s / steady[t] for t, rhythm in rhythms.items()}
+    totals = {t: _totals(each.sizes, each.header_stamps_ns) for t, each in topics.items()}
     return {
         "message_rate": sum(counts) / duration_s,
-        "byte_rate": sum(int(each.sizes.sum()) for each in topics.values() if len(each.sizes))
-        / duration_s,
+        "byte_rate": sum(size for size, _ in totals.values()) / duration_s,
         "silent_topics": counts.count(0) / len(topics),
         "steady_topics": len(steady) / len(topics),
         **_over_topics(
@@ -144,7 +144,7 @@ def compute_timing(window: Window) -> Values | Missing:
         ),
         "gap_max": largest(gaps, "no steady topic"),
         "out_of_order_max": largest(
-            {t: _out_of_order(arrivals.header_stamps_ns) for t, arrivals in topics.items()},
+            {topic: share for topic, (_, share) in totals.items()},
             "no topic with headers has two messages",
         ),
     }
@@ -231,18 +231,16 @@ def _steps_between(times_s: NDArray[np.float64]) -> tuple[float, float, float]:
     return period_s, deviation_s, steps_s.max()
 
 
-def _out_of_order(stamps_ns: NDArray[np.int64]) -> float:
-    """Return the share of stamps that are earlier than their predecessor; NaN without two."""
-    return _backwards(stamps_ns) / (len(stamps_ns) - 1) if len(stamps_ns) > 1 else np.nan
-
-
 @jit
-def _backwards(stamps_ns: NDArray[np.int64]) -> int:
-    """Count the stamps that are earlier than their predecessor."""
-    count = 0
+def _totals(sizes: NDArray[np.int64], stamps_ns: NDArray[np.int64]) -> tuple[int, float]:
+    """Return the sum of sizes, and the share of stamps that are earlier than their predecessor.
+
+    The share is NaN without two stamps.
+    """
+    backwards = 0
     for i in range(1, len(stamps_ns)):
-        count += stamps_ns[i] < stamps_ns[i - 1]
-    return count
+        backwards += stamps_ns[i] < stamps_ns[i - 1]
+    return sizes.sum(), backwards / (len(stamps_ns) - 1) if len(stamps_ns) > 1 else math.nan
 
 
 def _medians(

@@ -110,15 +110,21 @@ class _Headers:
         return stamps_ns
 
 
-class _History(Mapping[str, Mapping[str, Series]]):
-    """What was kept up to a time, by key of the request; cut on access, as few plugins use it."""
+class _Cut(Mapping[str, Mapping[str, Series]]):
+    """What was kept within a span, by key of the request; cut on access, as few plugins use it."""
 
-    def __init__(self, requests: Mapping[str, Mapping[str, KeptRows]], end_ns: int) -> None:
+    def __init__(
+        self, requests: Mapping[str, Mapping[str, KeptRows]], span: Span, *, silent: bool
+    ) -> None:
         self._requests = requests
-        self._span = Span(0, end_ns)
+        self._span = span
+        self._silent = silent  # topics without a row are there, too
 
     def __getitem__(self, key: str) -> Mapping[str, Series]:
-        return {name: kept.within(self._span) for name, kept in self._requests[key].items()}
+        cut = {name: kept.within(self._span) for name, kept in self._requests[key].items()}
+        if self._silent:
+            return cut
+        return {name: series for name, series in cut.items() if len(series.times_s)}
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._requests)
@@ -336,18 +342,11 @@ class KeptMessages:
                     return Missing(f"{name} cannot be used: {kept.error}")
             if not request.optional and not requests[key]:
                 return Missing(f"no topic {request} is recorded")
-        topics = {
-            key: {
-                name: series
-                for name, kept in by_topic.items()
-                if len((series := kept.within(span)).times_s)
-            }
-            for key, by_topic in requests.items()
-        }
+        topics = _Cut(requests, span, silent=False)
         for key, request in plugin.topics.items():
             if not request.optional and not topics[key]:
                 return Missing(f"no message on {', '.join(requests[key])} in this window")
-        history = _History(requests, span.end_ns)
+        history = _Cut(requests, Span(0, span.end_ns), silent=True)
         return replace(common, topics=topics, history=history, prepared=prepared)
 
 

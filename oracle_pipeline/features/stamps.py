@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.plugin import (
     Arrivals,
     Feature,
@@ -117,7 +118,7 @@ def _over_the_freshest(
     times_s = arrivals[freshest].times_s
     common = held[freshest]
     if times_s[-1] > times_s[0]:
-        common = np.polynomial.Polynomial.fit(times_s, held[freshest], 1)(times_s)
+        common = _fitted_line(times_s, held[freshest])
     return {
         topic: each
         - (
@@ -127,6 +128,17 @@ def _over_the_freshest(
         )
         for topic, each in held.items()
     }
+
+
+@jit
+def _fitted_line(x: Floats, y: Floats) -> Floats:
+    """Return the values at x of the line through points that has the least squares."""
+    away_x, away_y = x - x[0], y - y[0]  # small numbers, as stamps may count from 1970
+    from_mean = away_x - away_x.mean()
+    middle = away_y.mean()
+    slope = (from_mean * (away_y - middle)).sum() / (from_mean * from_mean).sum()
+    fitted: Floats = y[0] + (middle + slope * from_mean)
+    return fitted
 
 
 def _held_s(arrivals: Arrivals) -> Floats:
