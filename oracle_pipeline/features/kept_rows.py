@@ -254,7 +254,8 @@ def _size_of_many(kept: Any, batch: Messages) -> int:
 def _size_of_column(column: Any) -> int:
     if isinstance(column, np.ndarray) and column.dtype != object:
         return len(column) * _OBJECT_BYTES
-    return sum(map(_size, column))
+    distinct = {id(each): each for each in column}  # names of frames are shared
+    return len(column) * _OBJECT_BYTES + sum(map(_size, distinct.values()))
 
 
 def read_only(values: NDArray[Any]) -> NDArray[Any]:

@@ -248,13 +248,13 @@ def _compared_with_map(
     counter = HitCounter(MOST_HITS // len(setup.mounts))
 
     def compared(part: slice) -> tuple[Floats, Floats, Floats]:
-        some, columns = scans.rows(rows[part]), placed.at(part).columns()
-        rays = np.exp(1j * some.bearings())
+        some, here = scans.rows(rows[part]), placed.at(part)
+        columns, rays = here.columns(), some.rays_along()
         directions = columns.turn * (rays.conj() if placed.flipped else rays)
         charted = replace(some, range_max=np.inf, ranges=world.cast(columns.shift, directions))
         points = some.points()
         returned = agreement(points, charted)
-        counter.add(columns.apply(points), returned.contradicted, part.start)
+        counter.add(here.returns(some), returned.contradicted, part.start)
         return (
             row_medians(returned.residual),
             returned.contradicted_share(),

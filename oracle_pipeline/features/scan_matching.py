@@ -190,7 +190,9 @@ def _match(
             valid += 1
             px, py = moved_x[j], moved_y[j]
             nearest, distance = -1, 0.09
-            after = (own[j] - _REACH) % circle
+            after = own[j] - _REACH
+            if not 0 <= after < circle:
+                after %= circle
             for _ in range(2 * _REACH + 1):
                 ray = after
                 after = ray + 1 if ray + 1 < circle else 0
