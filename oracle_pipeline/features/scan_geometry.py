@@ -239,8 +239,8 @@ def _hits(points: Points, chosen: Bools, first: int) -> Ints:
 @jit
 def _cell(coordinate: float) -> int:
     """Return the number of a cell along an axis, from 0 on."""
-    cell = min(max(math.floor(coordinate / CELL_M), -_FARTHEST_CELL), _FARTHEST_CELL)
-    return int(cell) + _FARTHEST_CELL
+    cell = min(max(coordinate / CELL_M, -_FARTHEST_CELL), _FARTHEST_CELL)  # fits an integer
+    return math.floor(cell) + _FARTHEST_CELL
 
 
 class SensorMount(NamedTuple):

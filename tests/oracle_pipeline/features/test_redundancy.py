@@ -130,6 +130,13 @@ def test_cells_are_counted_once_a_scan():
     assert np.isnan(hits.persistence(slice(3, 3)))
 
 
+def test_hits_far_away_on_opposite_sides_are_in_different_cells():
+    points = np.array([[1e300 + 0j, -1e300 + 0j, 1e300 + 0j]])
+    counter = HitCounter(3)
+    counter.add(points, np.ones((1, 3), dtype=np.bool_), 0)
+    assert sorted(counter.hits().cells.tolist()) == [0, 1]
+
+
 def test_cells_beyond_the_limit_are_not_counted_at_all():
     counter = HitCounter(1)
     counter.add(np.array([[0.1 + 0.1j, 0.9 + 0.9j]]), np.array([[True, True]]), 0)
