@@ -10,11 +10,16 @@ import pytest
 
 from tests.assets.laboratory import EVERYTHING, KEYS, PER_RUN, Laboratory, dagster_home
 
-# Where the work on runs and recordings begins, and what the first one loads.
+# Where the work on runs and recordings begins, and what the first one loads: a second of imports
+# that each worker would make again. The last one keeps the garbage collector away from them.
 FORKED = [
     "assets.worker.run",
     "assets.worker.inspections",
+    "oracle_pipeline.oracles.kept_traces",
+    "oracle_pipeline.replay.picture",
     "oracle_pipeline.scoring.isolation",
+    "sim.turtlebot3.drawing",
+    "sim.turtlebot3.run",
     "oracle_pipeline.features.warm_start",
 ]
 
