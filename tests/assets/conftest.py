@@ -8,7 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from tests.assets.laboratory import EVERYTHING, KEYS, PER_RUN, Laboratory, dagster_home
+from tests.assets.laboratory import (
+    EVERYTHING,
+    KEYS,
+    PER_RUN,
+    Laboratory,
+    dagster_home,
+    with_databases,
+)
+from tests.instances import instance_of
 
 # Where the work on runs and recordings begins, and what the first one loads: a second of imports
 # that each worker would make again. The last one keeps the garbage collector away from them.
@@ -38,7 +46,7 @@ def campaign(shared_folder: Path) -> Iterator[Laboratory]:
     shared_root.mkdir(exist_ok=True)
     with (shared_root / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        with dagster_home(shared_root / "home") as instance:
+        with instance_of(with_databases(shared_root / "home")) as instance:
             laboratory = Laboratory(shared_root / "data", instance)
             if not (shared_root / "done").exists():
                 assert laboratory.materialize(PER_RUN, KEYS[0], KEYS[1]).success
