@@ -50,14 +50,14 @@ def search(card: Path, out: Path, budget: int, *more: str) -> Result:
 
 def test_a_search_can_be_resumed(card: Path, tmp_path: Path) -> None:
     found = []
-    for budget in (1, 3):
+    for budget in (1, 2):
         result = search(card, tmp_path, budget, "--no-screen", "--range", "rate=-0.02:0.02")
         assert result.exit_code == 0, result.output
         found.append(json.loads((tmp_path / "findings.json").read_text())["findings"])
-    assert [len(each) for each in found] == [1, 3]
+    assert [len(each) for each in found] == [1, 2]
     assert found[1][:1] == found[0]
     rates = [each["proposal"]["values"]["rate"] for each in found[1]]
-    assert len(set(rates)) == 3
+    assert len(set(rates)) == 2
     assert all(-0.02 <= rate <= 0.02 for rate in rates)
     assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
 
@@ -138,14 +138,14 @@ def test_a_found_attack_is_a_row_of_the_evaluation(
     runs = [
         recorded_run(modes()[name], run)
         for name in ("unaltered", "composed_miss007")
-        for run in range(3)
+        for run in range(2)
     ]
     tables = []
     for directory in runs:
         with open_run(directory.path) as run:
             tables.append(extract(run, build_manager()))
     manifests = [run.manifest() for run in runs]
-    assert all(each.changes for each in manifests[3:])
+    assert all(each.changes for each in manifests[2:])
     found = evaluate(
         feature_dataset(each.run for each in tables),
         window_dataset(each.windows for each in tables),
