@@ -1,8 +1,10 @@
-"""Wall time of a whole campaign in Dagster, compared with the time of its pure work.
+"""Wall time of a whole campaign in Dagster that is not its pure work, for each run.
 
 Pure work is the time that each run reports for its simulation and its features, plus the time of
-each step over all runs. Wall time is that of the command ``dagster asset materialize``. The
-difference is start-up, planning, images of the runs, events and checks.
+each step over all runs, on all cores. Wall time is that of the command
+``dagster asset materialize``. The difference is start-up, planning, images of the runs, events,
+checks, and steps that use one core. It is given in seconds: over the pure work, it would grow when
+simulation or features become faster.
 """
 
 import os
@@ -20,10 +22,12 @@ from oracle_pipeline.bags.run_directory import RunDirectory
 from sim.campaigns import Campaign
 from soak.budget import MODES, campaign
 
-# Runs per mode and goals per run: default patrols, the shortest patrols (where overhead weighs
-# most), and `make run`.
-CAMPAIGNS = ((20, Campaign().goals_per_run), (20, 1), (3, Campaign().goals_per_run))
-GOAL = 1.3
+RUNS = 20  # per mode
+# For each run of one goal: what 1.3 times the pure work allowed when that was the goal. 120 such
+# runs had 186 s of it on 2 cores.
+GOAL_S = 0.47
+# Goals per run: default patrols, and the shortest, where overhead weighs most.
+CAMPAIGNS = {Campaign().goals_per_run: None, 1: GOAL_S}
 MOST = 10_000  # events in one page of Dagster's
 TIMED = ("experiment_runs", "run_features")  # assets of a run that record their duration
 OF_RUNS = ("runs", "checks_of_runs")  # steps whose work is done in worker processes
@@ -34,19 +38,20 @@ def rows() -> Iterator[Row]:
     cores = os.cpu_count() or 1
     with tempfile.TemporaryDirectory() as folder:
         _warm_up(Path(folder))
-    for runs, goals in CAMPAIGNS:
+    for goals, goal_s in CAMPAIGNS.items():
         with tempfile.TemporaryDirectory() as folder:
             home = Path(folder)
             started = time.perf_counter()
-            running = campaign(home, runs, goals, stdout=subprocess.DEVNULL)
+            running = campaign(home, RUNS, goals, stdout=subprocess.DEVNULL)
             if running.wait() != 0:
-                raise RuntimeError(f"The campaign of {runs} runs per mode failed.")
+                raise RuntimeError(f"The campaign of {RUNS} runs per mode failed.")
             wall_s = time.perf_counter() - started
             of_runs_s, of_all_s = _pure_seconds(home / "dagster")
-        name = f"campaign of {MODES * runs} runs, goals per run: {goals}"
+        name = f"campaign of {MODES * RUNS} runs, goals per run: {goals}"
         pure_s = (of_runs_s + of_all_s) / cores
-        yield Row(f"{name}: wall over pure", wall_s / pure_s, "x", GOAL, True, f"({cores} cores)")
-        yield Row("  wall", wall_s, "s")
+        beside_s = (wall_s - pure_s) / (MODES * RUNS)
+        yield Row(f"{name}: beside work", beside_s, "s", goal_s, True, f"a run ({cores} cores)")
+        yield Row("  wall", wall_s, "s", remark=f"({wall_s / pure_s:.3g} times the pure work)")
         yield Row("  simulations and features, summed", of_runs_s, "s")
         yield Row("  tables, evaluation and reports, summed", of_all_s, "s")
 

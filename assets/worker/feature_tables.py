@@ -1,7 +1,6 @@
 """The feature tables of one run: extracted again only if run, code or tables have changed.
 
 The same pass over the bag gives the signals for the kinds of oracle
-
 (``oracle_pipeline.oracles.traces``). A small JSON file beside the tables has hashes of their inputs
 and content. Heavy imports are inside the functions, so that verifying a run is fast.
 """
