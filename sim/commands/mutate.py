@@ -66,10 +66,10 @@ def mutate(
 ) -> None:
     """Apply a scenario to a recorded bag, without a simulator.
 
-    BAG_IN is any rosbag2; a ROS 1 bag must be converted first. BAG_OUT gets all of its topics, the
-    scenario's output and its ground truth; with --topic, that topic as the scenario alters it.
-    SCENARIO is the name of a built-in scenario or a file (FILE#NAME if it holds several); with
-    --like it is that of the recorded run.
+    BAG_IN is any rosbag2; a ROS 1 bag must be converted first. BAG_OUT gets all of its topics that
+    are encoded as CDR, the scenario's output and its ground truth; with --topic, that topic as the
+    scenario alters it. SCENARIO is the name of a built-in scenario or a file (FILE#NAME if it holds
+    several); with --like it is that of the recorded run.
 
     \b
     Examples:
