@@ -115,3 +115,21 @@ def test_a_missing_or_empty_file_is_an_error(tmp_path):
     for name in ("empty", "absent"):
         with pytest.raises(GraphError, match=name):
             read_gexf(tmp_path / name)
+
+
+def test_a_graph_does_not_depend_on_the_layout_of_its_file(tmp_path):
+    write_gexf(small(), tmp_path / "written.gexf")
+    text = (tmp_path / "written.gexf").read_text()
+    for number, same in enumerate(
+        (
+            text.replace("\n", "\r\n"),
+            text.replace('"/amcl"', '"&#47;amcl"'),
+            text.replace('for="kind" value="topic"', 'value="topic" for="kind"'),
+            text.replace("  <graph", "  <!-- a comment -->\n  <graph"),
+        )
+    ):
+        assert same != text
+        (tmp_path / f"{number}.gexf").write_text(same)
+        graph = read_gexf(tmp_path / f"{number}.gexf")
+        assert graph.nodes(data=True) == small().nodes(data=True)
+        assert list(graph.edges(data=True)) == list(small().edges(data=True))
