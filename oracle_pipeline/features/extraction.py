@@ -32,10 +32,10 @@ from oracle_pipeline.features.plugin import (
     Values,
     Window,
 )
+from oracle_pipeline.features.shared import system_of
 from oracle_pipeline.features.tables import FeatureTables, Measured, Table
 from oracle_pipeline.features.thesis import MessageTable, ThesisPlugin
 from oracle_pipeline.graphs.intervals import compose, known_in
-from oracle_pipeline.graphs.views import system_view
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.robots.robot import Robot, find_robots, of_robot
 from oracle_pipeline.robots.roles_file import RoleChoices
@@ -269,8 +269,9 @@ class _Extraction:
         if starts not in self._graphs:
             import networkx as nx
 
-            graph = nx.freeze(compose(each.graph for each in known))
-            self._graphs[starts] = Graphs(graph, nx.freeze(system_view(graph)), known)
+            whole = known[0].graph if len(known) == 1 else compose(each.graph for each in known)
+            system = system_of(whole, self._recording.shared)
+            self._graphs[starts] = Graphs(nx.freeze(whole), system, known)
         return self._graphs[starts]
 
     def _common(self, span: Span) -> Window:

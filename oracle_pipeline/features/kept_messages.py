@@ -164,12 +164,14 @@ class KeptMessages:
         From the first message to a nanosecond after the last, without jumps of the clock.
     notes : list of str
         The messages that were not used, with the reasons.
+    shared : dict
+        Results that the plugins share, ``Window.shared``.
     """
 
     def __init__(self, robot: Robot, plugins: tuple[FeaturePlugin, ...]) -> None:
         bag = robot.bag
         self._roles = robot.roles
-        self._shared: dict[Any, Any] = {}
+        self.shared: dict[Any, Any] = {}
         self._budget = budget = Budget()
         self.notes: list[str] = []
         self._topics = {name: KeptTopic(bag, topic) for name, topic in bag.topics.items()}
@@ -320,7 +322,7 @@ class KeptMessages:
         arrivals = {name: self._within(name, span) for name in sorted(self._topics)}
         return Window(
             span.start_s, span.end_s, *graphs, arrivals, roles=self._roles,
-            shared=self._shared,
+            shared=self.shared,
         )  # fmt: skip
 
     def _within(self, topic: str, span: Span) -> Arrivals:

@@ -22,8 +22,7 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.shared import once_for_graph
-from oracle_pipeline.graphs.views import system_view
+from oracle_pipeline.features.shared import once_for_graph, system_of
 
 Edge: TypeAlias = tuple[str, str]
 Flows: TypeAlias = Mapping[Edge, int]  # messages or bytes by edge
@@ -75,7 +74,8 @@ class _Change(NamedTuple):
 def prepare(window: Window) -> list[_Change]:
     """Compare each interval of the recording with the one before."""
     starts = [interval.start_s for interval in window.intervals]
-    flows = [_flows(system_view(interval.graph), "messages") for interval in window.intervals]
+    systems = [system_of(interval.graph, window.shared) for interval in window.intervals]
+    flows = [_flows(system, "messages") for system in systems]
     return [
         _change(start_s, before, after)
         for start_s, before, after in zip(starts[1:], flows, flows[1:], strict=False)

@@ -1,10 +1,11 @@
 """Results that the windows of a recording share, since most of them have the same graph."""
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.features.plugin import Window
+from oracle_pipeline.graphs.views import system_view
 
 R = TypeVar("R")
 
@@ -19,3 +20,14 @@ def once_for_graph(compute: Callable[[Window, RosGraph], R], window: Window, gra
         window.shared[key] = compute(window, graph)
     result: R = window.shared[key]
     return result
+
+
+def system_of(graph: RosGraph, shared: dict[Any, Any]) -> RosGraph:
+    """Return the system view of a graph, frozen; ``shared`` is that of the windows."""
+    key = system_view, graph
+    if key not in shared:
+        import networkx as nx
+
+        shared[key] = nx.freeze(system_view(graph))
+    view: RosGraph = shared[key]
+    return view
