@@ -36,6 +36,7 @@ from oracle_pipeline.features.scan_geometry import (
     Planar,
     ScannerSetup,
     agreement,
+    contradicted_shares,
     scanner_setup,
     the_topic,
 )
@@ -258,7 +259,7 @@ def _compared_with_map(
         return (
             row_medians(returned.residual),
             returned.contradicted_share(),
-            agreement(charted.points(), some).contradicted_share(),
+            contradicted_shares(charted.points(), some),
         )
 
     residual, unexpected, through = in_blocks(len(rows), scans.rays, compared)

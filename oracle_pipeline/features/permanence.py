@@ -30,7 +30,7 @@ from oracle_pipeline.features.scan_geometry import (
     SETUP_TOPICS,
     Planar,
     ScannerSetup,
-    agreement,
+    contradicted_shares,
     nearest,
     scanner_setup,
 )
@@ -140,9 +140,10 @@ def _seen(setup: ScannerSetup, topic: str, path: "_Path") -> Seen:
 
     def compared(part: slice) -> tuple[Floats, Floats]:
         later, earlier = scans.rows(now[part]), scans.rows(before[part])
-        appeared = agreement(moved.at(part).returns(later), earlier)
-        vanished = agreement(back.at(part).returns(earlier), later)
-        return appeared.contradicted_share(), vanished.contradicted_share()
+        return (
+            contradicted_shares(moved.at(part).returns(later), earlier),
+            contradicted_shares(back.at(part).returns(earlier), later),
+        )
 
     appeared, vanished = in_blocks(len(now), scans.rays, compared)
     loose, across = _in_world(scans, placed, path)

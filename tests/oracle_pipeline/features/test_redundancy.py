@@ -13,6 +13,7 @@ from oracle_pipeline.features.scan_geometry import (
     HitCounter,
     Planar,
     agreement,
+    contradicted_shares,
     keep_frames,
     nearest,
 )
@@ -53,6 +54,38 @@ def seen(ranges, **changes):
         ranges,
     )  # fmt: skip
     return replace(scans, **changes)
+
+
+@pytest.mark.parametrize("increment", [2 * np.pi / 12, 2 * np.pi / 9, -0.3, 1.0, 7.0, 0.01, 1e-7])
+def test_points_agree_as_when_each_is_compared_by_itself(increment):
+    """Scans that close, overlap themselves or cover a part; rays without a return or unknown."""
+    random = np.random.default_rng(3)
+    points = random.normal(0.0, 3.0, (20, 30)) + 1j * random.normal(0.0, 3.0, (20, 30))
+    points[random.random(points.shape) < 0.1] = np.nan
+    ranges = random.choice([np.nan, np.inf, 1.0, 2.0, 3.0, 4.0], (20, 12))
+    ranges[::2] = np.nan_to_num(ranges[::2], nan=2.5, posinf=np.inf)
+    bearings = np.full((20, 1), -1.0), np.full((20, 1), increment)
+    reference = Scans(np.zeros(20), np.zeros(20), "", *bearings, 10.0, ranges)
+    found, circle = agreement(points, reference), max(1, round(2 * np.pi / abs(increment)))
+    for i, j in np.ndindex(points.shape):
+        own = (
+            round((np.angle(points[i, j]) + 1.0) / increment) if points[i, j] == points[i, j] else 0
+        )
+        rays = (own + np.arange(-2, 3)) % circle
+        near = np.array([ranges[i, ray] if ray < 12 else np.nan for ray in rays])
+        away = abs(points[i, j]) - near
+        known = not np.isnan(away).any()
+        finite = np.abs(away[np.isfinite(away)])
+        assert found.compared[i, j] == known
+        assert found.contradicted[i, j] == (known and abs(points[i, j]) + 0.3 < min(10.0, *near))
+        assert found.residual[i, j] == pytest.approx(
+            finite.min() if finite.size else np.nan, nan_ok=True
+        )
+        own_gap = away[2] if np.isfinite(away[2]) else np.nan
+        assert found.signed[i, j] == pytest.approx(own_gap, nan_ok=True)
+    np.testing.assert_array_equal(
+        contradicted_shares(points, reference), found.contradicted_share()
+    )
 
 
 def test_a_point_is_compared_with_the_nearest_of_five_bearings():
