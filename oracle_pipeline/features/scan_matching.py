@@ -132,9 +132,14 @@ def _turn(before: Floats, now: Floats, increment: float) -> float:
     circle = round(2.0 * math.pi / abs(increment))
     stride, furthest = max(1, n // _PROFILE), int(_STEEPEST_RAD / abs(increment))
     step = max(1, furthest // 40)
+    shifts = 2 * furthest // step + 1
+    most = (n + stride - 1) // stride
     best, least = 0, math.inf
-    for shift in range(-furthest, furthest + 1, step):
-        total, count = 0.0, 0
+    for turn in range(shifts):
+        # From the middle outwards, as most turns are small: what is worse shows early.
+        away = (turn + 1) // 2
+        shift = step * (shifts // 2 + (away if turn % 2 else -away)) - furthest
+        total, count, limit = 0.0, 0, 1.000001 * least * most
         for j in range(0, n, stride):
             other = j + shift
             if other < 0 or other >= circle:
@@ -142,8 +147,13 @@ def _turn(before: Floats, now: Floats, increment: float) -> float:
             if other < n and math.isfinite(now[j]) and math.isfinite(before[other]):
                 total += min(abs(now[j] - before[other]), 0.5)
                 count += 1
-        if count * stride > n // 10 and total / count < least:
-            best, least = shift, total / count
+                if total > limit:
+                    break
+        else:
+            if count * stride > n // 10:
+                mean = total / count
+                if mean < least or (mean == least and shift < best):
+                    best, least = shift, mean
     return best * increment
 
 
