@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
+from oracle_pipeline.bags.jit import jit
+
 _Ints: TypeAlias = NDArray[np.int64]
 _Place: TypeAlias = "int | _Ints"  # offset after the encapsulation [B]; of all messages, or of each
 
@@ -313,14 +315,28 @@ def _texts(data: bytes, starts: _Ints, sizes: _Ints) -> NDArray[np.object_]:
     UnicodeDecodeError
         If one is not UTF-8.
     """
-    texts = np.empty(len(starts), dtype=object)
+    firsts = np.flatnonzero(_differ(np.frombuffer(data, np.uint8), starts, sizes))
+    texts = np.empty(len(firsts), dtype=object)
     known: dict[bytes, str] = {}
-    for row, (start, size) in enumerate(zip(starts.tolist(), sizes.tolist(), strict=True)):
-        raw = data[start : start + size]
+    for row, first in enumerate(firsts.tolist()):
+        raw = data[starts[first] : starts[first] + sizes[first]]
         if raw not in known:
             known[raw] = raw.removesuffix(b"\0").decode()
         texts[row] = known[raw]
-    return texts
+    return np.repeat(texts, np.diff(firsts, append=len(starts)))
+
+
+@jit
+def _differ(data: NDArray[np.uint8], starts: _Ints, sizes: _Ints) -> NDArray[np.bool_]:
+    """Return which strings differ from the one before."""
+    differ = np.ones(len(starts), np.bool_)
+    for i in range(1, len(starts)):
+        if sizes[i] == sizes[i - 1]:
+            same = 0
+            while same < sizes[i] and data[starts[i] + same] == data[starts[i - 1] + same]:
+                same += 1
+            differ[i] = same < sizes[i]
+    return differ
 
 
 def _grouped(values: NDArray[Any], owners: _Ints, count: int) -> NDArray[np.object_]:
