@@ -6,7 +6,6 @@ arrays.
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
@@ -56,24 +55,17 @@ class _Sampling:
         self._asks = np.array([rate_ns in topic.by_rate for topic in topics], dtype=np.bool_)
         self._last = np.full(len(topics), -1)
 
-    def due(self, batch: Messages, start_ns: int, in_time: Integers) -> Integers:
-        """Return the rows of the sampled messages of a batch, by topic and time.
+    def due(self, topics: Integers, since_start_ns: Integers) -> Bools:
+        """Return which messages of a batch are sampled; its messages are by topic and time.
 
         Parameters
         ----------
-        batch : Messages
-        start_ns : int
-            Of the recording.
-        in_time : ndarray of int
-            The rows of the batch in order of time.
+        topics : ndarray of shape (n,)
+            Numbers of the messages' topics.
+        since_start_ns : ndarray of shape (n,)
+            Stamps of the messages, since the start of the recording.
         """
-        is_due = _sampled(
-            batch.topics[in_time], batch.stamps_ns[in_time] - start_ns, self._rate_ns,
-            self._asks, self._last,
-        )  # fmt: skip
-        rows: Integers = in_time[is_due]
-        by_topic: Integers = rows[np.argsort(batch.topics[rows], kind="stable")]
-        return by_topic
+        return _sampled(topics, since_start_ns, self._rate_ns, self._asks, self._last)
 
 
 @jit
@@ -220,11 +212,12 @@ class KeptMessages:
                 see(batch)
             recording._budget.count(len(batch.topics))
             in_time = np.argsort(batch.stamps_ns, kind="stable")
+            by_topic = in_time[np.argsort(batch.topics[in_time], kind="stable")]
+            ordered = batch.topics[by_topic], batch.stamps_ns[by_topic] - bag.start_ns
             due: dict[int, list[int]] = {}
             for rate_ns, sampling in samplings.items():
-                for topic, rows in _by_topic(
-                    topics, batch.topics, sampling.due(batch, bag.start_ns, in_time)
-                ):
+                sampled = by_topic[sampling.due(*ordered)]
+                for topic, rows in _by_topic(topics, batch.topics, sampled):
                     if topic.has(rate_ns, many=False):
                         for row in rows.tolist():
                             due.setdefault(row, []).append(rate_ns)
@@ -349,7 +342,10 @@ class KeptMessages:
             if not request.optional and not topics[key]:
                 return Missing(f"no message on {', '.join(requests[key])} in this window")
         history = _Cut(requests, Span(0, span.end_ns), silent=True)
-        return replace(common, topics=topics, history=history, prepared=prepared)
+        return Window(
+            common.start_s, common.end_s, common.graph, common.system, common.intervals,
+            common.arrivals, topics, history, prepared, common.roles, common.shared,
+        )  # fmt: skip
 
 
 def _by_topic(

@@ -25,6 +25,7 @@ class KeptTopic:
         self.layout = MessageLayout(bag, topic.name)
         self.kept: dict[Any, KeptRows] = {}  # by key of the request
         self.by_rate: dict[int, list[KeptRows]] = {}  # by time between messages [ns]
+        self._asked: set[tuple[int, bool]] = set()  # rates, and whether in batches
         self.undecodable = ""
         #: Numbers of messages, and the messages, by rate.
         self._waiting: dict[int, tuple[list[Integers], list[bytes]]] = {}
@@ -45,16 +46,17 @@ class KeptTopic:
         if key not in self.kept:
             self.kept[key] = kept = KeptRows(request, budget)
             kept.as_scan = as_scan
-            self.by_rate.setdefault(round(request.every_s * 1e9), []).append(kept)
+            rate_ns = round(request.every_s * 1e9)
+            self.by_rate.setdefault(rate_ns, []).append(kept)
             if self.undecodable and not request.raw:
                 kept.fail(self.undecodable)
+            else:
+                self._asked.add((rate_ns, request.many))
         return self.kept[key]
 
     def has(self, rate_ns: int, *, many: bool) -> bool:
         """Return whether messages are requested at a rate, one by one or in batches."""
-        return any(
-            kept.request.many == many and not kept.error for kept in self.by_rate.get(rate_ns, ())
-        )
+        return (rate_ns, many) in self._asked
 
     def keep(self, number: int, data: bytes, rates_ns: list[int]) -> None:
         """Keep the requested part of a message that was sampled at some rates."""
