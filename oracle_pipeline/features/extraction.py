@@ -44,6 +44,8 @@ from oracle_pipeline.windows import windows_ns
 if TYPE_CHECKING:
     import pandas as pd
 
+_EXPLAINED = Located, Missing  # a tuple, since a union would be made anew for each number
+
 _log = logging.getLogger(__name__)
 
 
@@ -220,6 +222,15 @@ class _Extraction:
         self._failed: set[str] = set()  # plugins whose failure is in the log
         self._whole = whole
         self._graphs: dict[tuple[float, ...], Graphs] = {(): NO_GRAPH}  # by starts of intervals
+        self._columns = {  # name of the feature by column, for a window and for the run
+            (plugin.name, per_window): {
+                plugin.column(feature): feature.name
+                for feature in plugin.features
+                if feature.per_window or not per_window
+            }
+            for plugin in manager.plugins
+            for per_window in (False, True)
+        }
         common = self._common(whole)
         self._prepared = {
             plugin.name: self._prepare(plugin, recording.window(plugin, whole, common))
@@ -231,14 +242,14 @@ class _Extraction:
         row = _Row()
         common = self._common(span)
         for plugin in self._plugins:
-            if per_window and not any(feature.per_window for feature in plugin.features):
+            columns = self._columns[plugin.name, per_window]
+            if not columns:
                 continue
             prepared = self._prepared[plugin.name]
             window = self._recording.window(plugin, span, common, prepared)
             values = self._compute(plugin, window, prepared)
-            for feature in plugin.features:
-                if feature.per_window or not per_window:
-                    row.put(plugin.column(feature), values[feature.name])
+            for column, name in columns.items():
+                row.put(column, values[name])
         return row
 
     def add_thesis_columns(
@@ -299,9 +310,7 @@ class _Extraction:
                 return dict.fromkeys(names, values)
             if values.keys() != set(names):
                 raise KeyError(f"returned {sorted(values)} instead of {sorted(names)}")
-            return {
-                n: v if isinstance(v, Located | Missing) else float(v) for n, v in values.items()
-            }
+            return {n: v if isinstance(v, _EXPLAINED) else float(v) for n, v in values.items()}
         except Exception as error:  # foreign code
             return dict.fromkeys(names, self._failure(plugin.name, error))
 

@@ -20,6 +20,9 @@ CARRIED = 20  # last rows of a request that later windows can use
 _MESSAGE_BYTES = 40
 _OBJECT_BYTES = 64  # of a small Python object, and of an array without its numbers
 _SAMPLE = 16  # rows of a batch whose sizes are measured
+# As tuples, since a union would be made anew for each message.
+_CONTAINERS = np.ndarray, tuple, list
+_MEASURED = np.ndarray, tuple, float  # kept objects of known size
 _BROKEN_SHARE = 0.1  # of the messages of a topic; if more are broken, its type is wrong
 
 
@@ -110,7 +113,7 @@ class KeptRows:
             self.skip(f"{type(error).__name__}: {error}")
             return
         # The size of other objects is unknown.
-        is_object = not isinstance(row, np.ndarray | tuple | float)
+        is_object = not isinstance(row, _MEASURED)
         if row is not None and self._has_room(max(_size(row), size if is_object else 0)):
             self._rows.append(row)
             self._numbers.append(number)
@@ -234,7 +237,7 @@ def _size(kept: Any) -> int:
     """Return the approximate size of an object in memory [B]."""
     if isinstance(kept, np.ndarray) and kept.dtype != object:
         return int(kept.nbytes) + _OBJECT_BYTES
-    if isinstance(kept, np.ndarray | tuple | list):
+    if isinstance(kept, _CONTAINERS):
         return _OBJECT_BYTES + sum(map(_size, kept))
     return _OBJECT_BYTES
 

@@ -27,7 +27,19 @@ def quantile(series: Series, window: Window, q: float) -> float:
 
     A window has few numbers, for which the library's checks take ten times as long as its sums.
     """
-    return quantile_of(series.values[within(series.times_s, window)], q)
+    return _quantile_between(*series, window.start_s, window.end_s, q)
+
+
+@jit
+def _quantile_between(
+    times_s: NDArray[np.float64],
+    values: NDArray[np.float64],
+    start_s: float,
+    end_s: float,
+    q: float,
+) -> float:
+    first, after = between(times_s, start_s, end_s)
+    return quantile_of(values[first:after], q)
 
 
 @jit
@@ -64,7 +76,7 @@ def mean(series: Series, window: Window) -> float:
     """Return the mean of the numbers in a window; NaN if there is none."""
     values = series.values[within(series.times_s, window)]
     values = values[~np.isnan(values)]
-    return float(values.mean()) if values.size else math.nan
+    return float(np.add.reduce(values) / values.size) if values.size else math.nan
 
 
 def largest(by_place: Mapping[str, float], reason: str) -> Located | Missing:
