@@ -218,10 +218,12 @@ class KeptMessages:
             for rate_ns, sampling in samplings.items():
                 sampled = by_topic[sampling.due(*ordered)]
                 for topic, rows in _by_topic(topics, batch.topics, sampled):
-                    if topic.has(rate_ns, many=False):
+                    if topic.has(rate_ns, "raw"):
+                        topic.keep_raw(rate_ns, count + rows, batch.messages(rows))
+                    if topic.has(rate_ns, "decoded"):
                         for row in rows.tolist():
                             due.setdefault(row, []).append(rate_ns)
-                    if topic.has(rate_ns, many=True):
+                    if topic.has(rate_ns, "many"):
                         for some in _portions(rows, batch.sizes[rows]):
                             waiting += topic.wait(rate_ns, count + some, batch.messages(some))
                             if waiting > _MOST_WAITING:

@@ -10,7 +10,7 @@ from oracle_pipeline.bags.reader import BagReader, Topic
 from oracle_pipeline.features.columns import Batch
 from oracle_pipeline.features.kept_rows import Budget, Integers, KeptRows
 from oracle_pipeline.features.message_layout import MessageLayout
-from oracle_pipeline.features.plugin import RawRecord, Request
+from oracle_pipeline.features.plugin import Form, RawRecord, Request
 from oracle_pipeline.features.point_clouds import CutClouds, sliced
 from oracle_pipeline.robots.roles import POINT_CLOUD, SCAN
 
@@ -25,7 +25,7 @@ class KeptTopic:
         self.layout = MessageLayout(bag, topic.name)
         self.kept: dict[Any, KeptRows] = {}  # by key of the request
         self.by_rate: dict[int, list[KeptRows]] = {}  # by time between messages [ns]
-        self._asked: set[tuple[int, bool]] = set()  # rates, and whether in batches
+        self._asked: set[tuple[int, Form]] = set()  # rates, and what is asked for
         self.undecodable = ""
         #: Numbers of messages, and the messages, by rate.
         self._waiting: dict[int, tuple[list[Integers], list[bytes]]] = {}
@@ -51,24 +51,27 @@ class KeptTopic:
             if self.undecodable and not request.raw:
                 kept.fail(self.undecodable)
             else:
-                self._asked.add((rate_ns, request.many))
+                self._asked.add((rate_ns, request.form))
         return self.kept[key]
 
-    def has(self, rate_ns: int, *, many: bool) -> bool:
-        """Return whether messages are requested at a rate, one by one or in batches."""
-        return (rate_ns, many) in self._asked
+    def has(self, rate_ns: int, form: Form) -> bool:
+        """Return whether messages are requested at a rate in some form."""
+        return (rate_ns, form) in self._asked
+
+    def keep_raw(self, rate_ns: int, numbers: Integers, messages: list[bytes]) -> None:
+        """Keep the requested part of messages as they were recorded."""
+        for kept in self.by_rate[rate_ns]:
+            if kept.request.form == "raw":
+                for number, data in zip(numbers.tolist(), messages, strict=True):
+                    kept.add(number, RawRecord(data, self.layout), len(data))
 
     def keep(self, number: int, data: bytes, rates_ns: list[int]) -> None:
-        """Keep the requested part of a message that was sampled at some rates."""
-        record = RawRecord(data, self.layout)
+        """Decode a message that was sampled at some rates, and keep the requested part."""
         content: Any = None
         scan: Any = None
         for rate_ns in rates_ns:
             for kept in self.by_rate[rate_ns]:
-                if kept.error or kept.request.many:
-                    continue
-                if kept.request.raw:
-                    kept.add(number, record, len(data))
+                if kept.error or kept.request.form != "decoded":
                     continue
                 try:
                     content = content or self._decoded(data)

@@ -28,6 +28,7 @@ hookspec = pluggy.HookspecMarker(PROJECT)
 hookimpl = pluggy.HookimplMarker(PROJECT)
 
 Origin: TypeAlias = Literal["generic", "domain", "navigation"]
+Form: TypeAlias = Literal["many", "raw", "decoded"]
 
 
 class PluginError(OracleError):
@@ -119,6 +120,11 @@ class Request:
                 f"A request has the role {self.role!r}, which does not exist; there are "
                 f"{', '.join(ROLES)}."
             )
+
+    @property
+    def form(self) -> Form:
+        """What ``keep`` takes."""
+        return "many" if self.many else "raw" if self.raw else "decoded"
 
     def matches(self, topic: Topic, layout: MessageLayout, roles: Roles) -> bool:
         """Return whether a topic of a robot matches this request."""
