@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit, jit_unchecked
-from oracle_pipeline.features.plugin import RawRecord, Request
+from oracle_pipeline.features.plugin import RawRecord, Request, Series, Window
 from oracle_pipeline.features.reduction import row_medians
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -73,6 +73,20 @@ def statistics(arrays: NDArray[np.floating[Any]]) -> Floats:
     numbers = _numbers(arrays)
     totals = np.nansum(numbers, axis=1)
     return np.column_stack([_shares(numbers, np.sort(numbers, axis=1), totals), roughness(arrays)])
+
+
+def statistics_of_topics(window: Window) -> dict[str, Series]:
+    """Return the `STATISTICS` of each array that a plugin requested as ``arrays``, by topic.
+
+    They are computed once for all plugins of a recording.
+    """
+    if statistics not in window.shared:
+        window.shared[statistics] = {
+            topic: Series(times_s, np.array(each(statistics, arrays)))
+            for topic, (times_s, arrays) in window.topics["arrays"].items()
+        }
+    by_topic: dict[str, Series] = window.shared[statistics]
+    return by_topic
 
 
 def roughness(arrays: NDArray[np.floating[Any]]) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
-from oracle_pipeline.features.arrays import ARRAYS, STATISTICS, each, statistics
+from oracle_pipeline.features.arrays import ARRAYS, STATISTICS, statistics_of_topics
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -158,10 +158,7 @@ def compute_bytes(window: Window) -> Values:
 
 def prepare_arrays(window: Window) -> dict[str, Series]:
     """Return the statistics of each array, shape (n, 5), by topic."""
-    return {
-        topic: Series(times_s, np.array(each(statistics, arrays)))
-        for topic, (times_s, arrays) in window.topics["arrays"].items()
-    }
+    return statistics_of_topics(window)
 
 
 def compute_arrays(window: Window) -> Values:

@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
-from oracle_pipeline.features.arrays import ARRAYS, doubled_ranks, each, roughness, standardised
+from oracle_pipeline.features.arrays import (
+    ARRAYS,
+    STATISTICS,
+    doubled_ranks,
+    each,
+    standardised,
+    statistics_of_topics,
+)
 from oracle_pipeline.features.plugin import (
     Feature,
     FeaturePlugin,
@@ -93,7 +100,8 @@ def prepare(window: Window) -> _Prepared | Missing:
         for topic, (times_s, arrays) in group.items():
             ranks[topic] = np.empty(len(arrays), dtype=object)
             ranks[topic][:] = each(doubled_ranks, arrays)
-            prepared.roughness[topic] = Series(times_s, np.array(each(roughness, arrays)))
+            rough = statistics_of_topics(window)[topic].values[:, STATISTICS.index("roughness")]
+            prepared.roughness[topic] = Series(times_s, np.ascontiguousarray(rough))
             prepared.counts[topic] = _counts(times_s, arrays, low, high)
         for a, b in _compared(group):
             pair = f"{a} against {b}"
