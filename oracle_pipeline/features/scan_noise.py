@@ -188,7 +188,7 @@ def _repeated(ranges: Floats, seen: set[bytes]) -> Floats:
     """
     again = np.full(len(ranges), np.nan)
     for i in np.flatnonzero(np.isfinite(ranges).any(axis=1)):
-        content = hashlib.blake2b(ranges[i].tobytes(), digest_size=16).digest()
+        content = hashlib.sha256(ranges[i]).digest()  # for which processors have instructions
         again[i] = content in seen
         seen.add(content)
     return again
