@@ -30,6 +30,7 @@ _SIZES = {
 
 _FLOATS = tuple((Nodetype.BASE, (name, 0)) for name in ("float32", "float64"))
 _BIG_STAMP, _LITTLE_STAMP = struct.Struct(">iI"), struct.Struct("<iI")
+_COUNTS = {">": struct.Struct(">I"), "<": struct.Struct("<I")}  # by byte order
 
 
 class _Numbers(NamedTuple):
@@ -63,20 +64,21 @@ class MessageLayout:
         self.is_cdr = bag.topics[topic].encoding != "ros1"
         self.has_header = False
         self._before: list[_Field] = []
-        self._element: np.dtype[Any] | None = None
+        self._elements: dict[str, np.dtype[Any]] = {}  # of the array, by byte order
         msgtype = bag.topics[topic].msgtype
         try:
             store = bag.typestore(msgtype)
             fields = store.fielddefs[msgtype][1]
             self.has_header = bool(fields) and fields[0][1] == (Nodetype.NAME, _HEADER)
-            self._element = self._seek(store, msgtype)
+            if (element := self._seek(store, msgtype)) is not None:
+                self._elements = {order: element.newbyteorder(order) for order in (">", "<")}
         except (BagError, KeyError):
             return
 
     @property
     def has_array(self) -> bool:
         """Whether the type has a sequence of floating-point numbers."""
-        return self._element is not None
+        return bool(self._elements)
 
     def header_stamp_ns(self, data: bytes) -> int | None:
         """Return the stamp in the header of a message [ns]; None if it has no header."""
@@ -90,16 +92,17 @@ class MessageLayout:
 
     def array(self, data: bytes) -> NDArray[np.floating[Any]] | None:
         """Return the array of a message; None if its type has none or its bytes are broken."""
-        if self._element is None:
+        if not self._elements:
             return None
         try:
             order = self._order(data)
             cursor = _Cursor(data, order, is_cdr=self.is_cdr)
             cursor.skip(self._before)
             count = cursor.count()
+            element = self._elements[order]
             if count:
-                cursor.align(self._element.itemsize)
-            return np.frombuffer(data, self._element.newbyteorder(order), count, cursor.position)
+                cursor.align(element.itemsize)
+            return np.frombuffer(data, element, count, cursor.position)
         except (struct.error, ValueError, IndexError):
             return None
 
@@ -182,7 +185,7 @@ class _Cursor:
     def __init__(self, data: bytes, order: str, *, is_cdr: bool) -> None:
         self.position = _ENCAPSULATION if is_cdr else 0
         self._data = data
-        self._count = f"{order}I"
+        self._count = _COUNTS[order].unpack_from
         self.is_cdr = is_cdr
 
     def align(self, size: int) -> None:
@@ -192,7 +195,7 @@ class _Cursor:
     def count(self) -> int:
         """Read the length of a sequence or a string."""
         self.align(4)
-        (count,) = struct.unpack_from(self._count, self._data, self.position)
+        (count,) = self._count(self._data, self.position)
         self.position += 4
         if count > len(self._data):
             raise ValueError(f"a length of {count} in a message of {len(self._data)} bytes")
