@@ -80,7 +80,7 @@ class Comparison:
     outcome : str
         ``unsupported``: the sets are too small for any significant difference.
     recordings : (int, int)
-        Number of recordings in each set.
+        Number of recordings in each set; one with several robots counts once.
     pairs : int
         Number of compared pairs of equal mode and block; 0 if recordings have no partner.
     level : float
@@ -90,7 +90,7 @@ class Comparison:
     differences : tuple of Difference
         Sorted by statistic, the largest first.
     values : tuple of DataFrame
-        The compared values, one row per recording; pairs are in the same order.
+        The compared values, one row per robot of a recording; pairs are in the same order.
     """
 
     outcome: Outcome
@@ -126,7 +126,8 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> Compari
     """Compare two sets of recordings.
 
     If both have the same blocks of the same modes (same start, goals and arena), each recording is
-    compared with its partner; otherwise the sets are compared as a whole.
+    compared with its partner; otherwise the sets are compared as a whole. Robots of one recording
+    are not independent: permutations and resamples keep them together.
 
     Parameters
     ----------
@@ -151,7 +152,13 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> Compari
     if not varying.any():
         raise ComparisonError("No feature varies between these recordings; use more of them.")
     left, right = (table[:, varying] for table in resolved)
-    design: Design = TwoSamples(left, right) if partners is None else MatchedPairs(left, right)
+    design: Design
+    if partners is None:
+        recordings = first.recordings, second.recordings
+        design = TwoSamples(left, right, recordings)
+    else:
+        recordings = np.arange(len(left)), np.arange(len(right))
+        design = MatchedPairs(left, right)
     rng = np.random.default_rng(SEED)
     columns = values[0].columns[varying].to_list()
     size = np.abs(design.t(design.real[None])[0])
@@ -160,7 +167,7 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> Compari
         Difference(
             feature=column,
             unit=unit_of(column, first.table),
-            **_sizes(values, column, rng, paired=partners is not None),
+            **_sizes(values, recordings, column, rng, paired=partners is not None),
             effect=float(effect),
             p_value=float(p),
         )
@@ -170,7 +177,7 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> Compari
     unsupported = design.lowest_p > level
     return Comparison(
         outcome="unsupported" if unsupported else "different" if found else "same",
-        recordings=(len(first.table), len(second.table)),
+        recordings=(_count(first), _count(second)),
         pairs=0 if partners is None else len(partners[0]),
         level=level,
         lowest_p=design.lowest_p,
@@ -182,8 +189,13 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> Compari
 
 
 def _check_size(reference: Reference) -> None:
-    if (size := len(reference.table)) < 2:
+    if (size := _count(reference)) < 2:
         raise ComparisonError(f"A set has {size} recording; each needs at least two.")
+
+
+def _count(reference: Reference) -> int:
+    """Return the number of recordings."""
+    return len(np.unique(reference.recordings))
 
 
 def fewest(level: float, *, paired: bool) -> int:
@@ -216,13 +228,17 @@ def _partners(
 
 def _sizes(
     values: tuple[pd.DataFrame, pd.DataFrame],
+    recordings: tuple[NDArray[np.intp], NDArray[np.intp]],
     column: str,
     rng: np.random.Generator,
     *,
     paired: bool,
 ) -> dict[str, float]:
     """Return the medians of one feature, and the shift between the sets with its interval."""
-    first, second = (table[column].to_numpy(dtype=np.float64) for table in values)
+    first, second = (
+        _by_recording(table[column].to_numpy(dtype=np.float64), of)
+        for table, of in zip(values, recordings, strict=True)
+    )
     drawn = [rng.integers(len(each), size=(RESAMPLES, len(each))) for each in (first, second)]
     if paired:
         shift, shifts = np.nanmedian(second - first), _medians((second - first)[drawn[0]])
@@ -239,8 +255,17 @@ def _sizes(
     }
 
 
-def _medians(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the median of each row; NaN where a row has no value."""
+def _by_recording(values: NDArray[np.float64], recordings: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return the values with a row for each recording, filled up with NaN."""
+    robots = pd.Series(recordings).groupby(recordings).cumcount().to_numpy()
+    rows = np.full((recordings.max() + 1, robots.max() + 1), np.nan)
+    rows[recordings, robots] = values
+    return rows
+
+
+def _medians(resamples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the median of each resample; NaN where one has no value."""
+    rows = resamples.reshape(len(resamples), -1)
     some = np.isfinite(rows).any(axis=1)
     medians = np.full(len(rows), np.nan)
     medians[some] = np.nanmedian(rows[some], axis=1)
@@ -249,6 +274,12 @@ def _medians(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _notes(first: Reference, second: Reference) -> Iterator[str]:
     yield from (*first.notes, *second.notes)
+    for name, each in (("A", first), ("B", second)):
+        if (robots := len(each.table)) > (recordings := _count(each)):
+            yield (
+                f"{name} has {robots} robots in {recordings} recordings. Robots of one recording "
+                "count as one recording, because they share its day."
+            )
     if not (first.observations and second.observations):
         yield (
             "A set was read from tables, so topics, nodes and edges were not compared. "

@@ -3,7 +3,8 @@
 The largest statistic over all features is compared with its own permutation distribution
 (step-down maxT [1]_), so features may depend on each other in any way. The statistics are
 differences of means over their standard errors. Ranks would be too coarse: with few recordings,
-many features reach the largest rank sum by chance.
+many features reach the largest rank sum by chance. A recording may have several rows, one for each
+robot: they share its day, so they stay together in every permutation.
 
 References
 ----------
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Numbers = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 DRAWN = 9_999  # number of random assignments if there are too many to enumerate
 _AT_ONCE = 1_000  # assignments processed at once, to limit memory
@@ -70,11 +72,18 @@ class TwoSamples(Design):
     Parameters
     ----------
     first, second : ndarray of shape (n_first, n_features), (n_second, n_features)
-        NaN where a recording lacks a feature.
+        NaN where a feature is missing.
+    recordings : pair of ndarray of shape (n_first,), (n_second,), optional
+        Number of each row's recording in its set, from 0; by default each row is one.
     """
 
-    def __init__(self, first: Numbers, second: Numbers) -> None:
+    def __init__(
+        self, first: Numbers, second: Numbers, recordings: tuple[Indices, Indices] | None = None
+    ) -> None:
         self._first, self._second = first, second
+        own = recordings or (np.arange(len(first)), np.arange(len(second)))
+        self._sizes = tuple(int(each.max()) + 1 for each in own)
+        self._recording = np.concatenate([own[0], self._sizes[0] + own[1]])
         values = np.concatenate([first, second])
         observed = np.isfinite(values)
         self._observed = observed.astype(np.float64)
@@ -86,18 +95,18 @@ class TwoSamples(Design):
     @property
     def size(self) -> int:
         """Number of ways to choose the second set."""
-        return math.comb(len(self._values), len(self._second))
+        return math.comb(sum(self._sizes), self._sizes[1])
 
     @property
     def real(self) -> Numbers:
         """1 for a recording of the second set, shape (n_recordings,)."""
-        return np.repeat([0.0, 1.0], [len(self._first), len(self._second)])
+        return np.repeat([0.0, 1.0], self._sizes)
 
     def every_assignment(self) -> Numbers:
         """Return every choice of the second set."""
-        n = len(self._values)
+        n = sum(self._sizes)
         assignments = np.zeros((self.size, n))
-        for row, chosen in enumerate(combinations(range(n), len(self._second))):
+        for row, chosen in enumerate(combinations(range(n), self._sizes[1])):
             assignments[row, chosen] = 1.0
         return assignments
 
@@ -107,12 +116,13 @@ class TwoSamples(Design):
 
     def t(self, assignments: Numbers) -> Numbers:
         """Return the difference of the means over its standard error."""
-        mean, variance = self._moments(assignments)
-        others_mean, others_variance = self._moments(1.0 - assignments)
+        of_rows = assignments[:, self._recording]
+        mean, variance = self._moments(of_rows)
+        others_mean, others_variance = self._moments(1.0 - of_rows)
         return (mean - others_mean) / (np.sqrt(variance + others_variance) + _LEAST_ERROR)
 
     def _moments(self, chosen: Numbers) -> tuple[Numbers, Numbers]:
-        """Return the mean of the chosen recordings and its variance; 0 without values."""
+        """Return the mean of the chosen rows and its variance; 0 without values."""
         n = chosen @ self._observed
         mean = _ratio(chosen @ self._values, n)
         squares = _ratio(chosen @ np.square(self._values), n) - np.square(mean)

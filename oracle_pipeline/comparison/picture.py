@@ -21,10 +21,11 @@ def strips(comparison: Comparison) -> bytes:
         for row, difference in enumerate(shown):
             for set_, table in enumerate(comparison.values):
                 x = _scaled(difference, comparison.values)[set_]
+                label = f"{'AB'[set_]}: {comparison.recordings[set_]} recordings"
                 axes.plot(
                     x, np.full(len(table), row + 0.16 * (2 * set_ - 1)), _MARKERS[set_],
                     color=SERIES[set_], markersize=3.5, alpha=0.7, linestyle="none",
-                    label=f"{'AB'[set_]}: {len(table)} recordings" if row == 0 else None,
+                    label=None if row else label,
                 )  # fmt: skip
             axes.text(
                 1.03, row, f"{difference.first:.3g} → {difference.second:.3g}  {difference.unit}",

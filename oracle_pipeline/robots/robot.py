@@ -89,6 +89,18 @@ def of_robot(recording: str, name: str) -> str:
     return f"{recording}#{name}" if name else recording
 
 
+def recording_of(name: str) -> str:
+    """Return the recording of what `of_robot` named.
+
+    Examples
+    --------
+    >>> recording_of("bag#robot1"), recording_of("bag")
+    ('bag', 'bag')
+    """
+    recording, _, robot = name.rpartition("#")
+    return recording or robot
+
+
 def _names(topics: Collection[str], space: str, others: Iterable[str]) -> dict[str, str]:
     """Return the names of topics relative to a robot, by their recorded names.
 

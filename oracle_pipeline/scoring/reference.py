@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import OracleError
@@ -14,6 +15,7 @@ from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
 from oracle_pipeline.bags.terminal import printable, progress_bar
 from oracle_pipeline.datasets import KEYS, feature_dataset, read_table, window_dataset
 from oracle_pipeline.features import FeatureManager, FeatureTables
+from oracle_pipeline.robots.robot import recording_of
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.comparable import join_first
 from oracle_pipeline.scoring.contract import Observation
@@ -46,6 +48,13 @@ class Reference:
     observations: tuple[Observation, ...] = ()
     notes: tuple[str, ...] = ()
     roles: RoleChoices | None = None
+
+    @property
+    def recordings(self) -> NDArray[np.intp]:
+        """Number of each row's recording, from 0: robots of one recording share it."""
+        names = self.table["run_id"].map(recording_of)
+        numbers = self.table.groupby([names, "block"], sort=False).ngroup()
+        return np.asarray(numbers, dtype=np.intp)
 
 
 def read_reference(

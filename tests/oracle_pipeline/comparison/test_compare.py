@@ -1,5 +1,6 @@
 """Comparing sets: pairs where blocks are the same, resolution, and notes on limitations."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,31 @@ def test_recordings_without_a_manifest_have_no_partners() -> None:
     assert comparison.pairs == 0
 
 
+def three_robots(values: np.ndarray) -> Reference:
+    """Return a recording of three equal robots for each value."""
+    table = reference(np.repeat(values, 3)).table
+    recording, robot = np.divmod(np.arange(len(table)), 3)
+    names = [f"bag{i}#robot{k}" for i, k in zip(recording, robot, strict=True)]
+    return Reference(table.assign(run_id=names, block=-1 - recording))
+
+
+def test_robots_of_one_recording_count_as_one_recording() -> None:
+    comparison = compare(three_robots(np.arange(3.0)), three_robots(np.arange(3.0) + 100.0))
+    assert comparison.recordings == (3, 3)
+    assert comparison.lowest_p == 2 / math.comb(6, 3)  # too large for a verdict at 5 %
+    assert comparison.outcome == "unsupported"
+    assert sum("9 robots in 3 recordings" in note for note in comparison.notes) == 2
+
+
+def test_equal_robots_of_a_recording_make_no_interval_shorter_and_no_p_value_smaller() -> None:
+    first, second = np.arange(7.0), np.arange(7.0) + 9.0
+    (one,) = compare(
+        reference(first, first_block=-9), reference(second, first_block=-9)
+    ).differences
+    (three,) = compare(three_robots(first), three_robots(second)).differences
+    assert (three.low, three.high, three.p_value) == (one.low, one.high, one.p_value)
+
+
 def test_a_difference_below_the_resolution_does_not_count() -> None:
     table = reference([0.0, 0.1, 0.2, 10.0]).table
     steps = resolved_values(table[["drive.path"]], table)
@@ -99,3 +125,5 @@ def test_sets_without_varying_features_are_an_error() -> None:
         compare(reference(np.zeros(6)), reference(np.zeros(6)))
     with pytest.raises(ComparisonError, match="1 recording"):
         compare(reference(np.zeros(6)), reference(np.zeros(1)))
+    with pytest.raises(ComparisonError, match="1 recording"):
+        compare(three_robots(np.arange(6.0)), three_robots(np.zeros(1)))
