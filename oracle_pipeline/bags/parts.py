@@ -1,12 +1,13 @@
 """Finds the files of one recording: a single file, or the parts in a folder.
 
-Files are recognised by their names and first bytes. ``metadata.yaml`` is used only to
-find missing parts. Nothing outside the folder is read, whatever its files refer to.
+Files are recognised by their names and first bytes. ``metadata.yaml`` is used only to find missing
+and renamed parts. Nothing outside the folder is read, whatever its files refer to.
 """
 
 import re
 import stat
 import tempfile
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -19,6 +20,7 @@ from oracle_pipeline.bags.limits import LARGEST_YAML
 from oracle_pipeline.bags.part import Part
 
 METADATA = "metadata.yaml"
+_LFS_POINTER = b"version https://git-lfs"  # begins the text that stands for a file in a repository
 
 _FORMATS: tuple[tuple[bytes, Callable[[Path, Path], Part]], ...] = (
     (mcap.MAGIC, mcap.McapPart),
@@ -85,8 +87,8 @@ def _open_folder(folder: Path, found: Parts) -> None:
     files = [entry for entry in sorted(folder.iterdir()) if _NAME.fullmatch(entry.name)]
     files = _without_duplicates(files)
     listed = {name: folder / name for name in metadata.files}
-    found.losses += [
-        f"{METADATA} names {name}, which does not exist: its messages are missing."
+    absent = [
+        name
         for name, file in listed.items()
         if not any(each.name in (name, name.removesuffix(".zstd")) for each in files)
         and not file.exists()
@@ -102,6 +104,11 @@ def _open_folder(folder: Path, found: Parts) -> None:
         strangers = [each.name for each in files if each not in named[0]]
         found.notes.append(f"{', '.join(strangers)}: of another recording; not read.")
         files = named[0]
+    if not files and absent:
+        raise BagError(
+            f"{folder} is not a bag: {METADATA} names {absent[0]}, which does not exist. Copy the "
+            "recording's files into the folder."
+        )
     if not files:
         raise BagError(
             f"{folder} is not a bag: it holds no .mcap, .db3 or .bag file. Name the bag's own "
@@ -120,6 +127,16 @@ def _open_folder(folder: Path, found: Parts) -> None:
             errors.append(f"Part {file.name} cannot be read: {error}")
     if not found.parts:
         raise BagError(" ".join(errors))
+    if absent and len(files) == len(listed) and metadata.counts == _counts(found.parts):
+        found.notes.append(
+            f"{METADATA} names {', '.join(absent)} instead of {', '.join(f.name for f in files)}, "
+            "with the same topics and numbers of messages: the recording was renamed."
+        )
+    else:
+        found.losses += [
+            f"{METADATA} names {name}, which does not exist: its messages are missing."
+            for name in absent
+        ]
     found.losses += errors
     found.parts.sort(key=lambda part: (part.extent.start_ns is None, part.extent.start_ns or 0))
 
@@ -133,7 +150,7 @@ def _open_file(file: Path, path: Path, found: Parts) -> Part:
     if not stat.S_ISREG(mode):
         raise BagError(f"{path} is a device, a pipe or a socket; only files and folders are read.")
     with file.open("rb") as source:
-        begin = source.read(16)
+        begin = source.read(len(_LFS_POINTER))
     if not begin:
         raise BagError(f"{path} is empty; the recorder wrote nothing, or the copy failed.")
     if begin.startswith(ZSTD_MAGIC):
@@ -143,6 +160,10 @@ def _open_file(file: Path, path: Path, found: Parts) -> Part:
     for magic, opened in _FORMATS:
         if begin.startswith(magic):
             return opened(file, path)
+    if begin == _LFS_POINTER:
+        raise BagError(
+            f"{path} is only a Git LFS pointer to the bag; get the bag itself with `git lfs pull`."
+        )
     zeros = (
         " It begins with zeros: the disk was full, or the copy failed." if not any(begin) else ""
     )
@@ -172,11 +193,21 @@ def _without_duplicates(files: list[Path]) -> list[Path]:
     ]
 
 
+def _counts(parts: list[Part]) -> Counter[str]:
+    """Return the number of messages of each topic."""
+    counts: Counter[str] = Counter()
+    for part in parts:
+        for number, channel in part.channels.items():
+            counts[channel.topic] += part.extent.counts[number]
+    return counts
+
+
 class _Metadata:
-    """Content of ``metadata.yaml`` that the files lack: names of parts, and old bags' QoS."""
+    """Content of ``metadata.yaml``: names of parts, numbers of messages, and old bags' QoS."""
 
     def __init__(self, folder: Path) -> None:
         self.files: list[str] = []
+        self.counts: Counter[str] = Counter()  # messages by topic
         self.notes: list[str] = []
         self.qos: dict[str, str] = {}
         self.type_hashes: dict[str, str] = {}
@@ -199,6 +230,7 @@ class _Metadata:
         self.files = [name for name in names if name]
         for topic in information.get("topics_with_message_count") or ():
             about = topic["topic_metadata"]
+            self.counts[str(about["name"])] += int(topic["message_count"])
             profiles = about.get("offered_qos_profiles")
             if isinstance(profiles, str):
                 self.qos[str(about["name"])] = profiles

@@ -127,6 +127,30 @@ def test_a_folder_is_one_recording_whatever_metadata_says(folder, tmp_path, writ
         BagReader(bag, strict=True)
 
 
+def test_a_renamed_recording_is_complete(tmp_path, write_bag):
+    bag = write_bag(tmp_path / "bag")
+    (file,) = bag.glob("*.mcap")
+    messages, _ = read(bag)
+    file.rename(bag / "renamed.mcap")
+    assert read(bag, strict=True) == (messages, [])
+    with BagReader(bag) as reader:
+        assert "the recording was renamed" in " ".join(reader.notes)
+    write_mcap(bag / "renamed.mcap", messages[1:], McapOptions())  # a message less
+    with pytest.raises(BagError, match=rf"incomplete.*{file.name}, which does not exist"):
+        BagReader(bag, strict=True)
+    (bag / "renamed.mcap").unlink()
+    with pytest.raises(BagError, match=rf"not a bag: metadata\.yaml names {file.name}.*Copy"):
+        BagReader(bag)
+
+
+def test_a_git_lfs_pointer_is_refused_with_the_command_that_gets_the_bag(tmp_path):
+    pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n"
+    (tmp_path / "a.mcap").write_text(pointer)
+    for path in (tmp_path / "a.mcap", tmp_path):
+        with pytest.raises(BagError, match="Git LFS pointer.*git lfs pull"):
+            BagReader(path)
+
+
 def test_a_part_that_cannot_be_read_is_named_and_the_others_are_read(tmp_path):
     for part in range(3):
         write_mcap(tmp_path / f"x_{part}.mcap", MESSAGES[20 * part : 20 * part + 20], McapOptions())
