@@ -130,9 +130,8 @@ class BagTypes:
         if not msgtype:
             raise BagError(f"{self._path} has messages without a type; they can only be read raw.")
         raise BagError(
-            f"{self._path} has messages of type {msgtype} but not its definition, and it is not "
-            "among the types we know: read them raw, add the definition to "
-            "oracle_pipeline/bags/msg, or record as MCAP, which keeps definitions."
+            f"{self._path} has no definition of {msgtype}, and it is not among the types that we "
+            "know. Record as MCAP, which keeps definitions, or add it to oracle_pipeline/bags/msg."
         )
 
     def _registered(self, channel: Channel, msgtype: str) -> Typestore:

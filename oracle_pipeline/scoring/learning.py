@@ -36,7 +36,7 @@ def learn(reference: Reference) -> ReferenceCard:
         There are too few normal runs, or they have no feature.
     """
     normal = ~is_malicious(reference.table)
-    notes = list(reference.notes)
+    notes = []
     if left_out := int(np.sum(~normal)):
         notes.append(f"{left_out} attacked runs of the reference are left out.")
     table = reference.table[normal]
@@ -55,8 +55,9 @@ def learn(reference: Reference) -> ReferenceCard:
         contract = Contract.learned(observations)
         breaching = _breaching(observations, [fold_of[run_id] for run_id in table["run_id"]])
     return ReferenceCard(
-        scorer, runs.features, contract, tuple(notes), aspects, reference.roles, breaching
-    )
+        scorer, runs.features, contract, (*notes, *reference.notes), aspects, reference.roles,
+        breaching,
+    )  # fmt: skip
 
 
 def _breaching(observations: Sequence[Observation], folds: Sequence[int]) -> int:
@@ -140,10 +141,11 @@ class Cards:
         alike = same_kind(reference.table, columns) | is_malicious(reference.table)
         notes = reference.notes
         if not alike.all():
-            notes += (
+            notes = (
                 f"{np.sum(~alike)} normal runs of the reference are left out, because they come "
                 "from another kind of system: they lack a whole family of features that this "
                 "recording has.",
+                *notes,
             )
         observations = tuple(itertools.compress(reference.observations, alike))
         return Reference(

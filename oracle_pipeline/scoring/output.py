@@ -40,6 +40,7 @@ BREACH = (
 MOST_BREACHES = 8  # of the contract that are shown at once
 
 _MOST_OUTLIERS = 5  # recordings of a card that are listed
+_MOST_NOTES = 8  # on the reference that are shown below verdicts
 
 _ROUNDING = 1e-12  # below all that features resolve
 HEADINGS = ("feature", "value", "usual (5-95 %)", "z", "window", "where")
@@ -66,7 +67,7 @@ def as_json(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> st
 
 
 def as_text(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> str:
-    """Return a paragraph for each verdict, then the remarks that all of them share."""
+    """Return a paragraph for each verdict, the remarks that all share, and the first notes."""
     judged = [_remarks(verdict) for verdict in verdicts if verdict.outcome != "error"]
     shared = [remark for remark in judged[0] if all(remark in j for j in judged)] if judged else []
     lines = [line for verdict in verdicts for line in paragraph(verdict, shared)]
@@ -80,7 +81,10 @@ def as_text(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> st
             )
     if any(verdict.outcome == "breach" for verdict in verdicts):
         lines.append(BREACH)
-    return "\n".join([*lines, *shared, *notes])
+    lines += [*shared, *notes[:_MOST_NOTES]]
+    if (more := len(notes) - _MOST_NOTES) > 0:
+        lines.append(f"and {_count(more, 'more note')} on the reference; --format json lists all.")
+    return "\n".join(lines)
 
 
 def card_as_text(card: ReferenceCard) -> str:

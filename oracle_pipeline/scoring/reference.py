@@ -142,7 +142,8 @@ def _extracted(
             f"the path. {' '.join(notes)}".rstrip()
         )
     if unlabelled:
-        notes.append(f"{unlabelled} reference recordings have no label; they are taken as normal.")
+        about_all = f"{unlabelled} reference recordings have no label; they are taken as normal."
+        notes.insert(0, about_all)
     table = feature_dataset(tables)
     row = {run_id: number for number, run_id in enumerate(table["run_id"])}
     order = np.argsort([row[each["run_id"].iloc[0]] for each in tables])

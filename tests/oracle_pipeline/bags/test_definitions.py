@@ -82,7 +82,7 @@ REFUSED = {
     "JSON": (channel("{}", b"{}", "Thing", "jsonschema", "json"), "'json'"),
     "no schema": (channel("", FIVE, "", None), "without a type"),
     "a service's own text": (channel("int64 a\n---\nint64 b\n", FIVE, "p/srv/A_Event"), "unusable"),
-    "an unknown action": (channel("", FIVE, "x/action/Y_FeedbackMessage"), "not its definition"),
+    "an unknown action": (channel("", FIVE, "x/action/Y_FeedbackMessage"), "no definition of"),
     "an enumeration": (
         channel("module p { module msg { enum E { X }; struct A { E e; }; }; };", FIVE, "p/msg/A",
                 "omgidl"),

@@ -19,8 +19,9 @@ from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.isolation import extract_isolated
 from oracle_pipeline.scoring.judging import judge
 from oracle_pipeline.scoring.learning import Cards, learn
+from oracle_pipeline.scoring.output import as_json, as_text
 from oracle_pipeline.scoring.reference import Reference, read_reference
-from oracle_pipeline.scoring.verdict import ScoringError
+from oracle_pipeline.scoring.verdict import ScoringError, Verdict
 from tests.oracle_pipeline.datasets.synthetic import run_features
 from tests.oracle_pipeline.features.conftest import drive, message_class, odometry, write_bag
 
@@ -423,3 +424,14 @@ def test_usage_errors_and_help():
     oracle_score("bag", expect=2)
     oracle_score("bag", "--reference", "x", "--far", 1.0, expect=2)
     assert "Example" in oracle_score("--help", expect=0).output
+
+
+def test_many_notes_on_the_reference_do_not_hide_the_verdict() -> None:
+    verdicts = [Verdict("bag", "error", error="broken")]
+    notes = [f"note {i}" for i in range(20)]
+    lines = as_text(verdicts, 0.05, notes).splitlines()
+    assert lines[1:-1] == notes[: len(lines) - 2]
+    assert len(lines) <= 10
+    assert f"{len(notes) - len(lines) + 2} more notes" in lines[-1]
+    assert json.loads(as_json(verdicts, 0.05, notes))["notes"] == notes  # as the last line says
+    assert as_text(verdicts, 0.05, notes[:8]).splitlines()[1:] == notes[:8]
