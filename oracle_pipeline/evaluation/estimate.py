@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import beta, norm
+from scipy.special import betaincinv, ndtri
 
 LEVEL = 0.95  # of every interval in this package unless stated otherwise
 
@@ -77,8 +77,8 @@ def clopper_pearson(rate: float, n: float, level: float = LEVEL) -> Estimate:
         return NOTHING
     hits = rate * n
     tail = (1.0 - level) / 2.0
-    low = beta.ppf(tail, hits, n - hits + 1.0) if hits > 0 else 0.0
-    high = beta.ppf(1.0 - tail, hits + 1.0, n - hits) if hits < n else 1.0
+    low = betaincinv(hits, n - hits + 1.0, tail) if hits > 0 else 0.0
+    high = betaincinv(hits + 1.0, n - hits, 1.0 - tail) if hits < n else 1.0
     return Estimate(float(rate), float(low), float(high))
 
 
@@ -97,6 +97,6 @@ def newcombe_auc(value: float, n_positive: int, n_negative: int, level: float = 
     pairs = (n_positive + n_negative) / 2.0 - 1.0
     shape = 1.0 + pairs * ((1.0 - theta) / (2.0 - theta) + theta / (1.0 + theta))
     variance = theta * (1.0 - theta) * shape / (n_positive * n_negative)
-    z = norm.ppf((1.0 + level) / 2.0)
+    z = ndtri((1.0 + level) / 2.0)
     plausible: NDArray[np.float64] = theta[np.abs(theta - value) <= z * np.sqrt(variance)]
     return Estimate(value, float(plausible.min(initial=value)), float(plausible.max(initial=value)))

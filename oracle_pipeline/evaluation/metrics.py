@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import gamma
+from scipy.special import gammaincinv
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bootstrap import DistinctRuns
@@ -167,8 +167,8 @@ def events_per_hour(
     if hours == 0.0:
         return NOTHING
     n, tail = int(np.sum(events)), (1.0 - LEVEL) / 2.0
-    low = gamma.ppf(tail, n) if n else 0.0
-    exact = Estimate(n / hours, float(low) / hours, float(gamma.ppf(1.0 - tail, n + 1)) / hours)
+    low = gammaincinv(n, tail) if n else 0.0
+    exact = Estimate(n / hours, float(low) / hours, float(gammaincinv(n + 1, 1.0 - tail)) / hours)
     member = np.unique(block, return_inverse=True)[1]
     draws = _resampled(int(member.max()) + 1, rng)
     counts = draws @ np.bincount(member, weights=events)

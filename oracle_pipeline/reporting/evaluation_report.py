@@ -15,7 +15,7 @@ from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.kill_rates import minimum_detectable, mutation_scores
 from oracle_pipeline.evaluation.open_claims import as_table
 from oracle_pipeline.evaluation.ranking import Ranking, standing
-from oracle_pipeline.reporting import figures
+from oracle_pipeline.reporting import charts
 from oracle_pipeline.reporting.report import Report, facts
 from oracle_pipeline.scoring.feature_sets import ASPECTS
 
@@ -182,13 +182,13 @@ def _pictures(evaluation: CampaignEvaluation) -> dict[str, bytes]:
 
 def _headline_pictures(curves: HeadlineCurves) -> dict[str, bytes]:
     """Draw ROC curves, detection rate over false positive rate, and effort."""
-    pictures = {"roc": figures.roc_curves(curves.roc)}
+    pictures = {"roc": charts.roc_curves(curves.roc)}
     if curves.detection:
-        pictures["detection"] = figures.curves(
+        pictures["detection"] = charts.curves(
             curves.detection, "nominal false positive rate", "share called anomalous", log=True
         )
     return pictures | {
-        "effort": figures.curves(
+        "effort": charts.curves(
             {"by score": Curve(*curves.effort)},
             "share of runs inspected",
             "share of attacks found",
@@ -200,14 +200,14 @@ def _kill_pictures(kills: pd.DataFrame) -> dict[str, bytes]:
     """Draw a heat map and the headline detector's curves for each operator of the grid."""
     pictures = {}
     for (scenario, parameter), of in kills.groupby(["scenario", "parameter"], sort=False):
-        pictures[f"kills_{scenario}_{parameter}"] = figures.kill_heat_map(of)
+        pictures[f"kills_{scenario}_{parameter}"] = charts.kill_heat_map(of)
         shown = of[(of["detector"] == HEADLINE.detector) & (of["level"] == HEADLINE.level)]
         measures = ["value", "kill_rate", "kill_rate_low", "kill_rate_high"]
         lines = {
-            figures.oracle_name(line.iloc[0]): Curve(*line[measures].to_numpy().T)
+            charts.oracle_name(line.iloc[0]): Curve(*line[measures].to_numpy().T)
             for _, line in shown.groupby(["features", "split"], sort=False)
         }
-        pictures[f"magnitude_{scenario}_{parameter}"] = figures.curves(
+        pictures[f"magnitude_{scenario}_{parameter}"] = charts.curves(
             lines, f"{parameter} of {scenario}", "detection rate", log=True
         )
     return pictures

@@ -19,7 +19,7 @@ from oracle_pipeline.evaluation.clustering_result import grow_over_runs
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.metrics import RocCurve, auc, roc_curve
 from oracle_pipeline.evaluation.variants import VARIANTS, Variant, VariantName
-from oracle_pipeline.reporting import figures, thesis_tables
+from oracle_pipeline.reporting import charts, thesis_tables
 from oracle_pipeline.reporting.report import Report, facts
 from oracle_pipeline.reporting.thesis_figures import FAMILIES
 
@@ -52,7 +52,7 @@ def bootstrapped_dataset(
     runs = distinct_runs(rows)
     drawn = rows.iloc[runs.first]
     X = by.matrix(drawn, by.columns(rows, "all"))
-    picture = figures.principal_components(X, _labels(rows), runs.copies)
+    picture = charts.principal_components(X, _labels(rows), runs.copies)
     summary: dict[str, float | int | str] = {
         "rows": n,
         "runs": len(runs),
@@ -94,7 +94,7 @@ def clustering_grid_search(
     by = VARIANTS[variant]
     rng = np.random.default_rng(seed)
     table = thesis_tables.grid_search_table(rows, rng, by, grid)
-    pictures = {"grid": figures.grid_heat_map(table)}
+    pictures = {"grid": charts.grid_heat_map(table)}
     curves: dict[str, tuple[RocCurve, Estimate]] = {}
     runs = distinct_runs(rows)
     for method in grid.linkages:
@@ -102,12 +102,12 @@ def clustering_grid_search(
             tree = grow_over_runs(rows, by.columns(rows, "all"), method, by)
         except ClusteringError:
             continue  # its rows in the table give the reason
-        pictures[f"dendrogram_{method}"] = figures.dendrogram(tree, _labels(rows))
+        pictures[f"dendrogram_{method}"] = charts.dendrogram(tree, _labels(rows))
         if not lacking(rows):
             height = hac_height(tree)
             curves[method] = (roc_curve(height, runs, rng), auc(height, runs, rng))
     if curves:
-        pictures["roc"] = figures.roc_curves(curves)
+        pictures["roc"] = charts.roc_curves(curves)
     summary: dict[str, float | int | str] = {"settings": len(table), "note": lacking(rows)}
     chosen = _selected(table, grid.select_by) | _thesis_choice(table)
     return Report(table, pictures, summary | _variant_facts(by) | chosen)
@@ -161,7 +161,7 @@ def malicious_rate_report(
             line = f"{row['malicious_rate']:.0%} malicious, {name}"
             ours[line] = Estimate.of_row(row, f"{figure}_best_cluster")
             thesis[line] = row[f"thesis_{figure}"]
-    picture = figures.intervals(ours, thesis, "share of rows in the best cluster", chance=None)
+    picture = charts.intervals(ours, thesis, "share of rows in the best cluster", chance=None)
     summary: dict[str, float | int | str] = {"rows": n, "seed": seed, "note": lacking(df)}
     return Report(table, {"rates": picture}, summary | _variant_facts(by))
 
@@ -186,7 +186,7 @@ def pairwise_report(
         for _, row in table.iterrows()
     }
     thesis = {_line(row): row["thesis_auc"] for _, row in table.iterrows()}
-    picture = figures.intervals(ours, thesis, "AUC of the best cluster's hard verdict")
+    picture = charts.intervals(ours, thesis, "AUC of the best cluster's hard verdict")
     pictures = {"pairs": picture} | _pair_dendrograms(df, n, malicious_rate, seed, by)
     summary: dict[str, float | int | str] = {
         "rows": n,
@@ -213,7 +213,7 @@ def _pair_dendrograms(
             tree = grow_over_runs(rows, variant.columns(rows, "all"), "ward", variant)
         except (ClusteringError, DatasetError):
             continue  # its row in the table gives the reason
-        pictures[f"dendrogram_{attacked}"] = figures.dendrogram(tree, _labels(rows))
+        pictures[f"dendrogram_{attacked}"] = charts.dendrogram(tree, _labels(rows))
     return pictures
 
 
@@ -231,7 +231,7 @@ def side_by_side(
     areas = [Estimate.of_row(row, "reproduced_auc") for _, row in table.iterrows()]
     ours = dict(zip(names, areas, strict=True))
     thesis = dict(zip(names, table["thesis_auc"], strict=True))
-    picture = figures.intervals(ours, thesis, "AUC of the best cluster's hard verdict")
+    picture = charts.intervals(ours, thesis, "AUC of the best cluster's hard verdict")
     summary: dict[str, float | int | str] = {
         "rows": n,
         "malicious_rate": malicious_rate,

@@ -9,8 +9,8 @@ from oracle_pipeline.clustering.tree import LINKAGES, grow_tree
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
 from oracle_pipeline.evaluation.metrics import RocCurve
 from oracle_pipeline.replay.scene import DrawnGrid, ReplayScene, top_down
-from oracle_pipeline.reporting import figures
-from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, SERIES
+from oracle_pipeline.reporting import charts
+from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, MARKERS, SERIES
 
 LABELS = ["normal", "malicious", "control"] * 10
 X = np.random.default_rng(0).normal(size=(30, 4))
@@ -55,24 +55,22 @@ EMPTY = ReplayScene(
     title="", frame="odom", map=None, path=np.zeros((1, 2)), start=(0.0, 0.0), duration_s=0.0
 )
 PICTURES = {
-    **{m: lambda m=m: figures.dendrogram(grow_tree(X, m), LABELS) for m in LINKAGES},
-    "tree of copies": lambda: figures.dendrogram(grow_tree(np.ones((6, 1))), LABELS[:6]),
-    "roc": lambda: figures.roc_curves({"ward": (CURVE, Estimate(0.5, 0.4, 0.6))}),
-    "components": lambda: figures.principal_components(X, LABELS, np.arange(1, 31)),
-    "no features": lambda: figures.principal_components(np.zeros((2, 0)), LABELS[:2]),
-    "grid": lambda: figures.grid_heat_map(GRID),
-    "intervals": lambda: figures.intervals(
-        {"a": Estimate(0.5, 0.4, 0.6), "b": NOTHING}, {"a": 1.0}
-    ),
-    "curves": lambda: figures.curves(
+    **{m: lambda m=m: charts.dendrogram(grow_tree(X, m), LABELS) for m in LINKAGES},
+    "tree of copies": lambda: charts.dendrogram(grow_tree(np.ones((6, 1))), LABELS[:6]),
+    "roc": lambda: charts.roc_curves({"ward": (CURVE, Estimate(0.5, 0.4, 0.6))}),
+    "components": lambda: charts.principal_components(X, LABELS, np.arange(1, 31)),
+    "no features": lambda: charts.principal_components(np.zeros((2, 0)), LABELS[:2]),
+    "grid": lambda: charts.grid_heat_map(GRID),
+    "intervals": lambda: charts.intervals({"a": Estimate(0.5, 0.4, 0.6), "b": NOTHING}, {"a": 1.0}),
+    "curves": lambda: charts.curves(
         {
-            "band": figures.Curve(*[DIAGONAL] * 2, DIAGONAL / 2, np.sqrt(DIAGONAL)),
-            "line": figures.Curve(DIAGONAL, DIAGONAL),
+            "band": charts.Curve(*[DIAGONAL] * 2, DIAGONAL / 2, np.sqrt(DIAGONAL)),
+            "line": charts.Curve(DIAGONAL, DIAGONAL),
         },
         "budget",
         "found",
     ),
-    "kills": lambda: figures.kill_heat_map(KILLS),
+    "kills": lambda: charts.kill_heat_map(KILLS),
     "run": lambda: top_down(SCENE),
     "run of which little is known": lambda: top_down(EMPTY),
 }
@@ -103,4 +101,4 @@ def test_every_ink_is_readable_on_light_and_dark_paper(ink, paper):
 
 
 def test_labels_differ_without_colour():
-    assert len(set(figures.MARKERS.values())) == len(COLORS)
+    assert len(set(MARKERS.values())) == len(COLORS)
