@@ -62,11 +62,13 @@ def record(modes, blocks):
     return f"record {' '.join(modes)} in {blocks} blocks"
 
 
-def page_of(df, windows, truth, *, mutants=None, differences=None, change=lambda _: _, **more):
-    """Return the page of a campaign; `more` is part of its provenance or forwarded.
+def page_of(df, windows, truth, **more):
+    """Return the page of a campaign; `more` as for `parts_of`."""
+    return html.render(**parts_of(df, windows, truth, **more))
 
-    `change` may make another report of its evaluation.
-    """
+
+def parts_of(df, windows, truth, *, mutants=None, differences=None, **more):
+    """Return what the page of a campaign shows; `more` is part of its provenance or forwarded."""
     passed_on = {name: more.pop(name) for name in ("radar", "storage", "searched") if name in more}
     with quickly():
         evaluation = campaign_evaluation.evaluate(
@@ -74,19 +76,20 @@ def page_of(df, windows, truth, *, mutants=None, differences=None, change=lambda
         )
         judged = evaluation_report(evaluation)
         drawn = thesis_reports.bootstrapped_dataset(df, ROWS)
-        return html.render(
-            evaluation=change(judged),
-            explained=explanations(df, windows, judged.tables["runs"], draw),
-            giveaways=giveaways(df, deviations_of_runs(df)),
-            record=record,
-            grid=thesis_reports.clustering_grid_search(drawn.table),
-            rates=thesis_reports.malicious_rate_report(df, ROWS),
-            pairs=thesis_reports.pairwise_report(df, ROWS),
-            side_by_side=thesis_reports.side_by_side(df, ROWS),
-            null_model=thesis_reports.null_model(3),
-            provenance={**html.provenance(df), **more},
-            **{"radar": {}, **passed_on},
-        )
+        return {
+            "evaluation": judged,
+            "explained": explanations(df, windows, judged.tables["runs"], draw),
+            "giveaways": giveaways(df, deviations_of_runs(df)),
+            "record": record,
+            "grid": thesis_reports.clustering_grid_search(drawn.table),
+            "rates": thesis_reports.malicious_rate_report(df, ROWS),
+            "pairs": thesis_reports.pairwise_report(df, ROWS),
+            "side_by_side": thesis_reports.side_by_side(df, ROWS),
+            "null_model": thesis_reports.null_model(3),
+            "provenance": {**html.provenance(df), **more},
+            "radar": {},
+            **passed_on,
+        }
 
 
 def oracle_report_of(df, windows, truth):
@@ -125,9 +128,9 @@ def searches_of_two():
 
 
 @cache
-def whole_page():
-    """Return a page with every section, of a campaign with obvious attacks."""
-    return page_of(
+def parts_of_the_whole():
+    """Return what the page with every section shows, of a campaign with obvious attacks."""
+    return parts_of(
         *campaign(30, effect=20.0),  # as many blocks as all checks need
         mutants=grid_of([1.0, 40.0], 2, used=30),
         differences=[],
@@ -139,9 +142,16 @@ def whole_page():
 
 
 @cache
+def whole_page():
+    """Return a page with every section."""
+    return html.render(**parts_of_the_whole())
+
+
+@cache
 def large_page():
     """Return the page of 840 runs."""
-    return page_of(*campaign(20, effect=20.0), differences=[], change=with_many_runs)
+    whole = parts_of_the_whole()
+    return html.render(**{**whole, "evaluation": with_many_runs(whole["evaluation"])})
 
 
 @cache
