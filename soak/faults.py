@@ -36,7 +36,7 @@ RUNS: tuple[tuple[str, int, Kept], ...] = (
 )
 SHORT = Campaign(timeout_s=20.0)
 WORKERS = 2
-LATEST_S = 5.0  # latest moment of a kill, after the first worker has begun
+LATEST_S = 2.0  # latest moment of a kill, after the first worker has begun
 LONGEST_S = 10.0  # longest time that a worker may outlive its caller
 
 _COMMAND = "import sys; from soak.faults import run_campaign; run_campaign(sys.argv[1])"

@@ -56,16 +56,18 @@ def judged(card, run):
     for topic in run.bag.topics.values():
         judge.add_topic(topic.name, topic.msgtype, topic.qos)
     start_ns, window, verdicts = run.bag.start_ns, 0, []
-    graphs = list(run.intervals)
+    graphs, fresh = list(run.intervals), []
     for message in run.bag.messages():
         end_ns = start_ns + round((window * HOP_S + WINDOW_S) * SECOND_NS)
         if message.stamp_ns >= end_ns:
+            judge.add(fresh)
             if graphs and end_ns - start_ns >= (graphs[0].start_s + INTERVAL_S) * SECOND_NS:
                 judge.add_graph(graphs.pop(0))
             judge.end_window(start_ns, end_ns - round(WINDOW_S * SECOND_NS), end_ns)
             window += 1
             verdicts.append(next(judge.verdicts(600.0)))  # as slowly as a robot
-        judge.add([message])
+            fresh = []
+        fresh.append(message)
     assert not judge.close()
     return verdicts, window
 
