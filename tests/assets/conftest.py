@@ -26,6 +26,7 @@ FORKED = [
     "oracle_pipeline.oracles.kept_traces",
     "oracle_pipeline.replay.picture",
     "oracle_pipeline.scoring.isolation",
+    "resources.search.closed_loop",
     "sim.turtlebot3.drawing",
     "sim.turtlebot3.run",
     "oracle_pipeline.features.warm_start",
