@@ -10,9 +10,14 @@ from oracle_pipeline.features import build_manager
 from oracle_pipeline.scoring.learning import learn
 from oracle_pipeline.scoring.reference import read_reference
 from resources.inbox import Inbox
+from resources.search.whole_search import CONTROLS
+from sim.campaigns import Campaign
+from sim.pairs import CONTROL
 from sim.scenarios import builtin_scenarios
 from tests.assets.laboratory import Laboratory
 from tests.recorded_runs import RecordedRuns, linked
+
+OF_SEARCH = Campaign(goals_per_run=1, timeout_s=120.0)  # the job's own limit
 
 
 def test_templates_are_attacks_on_the_robot_without_actuation() -> None:
@@ -29,6 +34,8 @@ def test_a_search_is_reported_and_can_be_continued(
 ) -> None:
     for run in range(5):
         linked(recorded_run("lidar_passthrough", run), tmp_path / "normal")
+    folder = copy_of_campaign.root / "searches" / "range_drift"
+    linked(recorded_run(CONTROL, 0, OF_SEARCH), folder / CONTROLS)
     card = tmp_path / "normal.card"
     learn(read_reference([tmp_path / "normal"], build_manager())).save(card)
     defs = copy_of_campaign.defs(inbox=Inbox(folder="", card=str(card)))
@@ -41,6 +48,5 @@ def test_a_search_is_reported_and_can_be_continued(
         )
         assert done.success
         assert copy_of_campaign.figures("attack_search", "range_drift")["trials"] == budget
-    folder = copy_of_campaign.root / "searches" / "range_drift"
     assert len(json.loads((folder / "findings.json").read_text())["findings"]) == 2
     assert (folder / "front.png").is_file()

@@ -1,6 +1,7 @@
 """``oracle-sim search`` in closed loop: it can be continued, and misses are scenarios."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import optuna
@@ -19,13 +20,17 @@ from resources.search.attacks import Attack, ComposedTemplate, ScenarioTemplate
 from resources.search.closed_loop import Finding, Proposal
 from resources.search.outcome import misses, save
 from resources.search.space import search_space
+from resources.search.whole_search import CONTROLS
 from sim.campaigns import Campaign, Options
 from sim.experiments import recipe_for
 from sim.fuzzing.compilation import compile_file
 from sim.modes import find_mode, modes
+from sim.pairs import CONTROL
 from tests.recorded_runs import RecordedRuns, linked
 
 pytestmark = pytest.mark.slow
+
+OF_SEARCH = Campaign(goals_per_run=1, timeout_s=120.0)  # the command's own limit
 
 
 @pytest.fixture(scope="module")
@@ -40,18 +45,26 @@ def card(recorded_run: RecordedRuns, tmp_path_factory: pytest.TempPathFactory) -
     return card
 
 
-def search(card: Path, out: Path, budget: int, *more: str) -> Result:
-    words = [
-        "search", "range_drift", "--reference", str(card), "--budget", str(budget), "--far", "0.2",
-        "--blocks", "1", "--goals", "1", "--workers", "1", "--out", str(out), *more,
-    ]  # fmt: skip
-    return CliRunner().invoke(oracle_sim, words)
+@pytest.fixture
+def search(card: Path, recorded_run: RecordedRuns, tmp_path: Path) -> Callable[..., Result]:
+    """The command on one template, in a folder that has the run without an attack already."""
+    linked(recorded_run(CONTROL, 0, OF_SEARCH), tmp_path / CONTROLS)
+
+    def run(budget: int, *more: str) -> Result:
+        words = [
+            "search", "range_drift", "--reference", str(card), "--budget", str(budget),
+            "--far", "0.2", "--blocks", "1", "--goals", "1", "--workers", "1",
+            "--out", str(tmp_path), *more,
+        ]  # fmt: skip
+        return CliRunner().invoke(oracle_sim, words)
+
+    return run
 
 
-def test_a_search_can_be_resumed(card: Path, tmp_path: Path) -> None:
+def test_a_search_can_be_resumed(search: Callable[..., Result], tmp_path: Path) -> None:
     found = []
     for budget in (1, 2):
-        result = search(card, tmp_path, budget, "--no-screen", "--range", "rate=-0.02:0.02")
+        result = search(budget, "--no-screen", "--range", "rate=-0.02:0.02")
         assert result.exit_code == 0, result.output
         found.append(json.loads((tmp_path / "findings.json").read_text())["findings"])
     assert [len(each) for each in found] == [1, 2]
@@ -62,8 +75,10 @@ def test_a_search_can_be_resumed(card: Path, tmp_path: Path) -> None:
     assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_trials_detected_in_an_altered_recording_are_not_run(card: Path, tmp_path: Path) -> None:
-    result = search(card, tmp_path, 1, "--range", "rate=0.5:0.9")
+def test_trials_detected_in_an_altered_recording_are_not_run(
+    search: Callable[..., Result], tmp_path: Path
+) -> None:
+    result = search(1, "--range", "rate=0.5:0.9")
     assert result.exit_code == 0, result.output
     (finding,) = json.loads((tmp_path / "findings.json").read_text())["findings"]
     assert finding["screened_out"]
@@ -71,10 +86,10 @@ def test_trials_detected_in_an_altered_recording_are_not_run(card: Path, tmp_pat
 
 
 def test_another_objective_in_the_same_folder_is_an_error_or_a_separate_study(
-    card: Path, tmp_path: Path
+    search: Callable[..., Result],
 ) -> None:
-    assert search(card, tmp_path, 1, "--range", "rate=0.5:0.9").exit_code == 0
-    again = search(card, tmp_path, 1, "--objective", "boundary", "--range", "rate=0.5:0.9")
+    assert search(1, "--range", "rate=0.5:0.9").exit_code == 0
+    again = search(1, "--objective", "boundary", "--range", "rate=0.5:0.9")
     assert again.exit_code == 0, again.output  # a study of its own beside the first
 
 
