@@ -1,16 +1,20 @@
 """Runs the commands of a page in its folder, or checks those that take too long."""
 
+import contextlib
 import importlib.metadata
+import io
 import itertools
 import json
 import os
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
+from unittest import mock
 
 import click
 import dagster as dg
@@ -26,7 +30,7 @@ from tests.docs.pages import REPOSITORY
 COMMANDS: dict[str, click.Group] = {"oracle": oracle, "oracle-sim": oracle_sim}
 DAGSTER = {"dagster", "dg"}  # their arguments are checked; tests/assets runs assets and jobs
 SHELL = {"cp", "for", "mkdir"}  # simple enough to be run by the shell
-REPEATED = {"compare", "learn"}  # said twice on a page, these give the same again: run once
+REPEATED = {"compare", "learn"}  # twice on a page, these give the same again: run once
 
 # Simulations that take minutes, and what ends with Ctrl-C. Their options are checked here;
 # tests/sim and tests/oracle_pipeline/live run them.
@@ -94,6 +98,8 @@ class Shell:
             check_dagster(words, self.folder)
         elif words[0] == "make":
             check_make(words)
+        elif words[0] == "python" and words[1].endswith(".py"):
+            return self._script(words[1:], variables)
         elif words[0] == "python":
             return self._process([sys.executable, *words[1:]], variables)
         elif words[0] in SHELL:
@@ -113,6 +119,17 @@ class Shell:
             check=False,
         )
         return done.returncode, done.stdout + done.stderr
+
+    def _script(self, words: list[str], variables: dict[str, str]) -> tuple[int, str]:
+        """Run a Python file in this process, which has imported what it needs."""
+        self.answers.clear()
+        with (
+            contextlib.redirect_stdout(io.StringIO()) as said,
+            mock.patch.dict(os.environ, variables),
+            mock.patch.object(sys, "argv", words),
+        ):
+            runpy.run_path(str(self.folder / words[0]), run_name="__main__")
+        return 0, said.getvalue()
 
     def _ours(self, words: list[str], variables: dict[str, str]) -> tuple[int, str]:
         target = None
