@@ -17,6 +17,7 @@ from bench.figures import Row, median, spread
 from oracle_pipeline import features
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.features.kept_messages import decoded_topics
+from oracle_pipeline.lasting_imports import lasting_imports
 from oracle_pipeline.opened_run import open_run
 from sim.campaigns import Campaign
 from sim.experiments import recipe_for, record_run
@@ -34,7 +35,8 @@ def rows() -> Iterator[Row]:
         directory = RunDirectory(Path(folder), MODE, 0)
         record_run(recipe_for(MODE, 0, Campaign(goals_per_run=GOALS)), directory)
         manager = features.build_manager()
-        _extract(directory.path, manager)  # compiles the hot loops, unless they are cached
+        with lasting_imports():  # as the commands do
+            _extract(directory.path, manager)  # compiles the hot loops, unless they are cached
         wanted = _decoded_topics(directory.path, manager)
         read, decode, extract = [], [], []
         for _ in range(ROUNDS):

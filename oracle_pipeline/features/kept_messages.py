@@ -289,6 +289,7 @@ class KeptMessages:
         del split, epoch_of, ordered_ns
         sizes, headers = _joined(all_sizes), _joined(all_headers)
         self._arrivals: dict[str, tuple[Integers, Arrivals]] = {}
+        undecoded: dict[str, dict[str, int]] = {}  # by reason: topics, and their messages
         for topic, rows in zip(topics, np.split(by_topic, bounds) if topics else [], strict=True):
             rows = rows[np.argsort(times_ns[rows], kind="stable")]
             own_ns, own_headers = times_ns[rows], headers[rows]
@@ -305,12 +306,14 @@ class KeptMessages:
             }
             if not topic.undecodable:
                 self.notes += sorted(f"{topic.name}: {note.rstrip('.')}." for note in notes if note)
-            else:
-                share = f"{len(rows) / max(1, len(of)):.0%} of the messages"
-                self.notes.append(
-                    f"{topic.name} ({topic.msgtype or 'no type'}, {share}) is not decoded, only "
-                    f"its times and sizes are used: {topic.undecodable}"
-                )
+            elif len(rows):
+                undecoded.setdefault(topic.undecodable, {})[topic.name] = len(rows)
+        for reason, messages in undecoded.items():
+            share = sum(messages.values()) / len(of)
+            self.notes.append(
+                f"Only the times and sizes of {', '.join(messages)} are used ({share:.0%} of the "
+                f"messages): {reason}"
+            )
 
     def span(self, span: Span, graphs: Graphs) -> Window:
         """Return the part of a span's window that is the same for every plugin."""

@@ -25,7 +25,7 @@ class KeptTopic:
         self.layout = MessageLayout(bag, topic.name)
         self.kept: dict[Any, KeptRows] = {}  # by key of the request
         self.by_rate: dict[int, list[KeptRows]] = {}  # by time between messages [ns]
-        self._asked: set[tuple[int, Form]] = set()  # rates, and what is asked for
+        self._asked: set[tuple[int, Form]] = set()  # rates, and what is requested
         self.undecodable = ""
         #: Numbers of messages, and the messages, by rate.
         self._waiting: dict[int, tuple[list[Integers], list[bytes]]] = {}

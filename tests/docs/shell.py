@@ -132,6 +132,8 @@ class Shell:
         return 0, said.getvalue()
 
     def _ours(self, words: list[str], variables: dict[str, str]) -> tuple[int, str]:
+        if words[0] == "oracle-sim":
+            self.answers.clear()
         target = None
         if ">" in words:
             words, target = words[: words.index(">")], words[words.index(">") + 1]

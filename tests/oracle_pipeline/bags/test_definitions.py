@@ -109,6 +109,17 @@ def test_an_undecodable_type_is_reported_in_one_line_and_affects_its_topic_only(
         assert not any("\n" in note for note in notes)
 
 
+def test_topics_of_an_unknown_type_share_a_note_and_empty_ones_have_none(tmp_path):
+    unknown = [McapChannel(f"/{name}", "x/msg/Y", "", [FIVE]) for name in "ab"]
+    empty = McapChannel("/empty", "x/msg/Z", "", [])
+    known = McapChannel("/good", "q/msg/B", INT, [FIVE, FIVE])
+    write_channels(tmp_path / "a.mcap", [*unknown, empty, known])
+    with open_run(tmp_path / "a.mcap") as run:
+        notes = [note for note in extract(run, build_manager()).notes if "definition" in note]
+    assert len(notes) == 1
+    assert "/a, /b are used (50% of the messages)" in notes[0]
+
+
 def test_an_event_of_a_service_is_decoded(tmp_path):
     event = channel(EVENT, cdr("B3xIB", 1, 1, 1), "std_srvs/srv/SetBool_Event")
     write_channels(tmp_path / "a.mcap", [event])
