@@ -57,7 +57,8 @@ class MeasuredRuns:
 
         Selecting runs then copies less.
         """
-        keys = [c for c in self.features.columns if c not in feature_columns(self.features)]
+        features = set(feature_columns(self.features))
+        keys = [column for column in self.features.columns if column not in features]
         return MeasuredRuns(
             self.features[[*keys, *of_runs]], self.windows[list(of_windows)], self.run
         )
