@@ -69,7 +69,7 @@ def drawing(width: float, height: float) -> Iterator[tuple[Axes, BytesIO]]:
         canvas.draw()  # type: ignore[no-untyped-call]
         picture = Image.frombuffer("RGBA", canvas.get_width_height(), _pixels(canvas))
         palette = picture.quantize(PALETTE, method=Image.Quantize.FASTOCTREE)
-        palette.save(png, "png", optimize=True, dpi=(DPI, DPI))
+        palette.save(png, "png", dpi=(DPI, DPI))
 
 
 def _pixels(canvas: FigureCanvasAgg) -> bytes:
