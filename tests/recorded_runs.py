@@ -27,6 +27,7 @@ class RecordedRuns:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self._code = run_code()
 
     def __call__(
         self, mode: str | Mode, run: int = 0, campaign: Campaign = ONE_GOAL, **parameters: object
@@ -41,7 +42,7 @@ class RecordedRuns:
             Values of the scenario's parameters.
         """
         recipe = recipe_for(mode, run, campaign, parameters)
-        known = json.dumps([recipe.to_dict(), run_code()], sort_keys=True)
+        known = json.dumps([recipe.to_dict(), self._code], sort_keys=True)
         root = self.folder / hashlib.sha256(known.encode()).hexdigest()
         directory = RunDirectory(root, mode if isinstance(mode, str) else mode.id, run)
         with Path(f"{root}.lock").open("w") as lock:

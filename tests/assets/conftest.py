@@ -19,7 +19,8 @@ from tests.assets.laboratory import (
 from tests.instances import instance_of
 
 # Where the work on runs and recordings begins, and what the first one loads: a second of imports
-# that each worker would make again. The last one keeps the garbage collector away from them.
+# that each worker would make again. The last one loads their compiled loops, and keeps the garbage
+# collector away from all this.
 FORKED = [
     "assets.worker.run",
     "assets.worker.inspections",
@@ -27,6 +28,8 @@ FORKED = [
     "oracle_pipeline.replay.picture",
     "oracle_pipeline.scoring.isolation",
     "resources.search.closed_loop",
+    "sim.atc.drawing",
+    "sim.atc.run",
     "sim.turtlebot3.drawing",
     "sim.turtlebot3.run",
     "oracle_pipeline.features.warm_start",
