@@ -1,9 +1,11 @@
 """Hashes of source code: the files of our own that a result depends on, by their imports.
 
 The imports are read from the text of the modules, those inside functions too, and followed through
-the four packages of the distribution. Nothing is imported and nothing is compiled for it.
+the four packages of the distribution. Nothing is imported and nothing is compiled for it. A process
+reads the imports of a module once, since it has many hashes over the same modules.
 """
 
+import functools
 import hashlib
 import re
 from collections.abc import Collection, Iterable, Iterator
@@ -82,13 +84,17 @@ def dependencies(
         if name in files or (file := _file(name, root)) is None:
             continue
         files[name] = file
-        package = name if file.name == _PACKAGE else name.rpartition(".")[0]
-        imported = imports(file.read_text(encoding="utf-8"), package)
-        waiting += [name for name in imported if _is_within(name, within)]
+        waiting += [name for name in _imports_of(name, file) if _is_within(name, within)]
         waiting += _above(name)
     packages = [file.parent for file in files.values() if file.name == _PACKAGE]
     data = (file for package in packages for file in _files(package, is_package=True))
     return sorted({*files.values(), *data})
+
+
+@functools.cache
+def _imports_of(name: str, file: Path) -> set[str]:
+    package = name if file.name == _PACKAGE else name.rpartition(".")[0]
+    return imports(file.read_text(encoding="utf-8"), package)
 
 
 def imports(source: str, package: str) -> set[str]:
@@ -132,6 +138,7 @@ def _is_within(name: str, packages: Collection[str]) -> bool:
     return any(name == package or name.startswith(f"{package}.") for package in packages)
 
 
+@functools.cache
 def _file(name: str, root: Path) -> Path | None:
     """Return the file of a module, if it is one of ours."""
     place = root.joinpath(*name.split("."))

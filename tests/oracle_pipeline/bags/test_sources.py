@@ -3,7 +3,6 @@
 import ast
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -127,9 +126,16 @@ def test_the_modules_that_are_loaded_are_among_the_dependencies():
 
 
 def test_all_of_the_simulation_is_hashed_in_a_tenth_of_a_second():
-    def took_s():
-        started = time.process_time()
-        code_hash(["sim.turtlebot3.run"])
-        return time.process_time() - started
+    hashing = (
+        "import time; from oracle_pipeline.bags.sources import code_hash\n"
+        "started = time.process_time(); code_hash(['sim.turtlebot3.run'])\n"
+        "print(time.process_time() - started)"
+    )
+
+    def took_s():  # in a new process, which has read nothing yet
+        done = subprocess.run(
+            [sys.executable, "-c", hashing], capture_output=True, text=True, check=True
+        )
+        return float(done.stdout)
 
     assert min(took_s() for _ in range(3)) < 0.1
