@@ -51,6 +51,7 @@ def test_a_killed_write_leaves_the_old_or_the_new_table_or_report(
     }
     for folder, asset in written.items():
         running = start_asset(tmp_path, [asset])
+        wait_for_step(tmp_path, running)
         while not list((root / folder).glob(".*")):
             assert running.poll() is None
             time.sleep(0.001)
