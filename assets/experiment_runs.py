@@ -25,7 +25,7 @@ from assets.events import (
 from assets.partitions import RUNS
 from assets.worker.versions import feature_code
 from oracle_pipeline.bags import layout
-from resources import terminal
+from resources import startup_stderr
 from resources.budget import StorageBudget
 from resources.campaign import CampaignSettings
 from resources.dagster_internals import output_without_event
@@ -161,7 +161,7 @@ def recorded_runs(
     failed: dict[str, str] = {}
     simulated, simulated_s, over, started = 0, 0.0, 0, time.monotonic()
     with contextlib.ExitStack() as stack:
-        stack.enter_context(contextlib.redirect_stderr(terminal.stderr()))
+        stack.enter_context(contextlib.redirect_stderr(startup_stderr.stderr()))
         progress = stack.enter_context(RunProgress(len(jobs)))
         if config.refresh or not all(job.directory.is_complete() for job in jobs):
             stack.enter_context(budget.alone(store))

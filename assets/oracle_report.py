@@ -22,9 +22,9 @@ from assets.thesis_method import (
     pairwise_report,
     runs_drawn_from,
 )
+from assets.webserver.report import REPORT_PATH
 from resources.failures import clear_failures
 from resources.store import RunStore
-from resources.ui.report import REPORT_PATH
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING
 from click.testing import CliRunner
 from PIL import Image
 
+from assets.oracle_sim import main as oracle_sim
 from oracle_pipeline.cli import main as oracle
-from resources.cli import main as oracle_sim
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -86,7 +86,7 @@ def simulate_campaign() -> None:
 def dagster_ui() -> Iterator[str]:
     """Start the UI in that checkout; yield its address."""
     address = f"http://127.0.0.1:{PORT}"
-    command = [sys.executable, "-m", "resources.ui", "-p", str(PORT)]
+    command = [sys.executable, "-m", "assets.webserver", "-p", str(PORT)]
     with subprocess.Popen(command, cwd=CHECKOUT, env=SETTINGS) as server:
         try:
             for _ in range(PATIENCE_S):

@@ -20,26 +20,26 @@ from oracle_pipeline.programs import explain_clashes  # noqa: E402
 
 with lasting_imports(), explain_clashes():
     from assets import (
-        arrivals,
+        arrival_sensor,
+        attack_search,
         automation,
         evaluation_checks,
         experiment_runs,
         feature_dataset,
-        foreign,
+        foreign_recordings,
         oracle_evaluation,
         oracle_report,
         run_checks,
         run_retention,
         scenario_changes,
-        searches,
         thesis_method,
     )
     from resources.budget import StorageBudget
     from resources.campaign import CampaignSettings
-    from resources.executor import in_process_executor
     from resources.fleet import Fleet
     from resources.inbox import Inbox
     from resources.no_values import NoValues
+    from resources.run_executor import in_process_executor
     from resources.store import RunStore
 
 
@@ -74,22 +74,22 @@ def build_defs(**overrides: object) -> dg.Definitions:
             *dg.load_assets_from_modules(
                 [experiment_runs, feature_dataset, oracle_evaluation, thesis_method, oracle_report]
             ),
-            *foreign.SPECS,
-            searches.ATTACK_SEARCH,
+            *foreign_recordings.SPECS,
+            attack_search.ATTACK_SEARCH,
         ],
         asset_checks=[
             run_checks.checks_of_runs,
             evaluation_checks.checks_of_evaluation,
-            foreign.checks_of_arrivals,
+            foreign_recordings.checks_of_arrivals,
         ],
         jobs=[
             *automation.JOBS,
-            foreign.judge_arrivals,
+            foreign_recordings.judge_arrivals,
             run_retention.forget_old_runs,
-            searches.search_attacks,
+            attack_search.search_attacks,
         ],
         schedules=[automation.nightly, run_retention.weekly],
-        sensors=[scenario_changes.changed_scenarios, arrivals.arrived_recordings],
+        sensors=[scenario_changes.changed_scenarios, arrival_sensor.arrived_recordings],
         resources=resources | overrides,
         executor=in_process_executor,  # the assets fan out themselves
     )

@@ -17,12 +17,12 @@ _ROOT = Path(__file__).parents[1]  # the folder of all our packages
 
 def oracle_sim() -> None:
     """Run ``oracle-sim``."""
-    _run("resources.cli:main")
+    _run("assets.oracle_sim:main")
 
 
 def oracle_ui() -> None:
     """Run ``oracle-ui``."""
-    _run("resources.ui.server:main")
+    _run("assets.webserver.server:main")
 
 
 @contextmanager

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from assets.oracle_sim import main as oracle_sim
+from assets.webserver.server import main as oracle_ui
 from oracle_pipeline.cli import main as oracle
-from resources.cli import main as oracle_sim
-from resources.ui.server import main as oracle_ui
 from tests.recorded_runs import copied
 
 pytestmark = pytest.mark.slow

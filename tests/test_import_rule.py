@@ -86,6 +86,6 @@ def test_private_names_of_dagster_are_imported_only_by_modules_of_that_name():
     }
     assert found == {
         "resources/dagster_internals.py",
-        "resources/ui/dagster_internals.py",
+        "assets/webserver/dagster_internals.py",
         "tests/assets/dagster_internals.py",
     }

@@ -67,7 +67,7 @@ class WebServer:
 def web_server(folder: Path, **variables: str) -> Iterator[WebServer]:
     """Start the web server in a separate folder, on a job that does nothing."""
     home, log, port = _instance(folder, NOTHING), folder / "log", free_port()
-    command = ["resources.ui", "--webserver-only", "-p", port]
+    command = ["assets.webserver", "--webserver-only", "-p", port]
     with (
         process(command, log, {"DAGSTER_HOME": str(home), **variables}),
         instance_of(home) as instance,
@@ -81,7 +81,7 @@ def pipeline_ui(folder: Path, **variables: str) -> Iterator[WebServer]:
     """Start server, daemon and code server on the pipeline, in a separate folder."""
     home, log, port = _instance(folder, PIPELINE), folder / "log", free_port()
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "DAGSTER_HOME": str(home), **variables}
-    command = [sys.executable, "-m", "resources.ui", "-p", port]
+    command = [sys.executable, "-m", "assets.webserver", "-p", port]
     with (
         log.open("wb") as output,
         subprocess.Popen(

@@ -27,7 +27,7 @@ FORKED = [
     "oracle_pipeline.oracles.kept_traces",
     "oracle_pipeline.replay.picture",
     "oracle_pipeline.scoring.isolation",
-    "resources.search.closed_loop",
+    "assets.search.closed_loop",
     "sim.atc.drawing",
     "sim.atc.run",
     "sim.turtlebot3.drawing",

@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 import dagster as dg
 import pytest
 
-from assets.foreign import IS_NORMAL
+from assets.foreign_recordings import IS_NORMAL
 from oracle_pipeline.definitions import defs
 from sim.modes import modes
 from tests.assets.laboratory import Laboratory

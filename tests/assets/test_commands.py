@@ -75,7 +75,7 @@ def test_a_range_is_one_dagster_run_and_names_failed_runs(checkout: Path) -> Non
 def test_the_ui_comes_up(checkout: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    command = [sys.executable, "-m", "resources.ui", "-w", "workspace.yaml", "-p", str(port)]
+    command = [sys.executable, "-m", "assets.webserver", "-w", "workspace.yaml", "-p", str(port)]
     with (checkout / "log").open("w") as log:
         server = subprocess.Popen(
             command, cwd=checkout, env=environment(checkout), stdout=log, stderr=log,

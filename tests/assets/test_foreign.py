@@ -10,8 +10,8 @@ from typing import Any
 import dagster as dg
 import pytest
 
-from assets.arrivals import QUIET_S
-from assets.foreign import ARRIVALS, IS_NORMAL
+from assets.arrival_sensor import QUIET_S
+from assets.foreign_recordings import ARRIVALS, IS_NORMAL
 from oracle_pipeline.bags.arrivals import key_of
 from oracle_pipeline.bags.mcap import MAGIC
 from oracle_pipeline.datasets import read_table

@@ -11,12 +11,12 @@ import pytest
 import uvicorn
 from dagster_webserver.webserver import DagsterWebserver
 
+from assets.attack_search import ATTACK_SEARCH
 from assets.evaluation_checks import CHECKS as OF_EVALUATION
 from assets.experiment_runs import REPRODUCIBLE
-from assets.foreign import IS_NORMAL
-from assets.foreign import SPECS as ARRIVED
+from assets.foreign_recordings import IS_NORMAL
+from assets.foreign_recordings import SPECS as ARRIVED
 from assets.run_checks import CHECKS
-from assets.searches import ATTACK_SEARCH
 from tests.assets.dagster_internals import WorkspaceFileTarget, WorkspaceProcessContext
 from tests.assets.laboratory import ATTACKED, CONTROL, EVERYTHING, KEY, PER_RUN, ROOT, Laboratory
 

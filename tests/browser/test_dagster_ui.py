@@ -9,8 +9,8 @@ import dagster as dg
 import pytest
 from playwright.sync_api import Page, expect, sync_playwright
 
+from assets.webserver.report import REPORT_PATH
 from oracle_pipeline.bags.layout import report_page
-from resources.ui.report import REPORT_PATH
 from tests.browser.chromium import CHROMIUM
 from tests.ui import WebServer, pipeline_ui
 

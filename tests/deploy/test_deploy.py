@@ -80,7 +80,7 @@ def test_code_location_webserver_and_daemon_start_together(
         for name, command in (
             ("code", ["dagster", "code-server", "start", "-h", "127.0.0.1",
                       "-p", variables["ORACLE_CODE_PORT"], "-m", "oracle_pipeline.definitions"]),
-            ("webserver", ["resources.ui", "--webserver-only", "-h", "127.0.0.1", "-p", port,
+            ("webserver", ["assets.webserver", "--webserver-only", "-h", "127.0.0.1", "-p", port,
                            "-w", workspace]),
             ("daemon", ["dagster._daemon", "run", "-w", workspace]),
         ):  # fmt: skip

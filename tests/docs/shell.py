@@ -21,9 +21,9 @@ import dagster as dg
 import yaml
 from click.testing import CliRunner
 
+from assets.oracle_sim import main as oracle_sim
 from oracle_pipeline.cli import main as oracle
 from oracle_pipeline.definitions import defs
-from resources.cli import main as oracle_sim
 from sim.modes import modes
 from tests.docs.pages import REPOSITORY
 

@@ -9,10 +9,10 @@ from collections.abc import Iterator
 import click
 import pytest
 
+from assets.oracle_sim import main as oracle_sim
+from assets.webserver.server import main as oracle_ui
 from oracle_pipeline.cli import main as oracle
 from oracle_pipeline.definitions import defs
-from resources.cli import main as oracle_sim
-from resources.ui.server import main as oracle_ui
 from tests.docs.pages import DOCS, PAGES, REPOSITORY, blocks, name, prose
 
 LONGEST = 100

@@ -18,7 +18,7 @@ def without_dds(module, *words):
 
 @pytest.mark.slow
 def test_without_dds_the_command_that_installs_it_is_named():
-    for module, *words in (("oracle_pipeline.cli", "watch"), ("resources.cli", "serve")):
+    for module, *words in (("oracle_pipeline.cli", "watch"), ("assets.oracle_sim", "serve")):
         done = without_dds(module, *words)
         assert done.returncode != 0
         assert "pip install" in done.stderr

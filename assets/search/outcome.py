@@ -8,9 +8,9 @@ from typing import Any
 
 import yaml
 
+from assets.search.closed_loop import Finding
 from oracle_pipeline.bags.layout import FINDINGS, FRONT
 from oracle_pipeline.reporting.figures import COLORS, INK, drawing
-from resources.search.closed_loop import Finding
 from sim.fuzzing.scenario import NO_FILE, Scenario
 from sim.scenarios import builtin_scenarios
 

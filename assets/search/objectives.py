@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from resources.search.closed_loop import Finding
+from assets.search.closed_loop import Finding
 
 Direction: TypeAlias = Literal["minimize", "maximize"]
 _BEYOND_ALL = 1e9

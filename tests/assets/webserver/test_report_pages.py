@@ -3,7 +3,7 @@
 import pytest
 import requests
 
-from resources.ui.report import REPORT_PATH
+from assets.webserver.report import REPORT_PATH
 from tests.ui import web_server
 
 pytestmark = pytest.mark.slow

@@ -10,7 +10,7 @@ import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 from optuna.trial import FrozenTrial, TrialState
 
-from resources.search.space import SearchError
+from assets.search.space import SearchError
 
 Sampler: TypeAlias = Literal["tpe", "nsga2", "guided", "random"]
 

@@ -3,8 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from resources.search.closed_loop import Finding, Proposal
-from resources.search.objectives import OBJECTIVES
+from assets.search.closed_loop import Finding, Proposal
+from assets.search.objectives import OBJECTIVES
 
 FAR = 0.05
 EVADE = OBJECTIVES["evade"]

@@ -3,7 +3,7 @@
 from sim.commands.main import main
 
 main.places |= {
-    "search": "resources.search.commands:search",
+    "search": "assets.search.commands:search",
     "remake": "resources.storage.commands:remake",
     "storage": "resources.storage.commands:storage",
 }

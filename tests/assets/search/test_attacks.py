@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from resources.search.attacks import OPERATORS, ComposedTemplate
-from resources.search.space import SearchError
+from assets.search.attacks import OPERATORS, ComposedTemplate
+from assets.search.space import SearchError
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.scenario import parse_scenarios
 

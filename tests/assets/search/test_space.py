@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from resources.search.space import Dimension, SearchError, search_space
-from resources.search.study import Budget
+from assets.search.space import Dimension, SearchError, search_space
+from assets.search.study import Budget
 from sim.fuzzing.scenario import parse_scenarios
 from sim.modes import find_mode
 from sim.testbed import Mode

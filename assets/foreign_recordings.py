@@ -14,12 +14,12 @@ from pydantic import Field
 from assets import presentation
 from assets.asset_defaults import declared
 from assets.events import Figures, check_evaluation, latest_materialization, latest_materializations
+from assets.webserver.report import REPORT_PATH
 from assets.worker.versions import analysis_code, feature_code
 from oracle_pipeline.bags import layout
 from resources.failures import clear_failures
 from resources.inbox import Inbox
 from resources.store import RunStore
-from resources.ui.report import REPORT_PATH
 
 if TYPE_CHECKING:
     from oracle_pipeline.bags.arrivals import Arrival
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 ARRIVALS = dg.DynamicPartitionsDefinition(name="arrivals")
 GROUP = "foreign"
-_VERDICT_CODE = analysis_code("assets.worker.foreign")
+_VERDICT_CODE = analysis_code("assets.worker.arrival_verdict")
 
 FOREIGN_FEATURES = dg.AssetSpec(
     "foreign_features",
@@ -99,7 +99,7 @@ def judge_recording(
     context: dg.OpExecutionContext, config: JudgeConfig, store: RunStore, inbox: Inbox
 ) -> Iterator[dg.AssetMaterialization | dg.AssetCheckEvaluation | dg.Output[None]]:
     """Judge the recording of the partition, and update the page on all recordings."""
-    from assets.worker.foreign import judge_arrival
+    from assets.worker.arrival_verdict import judge_arrival
     from oracle_pipeline.scoring.isolation import Limits
 
     key = context.partition_key

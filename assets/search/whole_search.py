@@ -4,12 +4,12 @@ import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
-from resources.search.attacks import ComposedTemplate, ScenarioTemplate, Template
-from resources.search.closed_loop import Setting, run_control
-from resources.search.objectives import OBJECTIVES
-from resources.search.samplers import Sampler, sampler_named
-from resources.search.space import SearchError, search_space
-from resources.search.study import Search
+from assets.search.attacks import ComposedTemplate, ScenarioTemplate, Template
+from assets.search.closed_loop import Setting, run_control
+from assets.search.objectives import OBJECTIVES
+from assets.search.samplers import Sampler, sampler_named
+from assets.search.space import SearchError, search_space
+from assets.search.study import Search
 from sim.campaigns import Campaign
 from sim.modes import find_mode
 

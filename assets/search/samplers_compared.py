@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from assets.search.closed_loop import Finding
+from assets.search.outcome import is_miss
+from assets.search.samplers import Sampler
+from assets.search.study import Search
 from oracle_pipeline.bags.terminal import aligned_lines
-from resources.search.closed_loop import Finding
-from resources.search.outcome import is_miss
-from resources.search.samplers import Sampler
-from resources.search.study import Search
 
 
 class Success(NamedTuple):

@@ -1,7 +1,7 @@
 """Searches for attacks that the oracle misses, with a partition for each variable scenario.
 
-This is an external asset, as in ``assets.foreign``: the job ``search_attacks`` reports its events.
-So ``--select '*'`` still means the whole campaign, and no search delays it.
+This is an external asset, as in ``assets.foreign_recordings``: the job ``search_attacks`` reports
+its events. So ``--select '*'`` still means the whole campaign, and no search delays it.
 """
 
 from collections.abc import Iterator
@@ -50,7 +50,7 @@ ATTACK_SEARCH = dg.AssetSpec(
     **declared("scenario", "searches/<scenario>/findings.json"),
     group_name="search",
     kinds={"optuna", "mujoco"},
-    code_version=analysis_code("resources.search.study"),
+    code_version=analysis_code("assets.search.study"),
     partitions_def=TEMPLATES,
     description="""The results of a search over the parameters of a scenario.
 
@@ -97,9 +97,9 @@ def search_scenario(
     inbox: Inbox,
 ) -> Iterator[dg.AssetMaterialization | dg.Output[None]]:
     """Search the scenario of the partition; an existing search is continued."""
-    from resources.search.outcome import PICTURE, is_miss, save
-    from resources.search.study import Budget
-    from resources.search.whole_search import Plan, search_of
+    from assets.search.outcome import PICTURE, is_miss, save
+    from assets.search.study import Budget
+    from assets.search.whole_search import Plan, search_of
 
     name = context.partition_key
     store.require_writable()

@@ -8,6 +8,12 @@ import optuna
 import pytest
 from click.testing import CliRunner, Result
 
+from assets.oracle_sim import main as oracle_sim
+from assets.search.attacks import Attack, ComposedTemplate, ScenarioTemplate
+from assets.search.closed_loop import Finding, Proposal
+from assets.search.outcome import misses, save
+from assets.search.space import search_space
+from assets.search.whole_search import CONTROLS
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.cli import main as oracle
 from oracle_pipeline.datasets import feature_dataset, window_dataset
@@ -15,12 +21,6 @@ from oracle_pipeline.evaluation.campaign_evaluation import evaluate
 from oracle_pipeline.evaluation.truth import truth_table
 from oracle_pipeline.features import build_manager, extract
 from oracle_pipeline.opened_run import open_run
-from resources.cli import main as oracle_sim
-from resources.search.attacks import Attack, ComposedTemplate, ScenarioTemplate
-from resources.search.closed_loop import Finding, Proposal
-from resources.search.outcome import misses, save
-from resources.search.space import search_space
-from resources.search.whole_search import CONTROLS
 from sim.campaigns import Campaign, Options
 from sim.experiments import recipe_for
 from sim.fuzzing.compilation import compile_file

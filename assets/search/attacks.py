@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import optuna
 
-from resources.search.space import Dimension, SearchError
+from assets.search.space import Dimension, SearchError
 from sim.fuzzing.actuation import moves_something
 from sim.fuzzing.value_types import Array, Message, Number, message_type
 from sim.testbed import Mode

@@ -23,18 +23,18 @@ from dagster import DagsterInstance
 from dagster_webserver.app import create_app_from_workspace_process_context
 from dagster_webserver.version import __version__
 
-from oracle_pipeline.bags.terminal import version_option
-from oracle_pipeline.web_guard import VARIABLE, Guard, OriginError, parse_origins
-from resources.run_processes import fail_lost_runs
-from resources.store import RunStore
-from resources.ui.dagster_internals import (
+from assets.webserver.dagster_internals import (
     ProxyServerManager,
     WorkspaceFileTarget,
     WorkspaceProcessContext,
     configure_loggers,
     get_instance_for_cli,
 )
-from resources.ui.report import report_route
+from assets.webserver.report import report_route
+from oracle_pipeline.bags.terminal import version_option
+from oracle_pipeline.web_guard import VARIABLE, Guard, OriginError, parse_origins
+from resources.run_processes import fail_lost_runs
+from resources.store import RunStore
 
 PORT = 3000  # Dagster's own default
 DAEMON_ENDS_S = 60

@@ -15,11 +15,11 @@ import optuna
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 
-from resources.search.attacks import Template
-from resources.search.closed_loop import Finding, Proposal, Setting, run_control, run_trial
-from resources.search.objectives import Objective
-from resources.search.samplers import MOVED, Sampler, sampler_for
-from resources.search.space import SearchError
+from assets.search.attacks import Template
+from assets.search.closed_loop import Finding, Proposal, Setting, run_control, run_trial
+from assets.search.objectives import Objective
+from assets.search.samplers import MOVED, Sampler, sampler_for
+from assets.search.space import SearchError
 from sim.fan_out import fan_out, process_pool
 
 JOURNAL = "study.journal"
@@ -67,7 +67,7 @@ class Search:
     seed : int
         Of the proposals.
     sampler : str
-        Name of the sampler: see `resources.search.samplers`.
+        Name of the sampler: see `assets.search.samplers`.
     """
 
     def __init__(

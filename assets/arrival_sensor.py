@@ -1,6 +1,6 @@
 """The sensor that judges recordings as they arrive in a folder.
 
-A tick only compares names and sizes. The job that it requests is in ``assets.foreign``.
+A tick only compares names and sizes. The job that it requests is in ``assets.foreign_recordings``.
 """
 
 import json
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Self
 
 import dagster as dg
 
-from assets.foreign import ARRIVALS, FOREIGN_VERDICTS, judge_arrivals
+from assets.foreign_recordings import ARRIVALS, FOREIGN_VERDICTS, judge_arrivals
 from oracle_pipeline.bags.errors import OracleError
 from resources.inbox import Inbox
 

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from assets.searches import TEMPLATES, can_be_varied
+from assets.attack_search import TEMPLATES, can_be_varied
+from assets.search.whole_search import CONTROLS
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.scoring.learning import learn
 from oracle_pipeline.scoring.reference import read_reference
 from resources.inbox import Inbox
-from resources.search.whole_search import CONTROLS
 from sim.campaigns import Campaign
 from sim.pairs import CONTROL
 from sim.scenarios import builtin_scenarios

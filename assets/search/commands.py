@@ -16,7 +16,7 @@ from sim.commands.batch import (
 )
 
 if TYPE_CHECKING:
-    from resources.search.closed_loop import Finding
+    from assets.search.closed_loop import Finding
 
 
 @click.command()
@@ -127,11 +127,11 @@ def search(
         oracle-sim search --topic /odom --topic /imu --wiring absent --reference plain.card
         ORACLE_SCENARIOS=drift/misses oracle-sim record -m range_drift_miss017
     """  # noqa: D301 -- click reads the control character
-    from resources.search.objectives import OBJECTIVES
-    from resources.search.outcome import MISSES, PICTURE, save
-    from resources.search.samplers_compared import as_text, compared
-    from resources.search.study import Budget, Search
-    from resources.search.whole_search import CONTROLS, Plan, search_of, template_of
+    from assets.search.objectives import OBJECTIVES
+    from assets.search.outcome import MISSES, PICTURE, save
+    from assets.search.samplers_compared import as_text, compared
+    from assets.search.study import Budget, Search
+    from assets.search.whole_search import CONTROLS, Plan, search_of, template_of
 
     if (template is None) == (not topics):
         raise click.UsageError("Give either a TEMPLATE or --topic to vary.")
@@ -168,8 +168,8 @@ def search(
 
 def _follow(trials: "Iterator[Finding]", far: float) -> None:
     """Print each miss when it is found."""
+    from assets.search.outcome import is_miss
     from oracle_pipeline.bags.terminal import progress_bar
-    from resources.search.outcome import is_miss
 
     for finding in progress_bar(trials, unit="trial"):
         if is_miss(finding, far):

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from resources.search.samplers import MOVED, MessageGuidedSampler, Sampler, rarity, sampler_for
+from assets.search.samplers import MOVED, MessageGuidedSampler, Sampler, rarity, sampler_for
 
 names = st.lists(st.lists(st.sampled_from("abcdef"), unique=True), max_size=8)
 

@@ -1,5 +1,0 @@
-"""``python -m resources.ui`` is the same as ``oracle-ui``."""
-
-from resources.ui.server import main
-
-main(prog_name="oracle-ui")
