@@ -44,7 +44,6 @@ class Options:
     # Changed values of Nav2's parameters, by full name: see ``sim.nav2.parameters``.
     nav2_params: Mapping[str, float] = field(default_factory=dict, hash=False)
     cameras: bool = False  # images and points of the depth camera, 15 MB per second
-    debug_topics: bool = False  # /evaluation and /marker, 20 MB per second while driving
     hidden_topics: bool = False  # feedback and status of actions
     receive_stamps: bool = False  # bag stamps are the recorder's wall clock, not simulated time
 

@@ -32,7 +32,7 @@ from sim.middleware.node import Node
 
 INTERVAL_NS = INTERVAL_S * SECOND
 SHORTEST_INTERVAL_NS = MIN_INTERVAL_S * SECOND
-DEBUG_TOPICS = ("/evaluation", "/marker")  # of the controller: 20 MB per second while it drives
+DEBUG_TOPICS = ("/evaluation", "/marker")  # of the controller, which publishes nothing on them
 _DISCOVERY_NS = 100 * MILLISECOND  # rosbag2 looks for new topics this often
 
 _Counts: TypeAlias = dict[Publisher | Subscription, tuple[int, int]]  # messages and bytes

@@ -16,7 +16,6 @@ from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.endpoints import Publisher, Subscription
 from sim.middleware.executor import MILLISECOND
-from sim.recording import DEBUG_TOPICS
 from sim.testbed import Recipe, TestbedRun
 
 _PERIOD_NS = 100 * MILLISECOND  # period of the search for new endpoints
@@ -31,8 +30,7 @@ class ServedDomain:
     """Puts the nodes, endpoints and messages of a domain on DDS.
 
     Each publisher has a writer with its profile there, and each subscription a reader that is never
-    read. As in a ROS 2 container, all nodes share one participant. The controller's debug topics
-    exist without their messages, which are in no bag either.
+    read. As in a ROS 2 container, all nodes share one participant.
 
     Parameters
     ----------
@@ -65,8 +63,7 @@ class ServedDomain:
                 self._writers[publisher] = dds.RawWriter(
                     self._participant, dds_topic(publisher.topic), publisher.msgtype, publisher.qos
                 )
-                if publisher.topic not in DEBUG_TOPICS:
-                    publisher.tap(self._writers[publisher].write)
+                publisher.tap(self._writers[publisher].write)
         for subscription in self._domain.subscriptions():
             if subscription not in self._readers and subscription.topic != GROUND_TRUTH_TOPIC:
                 self._readers[subscription] = dds.RawReader(

@@ -126,10 +126,6 @@ _CAMPAIGN_OPTIONS = (
     ),
     click.option("--cameras", is_flag=True, help="Switch the depth camera on: 15 MB per second."),
     click.option(
-        "--debug-topics", is_flag=True,
-        help="Record the controller's /evaluation and /marker: 20 MB per second while it drives.",
-    ),
-    click.option(
         "--include-hidden-topics", "hidden_topics", is_flag=True,
         help="Record feedback and status of actions.",
     ),

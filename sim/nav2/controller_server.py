@@ -21,7 +21,6 @@ from sim.middleware.tf import TransformBuffer, TransformError
 from sim.nav2.costmap import Costmap2D
 from sim.nav2.dwb import Cycle, LocalPlanner
 from sim.nav2.dwb_critics import CostGrid
-from sim.nav2.dwb_debug import DebugTopics
 from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.messages import TWIST, twist_bytes, twist_message
@@ -35,6 +34,13 @@ PERIOD_NS = 50 * MILLISECOND
 FAILURE_TOLERANCE_NS = 300 * MILLISECOND
 MIN_X_VELOCITY = 0.001  # slower counts as stopped [m/s]
 MIN_THETA_VELOCITY = 0.001  # [rad/s]
+
+# Advertised and silent: DWB's debug topics have 20 MB per second, and publish_cost_grid_pc is off.
+SILENT = {
+    "/evaluation": "dwb_msgs/msg/LocalPlanEvaluation",
+    "/marker": "visualization_msgs/msg/MarkerArray",
+    "/cost_cloud": "sensor_msgs/msg/PointCloud2",
+}
 
 
 class LocalCostmap(Protocol):
@@ -148,9 +154,8 @@ class ControllerServer(LifecycleNode):
         self._received = self.create_publisher(PATH, "/received_global_plan", qos.RELIABLE)
         self._transformed = self.create_publisher(PATH, "/transformed_global_plan", qos.RELIABLE)
         self._local = self.create_publisher(PATH, "/local_plan", qos.RELIABLE)
-        self._debug = DebugTopics(self)
-        # Advertised and silent, as in Nav2 (publish_cost_grid_pc is off).
-        self.create_publisher("sensor_msgs/msg/PointCloud2", "/cost_cloud", qos.RELIABLE)
+        for topic, msgtype in SILENT.items():
+            self.create_publisher(msgtype, topic, qos.RELIABLE)
         self.create_subscription(
             "nav_msgs/msg/Odometry", "/odom", self._on_odometry, qos.SYSTEM_SUBSCRIPTION
         )
@@ -243,8 +248,6 @@ class ControllerServer(LifecycleNode):
         cells = CostGrid(grid.costs, grid.resolution, grid.origin_x, grid.origin_y)
         cycle = self._planner.compute(cells, pose, self._velocity, from_path)
         self._publish_plans(now_ns, cycle, grid.frame)
-        if cycle.scoring is not None:
-            self._debug.publish(now_ns, grid.frame, cycle.scoring)
         if cycle.twist is not None:
             self._valid_ns = now_ns
         elif now_ns - self._valid_ns > FAILURE_TOLERANCE_NS:

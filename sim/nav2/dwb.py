@@ -11,7 +11,7 @@ import numpy as np
 
 from sim.jit import jit
 from sim.middleware.geometry import Planar, Pose2D, composed, inverted, wrap_angle
-from sim.nav2.dwb_critics import CostGrid, Critics, Scoring, map_plan, search
+from sim.nav2.dwb_critics import CostGrid, Critics, map_plan, search
 from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.paths import Poses
 
@@ -24,7 +24,6 @@ class Cycle(NamedTuple):
     twist: tuple[float, float] | None  # [m/s, rad/s]; None if no trajectory is legal
     plan: Poses  # the part of the plan that was followed
     trajectory: Poses  # the rollout of ``twist``
-    scoring: Scoring | None = None  # input of the critics; None if they were not called
 
 
 class LocalPlanner:
@@ -95,9 +94,8 @@ class LocalPlanner:
         if not all(abs(speed) < _FASTEST for speed in velocity):  # false odometry, NaN included
             near = self.followed(pose, grid, from_plan)
             return Cycle(None, near, near[:0])
-        parameters, place = self._limited, (pose.x, pose.y, pose.yaw)
         begin, near, forward, turning, rollout, critics = _choose(
-            parameters, grid, self.plan, place, velocity,
+            self._limited, grid, self.plan, (pose.x, pose.y, pose.yaw), velocity,
             (from_plan.x, from_plan.y, from_plan.yaw),
             self._near_goal, self._rotating, self._turns.only,
         )  # fmt: skip
@@ -107,7 +105,7 @@ class LocalPlanner:
         self._near_goal, self._rotating = critics.slowing or critics.rotating, critics.rotating
         twist = None if math.isnan(forward) else (forward, turning)
         self._turns.debrief(twist or (0.0, 0.0), pose)
-        return Cycle(twist, near, rollout, Scoring(parameters, grid, place, velocity, critics))
+        return Cycle(twist, near, rollout)
 
     def followed(self, pose: Pose2D, grid: CostGrid, from_plan: Pose2D) -> Poses:
         """Drop the plan behind the robot; return the part to follow, in the costmap's frame."""

@@ -76,16 +76,6 @@ class Aims(NamedTuple):
     align_path: bool
 
 
-class Scoring(NamedTuple):
-    """Everything that determines the choice of one cycle."""
-
-    parameters: Parameters
-    grid: CostGrid
-    pose: tuple[float, float, float]  # of the robot in the costmap's frame [m, m, rad]
-    velocity: tuple[float, float]  # of the robot [m/s, rad/s]
-    critics: Critics
-
-
 @jit
 def _cells_of(grid: CostGrid) -> Cells:
     rows, columns = grid.costs.shape
@@ -179,21 +169,6 @@ def obstacle_cost(grid: CostGrid, rollout: Poses) -> int:
         if cost >= INSCRIBED:
             return -1
     return cost
-
-
-@jit
-def map_cells(
-    parameters: Parameters, grid: CostGrid, critics: Critics, end: NDArray[np.float64]
-) -> tuple[int, int, int, int]:
-    """Return the scores of the four critics of the end of a rollout [cells].
-
-    They are goal align, path align (0 where it is off), path dist and goal dist; all are -1 if
-    the rollout, or the point in front of the robot, ends outside the costmap.
-    """
-    nose_x, nose_y = nose(parameters, end[2])
-    cells = _cells_of(grid)
-    here, ahead = _cell(cells, end[0], end[1]), _cell(cells, end[0] + nose_x, end[1] + nose_y)
-    return _cells_at(critics.path_distance, _aims_of(critics), here, ahead)
 
 
 @jit

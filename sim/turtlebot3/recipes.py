@@ -11,6 +11,8 @@ from sim.middleware.geometry import Pose2D
 from sim.seeds import attack_seed, node_generator
 from sim.turtlebot3.arena import Arena
 
+_WITHDRAWN = {"debug_topics": False}  # options of earlier releases, and their only value now
+
 # Branches of the seed: draws from one do not affect draws from another.
 SESSION, BLOCK, NODE, ATTACK, ARENA, RELATION = range(6)
 
@@ -103,11 +105,12 @@ class TurtleBot3Recipe:
     def to_dict(self) -> dict[str, Any]:
         """Return the recipe as JSON values.
 
-        It holds Nav2's parameters and the relation only if they are set, so recipes of earlier
-        releases stay valid.
+        It holds Nav2's parameters and the relation only if they are set, and options that earlier
+        releases had, so their recipes stay valid.
         """
         goals = [asdict(goal) for goal in self.goals]
-        options, usual = asdict(self.options), asdict(Options())
+        usual = asdict(Options())
+        options = {**asdict(self.options), **_WITHDRAWN}
         for name in ("nav2_params", "relation"):
             if options[name] == usual[name]:
                 del options[name]
@@ -127,7 +130,7 @@ class TurtleBot3Recipe:
                 "start": Pose2D(**document["start"]),
                 "goals": tuple(Pose2D(**goal) for goal in document["goals"]),
                 "fake_object": FakeObject(**document["fake_object"]),
-                "options": Options(**document["options"]),
+                "options": _options(document["options"]),
             }
         )
 
@@ -137,3 +140,10 @@ class TurtleBot3Recipe:
             self.seed, len(self.goals), self.storage, self.timeout_s, options=self.options,
             session=self.session.index, noise_per_run=bool(self.noise),
         )  # fmt: skip
+
+
+def _options(document: Mapping[str, Any]) -> Options:
+    former = _WITHDRAWN.items()
+    return Options(
+        **{name: value for name, value in document.items() if (name, value) not in former}
+    )

@@ -134,7 +134,7 @@ class TurtleBot3Run:
             recorder = Recorder(
                 self.domain,
                 self._bag,
-                leave_out=() if options.debug_topics else DEBUG_TOPICS,
+                leave_out=DEBUG_TOPICS,
                 hidden_topics=options.hidden_topics,
                 receive_clock=self._receive_clock() if options.receive_stamps else None,
             )

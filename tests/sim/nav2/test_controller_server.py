@@ -220,26 +220,3 @@ def test_a_speed_limit_is_obeyed(rig):
     publisher.publish(SpeedLimit(None, True, 50.0))
     rig.run(1.0)
     assert rig.twists[-1][1] <= 0.13
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("topic", ["/evaluation", "/marker"])
-def test_debug_topics_are_published_every_cycle_while_they_have_a_subscriber(rig, topic):
-    deaf = rig.create_subscription(rig.domain.topics[topic], topic, None)
-    rig.follow(line(4.0))
-    rig.run(0.25)
-    assert deaf.messages == 0
-    heard = rig.listen(topic, rig.domain.topics[topic])
-    rig.run(0.25)
-    assert len(heard) == 5
-
-
-@pytest.mark.slow
-def test_the_best_of_an_evaluation_is_the_velocity_that_is_sent(rig):
-    evaluations = rig.listen("/evaluation", "dwb_msgs/msg/LocalPlanEvaluation")
-    rig.follow(line(0.5))
-    rig.run(3.0)
-    best = [m.twists[m.best_index].traj.velocity for m in evaluations]
-    sent = [(linear, angular) for _, linear, angular in rig.twists]
-    assert [(v.x, v.theta) for v in best] == sent[:-1]  # the last one is the stop at the goal
-    assert evaluations[-1].header.frame_id == "odom"
