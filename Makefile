@@ -38,7 +38,7 @@ setup-dev: $(VENV)/.ready-dev ## Add what tests, types and benchmarks need
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "This needs Python 3.11 or newer; say which with: make setup PYTHON=python3.12"; exit 1; }
-	$$($(PYTHON) scripts/choose_python.py $(if $(filter file,$(origin PYTHON)),,--only)) -m venv $(VENV)
+	$$($(PYTHON) tools/scripts/choose_python.py $(if $(filter file,$(origin PYTHON)),,--only)) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --no-compile pip==$(PIP_VERSION)
 
 $(VENV)/.ready: pyproject.toml constraints.txt | $(BIN)/python
@@ -47,7 +47,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt | $(BIN)/python
 
 # What changes later is compiled when it is first called.
 $(VENV)/.compiled: $(VENV)/.ready
-	$(BIN)/python scripts/compile_loops.py
+	$(BIN)/python tools/scripts/compile_loops.py
 	@touch $@
 
 # With what running needs, so that it is installed at once where there is nothing yet.
@@ -56,13 +56,13 @@ $(VENV)/.ready-dev: pyproject.toml constraints.txt | $(BIN)/python
 	@touch $(VENV)/.ready $@
 
 demo: setup ## Record a normal and an attacked run, and judge both by the shipped reference card
-	python scripts/demo.py
+	python tools/scripts/demo.py
 
 # The card holds the features of 40 runs, each of another block: verdicts at 5 % take 19.
 demo-card: setup ## Learn the demo's reference card again, after a change of simulation or features
 	oracle-sim record -m lidar_passthrough_odom -n 40 --goals 1 --refresh \
 		--out $${ORACLE_HOME:-data}/demo-card
-	oracle learn $${ORACLE_HOME:-data}/demo-card --output demo/normal.card
+	oracle learn $${ORACLE_HOME:-data}/demo-card --output examples/demo/normal.card
 
 # Dagster 1.13 warns that `dg launch`, which needs a further package, does the same.
 run campaign: export PYTHONWARNINGS = ignore:Function `asset_materialize_command` is superseded
@@ -124,10 +124,10 @@ wheel: setup ## Build a wheel into dist/, and try the commands of the README wit
 	rm -rf dist/*.whl dist/tried
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
 	$(BIN)/python -m pip install --quiet --no-deps --target dist/tried dist/*.whl
-	scripts/try_commands.sh dist/tried/bin
+	tools/scripts/try_commands.sh dist/tried/bin
 
 install-check: setup ## Install into fresh environments of the Python versions that are here, and try them
-	scripts/install_check.sh 3.11 3.12 3.13
+	tools/scripts/install_check.sh 3.11 3.12 3.13
 
 constraints: setup-dev ## Pin the newest versions that fit pyproject.toml
 	$(PIN) --upgrade --all-extras --output-file constraints.txt pyproject.toml
@@ -150,15 +150,15 @@ architecture: setup-dev ## Draw who imports whom, for docs/explanation/architect
 	python docs/draw_architecture.py
 
 bench: setup-dev ## Measure speed, size and memory, as ratios of one run
-	python -m bench
+	python -m tools.bench
 
 soak: setup-dev ## Kill everything at random moments, fill the disk, flip bits, keep 600 runs within 2 GB; hours
-	python -m soak.faults
-	python -m soak.aggregates
-	python -m soak.full_disk
-	python -m soak.flips
-	python -m soak.budget
-	python -m soak.watching
+	python -m tools.soak.faults
+	python -m tools.soak.aggregates
+	python -m tools.soak.full_disk
+	python -m tools.soak.flips
+	python -m tools.soak.budget
+	python -m tools.soak.watching
 
 clean: ## Remove the environment and all caches; recorded data stay
 	rm -rf $(VENV) $(VENV)-sbom .mypy_cache .pytest_cache .ruff_cache .hypothesis

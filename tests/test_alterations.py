@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from bench.alterations import FIVE, SCAN, Alteration, open_altered, ranges_by
-from bench.ladder import ATTACKS, CONTROL
 from oracle_pipeline.datasets import feature_columns
 from oracle_pipeline.features import build_manager, extract
 from oracle_pipeline.opened_run import open_run
+from tools.bench.alterations import FIVE, SCAN, Alteration, open_altered, ranges_by
+from tools.bench.ladder import ATTACKS, CONTROL
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-SCRIPT = Path(__file__).parent.parent / "scripts" / "choose_python.py"
+SCRIPT = Path(__file__).parent.parent / "tools" / "scripts" / "choose_python.py"
 
 
 def stand_in(path: Path, times_slower: float) -> str:

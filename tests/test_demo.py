@@ -10,7 +10,7 @@ from oracle_pipeline.scoring.card import ReferenceCard
 
 pytestmark = pytest.mark.slow
 
-SCRIPT = Path(__file__).parent.parent / "scripts" / "demo.py"
+SCRIPT = Path(__file__).parent.parent / "tools" / "scripts" / "demo.py"
 LARGEST = 3 * 2**20  # bytes of a tracked file
 
 

@@ -8,11 +8,11 @@ import pytest
 from click.testing import CliRunner
 
 from oracle_pipeline.cli import main
-from soak.flips import Target, flip_bits, made
+from tools.soak.flips import Target, flip_bits, made
 
 pytestmark = pytest.mark.slow
 
-FLIPS = 12  # in each target; `python -m soak.flips` makes 500
+FLIPS = 12  # in each target; `python -m tools.soak.flips` makes 500
 
 
 @pytest.fixture(scope="module")

@@ -80,7 +80,7 @@ def test_private_names_of_dagster_are_imported_only_by_modules_of_that_name():
     private = re.compile(r"^\s*(?:from|import) dagster\._", re.MULTILINE)
     found = {
         path.relative_to(ROOT).as_posix()
-        for folder in (*PACKAGES, "bench", "soak", "tests")
+        for folder in (*PACKAGES, "tools", "tests")
         for path in (ROOT / folder).rglob("*.py")
         if private.search(path.read_text(encoding="utf-8"))
     }

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from bench import yardstick
+from tools.bench import yardstick
 
 pytestmark = pytest.mark.slow
 
@@ -19,8 +19,11 @@ def test_its_model_is_unchanged() -> None:
 
 
 def test_it_uses_nothing_of_the_testbed() -> None:
-    """Importing it brings in none of ours but ``bench`` itself."""
-    code = "import sys, bench.yardstick; print(*(name.partition('.')[0] for name in sys.modules))"
+    """Importing it brings in none of ours but ``tools`` itself."""
+    code = (
+        "import sys, tools.bench.yardstick as _; "
+        "print(*(name.partition('.')[0] for name in sys.modules))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not {"sim", "oracle_pipeline", "assets", "resources"} & set(done.stdout.split())
 

@@ -1,7 +1,7 @@
 """Limits far beyond real recordings, at which a broken or hostile one is refused.
 
 Every limit is named in the error that it causes. With all of them, a recording of up to 200 MB on
-disk is read, and its features are computed, in at most 1 GiB of memory (`soak/memory.py`).
+disk is read, and its features are computed, in at most 1 GiB of memory (`tools/soak/memory.py`).
 """
 
 from typing import Final

@@ -9,16 +9,16 @@ import pytest
 
 from assets.worker.run import process_run
 from sim.fan_out import fan_out, process_pool
-from soak.aggregates import AGGREGATES, compared, end, made, wait_for_step
-from soak.aggregates import start as start_asset
-from soak.aggregates import state as state_of_aggregates
-from soak.faults import complete, disturbed, jobs, leftovers, state
-from soak.full_disk import everything
 from tests.assets.laboratory import Laboratory
+from tools.soak.aggregates import AGGREGATES, compared, end, made, wait_for_step
+from tools.soak.aggregates import start as start_asset
+from tools.soak.aggregates import state as state_of_aggregates
+from tools.soak.faults import complete, disturbed, jobs, leftovers, state
+from tools.soak.full_disk import everything
 
 pytestmark = pytest.mark.slow(8)
 
-KILLS = 3  # of everything, of a worker and of the caller; `python -m soak.faults` makes 50
+KILLS = 3  # of everything, of a worker and of the caller; `python -m tools.soak.faults` makes 50
 
 
 def test_a_campaign_killed_at_random_times_ends_like_an_undisturbed_one(tmp_path: Path) -> None:

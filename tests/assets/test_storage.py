@@ -23,10 +23,10 @@ from resources.storage.commands import remake, storage
 from resources.storage.stock import take_stock
 from resources.store import RunStore
 from sim.campaigns import Campaign
-from soak.full_disk import largest_file
 from tests.assets.laboratory import ATTACKED, CONTROL, KEY, PER_RUN, Laboratory
 from tests.locks import order_of_two
 from tests.manifests import rewrite
+from tools.soak.full_disk import largest_file
 
 pytestmark = pytest.mark.slow
 

@@ -20,7 +20,7 @@ PROGRAMS = {"oracle": oracle, "oracle-sim": oracle_sim, "oracle-ui": oracle_ui}
 GENERATED = {"deploy/requirements.txt"}  # by make, and not committed
 GLOSSARY = DOCS / "reference" / "glossary.md"
 CHECKED_PACKAGES = (
-    "assets", "bench", "resources", "scripts", "sim", "soak", "tests",
+    "assets", "resources", "sim", "tests", "tools",
     "oracle_pipeline/bags", "oracle_pipeline/clustering", "oracle_pipeline/comparison",
     "oracle_pipeline/detectors", "oracle_pipeline/evaluation", "oracle_pipeline/features",
     "oracle_pipeline/graphs", "oracle_pipeline/live",

@@ -3,7 +3,7 @@
 # version that this machine has, all at once, and try the quick commands there. Pins are those of
 # constraints.txt.
 set -euo pipefail
-cd "$(dirname "$0")/.."
+cd "$(dirname "$0")/../.."
 work="$(mktemp -d)"
 trap 'rm -rf "$work"' EXIT
 TIMEFORMAT="  %1R s, of the processor %1U s"
@@ -23,7 +23,7 @@ try() { # VERSION PYTHON: install and try the commands
   "$2" -m venv "$work/$1"
   time "$work/$1/bin/pip" install --quiet --no-compile --disable-pip-version-check \
     --constraint constraints.txt "$work"/*.whl
-  scripts/try_commands.sh "$work/$1/bin" --quick
+  tools/scripts/try_commands.sh "$work/$1/bin" --quick
 }
 
 python3 -m pip wheel --quiet --no-deps --wheel-dir "$work" .

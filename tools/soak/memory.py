@@ -1,8 +1,8 @@
 """Peak memory of `oracle features` and `oracle score` on recordings that are hard to read.
 
-``python -m soak.memory [--megabytes 200] [NAME...]`` makes each recording, extracts its features as
-`oracle features` does and as the process of `oracle score` does that reads a recording, and prints
-the peak of both beside the goal of 1 GiB.
+``python -m tools.soak.memory [--megabytes 200] [NAME...]`` makes each recording, extracts its
+features as `oracle features` does and as the process of `oracle score` does that reads a recording,
+and prints the peak of both beside the goal of 1 GiB.
 """
 
 import argparse
@@ -43,7 +43,7 @@ _PERIOD_NS = 100_000
 
 def main() -> None:
     """Make and measure the recordings that are named, or all."""
-    parser = argparse.ArgumentParser(prog="python -m soak.memory", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tools.soak.memory", description=main.__doc__)
     parser.add_argument("names", nargs="*", default=list(RECORDINGS), metavar="NAME")
     parser.add_argument("--megabytes", type=float, default=200.0, help="size of each recording")
     arguments = parser.parse_args()

@@ -1,7 +1,7 @@
 """Materialize each asset while files cannot grow, as on a full disk. Nothing may be lost.
 
-``python -m soak.full_disk`` simulates a small campaign. Then it materializes each asset again with
-a limit on file sizes, drawn below the size of the largest file that the asset writes.
+``python -m tools.soak.full_disk`` simulates a small campaign. Then it materializes each asset again
+with a limit on file sizes, drawn below the size of the largest file that the asset writes.
 """
 
 import argparse
@@ -22,8 +22,8 @@ from oracle_pipeline.bags.layout import TABLES
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.store import RunStore
 from sim.campaigns import Campaign
-from soak.aggregates import AGGREGATES, REPORTS, RUNS, compared, made, make_campaign, state
-from soak.faults import leftovers
+from tools.soak.aggregates import AGGREGATES, REPORTS, RUNS, compared, made, make_campaign, state
+from tools.soak.faults import leftovers
 
 TIMES = 3  # per asset
 
@@ -108,7 +108,9 @@ def everything(root: Path, rng: np.random.Generator) -> Iterator[tuple[str, list
 
 def main() -> None:
     """Materialize each asset on a full disk, and print whether anything was lost or damaged."""
-    parser = argparse.ArgumentParser(prog="python -m soak.full_disk", description=main.__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.soak.full_disk", description=main.__doc__
+    )
     parser.add_argument("--times", type=int, default=TIMES)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()

@@ -17,8 +17,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from bench import yardstick
-from bench.figures import Row, median, spread
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.writer import BagWriter
@@ -30,6 +28,8 @@ from sim.middleware.executor import Executor, Timer
 from sim.middleware.node import Node
 from sim.turtlebot3 import run as turtlebot3_run
 from sim.turtlebot3.world import World
+from tools.bench import yardstick
+from tools.bench.figures import Row, median, spread
 
 ROUNDS = 5
 YARDSTICK_S = 100.0  # of simulated time

@@ -22,8 +22,8 @@ from sim.campaigns import Campaign
 from sim.commands.batch import home
 from sim.experiments import recipe_for, record_run
 
-PROJECT = Path(__file__).parents[1]
-CARD = PROJECT / "demo" / "normal.card"
+PROJECT = Path(__file__).parents[2]
+CARD = PROJECT / "examples" / "demo" / "normal.card"
 NORMAL, ATTACKED = "lidar_passthrough_odom", "fake_object"
 BLOCK = 900  # the card is learned from the first blocks
 GOALS = 1

@@ -1,8 +1,8 @@
 """A campaign of hundreds of runs under a small storage budget, with disk usage sampled.
 
-``python -m soak.budget`` runs `dagster asset materialize` with ORACLE_STORAGE_BUDGET set, as a
-person would. The campaign must end with all features, all graphs and a report, and the files below
-ORACLE_HOME must never exceed the budget.
+``python -m tools.soak.budget`` runs `dagster asset materialize` with ORACLE_STORAGE_BUDGET set, as
+a person would. The campaign must end with all features, all graphs and a report, and the files
+below ORACLE_HOME must never exceed the budget.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from resources.storage.stock import parse_budget, take_stock
 FIRST, LAST = "lidar_passthrough", "delayed_fakeobject"  # the six modes
 MODES = 6
 _PERIOD_S = 1.0
-_SETTINGS = Path(__file__).parent.parent / ".dagster_home" / "dagster.yaml"
+_SETTINGS = Path(__file__).parents[2] / ".dagster_home" / "dagster.yaml"
 
 
 class Watch(threading.Thread):
@@ -88,7 +88,7 @@ def campaign(
 
 def main() -> None:
     """Run the campaign and print the faults."""
-    parser = argparse.ArgumentParser(prog="python -m soak.budget", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tools.soak.budget", description=main.__doc__)
     parser.add_argument("--runs", type=int, default=100, help="of each of the six modes")
     parser.add_argument("--goals", type=int, default=1)
     parser.add_argument("--budget", default="2GB")

@@ -1,7 +1,7 @@
 """A campaign that is killed at random moments must end like an undisturbed one.
 
-``python -m soak.faults`` repeats a test of the suite many more times. It kills all processes, or
-only the caller (its workers must end, too), or one worker (the caller must continue).
+``python -m tools.soak.faults`` repeats a test of the suite many more times. It kills all processes,
+or only the caller (its workers must end, too), or one worker (the caller must continue).
 """
 
 import argparse
@@ -39,7 +39,7 @@ WORKERS = 2
 LATEST_S = 2.0  # latest moment of a kill, after the first worker has begun
 LONGEST_S = 10.0  # longest time that a worker may outlive its caller
 
-_COMMAND = "import sys; from soak.faults import run_campaign; run_campaign(sys.argv[1])"
+_COMMAND = "import sys; from tools.soak.faults import run_campaign; run_campaign(sys.argv[1])"
 
 
 def jobs(root: Path) -> list[RunJob]:
@@ -67,7 +67,7 @@ def start(root: Path) -> "subprocess.Popen[bytes]":
     """Start a campaign as a process group of its own."""
     command = [sys.executable, "-c", _COMMAND, str(root)]
     return subprocess.Popen(
-        command, cwd=Path(__file__).parent.parent, start_new_session=True, stderr=subprocess.DEVNULL
+        command, cwd=Path(__file__).parents[2], start_new_session=True, stderr=subprocess.DEVNULL
     )
 
 
@@ -185,7 +185,7 @@ def disturbed(root: Path, kills: int, seed: int) -> Iterator[list[str]]:
 
 def main() -> None:
     """Kill a campaign many times, and check that its result equals that of an undisturbed one."""
-    parser = argparse.ArgumentParser(prog="python -m soak.faults", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tools.soak.faults", description=main.__doc__)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()

@@ -17,10 +17,10 @@ from pathlib import Path
 import dagster as dg
 
 from assets.worker.run import OF_A_RUN, RunJob, process_run
-from bench.figures import Row
 from oracle_pipeline.bags.run_directory import RunDirectory
 from sim.campaigns import Campaign
-from soak.budget import MODES, campaign
+from tools.bench.figures import Row
+from tools.soak.budget import MODES, campaign
 
 RUNS = 20  # per mode
 # For each run of one goal: what 1.3 times the pure work allowed when that was the goal. 120 such

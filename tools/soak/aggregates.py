@@ -1,6 +1,6 @@
 """Interrupting an asset must leave nothing lost, damaged or half-written.
 
-``python -m soak.aggregates`` simulates a small campaign. Then it materializes the tables and
+``python -m tools.soak.aggregates`` simulates a small campaign. Then it materializes the tables and
 reports over all runs, one after the other, and interrupts each at a random moment of its step: it
 kills all processes, or only the caller, or sends the caller SIGTERM. After each interruption, every
 table and report must be complete and have its former content. Runs in progress get SIGTERM, too.
@@ -33,7 +33,7 @@ from oracle_pipeline.reporting.report import Report
 from resources.fleet import Fleet
 from resources.store import RunStore
 from sim.campaigns import Campaign
-from soak.faults import LATEST_S, leftovers, wait_until_gone
+from tools.soak.faults import LATEST_S, leftovers, wait_until_gone
 
 RUNS = [(mode, run) for mode in ("lidar_passthrough", "random_noise") for run in range(2)]
 REPORTS = (
@@ -211,7 +211,9 @@ def _seconds_of_step(place: Path, asset: str) -> float:
 
 def main() -> None:
     """Interrupt assets many times, and print whether anything was lost or damaged."""
-    parser = argparse.ArgumentParser(prog="python -m soak.aggregates", description=main.__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.soak.aggregates", description=main.__doc__
+    )
     parser.add_argument("--endings", type=int, default=21)
     parser.add_argument("--stops", type=int, default=5, help="SIGTERMs during a simulation")
     parser.add_argument("--seed", type=int, default=0)

@@ -3,7 +3,7 @@
 import argparse
 import gc
 
-from bench import (
+from tools.bench import (
     campaign,
     clustering,
     compare,
@@ -37,7 +37,7 @@ DEFAULT = ("testbed", "scenarios")  # speed, size and memory; the others take lo
 
 def main() -> None:
     """Print a line for each figure: its name, its median and its goal."""
-    parser = argparse.ArgumentParser(prog="python -m bench", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tools.bench", description=main.__doc__)
     parser.add_argument(
         "names", nargs="*", default=DEFAULT, metavar="NAME",
         help=f"of {', '.join(BENCHMARKS)}; default: {', '.join(DEFAULT)}",

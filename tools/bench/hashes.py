@@ -4,8 +4,8 @@ Every built-in scenario is recorded, on both testbeds, in worlds, sessions, stor
 that take turns. A hash covers the messages and the graphs of a run. The first revision writes a
 file of hashes; the second compares its own with it::
 
-    python -m bench.hashes before.json   # on one revision
-    python -m bench.hashes before.json   # on the other: prints the recipes that differ
+    python -m tools.bench.hashes before.json   # on one revision
+    python -m tools.bench.hashes before.json   # on the other: prints the recipes that differ
 """
 
 import argparse
@@ -82,7 +82,7 @@ def recorded(job: Job) -> str:
 def main() -> None:
     """Write the hashes, or compare them with those of another revision."""
     parser = argparse.ArgumentParser(
-        prog="python -m bench.hashes", description=__doc__,
+        prog="python -m tools.bench.hashes", description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("file", type=Path, help="hashes; written if it does not exist")

@@ -1,6 +1,6 @@
 """`oracle-sim serve` and `oracle watch` as separate processes on one DDS domain.
 
-`python -m bench live` and `python -m soak.watching` use this module.
+`python -m tools.bench live` and `python -m tools.soak.watching` use this module.
 """
 
 import contextlib

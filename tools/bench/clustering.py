@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.hierarchy import linkage
 
-from bench.figures import Row, median, spread
 from oracle_pipeline.clustering.tree import LINKAGES, Linkage, grow_tree
+from tools.bench.figures import Row, median, spread
 
 FEATURES, CENTRES = 40, 50
 RUNS, BOOTSTRAPPED, ROUNDS = 90, 10_000, 3

@@ -16,12 +16,12 @@ from pathlib import Path
 from distributed import LocalCluster
 
 from assets.worker.run import OF_A_RUN, RunJob, process_run
-from bench import yardstick
-from bench.figures import Row, median, spread
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.cluster import DaskExecutor
 from sim.campaigns import Campaign
 from sim.fan_out import process_pool
+from tools.bench import yardstick
+from tools.bench.figures import Row, median, spread
 
 MODE = "lidar_passthrough_odom"
 GOALS = 1

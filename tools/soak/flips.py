@@ -1,9 +1,9 @@
 """Flip bits in recordings and tables, one at a time: each flip must be noticed or harmless.
 
-``python -m soak.flips`` flips bits in the bag (MCAP and SQLite), the graphs and the manifest of a
-run, in its feature tables and in the joined table. After each flip it computes or reads features.
-They must be unchanged, or an error must name the damaged file. The test suite does the same with
-fewer flips.
+``python -m tools.soak.flips`` flips bits in the bag (MCAP and SQLite), the graphs and the manifest
+of a run, in its feature tables and in the joined table. After each flip it computes or reads
+features. They must be unchanged, or an error must name the damaged file. The test suite does the
+same with fewer flips.
 """
 
 import argparse
@@ -126,7 +126,7 @@ def made(root: Path) -> Iterator[tuple[str, Target]]:
 
 def main() -> None:
     """Flip bits one at a time, and print whether any flip went unnoticed."""
-    parser = argparse.ArgumentParser(prog="python -m soak.flips", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tools.soak.flips", description=main.__doc__)
     parser.add_argument("--flips", type=int, default=500, help="in each target")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from bench.figures import Row, median, spread
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
 from sim.campaigns import Campaign
@@ -25,6 +24,7 @@ from sim.fuzzing.program import Program
 from sim.middleware.executor import SECOND
 from sim.middleware.stamps import header
 from sim.scenarios import builtin_scenarios
+from tools.bench.figures import Row, median, spread
 
 MESSAGES, ROUNDS = 200, 15
 RAYS = 360

@@ -17,11 +17,19 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.figures import Row, median, spread
-from bench.side_by_side import Watching, learn, processor_s, recorded, serving, switch, watching
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.alarms import RATE_PER_H, AlarmRule, Statistic
 from oracle_pipeline.scoring.card import ReferenceCard
+from tools.bench.figures import Row, median, spread
+from tools.bench.side_by_side import (
+    Watching,
+    learn,
+    processor_s,
+    recorded,
+    serving,
+    switch,
+    watching,
+)
 
 LEARNED = 45  # recordings that the card is learned from
 GOALS = 8  # of each: about 150 s

@@ -13,7 +13,6 @@ from typing import ParamSpec
 
 from rosbags.rosbag2 import Reader
 
-from bench.figures import Row, median, spread
 from oracle_pipeline import features
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.features.kept_messages import decoded_topics
@@ -21,6 +20,7 @@ from oracle_pipeline.lasting_imports import lasting_imports
 from oracle_pipeline.opened_run import open_run
 from sim.campaigns import Campaign
 from sim.experiments import recipe_for, record_run
+from tools.bench.figures import Row, median, spread
 
 P = ParamSpec("P")
 

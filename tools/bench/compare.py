@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.figures import Row
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.comparison.compare import compare
 from oracle_pipeline.evaluation.estimate import clopper_pearson
@@ -22,6 +21,7 @@ from oracle_pipeline.scoring.reference import Reference, read_reference
 from sim.campaigns import Campaign, Options
 from sim.experiments import recipe_for, record_run
 from sim.nav2.parameters import named_values
+from tools.bench.figures import Row
 
 SPLITS, EACH = 100, 10  # runs in each set
 SPLIT_MODES = ("lidar_passthrough", "lidar_passthrough_odom", "delayed_passthrough")

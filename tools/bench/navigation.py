@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.figures import Row, median
 from oracle_pipeline.bags.manifest import GoalResult, Manifest
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.run_directory import RunDirectory
@@ -28,6 +27,7 @@ from sim.nav2.navfn import plan
 from sim.turtlebot3.arena import Arena
 from sim.turtlebot3.drawing import path_length, planning_grid
 from sim.turtlebot3.map import WORLD_IN_MAP
+from tools.bench.figures import Row, median
 
 BLOCKS, ATTACKED_BLOCKS = 100, 30
 CONTROL, ATTACK = "lidar_passthrough_odom", "fake_object"

@@ -9,17 +9,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from assets.worker.run import OF_A_RUN, RunJob, process_run
-from bench.figures import Row, median, spread
 from oracle_pipeline.bags.manifest import KEPT, Kept
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.storage.stock import take_stock
 from sim.campaigns import Campaign
 from sim.fan_out import fan_out, process_pool
+from tools.bench.figures import Row, median, spread
 
 MODES = ("lidar_passthrough", "fake_object", "delayed_fakeobject")
 MANY = (100, 1000)
 _IN_A_PROCESS = (
-    "import sys; from bench.storage import verify; verify(sys.argv[1], int(sys.argv[2]))"
+    "import sys; from tools.bench.storage import verify; verify(sys.argv[1], int(sys.argv[2]))"
 )
 
 

@@ -19,10 +19,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from bench.figures import Row, median, spread
-from soak.budget import FIRST, LAST
+from tools.bench.figures import Row, median, spread
+from tools.soak.budget import FIRST, LAST
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 RUNS = 1000  # of each mode
 AT_ONCE = (50, 250)  # partitions in a range
 ROUNDS = 5
@@ -43,7 +43,7 @@ QUERIES = {
         "  timestamp metadataEntries { label } } } }"
     ),
 }
-_CALL = "import sys, bench.instance as b; getattr(b, sys.argv[1])(*sys.argv[2:])"
+_CALL = "import sys, tools.bench.instance as b; getattr(b, sys.argv[1])(*sys.argv[2:])"
 
 
 def rows() -> Iterator[Row]:

@@ -1,9 +1,9 @@
 """Watch a robot that drives normally for an hour.
 
-``python -m soak.watching`` learns a card from patrols, each in a different session. Then it serves
-a long patrol of another session on a DDS domain, and watches it. The watch must drop no message,
-its memory must not grow, it may take only a share of a core, and it may raise at most one alarm. It
-prints one line per minute.
+``python -m tools.soak.watching`` learns a card from patrols, each in a different session. Then it
+serves a long patrol of another session on a DDS domain, and watches it. The watch must drop no
+message, its memory must not grow, it may take only a share of a core, and it may raise at most one
+alarm. It prints one line per minute.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.side_by_side import (
+from tools.bench.side_by_side import (
     Watching,
     learn,
     memory_bytes,
@@ -42,7 +42,7 @@ _PERIOD_S = 60.0
 
 def main() -> None:
     """Serve and watch a patrol, and exit with 1 if a goal was missed."""
-    parser = argparse.ArgumentParser(prog="python -m soak.watching", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tools.soak.watching", description=main.__doc__)
     parser.add_argument("--minutes", type=float, default=60.0, help="by the robot's clock")
     parser.add_argument("--speed", type=float, default=1.0)
     parser.add_argument("--reference", type=Path, help="a card; by default one is learned")

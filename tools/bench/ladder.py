@@ -18,7 +18,20 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from bench.alterations import (
+from oracle_pipeline import features
+from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.bootstrap import DistinctRuns
+from oracle_pipeline.datasets import feature_dataset, is_malicious, window_dataset
+from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel
+from oracle_pipeline.evaluation.estimate import Estimate
+from oracle_pipeline.evaluation.held_out import held_out
+from oracle_pipeline.evaluation.metrics import auc
+from oracle_pipeline.evaluation.splits import block_folds
+from oracle_pipeline.scoring.feature_sets import feature_sets
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+from sim.campaigns import Campaign
+from sim.experiments import recipe_for, record_run
+from tools.bench.alterations import (
     FIVE,
     IMU,
     JOINTS,
@@ -40,20 +53,7 @@ from bench.alterations import (
     transforms,
     without_small_things,
 )
-from bench.figures import Row
-from oracle_pipeline import features
-from oracle_pipeline.bags.run_directory import RunDirectory
-from oracle_pipeline.bootstrap import DistinctRuns
-from oracle_pipeline.datasets import feature_dataset, is_malicious, window_dataset
-from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel
-from oracle_pipeline.evaluation.estimate import Estimate
-from oracle_pipeline.evaluation.held_out import held_out
-from oracle_pipeline.evaluation.metrics import auc
-from oracle_pipeline.evaluation.splits import block_folds
-from oracle_pipeline.scoring.feature_sets import feature_sets
-from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from sim.campaigns import Campaign
-from sim.experiments import recipe_for, record_run
+from tools.bench.figures import Row
 
 CONTROL, FAKE, REAL = "lidar_passthrough_odom", "fake_object", "benign_obstacle"
 GOALS = 2

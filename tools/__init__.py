@@ -1,0 +1,1 @@
+"""Tools of the developers: benchmarks, tests that take hours, and scripts of the Makefile."""
