@@ -33,7 +33,8 @@ from resources.fleet import Fleet, in_words
 from resources.store import RunStore
 from sim.commands.progress import RunProgress
 from sim.modes import broken_scenarios
-from sim.software import software
+from sim.software import run_code
+from sim.testbeds import TESTBEDS
 
 if TYPE_CHECKING:
     from assets.worker.reproduction import Reproduction
@@ -41,12 +42,14 @@ if TYPE_CHECKING:
     from sim.experiments import Comparison
     from sim.fan_out import Outcome
 
+_RUN_CODE = run_code(testbed.made_by for testbed in TESTBEDS.values())
+
 EXPERIMENT_RUNS = dg.AssetSpec(
     "experiment_runs",
     group_name="simulation",
     kinds={"mujoco", "ros2"},
     **declared("run", "runs/<mode>/<run>"),
-    code_version=software().code,
+    code_version=_RUN_CODE,
     description="""A patrol of the robot in MuJoCo, or air traffic, normal or attacked.
 
 Run *i* of every mode of a testbed has the same start, goals or flights, and nuisance (block *i*).
@@ -60,7 +63,7 @@ BAGS = dg.AssetSpec(
     group_name="recording",
     kinds={"ros2", "mcap"},
     **declared("run", "runs/<mode>/<run>/bag"),
-    code_version=software().code,
+    code_version=_RUN_CODE,
     description="""The run as a rosbag2, as `ros2 bag record -a` would record it.
 
 MCAP or sqlite3, compressed with zstd, in `<root>/runs/<mode>/run003/bag`. Its data version is a
@@ -72,7 +75,7 @@ INTERVAL_GRAPHS = dg.AssetSpec(
     group_name="recording",
     kinds={"networkx", "gexf"},
     **declared("run", "runs/<mode>/<run>/graphs"),
-    code_version=software().code,
+    code_version=_RUN_CODE,
     description="""The ROS graph of every 10 s of the recording, and of the whole run.
 
 GEXF files in `<root>/runs/<mode>/run003/graphs`, for Gephi and NetworkX. Vertices are ROS nodes and

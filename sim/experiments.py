@@ -13,7 +13,7 @@ from sim.campaigns import Campaign, RecipeError
 from sim.modes import modes
 from sim.pairs import judge_pair
 from sim.software import software
-from sim.testbed import Mode, Recipe, TestbedRun
+from sim.testbed import Mode, Recipe, Testbed, TestbedRun
 from sim.testbeds import TESTBEDS, which_testbed
 
 Comparison = Literal["same messages", "other software", "other recipe", "unexplained"]
@@ -119,10 +119,8 @@ def recipe_of(manifest: Manifest) -> Recipe:
     RunDirectoryError
         If it is none: of another release, or of a run that was derived from another's bag.
     """
-    recipe = manifest.recipe
     try:
-        testbed = next(bed for bed in TESTBEDS.values() if bed.made(recipe))
-        return testbed.recipe.from_dict(recipe)
+        return _made(manifest.recipe).recipe.from_dict(manifest.recipe)
     except (StopIteration, KeyError, TypeError) as error:
         reason = error if str(error) else "no testbed has a recipe with these keys"
         raise RunDirectoryError(
@@ -132,15 +130,18 @@ def recipe_of(manifest: Manifest) -> Recipe:
         ) from error
 
 
+def _made(recipe: Mapping[str, Any]) -> Testbed:
+    """Return the testbed that a recorded recipe is of."""
+    return next(testbed for testbed in TESTBEDS.values() if testbed.made(recipe))
+
+
 def can_be_rebuilt(manifest: Manifest) -> bool:
     """Return whether this software gives the same run from the recipe in its manifest."""
-    if manifest.software != software():
-        return False
     try:
         recipe_of(manifest)
     except RunDirectoryError:
         return False
-    return True
+    return manifest.software == software(_made(manifest.recipe).made_by)
 
 
 def compared(former: Manifest, again: Manifest) -> Comparison:
@@ -165,7 +166,7 @@ def _make(
         run = testbed.bring_up(recipe, scratch)
         accompany(run)
         run.go()
-        manifest = run.manifest(time.perf_counter() - started, software())
+        manifest = run.manifest(time.perf_counter() - started, software(testbed.made_by))
         if former is not None:
             _require_same(former, manifest, directory)
         manifest.save(scratch / MANIFEST_FILE)

@@ -5,6 +5,7 @@ The same recipe gives the same messages as long as these three stay the same.
 
 import functools
 import platform
+from collections.abc import Iterable
 from importlib.metadata import version
 from pathlib import Path
 
@@ -12,29 +13,36 @@ import llvmlite.binding
 
 from oracle_pipeline.bags.manifest import Software
 from oracle_pipeline.bags.sources import ROOT, code_hash
-from sim.testbeds import TESTBEDS
 
 # Libraries whose arithmetic, random numbers or serialisation end up in messages.
 _LIBRARIES = ("geographiclib", "llvmlite", "mujoco", "numba", "numpy", "rosbags", "scipy")
 
 
 @functools.cache
-def software() -> Software:
-    """Return the software of this process."""
+def software(made_by: str) -> Software:
+    """Return the software of this process that makes the runs of a testbed.
+
+    Parameters
+    ----------
+    made_by
+        The testbed's module with the class of runs.
+    """
     libraries = " ".join(f"{name}-{version(name)}" for name in _LIBRARIES)
     return Software(
-        code=run_code(),
+        code=run_code([made_by]),
         dependencies=f"python-{platform.python_version()} {libraries}",
         cpu=f"{platform.machine()} {llvmlite.binding.get_host_cpu_name()}",
     )
 
 
-def run_code(root: Path = ROOT) -> str:
+def run_code(made_by: Iterable[str], root: Path = ROOT) -> str:
     """Return the version of this project's code that turns a recipe into messages.
 
     Parameters
     ----------
+    made_by
+        Modules with the classes of runs, of one testbed or more.
     root
         The folder of this project's packages.
     """
-    return code_hash([testbed.made_by for testbed in TESTBEDS.values()], root=root)
+    return code_hash(made_by, root=root)

@@ -12,6 +12,7 @@ from sim.campaigns import Campaign
 from sim.experiments import recipe_for, record_run
 from sim.software import run_code
 from sim.testbed import Mode
+from sim.testbeds import TESTBEDS
 
 ONE_GOAL = Campaign(goals_per_run=1)
 
@@ -27,7 +28,7 @@ class RecordedRuns:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._code = run_code()
+        self._code = run_code(testbed.made_by for testbed in TESTBEDS.values())
 
     def __call__(
         self, mode: str | Mode, run: int = 0, campaign: Campaign = ONE_GOAL, **parameters: object

@@ -1,26 +1,40 @@
-"""Hashes of source code: the files of our own that a result depends on, by their imports.
+"""Hashes of source code: what our own modules mean that a result depends on, by their imports.
 
-The imports are read from the text of the modules, those inside functions too, and followed through
-the four packages of the distribution. Nothing is imported and nothing is compiled for it. A process
-reads the imports of a module once, since it has many hashes over the same modules.
+A module counts by its syntax tree, without comments, docstrings and layout. The imports, those
+inside functions too, are followed through the four packages of the distribution; nothing is
+imported for it. Trees are not read again while a file stays the same: what was found in it is kept
+in the user's cache folder.
 """
 
+import ast
+import contextlib
 import functools
 import hashlib
-import re
+import json
+import sys
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import platformdirs
+
+from oracle_pipeline.bags.scratch import scratch_beside
 
 PACKAGES = ("assets", "oracle_pipeline", "resources", "sim")
 ROOT = Path(__file__).parents[2]  # of the packages
 
-_TYPES_ONLY = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t].*\n|\n)+", re.MULTILINE)
-_IMPORT = re.compile(
-    r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|.+)|import[ \t]+(.+))$",
-    re.MULTILINE,
-)
-_COMMENT = re.compile(r"#.*")
 _PACKAGE = "__init__.py"
+# Fields of a syntax tree that follow from the rest, or mean nothing.
+_REDUNDANT = frozenset({"ctx", "kind", "type_comment", "type_ignores"})
+
+_Identity: TypeAlias = list[int]  # of a file that nobody changed: times, size and inode
+
+
+class _Module(NamedTuple):
+    """What a module means and needs."""
+
+    digest: str  # of its syntax tree
+    imports: list[str]  # absolute names
 
 
 def code_hash(
@@ -30,7 +44,7 @@ def code_hash(
     within: Collection[str] = PACKAGES,
     root: Path = ROOT,
 ) -> str:
-    """Return a hash over the files that modules depend on, and over additional content.
+    """Return a hash over the modules that modules depend on, and over additional content.
 
     Parameters
     ----------
@@ -48,17 +62,18 @@ def code_hash(
     Returns
     -------
     str
-        16 hexadecimal digits: of the names and contents of the files, not of their place.
+        16 hexadecimal digits: of the names of the files, not of their place, of the meaning of
+        modules and of the bytes of data.
     """
     digest = hashlib.sha256()
     named = [(root, file) for file in dependencies(modules, within=within, root=root)]
     named += [(folder, file) for folder in folders for file in sorted(_files(folder))]
     for base, file in named:
-        content = file.read_bytes()
-        name = file.relative_to(base).as_posix().encode()
-        digest.update(b"%s\0%d\0%s" % (name, len(content), content))
+        name = file.relative_to(base).as_posix()
+        digest.update(f"{name}\0{_content_hash(file)}\0".encode())
     for text in others:
         digest.update(text.encode() + b"\0")
+    _modules.keep()
     return digest.hexdigest()[:16]
 
 
@@ -84,41 +99,134 @@ def dependencies(
         if name in files or (file := _file(name, root)) is None:
             continue
         files[name] = file
-        waiting += [name for name in _imports_of(name, file) if _is_within(name, within)]
+        package = name if file.name == _PACKAGE else name.rpartition(".")[0]
+        imported = (_absolute(each, package) for each in _modules[file].imports)
+        waiting += [each for each in imported if _is_within(each, within)]
         waiting += _above(name)
     packages = [file.parent for file in files.values() if file.name == _PACKAGE]
     data = (file for package in packages for file in _files(package, is_package=True))
     return sorted({*files.values(), *data})
 
 
-@functools.cache
-def _imports_of(name: str, file: Path) -> set[str]:
-    package = name if file.name == _PACKAGE else name.rpartition(".")[0]
-    return imports(file.read_text(encoding="utf-8"), package)
-
-
-def imports(source: str, package: str) -> set[str]:
+def imports(tree: ast.AST) -> set[str]:
     """Return the dotted names that a module may import, but for type checking only.
 
-    Of ``from a import b`` both ``a`` and ``a.b`` are returned, as ``b`` may be a module.
-
-    Parameters
-    ----------
-    source
-        Text of the module.
-    package
-        The package that it is in, or is.
+    Of ``from a import b`` both ``a`` and ``a.b`` are returned, as ``b`` may be a module. Relative
+    names begin with their dots.
     """
-    names = set()
-    for origin, objects, direct in _IMPORT.findall(_TYPES_ONLY.sub("", source)):
-        listed = _COMMENT.sub("", direct or objects).strip("() \t\n").split(",")
-        bare = [words[0] for item in listed if (words := item.split())]
-        if direct:
-            names.update(bare)
-            continue
-        base = _absolute(origin, package)
-        names.update([base, *(f"{base}.{name}" for name in bare)])
+    names: set[str] = set()
+    for node in _executed(tree):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = "." * node.level + (node.module or "")
+            stem = base if base.endswith(".") else f"{base}."
+            names.update([base, *(f"{stem}{alias.name}" for alias in node.names)])
     return names
+
+
+def _executed(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield what is in a syntax tree, but for ``if TYPE_CHECKING`` and expressions."""
+    for child in ast.iter_child_nodes(node):
+        is_types_only = (
+            isinstance(child, ast.If)
+            and isinstance(child.test, ast.Name)
+            and child.test.id == "TYPE_CHECKING"
+        )
+        if not (is_types_only or isinstance(child, ast.expr)):
+            yield child
+            yield from _executed(child)
+
+
+def _content_hash(file: Path) -> str:
+    """Return a hash of what a module means, or of the bytes of another file."""
+    if file.suffix == ".py":
+        with contextlib.suppress(SyntaxError, ValueError):
+            return _modules[file].digest
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _outline(part: Any, into: list[str]) -> None:
+    """Write down a syntax tree, alike in all releases of Python that have it.
+
+    Empty fields are left out, since newer releases add some. Text as a statement, such as a
+    docstring, does nothing.
+    """
+    if isinstance(part, ast.AST):
+        into.append(f"{type(part).__name__}(")
+        for name in part._fields:
+            value = getattr(part, name, None)
+            if value is not None and value != [] and name not in _REDUNDANT:
+                into.append(f"{name}=")
+                _outline(value, into)
+        into.append(")")
+    elif isinstance(part, list):
+        into.append("[")
+        for each in part:
+            if not _is_text(each):
+                _outline(each, into)
+        into.append("]")
+    else:
+        into.append(f"{part!a},")
+
+
+def _is_text(part: Any) -> bool:
+    return (
+        isinstance(part, ast.Expr)
+        and isinstance(part.value, ast.Constant)
+        and isinstance(part.value.value, str)
+    )
+
+
+class _Modules:
+    """What is in modules, by their files; of the modules below `ROOT` it is kept in a file."""
+
+    def __init__(self) -> None:
+        self._found: dict[str, tuple[_Identity, str, list[str]]] = {}
+        self._is_new = False
+
+    def __getitem__(self, file: Path) -> _Module:
+        kept, name, identity = self._kept(), str(file), _identity(file)
+        if name not in kept or kept[name][0] != identity:
+            tree, outline = ast.parse(file.read_bytes()), list[str]()
+            _outline(tree, outline)
+            digest = hashlib.sha256("".join(outline).encode()).hexdigest()
+            kept[name] = (identity, digest, sorted(imports(tree)))
+            self._is_new = True
+        return _Module(*kept[name][1:])
+
+    def _kept(self) -> dict[str, tuple[_Identity, str, list[str]]]:
+        """Return what was found in modules, before the first use that of former processes."""
+        if not self._found:
+            with contextlib.suppress(OSError, ValueError):  # none yet, or damaged
+                self._found = json.loads(_kept_at().read_bytes())
+        return self._found
+
+    def keep(self) -> None:
+        """Keep what is new; a cache that cannot be written is no loss but of time."""
+        if not self._is_new:
+            return
+        self._is_new = False
+        ours = {name: each for name, each in self._found.items() if Path(name).is_relative_to(ROOT)}
+        with contextlib.suppress(OSError), scratch_beside(_kept_at(), Path.touch) as scratch:
+            scratch.write_text(json.dumps(ours))
+            scratch.replace(_kept_at())
+
+
+_modules = _Modules()
+
+
+@functools.cache
+def _kept_at() -> Path:
+    """Return the place of the cache, another for each checkout, Python and form of the cache."""
+    key = f"{ROOT} {sys.version_info[:2]} {_identity(Path(__file__))}"
+    name = f"modules-{hashlib.sha256(key.encode()).hexdigest()[:16]}.json"
+    return platformdirs.user_cache_path("ros2-behaviour-oracle") / name
+
+
+def _identity(file: Path) -> _Identity:
+    about = file.stat()
+    return [about.st_mtime_ns, about.st_ctime_ns, about.st_size, about.st_ino]
 
 
 def _absolute(name: str, package: str) -> str:

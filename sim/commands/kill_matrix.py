@@ -32,6 +32,7 @@ from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.offline import Summary, mutate_bag
 from sim.software import software
 from sim.testbed import Mode
+from sim.testbeds import TESTBEDS, which_testbed
 
 
 class Variant(Protocol):
@@ -214,5 +215,5 @@ def _mutated(original: Manifest, mode: Mode, summary: Summary) -> Manifest:
         changes=summary.changes,
         topics=summary.topics,
         content_hash=summary.content_hash,
-        software=software(),
+        software=software(TESTBEDS[which_testbed(mode.scenario)].made_by),
     )

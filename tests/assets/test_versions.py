@@ -7,6 +7,7 @@ import pytest
 from assets.worker.versions import analysis_code, feature_code
 from oracle_pipeline.bags.sources import PACKAGES, ROOT
 from sim.software import run_code
+from sim.testbeds import TESTBEDS
 
 
 @pytest.fixture(scope="module")
@@ -29,75 +30,78 @@ def versions(root):
     feature_code.cache_clear()
     analysis_code.cache_clear()
     return {
-        "runs": run_code(root),
+        "robot": run_code([TESTBEDS["turtlebot3"].made_by], root),
+        "flights": run_code([TESTBEDS["atc"].made_by], root),
         "features": feature_code(root),
         "evaluation": analysis_code("assets.oracle_evaluation", root),
         "reports": analysis_code("assets.oracle_report", root),
     }
 
 
-RUNS, FEATURES = {"runs"}, {"features"}
+ROBOT, FLIGHTS, FEATURES = {"robot"}, {"flights"}, {"features"}
+RUNS = ROBOT | FLIGHTS
 ANALYSES = {"evaluation", "reports"}
 NOTHING: set[str] = set()
 
 
 @pytest.mark.parametrize(
-    ("place", "old", "new", "changed"),
+    ("place", "changed"),
     [
-        ("sim/commands/record.py", "runs of one mode", "some runs of a mode", NOTHING),
-        ("sim/commands/progress.py", "real time", "time", NOTHING),
-        ("sim/fan_out.py", '"""', '"""A line. ', NOTHING),
-        ("sim/worker_pool.py", '"""', '"""A line. ', NOTHING),
-        ("resources/fleet.py", '"""', '"""A line. ', NOTHING),
-        ("sim/scenarios/random_noise.yaml", "\n", "\n# A line.\n", NOTHING),
-        ("sim/modes.py", '"""', '"""A line. ', NOTHING),
-        ("sim/experiments.py", '"""', '"""A line. ', NOTHING),
-        ("sim/turtlebot3/drawing.py", '"""', '"""A line. ', NOTHING),
-        ("sim/turtlebot3/recipes.py", '"""', '"""A line. ', RUNS),
-        ("sim/recording.py", '"""', '"""A line. ', RUNS),
-        ("assets/experiment_runs.py", '"""', '"""A line. ', NOTHING),
-        ("sim/nav2/amcl.py", '"""', '"""A line. ', RUNS),
-        ("sim/atc/fusion.py", '"""', '"""A line. ', RUNS),
-        ("sim/fuzzing/operators.py", '"""', '"""A line. ', RUNS),
-        ("sim/fuzzing/scenario.schema.json", "{", "{ ", RUNS),
-        ("oracle_pipeline/bags/writer.py", '"""', '"""A line. ', RUNS),
-        (
-            "oracle_pipeline/windows.py",
-            "WINDOW_S = 5.0",
-            "WINDOW_S = 10.0",
-            FEATURES | ANALYSES,
-        ),
-        (
-            "oracle_pipeline/bags/protocol.py",
-            "INTERVAL_S = 10",
-            "INTERVAL_S = 20",
-            RUNS | FEATURES | ANALYSES,
-        ),
-        ("oracle_pipeline/datasets.py", '"""', '"""A line. ', FEATURES | ANALYSES),
-        ("oracle_pipeline/opened_run.py", '"""', '"""A line. ', FEATURES | ANALYSES),
-        ("oracle_pipeline/bags/jit.py", '"""', '"""A line. ', RUNS | FEATURES | ANALYSES),
-        ("oracle_pipeline/features/scan.py", '"""', '"""A line. ', FEATURES | ANALYSES),
-        ("oracle_pipeline/graphs/views.py", '"""', '"""A line. ', FEATURES | ANALYSES),
-        ("oracle_pipeline/bags/reader.py", '"""', '"""A line. ', FEATURES | ANALYSES),
-        ("oracle_pipeline/bags/manifest.schema.json", "{", "{ ", RUNS | FEATURES | ANALYSES),
-        ("oracle_pipeline/evaluation/metrics.py", '"""', '"""A line. ', ANALYSES),
-        ("oracle_pipeline/reporting/templates/report.html.j2", "<", " <", ANALYSES),
-        ("oracle_pipeline/reporting/html.py", '"""', '"""A line. ', {"reports"}),
-        ("assets/oracle_evaluation.py", '"""', '"""A line. ', {"evaluation"}),
-        ("oracle_pipeline/cli.py", '"""', '"""A line. ', NOTHING),
-        ("oracle_pipeline/replay/command.py", '"""', '"""A line. ', NOTHING),
+        ("sim/commands/record.py", NOTHING),
+        ("sim/commands/progress.py", NOTHING),
+        ("sim/fan_out.py", NOTHING),
+        ("sim/worker_pool.py", NOTHING),
+        ("resources/fleet.py", NOTHING),
+        ("sim/scenarios/random_noise.yaml", NOTHING),
+        ("sim/modes.py", NOTHING),
+        ("sim/experiments.py", NOTHING),
+        ("sim/turtlebot3/drawing.py", NOTHING),
+        ("sim/turtlebot3/recipes.py", ROBOT),
+        ("sim/recording.py", RUNS),
+        ("assets/experiment_runs.py", NOTHING),
+        ("sim/nav2/amcl.py", ROBOT),
+        ("sim/atc/testbed.py", NOTHING),
+        ("sim/atc/fusion.py", FLIGHTS),
+        ("sim/fuzzing/operators.py", RUNS),
+        ("sim/fuzzing/scenario.schema.json", RUNS),
+        ("oracle_pipeline/bags/writer.py", RUNS),
+        ("oracle_pipeline/windows.py", FEATURES | ANALYSES),
+        ("oracle_pipeline/bags/protocol.py", RUNS | FEATURES | ANALYSES),
+        ("oracle_pipeline/datasets.py", FEATURES | ANALYSES),
+        ("oracle_pipeline/opened_run.py", FEATURES | ANALYSES),
+        ("oracle_pipeline/bags/jit.py", RUNS | FEATURES | ANALYSES),
+        ("oracle_pipeline/features/scan.py", FEATURES | ANALYSES),
+        ("oracle_pipeline/graphs/views.py", FEATURES | ANALYSES),
+        ("oracle_pipeline/bags/reader.py", FEATURES | ANALYSES),
+        ("oracle_pipeline/bags/manifest.schema.json", RUNS | FEATURES | ANALYSES),
+        ("oracle_pipeline/evaluation/metrics.py", ANALYSES),
+        ("oracle_pipeline/reporting/templates/report.html.j2", ANALYSES),
+        ("oracle_pipeline/reporting/html.py", {"reports"}),
+        ("assets/oracle_evaluation.py", {"evaluation"}),
+        ("oracle_pipeline/cli.py", NOTHING),
+        ("oracle_pipeline/replay/command.py", NOTHING),
     ],
 )
-def test_one_line_changes_the_versions_of_what_depends_on_it(
-    tree, before, place, old, new, changed
+def test_a_change_changes_the_versions_of_what_depends_on_it(tree, before, place, changed):
+    added = "CHANGED = True\n" if place.endswith(".py") else "\n"
+    assert changed_by(tree, before, place, added) == changed
+
+
+@pytest.mark.parametrize("place", ["sim/atc/tcas.py", "oracle_pipeline/features/scan.py"])
+@pytest.mark.parametrize("added", ["# Why.\n", '"""What is above."""\n', "\n\n"])
+def test_a_comment_or_docstring_leaves_all_recorded_runs_and_features_current(
+    tree, before, place, added
 ):
+    assert changed_by(tree, before, place, added) == NOTHING
+
+
+def changed_by(tree, before, place, added):
     file = tree / place
     source = file.read_text()
-    assert old in source
-    file.write_text(source.replace(old, new, 1))
+    file.write_text(source + added)
     after = versions(tree)
     file.write_text(source)
-    assert {name for name in before if before[name] != after[name]} == changed
+    return {name for name in before if before[name] != after[name]}
 
 
 def test_a_line_of_the_users_plugin_folder_changes_the_features(
