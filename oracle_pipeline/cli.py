@@ -191,7 +191,7 @@ def _is_nan(value: object) -> bool:
 
 def _text(table: "Table", tables: "Measured") -> str:
     """Return a feature table for reading, and the notes on it."""
-    from oracle_pipeline.features.table_text import as_text
+    from oracle_pipeline.features.engine.table_text import as_text
 
     return as_text(table.frame(), tables.notes)
 

@@ -34,8 +34,8 @@ def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bo
     """
     from oracle_pipeline.datasets import replacing
     from oracle_pipeline.features import build_manager, extract, write
+    from oracle_pipeline.features.engine.kept_messages import KeptMessages
     from oracle_pipeline.features.extraction import only_robot
-    from oracle_pipeline.features.kept_messages import KeptMessages
     from oracle_pipeline.opened_run import open_run
     from oracle_pipeline.oracles.kept_traces import keep_trace
     from oracle_pipeline.oracles.traces import TRACE, trace_of
@@ -67,7 +67,7 @@ def tables_are_current(run: RunDirectory, manifest: Manifest) -> bool:
 def topics_of_features(bag: "BagReader") -> frozenset[str]:
     """Return the topics of a bag that plugins request decoded."""
     from oracle_pipeline.features import build_manager
-    from oracle_pipeline.features.kept_messages import decoded_topics
+    from oracle_pipeline.features.engine.kept_messages import decoded_topics
 
     return decoded_topics(bag, build_manager().plugins)
 

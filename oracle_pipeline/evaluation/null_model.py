@@ -13,7 +13,7 @@ from oracle_pipeline.bootstrap import distinct_runs
 from oracle_pipeline.evaluation.clustering_result import grow_over_runs, in_best_cluster
 from oracle_pipeline.evaluation.metrics import confusion
 from oracle_pipeline.evaluation.variants import THESIS
-from oracle_pipeline.features.thesis_features import VECTOR
+from oracle_pipeline.features.traffic.thesis_features import VECTOR
 
 RUNS_OF_MODE = 15  # as in the thesis, hence 90 runs
 MEDIAN_S, SPREAD = 210.0, 0.35  # of the log-normal durations; the spread is of their logarithm

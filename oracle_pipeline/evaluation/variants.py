@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.bootstrap import bootstrap
 from oracle_pipeline.clustering.scaling import FlooredRobustScaler
 from oracle_pipeline.datasets import DatasetError, feature_columns, feature_floors, is_malicious
-from oracle_pipeline.features.thesis_features import VECTOR
+from oracle_pipeline.features.traffic.thesis_features import VECTOR
 
 FeatureSet = Literal["all", "structural", "contextual"]
 VariantName = Literal["corrected", "thesis"]

@@ -3,9 +3,8 @@
 A plugin needs only the names in this module.
 """
 
-from oracle_pipeline.features.extraction import extract, measure, write
-from oracle_pipeline.features.manager import FeatureManager, build_manager
-from oracle_pipeline.features.plugin import (
+from oracle_pipeline.features.adapters.thesis import FeatureExtractionPlugin
+from oracle_pipeline.features.engine.plugin import (
     Feature,
     FeaturePlugin,
     Located,
@@ -17,8 +16,15 @@ from oracle_pipeline.features.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.tables import FeatureTables, Measured, Table, families, together
-from oracle_pipeline.features.thesis import FeatureExtractionPlugin
+from oracle_pipeline.features.engine.tables import (
+    FeatureTables,
+    Measured,
+    Table,
+    families,
+    together,
+)
+from oracle_pipeline.features.extraction import extract, measure, write
+from oracle_pipeline.features.manager import FeatureManager, build_manager
 
 __all__ = [
     "Feature",

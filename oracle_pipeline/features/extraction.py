@@ -21,10 +21,10 @@ from oracle_pipeline.bags.manifest import UNKNOWN_WORLD
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.datasets import KEYS, MISSING, WHERE, WINDOW_START, write_table
-from oracle_pipeline.features.kept_messages import NO_GRAPH, Graphs, KeptMessages
-from oracle_pipeline.features.kept_rows import Carried, Span
-from oracle_pipeline.features.manager import FeatureManager
-from oracle_pipeline.features.plugin import (
+from oracle_pipeline.features.adapters.thesis import MessageTable, ThesisPlugin
+from oracle_pipeline.features.engine.kept_messages import NO_GRAPH, Graphs, KeptMessages
+from oracle_pipeline.features.engine.kept_rows import Carried, Span
+from oracle_pipeline.features.engine.plugin import (
     Feature,
     FeaturePlugin,
     Located,
@@ -32,9 +32,9 @@ from oracle_pipeline.features.plugin import (
     Values,
     Window,
 )
-from oracle_pipeline.features.shared import system_of
-from oracle_pipeline.features.tables import FeatureTables, Measured, Table
-from oracle_pipeline.features.thesis import MessageTable, ThesisPlugin
+from oracle_pipeline.features.engine.shared import system_of
+from oracle_pipeline.features.engine.tables import FeatureTables, Measured, Table
+from oracle_pipeline.features.manager import FeatureManager
 from oracle_pipeline.graphs.intervals import compose, known_in
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.robots.robot import Robot, find_robots, of_robot

@@ -19,35 +19,37 @@ from typing import Any
 
 import pluggy
 
-from oracle_pipeline.features import (
-    atc_reports,
-    atc_tracks,
+from oracle_pipeline.features.adapters.compiled import SUFFIXES, load_compiled
+from oracle_pipeline.features.adapters.ros_stand_ins import stand_ins
+from oracle_pipeline.features.adapters.thesis import FeatureExtractionPlugin, ThesisPlugin
+from oracle_pipeline.features.air_traffic import adsb_reports, fused_tracks
+from oracle_pipeline.features.engine.plugin import (
+    PROJECT,
+    Feature,
+    FeaturePlugin,
+    Hooks,
+    PluginError,
+)
+from oracle_pipeline.features.lidar import (
     costmap_consistency,
-    generic,
-    goals,
-    kinematics,
     laser_ranges,
     local_costmap,
-    localisation,
     map_consistency,
-    message_traffic,
-    navigation,
-    odometry,
     permanence,
     redundancy,
     scan,
     scan_noise,
-    stamps,
+)
+from oracle_pipeline.features.motion import kinematics, localisation, odometry, transforms, velocity
+from oracle_pipeline.features.navigation import goals, progress
+from oracle_pipeline.features.traffic import (
+    delays,
+    generic,
+    message_traffic,
     structural,
     thesis_features,
     topic_pairs,
-    transforms,
-    velocity,
 )
-from oracle_pipeline.features.compiled import SUFFIXES, load_compiled
-from oracle_pipeline.features.plugin import PROJECT, Feature, FeaturePlugin, Hooks, PluginError
-from oracle_pipeline.features.ros_stand_ins import stand_ins
-from oracle_pipeline.features.thesis import FeatureExtractionPlugin, ThesisPlugin
 
 FOLDER_VARIABLE = "ORACLE_PLUGINS"
 
@@ -66,15 +68,15 @@ _BUILT_IN = (
     permanence,
     kinematics,
     transforms,
-    stamps,
+    delays,
     map_consistency,
     costmap_consistency,
-    navigation,
+    progress,
     velocity,
     localisation,
     local_costmap,
-    atc_reports,
-    atc_tracks,
+    adsb_reports,
+    fused_tracks,
 )
 
 _log = logging.getLogger(__name__)

@@ -22,8 +22,8 @@ from rosbags.interfaces import Qos
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.reader import RawMessage
 from oracle_pipeline.features import build_manager
+from oracle_pipeline.features.engine.kept_rows import Carried
 from oracle_pipeline.features.extraction import extract_window
-from oracle_pipeline.features.kept_rows import Carried
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.live.recent import RecentMessages
 from oracle_pipeline.live.window_scorer import WindowScorer, WindowVerdict

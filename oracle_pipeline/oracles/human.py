@@ -22,7 +22,7 @@ from sklearn.linear_model import LogisticRegression
 
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
 from oracle_pipeline.datasets import replacing
-from oracle_pipeline.features.plugin import hookimpl
+from oracle_pipeline.features.engine.plugin import hookimpl
 from oracle_pipeline.oracles.implicit import Implicit
 from oracle_pipeline.oracles.invariants import Invariants
 from oracle_pipeline.oracles.kind import (

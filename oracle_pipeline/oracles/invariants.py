@@ -20,7 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
-from oracle_pipeline.features.plugin import hookimpl
+from oracle_pipeline.features.engine.plugin import hookimpl
 from oracle_pipeline.oracles.kind import KindError, Maker, TracedRuns
 from oracle_pipeline.oracles.requirements import FARTHEST, Requirement
 from oracle_pipeline.oracles.traces import RATE, SIGNALS, values_of

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import LABELS
 from oracle_pipeline.datasets import is_malicious
+from oracle_pipeline.features.engine.plugin import PROJECT
 from oracle_pipeline.features.manager import plugin_folder, register_others
-from oracle_pipeline.features.plugin import PROJECT
 from oracle_pipeline.oracles.requirements import Requirement
 
 RELATION = "relation"  # column: relation of a run to the runs of its block, from its recipe

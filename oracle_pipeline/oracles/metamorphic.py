@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
 from oracle_pipeline.datasets import is_hard_negative
-from oracle_pipeline.features.plugin import hookimpl
+from oracle_pipeline.features.engine.plugin import hookimpl
 from oracle_pipeline.oracles.kind import RELATION, SAME, KindError, Maker, Material, TracedRuns
 from oracle_pipeline.oracles.traces import SIGNALS, STEP_S, values_of
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.features.plugin import hookimpl
+from oracle_pipeline.features.engine.plugin import hookimpl
 from oracle_pipeline.oracles.kind import Maker, TracedRuns
 from oracle_pipeline.oracles.requirements import FARTHEST, Requirement, violations
 

@@ -12,10 +12,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.features.goals import GOAL_TOPICS, goals_so_far
-from oracle_pipeline.features.kept_messages import NO_GRAPH, KeptMessages
-from oracle_pipeline.features.kept_rows import Span
-from oracle_pipeline.features.plugin import (
+from oracle_pipeline.features.engine.kept_messages import NO_GRAPH, KeptMessages
+from oracle_pipeline.features.engine.kept_rows import Span
+from oracle_pipeline.features.engine.plugin import (
     Arrivals,
     FeaturePlugin,
     Missing,
@@ -23,8 +22,9 @@ from oracle_pipeline.features.plugin import (
     Series,
     Window,
 )
-from oracle_pipeline.features.scan_geometry import the_topic
-from oracle_pipeline.features.velocity import keep as keep_command
+from oracle_pipeline.features.geometry.scan_geometry import the_topic
+from oracle_pipeline.features.motion.velocity import keep as keep_command
+from oracle_pipeline.features.navigation.goals import GOAL_TOPICS, goals_so_far
 from oracle_pipeline.robots.robot import Robot
 from oracle_pipeline.robots.roles import COMMAND, IMU, ODOMETRY, POSE, SCAN
 

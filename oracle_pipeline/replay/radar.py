@@ -1,6 +1,6 @@
 """The radar display of an air traffic recording: tracks, reports and plots around the antenna.
 
-The position of the antenna is estimated with ``oracle_pipeline.features.atc_reports``.
+The position of the antenna is estimated with ``oracle_pipeline.features.air_traffic.adsb_reports``.
 """
 
 import cmath
@@ -17,7 +17,7 @@ from matplotlib.colors import to_rgba
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from oracle_pipeline.features.atc_reports import (
+from oracle_pipeline.features.air_traffic.adsb_reports import (
     Replies,
     ReportedFlight,
     find_antenna,
@@ -25,8 +25,8 @@ from oracle_pipeline.features.atc_reports import (
     keep_reply,
     keep_report,
 )
-from oracle_pipeline.features.plugin import Series
-from oracle_pipeline.features.wgs84 import Site, cartesian
+from oracle_pipeline.features.engine.plugin import Series
+from oracle_pipeline.features.geometry.wgs84 import Site, cartesian
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, drawing
 from oracle_pipeline.reporting.report import ReportError

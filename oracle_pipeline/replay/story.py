@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.terminal import printable
-from oracle_pipeline.features.point_clouds import sliced
+from oracle_pipeline.features.engine.point_clouds import sliced
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.replay.scene import DrawnGrid, Moment, ReplayScene
 from oracle_pipeline.reporting.report import ReportError

@@ -16,8 +16,8 @@ from rosbags.typesys.store import Typestore
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.merging import Messages, Rows
 from oracle_pipeline.bags.reader import BagReader
-from oracle_pipeline.features.columns import Batch, Columns
-from oracle_pipeline.features.parts import frame_names
+from oracle_pipeline.features.engine.columns import Batch, Columns
+from oracle_pipeline.features.engine.common_fields import frame_names
 from oracle_pipeline.robots.first_messages import TRANSFORM_TYPES
 from oracle_pipeline.robots.roles import is_static
 from oracle_pipeline.scoring.pace import FEWEST

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.features import FeatureManager, FeatureTables, build_manager, extract
-from oracle_pipeline.features.kept_messages import KeptMessages
+from oracle_pipeline.features.engine.kept_messages import KeptMessages
 from oracle_pipeline.features.manager import FOLDER_VARIABLE
 from oracle_pipeline.opened_run import OpenedRun, open_run
 from oracle_pipeline.robots.robot import Robot, find_robots, of_robot

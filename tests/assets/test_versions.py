@@ -70,7 +70,7 @@ NOTHING: set[str] = set()
         ("oracle_pipeline/datasets.py", FEATURES | ANALYSES),
         ("oracle_pipeline/opened_run.py", FEATURES | ANALYSES),
         ("oracle_pipeline/bags/jit.py", RUNS | FEATURES | ANALYSES),
-        ("oracle_pipeline/features/scan.py", FEATURES | ANALYSES),
+        ("oracle_pipeline/features/lidar/scan.py", FEATURES | ANALYSES),
         ("oracle_pipeline/graphs/views.py", FEATURES | ANALYSES),
         ("oracle_pipeline/bags/reader.py", FEATURES | ANALYSES),
         ("oracle_pipeline/bags/manifest.schema.json", RUNS | FEATURES | ANALYSES),
@@ -87,7 +87,7 @@ def test_a_change_changes_the_versions_of_what_depends_on_it(tree, before, place
     assert changed_by(tree, before, place, added) == changed
 
 
-@pytest.mark.parametrize("place", ["sim/atc/tcas.py", "oracle_pipeline/features/scan.py"])
+@pytest.mark.parametrize("place", ["sim/atc/tcas.py", "oracle_pipeline/features/lidar/scan.py"])
 @pytest.mark.parametrize("added", ["# Why.\n", '"""What is above."""\n', "\n\n"])
 def test_a_comment_or_docstring_leaves_all_recorded_runs_and_features_current(
     tree, before, place, added

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from oracle_pipeline.features import build_manager, extract
-from oracle_pipeline.features.compiled import PluginProcess, load_compiled
-from oracle_pipeline.features.plugin import PluginError
+from oracle_pipeline.features.adapters.compiled import PluginProcess, load_compiled
+from oracle_pipeline.features.engine.plugin import PluginError
 from oracle_pipeline.opened_run import open_run
 
 REPOSITORY = Path(__file__).parents[2]
-INCLUDE = REPOSITORY / "oracle_pipeline" / "features"
+INCLUDE = REPOSITORY / "oracle_pipeline" / "features" / "adapters"
 EXAMPLE = REPOSITORY / "examples" / "compiled_plugin"
 
 ODD = """

@@ -15,7 +15,7 @@ from rosbags.rosbag2 import Reader
 
 from oracle_pipeline import features
 from oracle_pipeline.bags.run_directory import RunDirectory
-from oracle_pipeline.features.kept_messages import decoded_topics
+from oracle_pipeline.features.engine.kept_messages import decoded_topics
 from oracle_pipeline.lasting_imports import lasting_imports
 from oracle_pipeline.opened_run import open_run
 from sim.campaigns import Campaign

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.datasets import is_malicious
-from oracle_pipeline.features.thesis_features import VECTOR
+from oracle_pipeline.features.traffic.thesis_features import VECTOR
 from tests.oracle_pipeline.datasets.synthetic import run_features
 
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 from oracle_pipeline.bags.types import serialize, typestore
-from oracle_pipeline.features.columns import Batch, Columns
+from oracle_pipeline.features.engine.columns import Batch, Columns
 
 
 def batch_of(*messages: Any) -> Batch:

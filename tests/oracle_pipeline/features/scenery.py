@@ -10,8 +10,8 @@ import numpy as np
 
 from oracle_pipeline import features
 from oracle_pipeline.bags.types import message_class
+from oracle_pipeline.features.engine.plugin import FeaturePlugin
 from oracle_pipeline.features.manager import FeatureManager
-from oracle_pipeline.features.plugin import FeaturePlugin
 from oracle_pipeline.opened_run import open_run
 from tests.oracle_pipeline.features.conftest import write_bag
 

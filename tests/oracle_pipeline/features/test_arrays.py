@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.stats import rankdata, spearmanr
 
-from oracle_pipeline.features.arrays import (
+from oracle_pipeline.features.statistics.arrays import (
     STATISTICS,
     doubled_ranks,
     each,

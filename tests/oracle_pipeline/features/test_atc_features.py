@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.bags.types import message_class
-from oracle_pipeline.features import atc_reports, atc_tracks
-from oracle_pipeline.features.wgs84 import Site, cartesian
+from oracle_pipeline.features.air_traffic import adsb_reports, fused_tracks
+from oracle_pipeline.features.geometry.wgs84 import Site, cartesian
 from tests.oracle_pipeline.features.scenery import extract, header
 
 ANTENNA = Site(44.2253, -76.5967)
@@ -30,7 +30,7 @@ _Report, _Reply, _Track, _Tracks, _Advisory = (
 @pytest.fixture
 def extracted(tmp_path_factory):
     """Return a function from messages to values, where they are, and what is missing."""
-    plugins = [*atc_reports.register_features(), *atc_tracks.register_features()]
+    plugins = [*adsb_reports.register_features(), *fused_tracks.register_features()]
     return lambda recorded: extract(plugins, recorded, tmp_path_factory.mktemp("bag"))
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 
 from oracle_pipeline.bags.types import message_class, serialize, typestore
-from oracle_pipeline.features.columns import Batch, Columns
+from oracle_pipeline.features.engine.columns import Batch, Columns
 from tests.oracle_pipeline.features.rows import batch_of, columns_of
 
 #: Types with all that a field can be: nested, repeated, of fixed and of any length.

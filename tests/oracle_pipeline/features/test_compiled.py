@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from oracle_pipeline.features import build_manager
-from oracle_pipeline.features.compiled import load_compiled
-from oracle_pipeline.features.plugin import PluginError
+from oracle_pipeline.features.adapters.compiled import load_compiled
+from oracle_pipeline.features.engine.plugin import PluginError
 
 
 def test_a_file_that_is_no_library_is_left_out_with_the_reason(tmp_path):

@@ -6,9 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline import features
-from oracle_pipeline.features import laser_ranges, odometry
-from oracle_pipeline.features.goals import goals_of_log
-from oracle_pipeline.features.plugin import Series, Window
+from oracle_pipeline.features.engine.plugin import Series, Window
+from oracle_pipeline.features.lidar import laser_ranges
+from oracle_pipeline.features.motion import odometry
+from oracle_pipeline.features.navigation.goals import goals_of_log
 from oracle_pipeline.opened_run import open_run
 from tests.oracle_pipeline.features.rows import columns_of
 

@@ -3,10 +3,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from oracle_pipeline.features import costmap_consistency
-from oracle_pipeline.features.costmap_consistency import unmarked
-from oracle_pipeline.features.map_consistency import MapGrid
-from oracle_pipeline.features.scan_geometry import Planar
+from oracle_pipeline.features.geometry.scan_geometry import Planar
+from oracle_pipeline.features.lidar import costmap_consistency
+from oracle_pipeline.features.lidar.costmap_consistency import unmarked
+from oracle_pipeline.features.lidar.map_consistency import MapGrid
 from tests.oracle_pipeline.features.scenery import (
     Scanner,
     World,

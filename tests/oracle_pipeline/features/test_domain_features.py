@@ -5,23 +5,16 @@ import json
 import pytest
 
 from oracle_pipeline import features
-from oracle_pipeline.features import (
-    atc_reports,
-    atc_tracks,
-    local_costmap,
-    localisation,
-    map_consistency,
-    navigation,
-    redundancy,
-    scan,
-    velocity,
-)
+from oracle_pipeline.features.air_traffic import adsb_reports, fused_tracks
+from oracle_pipeline.features.lidar import local_costmap, map_consistency, redundancy, scan
 from oracle_pipeline.features.manager import FeatureManager
+from oracle_pipeline.features.motion import localisation, velocity
+from oracle_pipeline.features.navigation import progress
 from oracle_pipeline.opened_run import open_run
 
 MODULES = (
-    redundancy, scan, map_consistency, navigation, velocity, localisation, local_costmap,
-    atc_reports, atc_tracks,
+    redundancy, scan, map_consistency, progress, velocity, localisation, local_costmap,
+    adsb_reports, fused_tracks,
 )  # fmt: skip
 MANAGER = FeatureManager(tuple(p for module in MODULES for p in module.register_features()))
 

@@ -6,7 +6,8 @@ import pytest
 
 from oracle_pipeline import features
 from oracle_pipeline.datasets import feature_columns
-from oracle_pipeline.features import FeatureManager, generic, topic_pairs
+from oracle_pipeline.features import FeatureManager
+from oracle_pipeline.features.traffic import generic, topic_pairs
 from oracle_pipeline.opened_run import open_run
 
 MANAGER = FeatureManager((*generic.register_features(), *topic_pairs.register_features()))

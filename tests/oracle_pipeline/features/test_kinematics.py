@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.bags.types import message_class
-from oracle_pipeline.features import kinematics
-from oracle_pipeline.features.kinematics import fit
+from oracle_pipeline.features.motion import kinematics
+from oracle_pipeline.features.motion.kinematics import fit
 from tests.oracle_pipeline.features.scenery import (
     RAYS,
     Scanner,

@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oracle_pipeline.features import map_consistency
-from oracle_pipeline.features.map_consistency import Map, MapGrid
-from oracle_pipeline.features.scan_geometry import Planar
+from oracle_pipeline.features.geometry.scan_geometry import Planar
+from oracle_pipeline.features.lidar import map_consistency
+from oracle_pipeline.features.lidar.map_consistency import Map, MapGrid
 from tests.oracle_pipeline.features.scenery import (
     Scanner,
     World,

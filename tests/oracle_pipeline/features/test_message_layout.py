@@ -3,7 +3,7 @@ import pytest
 
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.types import message_class, serialize, typestore
-from oracle_pipeline.features.message_layout import MessageLayout
+from oracle_pipeline.features.engine.message_layout import MessageLayout
 
 FIRST_ARRAYS = {  # the field of each type that the layout must find
     "sensor_msgs/msg/LaserScan": "ranges",

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.features import Located, Missing, Window
-from oracle_pipeline.features.message_traffic import closeness, compute, prepare
+from oracle_pipeline.features.traffic.message_traffic import closeness, compute, prepare
 from oracle_pipeline.graphs.intervals import Interval, compose
 from oracle_pipeline.graphs.views import system_view
 

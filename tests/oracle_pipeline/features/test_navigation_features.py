@@ -4,12 +4,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.bags.types import message_class
-from oracle_pipeline.features import local_costmap, localisation, navigation, velocity
-from oracle_pipeline.features.goals import Goal
-from oracle_pipeline.features.map_consistency import MapGrid
-from oracle_pipeline.features.plugin import Series, Window
-from oracle_pipeline.features.reduction import largest, mean, quantile, within
-from oracle_pipeline.features.scan_geometry import Planar
+from oracle_pipeline.features.engine.plugin import Series, Window
+from oracle_pipeline.features.geometry.scan_geometry import Planar
+from oracle_pipeline.features.lidar import local_costmap
+from oracle_pipeline.features.lidar.map_consistency import MapGrid
+from oracle_pipeline.features.motion import localisation, velocity
+from oracle_pipeline.features.navigation import progress
+from oracle_pipeline.features.navigation.goals import Goal
+from oracle_pipeline.features.statistics.reduction import largest, mean, quantile, within
 from tests.oracle_pipeline.features.scenery import (
     believed_message,
     extract,
@@ -115,7 +117,7 @@ def test_recoveries_and_clearings_are_counted_as_they_begin(extracted, messages)
         )),
         (20.0, "/behavior_tree_log", messages.tree_log(20, ("BackUp", "IDLE", "RUNNING"))),
     ]  # fmt: skip
-    values, *_ = extracted(navigation, recorded)
+    values, *_ = extracted(progress, recorded)
     assert values["recoveries"] == pytest.approx(2 * 60.0 / 20.0)
     assert values["costmap_clearings"] == pytest.approx(60.0 / 20.0)
 
@@ -123,7 +125,7 @@ def test_recoveries_and_clearings_are_counted_as_they_begin(extracted, messages)
 def test_time_belongs_to_the_goal_that_was_under_way():
     goals = [Goal(1.0, 4.0, reached=True), Goal(6.0)]
     times = np.array([0.0, 1.0, 4.0, 5.0, 6.0, 99.0])
-    assert navigation.goal_at(goals, times).tolist() == [-1, 0, 0, -1, 1, 1]
+    assert progress.goal_at(goals, times).tolist() == [-1, 0, 0, -1, 1, 1]
 
 
 def test_a_robot_that_stands_or_turns_on_the_spot_stalls():
@@ -131,18 +133,18 @@ def test_a_robot_that_stands_or_turns_on_the_spot_stalls():
     times = np.arange(0.0, 20.01, 0.1)
     x = 0.2 * np.minimum(times, 10.0)
     driven = Series(times, np.column_stack([x, 0 * x, times, 0 * x]))
-    stalled = navigation.stalls([Goal(0.0)], driven)
+    stalled = progress.stalls([Goal(0.0)], driven)
     assert stalled.times_s[0] == pytest.approx(5.0)
     began = stalled.times_s[stalled.values == 1.0][0]
     assert began == pytest.approx(14.6, abs=0.15)  # 0.1 m before it stops
     assert stalled.values[stalled.times_s < 14.4].max() == 0.0
-    assert navigation.stalls([Goal(12.0)], driven).times_s[0] == pytest.approx(17.0)
+    assert progress.stalls([Goal(12.0)], driven).times_s[0] == pytest.approx(17.0)
 
 
 @given(st.lists(st.booleans(), max_size=30))
 def test_longest_run_of_flags(flags):
     text = "".join("x" if flag else " " for flag in flags)
-    assert navigation.longest(np.array(flags, dtype=bool)) == max(map(len, text.split()), default=0)
+    assert progress.longest(np.array(flags, dtype=bool)) == max(map(len, text.split()), default=0)
 
 
 def test_plans_are_compared_within_a_goal_and_drives_by_their_goals(extracted, messages):
@@ -155,7 +157,7 @@ def test_plans_are_compared_within_a_goal_and_drives_by_their_goals(extracted, m
         (12.0, "/plan", messages.plan(12, 9.0)),  # another goal: nothing to compare with
         *((t / 10, "/odom", odometry_message(t / 10, 0.5 * t / 10, 0.0)) for t in range(200)),
     ]
-    values, *_ = extracted(navigation, sorted(recorded, key=lambda each: each[0]))
+    values, *_ = extracted(progress, sorted(recorded, key=lambda each: each[0]))
     assert values["replans"] == pytest.approx(5 * 60.0 / 19.9)
     assert values["progress"] == pytest.approx(0.2)
     # Changes are -0.2, -0.2, +1.0 m: 95 % of the way from 0 (twice) to 1.
@@ -169,7 +171,7 @@ def test_plans_are_compared_within_a_goal_and_drives_by_their_goals(extracted, m
 
 def test_without_goals_there_is_no_navigation(extracted):
     recorded = [(t / 10, "/odom", odometry_message(t / 10, 0j, 0.0)) for t in range(100)]
-    _, _, missing = extracted(navigation, recorded)
+    _, _, missing = extracted(progress, recorded)
     assert "behaviour tree" in missing["stalled"]
 
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from oracle_pipeline.features import permanence
+from oracle_pipeline.features.lidar import permanence
 from tests.oracle_pipeline.features.scenery import (
     Scanner,
     World,

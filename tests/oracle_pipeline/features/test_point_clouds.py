@@ -7,8 +7,10 @@ from hypothesis import strategies as st
 
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.types import message_class
-from oracle_pipeline.features import kinematics, laser_ranges, redundancy, scan, stamps, velocity
-from oracle_pipeline.features.point_clouds import FARTHEST_M, RAYS, sliced
+from oracle_pipeline.features.engine.point_clouds import FARTHEST_M, RAYS, sliced
+from oracle_pipeline.features.lidar import laser_ranges, redundancy, scan
+from oracle_pipeline.features.motion import kinematics, velocity
+from oracle_pipeline.features.traffic import delays
 from tests.oracle_pipeline.features.scenery import (
     Scanner,
     World,
@@ -21,7 +23,7 @@ from tests.oracle_pipeline.robots.recordings import stamped_twist
 
 PLUGINS = [
     plugin
-    for module in (laser_ranges, redundancy, scan, stamps, kinematics)
+    for module in (laser_ranges, redundancy, scan, delays, kinematics)
     for plugin in module.register_features()
 ]
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from oracle_pipeline.features.polar import distances, rays
+from oracle_pipeline.features.geometry.polar import distances, rays
 
 COORDINATE = st.one_of(
     st.floats(-50.0, 50.0), st.sampled_from([0.0, -0.0, 1.0, -1.0, 1e-9, -1e-9, 1e-160])

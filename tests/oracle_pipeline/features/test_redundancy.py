@@ -5,10 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oracle_pipeline.features import redundancy
-from oracle_pipeline.features.plugin import Series
-from oracle_pipeline.features.reduction import row_medians
-from oracle_pipeline.features.scan_geometry import (
+from oracle_pipeline.features.engine.plugin import Series
+from oracle_pipeline.features.geometry.scan_geometry import (
     Frames,
     HitCounter,
     Planar,
@@ -17,7 +15,9 @@ from oracle_pipeline.features.scan_geometry import (
     keep_frames,
     nearest,
 )
-from oracle_pipeline.features.scans import Scans
+from oracle_pipeline.features.geometry.scans import Scans
+from oracle_pipeline.features.lidar import redundancy
+from oracle_pipeline.features.statistics.reduction import row_medians
 from tests.oracle_pipeline.features.scenery import (
     ROOM_M,
     Scanner,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oracle_pipeline.features import scan
+from oracle_pipeline.features.lidar import scan
 from tests.oracle_pipeline.features.scenery import (
     Scanner,
     World,

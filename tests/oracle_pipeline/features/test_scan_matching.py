@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from oracle_pipeline.features.scan_geometry import Planar, SensorMount
-from oracle_pipeline.features.scan_matching import along_arc, steps
-from oracle_pipeline.features.scans import Scans
+from oracle_pipeline.features.geometry.scan_geometry import Planar, SensorMount
+from oracle_pipeline.features.geometry.scan_matching import along_arc, steps
+from oracle_pipeline.features.geometry.scans import Scans
 from tests.oracle_pipeline.features.scenery import RANGE_MAX_M, RAYS, Pose, World
 
 ROOM = World(((1.0, 0.7, 0.2), (-1.2, 0.4, 0.3), (0.2, -1.4, 0.15)))

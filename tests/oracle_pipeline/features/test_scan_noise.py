@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oracle_pipeline.features import scan_noise
-from oracle_pipeline.features.scan_noise import uneven
+from oracle_pipeline.features.lidar import scan_noise
+from oracle_pipeline.features.lidar.scan_noise import uneven
 from tests.oracle_pipeline.features.scenery import (
     Scanner,
     World,

@@ -5,8 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline import features
-from oracle_pipeline.features import FeatureManager, structural
-from oracle_pipeline.features.structural import FEATURES, graph_shape
+from oracle_pipeline.features import FeatureManager
+from oracle_pipeline.features.traffic import structural
+from oracle_pipeline.features.traffic.structural import FEATURES, graph_shape
 from oracle_pipeline.opened_run import open_run
 
 

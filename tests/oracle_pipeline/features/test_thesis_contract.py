@@ -4,7 +4,7 @@ import textwrap
 import pytest
 
 from oracle_pipeline import features
-from oracle_pipeline.features.thesis_features import VECTOR
+from oracle_pipeline.features.traffic.thesis_features import VECTOR
 from oracle_pipeline.opened_run import open_run
 
 # Plugins as people who know the thesis write them: its imports, its bag schema, nothing of ours.

@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline import features
-from oracle_pipeline.features import FeatureManager, thesis_features
-from oracle_pipeline.features.thesis_features import VECTOR, graph_numbers
+from oracle_pipeline.features import FeatureManager
+from oracle_pipeline.features.traffic import thesis_features
+from oracle_pipeline.features.traffic.thesis_features import VECTOR, graph_numbers
 from oracle_pipeline.opened_run import open_run
 
 PLUGINS = tuple(thesis_features.register_features())

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from oracle_pipeline import features
 from oracle_pipeline.bags.writer import BagWriter
-from oracle_pipeline.features.timeline import epochs, timeline
+from oracle_pipeline.features.engine.timeline import epochs, timeline
 from oracle_pipeline.opened_run import open_run
 from tests.oracle_pipeline.bags.conftest import STRING, text
 

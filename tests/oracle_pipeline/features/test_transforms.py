@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from oracle_pipeline.bags.types import message_class
-from oracle_pipeline.features import transforms
+from oracle_pipeline.features.motion import transforms
 from tests.oracle_pipeline.features.scenery import (
     believed_message,
     driving,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from oracle_pipeline.evaluation.oracle_kinds import UNION, compare_kinds
-from oracle_pipeline.features.plugin import Arrivals
+from oracle_pipeline.features.engine.plugin import Arrivals
 from oracle_pipeline.oracles import human
 from oracle_pipeline.oracles.calibration import judged, union
 from oracle_pipeline.oracles.implicit import Implicit

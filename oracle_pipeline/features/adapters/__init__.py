@@ -1,0 +1,1 @@
+"""Other forms of plugins: shared libraries, and the thesis's contract."""

@@ -1,0 +1,1 @@
+"""What computes features from a bag: the plugin interface, one pass over the messages, tables."""

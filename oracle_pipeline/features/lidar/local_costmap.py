@@ -1,0 +1,86 @@
+"""Rates at which obstacles appear and disappear in the local costmap.
+
+The costmap moves with the robot, so two grids are compared where they overlap.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+
+from oracle_pipeline.features.engine.plugin import (
+    Feature,
+    FeaturePlugin,
+    Missing,
+    Request,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.lidar.map_consistency import MapGrid, keep_grids
+from oracle_pipeline.features.statistics.reduction import mean
+from oracle_pipeline.robots.roles import LOCAL_COSTMAP
+
+FEATURES = (
+    Feature(
+        "lethal_appearing", "1/s", 1.0,
+        "cells of the local costmap that become lethal per second, mean", "navigation",
+    ),
+    Feature(
+        "lethal_vanishing", "1/s", 1.0, "cells that cease to be lethal per second, mean",
+        "navigation",
+    ),
+)  # fmt: skip
+
+LETHAL = 100  # value of a cell
+GRIDS = Request(keep_grids, role=LOCAL_COSTMAP, dtype=object, many=True)
+
+
+def changes(before: MapGrid, now: MapGrid) -> tuple[int, int]:
+    """Count the cells that became lethal, and those that ceased to be, where the grids overlap."""
+    offset = complex(before.pose.inverse().apply(now.pose.shift) / before.resolution)
+    rows = _shared(round(offset.imag), len(before.cells), len(now.cells))
+    columns = _shared(round(offset.real), before.cells.shape[1], now.cells.shape[1])
+    was, became = (
+        grid.cells[row, column] == LETHAL
+        for grid, row, column in zip((before, now), rows, columns, strict=True)
+    )
+    return int((became & ~was).sum()), int((was & ~became).sum())
+
+
+def prepare(window: Window) -> tuple[Series, Series] | Missing:
+    """Return the changes per second between consecutive grids: to lethal, and from lethal."""
+    ((times_s, grids),) = window.topics["grids"].values()
+    if len(times_s) < 2:
+        return Missing("fewer than two costmaps")
+    counts = np.array([changes(*pair) for pair in pairwise(grids)])
+    passed_s = np.diff(times_s)
+    rates = np.full(counts.shape, np.nan)
+    np.divide(counts, passed_s[:, np.newaxis], out=rates, where=passed_s[:, np.newaxis] > 0.0)
+    appearing, vanishing = rates.T
+    return Series(times_s[1:], appearing), Series(times_s[1:], vanishing)
+
+
+def compute(window: Window) -> Values | Missing:
+    """Reduce to the window."""
+    appearing, vanishing = (mean(series, window) for series in window.prepared)
+    if np.isnan(appearing):
+        return Missing("no two costmaps in this window")
+    return {"lethal_appearing": appearing, "lethal_vanishing": vanishing}
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of the local costmap."""
+    return [
+        FeaturePlugin(
+            "local_costmap", "navigation", FEATURES, compute, {"grids": GRIDS}, prepare=prepare
+        )
+    ]
+
+
+def _shared(offset: int, before: int, now: int) -> tuple[slice, slice]:
+    """Return the overlap of two rows of cells, as slices; the second begins at an offset."""
+    start = max(0, offset)
+    stop = max(start, min(before, offset + now))
+    return slice(start, stop), slice(start - offset, stop - offset)

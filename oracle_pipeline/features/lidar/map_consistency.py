@@ -1,0 +1,277 @@
+"""Whether laser scans agree with the map, seen from the estimated pose of the robot.
+
+The map is used as one more scanner: rays are cast through it from each scan's pose, and the two are
+compared as in ``redundancy``. A return in front of the map's is an obstacle that the map does not
+have, real or fake. One behind it went through a wall. Unknown cells of the map are ignored.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.engine.common_fields import header_stamps_s, poses_of
+from oracle_pipeline.features.engine.plugin import (
+    Feature,
+    FeaturePlugin,
+    Missing,
+    Request,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.geometry.clearance import clearance
+from oracle_pipeline.features.geometry.scan_geometry import (
+    CELL_M,
+    CLOSER_M,
+    MOST_HITS,
+    SETUP_TOPICS,
+    HitCounter,
+    Hits,
+    Planar,
+    ScannerSetup,
+    agreement,
+    contradicted_shares,
+    scanner_setup,
+    the_topic,
+)
+from oracle_pipeline.features.geometry.scans import Bools, Floats, Ints, Points, in_blocks
+from oracle_pipeline.features.statistics.reduction import largest, quantile, row_medians, within
+from oracle_pipeline.robots.roles import MAP, POSE
+
+FEATURES = (
+    Feature(
+        "residual", "m", 5e-3,
+        "distance from a return to the nearest obstacle of the map at its bearing, median, maximum "
+        "over the scanners", "navigation",
+    ),
+    Feature(
+        "unexpected", "1", 5e-3,
+        f"share of a scan's returns {CLOSER_M} m or more in front of the map's obstacles, 95th "
+        "percentile, maximum over the scanners", "navigation",
+    ),
+    Feature(
+        "unexpected_persistence", "1", 0.01,
+        f"share of the scans with returns as in unexpected in the same {CELL_M} m grid cell, "
+        "maximum over the cells and scanners", "navigation",
+    ),
+    Feature(
+        "looked_through", "1", 5e-3,
+        f"share of the map's visible obstacles for which a scan measures {CLOSER_M} m or more "
+        "behind them, 95th percentile, maximum over the scanners", "navigation",
+    ),
+)  # fmt: skip
+
+_OCCUPIED = 65  # of 100, least value of a solid cell; Nav2's default threshold
+_PERIOD_S = 0.35  # between the compared scans: neither the map nor a pose changes faster
+# A ray advances by the clearance of its cell's centre, less half a diagonal of that cell and half a
+# diagonal of the blocked one [cells].
+_DIAGONAL = math.sqrt(2.0)
+_SHORTEST_STEP = 0.35
+
+
+@dataclass(frozen=True, slots=True)
+class Map:
+    """An occupancy grid to cast rays through."""
+
+    pose: Planar  # of the outer corner of cell (0, 0), in the map frame
+    resolution: float  # edge of a cell [m]
+    clearance: NDArray[np.float32]  # to the nearest solid or unknown cell, shape (rows, columns)
+    solid: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, grid: "MapGrid") -> "Map":
+        """Prepare a grid; everything outside its border is unknown."""
+        cells = np.pad(grid.cells, 1, constant_values=-1)
+        solid = cells >= _OCCUPIED
+        return cls(grid.pose, grid.resolution, clearance(solid | (cells < 0)), solid)
+
+    def cast(self, origins: Points, directions: Points) -> Floats:
+        """Return the distances along rays to the first solid cell [m].
+
+        Parameters
+        ----------
+        origins, directions : ndarray of shape (n, m)
+            Starting points and unit vectors of the rays, in the map frame.
+
+        Returns
+        -------
+        ndarray of shape (n, m)
+            NaN for rays that reach an unknown cell first.
+        """
+        inverse = self.pose.inverse()
+        start = inverse.apply(origins) / self.resolution + (1.0 + 1.0j)  # the padding
+        start, step = map(np.array, np.broadcast_arrays(start, inverse.turn * directions))
+        return _march(start, step, self.clearance, self.solid) * self.resolution
+
+
+@jit
+def _march(start: Points, step: Points, clearance: NDArray[np.float32], solid: Bools) -> Floats:
+    """Advance the rays of a scan in turn: a step waits for the last one of its own ray only."""
+    reached = np.full(start.shape, np.nan)
+    rows, columns = clearance.shape
+    rays = start.shape[1]
+    x, y, gone = np.empty(rays), np.empty(rays), np.empty(rays)
+    going = np.empty(rays, np.int64)
+    for i in range(start.shape[0]):
+        x[:], y[:], gone[:], going[:] = start[i].real, start[i].imag, 0.0, np.arange(rays)
+        count = rays
+        while count:
+            still = 0
+            for j in going[:count]:
+                if not (0.0 <= x[j] < columns and 0.0 <= y[j] < rows):
+                    continue
+                row, column = int(y[j]), int(x[j])
+                free = clearance[row, column]
+                if free == 0.0:
+                    if solid[row, column] and gone[j] > 0.0:  # else it begins in a solid cell
+                        reached[i, j] = gone[j]
+                    continue
+                ahead = max(free - _DIAGONAL, _SHORTEST_STEP)
+                x[j] += ahead * step[i, j].real
+                y[j] += ahead * step[i, j].imag
+                gone[j] += ahead
+                going[still] = j
+                still += 1
+            count = still
+    return reached
+
+
+class MapGrid(NamedTuple):
+    """The part of a ``nav_msgs/msg/OccupancyGrid`` that is kept."""
+
+    pose: Planar  # of the outer corner of cell (0, 0)
+    resolution: float  # [m]
+    cells: NDArray[np.int8]  # shape (rows, columns), 0 free to 100 solid, -1 unknown
+
+
+@dataclass(frozen=True, slots=True)
+class _Consistency:
+    """Comparison of each used scan of a scanner with the map."""
+
+    residual: Series  # [m]
+    unexpected: Series
+    looked_through: Series
+    hits: Hits | Missing
+
+
+def prepare(window: Window) -> dict[str, _Consistency] | Missing:
+    """Compare every scanner with the map, over the whole recording."""
+    grids, poses = the_topic(window.topics["map"]), the_topic(window.topics["poses"])
+    setup = scanner_setup(window)
+    if grids is None or poses is None:
+        return Missing("no map" if grids is None else "no pose of localisation")
+    if setup.motion is None:
+        return Missing("no odometry")
+    world = Map.of(grids.values[-1])
+    correction = _Correction(poses, setup)
+    return {topic: _compared_with_map(world, correction, setup, topic) for topic in setup.mounts}
+
+
+def compute(window: Window) -> Values:
+    """Reduce to the window."""
+    residual, unexpected, persistence, through = {}, {}, {}, {}
+    consistency: dict[str, _Consistency] = window.prepared
+    for topic, each in consistency.items():
+        residual[topic] = quantile(each.residual, window, 0.5)
+        unexpected[topic] = quantile(each.unexpected, window, 0.95)
+        if isinstance(each.hits, Hits):
+            scans_within = within(each.residual.times_s, window)
+            persistence[topic] = each.hits.persistence(scans_within)
+        through[topic] = quantile(each.looked_through, window, 0.95)
+    reason = "no horizontal laser scanner measured in the known part of the map"
+    return {
+        "residual": largest(residual, reason),
+        "unexpected": largest(unexpected, reason),
+        "unexpected_persistence": largest(persistence, reason),
+        "looked_through": largest(through, reason),
+    }
+
+
+def keep_grids(messages: Any) -> list[MapGrid]:
+    """Keep the cells of grids and their poses."""
+    info = messages.info
+    columns = *poses_of(info.origin), info.resolution, info.height, info.width
+    grids = []
+    for (*pose, edge, rows, width), data in zip(
+        zip(*(column.tolist() for column in columns), strict=True), messages.data, strict=True
+    ):
+        x, y, yaw = pose
+        planar = Planar(np.asarray(complex(x, y)), np.asarray(np.exp(1j * yaw)))
+        grids.append(MapGrid(planar, edge, data.reshape(rows, width)))
+    return grids
+
+
+class _Correction:
+    """Pose of the odometry frame in the map from localisation, interpolated between poses."""
+
+    def __init__(self, poses: Series, setup: ScannerSetup) -> None:
+        assert setup.motion is not None  # noqa: S101 -- checked before
+        stamps_s, x, y, yaw = np.array(sorted(poses.values.tolist())).T
+        believed = Planar(x + 1j * y, np.exp(1j * yaw))
+        pose = believed.compose(setup.motion.base(stamps_s).inverse())
+        self._stamps_s = stamps_s
+        self._columns = pose.shift.real, pose.shift.imag, np.unwrap(np.angle(pose.turn))
+
+    def at(self, stamps_s: Floats) -> Planar:
+        """Return the pose of the odometry frame in the map at each stamp."""
+        x, y, yaw = (np.interp(stamps_s, self._stamps_s, column) for column in self._columns)
+        return Planar(x + 1j * y, np.exp(1j * yaw))
+
+
+def keep_believed(messages: Any) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return stamp and pose of ``geometry_msgs/msg/PoseWithCovarianceStamped``s."""
+    return header_stamps_s(messages), *poses_of(messages.pose.pose)
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of scans and map."""
+    topics = SETUP_TOPICS | {
+        "map": Request(keep_grids, role=MAP, dtype=object, optional=True, many=True, carried=True),
+        "poses": Request(keep_believed, role=POSE, optional=True, many=True, carried=True),
+    }
+    return [FeaturePlugin("map_consistency", "map", FEATURES, compute, topics, prepare=prepare)]
+
+
+def _compared_with_map(
+    world: Map, correction: _Correction, setup: ScannerSetup, topic: str
+) -> _Consistency:
+    scans = setup.scanners[topic]
+    rows = _spaced(scans.stamps_s)
+    stamps_s, times_s = scans.stamps_s[rows], scans.times_s[rows]
+    placed = correction.at(stamps_s).compose(setup.placed(setup.mounts[topic], stamps_s))
+
+    counter = HitCounter(MOST_HITS // len(setup.mounts))
+
+    def compared(part: slice) -> tuple[Floats, Floats, Floats]:
+        some, here = scans.rows(rows[part]), placed.at(part)
+        columns, rays = here.columns(), some.rays_along()
+        directions = columns.turn * (rays.conj() if placed.flipped else rays)
+        charted = replace(some, range_max=np.inf, ranges=world.cast(columns.shift, directions))
+        points = some.points()
+        returned = agreement(points, charted)
+        counter.add(here.returns(some), returned.contradicted, part.start)
+        return (
+            row_medians(returned.residual),
+            returned.contradicted_share(),
+            contradicted_shares(charted.points(), some),
+        )
+
+    residual, unexpected, through = in_blocks(len(rows), scans.rays, compared)
+    return _Consistency(
+        Series(times_s, residual),
+        Series(times_s, unexpected),
+        Series(times_s, through),
+        counter.hits(),
+    )
+
+
+def _spaced(stamps_s: Floats) -> Ints:
+    """Return the indices of stamps, the first in each span of `_PERIOD_S`."""
+    _, first = np.unique(np.floor(stamps_s / _PERIOD_S), return_index=True)
+    return first

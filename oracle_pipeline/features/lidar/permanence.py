@@ -1,0 +1,332 @@
+"""Whether objects that one laser scanner detects stay in place while the robot drives past.
+
+No second sensor and no map is needed: the scanner's own earlier scans have the objects and the free
+space, and odometry the motion since. An object has appeared if it is in space that was free before,
+and has vanished if the scanner now measures through it. An object that moves with the robot is
+loose. A place that the robot drives across later cannot contain an object.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.engine.plugin import (
+    Feature,
+    FeaturePlugin,
+    Missing,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.geometry.scan_geometry import (
+    CLOSER_M,
+    SETUP_TOPICS,
+    Planar,
+    ScannerSetup,
+    contradicted_shares,
+    nearest,
+    scanner_setup,
+)
+from oracle_pipeline.features.geometry.scans import (
+    Bools,
+    Floats,
+    Ints,
+    Points,
+    RecordedScans,
+    in_blocks,
+)
+from oracle_pipeline.features.statistics.even_times import even_times
+from oracle_pipeline.features.statistics.reduction import largest, mean, quantile
+
+_EARLIER_S = 1.0  # between two compared scans
+_LATER_S = 1.0  # least time until the robot drives across a return
+_PATH_STEP_S = 0.05
+_FARTHEST = 2**26  # m from the origin; beyond it, a pose is no pose
+_WIDEST = 2**31  # cells from the corner of the path
+_CELL_M = 0.1  # of the robot's path; a robot is wider than that
+_FEWEST = 2  # returns on the path of a scan that counts
+_SMALL_RAYS = (4, 80)  # least and most rays on a compact object
+_STEP_M = 0.15  # largest step from ray to ray on one object
+_GAP_RAYS = 2.5  # most rays missing from a scan of 360 degrees
+_NEXT_S = 0.4  # between two scans in which an object is compared
+_STILL_M = 1e-6  # below the resolution of a range (float32): rounding of poses, not motion
+_FAR_M = 0.6  # largest motion of the same object between two scans
+
+_SCANS = "maximum over the scanners"
+FEATURES = (
+    Feature(
+        "appeared", "1", 2e-3,
+        f"share of a scan's returns for which the scan {_EARLIER_S:g} s earlier measures "
+        f"{CLOSER_M} m or more behind them, 95th percentile, {_SCANS}", "domain",
+    ),
+    Feature(
+        "vanished", "1", 2e-3,
+        f"share of the returns {_EARLIER_S:g} s earlier for which a scan measures {CLOSER_M} m or "
+        f"more behind them, 95th percentile, {_SCANS}", "domain",
+    ),
+    Feature(
+        "changed_peak", "1", 5e-3,
+        f"share that appeared or vanished, largest held over three consecutive scans, {_SCANS}",
+        "domain",
+    ),
+    Feature(
+        "loose", "m", 0.01,
+        "apparent displacement of the fastest compact object between two scans after motion "
+        f"compensation, 90th percentile, {_SCANS}", "domain",
+    ),
+    Feature(
+        "driven_across", "1", 0.01,
+        f"share of the scans with returns where the robot drives later, {_SCANS}", "domain",
+        per_window=False,
+    ),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """Changes in each scan of a scanner since an earlier one."""
+
+    appeared: Series
+    vanished: Series
+    loose: Series  # [m]
+    across: Series  # 1 or 0, of every scan
+
+
+def prepare(window: Window) -> dict[str, Seen] | Missing:
+    """Compare each scan with an earlier one of the same scanner, over the whole recording."""
+    setup = scanner_setup(window)
+    if setup.motion is None:
+        return Missing("no odometry")
+    path = _Path.of(setup)
+    return {topic: _seen(setup, topic, path) for topic in setup.mounts} or Missing(
+        "no horizontal laser scanner"
+    )
+
+
+def compute(window: Window) -> Values:
+    """Reduce to the window."""
+    seen: dict[str, Seen] = window.prepared
+    alone = f"no two scans {_EARLIER_S:g} s apart"
+    return {
+        "appeared": largest(
+            {t: quantile(s.appeared, window, 0.95) for t, s in seen.items()}, alone
+        ),
+        "vanished": largest(
+            {t: quantile(s.vanished, window, 0.95) for t, s in seen.items()}, alone
+        ),
+        "changed_peak": largest({t: _peak(s, window) for t, s in seen.items()}, alone),
+        "loose": largest(
+            {t: quantile(s.loose, window, 0.9) for t, s in seen.items()},
+            "no compact object in two consecutive scans",
+        ),
+        "driven_across": largest(
+            {t: mean(s.across, window) for t, s in seen.items()}, "no scan in this window"
+        ),
+    }
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of the permanence of objects."""
+    return [
+        FeaturePlugin("permanence", "permanence", FEATURES, compute, SETUP_TOPICS, prepare=prepare)
+    ]
+
+
+def _seen(setup: ScannerSetup, topic: str, path: "_Path") -> Seen:
+    scans, mount = setup.scanners[topic], setup.mounts[topic]
+    placed = setup.placed(mount, scans.stamps_s)
+    now, before = _apart(scans.stamps_s, _EARLIER_S)
+    moved = placed.at(before).inverse().compose(placed.at(now))
+    back = moved.inverse()
+
+    def compared(part: slice) -> tuple[Floats, Floats]:
+        later, earlier = scans.rows(now[part]), scans.rows(before[part])
+        return (
+            contradicted_shares(moved.at(part).returns(later), earlier),
+            contradicted_shares(back.at(part).returns(earlier), later),
+        )
+
+    appeared, vanished = in_blocks(len(now), scans.rays, compared)
+    loose, across = _in_world(scans, placed, path)
+    return Seen(
+        Series(scans.times_s[now], appeared),
+        Series(scans.times_s[now], vanished),
+        loose,
+        Series(scans.times_s, across),
+    )
+
+
+def _peak(seen: Seen, window: Window) -> float:
+    changed = np.fmax(seen.appeared.values, seen.vanished.values)
+    if len(changed) < 3:
+        return math.nan
+    kept_up = np.min([changed[:-2], changed[1:-1], changed[2:]], axis=0)
+    return quantile(Series(seen.appeared.times_s[1:-1], kept_up), window, 1.0)
+
+
+def _apart(stamps_s: Floats, earlier_s: float) -> tuple[Ints, Ints]:
+    """Return the indices of scans, and of scans that are older by about ``earlier_s``."""
+    if len(stamps_s) < 2:
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    order = np.argsort(stamps_s, kind="stable")
+    before = order[nearest(stamps_s[order], stamps_s - earlier_s)]
+    passed_s = stamps_s - stamps_s[before]
+    now = np.flatnonzero(np.abs(passed_s - earlier_s) <= 0.5 * earlier_s)
+    return now, before[now]
+
+
+@dataclass(frozen=True, slots=True)
+class _Path:
+    """When the robot was last in each cell that it drove through: a table, found by its hash."""
+
+    corner: complex  # of cell (0, 0), in the odometry frame
+    cells: Ints  # both numbers of a cell as one, at its place; -1 at free places
+    last_s: Floats  # stamp
+
+    @classmethod
+    def of(cls, setup: ScannerSetup) -> "_Path":
+        """Return the path of the robot during its scans."""
+        assert setup.motion is not None  # noqa: S101 -- checked before
+        stamps_s = np.concatenate([scans.stamps_s for scans in setup.scanners.values()])
+        end_s = stamps_s.max() + _PATH_STEP_S
+        steps_s = even_times(stamps_s.min(), end_s, _PATH_STEP_S, stamps_s)
+        places = setup.motion.base(steps_s).shift
+        near = (np.abs(places.real) < _FARTHEST) & (np.abs(places.imag) < _FARTHEST)  # no NaN
+        places, steps_s = places[near], steps_s[near]
+        corner = complex(places.real.min(initial=np.inf), places.imag.min(initial=np.inf))
+        return cls(corner, *_followed((places - corner) / _CELL_M, steps_s))
+
+    def crossed(self, world: Points, stamps_s: Floats) -> Bools:
+        """Return which scans have returns where the robot drove across later, shape (n,)."""
+        return _crossed(
+            (world - self.corner) / _CELL_M, stamps_s, self.cells, self.last_s
+        ) >= _FEWEST  # fmt: skip
+
+
+@jit
+def _followed(places: Points, steps_s: Floats) -> tuple[Ints, Floats]:
+    size = 16
+    while size < 4 * len(places):
+        size *= 2
+    cells, last_s = np.full(size, -1, np.int64), np.full(size, -np.inf)
+    for i in range(len(places)):
+        cell = _cell(places[i])
+        place = _place(cell, cells)
+        cells[place], last_s[place] = cell, steps_s[i]
+    return cells, last_s
+
+
+@jit
+def _crossed(world: Points, stamps_s: Floats, cells: Ints, last_s: Floats) -> Ints:
+    counts = np.zeros(len(world), np.int64)
+    for i in range(world.shape[0]):
+        for j in range(world.shape[1]):
+            x, y = world[i, j].real, world[i, j].imag
+            if 0.0 <= x < _WIDEST and 0.0 <= y < _WIDEST:  # false for NaN
+                counts[i] += last_s[_place(_cell(world[i, j]), cells)] > stamps_s[i] + _LATER_S
+    return counts
+
+
+@jit
+def _cell(point: complex) -> int:
+    """Return the cell of a point as one number; the point is not below the corner."""
+    return int(point.real) << 31 | int(point.imag)
+
+
+@jit
+def _place(cell: int, cells: Ints) -> int:
+    """Return where a cell is in the table, or the free place where it would be."""
+    place = (cell * 0x9E3779B97F4A7C1 >> 20) & (len(cells) - 1)
+    while cells[place] not in (cell, -1):
+        place = (place + 1) & (len(cells) - 1)
+    return place
+
+
+def _in_world(scans: RecordedScans, placed: Planar, path: _Path) -> tuple[Series, Floats]:
+    """Return the distance that the fastest compact object moved between scans [m].
+
+    Also return, for all scans, whether the robot drives across a return later, 1 or 0.
+    """
+    around = 2.0 * np.pi / np.abs(scans.angle_increment.ravel())
+    closed = np.abs(around - scans.rays) < _GAP_RAYS
+
+    def seen(part: slice) -> tuple[NDArray[Any], ...]:
+        some = scans.rows(part)
+        world = placed.at(part).returns(some)
+        return *_centres(some.ranges, world, closed[part]), path.crossed(world, some.stamps_s)
+
+    counts, centres, across = in_blocks(len(scans.times_s), scans.rays, seen)
+    now, before = _apart(scans.stamps_s, _NEXT_S)
+    ends = np.cumsum(counts)
+    gone = _fastest(centres, ends - counts, ends, now, before)
+    return Series(scans.times_s[now], gone), across.astype(np.float64)
+
+
+@jit
+def _centres(ranges: Floats, world: Points, closed: Bools) -> tuple[Ints, Points]:
+    """Return the number of compact objects in each scan, and the centres of all."""
+    size = ranges.shape[1]
+    counts = np.zeros(len(ranges), np.int64)
+    centres = np.empty(ranges.size, np.complex128)
+    number = 0
+    for n in range(len(ranges)):
+        for first, after in _compact(ranges[n], closed[n]):
+            total = 0j
+            for i in range(first, after):
+                total += world[n, i % size]
+            centres[number] = total / (after - first)
+            counts[n] += 1
+            number += 1
+    return counts, centres[:number].copy()
+
+
+@jit
+def _fastest(centres: Points, begins: Ints, ends: Ints, now: Ints, before: Ints) -> Floats:
+    fastest = np.full(len(now), np.nan)
+    for k in range(len(now)):
+        for i in range(begins[now[k]], ends[now[k]]):
+            here = centres[i]
+            if np.isnan(here.real):
+                break
+            gone = math.inf
+            for j in range(begins[before[k]], ends[before[k]]):
+                there = centres[j]
+                if np.isnan(there.real):
+                    break
+                gone = min(gone, abs(here - there))
+            if gone < _STILL_M:
+                gone = 0.0
+            if gone <= _FAR_M and not gone < fastest[k]:
+                fastest[k] = gone
+    return fastest
+
+
+@jit
+def _compact(ranges: Floats, closed: bool) -> Ints:
+    """Return first and one past last ray of the compact objects in a scan, shape (n, 2).
+
+    In a scan of 360 degrees, ray numbers continue past its end.
+    """
+    fewest, most = _SMALL_RAYS
+    size = len(ranges)
+    found = np.empty((size, 2), np.int64)
+    count, start = 0, -1
+    for i in range(1, 2 * size if closed else size):
+        before, now = ranges[(i - 1) % size], ranges[i % size]
+        if abs(now - before) < _STEP_M:
+            continue
+        in_front = ranges[(start - 1) % size] > ranges[start % size] + CLOSER_M
+        in_front = in_front and now > before + CLOSER_M
+        if start >= 0 and in_front and fewest <= i - start <= most:
+            found[count] = start, i
+            count += 1
+        if i >= size:
+            break
+        start = i
+    return found[:count]

@@ -1,0 +1,1 @@
+"""Features of the robot's motion, by odometry, IMU, transforms, scans and commands."""

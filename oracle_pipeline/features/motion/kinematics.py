@@ -1,0 +1,369 @@
+"""Whether the streams that measure the robot's motion agree: odometry, IMU, wheels, scans.
+
+All sources measure the same motion, so they must agree. Each source is compared with every other
+source of the same quantity: the ratio of their gains (the scale), the delay (the lag), the
+unexplained remainder (the residual), and its mean (the drift). Sources of the direction of travel
+are compared in it, too (the bearing). No stream is trusted. If one is
+altered, it disagrees with all others; if several are altered together, they disagree with the
+unaltered ones.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.engine.plugin import (
+    Feature,
+    FeaturePlugin,
+    Located,
+    Missing,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.geometry.scan_geometry import scanner_setup
+from oracle_pipeline.features.geometry.scan_matching import Steps
+from oracle_pipeline.features.geometry.scans import Bools, Floats, Points
+from oracle_pipeline.features.motion.ego_motion import (
+    ANGLES,
+    COMMAND,
+    GYRO,
+    JOINTS,
+    MOTION_TOPICS,
+    ORIENTATION,
+    POSE,
+    RATES,
+    SCAN,
+    SPAN_S,
+    SPIN,
+    TRAVEL,
+    TURN,
+    TWIST,
+    Sources,
+    Track,
+    gain,
+    slope,
+    sources,
+)
+from oracle_pipeline.features.statistics.even_times import even_spans
+from oracle_pipeline.features.statistics.reduction import (
+    MAD_TO_DEVIATION,
+    largest,
+    quantile,
+    within,
+)
+
+
+class Pair(NamedTuple):
+    """Two kinds of sources that measure one quantity."""
+
+    quantity: str
+    first: str
+    second: str
+
+    def column(self, statistic: str) -> str:
+        """Return the name of one of the pair's features."""
+        return f"{self.quantity}_{statistic}_{self.first}_{self.second}"
+
+    @property
+    def is_directed(self) -> bool:
+        """Whether both sources measure the direction of travel."""
+        return self in _DIRECTED
+
+    @property
+    def statistics(self) -> tuple[str, ...]:
+        """The names of the pair's statistics, the first of `Fit`."""
+        return Fit._fields if self.is_directed else Fit._fields[:-1]
+
+
+class Fit(NamedTuple):
+    """Agreement of the second source with the first; NaN where unknown."""
+
+    scale: float = math.nan  # logarithm of the ratio
+    lag: float = math.nan  # [s]
+    residual: float = math.nan  # root mean square of the remainder [unit/s]
+    drift: float = math.nan  # mean of the remainder [unit/s]
+    bearing: float = math.nan  # direction of travel of the second in that of the first [rad]
+
+
+#: From the more exact source to the other: the second is explained by the first.
+PAIRS = (
+    Pair(TURN, POSE, TWIST),
+    Pair(TURN, POSE, GYRO),
+    Pair(TURN, POSE, ORIENTATION),
+    Pair(TURN, GYRO, ORIENTATION),
+    Pair(TURN, POSE, JOINTS),
+    Pair(TURN, GYRO, JOINTS),
+    Pair(TURN, POSE, SCAN),
+    Pair(TURN, GYRO, SCAN),
+    Pair(TURN, COMMAND, POSE),
+    Pair(TRAVEL, POSE, TWIST),
+    Pair(TRAVEL, POSE, JOINTS),
+    Pair(TRAVEL, POSE, SCAN),
+    Pair(TRAVEL, JOINTS, SCAN),
+    Pair(TRAVEL, COMMAND, POSE),
+    Pair(SPIN, ANGLES, RATES),
+)
+
+_DIRECTED = {Pair(TRAVEL, POSE, TWIST), Pair(TRAVEL, POSE, SCAN)}
+_UNITS = {TURN: "rad/s", TRAVEL: "m/s", SPIN: "rad/s"}
+_FEWEST = 8  # spans of a comparison
+_LEAST = {TURN: 0.5, TRAVEL: 0.3, SPIN: 3.0}  # total gain needed to estimate a scale
+_OBEYED = 1.5  # times the least residual: limit for a command that the robot may obey
+_EXACT = 5e-3  # residual below which commands cannot be distinguished [unit/s]
+_OUTLYING = 4.0  # robust deviations; spans beyond are left out of the fit of scale and lag
+
+
+def _features() -> Iterator[Feature]:
+    for pair in PAIRS:
+        loose = COMMAND in pair
+        floor = 5e-3 if loose or SCAN in pair else 2e-3
+        what = f"{pair.quantity} from {pair.second} relative to {pair.first}"
+        yield Feature(
+            pair.column("scale"), "1", floor,
+            f"ln of the scale of {what}; value furthest from 0 over the topics", "domain",
+        )  # fmt: skip
+        yield Feature(
+            pair.column("lag"), "s", 0.02 if loose else 5e-3,
+            f"delay of {what}; value furthest from 0 over the topics", "domain",
+        )  # fmt: skip
+        yield Feature(
+            pair.column("residual"), _UNITS[pair.quantity], 0.02 if loose else 2e-3,
+            f"root mean square of the residual, after scale and lag, of {what}; "
+            "maximum over the topics", "domain",
+        )  # fmt: skip
+        yield Feature(
+            pair.column("drift"), _UNITS[pair.quantity], 5e-3 if loose or SCAN in pair else 1e-3,
+            f"mean of the residual, after scale and lag, of {what}; "
+            "value furthest from 0 over the topics", "domain",
+        )  # fmt: skip
+        if pair.is_directed:
+            yield Feature(
+                pair.column("bearing"), "rad", 5e-3,
+                f"direction of {what}; value furthest from 0 over the topics", "domain",
+            )  # fmt: skip
+    yield Feature(
+        "gravity", "m/s^2", 0.02, "median magnitude of an IMU's linear acceleration; maximum over "
+        "the topics", "domain",
+    )  # fmt: skip
+    yield Feature(
+        "gravity_residual", "m/s^2", 0.02, "magnitude of an IMU's mean linear acceleration minus "
+        "gravity, with the vertical from its orientation; maximum over the topics", "domain",
+    )  # fmt: skip
+
+
+FEATURES = tuple(_features())
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """The gains of two sources, span by span; shape (n,) each."""
+
+    times_s: Floats  # ends of the spans in the recording
+    lengths_s: Floats
+    first: Points
+    first_slope: Points  # derivative of the first's gains by the time of the spans [1/s]
+    second: Points
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """All comparisons of a recording."""
+
+    pairs: Mapping[Pair, Mapping[str, Comparison]]  # by place: the two topics
+    gravity: Mapping[str, Series]
+    unexplained: Mapping[str, Series]
+
+
+def prepare(window: Window) -> Prepared | Missing:
+    """Compare every source with every other source of its quantity."""
+    found = sources(window.topics, scanner_setup(window))
+    pairs = {pair: dict(_compared(found, pair)) for pair in PAIRS}
+    if not any(pairs.values()) and not found.gravity:
+        return Missing("fewer than two sources measure the robot's motion")
+    return Prepared(pairs, found.gravity, found.unexplained)
+
+
+def compute(window: Window) -> Values:
+    """Fit scale and lag to the window's spans."""
+    prepared: Prepared = window.prepared
+    values: dict[str, float | Located | Missing] = {}
+    for pair, places in prepared.pairs.items():
+        fits = {place: _fitted(pair, each, window) for place, each in places.items()}
+        if not places:
+            why = Missing(f"no {pair.quantity} from both {pair.first} and {pair.second}")
+            values |= {pair.column(statistic): why for statistic in pair.statistics}
+            continue
+        if COMMAND in pair:
+            fits = _obeyed(fits)
+        still = f"too little {pair.quantity} was measured in this window"
+        for number, statistic in enumerate(pair.statistics):
+            reduced = largest if statistic == "residual" else _furthest
+            values[pair.column(statistic)] = reduced(
+                {place: fit[number] for place, fit in fits.items()}, still
+            )
+    lengths = {topic: quantile(series, window, 0.5) for topic, series in prepared.gravity.items()}
+    values["gravity"] = largest(lengths, "no IMU")
+    values["gravity_residual"] = largest(
+        {
+            topic: float(np.linalg.norm(series.values[part].mean(axis=0)))
+            for topic, series in prepared.unexplained.items()
+            if (part := within(series.times_s, window)).stop > part.start
+        },
+        "no IMU with orientation and a known mount",
+    )
+    return values
+
+
+@jit
+def fit(first: Points, slope: Points, second: Points) -> tuple[float, float, Bools]:
+    """Fit ``second = scale * (first - lag * slope)`` by least squares without outliers.
+
+    Returns
+    -------
+    scale, lag : float
+        NaN if nothing can be fitted.
+    kept : ndarray of bool, shape (n,)
+        The spans that are not outliers.
+    """
+    kept = np.ones(len(first), np.bool_)
+    scale, lag = math.nan, math.nan
+    for _ in range(3):
+        bb = bd = dd = ba = da = 0.0
+        for i in range(len(first)):
+            if kept[i]:
+                b, d, a = first[i], slope[i], second[i]
+                bb += b.real * b.real + b.imag * b.imag
+                dd += d.real * d.real + d.imag * d.imag
+                bd += b.real * d.real + b.imag * d.imag
+                ba += b.real * a.real + b.imag * a.imag
+                da += d.real * a.real + d.imag * a.imag
+        determinant = bb * dd - bd * bd
+        if bb <= 0.0:
+            break
+        if determinant > 1e-9 * bb * bb:
+            scale, g = (ba * dd - da * bd) / determinant, (bb * da - bd * ba) / determinant
+            lag = -g / scale if scale != 0.0 else math.nan
+        else:
+            scale, g, lag = ba / bb, 0.0, math.nan
+        left = np.abs(second - scale * first - g * slope)
+        limit = max(_OUTLYING * MAD_TO_DEVIATION * np.median(left), 1e-9)
+        kept = left <= limit
+    return scale, lag, kept
+
+
+@jit
+def agreement(
+    first: Points, slope: Points, second: Points, lengths_s: Floats, least: float
+) -> tuple[float, float, float, float, float]:
+    """Return the values of a `Fit` for some spans.
+
+    Parameters
+    ----------
+    first, slope, second, lengths_s : ndarray of shape (n,)
+        As in `Comparison`.
+    least : float
+        Gain in total that a scale needs.
+    """
+    scale, lag, kept = fit(first, slope, second)
+    if math.isnan(scale):
+        return math.nan, math.nan, math.nan, math.nan, math.nan
+    delay_s = 0.0 if math.isnan(lag) else lag
+    squares = left_over = length_s = gained = 0.0
+    direction = 0j
+    for i in range(len(first)):
+        left = second[i] - scale * (first[i] - delay_s * slope[i])
+        squares += abs(left / lengths_s[i]) ** 2
+        left_over += left.real
+        length_s += lengths_s[i]
+        if kept[i]:
+            gained += abs(first[i])
+            direction += second[i] * first[i].conjugate()
+    residual, drift = math.sqrt(squares / len(first)), left_over / length_s
+    if gained < least or scale <= 0.0:
+        return math.nan, math.nan, residual, drift, math.nan
+    # The lag is a first-order approximation, invalid beyond the length of a span.
+    lag = lag if abs(lag) < SPAN_S else math.nan
+    return math.log(scale), lag, residual, drift, math.atan2(direction.imag, direction.real)
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of sources of motion."""
+    return [
+        FeaturePlugin("kinematics", "kinematics", FEATURES, compute, MOTION_TOPICS, prepare=prepare)
+    ]
+
+
+def _compared(found: Sources, pair: Pair) -> Iterator[tuple[str, Comparison]]:
+    """Yield the gains of each two topics of a pair of kinds, by place."""
+    for first in found.tracks[pair.first]:
+        if pair.quantity not in first.gained:
+            continue
+        if pair.second == SCAN:
+            seconds: Mapping[str, Track | Steps] = found.steps
+        else:
+            seconds = {track.topic: track for track in found.tracks[pair.second]}
+        for topic, second in seconds.items():
+            if pair.quantity == SPIN and topic != first.topic:  # other joints
+                continue
+            compared = _comparison(pair.quantity, first, second)
+            if compared is not None and len(compared.times_s) >= _FEWEST:
+                place = topic if first.topic == topic else f"{first.topic} against {topic}"
+                yield place, compared
+
+
+def _comparison(quantity: str, first: Track, second: Track | Steps) -> Comparison | None:
+    if isinstance(second, Steps):
+        from_s, to_s = second.from_s, second.to_s
+        turned = np.asarray(second.turned, dtype=np.complex128)
+        gained = turned if quantity == TURN else second.travelled
+    elif quantity not in second.gained:
+        return None
+    else:
+        # Spans are independent of the start of the recording.
+        begin = math.ceil(max(first.stamps_s[0], second.stamps_s[0]) / SPAN_S) * SPAN_S
+        end_s = min(first.stamps_s[-1], second.stamps_s[-1])
+        from_s, to_s = even_spans(begin, end_s, SPAN_S, first.stamps_s, second.stamps_s)
+        gained = gain(second, quantity, from_s, to_s)
+    ours = gain(first, quantity, from_s, to_s)
+    slopes = slope(first, quantity, from_s, to_s)
+    known = np.isfinite(ours) & np.isfinite(gained) & np.isfinite(slopes)
+    times_s = np.interp(to_s, first.stamps_s, first.times_s)
+    return Comparison(
+        times_s[known], (to_s - from_s)[known], ours[known], slopes[known], gained[known]
+    )
+
+
+def _fitted(pair: Pair, compared: Comparison, window: Window) -> Fit:
+    """Return the agreement of a pair in a window."""
+    part = within(compared.times_s, window)
+    first, slopes, second = compared.first[part], compared.first_slope[part], compared.second[part]
+    if len(first) < _FEWEST:
+        return Fit()
+    return Fit(*agreement(first, slopes, second, compared.lengths_s[part], _LEAST[pair.quantity]))
+
+
+def _obeyed(fits: Mapping[str, Fit]) -> dict[str, Fit]:
+    """Return the commands that the robot may obey: those with about the smallest residual.
+
+    Of a chain of commands, the last one is obeyed. An altered copy explains the same motion with
+    another scale, so no single command is chosen.
+    """
+    residuals = [each.residual for each in fits.values() if not math.isnan(each.residual)]
+    limit = max(_OBEYED * min(residuals, default=math.inf), _EXACT)
+    return {place: each for place, each in fits.items() if not each.residual > limit}
+
+
+def _furthest(by_place: Mapping[str, float], reason: str) -> Located | Missing:
+    """Return the number that is furthest from 0, and its place."""
+    places = {place: value for place, value in by_place.items() if not math.isnan(value)}
+    if not places:
+        return Missing(reason)
+    where = max(places, key=lambda place: abs(places[place]))
+    return Located(places[where], where)

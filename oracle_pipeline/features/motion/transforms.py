@@ -1,0 +1,198 @@
+"""Whether transforms, odometry and localisation agree on the robot's pose.
+
+Odometry is published twice, as a message and as a transform. A localisation's pose must equal the
+combination of its transform and that of odometry. The frames in a message determine which
+transforms belong to it.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from oracle_pipeline.features.engine.common_fields import frame_names, header_stamps_s, poses_of
+from oracle_pipeline.features.engine.plugin import (
+    Feature,
+    FeaturePlugin,
+    Missing,
+    Request,
+    Series,
+    Values,
+    Window,
+    hookimpl,
+)
+from oracle_pipeline.features.geometry.scan_geometry import (
+    Planar,
+    keep_odometry,
+    nearest,
+)
+from oracle_pipeline.features.geometry.scans import Floats
+from oracle_pipeline.features.motion.ego_motion import MOVING, Edge, edges
+from oracle_pipeline.features.statistics.reduction import largest, quantile
+
+_TOPICS = "over the topics and transforms"
+FEATURES = (
+    Feature(
+        "odometry_position", "m", 1e-3,
+        "distance between the pose of odometry and its transform with the same stamp, 95th "
+        f"percentile, maximum {_TOPICS}", "domain",
+    ),
+    Feature(
+        "odometry_yaw", "rad", 1e-3,
+        "yaw difference between odometry and its transform with the same stamp, 95th percentile, "
+        f"maximum {_TOPICS}", "domain",
+    ),
+    Feature(
+        "localisation_position", "m", 5e-3,
+        "distance between the pose of localisation and that of the chained transforms, 95th "
+        f"percentile, maximum {_TOPICS}", "domain",
+    ),
+    Feature(
+        "localisation_yaw", "rad", 5e-3,
+        "yaw difference between localisation and the chained transforms, 95th percentile, "
+        f"maximum {_TOPICS}", "domain",
+    ),
+    Feature(
+        "odometry_jump", "m", 5e-3,
+        "distance of a pose of odometry from the midpoint of its two neighbours, maximum over the "
+        "messages and topics", "domain",
+    ),
+    Feature(
+        "odometry_yaw_jump", "rad", 5e-3,
+        "yaw difference of a pose of odometry from the middle of its two neighbours, maximum over "
+        "the messages and topics", "domain",
+    ),
+)  # fmt: skip
+
+_SAME_S = 0.02  # most time between the stamps of a compared pose and transform
+_TOGETHER_S = 0.3  # between the times when a pose and a localisation's transform were recorded
+_MANY = 0.95  # quantile
+
+
+class _Apart(NamedTuple):
+    """Differences of two sources of one pose, for each message."""
+
+    position: Series  # [m]
+    yaw: Series  # [rad]
+
+
+class _Prepared(NamedTuple):
+    """Differences of poses with two sources, by place."""
+
+    odometry: Mapping[str, _Apart]
+    localisation: Mapping[str, _Apart]
+    jumps: Mapping[str, _Apart]
+
+
+def keep_poses(messages: Any) -> tuple[Any, ...]:
+    """Return frame, stamp and pose of ``PoseWithCovarianceStamped``s."""
+    frames = frame_names(messages.header.frame_id)
+    return frames, header_stamps_s(messages), *poses_of(messages.pose.pose)
+
+
+def prepare(window: Window) -> _Prepared:
+    """Compare poses with two sources, over the whole recording."""
+    moving = edges(window.topics["transforms"])
+    odometry, jumps = {}, {}
+    for topic, series in window.topics["odometry"].items():
+        stamps, children, *columns = zip(*series.values, strict=True)
+        stamps_s, pose = np.array(stamps), _planar(*columns)
+        if len(stamps_s) > 2:
+            jumps[topic] = _jumps(series.times_s, pose)
+        for (parent, child), edge in moving.items():
+            if child != children[0]:
+                continue
+            at = nearest(edge.stamps_s, stamps_s)
+            near = np.flatnonzero(np.abs(edge.stamps_s[at] - stamps_s) <= _SAME_S)
+            odometry[f"{topic} against {parent} -> {child}"] = _apart(
+                series.times_s[near], pose.at(near), edge.pose.at(at[near])
+            )
+    localisation = {
+        place: apart
+        for topic, series in window.topics["poses"].items()
+        for place, apart in _localised(topic, series, moving)
+    }
+    return _Prepared(odometry, localisation, jumps)
+
+
+def compute(window: Window) -> Values | Missing:
+    """Reduce to the window."""
+    prepared: _Prepared = window.prepared
+    values = {}
+    for name, statements, reason in (
+        ("odometry", prepared.odometry, "no odometry with a transform between the same frames"),
+        ("localisation", prepared.localisation, "no pose of localisation with its transforms"),
+    ):
+        for part in ("position", "yaw"):
+            sizes = {
+                p: quantile(getattr(apart, part), window, _MANY) for p, apart in statements.items()
+            }
+            values[f"{name}_{part}"] = largest(sizes, reason)
+    for name, part in (("odometry_jump", "position"), ("odometry_yaw_jump", "yaw")):
+        sizes = {
+            p: quantile(getattr(apart, part), window, 1.0) for p, apart in prepared.jumps.items()
+        }
+        values[name] = largest(sizes, "fewer than three odometry messages")
+    return values
+
+
+@hookimpl
+def register_features() -> list[FeaturePlugin]:
+    """Offer the features of poses that are both messages and transforms."""
+    topics = {
+        "odometry": Request(
+            keep_odometry, msgtype="nav_msgs/msg/Odometry", dtype=object, optional=True, many=True
+        ),
+        "poses": Request(
+            keep_poses, msgtype="geometry_msgs/msg/PoseWithCovarianceStamped", dtype=object,
+            optional=True, many=True,
+        ),
+        "transforms": MOVING,
+    }  # fmt: skip
+    return [FeaturePlugin("transforms", "transforms", FEATURES, compute, topics, prepare=prepare)]
+
+
+def _planar(x: Sequence[float], y: Sequence[float], yaw: Sequence[float]) -> Planar:
+    return Planar(np.array(x) + 1j * np.array(y), np.exp(1j * np.array(yaw)))
+
+
+def _apart(times_s: Floats, one: Planar, other: Planar) -> _Apart:
+    return _Apart(
+        Series(times_s, np.abs(one.shift - other.shift)),
+        Series(times_s, np.abs(np.angle(one.turn / other.turn))),
+    )
+
+
+def _jumps(times_s: Floats, pose: Planar) -> _Apart:
+    """Return the distance of each pose from the mean of its neighbours."""
+    shift, yaw = pose.shift, np.unwrap(np.angle(pose.turn))
+    place, turn = (np.abs(v[1:-1] - 0.5 * (v[:-2] + v[2:])) for v in (shift, yaw))
+    return _Apart(Series(times_s[1:-1], place), Series(times_s[1:-1], turn))
+
+
+def _localised(
+    topic: str, series: Series, moving: Mapping[tuple[str, str], Edge]
+) -> Iterator[tuple[str, _Apart]]:
+    """Yield how far poses are from where a transform and the one that hangs on it lead.
+
+    A localisation stamps its transform ahead of time, so the two are matched by when they came.
+    """
+    roots, stamps, *columns = zip(*series.values, strict=True)
+    root, stamps_s, believed = roots[0], np.array(stamps), _planar(*columns)
+    for (parent, middle), upper in moving.items():
+        for (hanging, child), lower in moving.items():
+            if parent != root or hanging != middle or len(lower.times_s) < 2:
+                continue
+            order = np.argsort(upper.times_s, kind="stable")
+            at = order[nearest(upper.times_s[order], series.times_s)]
+            near = np.flatnonzero(np.abs(upper.times_s[at] - series.times_s) <= _TOGETHER_S)
+            x, y, yaw = (
+                np.interp(stamps_s[near], lower.stamps_s, column)
+                for column in (
+                    lower.pose.shift.real, lower.pose.shift.imag,
+                    np.unwrap(np.angle(lower.pose.turn)),
+                )
+            )  # fmt: skip
+            led = upper.pose.at(at[near]).compose(Planar(x + 1j * y, np.exp(1j * yaw)))
+            place = f"{topic} against {parent} -> {middle} -> {child}"
+            yield place, _apart(series.times_s[near], believed.at(near), led)

@@ -1,0 +1,1 @@
+"""Features of Nav2: goals, plans and recoveries."""

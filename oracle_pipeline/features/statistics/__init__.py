@@ -1,0 +1,1 @@
+"""Numbers of a window or an array: medians, shares, extremes, and even times."""

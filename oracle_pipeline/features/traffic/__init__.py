@@ -1,0 +1,1 @@
+"""Features of messages and graphs, whatever the robot: rhythm, bytes, structure, pairs."""

@@ -1,0 +1,70 @@
+import numpy as np
+import pytest
+
+from oracle_pipeline.features.traffic import delays
+from tests.oracle_pipeline.features.scenery import Scanner, driving, extract, recording
+
+PLUGINS = delays.register_features()
+
+
+@pytest.fixture
+def extracted(tmp_path_factory):
+    """Return a function from messages to values, where they are, and what is missing."""
+    return lambda recorded: extract(PLUGINS, recorded, tmp_path_factory.mktemp("bag"))
+
+
+def late(recorded, topic, late_s):
+    """Record a topic's messages later than they are stamped; by a number or one for each."""
+    number, shifted = 0, []
+    for time_s, name, message in recorded:
+        by_s = 0.0
+        if name == topic:
+            by_s = late_s if isinstance(late_s, float) else late_s[number % len(late_s)]
+            number += 1
+        shifted.append((time_s + by_s, name, message))
+    return sorted(shifted, key=lambda each: each[0])
+
+
+def test_sensors_that_are_recorded_as_they_measure_have_no_latency(extracted):
+    values, *_ = extracted(recording([Scanner("/scan")], driving))
+    for name in ("scan_latency", "odometry_latency", "scan_jitter", "odometry_jitter", "late"):
+        assert values[name] == pytest.approx(0.0, abs=1e-6), name
+
+
+def test_a_sensor_that_is_held_back_is_later_than_the_freshest(extracted):
+    recorded = recording([Scanner("/scan"), Scanner("/held")], driving)
+    values, where, _ = extracted(late(recorded, "/held", 0.15))
+    assert values["scan_latency"] == pytest.approx(0.15, abs=1e-6)
+    assert where["scan_latency"] == "/held"
+    assert values["odometry_latency"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_uneven_delays_are_jitter_and_long_ones_late(extracted):
+    recorded = late(recording([Scanner("/scan")], driving), "/scan", [0.0, 0.0, 0.1, 0.1, 0.25])
+    values, *_ = extracted(recorded)
+    assert values["scan_jitter"] == pytest.approx(0.1, abs=0.02)
+    assert values["late"] == pytest.approx(0.0, abs=1e-6)
+    late_ones, *_ = extracted(
+        late(recording([Scanner("/scan")], driving), "/scan", [0.0] * 9 + [0.3])
+    )
+    assert late_ones["late"] == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_recorder_whose_clock_runs_faster_changes_little(extracted):
+    slow = [(2.0 * time_s, *rest) for time_s, *rest in recording([Scanner("/scan")], driving)]
+    values, *_ = extracted(slow)
+    assert values["scan_jitter"] < 0.01
+    assert values["scan_latency"] < 0.3
+
+
+def test_stamps_that_are_uneven_show(extracted):
+    recorded = recording([Scanner("/scan")], driving)
+    rng = np.random.default_rng(0)
+    for _, topic, message in recorded:
+        if topic == "/scan":
+            message.header.stamp.nanosec = int(
+                np.clip(message.header.stamp.nanosec + rng.integers(0, 10**8), 0, 10**9 - 1)
+            )
+    values, where, _ = extracted(recorded)
+    assert values["period_jitter"] > 0.05
+    assert where["period_jitter"] == "/scan"
