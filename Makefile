@@ -24,7 +24,7 @@ PIP_VERSION := 26.3
 INSTALL = $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help setup setup-dev demo demo-card run campaign ui test test-quick test-browser test-compiled lint types architecture docs \
+.PHONY: help setup setup-dev demo demo-card run campaign ui test test-quick test-browser test-compiled lint types size architecture docs \
 	pictures wheel install-check bench soak constraints requirements image sbom clean
 .DEFAULT_GOAL := help
 
@@ -34,11 +34,12 @@ help: ## Show this list
 setup: $(VENV)/.compiled ## Make .venv with what running needs, in pinned versions
 
 setup-dev: $(VENV)/.ready-dev ## Add what tests, types and benchmarks need
+	@$(MAKE) --no-print-directory $(VENV)/.compiled
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "This needs Python 3.11 or newer; say which with: make setup PYTHON=python3.12"; exit 1; }
-	$$($(PYTHON) tools/scripts/choose_python.py $(if $(filter file,$(origin PYTHON)),,--only)) -m venv $(VENV)
+	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --no-compile pip==$(PIP_VERSION)
 
 $(VENV)/.ready: pyproject.toml constraints.txt | $(BIN)/python
@@ -80,7 +81,7 @@ campaign: setup ## Simulate 60 blocks of every mode and hard negative, and evalu
 ui: setup ## Open the pipeline in the browser, on 127.0.0.1
 	oracle-ui -w workspace.yaml
 
-test: setup-dev ## Check style and types, and run every test that needs only Python and PyPI
+test: $(VENV)/.ready-dev ## Check style and types, and run every test that needs only Python and PyPI
 	@$(MAKE) --no-print-directory --jobs=2 types test-all
 
 # Tests begin once the style is right; types are checked beside them.
@@ -98,22 +99,24 @@ test-browser: setup-dev ## Look at the report in a headless Chromium, which has 
 test-compiled: setup-dev ## Build feature plugins in C++ and Rust and use them; needs cmake and a compiler, Rust is optional
 	pytest tests/compiled
 
-lint: setup-dev ## Check style and the direction of imports
+lint: $(VENV)/.ready-dev ## Check style and the direction of imports; warn about retired words
 	ruff check .
 	ruff format --check .
 	lint-imports --no-logo
+	python tools/scripts/check_words.py
 
-types: setup-dev ## Check types, strictly
+types: $(VENV)/.ready-dev ## Check types, strictly
 	mypy
 
 docs: export NO_MKDOCS_2_WARNING = 1
-docs: setup-dev ## Check words, spelling and links of the docs, and build their site into site/
+docs: $(VENV)/.ready-dev ## Check words, spelling and links of the docs, and build their site into site/
 	codespell docs *.md mkdocs.yml
-	pytest -q tests/docs/test_words.py tests/docs/test_reference.py
+	python tools/scripts/check_words.py
+	pytest -q tests/docs/test_names.py tests/docs/test_reference.py
 	mkdocs build --quiet --clean
 	@echo "Site: $(CURDIR)/site/index.html (search needs a server: mkdocs serve)"
 
-pictures: setup-dev ## Draw the pictures of the docs; of a campaign's report with CAMPAIGN=data/campaign
+pictures: $(VENV)/.ready-dev ## Draw the pictures of the docs; of a campaign's report with CAMPAIGN=data/campaign
 	$(INSTALL) '.[browser]'
 	python docs/draw_worlds.py
 	python docs/pictures.py $(CAMPAIGN)
@@ -129,10 +132,10 @@ wheel: setup ## Build a wheel into dist/, and try the commands of the README wit
 install-check: setup ## Install into fresh environments of the Python versions that are here, and try them
 	tools/scripts/install_check.sh 3.11 3.12 3.13
 
-constraints: setup-dev ## Pin the newest versions that fit pyproject.toml
+constraints: $(VENV)/.ready-dev ## Pin the newest versions that fit pyproject.toml
 	$(PIN) --upgrade --all-extras --output-file constraints.txt pyproject.toml
 
-requirements: setup-dev ## Write deploy/requirements.txt: what the image holds, with the hash of every file
+requirements: $(VENV)/.ready-dev ## Write deploy/requirements.txt: what the image holds, with the hash of every file
 	$(PIN) --constraint constraints.txt --generate-hashes --allow-unsafe --build-deps-for wheel \
 		--extra dask --extra postgres --extra s3 --output-file deploy/requirements.txt pyproject.toml
 
@@ -146,7 +149,10 @@ sbom: requirements ## Write dist/sbom.cdx.json: what the image is made of, as Cy
 	$(VENV)-sbom/bin/cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible \
 		--output-format JSON --output-file dist/sbom.cdx.json deploy/requirements.txt
 
-architecture: setup-dev ## Draw who imports whom, for docs/explanation/architecture.md
+size: $(BIN)/python ## Count code lines of each package, and words of the docs
+	@$(BIN)/python tools/scripts/size.py
+
+architecture: $(VENV)/.ready-dev ## Draw who imports whom, for docs/explanation/architecture.md
 	python docs/draw_architecture.py
 
 bench: setup-dev ## Measure speed, size and memory, as ratios of one run

@@ -46,9 +46,3 @@ def blocks(page: Path, language: str | None = None) -> list[Block]:
         for found in _BLOCK.finditer(text)
     ]
     return [block for block in everything if language in (None, block.language)]
-
-
-def prose(page: Path) -> list[tuple[int, str]]:
-    """Return the numbered lines of a page outside its fenced blocks."""
-    blank = _BLOCK.sub(lambda found: "\n" * found[0].count("\n"), page.read_text("utf-8"))
-    return list(enumerate(blank.splitlines(), 1))

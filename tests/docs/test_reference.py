@@ -1,63 +1,43 @@
-"""Keeps the reference pages true; run as a script, it writes the manifest's table again."""
+"""The reference pages are true."""
 
 import json
 import os
 import re
+import runpy
 import subprocess
-from pathlib import Path
 
 import pytest
 
 from assets.partitions import run_count
 from oracle_pipeline.definitions import defs
+from oracle_pipeline.features import build_manager
 from sim.campaigns import Campaign
 from tests.docs.pages import DOCS, REPOSITORY
 
 SCHEMA = REPOSITORY / "oracle_pipeline" / "bags" / "manifest.schema.json"
-MANIFEST = DOCS / "reference" / "manifest.md"
-BEGIN, END = "<!-- manifest: begin -->\n", "<!-- manifest: end -->\n"
 SOURCES = ("oracle_pipeline", "assets", "resources", "sim", "deploy", "tests")
 
 
-def kind(field: dict) -> str:
-    """Describe the allowed values."""
-    if "$ref" in field:
-        return field["$ref"].rpartition("/")[2]
-    if "enum" in field:
-        return ", ".join(f"`{value}`" for value in field["enum"])
-    if "const" in field:
-        return f"`{field['const']}`"
-    types = field["type"] if isinstance(field["type"], list) else [field["type"]]
-    if "items" in field:
-        return f"list of {kind(field['items'])}"
-    return " or ".join(types)
+@pytest.fixture
+def built():
+    """A function that builds a page of the reference, as the site shows it."""
+    hook = runpy.run_path(str(DOCS / "hooks" / "tables.py"))["on_page_markdown"]
+    return lambda name: hook((DOCS / "reference" / name).read_text("utf-8"))
 
 
-def rows(fields: dict, before: str = "") -> list[str]:
-    lines = []
-    for name, field in fields.items():
-        about = field.get("description", "")
-        if "properties" in field:
-            lines.append(f"| `{before}{name}` | {kind(field)} | {about} |")
-            lines += rows(field["properties"], f"{before}{name}.")
-        else:
-            lines.append(f"| `{before}{name}` | {kind(field)} | {about} |")
-    return lines
+def test_the_built_page_has_a_row_for_every_built_in_feature(built, monkeypatch):
+    monkeypatch.delenv("ORACLE_PLUGINS", raising=False)
+    rows = re.findall(r"^\| `([\w.]+)` \|(?: [^|]+ \|){5}$", built("features.md"), re.M)
+    assert rows == list(build_manager().features())
 
 
-def table() -> str:
+def test_the_built_page_has_a_row_for_every_field_of_a_manifest(built):
+    rows = re.findall(r"^\| `([\w.]+)` \|", built("manifest.md"), re.M)
     schema = json.loads(SCHEMA.read_text("utf-8"))
-    lines = ["| field | value | meaning |", "| --- | --- | --- |", *rows(schema["properties"])]
-    for name, definition in schema["$defs"].items():
-        if "properties" in definition:
-            lines += ["", f"A {name.replace('_', ' ')}:", "", "| field | value | meaning |",
-                      "| --- | --- | --- |", *rows(definition["properties"])]  # fmt: skip
-    return "\n".join(lines) + "\n"
-
-
-def test_the_manifest_page_follows_the_schema():
-    written = MANIFEST.read_text("utf-8").partition(BEGIN)[2].partition(END)[0]
-    assert written == table(), f"run {Path(__file__).name} as a script"
+    objects = [schema, *schema["$defs"].values()]
+    fields = {name for each in objects for name in each.get("properties", {})}
+    assert fields <= set(rows)
+    assert {"drive.clearance_m", "drive.commands"} <= set(rows)  # nested ones have their path
 
 
 def test_the_configuration_page_lists_every_variable_and_no_other():
@@ -96,8 +76,3 @@ def test_the_configuration_page_names_every_asset_and_job_setting():
             fields |= set(getattr(schema, "fields", {}))
     assert fields
     assert {field for field in fields if f"| `{field}` |" not in page} == set()
-
-
-if __name__ == "__main__":
-    before, _, rest = MANIFEST.read_text("utf-8").partition(BEGIN)
-    MANIFEST.write_text(before + BEGIN + table() + END + rest.partition(END)[2], "utf-8")

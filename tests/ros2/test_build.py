@@ -5,10 +5,13 @@ import subprocess
 import sys
 import zipfile
 from configparser import ConfigParser
+from email.parser import HeaderParser
 from pathlib import Path
 
 import pytest
 from lxml import etree
+
+from oracle_pipeline.graphs import rclpy_graphs as shared
 
 ROOT = Path(__file__).parents[2] / "ros2" / "oracle_graph_recorder"
 NAME = "oracle_graph_recorder"
@@ -59,6 +62,14 @@ def test_a_build_installs_what_ros_looks_for(wheel):
     assert {f"{NAME}/__init__.py", f"{NAME}/recorder_node.py"} <= wheel.keys()
 
 
+def test_the_build_has_the_version_and_licence_of_the_manifest(wheel, manifest):
+    (metadata,) = (text for name, text in wheel.items() if name.endswith(".dist-info/METADATA"))
+    built = HeaderParser().parsestr(metadata)
+    for tag in ("version", "license"):
+        assert built[tag] == manifest.findtext(tag)
+    assert built["summary"] == manifest.findtext("description")
+
+
 def test_programs_are_in_the_folder_that_ros_run_searches(wheel):
     settings = ConfigParser()
     settings.read(ROOT / "setup.cfg")
@@ -82,6 +93,17 @@ def test_imported_ros_packages_are_declared(manifest):
             imported |= {name.partition(".")[0] for name in names}
     assert imported & OF_ROS == declared
     assert imported - OF_ROS <= {NAME, "oracle_pipeline", "setuptools", *sys.stdlib_module_names}
+
+
+def test_the_node_imports_what_the_shared_module_has():
+    names = {
+        alias.name
+        for node in ast.walk(syntax(f"{NAME}/recorder_node.py"))
+        if isinstance(node, ast.ImportFrom) and node.module == shared.__name__
+        for alias in node.names
+    }
+    assert names
+    assert names <= vars(shared).keys()
 
 
 def test_the_launch_file_starts_the_program_with_parameters_that_it_declares():

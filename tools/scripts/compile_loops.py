@@ -25,14 +25,22 @@ def main() -> None:
     """Record a short run, extract its features, cluster a few rows, and import Dagster."""
     with tempfile.TemporaryDirectory(prefix="oracle-") as root:
         run = RunDirectory(Path(root), MODE, 0)
+        progress("Compiling the simulator (about half a minute, once) ...")
         record_run(recipe_for(MODE, run.run, Campaign(goals_per_run=1)), run)
+        progress("Compiling the features (about half a minute, once) ...")
         require_tables(run)
+    progress("Compiling the clustering ...")
     rows = np.random.default_rng(0).normal(size=(8, 2))
     for linkage in ("ward", "single", "complete", "average"):
         grow_tree(rows, linkage)
     list(trees_with(rows, rows[:1], "average"))
     for module in COMMANDS:
         importlib.import_module(module)
+
+
+def progress(line: str) -> None:
+    """Print what happens now."""
+    print(line, flush=True)
 
 
 if __name__ == "__main__":

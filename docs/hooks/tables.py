@@ -1,0 +1,73 @@
+"""An MkDocs hook that puts tables of what the code has into the pages.
+
+A line ``<!-- table: features -->`` becomes the table of all built-in features, and
+``<!-- table: manifest -->`` those of the fields of a manifest.
+"""
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from oracle_pipeline import features
+from oracle_pipeline.bags import run_directory
+
+MARK = re.compile(r"^<!-- table: (\w+) -->$", re.M)
+SCHEMA = Path(run_directory.__file__).with_name("manifest.schema.json")
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Replace each mark by its table."""
+    return MARK.sub(lambda mark: "\n".join(TABLES[mark[1]]()), markdown)
+
+
+def feature_table() -> Iterator[str]:
+    """Yield a row for each built-in feature."""
+    yield "| column | unit | floor | origin | windows | what it is |"
+    yield "| --- " * 6 + "|"
+    for column, feature in features.build_manager().features().items():
+        windows = "yes" if feature.per_window else "no"
+        marks = {"shortcut": feature.shortcut, "behaviour": feature.behaviour}
+        origin = ", ".join([feature.origin, *(mark for mark, given in marks.items() if given)])
+        yield (
+            f"| `{column}` | {feature.unit} | {feature.floor:g} | {origin} | {windows} "
+            f"| {feature.description} |"
+        )
+
+
+def manifest_tables() -> Iterator[str]:
+    """Yield the fields of a manifest, then those of each kind of object in it."""
+    schema = json.loads(SCHEMA.read_text("utf-8"))
+    yield from ("| field | value | meaning |", "| --- | --- | --- |", *rows(schema["properties"]))
+    for name, definition in schema["$defs"].items():
+        if "properties" in definition:
+            yield from ("", f"A {name.replace('_', ' ')}:", "")
+            yield from ("| field | value | meaning |", "| --- | --- | --- |")
+            yield from rows(definition["properties"])
+
+
+def rows(fields: dict[str, Any], before: str = "") -> Iterator[str]:
+    """Yield a row for each field, those of nested objects after their own."""
+    for name, field in fields.items():
+        yield f"| `{before}{name}` | {kind(field)} | {field.get('description', '')} |"
+        yield from rows(field.get("properties", {}), f"{before}{name}.")
+
+
+def kind(field: dict[str, Any]) -> str:
+    """Describe the allowed values of a field."""
+    if "$ref" in field:
+        return str(field["$ref"].rpartition("/")[2])
+    if "enum" in field:
+        return ", ".join(f"`{value}`" for value in field["enum"])
+    if "const" in field:
+        return f"`{field['const']}`"
+    if "items" in field:
+        return f"list of {kind(field['items'])}"
+    return " or ".join(field["type"] if isinstance(field["type"], list) else [field["type"]])
+
+
+TABLES: dict[str, Callable[[], Iterator[str]]] = {
+    "features": feature_table,
+    "manifest": manifest_tables,
+}
