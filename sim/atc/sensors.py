@@ -145,7 +145,7 @@ class AdsbReceiver(Node):
         numbers = (
             latitude,
             longitude,
-            quantized(state.altitude_m),
+            _quantized(state.altitude_m),
             math.hypot(vx, vy),
             math.degrees(track) % 360.0,
         )
@@ -159,7 +159,7 @@ def _report(time_ns: int, who: Transponder, *numbers: float) -> Any:
     return _AdsbReport(header(time_ns, "wgs84"), who.icao24, who.callsign, *numbers)
 
 
-def quantized(altitude_m: float) -> float:
+def _quantized(altitude_m: float) -> float:
     """Return an altitude as transponders send it, in whole steps of 25 ft [m]."""
     return round(altitude_m / ALTITUDE_STEP_M) * ALTITUDE_STEP_M
 
@@ -174,7 +174,7 @@ class Plot(NamedTuple):
     altitude_m: float
 
 
-class Radar(Node):
+class _Radar(Node):
     """A turning radar that reports the detections of a sector at the sector's end.
 
     It detects nothing more than 45 degrees above the horizon (the cone of silence).
@@ -254,7 +254,7 @@ def _passed(states: Floats, start_deg: float) -> list[tuple[int, float]]:
     return rows
 
 
-class PrimaryRadar(Radar):
+class PrimaryRadar(_Radar):
     """``/psr``: echoes of aircraft, and clutter."""
 
     def __init__(
@@ -278,7 +278,7 @@ class PrimaryRadar(Radar):
             self._publisher.publish(_RadarPlot(header(time_ns, RADAR_FRAME), slant_m, azimuth_deg))
 
 
-class SecondaryRadar(Radar):
+class SecondaryRadar(_Radar):
     """``/ssr``: the replies of transponders.
 
     ``transponders`` are those of all aircraft that may appear.
@@ -307,6 +307,6 @@ class SecondaryRadar(Radar):
                     plot.azimuth_deg,
                     who.icao24,
                     who.squawk,
-                    quantized(plot.altitude_m),
+                    _quantized(plot.altitude_m),
                 )
             )

@@ -29,7 +29,7 @@ from sim.fuzzing.value_types import Boolean, Message
 
 
 @dataclass(frozen=True, slots=True)
-class ForEach:
+class _ForEach:
     """Apply operators to every message in an array of messages."""
 
     target: Target
@@ -90,7 +90,7 @@ OPERATORS: Mapping[str, Callable[[Spec, Key, CompileContext], Operator]] = {
     "noise": Noise.compile,
     "drift": Drift.compile,
     "map_array": MapArray.compile,
-    "for_each": ForEach.compile,
+    "for_each": _ForEach.compile,
     "remove_where": RemoveWhere.compile,
     "mutate": Mutate.compile,
     "drop": Drop.compile,

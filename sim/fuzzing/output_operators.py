@@ -118,7 +118,7 @@ class Playback:
         step.memory[self.number] = held._replace(last=step.received)
         place = (step.received - held.first) % len(held.messages)
         ago = step.received - held.oldest - place
-        step.message = restamped(held.messages[place], step.header)
+        step.message = _restamped(held.messages[place], step.header)
         step.note(float(ago), f"as {ago} messages before")
 
 
@@ -162,14 +162,14 @@ class Emit:
         if not self.is_copy:
             message = zero(self.output)
             if has_header(self.output):
-                message = restamped(message, step.header or make_header(step.stamp_ns, ""))
+                message = _restamped(message, step.header or make_header(step.stamp_ns, ""))
         for place, convert, value in self.fields:
             message = place.replaced(message, convert(value(step), place.read(message)))
         step.emitted.append((self.topic, message))
         step.note(1.0, "1 emitted")
 
 
-def restamped(message: Any, header: Any) -> Any:
+def _restamped(message: Any, header: Any) -> Any:
     """Return the message under another header, if its type has one."""
     return message if header is None else with_fields(message, {"header": header})
 

@@ -44,7 +44,7 @@ class Store:
 
 
 @dataclass(frozen=True, slots=True)
-class StoreRow:
+class _StoreRow:
     """Store a row of a table; in a full table, it replaces the oldest row."""
 
     into: str
@@ -102,5 +102,5 @@ def compile_store(spec: Spec, key: Key, context: CompileContext) -> Operator:
             (*key, "into"), f"expected a name under state, found {spec['into']}; there are: {known}"
         )
     if isinstance(kind, Table):
-        return StoreRow.compile(spec, key, context, kind)
+        return _StoreRow.compile(spec, key, context, kind)
     return Store.compile(spec, key, context)

@@ -26,7 +26,7 @@ from sim.middleware.tf import (
     transforms_template,
 )
 from sim.nav2.laser import beam_bearings
-from sim.nav2.lifecycle import LifecycleNode
+from sim.nav2.lifecycle import LifecycleNode, nothing
 from sim.nav2.likelihood_field import LikelihoodField
 from sim.nav2.messages import pose_message, pose_yaw
 from sim.nav2.particle_filter import MAX_PARTICLES, ParticleFilter
@@ -43,6 +43,11 @@ UPDATE_MIN_D = 0.25  # along one axis of the odometry frame [m]
 UPDATE_MIN_A = 0.2  # [rad]
 TRANSFORM_TOLERANCE_NS = SECOND  # how long map -> odom stays valid after its scan
 LASER_MAX_RANGE = 100.0  # [m]
+_SERVICES = (
+    ("std_srvs/srv/Empty", "/reinitialize_global_localization"),
+    ("std_srvs/srv/Empty", "/request_nomotion_update"),
+    ("nav2_msgs/srv/SetInitialPose", "/set_initial_pose"),
+)
 _RETRY_NS = 10 * MILLISECOND
 _CLOUD_TYPE = "nav2_msgs/msg/ParticleCloud"
 _ENCAPSULATION = 4  # bytes before the first field of a CDR message
@@ -87,16 +92,13 @@ class Amcl(LifecycleNode):
         self._updated_at: Pose2D | None = None  # robot in odom at the last update
         self._map_to_odom: Pose2D | None = None
         self._scan: Any = None  # the latest one
-        self._is_forced = False
 
         self._pose = self.create_publisher(
             "geometry_msgs/msg/PoseWithCovarianceStamped", "/amcl_pose", qos.LATCHED
         )
         self._cloud = self.create_publisher(_CLOUD_TYPE, "/particle_cloud", qos.SENSOR_DATA)
-        empty = "std_srvs/srv/Empty"
-        self.create_service(empty, "/reinitialize_global_localization", self._scatter)
-        self.create_service(empty, "/request_nomotion_update", self._force_update)
-        self.create_service("nav2_msgs/srv/SetInitialPose", "/set_initial_pose", self._on_pose)
+        for srvtype, service in _SERVICES:
+            self.create_service(srvtype, service, nothing)
 
     def on_configure(self) -> None:
         """Subscribe to map, scans and initial poses."""
@@ -147,7 +149,7 @@ class Amcl(LifecycleNode):
             return
         if self._updated_at is None:
             self._update(self._field, self._filter, scan, odom, laser)
-        elif self._is_forced or _has_moved(self._updated_at, odom):
+        elif _has_moved(self._updated_at, odom):
             self._filter.move(self._updated_at, odom)
             self._update(self._field, self._filter, scan, odom, laser)
         self._send_transform(time_ns)
@@ -167,7 +169,6 @@ class Amcl(LifecycleNode):
         belief.weigh(field.weights(belief.poses, laser.apply(_beams(scan, range_max)), range_max))
         belief.resample()
         self._updated_at = odom
-        self._is_forced = False
         pose, covariance = belief.estimate()
         self._map_to_odom = pose.compose(odom.inverse())
         empty = self._empty_cloud.data(*divmod(self.now_ns, SECOND))
@@ -190,19 +191,6 @@ class Amcl(LifecycleNode):
                     *divmod(valid_ns, SECOND), (pose.x, pose.y, 0.0, *yaw_quaternion(pose.yaw))
                 ),
             )
-
-    # -- services --------------------------------------------------------------------------
-
-    def _scatter(self, _request: None) -> None:
-        """Spread the particles over all free space."""
-        if self._field is not None:
-            poses = self._field.random_free_poses(MAX_PARTICLES, self.rng)
-            self._filter = ParticleFilter(poses, self.rng)
-            self._updated_at = None
-
-    def _force_update(self, _request: None) -> None:
-        """Let the next scan update the filter, even if the robot has not moved."""
-        self._is_forced = True
 
 
 def _has_moved(before: Pose2D, after: Pose2D) -> bool:

@@ -21,11 +21,10 @@ from sim.middleware.geometry import Pose2D, wrap_angle
 from sim.middleware.stamps import duration_message, stamp_ns
 from sim.middleware.tf import TransformBuffer, TransformError, TransformListener
 from sim.nav2.costmap import LETHAL, Costmap2D, footprint_cost
-from sim.nav2.lifecycle import LifecycleNode
+from sim.nav2.lifecycle import LifecycleNode, not_served
 from sim.nav2.messages import TWIST, twist_message
 
 _BackUpFeedback = message_class("nav2_msgs/action/BackUp_Feedback")
-_DriveFeedback = message_class("nav2_msgs/action/DriveOnHeading_Feedback")
 _SpinFeedback = message_class("nav2_msgs/action/Spin_Feedback")
 _WaitFeedback = message_class("nav2_msgs/action/Wait_Feedback")
 
@@ -80,7 +79,7 @@ class Surroundings:
         return self._grid is not None and footprint_cost(self._grid, pose) < LETHAL
 
 
-class Behavior(ABC):
+class _Behavior(ABC):
     """One action of the server; ten cycles a second while it runs.
 
     Parameters
@@ -171,7 +170,7 @@ class Behavior(ABC):
         return self._result_type(duration_message(self.node.now_ns - self._start_ns))
 
 
-class Spin(Behavior):
+class Spin(_Behavior):
     """Rotates in place by an angle."""
 
     name = "spin"
@@ -214,30 +213,25 @@ class Spin(Behavior):
         return True
 
 
-class DriveOnHeading(Behavior):
-    """Drives straight ahead for a distance."""
+class BackUp(_Behavior):
+    """Drives straight back for a distance."""
 
-    name = "drive_on_heading"
-    action = "DriveOnHeading"
-    feedback: ClassVar[type[Any]] = _DriveFeedback
+    name = "backup"
+    action = "BackUp"
 
     def start(self, goal: Any, pose: Pose2D) -> bool:
-        """Begin to drive; only straight, and speed and distance in the same direction."""
-        self._distance, self._speed = self.command(goal)
+        """Begin to drive; only straight, and backwards whatever the goal's signs."""
+        self._distance, self._speed = -abs(float(goal.target.x)), -abs(float(goal.speed))
         self._from = pose
         self.allow(goal.time_allowance)
         return goal.target.y == goal.target.z == 0.0 and self._distance * self._speed > 0.0
-
-    def command(self, goal: Any) -> tuple[float, float]:
-        """Return signed distance [m] and speed [m/s]."""
-        return float(goal.target.x), float(goal.speed)
 
     def step(self, pose: Pose2D) -> Step:
         """Drive on."""
         if self.is_overdue():
             return Step(Outcome.FAILED)
         driven = pose.distance_to(self._from)
-        feedback = self.feedback(driven)
+        feedback = _BackUpFeedback(driven)
         if driven >= abs(self._distance):
             return Step(Outcome.SUCCEEDED, feedback=feedback)
         if not self._is_clear(abs(self._distance) - driven, pose):
@@ -255,19 +249,7 @@ class DriveOnHeading(Behavior):
         return True
 
 
-class BackUp(DriveOnHeading):
-    """Drives straight back for a distance."""
-
-    name = "backup"
-    action = "BackUp"
-    feedback = _BackUpFeedback
-
-    def command(self, goal: Any) -> tuple[float, float]:
-        """Return signed distance [m] and speed [m/s], both negative, whatever the goal's signs."""
-        return -abs(float(goal.target.x)), -abs(float(goal.speed))
-
-
-class Wait(Behavior):
+class Wait(_Behavior):
     """Does nothing for a time."""
 
     name = "wait"
@@ -288,23 +270,8 @@ class Wait(Behavior):
         """Send nothing."""
 
 
-class AssistedTeleop(Behavior):
-    """Teleoperation with collision tests; it has no operator here, so it accepts no goal."""
-
-    name = "assisted_teleop"
-    action = "AssistedTeleop"
-
-    def start(self, goal: Any, pose: Pose2D) -> bool:  # noqa: ARG002 -- it never starts
-        """Refuse."""
-        return False
-
-    def step(self, pose: Pose2D) -> Step:  # noqa: ARG002 -- it never starts
-        """Fail."""
-        return Step(Outcome.FAILED)
-
-
 class BehaviorServer(LifecycleNode):
-    """Serves the five behaviours.
+    """Serves three behaviours, and offers the other two.
 
     Parameters
     ----------
@@ -346,8 +313,15 @@ class BehaviorServer(LifecycleNode):
         self.create_subscription(
             "std_msgs/msg/Empty", "/preempt_teleop", None, qos.SYSTEM_SUBSCRIPTION
         )
-        for behavior in (Spin, BackUp, DriveOnHeading, AssistedTeleop, Wait):
-            behavior(self, self._surroundings)
+        Spin(self, self._surroundings)
+        BackUp(self, self._surroundings)
+        for name, action in (
+            ("drive_on_heading", "DriveOnHeading"),
+            ("assisted_teleop", "AssistedTeleop"),
+        ):
+            self.create_publisher(TWIST, "/cmd_vel", qos.RELIABLE)
+            ActionServer(self, f"nav2_msgs/action/{action}", f"/{name}", not_served)
+        Wait(self, self._surroundings)
 
 
 def _look_ahead() -> list[float]:

@@ -62,7 +62,7 @@ class TreeNode(ABC):
         self.set_status(Status.IDLE)
 
 
-class ControlNode(TreeNode):
+class _ControlNode(TreeNode):
     """A node that ticks its children by some rule."""
 
     def __init__(self, name: str, children: Sequence[TreeNode]) -> None:
@@ -92,7 +92,7 @@ class ControlNode(TreeNode):
             self.halt_child(child)
 
 
-class SequenceNode(ControlNode):
+class SequenceNode(_ControlNode):
     """Ticks its children one after the other until one fails."""
 
     def __init__(self, name: str, children: Sequence[TreeNode]) -> None:
@@ -123,7 +123,7 @@ class SequenceNode(ControlNode):
         self._current = 0
 
 
-class PipelineSequence(ControlNode):
+class PipelineSequence(_ControlNode):
     """A sequence that ticks the children before the running one again in every tick."""
 
     def __init__(self, name: str, children: Sequence[TreeNode]) -> None:
@@ -153,7 +153,7 @@ class PipelineSequence(ControlNode):
         self._furthest = 0
 
 
-class RecoveryNode(ControlNode):
+class RecoveryNode(_ControlNode):
     """Ticks its first child; when that fails, the second one, and then the first again.
 
     Parameters
@@ -202,7 +202,7 @@ class RecoveryNode(ControlNode):
         self._recovering = False
 
 
-class ReactiveFallback(ControlNode):
+class ReactiveFallback(_ControlNode):
     """Ticks its children from the first on in every tick until one does not fail."""
 
     def tick(self) -> Status:
@@ -217,7 +217,7 @@ class ReactiveFallback(ControlNode):
         return status
 
 
-class RoundRobin(ControlNode):
+class RoundRobin(_ControlNode):
     """Ticks one child until it ends, and the next one in a later tick.
 
     It keeps its position after a success, so the next failure leads to the next recovery.
@@ -251,7 +251,7 @@ class RoundRobin(ControlNode):
         self._failed = 0
 
 
-class RateController(ControlNode):
+class RateController(_ControlNode):
     """Ticks its child at once, then once a period; a running child in every tick.
 
     Parameters

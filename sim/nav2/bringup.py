@@ -106,7 +106,7 @@ def bring_up(
     Node(domain, "/nav2_container", endpoints="E")
     Node(domain, f"/launch_ros_{4000 + run}", endpoints="P")
 
-    MapServer(domain, {"turtlebot3_world": world_map}, "turtlebot3_world")
+    MapServer(domain, world_map)
     Amcl(
         domain,
         listener("amcl"),

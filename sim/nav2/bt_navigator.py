@@ -27,7 +27,7 @@ from sim.nav2.behavior_tree import (
     TreeNode,
 )
 from sim.nav2.behavior_tree_leaves import ActionNode, Condition, ServiceNode
-from sim.nav2.lifecycle import LifecycleNode
+from sim.nav2.lifecycle import LifecycleNode, not_served
 from sim.nav2.messages import pose_stamped
 from sim.nav2.paths import Poses, length_ahead, path_poses
 
@@ -142,7 +142,7 @@ class BtNavigator(LifecycleNode):
             self,
             "nav2_msgs/action/NavigateThroughPoses",
             "/navigate_through_poses",
-            self._on_goal_through_poses,
+            not_served,
         )
         self._client = ActionClient(self, "nav2_msgs/action/NavigateToPose", "/navigate_to_pose")
         self._node = _RclcppNode(
@@ -231,10 +231,6 @@ class BtNavigator(LifecycleNode):
 
     def _on_goal_pose(self, pose: Any) -> None:
         self._client.send_goal(_NavigateToPose(pose, ""), lambda *_: None)
-
-    def _on_goal_through_poses(self, goal: GoalHandle) -> None:
-        self.error("Navigating through poses is offered but not served; send one pose at a time.")
-        goal.abort()
 
     def _on_goal(self, goal: GoalHandle) -> None:
         for replaced in self._goals[1:]:

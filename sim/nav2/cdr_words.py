@@ -14,7 +14,7 @@ from sim.jit import jit
 CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # the encapsulation, before the first word
 
 
-def string_words(text: str) -> NDArray[np.uint32]:
+def _string_words(text: str) -> NDArray[np.uint32]:
     """Return a string: its length, then its bytes and a zero, padded."""
     data = text.encode() + b"\0"
     return _words(struct.pack("<I", len(data)) + data)
@@ -23,7 +23,7 @@ def string_words(text: str) -> NDArray[np.uint32]:
 def header_words(time_ns: int, frame: str) -> NDArray[np.uint32]:
     """Return a ``std_msgs/msg/Header``."""
     stamp = _words(struct.pack("<iI", *divmod(time_ns, 1_000_000_000)))
-    return np.append(stamp, string_words(frame))
+    return np.append(stamp, _string_words(frame))
 
 
 def _words(data: bytes) -> NDArray[np.uint32]:

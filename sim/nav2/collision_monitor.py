@@ -1,13 +1,12 @@
 """The collision monitor: limits or stops a velocity before it reaches the wheels.
 
 For every command it counts the sensor points inside each polygon around the robot and stops the
-robot, slows it down or lets it approach, as Nav2's collision monitor does on Humble.
+robot or slows it down, as Nav2's collision monitor does on Humble.
 """
 
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -22,7 +21,7 @@ from sim.middleware.executor import SECOND
 from sim.middleware.geometry import Pose2D
 from sim.middleware.stamps import stamp_ns
 from sim.middleware.tf import TransformBuffer, TransformError, TransformListener
-from sim.nav2.footprint import FOOTPRINT, POLYGON, polygon_message
+from sim.nav2.footprint import POLYGON, polygon_message
 from sim.nav2.laser import scan_points
 from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.messages import TWIST, twist_bytes, twist_message
@@ -39,61 +38,34 @@ _SPARE_M = 1e-6  # margin around a polygon's box for rounding errors
 _NO_POINTS: Points = np.empty((0, 2))
 
 
-@dataclass(frozen=True)
-class Polygon:
-    """A zone around the robot, and the action if points are in it."""
+class Polygon(NamedTuple):
+    """A zone around the robot, and how much of a command is sent if points are in it."""
 
     name: str
-    topic: str | None  # on which it is published, if at all
+    topic: str  # on which it is published
     vertices: Points  # in ``BASE_FRAME``
-    action: Literal["stop", "slowdown", "approach"]
-    slowdown_ratio: float = 0.0
-    max_points: int = 3  # the action is taken for more points than this
-    time_before_collision: float = 2.0  # time that an approach looks ahead [s]
-    simulation_time_step: float = 0.1  # of the look ahead [s]
-
-    def share(self, command: tuple[float, float], points: Points) -> float:
-        """Return how much of a command (m/s, rad/s) may be sent: 1 all of it, 0 nothing."""
-        inside = points_inside(self.vertices, points)
-        if self.action != "approach":
-            return self.slowdown_ratio if inside > self.max_points else 1.0
-        if inside >= self.max_points:  # Humble is stricter here than in the look ahead
-            return 0.0
-        return min(1.0, self._time_to_collision(command, points) / self.time_before_collision)
-
-    def _time_to_collision(self, command: tuple[float, float], points: Points) -> float:
-        """Return the start of the first step of the look ahead that ends in a collision [s]."""
-        step = self.simulation_time_step
-        move = Pose2D(command[0] * step, 0.0, command[1] * step)
-        pose = Pose2D()
-        for number in range(round(self.time_before_collision / step) + 1):
-            pose = pose.compose(move)
-            if points_inside(self.vertices, pose.inverse().apply(points)) > self.max_points:
-                return number * step
-        return math.inf
+    share: float  # 0: the robot is stopped
+    max_points: int = 3  # it acts on more points than this
 
 
 POLYGON_STOP = Polygon(
     "PolygonStop",
     "/polygon_stop",
     np.array([(0.3, 0.3), (0.3, -0.3), (0.0, -0.3), (0.0, 0.3)]),
-    "stop",
+    share=0.0,
 )
 POLYGON_SLOW = Polygon(
     "PolygonSlow",
     "/polygon_slowdown",
     np.array([(0.4, 0.3), (0.4, -0.3), (-0.25, -0.3), (-0.25, 0.3)]),
-    "slowdown",
-    slowdown_ratio=0.3,
+    share=0.3,
 )
 # As in Humble's parameters: also beside and behind the robot, so that it acts near every wall.
-POLYGON_SLOW_STOCK = replace(
-    POLYGON_SLOW, vertices=0.4 * np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)])
+POLYGON_SLOW_STOCK = POLYGON_SLOW._replace(
+    vertices=0.4 * np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)])
 )
 POLYGONS = (POLYGON_STOP, POLYGON_SLOW)
 STOCK_POLYGONS = (POLYGON_STOP, POLYGON_SLOW_STOCK)
-# Not used in runs: in Humble's parameters it is defined but not listed.
-FOOTPRINT_APPROACH = Polygon("FootprintApproach", None, FOOTPRINT, "approach", max_points=5)
 
 
 class Source(NamedTuple):
@@ -202,13 +174,7 @@ class CollisionMonitor(LifecycleNode):
                 Template(polygon_message(0, BASE_FRAME, polygon.vertices), POLYGON, STAMP),
             )
             for polygon in self._polygons
-            if polygon.topic is not None
         ]
-        if any(polygon.action == "approach" for polygon in self._polygons):
-            # Subscribed as in Nav2; the outline never changes, so it is not read from here.
-            self.create_subscription(
-                POLYGON, "/local_costmap/published_footprint", None, qos.SYSTEM_SUBSCRIPTION
-            )
         for source in self._sources:
             self.create_subscription(
                 source.msgtype,
@@ -254,12 +220,11 @@ class CollisionMonitor(LifecycleNode):
         if not len(points):  # as a rule
             return request, cause
         for polygon in self._polygons:
-            share = polygon.share(command, points)
-            if share == 1.0:
+            if points_inside(polygon.vertices, points) <= polygon.max_points:
                 continue
-            if polygon.action == "stop":
+            if polygon.share == 0.0:
                 return (0.0, 0.0), polygon.name
-            slower = (command[0] * share, command[1] * share)
+            slower = (command[0] * polygon.share, command[1] * polygon.share)
             if math.hypot(*slower) < math.hypot(*request):
                 request, cause = slower, polygon.name
         return request, cause
@@ -299,12 +264,7 @@ _POINTS_OF = {"sensor_msgs/msg/LaserScan": scan_points, "sensor_msgs/msg/Range":
 
 
 def _box(polygons: Sequence[Polygon]) -> tuple[float, float, float, float]:
-    """Return left, bottom, right and top of a box around what polygons act on [m].
-
-    An approach also considers what the robot will reach, wherever that is.
-    """
-    if any(polygon.action == "approach" for polygon in polygons):
-        return -math.inf, -math.inf, math.inf, math.inf
+    """Return left, bottom, right and top of a box around polygons [m]."""
     vertices = np.concatenate([polygon.vertices for polygon in polygons])
     left, bottom = (vertices.min(axis=0) - _SPARE_M).tolist()
     right, top = (vertices.max(axis=0) + _SPARE_M).tolist()

@@ -91,7 +91,7 @@ class Costmap2D:
 
 
 @jit
-def cost_at(
+def _cost_at(
     costs: Costs, resolution: float, origin_x: float, origin_y: float, x: float, y: float
 ) -> int:
     """Return the cost under a point [m]; unknown (255) off the grid."""
@@ -103,7 +103,7 @@ def cost_at(
 
 
 @jit
-def polygon_cost(
+def _polygon_cost(
     costs: Costs, resolution: float, origin_x: float, origin_y: float, polygon: Points
 ) -> int:
     """Return the highest cost under the edges of a polygon of shape (n, 2) [m].
@@ -117,7 +117,7 @@ def polygon_cost(
         steps = int(np.ceil(max(abs(to_x - x), abs(to_y - y)) / resolution)) + 1
         for step in range(steps):
             share = step / steps
-            cost = cost_at(
+            cost = _cost_at(
                 costs,
                 resolution,
                 origin_x,
@@ -135,7 +135,7 @@ def _costs_at(
 ) -> Costs:
     result = np.empty(xs.size, np.uint8)
     for i in range(xs.size):
-        result[i] = cost_at(costs, resolution, origin_x, origin_y, xs[i], ys[i])
+        result[i] = _cost_at(costs, resolution, origin_x, origin_y, xs[i], ys[i])
     return result
 
 
@@ -147,7 +147,7 @@ def point_costs(grid: Costmap2D, xs: Points, ys: Points) -> Costs:
 def footprint_cost(grid: Costmap2D, pose: Pose2D, footprint: Points = FOOTPRINT) -> int:
     """Return the highest cost under the outline of a robot at ``pose``; from 254 on it collides."""
     outline = pose.apply(footprint)
-    return polygon_cost(grid.costs, grid.resolution, grid.origin_x, grid.origin_y, outline)
+    return _polygon_cost(grid.costs, grid.resolution, grid.origin_x, grid.origin_y, outline)
 
 
 # -- messages ------------------------------------------------------------------------------

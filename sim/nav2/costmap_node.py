@@ -37,13 +37,12 @@ from sim.nav2.costmap_layers import (
 from sim.nav2.footprint import FOOTPRINT, INSCRIBED_RADIUS, POLYGON, polygon_message
 from sim.nav2.inflation import AS_SHIPPED, Inflation, InflationLayer
 from sim.nav2.laser import scan_points
-from sim.nav2.lifecycle import LifecycleNode
+from sim.nav2.lifecycle import LifecycleNode, nothing
 from sim.nav2.voxel_messages import CLOUD, VOXELS, LaserClouds, VoxelGrids
 
 BASE_FRAME = "base_link"
 _SCAN_QOS = qos.profile(50, reliable=False)
 _WAKE_UP_JITTER_NS = MILLISECOND
-_CLEAR_RADIUS = 3.0  # reset distance of the clearing services [m]
 
 LOCAL_SIZE = 60  # cells along an edge
 LOCAL_RESOLUTION = 0.05  # [m]
@@ -82,7 +81,7 @@ class _ScanSource:
             return
 
 
-class CostmapNode(LifecycleNode):
+class _CostmapNode(LifecycleNode):
     """Base class of the local and the global costmap.
 
     Parameters
@@ -153,10 +152,10 @@ class CostmapNode(LifecycleNode):
         for topic, source in zip(scan_topics, self._sources, strict=True):
             self.create_subscription("sensor_msgs/msg/LaserScan", topic, source.receive, _SCAN_QOS)
         for service, srvtype, handler in (
-            (f"clear_except_{label}", "ClearCostmapExceptRegion", self._clear_except),
-            (f"clear_around_{label}", "ClearCostmapAroundRobot", self._clear_around),
+            (f"clear_except_{label}", "ClearCostmapExceptRegion", nothing),
+            (f"clear_around_{label}", "ClearCostmapAroundRobot", nothing),
             (f"clear_entirely_{label}", "ClearEntireCostmap", self._clear_entirely),
-            ("get_costmap", "GetCostmap", self._get_costmap),
+            ("get_costmap", "GetCostmap", nothing),
         ):
             self.create_service(f"nav2_msgs/srv/{srvtype}", f"/{label}/{service}", handler)
 
@@ -244,35 +243,12 @@ class CostmapNode(LifecycleNode):
                     self._occupancy_bytes.data(*stamp, *origin, occupancies(grid))
                 )
 
-    # -- services --------------------------------------------------------------------------
-
     def _clear_entirely(self, _request: None) -> None:
         self.obstacles.reset()
         self.is_current = False
 
-    def _clear_around(self, _request: None) -> None:
-        self._clear_square(around=True)
 
-    def _clear_except(self, _request: None) -> None:
-        self._clear_square(around=False)
-
-    def _clear_square(self, *, around: bool) -> None:
-        """Clear obstacles in a square around the robot, or everywhere else."""
-        pose = self.robot_pose()
-        if pose is None:
-            return
-        half = _CLEAR_RADIUS / 2.0
-        left, bottom = self.grid.cell(pose.x - half, pose.y - half)
-        right, top = self.grid.cell(pose.x + half, pose.y + half)
-        square = np.zeros(self.grid.costs.shape, dtype=bool)
-        square[max(0, bottom) : max(0, top + 1), max(0, left) : max(0, right + 1)] = True
-        self.obstacles.costs[square == around] = NO_INFORMATION
-
-    def _get_costmap(self, _request: None) -> Any:
-        return costmap_message(self.now_ns, self.grid)
-
-
-class LocalCostmap(CostmapNode):
+class LocalCostmap(_CostmapNode):
     """A window of 3 m that rolls with the robot in the odometry frame: voxels and inflation.
 
     The laser's plane is in a single level of the voxels, so one cost for each column is enough.
@@ -324,7 +300,7 @@ class LocalCostmap(CostmapNode):
                 self._endpoints.publish_serialized(self._clouds.data(seen.stamp_ns, ends))
 
 
-class GlobalCostmap(CostmapNode):
+class GlobalCostmap(_CostmapNode):
     """The whole map, obstacles on it, and inflation; it is empty until the map arrives."""
 
     label = "global_costmap"

@@ -64,7 +64,7 @@ class Critics(NamedTuple):
     turn: int  # 1 or -1: turn to this side only, 0: to any
 
 
-class Aims(NamedTuple):
+class _Aims(NamedTuple):
     """Some of the critics' inputs, without an array, as `Cells` are."""
 
     left: int
@@ -179,8 +179,8 @@ def nose(parameters: Parameters, yaw: float) -> tuple[float, float]:
 
 
 @jit
-def _aims_of(critics: Critics) -> Aims:
-    return Aims(
+def _aims_of(critics: Critics) -> _Aims:
+    return _Aims(
         critics.left,
         critics.low,
         critics.goal_x,
@@ -193,7 +193,7 @@ def _aims_of(critics: Critics) -> Aims:
 
 @jit
 def _cells_at(
-    distance: NDArray[np.int32], aims: Aims, here: tuple[int, int], ahead: tuple[int, int]
+    distance: NDArray[np.int32], aims: _Aims, here: tuple[int, int], ahead: tuple[int, int]
 ) -> tuple[int, int, int, int]:
     (column, row), (ahead_column, ahead_row) = here, ahead
     if column < 0 or ahead_column < 0:

@@ -48,7 +48,7 @@ class Parameters(NamedTuple):
 
 
 @jit
-def approach(current: float, target: float, rise: float, fall: float) -> float:
+def _approach(current: float, target: float, rise: float, fall: float) -> float:
     """Return the speed after changing towards ``target`` by at most ``rise`` or ``-fall``."""
     if current < target:
         return min(target, current + rise)
@@ -60,7 +60,7 @@ def samples(
     current: float, low: float, high: float, rise: float, fall: float, count: int
 ) -> NDArray[np.float64]:
     """Return the speeds to try: evenly over what can be reached, and zero if it is between."""
-    top, bottom = approach(current, high, rise, fall), approach(current, low, rise, fall)
+    top, bottom = _approach(current, high, rise, fall), _approach(current, low, rise, fall)
     speeds = np.empty(count + 1)
     if abs(top - bottom) < _EPSILON:
         speeds[0] = bottom
@@ -143,8 +143,8 @@ def roll(
     turn_x, turn_y, turned = 1.0, 0.0, 0.0
     rollout[0, 0], rollout[0, 1], rollout[0, 2] = x, y, yaw
     for i in range(1, steps + 1):
-        v = approach(v, twist[0], parameters.acc_lim_x * dt, parameters.decel_lim_x * dt)
-        w = approach(w, twist[1], parameters.acc_lim_theta * dt, parameters.decel_lim_theta * dt)
+        v = _approach(v, twist[0], parameters.acc_lim_x * dt, parameters.decel_lim_x * dt)
+        w = _approach(w, twist[1], parameters.acc_lim_theta * dt, parameters.decel_lim_theta * dt)
         x += v * heading_x * dt
         y += v * heading_y * dt
         yaw += w * dt
@@ -200,7 +200,7 @@ def headings(
         way[i + 1, 0], way[i + 1, 1] = way[i, 0] + x, way[i, 1] + y
         way[i + 1, 2], way[i + 1, 3] = way[i, 2] + (i + 1) * x, way[i, 3] + (i + 1) * y
         if i == 0 or w != target:
-            w = approach(w, target, rise, fall)
+            w = _approach(w, target, rise, fall)
             turn_x, turn_y = (
                 turn_x * change_x - turn_y * change_y,
                 turn_y * change_x + turn_x * change_y,
@@ -260,6 +260,6 @@ def last_yaw(
     """Return the yaw at the end of a rollout, that of ``roll`` to the last bit [rad]."""
     w, dt = turning, parameters.sim_time / count
     for _ in range(count):
-        w = approach(w, target, parameters.acc_lim_theta * dt, parameters.decel_lim_theta * dt)
+        w = _approach(w, target, parameters.acc_lim_theta * dt, parameters.decel_lim_theta * dt)
         yaw += w * dt
     return yaw

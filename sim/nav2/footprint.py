@@ -18,7 +18,7 @@ PADDING = 0.01  # each vertex moves out by this much along each axis it is off [
 _VERTICES = 16
 
 
-def padded_circle(radius: float, padding: float) -> NDArray[np.float64]:
+def _padded_circle(radius: float, padding: float) -> NDArray[np.float64]:
     """Return a circle as a 16-gon, counter-clockwise, shape (16, 2) [m]."""
     angles = np.arange(_VERTICES) * (2.0 * math.pi / _VERTICES)
     # Rounded, so that sin(pi) is zero and has no side to be padded to.
@@ -37,7 +37,7 @@ def inscribed_radius(polygon: NDArray[np.float64]) -> float:
 
 POLYGON = "geometry_msgs/msg/PolygonStamped"
 
-FOOTPRINT = padded_circle(ROBOT_RADIUS, PADDING)
+FOOTPRINT = _padded_circle(ROBOT_RADIUS, PADDING)
 FOOTPRINT.setflags(write=False)
 INSCRIBED_RADIUS = inscribed_radius(FOOTPRINT)  # 0.2264 m
 

@@ -12,6 +12,7 @@ import numpy as np
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
+from sim.middleware.action import GoalHandle
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.node import Client, Node
@@ -41,7 +42,7 @@ class State(enum.IntEnum):
     ACTIVATING = 13
 
 
-class Transition(enum.IntEnum):
+class _Request(enum.IntEnum):
     """Transitions of ``lifecycle_msgs/msg/Transition`` that a manager requests."""
 
     CONFIGURE = 1
@@ -93,13 +94,13 @@ class LifecycleNode(Node):
             "lifecycle_msgs/msg/TransitionEvent", f"{name}/transition_event"
         )
         self.create_service("lifecycle_msgs/srv/ChangeState", f"{name}/change_state", self._change)
-        self.create_service("lifecycle_msgs/srv/GetState", f"{name}/get_state", self._get_state)
         for service, srvtype in (
+            ("get_state", "GetState"),
             ("get_available_states", "GetAvailableStates"),
             ("get_available_transitions", "GetAvailableTransitions"),
             ("get_transition_graph", "GetAvailableTransitions"),
         ):
-            self.create_service(f"lifecycle_msgs/srv/{srvtype}", f"{name}/{service}", _nothing)
+            self.create_service(f"lifecycle_msgs/srv/{srvtype}", f"{name}/{service}", nothing)
 
     @property
     def is_active(self) -> bool:
@@ -142,14 +143,11 @@ class LifecycleNode(Node):
         self.state = state
         self._events.publish(event)
 
-    def _change(self, transition: Transition) -> bool:
-        if transition is Transition.CONFIGURE:
+    def _change(self, transition: _Request) -> bool:
+        if transition is _Request.CONFIGURE:
             self.configure()
             return True
         return self.activate()
-
-    def _get_state(self, _request: None) -> State:
-        return self.state
 
 
 class LifecycleManager(Node):
@@ -171,12 +169,12 @@ class LifecycleManager(Node):
         self._diagnostics = self.create_publisher(
             "diagnostic_msgs/msg/DiagnosticArray", "/diagnostics", qos.profile(1)
         )
-        self.create_service("nav2_msgs/srv/ManageLifecycleNodes", f"{name}/manage_nodes", _nothing)
-        self.create_service("std_srvs/srv/Trigger", f"{name}/is_active", lambda _: self.is_active)
+        self.create_service("nav2_msgs/srv/ManageLifecycleNodes", f"{name}/manage_nodes", nothing)
+        self.create_service("std_srvs/srv/Trigger", f"{name}/is_active", nothing)
         self._clients = {node: self._client(node) for node in managed}
         for node in managed:
             self.create_client("lifecycle_msgs/srv/GetState", f"{node}/get_state")
-        self._todo = [(step, node) for step in Transition for node in managed]
+        self._todo = [(step, node) for step in _Request for node in managed]
         self.create_timer(SECOND, self._diagnose)
         self.call_later(0, self._next)
 
@@ -197,7 +195,7 @@ class LifecycleManager(Node):
             self.call_later(_RETRY_NS, self._next)
             return
         step, node = self._todo.pop(0)
-        if step is Transition.ACTIVATE:
+        if step is _Request.ACTIVATE:
             _Bond(self, node.lstrip("/"))
             self.info(f"Server {node.lstrip('/')} connected with bond.")
         self._next()
@@ -212,5 +210,10 @@ def _state_message(state: State) -> object:
     return _State(int(state), state.name.lower())
 
 
-def _nothing(_request: object) -> None:
+def nothing(_request: object) -> None:
     """Answer a service that exists, as in Nav2, but has no client here."""
+
+
+def not_served(goal: GoalHandle) -> None:
+    """Abort the goal of an action that exists, as in Nav2, but has no client here."""
+    goal.abort()

@@ -42,7 +42,6 @@ class LikelihoodField:
         # The cells in the border stand for everything off the map.
         self._hit = np.pad(hit, 1, constant_values=miss)
         self._place = (resolution, origin_x, origin_y)
-        self._free = np.argwhere(occupancy == 0)[:, ::-1]  # (column, row)
 
     def weights(
         self, poses: NDArray[np.float64], points: NDArray[np.float64], range_max: float
@@ -65,13 +64,6 @@ class LikelihoodField:
             at that distance from the nearest obstacle plus that of a random reading.
         """
         return _weigh(poses, points, self._hit, Z_RAND / range_max, *self._place)
-
-    def random_free_poses(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return poses anywhere in free space, shape (count, 3): x, y [m], yaw [rad]."""
-        resolution, *origin = self._place
-        cells = rng.choice(self._free, count) + rng.random((count, 2))
-        yaw = rng.uniform(-np.pi, np.pi, count)
-        return np.column_stack([origin + resolution * cells, yaw])
 
 
 def _squared_distance(occupied: NDArray[np.bool_], reach: int) -> NDArray[np.int32]:

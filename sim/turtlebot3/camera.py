@@ -46,7 +46,7 @@ _POINT_STEP = 32  # [bytes]
 Look = Callable[[NDArray[np.float64], float], View]
 
 
-class DepthCamera(Node):
+class _DepthCamera(Node):
     """Publishes colour, depth and points, 5 times a second, for topics that have a receiver.
 
     Parameters
@@ -67,7 +67,7 @@ class DepthCamera(Node):
         self._points = self._advertise("points", "PointCloud2")
         if look is not None:
             self._look = look
-            self._pixels = pixel_directions()
+            self._pixels = _pixel_directions()
             self._rays = _unit_vectors(self._pixels)
             self.create_timer(PERIOD_NS, self._shoot, phase_ns=_PHASE_NS)
 
@@ -100,13 +100,13 @@ def add_depth_camera(domain: Domain, world: World, *, renders: bool) -> None:
     camera, link, base = (by_name[name].xyz for name in (FRAME, "camera_link", "base_link"))
     x, y, height = (sum(offsets) for offsets in zip(camera, link, base, strict=True))
     mount = Pose2D(x, y)
-    DepthCamera(
+    _DepthCamera(
         domain,
         (lambda rays, range_max: world.look(mount, height, rays, range_max)) if renders else None,
     )
 
 
-def pixel_directions() -> NDArray[np.float64]:
+def _pixel_directions() -> NDArray[np.float64]:
     """Return each pixel's centre at unit depth, row by row: x right, y down, z = 1."""
     u = (np.arange(WIDTH) - (WIDTH - 1) / 2.0) / FOCAL_LENGTH
     v = (np.arange(HEIGHT) - (HEIGHT - 1) / 2.0) / FOCAL_LENGTH

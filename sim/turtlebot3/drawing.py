@@ -73,7 +73,7 @@ def draw_block(seed: int, block: int, goals: int, choice: ArenaChoice = "drawn")
         if stop.distance_to(stops[-1]) < MIN_LEG_M:
             continue
         path = plan(grid, (stops[-1].x, stops[-1].y), (stop.x, stop.y))
-        if path is not None and can_be_followed(path):
+        if path is not None and _can_be_followed(path):
             stops.append(stop)
             legs.append(path)
     return Block(arena, stops[0], tuple(stops[1:]), _draw_fake_object(rng, legs, stops))
@@ -89,7 +89,7 @@ def _in_relation(seed: int, run: int, drawn: Block, relation: Relation) -> Block
             WORLD_IN_MAP.inverse().apply(np.array([(stop.x, stop.y) for stop in stops]))
         )
         if (is_clear >= MIN_CLEARANCE_M - 1e-9).all() and all(
-            path is not None and can_be_followed(path)
+            path is not None and _can_be_followed(path)
             for path in (
                 plan(planning_grid(block.arena), (a.x, a.y), (b.x, b.y)) for a, b in pairwise(stops)
             )
@@ -105,7 +105,7 @@ def _nav2(arena: Arena, options: Options) -> Navigation:
 
 
 @jit
-def can_be_followed(path: NDArray[np.float64]) -> bool:
+def _can_be_followed(path: NDArray[np.float64]) -> bool:
     """Return whether the controller can follow a path of shape (n, 2) in the map frame.
 
     See `MIN_APPROACH`.

@@ -34,7 +34,7 @@ Piece = Box | Cylinder
 _CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 
 
-class Room(NamedTuple):
+class _Room(NamedTuple):
     """A rectangle of floor [m]."""
 
     x_min: float
@@ -76,7 +76,7 @@ class _Floor:
             pieces = drawn if isinstance(drawn, list) else [drawn]
             distances = [piece.signed_distance(self._points) for piece in pieces]
             distance = np.minimum.reduce([self._distance, *distances])
-            groups = obstacle_groups(distance.reshape(self._x.shape))
+            groups = _obstacle_groups(distance.reshape(self._x.shape))
             if groups >= self._groups:  # fewer: it blocks a passage
                 self._distance, self._groups = distance, groups
                 self.pillars += [piece for piece in pieces if isinstance(piece, Cylinder)]
@@ -89,7 +89,7 @@ class _Floor:
         return Arena(kind, seed, self.boundary, tuple(self.blocks), tuple(self.pillars))
 
 
-def obstacle_groups(distance: NDArray[np.float64]) -> int:
+def _obstacle_groups(distance: NDArray[np.float64]) -> int:
     """Return the number of groups of obstacles that the robot can drive around; 0 if any is narrow.
 
     No passage is narrow if growing the obstacles from the robot's radius to half of
@@ -121,10 +121,10 @@ def _house(seed: int, rng: np.random.Generator) -> Arena:
     ]
     floor.put(lambda: plan)
     rooms = (
-        Room(-half_x, -half_y, middle, left),
-        Room(-half_x, left, middle, half_y),
-        Room(middle, -half_y, half_x, right),
-        Room(middle, right, half_x, half_y),
+        _Room(-half_x, -half_y, middle, left),
+        _Room(-half_x, left, middle, half_y),
+        _Room(middle, -half_y, half_x, right),
+        _Room(middle, right, half_x, half_y),
     )
     for i, room in enumerate(rooms):
         for j, (length, depth, height) in enumerate(
@@ -141,7 +141,7 @@ def _random(seed: int, rng: np.random.Generator) -> Arena:
     """Return a floor of random size, divided into rooms, with pillars and clutter in them."""
     half_x, half_y = rng.uniform(2.7, 3.7), rng.uniform(2.4, 3.0)
     floor = _Floor(half_x, half_y)
-    rooms = list(_divided(floor, rng, Room(-half_x, -half_y, half_x, half_y), depth=2))
+    rooms = list(_divided(floor, rng, _Room(-half_x, -half_y, half_x, half_y), depth=2))
     for number in range(rng.integers(2, 6)):
         room = rooms[rng.integers(len(rooms))]
         floor.put(_pillar, rng, room, f"pillar_{number}")
@@ -151,7 +151,7 @@ def _random(seed: int, rng: np.random.Generator) -> Arena:
     return floor.arena("random", seed)
 
 
-def _divided(floor: _Floor, rng: np.random.Generator, room: Room, depth: int) -> Iterator[Room]:
+def _divided(floor: _Floor, rng: np.random.Generator, room: _Room, depth: int) -> Iterator[_Room]:
     """Divide a room by walls, each with a door; yield the resulting rooms."""
     size = (room.x_max - room.x_min, room.y_max - room.y_min)
     along = "y" if size[0] > size[1] else "x"  # the wall crosses the longer side
@@ -201,7 +201,7 @@ def _wall(
 
 
 def _at_a_wall(
-    rng: np.random.Generator, room: Room, name: str, length: float, depth: float, height: float
+    rng: np.random.Generator, room: _Room, name: str, length: float, depth: float, height: float
 ) -> Box:
     """Return a piece of furniture with its back in one of a room's walls."""
     side, share = int(rng.integers(4)), rng.uniform()
@@ -217,7 +217,7 @@ def _at_a_wall(
 
 
 def _free_standing(
-    rng: np.random.Generator, room: Room, name: str, half: tuple[float, float], height: float
+    rng: np.random.Generator, room: _Room, name: str, half: tuple[float, float], height: float
 ) -> Box:
     """Return a box somewhere in a room, turned by any angle."""
     x, y = rng.uniform(room[:2], room[2:]).tolist()
@@ -225,7 +225,7 @@ def _free_standing(
     return Box(name, x, y, half_x, half_y, rng.uniform(-math.pi, math.pi), height)
 
 
-def _in_a_corner(rng: np.random.Generator, room: Room, name: str) -> Cylinder:
+def _in_a_corner(rng: np.random.Generator, room: _Room, name: str) -> Cylinder:
     i, j = _CORNERS[rng.integers(4)]
     into = 0.2
     x = room.x_min + into if i < 0 else room.x_max - into
@@ -233,6 +233,6 @@ def _in_a_corner(rng: np.random.Generator, room: Room, name: str) -> Cylinder:
     return Cylinder(name, x, y, rng.uniform(0.12, 0.2))
 
 
-def _pillar(rng: np.random.Generator, room: Room, name: str) -> Cylinder:
+def _pillar(rng: np.random.Generator, room: _Room, name: str) -> Cylinder:
     x, y = rng.uniform(room[:2], room[2:]).tolist()
     return Cylinder(name, x, y, rng.uniform(0.1, 0.25), 1.0)

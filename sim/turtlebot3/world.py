@@ -78,7 +78,7 @@ class View:
 
 
 @dataclass(frozen=True, slots=True)
-class Touch:
+class _Touch:
     """The robot began to touch a piece of the world."""
 
     stamp_ns: int
@@ -125,7 +125,7 @@ class World:
         self._warm_start = self._data.qacc_warmstart[np.newaxis].copy()  # of the solver
         self._pieces = [*pieces(parameters)]
         self._last_touch_ns: dict[str, int] = {}
-        self.touches: list[Touch] = []
+        self.touches: list[_Touch] = []
         self._rays = Rays(self._seen_by_lidars())
         # The last row is the sky: a ray that hits nothing reports geom -1.
         self._colours = np.vstack([self._model.geom_rgba[:, :3], _SKY_RGB])
@@ -318,7 +318,7 @@ class World:
             name, stamp_ns = self._pieces[piece], (first + row) * STEP_NS
             last_ns = self._last_touch_ns.get(name)
             if last_ns is None or stamp_ns - last_ns > _EPISODE_GAP_NS:
-                self.touches.append(Touch(stamp_ns, name))
+                self.touches.append(_Touch(stamp_ns, name))
             self._last_touch_ns[name] = stamp_ns
 
 

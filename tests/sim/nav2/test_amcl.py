@@ -245,7 +245,7 @@ class Rig:
         self.robot = IdealRobot("/cmd_vel")
         domain = self.robot.domain
         self.amcl = Amcl(domain, "000000000001", rng=np.random.default_rng(5))
-        server = MapServer(domain, {"room": room(WIDTH, HEIGHT)}, "room")
+        server = MapServer(domain, room(WIDTH, HEIGHT))
         for node in (server, self.amcl):
             node.configure()
             node.activate()
@@ -342,15 +342,6 @@ def test_update_needs_a_move_along_one_axis_or_a_turn(rig, x, y, yaw, updates):
     assert len(rig.poses) == 1 + updates
 
 
-def test_requested_update_happens_without_motion(rig):
-    rig.tell_initial_pose()
-    rig.robot.run(1.0)
-    client = rig.robot.create_client("std_srvs/srv/Empty", "/request_nomotion_update")
-    client.call(None)
-    rig.robot.run(1.0)
-    assert len(rig.poses) == 2
-
-
 def test_driving_robot_is_found_within_a_few_centimetres(rig):
     rig.tell_initial_pose()
     rig.robot.run(1.0)
@@ -395,15 +386,3 @@ def test_cloud_bytes_are_the_particles(rig):
     turns = np.exp(1j * (np.array(found)[:, 2] - expected[:, 2]))
     assert turns == pytest.approx(np.ones(count))
     assert {p.weight for p in cloud.particles} == {1.0 / count}
-
-
-def test_global_localisation_scatters_over_free_space(rig):
-    rig.tell_initial_pose()
-    rig.robot.run(1.0)
-    client = rig.robot.create_client("std_srvs/srv/Empty", "/reinitialize_global_localization")
-    client.call(None)
-    rig.robot.run(0.001)
-    x, y, yaw = rig.amcl._filter.poses.T
-    assert np.all((x >= 0) & (x <= WIDTH) & (y >= 0) & (y <= HEIGHT))
-    assert (x.std(), y.std()) == pytest.approx((WIDTH / 12**0.5, HEIGHT / 12**0.5), rel=0.1)
-    assert yaw.std() == pytest.approx(2 * math.pi / 12**0.5, rel=0.1)

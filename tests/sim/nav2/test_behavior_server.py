@@ -13,7 +13,7 @@ from tests.sim.nav2.robot import IdealRobot
 Point = message_class("geometry_msgs/msg/Point")
 GOALS = {
     action: message_class(f"nav2_msgs/action/{action}_Goal")
-    for action in ("Spin", "BackUp", "DriveOnHeading", "Wait", "AssistedTeleop")
+    for action in ("Spin", "BackUp", "Wait")
 }
 
 
@@ -78,15 +78,6 @@ def test_backup_drives_back_whatever_the_signs_of_the_goal(rig):
     assert {v for _, v, _ in rig.twists[:-1]} == {-0.05}
 
 
-def test_drive_on_heading_drives_ahead_and_wants_speed_and_distance_to_agree(rig):
-    rig.do("drive_on_heading", "DriveOnHeading", Point(0.5, 0.0, 0.0), 0.25, seconds(10.0))
-    rig.run(3.0)
-    rig.do("drive_on_heading", "DriveOnHeading", Point(0.5, 0.0, 0.0), -0.25, seconds(10.0))
-    rig.run(0.1)
-    assert [status for status, _ in rig.ended] == [Status.SUCCEEDED, Status.ABORTED]
-    assert rig.pose.x == pytest.approx(0.5, abs=0.03)
-
-
 def test_a_wall_behind_ends_a_backup_before_it_is_touched(rig):
     rig.grid.costs[:, :22] = LETHAL  # up to x = -0.4: the outline reaches to -0.23
     rig.publish_costmap()
@@ -146,12 +137,6 @@ def test_a_second_goal_ends_both_as_in_nav2(rig):
     rig.do("spin", "Spin", 6.0, seconds(10.0))
     rig.run(0.2)
     assert [status for status, _ in rig.ended] == [Status.ABORTED, Status.ABORTED]
-
-
-def test_assisted_teleop_is_refused_without_an_operator(rig):
-    rig.do("assisted_teleop", "AssistedTeleop", seconds(10.0))
-    rig.run(0.1)
-    assert [status for status, _ in rig.ended] == [Status.ABORTED]
 
 
 def test_five_publishers_reach_the_wheels_directly(rig):

@@ -13,11 +13,9 @@ from sim.middleware.node import Node
 from sim.middleware.stamps import header
 from sim.middleware.tf import TransformBuffer, planar_transform
 from sim.nav2.collision_monitor import (
-    FOOTPRINT_APPROACH,
     POLYGON_SLOW,
     POLYGON_STOP,
     CollisionMonitor,
-    Polygon,
     points_inside,
     range_points,
 )
@@ -104,56 +102,6 @@ def test_stop_wins_over_slowdown_whatever_the_order_of_the_sources(rig):
     rig.see(*IN_SLOW, topic="/scan")
     rig.see(*IN_STOP, topic="/scan_tom")
     assert rig.command() == (0.0, 0.0)
-
-
-# The footprint reaches 0.23 m ahead. At 0.2 m/s a point 0.56 m ahead is inside it from 0.34 m of
-# driving on, that is at the end of the 17th step, which begins after 1.6 s.
-@pytest.mark.parametrize(
-    ("points", "ahead", "share"),
-    [
-        (6, 0.56, 0.8),
-        (5, 0.56, 1.0),
-        (6, 0.66, 1.0),
-        (5, 0.20, 0.0),
-        (4, 0.20, 1.0),
-        (6, 0.24, 0.0),
-    ],
-)
-def test_an_approach_scales_the_command_with_the_time_to_the_collision(points, ahead, share):
-    seen = np.full((points, 2), (ahead, 0.001))
-    assert FOOTPRINT_APPROACH.share((0.2, 0.0), seen) == pytest.approx(share)
-
-
-def test_an_approach_looks_along_the_turn():
-    # A rod ahead turns towards points on the left: 0.3 cos(yaw) < 0.05 m from 1.41 rad on.
-    rod = np.array([(0.0, -0.05), (0.5, -0.05), (0.5, 0.05), (0.0, 0.05)])
-    polygon = Polygon("Rod", None, rod, "approach")
-    left = np.full((4, 2), (0.0, 0.3))
-    assert polygon.share((0.0, 1.0), left) == pytest.approx(1.4 / 2.0)
-    assert polygon.share((0.0, -1.0), left) == 1.0
-
-
-# The approach alone would let 0.4 and 0.15 of the command through, the slowdown 0.3 of it.
-@pytest.mark.parametrize(("ahead", "share"), [(0.39, 0.3), (0.30, 0.15)])
-def test_of_an_approach_and_a_slowdown_the_stricter_one_acts(ahead, share):
-    rig = Rig(polygons=(POLYGON_SLOW, FOOTPRINT_APPROACH))
-    rig.see(*[(ahead, 0.001)] * 6)
-    assert rig.command(0.2, 0.0) == pytest.approx((0.2 * share, 0.0))
-
-
-def test_an_approach_sees_points_beyond_every_polygon():
-    rig = Rig(polygons=(POLYGON_STOP, FOOTPRINT_APPROACH))
-    rig.see(*[(0.56, 0.001)] * 6)
-    assert rig.command(0.2, 0.0) == pytest.approx((0.16, 0.0))
-
-
-@pytest.mark.parametrize("polygons", [(POLYGON_STOP,), (POLYGON_STOP, FOOTPRINT_APPROACH)])
-def test_the_footprint_is_used_for_an_approach_only_and_not_published(polygons):
-    domain = Rig(polygons=polygons).domain
-    heard = "/local_costmap/published_footprint" in domain.subscriptions_of("/collision_monitor")
-    assert heard == (FOOTPRINT_APPROACH in polygons)
-    shown = {t for t in domain.publishers_of("/collision_monitor") if t.startswith("/polygon")}
-    assert shown == {"/polygon_stop"}
 
 
 def test_points_of_all_sources_count_together(rig):

@@ -5,7 +5,6 @@ import pytest
 
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
-from sim.middleware.executor import SECOND
 from sim.middleware.geometry import Pose2D
 from sim.middleware.stamps import header
 from sim.nav2.costmap import FREE_SPACE, LETHAL, NO_INFORMATION
@@ -43,7 +42,7 @@ class Rig:
         domain = self.robot.domain
         rng = np.random.default_rng(1)
         self.costmap = kind(domain, "000000000001", SOURCES, rng=rng, **settings)
-        server = MapServer(domain, {"map": make_map()}, "map")
+        server = MapServer(domain, make_map())
         for node in (server, self.costmap):
             node.configure()
         server.activate()
@@ -254,30 +253,3 @@ def test_clearing_entirely_forgets_obstacles_but_not_the_map(world):
     assert world.costmap.is_current
     assert world.cost(1.02, 0.01) == FREE_SPACE
     assert world.cost(-2.0 + 70.5 * 0.05, -2.0 + 70.5 * 0.05) == LETHAL
-
-
-@pytest.mark.parametrize(("service", "near", "far"), [("around", 0, LETHAL), ("except", LETHAL, 0)])
-def test_clearing_around_and_clearing_except_are_complements(world, service, near, far):
-    world.see(1.02, 1.82)
-    world.robot.run(1.2)
-    world.see(np.inf, np.inf)
-    world.robot.run(1.2)
-    srvtype = {"around": "ClearCostmapAroundRobot", "except": "ClearCostmapExceptRegion"}[service]
-    client = world.robot.create_client(
-        f"nav2_msgs/srv/{srvtype}", f"/global_costmap/clear_{service}_global_costmap"
-    )
-    client.call(None)
-    world.robot.run(1.2)
-    assert world.cost(1.02, 0.01) == near
-    assert world.cost(0.01, 1.82) == far
-
-
-def test_get_costmap_answers_with_the_costs_as_they_are(local):
-    local.see(1.02)
-    local.robot.run(0.5)
-    answers = []
-    client = local.robot.create_client("nav2_msgs/srv/GetCostmap", "/local_costmap/get_costmap")
-    client.call(None, answers.append)
-    local.robot.run(0.01)
-    assert SECOND * answers[0].header.stamp.sec <= local.robot.now_ns
-    assert np.array_equal(answers[0].data, local.costmap.grid.costs.ravel())

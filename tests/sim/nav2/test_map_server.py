@@ -11,16 +11,12 @@ from sim.nav2.map_server import MapServer, OccupancyMap
 GRID = "nav_msgs/msg/OccupancyGrid"
 
 
-def small_map(value):
-    data = np.array([[0, 100, -1], [value, 0, 0]], np.int8)
-    return OccupancyMap(data, 0.05, (-1.0, -2.0))
-
-
 @pytest.fixture
 def rig():
     executor = Executor()
     domain = Domain(executor)
-    server = MapServer(domain, {"first": small_map(0), "second": small_map(100)}, "first")
+    cells = np.array([[0, 100, -1], [0, 0, 0]], np.int8)
+    server = MapServer(domain, OccupancyMap(cells, 0.05, (-1.0, -2.0)))
     heard = []
     Node(domain, "/late").create_subscription(GRID, "/map", heard.append, qos.LATCHED, raw=True)
     server.configure()
@@ -49,15 +45,3 @@ def test_map_message_has_the_cells_of_the_map(rig):
     assert message.info.resolution == pytest.approx(0.05)
     assert (message.info.origin.position.x, message.info.origin.position.y) == (-1.0, -2.0)
     assert message.data.tolist() == [0, 100, -1, 0, 0, 0]
-
-
-def test_loading_a_map_publishes_it_and_an_unknown_name_changes_nothing(rig):
-    executor, domain, heard = rig
-    answers = []
-    client = Node(domain, "/client").create_client("nav2_msgs/srv/LoadMap", "/map_server/load_map")
-    client.call("second", answers.append)
-    client.call("third", answers.append)
-    executor.run_until(2 * SECOND)
-    assert answers == [True, False]
-    assert len(heard) == 2
-    assert deserialize(heard[1], GRID).data.tolist() == [0, 100, -1, 100, 0, 0]
