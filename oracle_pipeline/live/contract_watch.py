@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from oracle_pipeline.bags.protocol import is_hidden
 from oracle_pipeline.live.discovery import Discovery, Endpoint
-from oracle_pipeline.live.traffic import snapshot
+from oracle_pipeline.live.graph_snapshot import snapshot
 from oracle_pipeline.scoring.alarms import REPEAT_S
 from oracle_pipeline.scoring.contract import (
     Breach,

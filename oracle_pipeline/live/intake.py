@@ -16,7 +16,7 @@ from rosbags.interfaces import QosTime as _QosTime
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.dds_names import dds_topic
 from oracle_pipeline.bags.errors import DdsError
-from oracle_pipeline.bags.qos_profiles import compatible, is_latched
+from oracle_pipeline.bags.qos_profiles import compatible
 
 QUEUE_BYTES = 64 * 2**20  # of waiting messages, at most
 _DEPTH = 500  # history depth of a DDS reader
@@ -94,10 +94,6 @@ class Intake:
     def accepts(self, topic: str, offered: Qos) -> bool:
         """Return whether a publisher's QoS is compatible with our subscription's."""
         return compatible(offered, self._requested[topic])
-
-    def is_latched(self, topic: str) -> bool:
-        """Return whether the subscription is latched, so it also gets earlier messages."""
-        return is_latched(self._requested[topic])
 
     def take(self) -> list[Received]:
         """Return the queued messages, in order of arrival.

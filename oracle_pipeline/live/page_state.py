@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.bags.types import typestore
-from oracle_pipeline.live.watch import (
-    Alarm,
+from oracle_pipeline.live.events import (
     ContractAlarm,
     Event,
     GraphTaken,
     MessageReceived,
     Note,
+    WindowAlarm,
 )
 from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.scoring.output import HEADINGS, cells
@@ -68,7 +68,7 @@ class PageState:
             elif isinstance(event, WindowVerdict):
                 self._verdicts.append(_verdict(event))
                 self._change("verdicts")
-            elif isinstance(event, Alarm | ContractAlarm):
+            elif isinstance(event, WindowAlarm | ContractAlarm):
                 self._alarms.append(_alarm(event))
                 self._change("alarms")
             elif isinstance(event, Note):
@@ -174,7 +174,7 @@ def _verdict(event: WindowVerdict) -> Part:
     }
 
 
-def _alarm(event: Alarm | ContractAlarm) -> Part:
+def _alarm(event: WindowAlarm | ContractAlarm) -> Part:
     if isinstance(event, ContractAlarm):
         return {
             "end_s": event.at_s,

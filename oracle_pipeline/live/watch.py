@@ -1,18 +1,16 @@
 """Watches a DDS domain: records and judges its messages, and reports events as they happen.
 
-``oracle watch`` and the live views use ``Watch``. It only reads, and has no writer on the domain.
+``oracle watch`` uses ``Watch``. It only reads, and has no writer on the domain.
 """
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, sleep, time_ns
-from typing import Any, Self, TypeAlias
+from typing import Any, Self
 
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.errors import DdsError, OracleError
-from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.limits import MOST_CHANNELS
 from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S, is_hidden
 from oracle_pipeline.bags.qos_profiles import is_latched, is_reliable
@@ -20,63 +18,26 @@ from oracle_pipeline.bags.reader import RawMessage
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.live.contract_watch import ContractWatch
 from oracle_pipeline.live.discovery import Discovery, Endpoint
+from oracle_pipeline.live.events import (
+    ContractAlarm,
+    Event,
+    GraphTaken,
+    MessageReceived,
+    Note,
+    WindowAlarm,
+)
+from oracle_pipeline.live.graph_snapshot import snapshot
 from oracle_pipeline.live.intake import QUEUE_BYTES, Intake, Received
-from oracle_pipeline.live.judge import Judge
-from oracle_pipeline.live.recording import LiveRecording
+from oracle_pipeline.live.judge_process import JudgeProcess
+from oracle_pipeline.live.recorder import Recorder
 from oracle_pipeline.live.time_base import CLOCK_TOPIC, SimulatedTime, WallTime
-from oracle_pipeline.live.traffic import Traffic, snapshot
 from oracle_pipeline.live.window_scorer import WindowVerdict
-from oracle_pipeline.scoring.contract import Breach
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
-SETTLE_S = 2.0  # from the first topic until discovery is taken to be complete
+_SETTLE_S = 2.0  # from the first topic until discovery is taken to be complete
 _DISCOVERY_S = 0.1  # rosbag2 looks for new topics this often
 _PAUSE_S = 0.05  # between two reads of the queue; waking up for each message costs more
 _SECOND_NS = 1_000_000_000
-
-
-@dataclass(frozen=True, slots=True)
-class MessageReceived:
-    """A message as it was received."""
-
-    topic: str
-    msgtype: str
-    stamp_ns: int  # in the recording's time
-    data: bytes  # CDR with its encapsulation header
-    latched: bool = False  # later subscribers receive it, too
-
-
-@dataclass(frozen=True, slots=True)
-class GraphTaken:
-    """The ROS graph of an interval that has ended."""
-
-    start_s: int  # since the start of the recording
-    graph: RosGraph
-
-
-@dataclass(frozen=True, slots=True)
-class Alarm:
-    """The rule of the card raised an alarm with this window."""
-
-    verdict: WindowVerdict
-
-
-@dataclass(frozen=True, slots=True)
-class ContractAlarm:
-    """The robot departs from the contract of its normal recordings."""
-
-    at_s: float  # since the start of the recording
-    breaches: tuple[Breach, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Note:
-    """A remark for people, such as on dropped messages or a topic that cannot be read."""
-
-    text: str
-
-
-Event: TypeAlias = MessageReceived | GraphTaken | WindowVerdict | Alarm | ContractAlarm | Note
 
 
 class Watch:
@@ -105,7 +66,7 @@ class Watch:
         Messages that were lost because the queue was full.
     received : int
         Messages that were processed.
-    recording : LiveRecording or None
+    recording : Recorder or None
 
     Examples
     --------
@@ -128,14 +89,14 @@ class Watch:
         self.dropped = self.received = 0
         self._domain = domain
         self._stopped = False
-        self._judge = None if card is None else Judge(card, alarms_per_h, plugins)
+        self._judge = None if card is None else JudgeProcess(card, alarms_per_h, plugins)
         contract = None if self._judge is None else self._judge.contract
         self._contract = None if contract is None else ContractWatch(contract)
-        self.recording = None if folder is None else LiveRecording(folder, name)
+        self.recording = None if folder is None else Recorder(folder, name)
         self._participant = dds.join(domain)
         self.discovery = Discovery(self._participant)
         self._intake = Intake(self._participant, queue_bytes)
-        self._traffic = Traffic()
+        self._sent: dict[int, tuple[int, int]] = {}  # messages and bytes of the interval
         self._announced: dict[str, int] = {}  # publishers whose QoS was recorded, by topic
         self._unsupported: set[str] = set()  # topics that cannot be recorded
         self._time: WallTime | SimulatedTime = WallTime()
@@ -207,7 +168,7 @@ class Watch:
         while (until is None or monotonic() < until) and not self._stopped:
             self.discovery.update()
             if until is None and self.discovery.topics():
-                until = monotonic() + SETTLE_S
+                until = monotonic() + _SETTLE_S
             sleep(_PAUSE_S)
         if CLOCK_TOPIC in self.discovery.topics():
             self._time = SimulatedTime()
@@ -274,13 +235,13 @@ class Watch:
                 self._check_contract()
                 self._contract.count(received.topic, self.duration_s)
             self.received += 1
-            self._traffic.count(received.writer, len(received.data))
+            messages, size = self._sent.get(received.writer, (0, 0))
+            self._sent[received.writer] = messages + 1, size + len(received.data)
             if self.recording is not None:
                 self.recording.write(received.topic, stamp_ns, received.data)
             fresh.append(RawMessage(received.topic, stamp_ns, received.data))
             msgtype = self._intake.topics[received.topic]
-            latched = self._intake.is_latched(received.topic)
-            yield MessageReceived(received.topic, msgtype, stamp_ns, received.data, latched)
+            yield MessageReceived(received.topic, msgtype, stamp_ns, received.data)
         self._forward(fresh)
 
     def _check_contract(self) -> None:
@@ -322,8 +283,8 @@ class Watch:
 
     def _end_interval(self) -> None:
         start_s = self._interval * INTERVAL_S
-        graph = snapshot(self.discovery, self._traffic.sent())
-        self._traffic.begin()
+        graph = snapshot(self.discovery, self._sent)
+        self._sent.clear()
         self._interval += 1
         if self.recording is not None:
             self.recording.write_graph(start_s, graph)
@@ -356,7 +317,7 @@ class Watch:
     def _report(self, verdict: WindowVerdict) -> None:
         self._pending.append(verdict)
         if verdict.alarm:
-            self._pending.append(Alarm(verdict))
+            self._pending.append(WindowAlarm(verdict))
 
     def _finish(self) -> Iterator[Event]:
         """End the last interval if it is long enough, and wait for the last verdicts."""

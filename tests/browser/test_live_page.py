@@ -6,8 +6,8 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from oracle_pipeline.live.page import LivePage
-from oracle_pipeline.live.watch import Alarm
+from oracle_pipeline.live.events import WindowAlarm
+from oracle_pipeline.live.page_server import LivePage
 from tests.browser.chromium import CHROMIUM
 from tests.oracle_pipeline.live.happenings import HOSTILE, events, messages, verdict
 
@@ -56,7 +56,7 @@ def test_a_window_that_is_open_sees_what_happens(browser: Browser, live: LivePag
     expect(page.locator("#verdict")).to_have_text(re.compile("^normal at 0:07, p = 0.60"))
     last = verdict(2, alarm=True)
     live.show(last)
-    live.show(Alarm(last))
+    live.show(WindowAlarm(last))
     expect(page.locator("#verdict")).to_have_class("anomalous")
     expect(page.locator("#score circle.hit")).to_have_count(1)
     expect(page.locator("#alarms summary")).to_have_text(re.compile("Window 0:05 to 0:10"))

@@ -7,7 +7,7 @@ from oracle_pipeline.bags.graph_files import vertex_id
 from oracle_pipeline.bags.protocol import is_hidden
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.live.discovery import Discovery
-from oracle_pipeline.live.traffic import snapshot
+from oracle_pipeline.live.graph_snapshot import snapshot
 from sim.experiments import recipe_for, record_run
 from sim.fuzzing.scenario import ScenarioError
 from sim.middleware.executor import SECOND

@@ -3,13 +3,13 @@
 from collections.abc import Iterator
 
 from oracle_pipeline.bags.types import serialize
-from oracle_pipeline.live.watch import (
-    Alarm,
+from oracle_pipeline.live.events import (
     ContractAlarm,
     Event,
     GraphTaken,
     MessageReceived,
     Note,
+    WindowAlarm,
 )
 from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.scoring.contract import Breach
@@ -54,5 +54,5 @@ def events() -> Iterator[Event]:
         yield verdict(number)
     last = verdict(3, alarm=True)
     yield last
-    yield Alarm(last)
+    yield WindowAlarm(last)
     yield Note("3 messages were dropped: they came too fast (/scan 3).")

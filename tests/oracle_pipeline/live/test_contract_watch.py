@@ -8,7 +8,7 @@ from oracle_pipeline.bags import dds
 from oracle_pipeline.graphs.intervals import compose
 from oracle_pipeline.live.contract_watch import CONSECUTIVE, STARTUP_S, ContractWatch
 from oracle_pipeline.live.discovery import Discovery
-from oracle_pipeline.live.traffic import snapshot
+from oracle_pipeline.live.graph_snapshot import snapshot
 from oracle_pipeline.scoring.contract import Contract, Observation, graph_elements, qos_words
 from oracle_pipeline.scoring.pace import Pace
 from sim.middleware.qos import DEFAULT, SENSOR_DATA

@@ -8,7 +8,7 @@ from rosbags.typesys import Stores
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.graph_files import vertex_id
 from oracle_pipeline.live.discovery import UNKNOWN_NODE, Discovery
-from oracle_pipeline.live.traffic import snapshot
+from oracle_pipeline.live.graph_snapshot import snapshot
 from sim.middleware.qos import LATCHED
 from tests.oracle_pipeline.live.robots import STRING, Robot
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from oracle_pipeline.live import page_state
+from oracle_pipeline.live.events import MessageReceived
 from oracle_pipeline.live.page_state import (
     EVERY_NS,
     MOST_POSES,
@@ -19,7 +20,6 @@ from oracle_pipeline.live.page_state import (
     PageState,
     points,
 )
-from oracle_pipeline.live.watch import MessageReceived
 from tests.oracle_pipeline.features.conftest import scan
 from tests.oracle_pipeline.live.happenings import HOSTILE, events, messages, verdict
 

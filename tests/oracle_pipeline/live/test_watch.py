@@ -9,7 +9,8 @@ import pytest
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.graph_files import vertex_id
 from oracle_pipeline.bags.types import message_class, serialize
-from oracle_pipeline.live.watch import GraphTaken, MessageReceived, Note, Watch
+from oracle_pipeline.live.events import GraphTaken, MessageReceived, Note
+from oracle_pipeline.live.watch import Watch
 from oracle_pipeline.opened_run import open_run
 from sim.middleware.qos import CLOCK, SENSOR_DATA
 from tests.oracle_pipeline.live.robots import TEXT, Robot

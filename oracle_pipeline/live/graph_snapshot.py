@@ -10,26 +10,6 @@ from oracle_pipeline.bags.qos_profiles import compatible
 from oracle_pipeline.live.discovery import Discovery
 
 
-class Traffic:
-    """Counts what each publisher sent during an interval."""
-
-    def __init__(self) -> None:
-        self._sent: dict[int, tuple[int, int]] = {}
-
-    def count(self, writer: int, size: int) -> None:
-        """Count a message of `size` bytes from the publisher with the handle `writer`."""
-        messages, total = self._sent.get(writer, (0, 0))
-        self._sent[writer] = messages + 1, total + size
-
-    def sent(self) -> dict[int, tuple[int, int]]:
-        """Return messages and bytes by handle."""
-        return dict(self._sent)
-
-    def begin(self) -> None:
-        """Begin the next interval."""
-        self._sent.clear()
-
-
 def snapshot(discovery: Discovery, sent: Mapping[int, tuple[int, int]]) -> RosGraph:
     """Return the current graph with the traffic of each edge; hidden topics are left out.
 

@@ -16,7 +16,7 @@ from oracle_pipeline.datasets import WINDOW_START, feature_columns
 from oracle_pipeline.features import build_manager, extract
 from oracle_pipeline.features.extraction import extract_window
 from oracle_pipeline.graphs.intervals import Interval
-from oracle_pipeline.live.judge import Judge
+from oracle_pipeline.live.judge_process import JudgeProcess
 from oracle_pipeline.live.recent import CONTEXT_S, RecentMessages
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.robots.roles_file import RoleChoices
@@ -42,7 +42,7 @@ def card(recorded_run, tmp_path_factory):
 
 
 def test_an_interrupt_of_the_whole_terminal_does_not_end_the_judge_while_it_starts(card):
-    judge = Judge(card, PER_HOUR)
+    judge = JudgeProcess(card, PER_HOUR)
     (process,) = (each for each in multiprocessing.active_children() if each.name == "judge")
     os.kill(process.pid, signal.SIGINT)
     process.join(2.0)
@@ -52,7 +52,7 @@ def test_an_interrupt_of_the_whole_terminal_does_not_end_the_judge_while_it_star
 
 def judged(card, run):
     """Return the verdicts on the windows of a run whose messages come one after the other."""
-    judge = Judge(card, PER_HOUR)
+    judge = JudgeProcess(card, PER_HOUR)
     for topic in run.bag.topics.values():
         judge.add_topic(topic.name, topic.msgtype, topic.qos)
     start_ns, window, verdicts = run.bag.start_ns, 0, []
@@ -180,11 +180,11 @@ def test_graphs_older_than_the_limit_are_dropped(recorded_run):
 
 def test_a_missing_card_is_reported_at_once(tmp_path):
     with pytest.raises(OracleError, match="oracle learn"):
-        Judge(tmp_path / "none.card", None)
+        JudgeProcess(tmp_path / "none.card", None)
 
 
 def test_the_death_of_the_judging_process_is_reported(card, eventually):
-    judge = Judge(card, PER_HOUR)
+    judge = JudgeProcess(card, PER_HOUR)
     judge._process.kill()
     judge._process.join()
 
@@ -202,7 +202,7 @@ def test_windows_that_come_too_fast_are_left_out_and_the_newest_are_judged(card,
     with open_run(recorded_run(NORMAL, 4).path) as run:
         start_ns, messages = run.bag.start_ns, list(run.bag.messages())
         topics = run.bag.topics
-    judge = Judge(card, PER_HOUR)
+    judge = JudgeProcess(card, PER_HOUR)
     for topic in topics.values():
         judge.add_topic(topic.name, topic.msgtype, topic.qos)
     judge.add(messages)

@@ -63,7 +63,7 @@ _Request: TypeAlias = _Topic | _Window | Interval | list[RawMessage] | None
 _Answer: TypeAlias = WindowVerdict | _LeftOut | OracleError
 
 
-class Judge:
+class JudgeProcess:
     """Owns the process that judges windows, and talks to it.
 
     Parameters

@@ -18,7 +18,7 @@ from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.graphs.intervals import compose
 
 
-class LiveRecording:
+class Recorder:
     """Writes one recording; a context manager.
 
     Parameters

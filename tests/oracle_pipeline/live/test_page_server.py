@@ -8,8 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from oracle_pipeline.live.loopback import PortError
-from oracle_pipeline.live.page import LivePage
+from oracle_pipeline.live.page_server import LivePage, PortError
 from tests.oracle_pipeline.live.happenings import events, verdict
 
 

@@ -9,6 +9,7 @@ import base64
 import hashlib
 import json
 import re
+import socket
 import threading
 from collections.abc import AsyncIterator, Callable
 from importlib.resources import files
@@ -20,23 +21,33 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from oracle_pipeline.live.loopback import HOST, listen
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.live.events import Event
 from oracle_pipeline.live.page_state import PageState
-from oracle_pipeline.live.watch import Event
 from oracle_pipeline.web_guard import Guard
 
-PORT = 8300
+HOST = "127.0.0.1"
 _EVERY_S = 0.2  # between two checks for changes
 _ENDS_S = 3  # grace period of open connections when the watch ends
 _ADVICE = "Open the address that oracle watch prints, on the machine where it runs."
 
 
-class LivePage:
-    """Serves the page at a port (`listen`); a context manager."""
+class PortError(OracleError):
+    """The page cannot be served at its port."""
 
-    def __init__(self, port: int = PORT) -> None:
+
+class LivePage:
+    """Serves the page at a port, 0 being any free one; a context manager.
+
+    Raises
+    ------
+    PortError
+        If the port is taken.
+    """
+
+    def __init__(self, port: int) -> None:
         self.state = PageState()
-        self._socket = listen(port)
+        self._socket = _listen(port)
         self.address = f"http://{HOST}:{self._socket.getsockname()[1]}"
         self._server = uvicorn.Server(
             uvicorn.Config(
@@ -67,7 +78,17 @@ class LivePage:
         self._socket.close()
 
 
-def page() -> tuple[str, str]:
+def _listen(port: int) -> socket.socket:
+    try:
+        return socket.create_server((HOST, port))
+    except OSError as error:
+        raise PortError(
+            f"Nothing can listen at port {port} of {HOST}: {error.strerror}. Name another port, or "
+            "0 for a free one."
+        ) from error
+
+
+def _page() -> tuple[str, str]:
     """Return the page, and its content security policy: its own script, its own events."""
     text = (files(__package__) / "page.html").read_text(encoding="utf-8")
     sources = {}
@@ -84,7 +105,7 @@ def page() -> tuple[str, str]:
 
 
 def _application(state: PageState, is_over: Callable[[], bool]) -> Starlette:
-    text, policy = page()
+    text, policy = _page()
 
     async def whole(_request: Request) -> Response:
         return HTMLResponse(

@@ -14,9 +14,9 @@ import click
 from oracle_pipeline.options import format_option, plugins_option
 
 if TYPE_CHECKING:
-    from oracle_pipeline.live.foxglove_server import FoxgloveServer
-    from oracle_pipeline.live.page import LivePage
-    from oracle_pipeline.live.watch import Event, Watch
+    from oracle_pipeline.live.events import Event
+    from oracle_pipeline.live.page_server import LivePage
+    from oracle_pipeline.live.watch import Watch
 
 
 @click.command()
@@ -45,10 +45,6 @@ if TYPE_CHECKING:
     "--view", metavar="[PORT]", is_flag=False, flag_value=8300, type=click.IntRange(0, 65535),
     help="Serve a live page at 127.0.0.1.  [port: 8300; 0: any free one]",
 )  # fmt: skip
-@click.option(
-    "--foxglove", metavar="[PORT]", is_flag=False, flag_value=8765, type=click.IntRange(0, 65535),
-    help="Serve all topics to Foxglove at 127.0.0.1.  [port: 8765; 0: any free one]",
-)  # fmt: skip
 @plugins_option
 @click.pass_context
 def watch(
@@ -60,7 +56,6 @@ def watch(
     file_format: str,
     duration: float | None,
     view: int | None,
-    foxglove: int | None,
     plugins: Path | None,
 ) -> None:
     """Watch a running robot: record it, and judge it as it goes.
@@ -79,13 +74,14 @@ def watch(
         oracle watch --reference robot.card --domain 7 --format json | jq .alarm
     """  # noqa: D301 -- click reads the control character
     from oracle_pipeline.bags.dds import default_domain
-    from oracle_pipeline.live.watch import Alarm, ContractAlarm, Watch
+    from oracle_pipeline.live.events import ContractAlarm, WindowAlarm
+    from oracle_pipeline.live.watch import Watch
 
     number = default_domain() if domain is None else domain
     name = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
     alarms = 0
     with contextlib.ExitStack() as stack:
-        views = list(_views(stack, view, foxglove))
+        page = None if view is None else stack.enter_context(_page(view))
         watching = stack.enter_context(
             Watch(
                 number,
@@ -103,9 +99,9 @@ def watch(
             signal.setitimer(signal.ITIMER_REAL, duration)
         click.echo(f"Watching domain {number}; Ctrl-C ends it.", err=True)
         for event in watching:
-            alarms += isinstance(event, Alarm | ContractAlarm)
-            for each in views:
-                each.show(event)
+            alarms += isinstance(event, WindowAlarm | ContractAlarm)
+            if page is not None:
+                page.show(event)
             lines = _as_json(event) if file_format == "json" else _as_text(event, watching)
             for line in lines:
                 click.echo(line)
@@ -115,28 +111,19 @@ def watch(
     ctx.exit(1 if alarms else 0)
 
 
-def _views(
-    stack: contextlib.ExitStack, view: int | None, foxglove: int | None
-) -> Iterator["LivePage | FoxgloveServer"]:
-    """Start the live views, and print their addresses."""
-    if view is not None:
-        from oracle_pipeline.live.page import LivePage
+def _page(port: int) -> "LivePage":
+    """Return the live page, and print its address."""
+    from oracle_pipeline.live.page_server import LivePage
 
-        page = stack.enter_context(LivePage(view))
-        click.echo(f"Page: {page.address}", err=True)
-        yield page
-    if foxglove is not None:
-        from oracle_pipeline.live.foxglove_server import FoxgloveServer
-
-        server = stack.enter_context(FoxgloveServer(foxglove))
-        click.echo(f"Foxglove: {server.address}", err=True)
-        yield server
+    page = LivePage(port)
+    click.echo(f"Page: {page.address}", err=True)
+    return page
 
 
 def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
     """Yield the lines of text of an event."""
     from oracle_pipeline.bags.terminal import aligned_lines, printable
-    from oracle_pipeline.live.watch import Alarm, ContractAlarm, GraphTaken, Note
+    from oracle_pipeline.live.events import ContractAlarm, GraphTaken, Note, WindowAlarm
     from oracle_pipeline.live.window_scorer import WindowVerdict
     from oracle_pipeline.scoring.output import HEADINGS, MOST_BREACHES, cells
 
@@ -152,7 +139,7 @@ def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
             f"{event.end_s:6.0f} s  {shown.ljust(7)} score {event.score:.3g}, "
             f"p = {event.p_value:.3g} among normal windows"
         )
-    elif isinstance(event, Alarm):
+    elif isinstance(event, WindowAlarm):
         verdict = event.verdict
         yield f"ALARM in the window from {verdict.start_s:g} s to {verdict.end_s:g} s:"
         yield from aligned_lines([HEADINGS, *map(cells, verdict.evidence)], indent="    ")
@@ -167,7 +154,7 @@ def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
 
 def _as_json(event: "Event") -> Iterator[str]:
     """Yield an event as an object with one key, its kind; messages are left out."""
-    from oracle_pipeline.live.watch import Alarm, ContractAlarm, GraphTaken, Note
+    from oracle_pipeline.live.events import ContractAlarm, GraphTaken, Note, WindowAlarm
     from oracle_pipeline.live.window_scorer import WindowVerdict
 
     document: dict[str, Any]
@@ -175,7 +162,7 @@ def _as_json(event: "Event") -> Iterator[str]:
         document = {"graph": {"start_s": event.start_s, "elements": len(event.graph)}}
     elif isinstance(event, WindowVerdict):
         document = {"window": dataclasses.asdict(event)}
-    elif isinstance(event, Alarm):
+    elif isinstance(event, WindowAlarm):
         document = {"alarm": dataclasses.asdict(event.verdict)}
     elif isinstance(event, ContractAlarm):
         breaches = [breach.text for breach in event.breaches]

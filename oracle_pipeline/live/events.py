@@ -1,0 +1,51 @@
+"""What happens while a domain is watched, as events for its readers."""
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from oracle_pipeline.bags.graph_files import RosGraph
+from oracle_pipeline.live.window_scorer import WindowVerdict
+from oracle_pipeline.scoring.contract import Breach
+
+
+@dataclass(frozen=True, slots=True)
+class MessageReceived:
+    """A message as it was received."""
+
+    topic: str
+    msgtype: str
+    stamp_ns: int  # in the recording's time
+    data: bytes  # CDR with its encapsulation header
+
+
+@dataclass(frozen=True, slots=True)
+class GraphTaken:
+    """The ROS graph of an interval that has ended."""
+
+    start_s: int  # since the start of the recording
+    graph: RosGraph
+
+
+@dataclass(frozen=True, slots=True)
+class WindowAlarm:
+    """The rule of the card raised an alarm with this window."""
+
+    verdict: WindowVerdict
+
+
+@dataclass(frozen=True, slots=True)
+class ContractAlarm:
+    """The robot departs from the contract of its normal recordings."""
+
+    at_s: float  # since the start of the recording
+    breaches: tuple[Breach, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """A remark for people, such as on dropped messages or a topic that cannot be read."""
+
+    text: str
+
+
+Event: TypeAlias = MessageReceived | GraphTaken | WindowVerdict | WindowAlarm | ContractAlarm | Note
