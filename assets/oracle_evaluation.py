@@ -103,9 +103,10 @@ def _kinds(
     from assets.worker.traces import require_trace
     from oracle_pipeline.datasets import KEYS
     from oracle_pipeline.evaluation.oracle_kinds import CARD, compare_kinds
-    from oracle_pipeline.oracles.calibration import Judged
+    from oracle_pipeline.oracles.calibration import KindScores
     from oracle_pipeline.oracles.human import answered_by_labels
-    from oracle_pipeline.oracles.kind import Material, TracedRuns, build_kinds
+    from oracle_pipeline.oracles.kind import Material, TracedRuns
+    from oracle_pipeline.oracles.registry import build_kinds
     from oracle_pipeline.oracles.requirements import NAV2, load
 
     table, headline = evaluation.campaign.features, evaluation.headline
@@ -120,7 +121,7 @@ def _kinds(
         return None
     keys = table.loc[traced, [*KEYS]].reset_index(drop=True)
     runs = TracedRuns(keys, tuple(traces[run] for run in keys["run_id"]))
-    of_card = Judged(headline.score[traced], headline.p[traced])
+    of_card = KindScores(headline.score[traced], headline.p[traced])
     return compare_kinds(
         build_kinds(answered_by_labels(Material(runs, load(NAV2)), QUESTIONS)),
         runs,

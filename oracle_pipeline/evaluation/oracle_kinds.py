@@ -17,7 +17,7 @@ from oracle_pipeline.evaluation.comparisons import RATES
 from oracle_pipeline.evaluation.estimate import NOTHING
 from oracle_pipeline.evaluation.metrics import auc, share
 from oracle_pipeline.evaluation.reference_scores import reference_scores
-from oracle_pipeline.oracles.calibration import Judged, judged, union
+from oracle_pipeline.oracles.calibration import KindScores, calibrated, union
 from oracle_pipeline.oracles.kind import OracleKind, TracedRuns
 from oracle_pipeline.scoring.conformal import runs_needed
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
@@ -51,7 +51,7 @@ class KindsComparison:
 def compare_kinds(
     kinds: Sequence[OracleKind],
     runs: TracedRuns,
-    others: Mapping[str, Judged] | None = None,
+    others: Mapping[str, KindScores] | None = None,
     rate: float = RATES[0],
     progress: Callable[[str], None] = lambda _: None,
 ) -> KindsComparison:
@@ -63,7 +63,7 @@ def compare_kinds(
         Unfitted. A kind that cannot be used on members runs gets a row with the reason.
     runs : TracedRuns
         Normal and attacked runs.
-    others : mapping of str to Judged, optional
+    others : mapping of str to KindScores, optional
         Results of other oracles on members runs, for comparison; they are not in the union.
     rate : float
         False positive rate of every verdict, including that of the union.
@@ -72,14 +72,14 @@ def compare_kinds(
     """
     rng = np.random.default_rng(SEED)
     rows: list[Row] = []
-    verdicts: dict[str, Judged] = {}
+    verdicts: dict[str, KindScores] = {}
     for kind in kinds:
         progress(kind.name)
         cost: Row = {"oracle": kind.name, "asks": kind.asks, "written": kind.written()}
         alone = TracedRuns(runs.table, runs.traces)  # without caches, to measure the full cost
         began_s = time.process_time()
         try:
-            verdicts[kind.name] = judged(kind, alone)
+            verdicts[kind.name] = calibrated(kind, alone)
         except OracleError as error:
             rows.append({**cost, "note": str(error)})
             continue
@@ -105,7 +105,7 @@ def compare_kinds(
     return KindsComparison(pd.DataFrame(rows), pd.DataFrame(by_mode), p)
 
 
-def by_cards(roots: Sequence[Path], runs: TracedRuns) -> dict[str, Judged]:
+def by_cards(roots: Sequence[Path], runs: TracedRuns) -> dict[str, KindScores]:
     """Return the scores of a reference card for the runs of a root, if it has their features.
 
     Parameters
@@ -124,11 +124,11 @@ def by_cards(roots: Sequence[Path], runs: TracedRuns) -> dict[str, Judged]:
             rows = table[table["run_id"].isin(runs.table["run_id"])]
             scores = reference_scores(MeasuredRuns.ordered(rows, read_table(windows)))
             order = np.searchsorted(np.sort(rows["run_id"]), runs.table["run_id"])
-            return {CARD: Judged(scores.score[order], scores.p[order])}
+            return {CARD: KindScores(scores.score[order], scores.p[order])}
     return {}
 
 
-def _rates(verdict: Judged, runs: TracedRuns, rate: float, rng: np.random.Generator) -> Row:
+def _rates(verdict: KindScores, runs: TracedRuns, rate: float, rng: np.random.Generator) -> Row:
     """Return AUC, detection rate and realised false positive rates, each with its interval."""
     called, block = verdict.p <= rate, runs.block
     supported = _supported(runs, rate)
@@ -167,7 +167,9 @@ def _area(score: NDArray[np.float64], runs: TracedRuns, rng: np.random.Generator
     return dict(auc(score[known], distinct, rng).columns("auc"))
 
 
-def _by_mode(verdict: Judged, runs: TracedRuns, rate: float, rng: np.random.Generator) -> list[Row]:
+def _by_mode(
+    verdict: KindScores, runs: TracedRuns, rate: float, rng: np.random.Generator
+) -> list[Row]:
     """Return the share of the runs of each mode that is called anomalous, attacks first."""
     mode = runs.table["mode"].to_numpy(dtype=str)
     attacked, known = runs.malicious, runs.malicious | runs.normal

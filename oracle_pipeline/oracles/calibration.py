@@ -21,20 +21,20 @@ from oracle_pipeline.scoring.cross_conformal import (
 )
 from oracle_pipeline.scoring.run_scorer import Design
 
-SEED = 0
-TAIL = 0.95  # quantile of normal scores that defines the unit
-FAR = 1e6  # limit of a score, in these units
+_SEED = 0
+_TAIL = 0.95  # quantile of normal scores that defines the unit
+_FAR = 1e6  # limit of a score, in these units
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Judged:
+class KindScores:
     """Scores and p-values of runs by one oracle; arrays of shape (n_runs,)."""
 
     score: NDArray[np.float64]
     p: NDArray[np.float64]
 
 
-def judged(kind: OracleKind, runs: TracedRuns) -> Judged:
+def calibrated(kind: OracleKind, runs: TracedRuns) -> KindScores:
     """Judge all runs by a kind that is fitted on the normal ones.
 
     Raises
@@ -46,7 +46,7 @@ def judged(kind: OracleKind, runs: TracedRuns) -> Judged:
     return _judge_by_votes(_fold_scores(kind, runs, normal), runs, normal)
 
 
-def union(verdicts: Sequence[Judged], runs: TracedRuns) -> Judged:
+def union(verdicts: Sequence[KindScores], runs: TracedRuns) -> KindScores:
     """Judge runs by several oracles at once, at the false positive rate of one.
 
     The minimum of several p-values is not a p-value: it decreases with the number of oracles by
@@ -65,10 +65,10 @@ def _in_tail_units(score: NDArray[np.float64], normal: NDArray[np.float64]) -> N
 
     If all normal runs have the same score, any higher score is extreme.
     """
-    median, tail, highest = np.quantile(normal, [0.5, TAIL, 1.0])
+    median, tail, highest = np.quantile(normal, [0.5, _TAIL, 1.0])
     reach = max(tail - median, 0.1 * (highest - median))
-    units = (score - median) / (reach if reach > 0.0 else 1.0 / FAR)
-    return np.asarray(np.clip(units, -FAR, FAR), dtype=np.float64)
+    units = (score - median) / (reach if reach > 0.0 else 1.0 / _FAR)
+    return np.asarray(np.clip(units, -_FAR, _FAR), dtype=np.float64)
 
 
 def _fold_scores(
@@ -92,15 +92,15 @@ def _folds(normal: TracedRuns) -> NDArray[np.intp]:
     """Assign whole sessions to folds, or blocks if there are too few, as a reference card does."""
     few = len(np.unique(normal.session)) < MIN_BLOCKS
     unit = normal.block if few else normal.session
-    return assign_folds(unit, FOLDS, np.random.default_rng(SEED))
+    return assign_folds(unit, FOLDS, np.random.default_rng(_SEED))
 
 
 def _judge_by_votes(
     scores: NDArray[np.float64], runs: TracedRuns, normal: NDArray[np.bool_]
-) -> Judged:
+) -> KindScores:
     """Compute p-values from the votes of normal blocks; `scores` has shape (n_folds, n_runs)."""
     votes = CrossConformalScorer(Design(MaxZ(), (), (), {}))  # only its folds and votes are used
     votes.fold_, votes.block_ = _folds(runs.where(normal)), runs.block[normal]
     held_out = scores[votes.fold_, np.flatnonzero(normal)]
     votes.held_out_ = held_out
-    return Judged(votes.own_score(scores, runs.block), votes.p_values(scores, runs.block))
+    return KindScores(votes.own_score(scores, runs.block), votes.p_values(scores, runs.block))

@@ -26,7 +26,7 @@ from oracle_pipeline.features.engine.plugin import hookimpl
 from oracle_pipeline.oracles.implicit import Implicit
 from oracle_pipeline.oracles.invariants import Invariants
 from oracle_pipeline.oracles.kind import (
-    Judge,
+    FittedOracle,
     KindError,
     Maker,
     Material,
@@ -36,7 +36,7 @@ from oracle_pipeline.oracles.kind import (
 from oracle_pipeline.oracles.specified import Specified
 
 BAD, GOOD = "bad", "good"
-RESAMPLES = 200  # of the answers, to compute the interval of the threshold
+_RESAMPLES = 200  # of the answers, to compute the interval of the threshold
 
 
 class AnswerError(KindError):
@@ -73,22 +73,22 @@ def save_answers(answers: Mapping[str, bool], path: Path) -> None:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Coordinates:
+class _Coordinates:
     """The scores of several kinds for a run, on one scale.
 
     Attributes
     ----------
-    judges : sequence of Judge
+    judges : sequence of FittedOracle
     centre, spread : ndarray of shape (n_judges,)
         Of the scores of normal runs.
     """
 
-    judges: Sequence[Judge]
+    judges: Sequence[FittedOracle]
     centre: NDArray[np.float64]
     spread: NDArray[np.float64]
 
     @classmethod
-    def learned(cls, normal: TracedRuns, kinds: Sequence[OracleKind]) -> "Coordinates":
+    def learned(cls, normal: TracedRuns, kinds: Sequence[OracleKind]) -> "_Coordinates":
         """Fit all kinds, and the scale of their scores on normal runs."""
         judges = [kind.learn(normal) for kind in kinds]
         scores = np.column_stack([judge.score(normal) for judge in judges])
@@ -104,12 +104,12 @@ class Coordinates:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Opinion:
+class _Opinion:
     """A model of a person's answers.
 
     Attributes
     ----------
-    coordinates : Coordinates
+    coordinates : _Coordinates
     weights : ndarray of shape (n_judges,)
     threshold : float
         Runs above it are more likely bad than good.
@@ -118,7 +118,7 @@ class Opinion:
     answers : int
     """
 
-    coordinates: Coordinates
+    coordinates: _Coordinates
     weights: NDArray[np.float64]
     threshold: float
     low: float
@@ -156,7 +156,7 @@ class Human:
         self._answered = runs.where(runs.table["run_id"].isin(self._answers).to_numpy())
         self._kinds = kinds
 
-    def learn(self, normal: TracedRuns) -> Opinion:
+    def learn(self, normal: TracedRuns) -> _Opinion:
         """Learn from the answers on runs of the blocks of some normal runs only.
 
         Raises
@@ -172,18 +172,18 @@ class Human:
                 "The answers on these runs are all equal; answer for more runs with "
                 "`oracle review`, both good and bad ones."
             )
-        coordinates = Coordinates.learned(normal, self._kinds)
+        coordinates = _Coordinates.learned(normal, self._kinds)
         inputs = coordinates.of(answered)
         weights, threshold = _line(inputs, bad)
         low, high = _interval(inputs @ weights, bad)
-        return Opinion(coordinates, weights, threshold, low, high, len(bad))
+        return _Opinion(coordinates, weights, threshold, low, high, len(bad))
 
     def written(self) -> int:
         """Return the number of answers."""
         return len(self._answers)
 
 
-def questions(
+def _next_question(
     coordinates: NDArray[np.float64], answers: Mapping[int, bool], passed: Set[int] = frozenset()
 ) -> int | None:
     """Return the most informative run to ask about next; None if there are no more.
@@ -232,12 +232,12 @@ def interview(
         A run, and whether it is bad.
     """
     runs = material.runs
-    coordinates = Coordinates.learned(runs.where(runs.normal), input_kinds(material)).of(runs)
+    coordinates = _Coordinates.learned(runs.where(runs.normal), input_kinds(material)).of(runs)
     names = runs.table["run_id"].tolist()
     answers = {row: material.answers[n] for row, n in enumerate(names) if n in material.answers}
     passed: set[int] = set()
     for _ in range(count):
-        chosen = questions(coordinates, answers, passed)
+        chosen = _next_question(coordinates, answers, passed)
         if chosen is None:
             return
         answer = ask(names[chosen])
@@ -343,7 +343,7 @@ def _interval(scores: NDArray[np.float64], bad: NDArray[np.bool_]) -> tuple[floa
     rng = np.random.default_rng(0)
     good_rows, bad_rows = np.flatnonzero(~bad), np.flatnonzero(bad)
     drawn = []
-    for _ in range(RESAMPLES):
+    for _ in range(_RESAMPLES):
         rows = np.concatenate([rng.choice(of, len(of)) for of in (good_rows, bad_rows)])
         drawn.append(_threshold(scores[rows], bad[rows]))
     low, high = np.quantile(drawn, [0.025, 0.975])

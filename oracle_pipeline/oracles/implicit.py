@@ -29,14 +29,14 @@ class Implicit:
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
         """Return the score of each run; 0 without failures."""
-        return np.asarray(np.log1p(runs.each(failures)).sum(axis=1), dtype=np.float64)
+        return np.asarray(np.log1p(runs.each(_failures)).sum(axis=1), dtype=np.float64)
 
     def written(self) -> int:
         """Return 0: there is nothing to write."""
         return 0
 
 
-def failures(trace: pd.DataFrame) -> NDArray[np.float64]:
+def _failures(trace: pd.DataFrame) -> NDArray[np.float64]:
     """Return the numbers of failed goals, logged errors, non-finite numbers, and silence [s].
 
     The last value is the number of goals that were still active at the end.

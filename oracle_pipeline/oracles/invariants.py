@@ -30,13 +30,13 @@ one second (_rate), and of the difference of two signals with the same unit. The
 bounds, so a bound may hold only by chance. Delete or change lines as needed.
 """  # comment at the top of a file
 
-FEWEST = 3  # normal runs with the signal
+_FEWEST = 3  # normal runs with the signal
 
 _GROWING = {"travelled"}  # grows with the length of the run, so bounds are meaningless
 
 
 @dataclass(frozen=True, slots=True)
-class Expression:
+class _Quantity:
     """The quantity of a candidate: a signal, a rate, or the difference of two signals."""
 
     first: str
@@ -52,22 +52,22 @@ class Expression:
         return SIGNALS[self.first.removesuffix(RATE)].floor
 
 
-def expressions() -> tuple[Expression, ...]:
+def _quantities() -> tuple[_Quantity, ...]:
     """Return the expressions of all candidates."""
     bounded = [name for name in SIGNALS if name not in _GROWING]
     return (
-        *map(Expression, bounded),
-        *(Expression(f"{name}{RATE}") for name in SIGNALS),
+        *map(_Quantity, bounded),
+        *(_Quantity(f"{name}{RATE}") for name in SIGNALS),
         *(
-            Expression(first, second)
+            _Quantity(first, second)
             for first, second in combinations(bounded, 2)
             if SIGNALS[first].unit == SIGNALS[second].unit
         ),
     )
 
 
-def extremes(trace: pd.DataFrame) -> NDArray[np.float64]:
-    """Return least and largest value of each expression, shape (2, n_expressions).
+def _extremes(trace: pd.DataFrame) -> NDArray[np.float64]:
+    """Return least and largest value of each expression, shape (2, n_quantities).
 
     NaN where the trace lacks a signal.
     """
@@ -80,8 +80,8 @@ def extremes(trace: pd.DataFrame) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class LearnedInvariants:
-    """Bounds that all normal runs kept; arrays of shape (n_expressions,), NaN without a bound.
+class _LearnedInvariants:
+    """Bounds that all normal runs kept; arrays of shape (n_quantities,), NaN without a bound.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class LearnedInvariants:
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
         """Return each run's largest violation of an invariant, in scales."""
-        least, largest = runs.each(extremes).transpose(1, 0, 2)
+        least, largest = runs.each(_extremes).transpose(1, 0, 2)
         beyond = np.hstack(
             [(self.low - least) / self.low_scale, (largest - self.high) / self.high_scale]
         )
@@ -113,7 +113,7 @@ class LearnedInvariants:
 
     def _written(self) -> Iterator[Requirement]:
         says = f"Held in {self.runs} normal runs."
-        for n, about in enumerate(_EXPRESSIONS):
+        for n, about in enumerate(_QUANTITIES):
             name = str(about).replace(" - ", ".minus.")
             if about.second and 0.0 <= self.low[n] < about.floor:  # one signal is never smaller
                 formula = f"always ({about.first} >= {about.second})"
@@ -132,7 +132,7 @@ class Invariants:
     name = "invariants"
     asks = "nothing, or a review"
 
-    def learn(self, normal: TracedRuns) -> LearnedInvariants:
+    def learn(self, normal: TracedRuns) -> _LearnedInvariants:
         """Return the bounds that all normal runs kept.
 
         Raises
@@ -140,19 +140,19 @@ class Invariants:
         KindError
             Fewer than three normal runs.
         """
-        if len(normal.traces) < FEWEST:
+        if len(normal.traces) < _FEWEST:
             raise KindError(
-                f"Invariants need at least {FEWEST} normal runs, but there are "
+                f"Invariants need at least {_FEWEST} normal runs, but there are "
                 f"{len(normal.traces)}; record more."
             )
-        least, largest = normal.each(extremes).transpose(1, 0, 2)
-        enough = np.isfinite(least).sum(axis=0) >= FEWEST
-        floors = np.array([each.floor for each in _EXPRESSIONS])
+        least, largest = normal.each(_extremes).transpose(1, 0, 2)
+        enough = np.isfinite(least).sum(axis=0) >= _FEWEST
+        floors = np.array([each.floor for each in _QUANTITIES])
         low, high = np.full((2, len(floors)), np.nan)
         low[enough] = np.nanmin(least[:, enough], axis=0)
         high[enough] = np.nanmax(largest[:, enough], axis=0)
         low_scale, high_scale = (np.maximum(_spread(each), floors) for each in (least, largest))
-        return LearnedInvariants(low, high, low_scale, high_scale, len(normal.traces))
+        return _LearnedInvariants(low, high, low_scale, high_scale, len(normal.traces))
 
     def written(self) -> int:
         """Return 0: they are learned."""
@@ -184,7 +184,7 @@ def _text(rounded: np.ufunc, bound: float) -> str:
     return f"{rounded(bound * 1e4) / 1e4:.4f}"
 
 
-_EXPRESSIONS = expressions()  # differences of two signals come last
-_SINGLES = [str(each) for each in _EXPRESSIONS if not each.second]
-_FIRST = [_SINGLES.index(each.first) for each in _EXPRESSIONS if each.second]
-_SECOND = [_SINGLES.index(each.second) for each in _EXPRESSIONS if each.second]
+_QUANTITIES = _quantities()  # differences of two signals come last
+_SINGLES = [str(each) for each in _QUANTITIES if not each.second]
+_FIRST = [_SINGLES.index(each.first) for each in _QUANTITIES if each.second]
+_SECOND = [_SINGLES.index(each.second) for each in _QUANTITIES if each.second]

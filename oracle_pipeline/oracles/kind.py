@@ -1,35 +1,24 @@
 """The interface of a kind of oracle: it maps a run to one number; higher is worse.
 
-``calibration`` turns the number into a p-value in the same way for all kinds. A kind is a plugin:
-the built-in kinds, those of other distributions, and those in the plugin folder are registered
-through the hook ``register_oracles``.
+``calibration`` turns the number into a p-value in the same way for all kinds, and ``registry``
+finds the kinds.
 """
 
-import logging
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Protocol, TypeAlias
 
 import numpy as np
 import pandas as pd
-import pluggy
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import LABELS
 from oracle_pipeline.datasets import is_malicious
-from oracle_pipeline.features.engine.plugin import PROJECT
-from oracle_pipeline.features.manager import plugin_folder, register_others
 from oracle_pipeline.oracles.requirements import Requirement
 
 RELATION = "relation"  # column: relation of a run to the runs of its block, from its recipe
 SAME = "same"  # the relation of all runs that are judged
-
-_log = logging.getLogger(__name__)
-
-hookspec = pluggy.HookspecMarker(PROJECT)
-
 
 # Cache by function and identity of a trace: the trace, and the result of the function for it.
 _Cache: TypeAlias = dict[Hashable, dict[int, tuple[pd.DataFrame, NDArray[np.float64]]]]
@@ -92,7 +81,7 @@ class TracedRuns:
         return np.asarray(self.table["label"].isin(LABELS), dtype=np.bool_) & ~self.malicious
 
 
-class Judge(Protocol):
+class FittedOracle(Protocol):
     """A fitted oracle, which maps runs to numbers."""
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
@@ -113,8 +102,8 @@ class OracleKind(Protocol):
     name: str
     asks: str
 
-    def learn(self, normal: TracedRuns) -> Judge:
-        """Return a judge that is fitted on normal runs; a kind may be its own judge."""
+    def learn(self, normal: TracedRuns) -> FittedOracle:
+        """Return the oracle that is fitted on normal runs; a kind may be its own."""
 
     def written(self) -> int:
         """Return the number of requirements, answers or recordings that people provided."""
@@ -144,49 +133,3 @@ class Material:
 
 
 Maker = Callable[[Material], OracleKind | None]
-
-
-class Hooks:
-    """The hook that plugins implement."""
-
-    @hookspec
-    def register_oracles(self) -> list[Maker]:  # type: ignore[empty-body]
-        """Return the factories of the kinds of oracle that a module offers.
-
-        Each takes a `Material` and returns a fresh, unfitted kind, or None if the material lacks
-        what the kind needs.
-        """
-
-
-def build_kinds(material: Material, folder: Path | None = None) -> list[OracleKind]:
-    """Build the kinds of oracle: built-in ones, then entry points, then the files of a folder.
-
-    Parameters
-    ----------
-    material : Material
-    folder : Path, optional
-        Folder of plugin files, as for features.
-
-    Raises
-    ------
-    KindError
-        Two kinds have the same name.
-    """
-    from oracle_pipeline.oracles import human, implicit, invariants, metamorphic, specified
-
-    registry = pluggy.PluginManager(PROJECT)
-    registry.add_hookspecs(Hooks)
-    for module in (implicit, specified, invariants, metamorphic, human):
-        registry.register(module)
-    for name, reason in register_others(registry, folder or plugin_folder())[1].items():
-        _log.error("Plugin %s is left out: %s", name, reason)
-    kinds: list[OracleKind] = []
-    for implementation in registry.hook.register_oracles.get_hookimpls():
-        makers: list[Maker] = implementation.function()  # type: ignore[assignment]  # untyped hook
-        made = (make(material) for make in makers)
-        kinds += [kind for kind in made if kind is not None]
-    names = [kind.name for kind in kinds]
-    for name in names:
-        if names.count(name) > 1:
-            raise KindError(f"Two kinds of oracle are called {name!r}; rename one.")
-    return kinds

@@ -20,16 +20,16 @@ from oracle_pipeline.features.engine.plugin import hookimpl
 from oracle_pipeline.oracles.kind import RELATION, SAME, KindError, Maker, Material, TracedRuns
 from oracle_pipeline.oracles.traces import SIGNALS, STEP_S, values_of
 
-PERCENTILES = (5.0, 50.0, 95.0)
-FEWEST = 20  # comparisons of normal runs needed to estimate the spread
-SWAPPED = ("mirrored", "reordered")  # relations in which left and right turns are swapped
-TURNS = ("command_turn", "turn", "gyro_turn")  # signals that are positive to the left
+_PERCENTILES = (5.0, 50.0, 95.0)
+_FEWEST = 20  # comparisons of normal runs needed to estimate the spread
+_SWAPPED = ("mirrored", "reordered")  # relations in which left and right turns are swapped
+_TURNS = ("command_turn", "turn", "gyro_turn")  # signals that are positive to the left
 
 _NAMES = tuple(SIGNALS)
-_TURNING = [_NAMES.index(name) for name in TURNS]
+_TURNING = [_NAMES.index(name) for name in _TURNS]
 
 
-def outcomes(trace: pd.DataFrame) -> NDArray[np.float64]:
+def _outcomes(trace: pd.DataFrame) -> NDArray[np.float64]:
     """Return the outcome of a run: percentiles of all signals, path length, turning and time.
 
     Returns
@@ -39,27 +39,27 @@ def outcomes(trace: pd.DataFrame) -> NDArray[np.float64]:
         turning [rad], and time with an active goal [s].
     """
     values = values_of(trace, _NAMES)
-    levels = np.full((len(PERCENTILES), len(_NAMES)), np.nan)
+    levels = np.full((len(_PERCENTILES), len(_NAMES)), np.nan)
     known = np.isfinite(values).any(axis=0)
     if known.any():
-        levels[:, known] = np.nanpercentile(values[:, known], PERCENTILES, axis=0)
+        levels[:, known] = np.nanpercentile(values[:, known], _PERCENTILES, axis=0)
     path_m = trace["travelled"].max()
     turned = np.nansum(np.abs(trace["turn"])) * STEP_S
     active_s = float((trace["goal_time"] > 0.0).sum()) * STEP_S
     return np.array([*levels.ravel(), path_m, turned, active_s], dtype=np.float64)
 
 
-def as_original(outcome: NDArray[np.float64], relation: str) -> NDArray[np.float64]:
+def _as_original(outcome: NDArray[np.float64], relation: str) -> NDArray[np.float64]:
     """Return the outcome that a follow-up run predicts for the original task."""
-    if relation not in SWAPPED:
+    if relation not in _SWAPPED:
         return outcome
     seen = outcome.copy()
-    levels = seen[: len(PERCENTILES) * len(_NAMES)].reshape(len(PERCENTILES), -1)  # a view
+    levels = seen[: len(_PERCENTILES) * len(_NAMES)].reshape(len(_PERCENTILES), -1)  # a view
     levels[:, _TURNING] = 0.0 - levels[::-1, _TURNING]
     return seen
 
 
-_FLOORS = np.array([*[SIGNALS[name].floor for name in _NAMES] * len(PERCENTILES), 0.1, 0.2, 0.5])
+_FLOORS = np.array([*[SIGNALS[name].floor for name in _NAMES] * len(_PERCENTILES), 0.1, 0.2, 0.5])
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -106,9 +106,9 @@ class Metamorphic:
         """
         differences = self.differences(normal).reshape(len(normal.traces), len(self._partners), -1)
         compared = np.isfinite(differences).any(axis=2).sum(axis=0)
-        if compared.max() < FEWEST:
+        if compared.max() < _FEWEST:
             raise KindError(
-                f"{compared.max()} normal runs have another run of the same task, {FEWEST} are "
+                f"{compared.max()} normal runs have another run of the same task, {_FEWEST} are "
                 "needed; record several runs of each block, or the blocks with --relation mirrored."
             )
         for name, number in zip(self._partners, compared, strict=True):
@@ -118,7 +118,7 @@ class Metamorphic:
                     f"{name} run of their block; record it for all blocks, or leave it out."
                 )
         spread = np.full(differences.shape[1:], np.inf)
-        for relation in np.flatnonzero(compared >= FEWEST):
+        for relation in np.flatnonzero(compared >= _FEWEST):
             known = np.isfinite(differences[:, relation]).any(axis=0)
             typical = np.nanmedian(np.abs(differences[:, relation, known]), axis=0)
             spread[relation] = _FLOORS
@@ -137,7 +137,7 @@ class Metamorphic:
             NaN without partners.
         """
         known = self._differences
-        for trace, own, block in zip(runs.traces, runs.each(outcomes), runs.block, strict=True):
+        for trace, own, block in zip(runs.traces, runs.each(_outcomes), runs.block, strict=True):
             if id(trace) not in known:  # the cache keeps the trace alive, so its id stays unique
                 known[id(trace)] = trace, self._difference(own, int(block))
         return np.stack([known[id(trace)][1] for trace in runs.traces])
@@ -148,8 +148,8 @@ class Metamorphic:
             same_task = partners.where(partners.block == block)
             if not same_task.traces:
                 continue
-            others = np.unique(same_task.each(outcomes), axis=0)
-            others = np.array([as_original(other, relation) for other in others])
+            others = np.unique(same_task.each(_outcomes), axis=0)
+            others = np.array([_as_original(other, relation) for other in others])
             others = others[~np.isclose(others, own, equal_nan=True).all(axis=1)]
             if len(others):
                 known = np.isfinite(others).any(axis=0)

@@ -80,7 +80,7 @@ def kinds(
     from oracle_pipeline.bags.terminal import progress_bar
     from oracle_pipeline.evaluation.oracle_kinds import by_cards, compare_kinds
     from oracle_pipeline.oracles import human
-    from oracle_pipeline.oracles.kind import build_kinds
+    from oracle_pipeline.oracles.registry import build_kinds
     from oracle_pipeline.reporting.kinds_text import as_json, as_text
 
     given = human.load_answers(answers) if answers else {}

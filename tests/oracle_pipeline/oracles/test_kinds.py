@@ -11,11 +11,12 @@ from hypothesis.extra import numpy as hnp
 from oracle_pipeline.evaluation.oracle_kinds import UNION, compare_kinds
 from oracle_pipeline.features.engine.plugin import Arrivals
 from oracle_pipeline.oracles import human
-from oracle_pipeline.oracles.calibration import judged, union
+from oracle_pipeline.oracles.calibration import calibrated, union
 from oracle_pipeline.oracles.implicit import Implicit
 from oracle_pipeline.oracles.invariants import Invariants
-from oracle_pipeline.oracles.kind import RELATION, KindError, Material, build_kinds
+from oracle_pipeline.oracles.kind import RELATION, KindError, Material
 from oracle_pipeline.oracles.metamorphic import Metamorphic
+from oracle_pipeline.oracles.registry import build_kinds
 from oracle_pipeline.oracles.requirements import NAV2, load
 from oracle_pipeline.oracles.specified import Specified
 from oracle_pipeline.oracles.traces import STEP_S, _keep_scans, quiet_topics
@@ -53,20 +54,20 @@ class Drawn:
 )
 def test_each_kind_detects_its_failures(kind, altered):
     runs = campaign(**altered)
-    p = judged(kind(), runs).p
+    p = calibrated(kind(), runs).p
     assert p[runs.malicious].max() <= 0.05
     assert (p[runs.normal] <= 0.05).mean() <= 0.1
 
 
 def test_a_run_is_compared_with_others_of_its_task():
     runs = campaign(nearest_min=-0.2, nearest_max=-0.2)
-    p = judged(Metamorphic(runs), runs).p
+    p = calibrated(Metamorphic(runs), runs).p
     assert p[runs.malicious].max() <= 0.05
 
 
 def test_without_a_second_run_of_a_task_there_is_no_metamorphic_oracle():
     with pytest.raises(KindError, match="0 normal runs have another run of the same task"):
-        judged(Metamorphic(campaign(repeats=1)), campaign(repeats=1))
+        calibrated(Metamorphic(campaign(repeats=1)), campaign(repeats=1))
 
 
 def turning(relation, **altered):
@@ -84,7 +85,7 @@ def turning(relation, **altered):
 @pytest.mark.parametrize("relation", ["mirrored", "shifted"])
 def test_without_repeated_tasks_a_run_in_another_relation_detects_attacks(relation):
     runs, follow_ups = turning("same", turn=0.3), turning(relation)
-    found = judged(Metamorphic(runs, follow_ups), runs).p
+    found = calibrated(Metamorphic(runs, follow_ups), runs).p
     assert found[runs.malicious].max() <= 0.05
     assert (found[runs.normal] <= 0.05).mean() <= 0.1
     other = {"mirrored": "shifted", "shifted": "mirrored"}[relation]
@@ -108,7 +109,7 @@ def test_false_positives_of_each_kind_and_of_the_union_are_controlled():
     runs = campaign(40, repeats=1)
     rates = []
     for seed in range(0, 100, 5):
-        found = [judged(Drawn(seed + n), runs) for n in range(5)]
+        found = [calibrated(Drawn(seed + n), runs) for n in range(5)]
         p = np.array([each.p for each in found])
         rates.append([(p <= 0.1).mean(), (union(found, runs).p <= 0.1).mean()])
         assert (p.min(axis=0) <= 0.1).mean() > 0.2  # what the correction is for
@@ -126,7 +127,7 @@ def test_no_run_is_judged_by_a_model_of_its_session():
             return learned
 
     runs = campaign(12, repeats=2)
-    assert judged(Remembers(0), runs).score[runs.normal] == pytest.approx(1.0)
+    assert calibrated(Remembers(0), runs).score[runs.normal] == pytest.approx(1.0)
 
 
 def test_the_table_has_a_row_for_each_kind_with_the_reason_for_missing_ones():
@@ -161,7 +162,7 @@ def test_a_kind_of_oracle_comes_from_the_plugin_folder(tmp_path):
     )
     runs = campaign(speed=-0.1)
     (mine,) = (kind for kind in build_kinds(Material(runs, []), tmp_path) if kind.name == "slow")
-    assert judged(mine, runs).p[runs.malicious].max() <= 0.05
+    assert calibrated(mine, runs).p[runs.malicious].max() <= 0.05
 
 
 def test_questions_are_about_uncertain_runs_and_answers_move_the_threshold():
@@ -259,6 +260,6 @@ def test_a_trace_without_a_signal_is_judged_by_the_others():
     blind = tuple(trace.assign(gyro_turn=np.nan, pose_spread=np.nan) for trace in runs.traces)
     runs = type(runs)(runs.table, blind)
     for kind in (Implicit(), Specified(load(NAV2)), Invariants()):
-        assert np.isfinite(judged(kind, runs).score).all()
+        assert np.isfinite(calibrated(kind, runs).score).all()
     assert np.isfinite(Implicit().score(type(runs)(runs.table[:1], (trace(0)[:0],)))).all()
     assert isinstance(runs.table, pd.DataFrame)
