@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pluggy
 
-from oracle_pipeline.features.manager import plugin_folder, register_others
 from oracle_pipeline.features.engine.plugin import PROJECT
+from oracle_pipeline.features.manager import plugin_folder, register_others
 from oracle_pipeline.oracles import human, implicit, invariants, metamorphic, specified
 from oracle_pipeline.oracles.kind import KindError, Maker, Material, OracleKind
 
